@@ -1,0 +1,57 @@
+"""Errors that a user can act on: each names what is wrong, its value, what is allowed and what to do."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+class HysteresisError(ValueError):
+    """Base of every error that is caused by wrong input; commands answer it with one line and exit code 2."""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """One thing wrong with one parameter.
+
+    Parameters
+    ----------
+    name : str
+        Full dotted name of the parameter, e.g. ``hysteresis.polynomial.preload_force``.
+    value : object
+        What was given.
+    allowed : str
+        What is allowed, and what to do.
+    """
+
+    name: str
+    value: object
+    allowed: str
+
+    def __str__(self) -> str:
+        return f"{self.name} = {self.value!r}: {self.allowed}"
+
+
+class ParameterError(HysteresisError):
+    """One or more parameters are unknown, missing, mistyped or out of range.
+
+    Parameters
+    ----------
+    problems : iterable of Problem
+        Everything that was found, so that a user mends a file in one go.
+    """
+
+    def __init__(self, problems):
+        self.problems = tuple(problems)
+        super().__init__("; ".join(str(problem) for problem in self.problems))
+
+
+class ConfigurationError(HysteresisError):
+    """A configuration file is missing, unreadable or describes an axis that cannot be built."""
+
+
+class RecordingError(HysteresisError):
+    """A recording is missing, unreadable or lacks the signals that were asked for."""
+
+
+class IdentificationError(HysteresisError):
+    """A recording does not hold what an identification needs, or no usable model comes out of it."""

@@ -1,0 +1,277 @@
+"""Typed parameters: one dataclass per block, which maps 1:1 to the YAML of the nodes.
+
+A block's parameters are a frozen dataclass derived from :class:`Parameters`; every field is made by
+:func:`parameter` (a value) or :func:`group` (a nested dataclass). The same table serves the offline simulation,
+the declaration of ROS parameters and the generated documentation.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+from dataclasses import MISSING, Field, dataclass, field, fields, replace
+from functools import lru_cache
+from typing import Any, ClassVar, get_type_hints
+
+from hysteresis_ros.errors import ParameterError, Problem
+
+#: Types a ROS 2 parameter can have and the words users know them by.
+TYPE_NAMES = {
+    float: "double",
+    int: "integer",
+    bool: "bool",
+    str: "string",
+    tuple[float, ...]: "double array",
+    tuple[str, ...]: "string array",
+}
+
+
+#: Types whose values are tuples.
+ARRAY_TYPES = (tuple[float, ...], tuple[str, ...])
+
+
+@dataclass(frozen=True)
+class ParameterRow:
+    """One line of the parameter table (name, type, default, unit, range, description, read_only)."""
+
+    name: str
+    type: Any
+    default: Any
+    unit: str
+    low: float | None
+    high: float | None
+    choices: tuple[str, ...] | None
+    description: str
+    read_only: bool
+    required: bool
+
+    @property
+    def type_name(self) -> str:
+        """Name of the type as ROS 2 users know it."""
+        return TYPE_NAMES[self.type]
+
+    def allowed(self) -> str:
+        """What may be given, in words, for error messages and documentation."""
+        unit = f" {self.unit}" if self.unit else ""
+        text = self.type_name
+        if self.choices:
+            text += ", one of " + ", ".join(self.choices)
+        elif self.low is not None and self.high is not None:
+            text += f" in {self.low:g} … {self.high:g}{unit}"
+        elif self.low is not None:
+            text += f" ≥ {self.low:g}{unit}"
+        elif self.high is not None:
+            text += f" ≤ {self.high:g}{unit}"
+        elif unit:
+            text += f" in{unit}"
+        return text
+
+    def convert(self, value):
+        """Return ``value`` in this row's type, or raise ParameterError naming the parameter and what is allowed.
+
+        Whole numbers are accepted where a double is wanted (``0`` for ``0.0``); nothing else is converted.
+        """
+        try:
+            converted = _convert(self.type, value)
+        except TypeError:
+            raise ParameterError([Problem(self.name, value, f"wrong type, allowed: {self.allowed()}")]) from None
+        items = converted if isinstance(converted, tuple) else (converted,)
+        for item in items:
+            if isinstance(item, float) and not math.isfinite(item):
+                raise ParameterError([Problem(self.name, value, f"must be finite, allowed: {self.allowed()}")])
+            if isinstance(item, (int, float)) and not isinstance(item, bool):
+                below = self.low is not None and item < self.low
+                above = self.high is not None and item > self.high
+                if below or above:
+                    raise ParameterError([Problem(self.name, value, f"out of range, allowed: {self.allowed()}")])
+            if self.choices and item not in self.choices:
+                raise ParameterError([Problem(self.name, value, f"unknown choice, allowed: {self.allowed()}")])
+        return converted
+
+
+def _convert(kind, value):
+    if kind is float and isinstance(value, (int, float)) and not isinstance(value, bool):
+        return float(value)
+    if kind is int and isinstance(value, int) and not isinstance(value, bool):
+        return value
+    if kind is bool and isinstance(value, bool):
+        return value
+    if kind is str and isinstance(value, str):
+        return value
+    if kind in ARRAY_TYPES and not isinstance(value, (str, bytes)):
+        try:
+            items = list(value)
+        except TypeError:
+            raise TypeError from None
+        item_kind = float if kind == tuple[float, ...] else str
+        return tuple(_convert(item_kind, item) for item in items)
+    raise TypeError
+
+
+def parameter(
+    default=MISSING,
+    *,
+    description: str,
+    unit: str = "",
+    low: float | None = None,
+    high: float | None = None,
+    choices: tuple[str, ...] | None = None,
+    read_only: bool = False,
+) -> Any:
+    """Declare one parameter of a block.
+
+    Parameters
+    ----------
+    default : float, int, bool, str or tuple, optional
+        Value when YAML does not give one. Without it the parameter is required wherever its group is in use.
+    description, unit : str
+        Shown by ``ros2 param describe`` and in the documentation.
+    low, high : float, optional
+        Inclusive range, of each element for arrays.
+    choices : tuple of str, optional
+        Allowed strings.
+    read_only : bool
+        True for structure (sizes, rates, types); such parameters cannot change while a node is configured.
+    """
+    required = default is MISSING
+    metadata = dict(
+        description=description, unit=unit, low=low, high=high, choices=choices, read_only=read_only, required=required
+    )
+    return field(default=None if required else default, metadata=metadata)
+
+
+def group(cls, *, variant_of: str | None = None) -> Any:
+    """Nest another parameter dataclass; its YAML names get this field's name as prefix.
+
+    With ``variant_of="type"`` the group is only checked when the field ``type`` of the same dataclass equals this
+    field's name: a file may keep the parameters of several models and choose one of them.
+    """
+    return field(default_factory=cls, metadata=dict(group=cls, variant_of=variant_of))
+
+
+#: Annotations are strings here, and evaluating them at every look-up is slow.
+_type_hints = lru_cache(maxsize=None)(get_type_hints)
+
+
+class Parameters:
+    """Base of all parameter dataclasses. Subclasses are ``@dataclass(frozen=True)``."""
+
+    __dataclass_fields__: ClassVar[dict[str, Field]]
+
+    @classmethod
+    def table(cls, prefix: str = "") -> list[ParameterRow]:
+        """Return all rows of this dataclass and its groups, with dotted names."""
+        hints = _type_hints(cls)
+        rows = []
+        for item in fields(cls):
+            nested = item.metadata.get("group")
+            if nested is not None:
+                rows += nested.table(f"{prefix}{item.name}.")
+            else:
+                rows.append(
+                    ParameterRow(name=prefix + item.name, type=hints[item.name], default=item.default, **item.metadata)
+                )
+        return rows
+
+    @classmethod
+    def from_mapping(cls, mapping, prefix: str = ""):
+        """Build and check the parameters from a flat mapping of dotted names to values.
+
+        Raises
+        ------
+        ParameterError
+            Names every unknown, missing, mistyped or out-of-range entry together.
+        """
+        rows = {row.name: row for row in cls.table()}
+        problems, values = [], {}
+        for name, value in mapping.items():
+            row = rows.get(name)
+            if row is None:
+                close = difflib.get_close_matches(name, rows, n=1)
+                hint = f"did you mean {prefix}{close[0]}?" if close else "remove it or see the parameter table"
+                problems.append(Problem(prefix + name, value, f"unknown parameter; {hint}"))
+                continue
+            try:
+                values[name] = replace(row, name=prefix + name).convert(value)
+            except ParameterError as error:
+                problems += error.problems
+        result = cls._assemble(values)
+        if not problems:
+            problems += result.problems(prefix)
+        if problems:
+            raise ParameterError(problems)
+        return result
+
+    @classmethod
+    def _assemble(cls, values: dict):
+        arguments = {}
+        for item in fields(cls):
+            nested = item.metadata.get("group")
+            if nested is not None:
+                start = item.name + "."
+                part = {name[len(start) :]: value for name, value in values.items() if name.startswith(start)}
+                arguments[item.name] = nested._assemble(part)
+            elif item.name in values:
+                arguments[item.name] = values[item.name]
+        return cls(**arguments)
+
+    def problems(self, prefix: str = "") -> list[Problem]:
+        """Return everything that is missing or inconsistent, with full names; empty when all is well."""
+        found = []
+        for item in fields(self):
+            nested = item.metadata.get("group")
+            value = getattr(self, item.name)
+            if nested is not None:
+                chooser = item.metadata.get("variant_of")
+                if chooser is None or getattr(self, chooser) == item.name:
+                    found += value.problems(f"{prefix}{item.name}.")
+            elif value is None:
+                row = next(row for row in self.table() if row.name == item.name)
+                found.append(Problem(prefix + item.name, None, f"missing; give a {row.allowed()}"))
+        if not found:
+            found += [Problem(prefix + p.name, p.value, p.allowed) for p in self.check()]
+        return found
+
+    def check(self):
+        """Yield a Problem for every inconsistency between several parameters; overridden where there are any."""
+        return ()
+
+    def warnings(self, prefix: str = "") -> tuple[str, ...]:
+        """Return a sentence for each doubt about parameters that are allowed, of the groups in use too.
+
+        Parameters
+        ----------
+        prefix : str
+            Put before the names of the parameters.
+        """
+        found = []
+        for item in fields(self):
+            chooser = item.metadata.get("variant_of")
+            if item.metadata.get("group") is not None and (chooser is None or getattr(self, chooser) == item.name):
+                found += getattr(self, item.name).warnings(f"{prefix}{item.name}.")
+        return tuple(found)
+
+    def validated(self, prefix: str = ""):
+        """Return self, or raise ParameterError with all problems. For parameters that are built in Python."""
+        problems = []
+        rows = {row.name: row for row in self.table()}
+        for name, value in self.to_mapping().items():
+            try:
+                replace(rows[name], name=prefix + name).convert(value)
+            except ParameterError as error:
+                problems += error.problems
+        problems = problems or self.problems(prefix)
+        if problems:
+            raise ParameterError(problems)
+        return self
+
+    def to_mapping(self) -> dict:
+        """Return the flat mapping of dotted names to values; parameters without a value are left out."""
+        flat = {}
+        for item in fields(self):
+            value = getattr(self, item.name)
+            if item.metadata.get("group") is not None:
+                flat.update({f"{item.name}.{name}": inner for name, inner in value.to_mapping().items()})
+            elif value is not None:
+                flat[item.name] = value
+        return flat

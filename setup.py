@@ -1,0 +1,104 @@
+"""Install hysteresis_ros: with pip, with colcon (ament_python), or with pip on top of an apt-installed ROS 2."""
+
+import pathlib
+import re
+
+from setuptools import find_packages, setup
+
+try:
+    from setuptools.command.bdist_wheel import bdist_wheel
+except ImportError:  # setuptools < 70.1, as on Ubuntu 24.04
+    try:
+        from wheel.bdist_wheel import bdist_wheel
+    except ImportError:  # colcon builds no wheel
+        bdist_wheel = None
+
+NAME = "hysteresis_ros"
+ROOT = pathlib.Path(__file__).resolve().parent
+SHARE = f"share/{NAME}"
+
+#: Executables that `ros2 run` and launch files start, and where their main function is.
+NODES = {
+    "plant_simulator": "hysteresis_ros.nodes.plant_simulator:main",
+    "hysteresis_compensator": "hysteresis_ros.nodes.hysteresis_compensator:main",
+    "motion_controller": "hysteresis_ros.nodes.motion_controller:main",
+    "reference_generator": "hysteresis_ros.nodes.reference_generator:main",
+    "recorder": "hysteresis_ros.nodes.recorder:main",
+    "hysteresis_axis": "hysteresis_ros.nodes.axis:main",
+}
+COMMANDS = {"hysteresis": "hysteresis_ros.cli.main:main"}
+
+EXTRAS = {
+    # The real rclpy and Fast DDS of Jazzy as wheels, for machines without apt ROS (Linux, CPython 3.11 to 3.13).
+    "ros": ["ros-jazzy-rclpy", "ros-jazzy-common-interfaces", "ros-rclpy[fastrtps]==7.1.6"],
+    "fast": ["numba"],
+    "report": ["matplotlib", "jinja2"],
+}
+EXTRAS["all"] = sorted({requirement for requirements in EXTRAS.values() for requirement in requirements})
+# setuptools below 80 is what colcon needs; both are here because the tests build and install the package.
+EXTRAS["test"] = ["pytest", "hypothesis", "psutil", "ruff", "colcon-common-extensions", "setuptools<80", "wheel"]
+
+#: pip puts executables into bin/, with the Python of the environment in their first line, and never into lib/; only
+#: colcon obeys setup.cfg. This file stands in lib/hysteresis_ros of a wheel under each name and hands over to bin/.
+HAND_OVER = """\
+#!/bin/sh
+# ros2 run and launch look for executables here; pip installs them in bin/.
+exec "$(dirname "$0")/../../bin/$(basename "$0")" "$@"
+"""
+
+
+def version():
+    """Return ``hysteresis_ros.__version__`` without importing the package."""
+    text = (ROOT / NAME / "__init__.py").read_text(encoding="utf-8")
+    return re.search(r'^__version__ = "(.+)"$', text, re.MULTILINE).group(1)
+
+
+def files(pattern):
+    """Return the paths that match, relative to this file as data_files wants them."""
+    return sorted(str(path.relative_to(ROOT)) for path in ROOT.glob(pattern))
+
+
+def command_classes():
+    """Return the wheel command that adds the files of lib/hysteresis_ros."""
+    if bdist_wheel is None:
+        return {}
+
+    class BuildWheel(bdist_wheel):
+        """Build a wheel whose executables are found by ``ros2 run`` too."""
+
+        def run(self):
+            """Write the files that hand over to bin/, then build the wheel with them."""
+            folder = pathlib.Path(self.get_finalized_command("build").build_temp) / "executables"
+            folder.mkdir(parents=True, exist_ok=True)
+            paths = [folder / name for name in [*NODES, *COMMANDS]]
+            for path in paths:
+                path.write_text(HAND_OVER, encoding="utf-8")
+                path.chmod(0o755)
+            self.distribution.data_files.append((f"lib/{NAME}", [str(path) for path in paths]))
+            super().run()
+
+    return {"bdist_wheel": BuildWheel}
+
+
+setup(
+    name=NAME,
+    version=version(),
+    description="Hysteretic piezo positioning on ROS 2: identify, simulate, compensate, control, analyse",
+    maintainer="hysteresis_ros maintainers",
+    maintainer_email="hysteresis-ros@users.noreply.github.com",
+    license="Apache-2.0",
+    python_requires=">=3.11",
+    packages=find_packages(include=[NAME, f"{NAME}.*"]),
+    package_data={f"{NAME}.analysis": ["templates/*.j2"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
+        (SHARE, ["package.xml"]),
+        (f"{SHARE}/config", files("config/*.yaml")),
+        (f"{SHARE}/launch", files("launch/*.launch.py")),
+    ],
+    install_requires=["numpy>=1.26", "scipy>=1.11", "pyyaml", "click", "rosbags>=0.11,<0.12", "mcap"],
+    extras_require=EXTRAS,
+    zip_safe=False,
+    entry_points={"console_scripts": [f"{name} = {main}" for name, main in {**NODES, **COMMANDS}.items()]},
+    cmdclass=command_classes(),
+)
