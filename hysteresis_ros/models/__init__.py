@@ -1,0 +1,1 @@
+"""Forward models: from voltage to displacement, as blocks over plain arrays."""

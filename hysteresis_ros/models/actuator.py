@@ -1,0 +1,158 @@
+"""The plant: voltage → limits → hysteresis → creep → linear dynamics → + preload → sensor (Hammerstein model)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hysteresis_ros.block import interpreted, kernel
+from hysteresis_ros.models import sensor as sensing
+from hysteresis_ros.models.creep import Creep, CreepParameters, creep
+from hysteresis_ros.models.hysteresis import HysteresisParameters, hysteresis_block
+from hysteresis_ros.models.limits import OUTPUT, Limits, LimitsParameters, limits
+from hysteresis_ros.models.linear import LinearDynamics, LinearParameters, linear_advance, linear_output
+from hysteresis_ros.models.preload import PreloadParameters
+from hysteresis_ros.models.rate_independent import require_structure
+from hysteresis_ros.models.sensor import Sensor, SensorParameters, sensor
+from hysteresis_ros.parameters import Parameters, group
+
+# Places in the tuples ps and xs.
+LIMITS, HYSTERESIS, DYNAMICS, SENSOR, CREEP = 0, 1, 2, 3, 4
+PRELOAD = 3  # ps[SENSOR][PRELOAD]: offset W [m], behind the sensor's own parameters
+DISPLACEMENT = sensing.STATES  # xs[SENSOR][DISPLACEMENT]: true displacement at the last measurement [m]
+
+
+@dataclass(frozen=True)
+class ActuatorParameters(Parameters):
+    """Parameters of a whole actuator with its amplifier and sensor."""
+
+    limits: LimitsParameters = group(LimitsParameters)
+    hysteresis: HysteresisParameters = group(HysteresisParameters)
+    creep: CreepParameters = group(CreepParameters)
+    dynamics: LinearParameters = group(LinearParameters)
+    preload: PreloadParameters = group(PreloadParameters)
+    sensor: SensorParameters = group(SensorParameters)
+
+
+@kernel
+def actuator_measure(ps, xs):
+    """Reading [m] of the sensor at the present sample; the true displacement stays in ``xs[3][9]``.
+
+    ``ps`` and ``xs`` are tuples of the arrays of (limits, hysteresis, dynamics, sensor and preload, creep).
+    """
+    displacement = linear_output(ps[DYNAMICS], xs[DYNAMICS]) + ps[SENSOR][PRELOAD]
+    xs[SENSOR][DISPLACEMENT] = displacement
+    return sensor(ps[SENSOR], xs[SENSOR], displacement)
+
+
+@kernel
+def actuator_advance(hysteresis, ps, xs, voltage):
+    """Hold ``voltage`` [V] until the next sample; returns the voltage that the amplifier really puts out [V]."""
+    applied = limits(ps[LIMITS], xs[LIMITS], voltage)
+    displacement = hysteresis(ps[HYSTERESIS], xs[HYSTERESIS], applied)
+    linear_advance(ps[DYNAMICS], xs[DYNAMICS], creep(ps[CREEP], xs[CREEP], displacement))
+    return applied
+
+
+class Actuator:
+    """A hysteretic actuator with amplifier and sensor.
+
+    Call :meth:`measure` and then :meth:`advance` once per sample. Composites use ``ps``, ``xs`` and
+    ``hysteresis_kernel`` directly.
+
+    Parameters
+    ----------
+    parameters : ActuatorParameters
+        Checked on construction.
+    sample_time : float
+        Sample time [s].
+
+    Raises
+    ------
+    ParameterError
+        Names every wrong parameter.
+    """
+
+    def __init__(self, parameters: ActuatorParameters, sample_time: float):
+        self.parameters = parameters.validated()
+        self.sample_time = float(sample_time)
+        self.limits = Limits(parameters.limits, sample_time)
+        self.hysteresis = hysteresis_block(parameters.hysteresis, sample_time)
+        self.creep = Creep(parameters.creep, sample_time)
+        self.dynamics = LinearDynamics(parameters.dynamics, sample_time)
+        self.sensor = Sensor(parameters.sensor, sample_time)
+        p = np.append(self.sensor.p, parameters.preload.offset)
+        x = np.append(self.sensor.x, 0.0)
+        self.sensor.p, self.sensor.x = p[:PRELOAD], x[:DISPLACEMENT]  # views: the sensor's block stays usable
+        self.ps = (self.limits.p, self.hysteresis.p, self.dynamics.p, p, self.creep.p)
+        self.xs = (self.limits.x, self.hysteresis.x, self.dynamics.x, x, self.creep.x)
+        self.hysteresis_kernel = self.hysteresis.kernel
+        self._settle()
+
+    def _settle(self) -> None:
+        """Put creep and dynamics to rest at the voltage that the limits start from."""
+        start = self.hysteresis.step(self.limits.x[OUTPUT])
+        self.dynamics.settle(self.creep.settle(start))
+        self.xs[SENSOR][DISPLACEMENT] = self.dynamics.output() + self.ps[SENSOR][PRELOAD]
+        self.xs[SENSOR][sensing.MEASURED] = self.xs[SENSOR][DISPLACEMENT] + self.ps[SENSOR][sensing.OFFSET]
+
+    def measure(self) -> float:
+        """Return the sensor's reading [m] at the present sample; call it once per sample (it draws the noise)."""
+        return interpreted(actuator_measure)(self.ps, self.xs)
+
+    def advance(self, voltage: float) -> float:
+        """Hold ``voltage`` [V] for one sample and return what the amplifier really put out [V]."""
+        return interpreted(actuator_advance)(self.hysteresis_kernel, self.ps, self.xs, float(voltage))
+
+    @property
+    def displacement(self) -> float:
+        """True displacement [m] at the last measurement."""
+        return float(self.xs[SENSOR][DISPLACEMENT])
+
+    @property
+    def voltage(self) -> float:
+        """Voltage [V] that the amplifier puts out."""
+        return float(self.limits.x[OUTPUT])
+
+    @property
+    def saturated(self) -> bool:
+        """Whether range or slew rate limited the last voltage."""
+        return self.limits.saturated
+
+    def reset(self) -> None:
+        """Return to rest: virgin hysteresis, noise from its start."""
+        for block in (self.limits, self.hysteresis, self.creep, self.dynamics, self.sensor):
+            block.reset()
+        self._settle()
+
+    def retune(self, parameters: ActuatorParameters) -> None:
+        """Take new parameters of the same structure while running; the hysteresis goes on from the present point.
+
+        Raises
+        ------
+        ParameterError
+            The parameters are wrong or of another structure; nothing is changed then.
+        """
+        parameters = parameters.validated()
+        parameters.hysteresis.require_same(self.parameters.hysteresis)
+        require_structure(self.parameters.creep, parameters.creep)
+        self.dynamics.retune(parameters.dynamics)  # first, because it may still refuse
+        self.limits.retune(parameters.limits)
+        self.hysteresis.retune(parameters.hysteresis.chosen)
+        self.creep.retune(parameters.creep)
+        self.sensor.retune(parameters.sensor)
+        self.ps[SENSOR][PRELOAD] = parameters.preload.offset
+        self.parameters = parameters
+
+    @property
+    def state(self) -> np.ndarray:
+        """A copy of all states in one array; assign it to restore exactly."""
+        return np.concatenate(self.xs)
+
+    @state.setter
+    def state(self, value) -> None:
+        first = 0
+        for x in self.xs:
+            x[:] = value[first : first + len(x)]
+            first += len(x)

@@ -1,0 +1,167 @@
+"""Creep: slow drift after a step, as a sum of first-order operators behind the hysteresis.
+
+``y = d x + Σ a_i z_i``, ``τ_i z_i' = x - z_i``. The logarithmic law ``ΔL (1 + γ lg(t/t_0))`` of piezo data sheets
+(γ = 0.01 … 0.02 a decade, t_0 = 0.1 s) is realised by operators with equal weights and time constants in geometric
+sequence; d is such that the response to a unit step is exactly 1 at t_0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hysteresis_ros.block import Block, kernel
+from hysteresis_ros.errors import Problem
+from hysteresis_ros.models.rate_independent import require_structure
+from hysteresis_ros.parameters import Parameters, group, parameter
+
+# Layout of p, followed by the factors e^(-Ts/τ) and by the weights a.
+FEEDTHROUGH = 0
+OPERATORS = 1
+DECAYS = 2
+
+# Layout of x: the last output, then the operators z.
+OUTPUT = 0
+OPERATOR = 1
+
+#: The operators of the logarithmic law reach this many decades beyond both ends of its time range.
+MARGIN = 2.0
+
+
+@dataclass(frozen=True)
+class LogarithmicCreepParameters(Parameters):
+    """Creep ΔL (1 + γ lg(t/t_0)) after a step."""
+
+    rate: float = parameter(description="γ: creep a decade of time, as a part of the step", low=0.0, high=0.2)
+    reference_time: float = parameter(
+        0.1, description="t_0: time after a step at which the step counts", unit="s", low=1e-6
+    )
+    longest_time: float = parameter(1000.0, description="time up to which the law holds", unit="s", low=1e-6)
+    operators_per_decade: int = parameter(2, description="operators a decade", low=1, high=10, read_only=True)
+
+    def check(self):
+        """Yield a Problem when the time range is empty or the law leaves nothing for the step itself."""
+        if self.longest_time <= self.reference_time:
+            allowed = f"must be above reference_time = {self.reference_time:g} s"
+            yield Problem("longest_time", self.longest_time, allowed)
+
+    def operators(self) -> tuple[float, np.ndarray, np.ndarray]:
+        """Return the feedthrough d, the weights a and the time constants τ [s]."""
+        per_decade = self.operators_per_decade
+        decades = np.log10(self.longest_time / self.reference_time) + 2.0 * MARGIN
+        places = np.arange(int(np.ceil(decades * per_decade)) + 1) / per_decade - MARGIN
+        time_constants = self.reference_time * 10.0**places
+        weights = np.full(len(places), self.rate / per_decade)
+        return 1.0 - float(weights @ -np.expm1(-self.reference_time / time_constants)), weights, time_constants
+
+
+@dataclass(frozen=True)
+class CreepOperatorsParameters(Parameters):
+    """Creep as a free sum of first-order operators."""
+
+    weights: tuple[float, ...] = parameter(description="weights a, as parts of the step")
+    time_constants: tuple[float, ...] = parameter(description="time constants τ", unit="s", low=1e-9)
+
+    def check(self):
+        """Yield a Problem when the sizes differ."""
+        if len(self.weights) != len(self.time_constants):
+            yield Problem("weights", self.weights, f"must be as many as time_constants, {len(self.time_constants)}")
+
+    def operators(self) -> tuple[float, np.ndarray, np.ndarray]:
+        """Return the feedthrough 1, the weights a and the time constants τ [s]."""
+        return 1.0, np.array(self.weights), np.array(self.time_constants)
+
+
+@dataclass(frozen=True)
+class CreepParameters(Parameters):
+    """Kind of creep and its numbers."""
+
+    type: str = parameter(
+        "none", choices=("none", "logarithmic", "operators"), description="law of the creep", read_only=True
+    )
+    logarithmic: LogarithmicCreepParameters = group(LogarithmicCreepParameters, variant_of="type")
+    operators: CreepOperatorsParameters = group(CreepOperatorsParameters, variant_of="type")
+
+    def resolved(self) -> tuple[float, np.ndarray, np.ndarray]:
+        """Return feedthrough, weights and time constants [s] of the chosen law."""
+        if self.type == "none":
+            return 1.0, np.zeros(0), np.zeros(0)
+        return getattr(self, self.type).operators()
+
+    @property
+    def structure(self) -> dict[str, int]:
+        """What cannot change while running."""
+        return {"creep.type": self.type, "number of creep operators": len(self.resolved()[1])}
+
+    def check(self):
+        """Yield a Problem when too little of the step comes at once for an inverse."""
+        feedthrough, weights, _ = self.resolved()
+        if feedthrough <= 0.0:
+            allowed = f"leaves {feedthrough:.3g} of the step at once; lower the rate or the time range"
+            yield Problem("logarithmic.rate", self.logarithmic.rate, allowed)
+        elif feedthrough + min(np.cumsum(weights), default=0.0) <= 0.0:
+            yield Problem("operators.weights", self.operators.weights, "takes back the whole step; lower the weights")
+
+
+@kernel
+def crept(p, x):
+    """Sum Σ a z of the operators: what creep adds to the output at this sample [m]."""
+    count = int(p[OPERATORS])
+    total = 0.0
+    for i in range(count):
+        total += p[DECAYS + count + i] * x[OPERATOR + i]
+    return total
+
+
+@kernel
+def creep(p, x, u):
+    """Output [m] at this sample for the displacement ``u`` [m], which then is held until the next one.
+
+    Without operators the output is ``u``, bit for bit.
+    """
+    y = p[FEEDTHROUGH] * u + crept(p, x)
+    for i in range(int(p[OPERATORS])):
+        x[OPERATOR + i] = u + p[DECAYS + i] * (x[OPERATOR + i] - u)
+    x[OUTPUT] = y
+    return y
+
+
+class Creep(Block):
+    """Creep from displacement [m] to displacement [m].
+
+    Parameters
+    ----------
+    parameters : CreepParameters
+        Law and numbers.
+    sample_time : float
+        Sample time [s].
+    """
+
+    kernel = staticmethod(creep)
+
+    def pack(self, parameters: CreepParameters) -> np.ndarray:
+        """Return p, shape (2 + 2 operators,)."""
+        feedthrough, weights, time_constants = parameters.resolved()
+        return np.concatenate([[feedthrough, len(weights)], np.exp(-self.sample_time / time_constants), weights])
+
+    def initial_state(self) -> np.ndarray:
+        """Return x, shape (1 + operators,), at rest at zero."""
+        return np.zeros(OPERATOR + int(self.p[OPERATORS]))
+
+    def settle(self, u: float) -> float:
+        """Put the operators to rest under the displacement ``u`` [m] and return the output [m]."""
+        self.x[OPERATOR:] = u
+        self.x[OUTPUT] = self.p[FEEDTHROUGH] * u + crept(self.p, self.x)
+        return float(self.x[OUTPUT])
+
+    def retune(self, parameters: CreepParameters) -> None:
+        """Take new weights and time constants while running; the operators keep their values.
+
+        Raises
+        ------
+        ParameterError
+            The law or the number of operators differs, or the parameters are wrong; nothing is changed then.
+        """
+        require_structure(self.parameters, parameters.validated())
+        super().retune(parameters)

@@ -1,0 +1,123 @@
+"""Limits of an amplifier and its converter: range, slew rate and quantisation of the voltage."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from hysteresis_ros.block import Block, kernel
+from hysteresis_ros.errors import Problem
+from hysteresis_ros.parameters import Parameters, parameter
+
+# Layout of p.
+MINIMUM = 0
+MAXIMUM = 1
+SLEW = 2  # [V] a sample, 0 = unlimited
+STEP = 3  # [V] of the converter's grid, 0 = no quantisation
+
+# Layout of x.
+OUTPUT = 0
+FLAGS = 1
+LIMITED_SAMPLES = 2
+UNQUANTISED = 3
+
+#: Bits of ``x[FLAGS]``.
+RANGE, SLEWING, QUANTISED = 1, 2, 4
+
+
+@dataclass(frozen=True)
+class LimitsParameters(Parameters):
+    """Range, slew rate and resolution of a voltage."""
+
+    minimum: float = parameter(description="lowest voltage", unit="V")
+    maximum: float = parameter(description="highest voltage", unit="V")
+    slew_rate: float = parameter(0.0, description="largest change of the voltage; 0: unlimited", unit="V/s", low=0.0)
+    bits: int = parameter(0, description="bits of the converter over minimum … maximum; 0: none", low=0, high=32)
+
+    def check(self):
+        """Yield a Problem when the range is empty."""
+        if not self.minimum < self.maximum:
+            yield Problem("minimum", self.minimum, f"must be below maximum ({self.maximum:g} V)")
+
+
+@kernel
+def limits(p, x, u):
+    """Voltage [V] that is really put out when ``u`` [V] is wanted: range, then slew rate, then the converter's grid.
+
+    The slew rate acts on the value before quantisation: a slow slew would otherwise never leave its grid point. NaN
+    holds the last value and counts as out of range.
+    """
+    flags = 0.0
+    last = x[UNQUANTISED]
+    v = u
+    if v != v:
+        v = last
+        flags += RANGE
+    elif v < p[MINIMUM]:
+        v = p[MINIMUM]
+        flags += RANGE
+    elif v > p[MAXIMUM]:
+        v = p[MAXIMUM]
+        flags += RANGE
+    slew = p[SLEW]
+    if slew > 0.0:
+        if v > last + slew:
+            v = last + slew
+            flags += SLEWING
+        elif v < last - slew:
+            v = last - slew
+            flags += SLEWING
+    x[UNQUANTISED] = v
+    if flags > 0.0:
+        x[LIMITED_SAMPLES] += 1.0
+    step = p[STEP]
+    if step > 0.0:
+        grid = min(p[MINIMUM] + math.floor((v - p[MINIMUM]) / step + 0.5) * step, p[MAXIMUM])
+        if grid != v:
+            flags += QUANTISED
+        v = grid
+    x[FLAGS] = flags
+    x[OUTPUT] = v
+    return v
+
+
+class Limits(Block):
+    """Range, slew rate and quantisation of a voltage [V].
+
+    Parameters
+    ----------
+    parameters : LimitsParameters
+        Limits.
+    sample_time : float
+        Sample time [s], for the slew rate.
+    """
+
+    kernel = staticmethod(limits)
+
+    def pack(self, parameters: LimitsParameters) -> np.ndarray:
+        """Return p, shape (4,)."""
+        span = parameters.maximum - parameters.minimum
+        step = span / (2**parameters.bits - 1) if parameters.bits else 0.0
+        return np.array([parameters.minimum, parameters.maximum, parameters.slew_rate * self.sample_time, step])
+
+    def initial_state(self) -> np.ndarray:
+        """Return x, shape (4,): the voltage of the range and grid next to 0 V, no flags."""
+        v = min(max(0.0, self.p[MINIMUM]), self.p[MAXIMUM])
+        x = np.array([v, 0.0, 0.0, v])
+        unlimited = self.p.copy()
+        unlimited[SLEW] = 0.0
+        limits(unlimited, x, v)
+        x[FLAGS] = x[LIMITED_SAMPLES] = 0.0
+        return x
+
+    @property
+    def saturated(self) -> bool:
+        """Whether range or slew rate limited the last sample."""
+        return bool(int(self.x[FLAGS]) & (RANGE | SLEWING))
+
+    @property
+    def limited_samples(self) -> int:
+        """Samples so far that range or slew rate limited."""
+        return int(self.x[LIMITED_SAMPLES])

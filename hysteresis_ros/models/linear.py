@@ -1,0 +1,197 @@
+"""Linear dynamics of an actuator: a discrete state space of one input and one output (K4, K7).
+
+Matrices stay in the units in which they were published; ``input_scale`` and ``output_scale`` (SI per model unit) join
+them to the SI signals. In a Hammerstein model the dynamics have unit DC gain, which ``input_scale = 0`` arranges.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hysteresis_ros.block import Block, kernel
+from hysteresis_ros.errors import ParameterError, Problem
+from hysteresis_ros.parameters import Parameters, parameter
+
+# Layout of p, followed by A (n·n, row by row), B (n) and C (n).
+ORDER = 0
+FEEDTHROUGH = 1
+INPUT_SCALE = 2
+OUTPUT_SCALE = 3
+MATRICES = 4
+
+# Layout of x, followed by the n states and n numbers of scratch for the next ones.
+HELD_INPUT = 0  # [SI], the input of the last advance
+STATE = 1
+
+
+def zero_order_hold(A, B, sample_time: float):
+    """Return the discrete (A, B) of continuous ``x' = A x + B u`` whose input is held over ``sample_time`` [s].
+
+    Parameters
+    ----------
+    A : array_like, shape (n, n)
+    B : array_like, shape (n, m)
+    sample_time : float
+
+    Returns
+    -------
+    tuple of ndarray, shapes (n, n) and (n, m)
+    """
+    from scipy.linalg import expm  # imported here because nodes that read discrete matrices need no SciPy
+
+    A, B = np.atleast_2d(np.asarray(A, dtype=float)), np.asarray(B, dtype=float)
+    B = B.reshape(len(A), -1)
+    n, m = B.shape
+    both = expm(sample_time * np.block([[A, B], [np.zeros((m, n + m))]]))
+    return both[:n, :n], both[:n, n:]
+
+
+def dc_gain(A, B, C, D=0.0) -> float:
+    """Return the DC gain ``C (I - A)⁻¹ B + D`` of a discrete system, shapes (n, n), (n,), (n,) and scalar."""
+    A = np.asarray(A, dtype=float)
+    B, C = np.ravel(np.asarray(B, dtype=float)), np.ravel(np.asarray(C, dtype=float))
+    return float(C @ np.linalg.solve(np.eye(len(A)) - A, B) + D)
+
+
+@dataclass(frozen=True)
+class LinearParameters(Parameters):
+    """Discrete state space x⁺ = A x + B u, y = C x + D u in model units; without A the dynamics are y = u."""
+
+    A: tuple[float, ...] = parameter((), description="state matrix, n·n numbers row by row; empty: no dynamics")
+    B: tuple[float, ...] = parameter((), description="input matrix, n numbers")
+    C: tuple[float, ...] = parameter((), description="output matrix, n numbers")
+    D: tuple[float, ...] = parameter((), description="feedthrough, one number or empty for none")
+    input_scale: float = parameter(
+        0.0, description="SI units per model unit of the input; 0: such that the DC gain in SI is one", low=0.0
+    )
+    output_scale: float = parameter(1.0, description="SI units per model unit of the output", low=1e-15)
+
+    @property
+    def order(self) -> int:
+        """Number of states n."""
+        return round(len(self.A) ** 0.5)
+
+    @property
+    def matrices(self):
+        """A, B, C and D as arrays of shapes (n, n), (n,), (n,) and a float, in model units."""
+        n = self.order
+        feedthrough = self.D[0] if self.D else (0.0 if n else 1.0)
+        return np.array(self.A).reshape(n, n), np.array(self.B), np.array(self.C), feedthrough
+
+    @property
+    def resolved_input_scale(self) -> float:
+        """``input_scale``, or the one that makes the DC gain in SI one where it is 0."""
+        return self.input_scale or self.output_scale * dc_gain(*self.matrices)
+
+    def check(self):
+        """Yield what is wrong with the matrices: sizes, an unstable A, a DC gain that cannot be normalised."""
+        n = self.order
+        if n * n != len(self.A):
+            yield Problem("A", self.A, "must be n·n numbers, the rows of a square matrix one after the other")
+            return
+        sizes = [(name, getattr(self, name)) for name in ("B", "C") if len(getattr(self, name)) != n]
+        for name, value in sizes:
+            yield Problem(name, value, f"must be {n} numbers, as many as A has rows")
+        if len(self.D) > 1:
+            yield Problem("D", self.D, "must be one number, or empty for none")
+        if sizes or len(self.D) > 1:
+            return
+        radius = max(np.abs(np.linalg.eigvals(self.matrices[0])), default=0.0)
+        if radius >= 1.0:
+            yield Problem(
+                "A",
+                self.A,
+                f"is unstable: its largest pole has modulus {radius:.6g}; all must be below 1 (discrete time)",
+            )
+        elif self.input_scale == 0.0 and not dc_gain(*self.matrices) > 0.0:
+            yield Problem(
+                "input_scale", 0.0, f"cannot be derived: the DC gain is {dc_gain(*self.matrices):.3g}; give input_scale"
+            )
+
+
+@kernel
+def linear_output(p, x):
+    """Output [SI] at the present state; the feedthrough acts on the input held last."""
+    n = int(p[ORDER])
+    c = MATRICES + n * n + n
+    y = p[FEEDTHROUGH] * (x[HELD_INPUT] / p[INPUT_SCALE])
+    for i in range(n):
+        y += p[c + i] * x[STATE + i]
+    return y * p[OUTPUT_SCALE]
+
+
+@kernel
+def linear_advance(p, x, u):
+    """Hold the input ``u`` [SI] for one sample: the state goes on to the next one."""
+    n = int(p[ORDER])
+    b = MATRICES + n * n
+    x[HELD_INPUT] = u
+    u_model = u / p[INPUT_SCALE]
+    for i in range(n):
+        following = p[b + i] * u_model
+        row = MATRICES + i * n
+        for j in range(n):
+            following += p[row + j] * x[STATE + j]
+        x[STATE + n + i] = following
+    for i in range(n):
+        x[STATE + i] = x[STATE + n + i]
+    return u
+
+
+@kernel
+def linear(p, x, u):
+    """Output [SI] one sample after the input ``u`` [SI] was put on: advance, then output."""
+    linear_advance(p, x, u)
+    return linear_output(p, x)
+
+
+class LinearDynamics(Block):
+    """Linear dynamics from displacement [m] to displacement [m].
+
+    Parameters
+    ----------
+    parameters : LinearParameters
+        Matrices in discrete time.
+    sample_time : float
+        The sample time they are for [s].
+    """
+
+    kernel = staticmethod(linear)
+
+    def pack(self, parameters: LinearParameters) -> np.ndarray:
+        """Return p, shape (4 + n² + 2 n,)."""
+        A, B, C, D = parameters.matrices
+        head = [parameters.order, D, parameters.resolved_input_scale, parameters.output_scale]
+        return np.concatenate([head, A.ravel(), B, C])
+
+    def initial_state(self) -> np.ndarray:
+        """Return x, shape (1 + 2 n,), at rest with zero input."""
+        return np.zeros(STATE + 2 * self.parameters.order)
+
+    def output(self) -> float:
+        """Return the output [SI] at the present state."""
+        return linear_output(self.p, self.x)
+
+    def settle(self, u: float) -> None:
+        """Put the state to rest under the constant input ``u`` [SI]."""
+        A, B, _, _ = self.parameters.matrices
+        n = self.parameters.order
+        self.x[:] = 0.0
+        self.x[HELD_INPUT] = u
+        if n:
+            self.x[STATE : STATE + n] = np.linalg.solve(np.eye(n) - A, B * (u / self.p[INPUT_SCALE]))
+
+    def retune(self, parameters: LinearParameters) -> None:
+        """Take new matrices of the same order while running; the state is kept.
+
+        Raises
+        ------
+        ParameterError
+            The order differs, or the parameters are wrong.
+        """
+        if parameters.validated().order != self.parameters.order:
+            allowed = f"must have {self.parameters.order} rows as before; another order needs a new configuration"
+            raise ParameterError([Problem("A", parameters.A, allowed)])
+        super().retune(parameters)

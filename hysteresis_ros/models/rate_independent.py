@@ -1,0 +1,65 @@
+"""What rate-independent hysteresis models share: the last point in the state, live parameters without a jump.
+
+A rate-independent model knows only the order of the voltages, not their speed. Its kernel takes the voltage at the end
+of a step along which it moved monotonically and returns the displacement there.
+"""
+
+from __future__ import annotations
+
+from hysteresis_ros.block import Block
+from hysteresis_ros.errors import ParameterError, Problem
+
+# The first two places of x in every model with memory.
+VOLTAGE = 0  # at the last step [V]
+DISPLACEMENT = 1  # the last output [m]
+
+
+def require_structure(present, wanted) -> None:
+    """Raise ParameterError when parameters differ in structure (sizes of arrays) from those in use.
+
+    Parameters
+    ----------
+    present, wanted : Parameters
+        Of the same class. A class whose arrays may have any length has a ``structure``: a dict of name to size.
+    """
+    before, after = getattr(present, "structure", {}), getattr(wanted, "structure", {})
+    problems = [
+        Problem(name, after.get(name), f"is fixed while running: keep {size}; another size needs a new configuration")
+        for name, size in before.items()
+        if after.get(name) != size
+    ]
+    if problems:
+        raise ParameterError(problems)
+
+
+class RateIndependentBlock(Block):
+    """Base of the rate-independent hysteresis models, voltage [V] to displacement [m].
+
+    Subclasses set ``kernel`` and, where there is a closed form, ``inverse``; they implement ``pack``,
+    ``initial_state``, ``gain`` and ``rebase``.
+
+    Parameters
+    ----------
+    parameters : Parameters
+        Typed parameters, checked on construction.
+    sample_time : float
+        Sample time [s]; not used by the model itself.
+    """
+
+    inverse = None
+    rate_independent = True
+
+    def rebase(self) -> None:
+        """Make the model go on from the present point with changed parameters; nothing to do by default."""
+
+    def retune(self, parameters) -> None:
+        """Take new parameters of the same structure while running; the output stays where it is.
+
+        Raises
+        ------
+        ParameterError
+            The parameters are wrong or of another structure; the block is unchanged then.
+        """
+        require_structure(self.parameters, parameters.validated())
+        super().retune(parameters)
+        self.rebase()

@@ -1,0 +1,131 @@
+"""The whole plant: order of its parts, preload, state, and the same numbers compiled and interpreted."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hysteresis_ros.block import COMPILED
+from hysteresis_ros.errors import ParameterError
+from hysteresis_ros.models.actuator import Actuator, ActuatorParameters
+from hysteresis_ros.models.hysteresis import HysteresisParameters
+from hysteresis_ros.models.limits import LimitsParameters
+from hysteresis_ros.models.linear import LinearParameters
+from hysteresis_ros.models.polynomial import PolynomialHysteresis, assumed_stack
+from hysteresis_ros.models.preload import PreloadParameters
+from hysteresis_ros.models.proportional import ProportionalParameters
+from hysteresis_ros.models.sensor import SensorParameters
+
+SAMPLE_TIME = 1.0 / 3000.0
+LAG = LinearParameters(A=(0.8,), B=(0.2,), C=(1.0,))
+PARAMETERS = ActuatorParameters(
+    limits=LimitsParameters(minimum=-30.0, maximum=120.0, slew_rate=2e4, bits=16),
+    hysteresis=HysteresisParameters(type="polynomial", polynomial=assumed_stack()),
+    dynamics=LAG,
+    preload=PreloadParameters(force=5.88, B1=-1e-6 / 0.41),
+    sensor=SensorParameters(noise=5e-9, resolution=1e-9, seed=4),
+)
+
+
+def run(actuator, voltages):
+    """Measured displacement and applied voltage of each sample."""
+    return np.array([(actuator.measure(), actuator.advance(v)) for v in voltages])
+
+
+def drive(count=400):
+    return 60.0 + 80.0 * np.sin(2 * np.pi * np.arange(count) / 150.0)
+
+
+def test_preload_offset_is_the_stated_stiffness():
+    """5.88 N on 0.41 N/µm press the stack together by 14.3 µm (K3)."""
+    assert PARAMETERS.preload.offset == pytest.approx(-14.34e-6, abs=0.01e-6)
+    quadratic = PreloadParameters(force=2.0, A1=1e-6, B1=-2e-6, B2=0.25e-6)
+    assert quadratic.offset == pytest.approx(-2e-6)
+
+
+def test_at_rest_the_sensor_reads_the_preload():
+    actuator = Actuator(replace(PARAMETERS, sensor=SensorParameters()), SAMPLE_TIME)
+    np.testing.assert_allclose(run(actuator, np.zeros(5))[:, 0], PARAMETERS.preload.offset, rtol=1e-12)
+
+
+def test_static_plant_is_the_hysteresis_one_sample_later():
+    plain = ActuatorParameters(limits=LimitsParameters(minimum=-30.0, maximum=120.0), hysteresis=PARAMETERS.hysteresis)
+    actuator = Actuator(plain, SAMPLE_TIME)
+    voltages = np.clip(drive(), -30.0, 120.0)
+    measured = run(actuator, voltages)[:, 0]
+    expected = PolynomialHysteresis(assumed_stack(), SAMPLE_TIME).simulate(voltages)
+    np.testing.assert_allclose(measured[1:], expected[:-1], atol=1e-18)
+
+
+def test_dynamics_are_behind_the_hysteresis():
+    slow = replace(PARAMETERS, sensor=SensorParameters(), preload=PreloadParameters())
+    actuator = Actuator(slow, SAMPLE_TIME)
+    run(actuator, np.full(2000, 120.0))
+    actuator.measure()
+    assert actuator.displacement == pytest.approx(12.3e-6, rel=1e-9)
+    assert actuator.voltage == pytest.approx(120.0)
+
+
+def test_starts_at_rest_where_the_range_excludes_zero():
+    above = replace(PARAMETERS, limits=LimitsParameters(minimum=6.0, maximum=120.0), sensor=SensorParameters())
+    y = run(Actuator(above, SAMPLE_TIME), np.full(20, 6.0))[:, 0] - PARAMETERS.preload.offset
+    np.testing.assert_allclose(y, 6.0 * 0.1025e-6, rtol=1e-9)
+
+
+def test_reset_and_restored_state_repeat_exactly():
+    actuator = Actuator(PARAMETERS, SAMPLE_TIME)
+    first = run(actuator, drive())
+    kept = actuator.state
+    ahead = run(actuator, drive())
+    actuator.reset()
+    np.testing.assert_array_equal(run(actuator, drive()), first)
+    other = Actuator(PARAMETERS, SAMPLE_TIME)
+    other.state = kept
+    np.testing.assert_array_equal(run(other, drive()), ahead)
+
+
+def test_retune_keeps_the_displacement_and_refuses_another_type():
+    actuator = Actuator(replace(PARAMETERS, sensor=SensorParameters()), SAMPLE_TIME)
+    run(actuator, np.full(300, 70.0))
+    before = actuator.measure()
+    changed = HysteresisParameters(type="polynomial", polynomial=assumed_stack(scale=1.05))
+    actuator.retune(replace(actuator.parameters, hysteresis=changed))
+    assert actuator.measure() == before
+    assert run(actuator, np.full(300, 70.0))[-1, 0] == pytest.approx(before, abs=1e-15)
+    proportional = HysteresisParameters(type="proportional", proportional=ProportionalParameters(gain=1e-7))
+    with pytest.raises(ParameterError, match="hysteresis.type.*fixed"):
+        actuator.retune(replace(actuator.parameters, hysteresis=proportional))
+
+
+def test_every_wrong_parameter_is_named_with_its_place():
+    with pytest.raises(ParameterError) as caught:
+        ActuatorParameters.from_mapping(
+            {"limits.minimum": 0.0, "limits.maximum": -1.0, "hysteresis.type": "proportional", "sensor.noise": -1.0}
+        )
+    assert "sensor.noise" in str(caught.value)
+
+
+SCRIPT = """
+import sys
+import numpy as np
+sys.path[:0] = {path!r}
+from test_actuator_plant import PARAMETERS, SAMPLE_TIME, Actuator, drive, run
+np.save(sys.argv[1], run(Actuator(PARAMETERS, SAMPLE_TIME), drive()))
+"""
+
+
+@pytest.mark.skipif(not COMPILED, reason="kernels are interpreted already")
+def test_compiled_equals_interpreted(tmp_path):
+    here = os.path.dirname(__file__)
+    environment = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
+    script = SCRIPT.format(path=[here, *sys.path])
+    subprocess.run([sys.executable, "-c", script, tmp_path / "y.npy"], check=True, env=environment, timeout=120)
+    interpreted = np.load(tmp_path / "y.npy")
+    np.testing.assert_allclose(
+        run(Actuator(PARAMETERS, SAMPLE_TIME), drive()), interpreted, rtol=0, atol=1e-12 * 12.3e-6
+    )
