@@ -1,0 +1,1 @@
+"""Inverses of the hysteresis models, and the compensator that uses them."""

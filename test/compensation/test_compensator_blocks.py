@@ -1,0 +1,207 @@
+"""Compensator: inverse, limits, what is really applied, retune, state."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hysteresis_ros.block import COMPILED, compiled, composite
+from hysteresis_ros.compensation.compensator import (
+    Compensator,
+    CompensatorParameters,
+    InverseParameters,
+    compensator_step,
+)
+from hysteresis_ros.errors import ParameterError
+from hysteresis_ros.models.hysteresis import HysteresisParameters
+from hysteresis_ros.models.limits import LimitsParameters
+from hysteresis_ros.models.polynomial import PolynomialHysteresis, assumed_stack
+from hysteresis_ros.models.proportional import ProportionalParameters
+
+GAIN = 0.1025e-6
+STROKE = 120.0 * GAIN
+SAMPLE_TIME = 1.0 / 3000.0
+KINDS = ("none", "picard_steps", "exact")
+commands = st.lists(st.floats(-2e-6, 15e-6), min_size=1, max_size=15)
+
+
+def parameters(kind="exact", scale=1.0, handover_time=0.002, **limits):
+    return CompensatorParameters(
+        inverse=InverseParameters(type=kind),
+        hysteresis=HysteresisParameters(type="polynomial", polynomial=assumed_stack(scale=scale)),
+        limits=LimitsParameters(**{"minimum": -30.0, "maximum": 120.0, **limits}),
+        handover_time=handover_time,
+    )
+
+
+def compensator(*arguments, **keywords):
+    return Compensator(parameters(*arguments, **keywords), SAMPLE_TIME)
+
+
+def triangle(count=600):
+    return STROKE * np.abs((np.arange(count) / 150.0 + 1.0) % 2.0 - 1.0)
+
+
+def steps(block, inputs):
+    return np.array([block.step(value) for value in inputs])
+
+
+@given(wanted=commands)
+def test_exact_inverse_before_the_same_stack_gives_the_command(wanted):
+    block, plant = compensator(minimum=-60.0, maximum=200.0), PolynomialHysteresis(assumed_stack(), SAMPLE_TIME)
+    for command in wanted:
+        assert plant.step(block.step(command)) == pytest.approx(command, abs=1e-9 * STROKE)
+        assert block.applied == pytest.approx(command, abs=1e-9 * STROKE)
+        assert not block.saturated
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@given(wanted=commands)
+def test_applied_is_what_the_model_does_at_the_voltage_put_out(kind, wanted):
+    block = compensator(kind, slew_rate=5e4, bits=12)
+    model = PolynomialHysteresis(assumed_stack(), SAMPLE_TIME)
+    for command in wanted:
+        voltage = block.step(command)
+        assert -30.0 <= voltage <= 120.0
+        expected = GAIN * voltage if kind == "none" else model.step(voltage)
+        assert block.applied == pytest.approx(expected, abs=1e-12 * STROKE)
+
+
+def test_saturation_is_told():
+    block = compensator()
+    assert block.step(20e-6) == 120.0
+    assert block.saturated
+    assert block.applied == pytest.approx(STROKE)
+    block.step(10e-6)
+    assert not block.saturated
+
+
+def test_none_divides_by_the_gain_of_the_model():
+    np.testing.assert_allclose(steps(compensator("none"), [1e-6, 5e-6]), [1e-6 / GAIN, 5e-6 / GAIN])
+
+
+def test_residual_is_removed_by_a_small_negative_voltage():
+    """After 20 V the stack keeps 0.25 µm; no positive voltage takes it back to zero (K9d)."""
+    block = compensator()
+    steps(block, [20.0 * GAIN, 0.25e-6])
+    assert block.voltage == pytest.approx(0.0, abs=1e-9)
+    assert -30.0 < block.step(0.0) < 0.0
+    assert block.applied == pytest.approx(0.0, abs=1e-9 * STROKE)
+
+
+def test_hold_puts_out_a_voltage_and_the_model_follows():
+    block = compensator()
+    block.step(8e-6)
+    assert block.hold(10.0) == 10.0
+    model = PolynomialHysteresis(assumed_stack(), SAMPLE_TIME)
+    expected = model.simulate([8e-6 / GAIN, 10.0])[-1]
+    assert block.applied == pytest.approx(expected, rel=1e-12)
+
+
+def test_nan_command_holds():
+    block = compensator()
+    before = block.step(4e-6)
+    assert block.step(float("nan")) == before
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@given(wanted=commands, scale=st.floats(0.9, 1.1))
+def test_retune_is_bumpless_and_gives_way_to_the_new_model(kind, wanted, scale):
+    block = compensator(kind)
+    steps(block, wanted)
+    before = block.voltage
+    block.retune(parameters(kind, scale=scale))
+    assert block.step(wanted[-1]) == pytest.approx(before, abs=1e-6)
+    steps(block, np.full(200, wanted[-1]))
+    assert block.xs[3][1] == 0.0
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_after_a_retune_the_new_gain_is_reached(kind):
+    block = compensator(kind)
+    steps(block, [6e-6] * 5)
+    block.retune(parameters(kind, scale=1.05))
+    steps(block, np.full(200, 6e-6))
+    steps(block, np.linspace(6e-6, 1.05 * STROKE, 50))
+    assert block.voltage == pytest.approx(120.0, abs=0.05 if kind == "picard_steps" else 1e-6)
+
+
+def test_refused_retune_changes_nothing():
+    block = compensator()
+    steps(block, triangle(50))
+    before = block.state
+    with pytest.raises(ParameterError, match=r"falling_C1|rising_C1"):
+        broken = HysteresisParameters(type="polynomial", polynomial=assumed_stack(opening=0.6))
+        block.retune(replace(block.parameters, hysteresis=broken))
+    with pytest.raises(ParameterError, match=r"inverse.type.*fixed"):
+        block.retune(parameters("none"))
+    np.testing.assert_array_equal(block.state, before)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_state_restores_exactly_and_reset_starts_anew(kind):
+    block = compensator(kind, bits=16, slew_rate=3e4)
+    first = steps(block, triangle())
+    kept = block.state
+    ahead = steps(block, triangle())
+    other = compensator(kind, bits=16, slew_rate=3e4)
+    other.state = kept
+    np.testing.assert_array_equal(steps(other, triangle()), ahead)
+    block.reset()
+    np.testing.assert_array_equal(steps(block, triangle()), first)
+
+
+def test_wrong_parameters_are_named():
+    with pytest.raises(ParameterError, match=r"safe_voltage = 130.0.*-30 … 120"):
+        Compensator(replace(parameters(), safe_voltage=130.0), SAMPLE_TIME)
+    with pytest.raises(ParameterError, match=r"inverse.type.*picard_steps"):
+        Compensator(parameters("perfect"), SAMPLE_TIME)
+
+
+def test_proportional_model():
+    proportional = HysteresisParameters(type="proportional", proportional=ProportionalParameters(gain=2e-7))
+    block = Compensator(replace(parameters(), hysteresis=proportional), SAMPLE_TIME)
+    assert block.step(1e-6) == pytest.approx(5.0)
+    assert block.applied == pytest.approx(1e-6)
+
+
+@composite("void", "kernel", "inverse", "arrays:5", "arrays:5", "array", "array")
+def run_compensator(hysteresis, inverse, ps, xs, commands, voltages):
+    for k in range(commands.shape[0]):
+        voltages[k] = compensator_step(hysteresis, inverse, ps, xs, commands[k])
+
+
+def offline(kind):
+    block = compensator(kind, bits=16, slew_rate=3e4)
+    voltages = np.zeros(600)
+    compiled(run_compensator)(block.hysteresis_kernel, block.inverse_kernel, block.ps, block.xs, triangle(), voltages)
+    return voltages
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_compiled_loop_equals_calls_of_step_bit_for_bit(kind):
+    np.testing.assert_array_equal(offline(kind), steps(compensator(kind, bits=16, slew_rate=3e4), triangle()))
+
+
+SCRIPT = """
+import sys
+import numpy as np
+sys.path[:0] = {path!r}
+from test_compensator_blocks import KINDS, offline
+np.save(sys.argv[1], [offline(kind) for kind in KINDS])
+"""
+
+
+@pytest.mark.skipif(not COMPILED, reason="kernels are interpreted already")
+def test_compiled_equals_interpreted(tmp_path):
+    environment = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
+    script = SCRIPT.format(path=[os.path.dirname(__file__), *sys.path])
+    subprocess.run([sys.executable, "-c", script, tmp_path / "v.npy"], check=True, env=environment, timeout=120)
+    np.testing.assert_allclose([offline(kind) for kind in KINDS], np.load(tmp_path / "v.npy"), rtol=0, atol=1.2e-10)
