@@ -1,0 +1,90 @@
+"""Bumpless hand-over: after a change of controller or gains the command goes on from where it was."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from hysteresis_ros.block import Block, kernel
+from hysteresis_ros.parameters import Parameters, parameter
+
+#: p[DECAY]: factor of the bias from one sample to the next.
+DECAY = 0
+#: x[BIAS]: what is added to the input.
+BIAS = 0
+#: x[LAST]: last output.
+LAST = 1
+#: x[ARMED]: 1.0 when the next output shall equal the last one.
+ARMED = 2
+
+#: Below this the bias is dropped, before it becomes a slow subnormal number.
+SMALLEST = 1e-300
+
+
+@kernel
+def handover(p, x, u):
+    """Return ``u + bias`` and let the bias decay; when armed, choose the bias such that the output does not move."""
+    if x[ARMED] != 0.0:
+        x[ARMED] = 0.0
+        if p[DECAY] > 0.0:
+            x[BIAS] = x[LAST] - u
+            # Exactly the last output, not u + (last - u) with its rounding.
+            return x[LAST]
+    bias = x[BIAS] * p[DECAY]
+    y = u + bias
+    if abs(bias) < SMALLEST or y == u:
+        bias = 0.0
+    x[BIAS] = bias
+    x[LAST] = y
+    return y
+
+
+@dataclass(frozen=True)
+class HandoverParameters(Parameters):
+    """How a change of controller is smoothed."""
+
+    time: float = parameter(
+        0.05,
+        unit="s",
+        low=0.0,
+        description="Time constant with which the difference between old and new command fades; 0: at once",
+    )
+
+
+class Handover(Block):
+    """Adds a decaying bias to its input after :func:`arm`.
+
+    Parameters
+    ----------
+    parameters : HandoverParameters
+    sample_time : float
+        Sample time [s].
+    """
+
+    kernel = staticmethod(handover)
+
+    def pack(self, parameters) -> np.ndarray:
+        """Return [decay], decay = exp(-sample time / time), 0 when the time is 0."""
+        return np.array([math.exp(-self.sample_time / parameters.time) if parameters.time > 0.0 else 0.0])
+
+    def initial_state(self) -> np.ndarray:
+        """Return the state without bias."""
+        return np.zeros(3)
+
+
+def arm(block: Handover, last: float | None = None) -> None:
+    """Make the next output of ``block`` equal its last one and fade from there to the input.
+
+    Used after a change of controller type, live gains, a stale measurement, and at start after stop.
+
+    Parameters
+    ----------
+    block : Handover
+    last : float, optional
+        Where to go on from, when something else (a safe output) was sent since the block's last output.
+    """
+    if last is not None:
+        block.x[LAST] = float(last)
+    block.x[ARMED] = 1.0
