@@ -1,0 +1,235 @@
+"""Jerk-limited approach to a setpoint that may change at any time: slew limiter and two moving averages.
+
+Structure (FIR trajectory filter; Biagiotti & Melchiorri, *FIR filters for online trajectory planning with time- and
+frequency-domain specifications*, Control Engineering Practice 20 (2012) 1385-1399): the slew limiter moves q towards
+the setpoint by at most d = V Ts a sample, and two moving averages of N1 and N2 samples follow.
+
+**Bounds for every sequence of setpoints.** With Δq the increments of q, |Δq| ≤ d, and y the output:
+
+* velocity: Δy is a mean of Δq, so |Δy|/Ts ≤ d/Ts ≤ V;
+* acceleration: one average turns Δ²q into (Δq_k − Δq_{k−N1})/N1, at most 2 d/N1, and the second average takes a mean
+  of that: |Δ²y|/Ts² ≤ 2 V/(N1 Ts) ≤ A for N1 ≥ 2 V/(A Ts);
+* jerk: Δ³y = (Δq_k − Δq_{k−N1} − Δq_{k−N2} + Δq_{k−N1−N2})/(N1 N2), so |Δ³y|/Ts³ ≤ 4 V/(N1 N2 Ts²) ≤ J for
+  N2 ≥ 4 V/(N1 J Ts²).
+
+The factors 2 and 4 (1 and 2 would do from rest to rest) are what a reversal at full speed needs.
+
+**Overshoot.** y is a weighted mean, with weights ≥ 0, of past values of q, and q never passes the setpoint: from rest
+y goes monotonically to the setpoint, and it never leaves the interval spanned by the setpoints that were given since
+it last rested. A setpoint that comes closer, or turns back, while the motion is under way can be passed by the motion
+already begun (no bounded deceleration can avoid that in general), within that interval.
+
+**Exact arrival.** A distance D takes ceil(D/d) + N1 + N2 − 2 samples, and then y *is* the setpoint, bit for bit. The
+filter works on whole multiples of a quantum (a power of two, at most 2⁻⁴⁹ of the largest position) held in float64,
+and running sums are kept in two words of less than 2⁵³: every addition is exact, so nothing drifts however long it
+runs, and the last step from the grid to the setpoint is of the order of the float64 rounding of the position itself.
+
+**Zero means no limit of its own.** Where a limit is 0 but one of a higher derivative is not, the value is used that
+makes the full stroke R fastest: the time R/V + 2 V/A + 2 A/J is least where the free terms are equal. With all three
+zero the output is the setpoint.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from hysteresis_ros.block import Block, kernel
+from hysteresis_ros.errors import ParameterError, Problem
+from hysteresis_ros.parameters import Parameters, parameter
+
+#: Parameters. WEIGHT = N1 N2, SPLIT = size of the lower word; setpoints outside LOW … HIGH are ignored.
+QUANTUM, STEP, WINDOW1, WINDOW2, WEIGHT, SPLIT, LOW, HIGH = range(8)
+
+#: State; WHOLE + REST/WEIGHT is the output in quanta, SLEWED the output of the slew limiter. The sums of the windows
+#: have an upper and a lower word. Behind it: ring buffers of N1 increments and 2 × N2 sums.
+SETPOINT, SLEWED, WHOLE, REST, SUM1_UPPER, SUM1_LOWER, SUM2_UPPER, SUM2_LOWER, INDEX1, INDEX2, ARRIVED = range(11)
+RINGS = 11
+
+LONGEST_WINDOWS = 2**20
+
+
+@dataclass(frozen=True)
+class ApproachParameters(Parameters):
+    """How fast the reference moves to a new setpoint; 0 = unlimited."""
+
+    maximum_velocity: float = parameter(
+        0.0, description="largest velocity of the approach, 0 = unlimited", unit="m/s", low=0.0, read_only=True
+    )
+    maximum_acceleration: float = parameter(
+        0.0, description="largest acceleration of the approach, 0 = unlimited", unit="m/s²", low=0.0, read_only=True
+    )
+    maximum_jerk: float = parameter(
+        0.0, description="largest jerk of the approach, 0 = unlimited", unit="m/s³", low=0.0, read_only=True
+    )
+    start_time: float = parameter(
+        0.1,
+        description="time in which start returns to the setpoint where the approach is unlimited",
+        unit="s",
+        low=0.0,
+        high=3600.0,
+        read_only=True,
+    )
+
+    @property
+    def unlimited(self) -> bool:
+        """Whether the approach passes setpoints through."""
+        return not (self.maximum_velocity or self.maximum_acceleration or self.maximum_jerk)
+
+
+def effective_limits(parameters: ApproachParameters, stroke: float) -> tuple[float, float, float]:
+    """Return velocity [m/s], acceleration [m/s²] and jerk [m/s³] used for a ``stroke`` [m]; inf where unlimited."""
+    velocity = parameters.maximum_velocity or math.inf
+    acceleration = parameters.maximum_acceleration or math.inf
+    jerk = parameters.maximum_jerk or math.inf
+    if math.isinf(velocity) and math.isinf(acceleration) and math.isfinite(jerk):
+        equal = math.cbrt(4.0 * stroke / jerk)
+        acceleration = 0.5 * jerk * equal
+        velocity = 0.5 * acceleration * equal
+    if math.isinf(acceleration) and math.isfinite(jerk):
+        acceleration = math.sqrt(velocity * jerk)
+    if math.isinf(velocity) and math.isfinite(acceleration):
+        velocity = math.sqrt(0.5 * stroke * acceleration)
+    return velocity, acceleration, jerk
+
+
+@kernel
+def quotient(a, m):
+    """Floor of a/m for whole numbers below 2⁵³, without the rounding of the division."""
+    n = math.floor(a / m)
+    rest = a - n * m
+    if rest < 0.0:
+        n -= 1.0
+    elif rest >= m:
+        n += 1.0
+    return n
+
+
+@kernel
+def approach(p, x, u):
+    """Advance towards setpoint ``u`` [m] and return the position [m]; anything outside LOW … HIGH or NaN is ignored."""
+    if u >= p[LOW] and u <= p[HIGH]:
+        x[SETPOINT] = u
+    target = math.floor(x[SETPOINT] / p[QUANTUM] + 0.5)
+    increment = min(max(target - x[SLEWED], -p[STEP]), p[STEP])
+    x[SLEWED] += increment
+    x[ARRIVED] = x[ARRIVED] + 1.0 if increment == 0.0 else 1.0
+
+    n1, n2 = int(p[WINDOW1]), int(p[WINDOW2])
+    i1 = int(x[INDEX1])
+    oldest = x[RINGS + i1]
+    x[RINGS + i1] = increment
+    x[INDEX1] = i1 + 1.0 if i1 + 1 < n1 else 0.0
+    upper, upper_oldest = math.floor(increment / p[SPLIT]), math.floor(oldest / p[SPLIT])
+    x[SUM1_UPPER] += upper - upper_oldest
+    x[SUM1_LOWER] += (increment - upper * p[SPLIT]) - (oldest - upper_oldest * p[SPLIT])
+
+    i2 = int(x[INDEX2])
+    j = RINGS + n1 + i2
+    x[SUM2_UPPER] += x[SUM1_UPPER] - x[j]
+    x[SUM2_LOWER] += x[SUM1_LOWER] - x[j + n2]
+    x[j] = x[SUM1_UPPER]
+    x[j + n2] = x[SUM1_LOWER]
+    x[INDEX2] = i2 + 1.0 if i2 + 1 < n2 else 0.0
+
+    # Output += second sum/WEIGHT, with the remainder kept: the upper word first, its remainder with the lower word.
+    weight = p[WEIGHT]
+    n = quotient(x[SUM2_UPPER], weight)
+    lower = (x[SUM2_UPPER] - n * weight) * p[SPLIT] + x[SUM2_LOWER] + x[REST]
+    m = quotient(lower, weight)
+    x[REST] = lower - m * weight
+    x[WHOLE] += n * p[SPLIT] + m
+    if x[ARRIVED] >= p[WINDOW1] + p[WINDOW2] - 1.0 and x[SLEWED] == target:
+        return x[SETPOINT]
+    return (x[WHOLE] + x[REST] / weight) * p[QUANTUM]
+
+
+class Approach(Block):
+    """Jerk-limited approach to setpoints within ``minimum`` … ``maximum``.
+
+    Parameters
+    ----------
+    parameters : ApproachParameters
+        Limits.
+    sample_time : float
+        Sample time [s].
+    minimum, maximum : float
+        Range of the reference [m]; fixes the quantum of the arithmetic and, where limits are 0, the stroke.
+    initial_setpoint : float
+        Where it rests at first [m].
+
+    Raises
+    ------
+    ParameterError
+        The limits are so low that the approach would not fit into memory or arithmetic.
+    """
+
+    kernel = staticmethod(approach)
+
+    def __init__(self, parameters, sample_time, minimum: float, maximum: float, initial_setpoint: float = 0.0):
+        self._range = (float(minimum), float(maximum))
+        self._initial = float(initial_setpoint)
+        self._sample_time = float(sample_time)
+        parameters.validated("approach.")
+        super().__init__(parameters, sample_time)
+
+    def pack(self, parameters) -> np.ndarray:
+        """Return the kernel's parameters; their layout is at the top of the module."""
+        low, high = self._range
+        velocity, acceleration, jerk = effective_limits(parameters, high - low)
+        # Four times the range: where a start begins, setpoint and waveform apart may lie outside of it.
+        exponent = math.frexp(max(abs(low), abs(high)))[1] + 2
+        quantum = math.ldexp(1.0, exponent - 52)
+        step = 2.0**52
+        if math.isfinite(velocity):
+            step = min(step, math.floor(velocity * self._sample_time / quantum))
+        n1 = n2 = 1.0
+        if math.isfinite(acceleration):
+            n1 = max(1.0, math.ceil(2.0 * velocity / (acceleration * self._sample_time) * (1.0 - 1e-14)))
+        if math.isfinite(jerk):
+            n2 = max(1.0, math.ceil(4.0 * velocity / (n1 * jerk * self._sample_time**2) * (1.0 - 1e-14)))
+        weight = n1 * n2
+        split = math.ldexp(1.0, max(51 - math.frexp(weight)[1], 0))
+        if step < 1.0:
+            least = quantum / self._sample_time
+            allowed = f"too slow for the range, allowed: 0 (unlimited) or ≥ {least:g} m/s"
+            raise ParameterError([Problem("approach.maximum_velocity", parameters.maximum_velocity, allowed)])
+        if n1 + n2 > LONGEST_WINDOWS or weight * (step / split + 1.0) > 2.0**52:
+            name = "maximum_acceleration" if n1 > n2 else "maximum_jerk"
+            allowed = f"too low: the approach would take {(n1 + n2) * self._sample_time:g} s to settle; give more"
+            raise ParameterError([Problem(f"approach.{name}", getattr(parameters, name), allowed)])
+        return np.array([quantum, step, n1, n2, weight, split, low, high])
+
+    def initial_state(self) -> np.ndarray:
+        """Return the state at rest at the initial setpoint."""
+        return self._rest_state(self._initial, self._initial)
+
+    def _rest_state(self, position: float, setpoint: float) -> np.ndarray:
+        x = np.zeros(RINGS + int(self.p[WINDOW1]) + 2 * int(self.p[WINDOW2]))
+        x[SETPOINT] = setpoint
+        x[SLEWED] = x[WHOLE] = math.floor(position / self.p[QUANTUM] + 0.5)
+        x[ARRIVED] = self.p[WINDOW1] + self.p[WINDOW2]
+        return x
+
+    def rest_at(self, position: float) -> None:
+        """Stop at ``position`` [m] with velocity zero; the setpoint stays."""
+        self.x[:] = self._rest_state(position, self.x[SETPOINT])
+
+    def duration(self, distance: float) -> float:
+        """Time [s] from a new setpoint at ``distance`` [m], at rest, to the exact arrival."""
+        moving = max(math.ceil(abs(distance) / (self.p[STEP] * self.p[QUANTUM])), 1)
+        return (moving + self.p[WINDOW1] + self.p[WINDOW2] - 2.0) * self.sample_time
+
+    def retune(self, parameters) -> None:
+        """Refuse: window sizes are part of the state, so the approach is fixed at construction.
+
+        Raises
+        ------
+        ParameterError
+            Unless the parameters are the present ones.
+        """
+        if parameters != self.parameters:
+            text = "fixed while the generator exists; clean up and configure anew"
+            raise ParameterError([Problem("approach", parameters.to_mapping(), text)])

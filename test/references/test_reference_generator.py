@@ -1,0 +1,156 @@
+"""The generator: sum of approach and waveform, range, stop and start without a jump."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hysteresis_ros.errors import ParameterError
+from hysteresis_ros.references import ReferenceGenerator, ReferenceParameters
+
+TS = 1e-3
+LIMITED = {"approach.maximum_velocity": 1e-4, "approach.maximum_acceleration": 1e-2, "approach.maximum_jerk": 1.0}
+SINE = {"waveform.type": "sine", "waveform.amplitude": 2e-6, "waveform.frequency": 5.0, "waveform.offset": 5e-6}
+
+
+def build(*mappings, **own):
+    merged = {name: value for mapping in mappings for name, value in mapping.items()}
+    return ReferenceGenerator(ReferenceParameters.from_mapping({**merged, **own}), TS)
+
+
+def test_reference_is_approach_plus_waveform():
+    g = build(SINE)
+    k = np.arange(500)
+    expected = 1e-6 + 5e-6 + 2e-6 * np.sin(2 * np.pi * 5.0 * k * TS)
+    assert g.simulate(np.full(500, 1e-6)) == pytest.approx(expected, abs=1e-18)
+
+
+def test_setpoint_arrives_bit_equal():
+    g = build(LIMITED)
+    assert g.simulate(np.full(1000, 7.3e-6))[-1] == 7.3e-6
+
+
+def test_steps_and_compiled_loop_are_equal_bit_for_bit():
+    u = np.repeat([1e-6, 8e-6, 3e-6], 100)
+    a, b = build(SINE, LIMITED), build(SINE, LIMITED)
+    assert np.array_equal([a.step(value) for value in u], b.simulate(u))
+    assert np.array_equal(a.state, b.state)
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, 15.1e-6, -1e-9])
+def test_refused_setpoint_says_value_and_range_and_changes_nothing(bad):
+    g = build()
+    g.step(4e-6)
+    message = g.refuse(bad)
+    assert f"{bad:g}" in message
+    assert "0 … 1.5e-05 m" in message
+    assert g.step(bad) == 4e-6
+    assert g.setpoint == 4e-6
+
+
+def test_good_setpoints_are_not_refused():
+    g = build()
+    assert [g.refuse(value) for value in (0.0, 7e-6, 15e-6)] == [None] * 3
+
+
+def test_setpoints_leave_room_for_the_waveform():
+    g = build(SINE)
+    assert g.refuse(8e-6) is None
+    assert "with the waveform 3e-06 … 7e-06 m" in g.refuse(8.1e-6)
+
+
+@pytest.mark.parametrize(
+    ("mapping", "name"),
+    [
+        ({**SINE, "waveform.amplitude": 5.1e-6}, "waveform.amplitude"),
+        ({"waveform.offset": -1e-9}, "waveform.offset"),
+        ({"waveform.type": "steps", "waveform.steps.values": [16e-6], "waveform.steps.times": [0.0]},
+         "waveform.steps.values"),
+    ],
+)  # fmt: skip
+def test_waveform_that_leaves_the_range_is_refused_with_value_and_range(mapping, name):
+    with pytest.raises(ParameterError) as error:
+        build(mapping)
+    (problem,) = error.value.problems
+    assert problem.name == name
+    assert "0 … 1.5e-05 m" in problem.allowed
+
+
+def test_wrong_ranges_are_refused():
+    with pytest.raises(ParameterError, match="maximum"):
+        build(minimum=1e-6, maximum=1e-6)
+    with pytest.raises(ParameterError, match="initial_setpoint"):
+        build(initial_setpoint=16e-6)
+
+
+def test_stop_freezes_and_setpoints_do_not_move_it():
+    g = build(SINE, LIMITED)
+    last = g.simulate(np.full(37, 1e-6))[-1]
+    g.stop()
+    assert not g.running
+    assert np.all(g.simulate(np.full(100, 3e-6)) == last)
+
+
+@pytest.mark.parametrize("limits", [{}, LIMITED])
+def test_start_runs_from_the_beginning_without_a_jump(limits):
+    g = build(SINE, limits)
+    last = g.simulate(np.full(50, 1e-6))[-1]  # the peak of the sine
+    g.stop()
+    g.simulate(np.full(10, 1e-6))
+    g.start()
+    y = np.concatenate([[last], g.simulate(np.full(2000, 1e-6))])
+    fastest_sine = 2e-6 * 2 * np.pi * 5.0
+    fastest_fade = 1.875 * 2e-6 / 0.1 if not limits else 1e-4
+    assert np.max(np.abs(np.diff(y))) / TS <= (fastest_sine + fastest_fade) * (1 + 1e-9)
+    k = np.arange(1000, 2000)
+    assert y[1001:] == pytest.approx(6e-6 + 2e-6 * np.sin(2 * np.pi * 5.0 * k * TS), abs=1e-18)
+
+
+def test_waveform_changes_only_while_stopped():
+    g = build(LIMITED, SINE)
+    g.simulate(np.full(40, 1e-6))
+    other = replace(g.parameters, waveform=replace(g.parameters.waveform, type="triangle"))
+    with pytest.raises(ParameterError, match=r"waveform\.type.*stop"):
+        g.retune(other)
+    g.stop()
+    last = g.step(1e-6)
+    g.retune(other)
+    assert g.step(1e-6) == last
+    g.start()
+    assert g.step(1e-6) == pytest.approx(last, abs=1e-4 * TS)
+    settled = g.simulate(np.full(1999, 1e-6))
+    assert (settled[1000:].min(), settled[1000:].max()) == pytest.approx((6e-6, 8e-6))
+
+
+def test_refused_retune_changes_nothing():
+    g = build(LIMITED, SINE)
+    g.stop()
+    before, kernel = g.parameters, g.waveform_kernel
+    with pytest.raises(ParameterError, match=r"waveform\.amplitude"):
+        g.retune(replace(before, waveform=replace(before.waveform, amplitude=1.0)))
+    with pytest.raises(ParameterError, match="maximum"):
+        g.retune(replace(before, maximum=20e-6))
+    assert g.parameters is before
+    assert g.waveform_kernel is kernel
+
+
+def test_reset_and_state():
+    g = build(SINE, LIMITED, initial_setpoint=1e-6)
+    u = np.repeat([2e-6, 4e-6], 60)
+    first = g.simulate(u)
+    state = g.state
+    rest = g.simulate(u)
+    g.stop()
+    g.state = state
+    assert np.array_equal(g.simulate(u), rest)
+    g.reset()
+    assert np.array_equal(g.simulate(u), first)
+
+
+def test_table_has_units_and_descriptions():
+    for row in ReferenceParameters.table():
+        assert row.description
+        assert row.unit or row.type is not float or row.name == "waveform.square.duty"
