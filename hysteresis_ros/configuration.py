@@ -1,0 +1,238 @@
+"""Configuration files: ROS 2 parameter files, read here by the same rules as the nodes read them."""
+
+from __future__ import annotations
+
+import os
+import pathlib
+import re
+from dataclasses import dataclass, replace
+
+import yaml
+
+from hysteresis_ros.errors import ConfigurationError
+
+#: The nodes every axis has.
+NODE_NAMES = ("plant_simulator", "reference_generator", "motion_controller", "hysteresis_compensator")
+#: Nodes an axis may have besides.
+OPTIONAL_NODE_NAMES = ("recorder",)
+
+
+class _Loader(yaml.SafeLoader):
+    """YAML as the ROS parameter parser reads it: ``5e-6`` is a number (YAML 1.1 wants ``5.0e-6``)."""
+
+
+_Loader.yaml_implicit_resolvers = {
+    first: [(tag, expression) for tag, expression in resolvers if tag != "tag:yaml.org,2002:float"]
+    for first, resolvers in yaml.SafeLoader.yaml_implicit_resolvers.items()
+}
+_Loader.add_implicit_resolver(
+    "tag:yaml.org,2002:float",
+    re.compile(
+        r"^[-+]?(?:[0-9]+\.[0-9]*|\.[0-9]+|[0-9]+(?=[eE]))(?:[eE][-+]?[0-9]+)?$|^[-+]?\.(?:inf|Inf|INF)$|^\.(?:nan|NaN|NAN)$"
+    ),
+    list("-+0123456789."),
+)
+
+
+@dataclass(frozen=True)
+class Configuration:
+    """A parameter file: patterns of node names with the parameters they set, in the order of the file.
+
+    Parameters
+    ----------
+    entries : tuple of (str, dict)
+        Pattern (``/**``, ``/**/plant_simulator``, ``/left/plant_simulator``) and flat dotted parameters.
+    text : str
+        The file as it was read.
+    source : str
+        Where it came from, for messages.
+    """
+
+    entries: tuple[tuple[str, dict], ...]
+    text: str
+    source: str
+
+    def node(self, name: str, namespace: str = "") -> dict:
+        """Return the flat parameters of one node; of several matching entries the later one wins, as in ROS."""
+        full = f"{normalised_namespace(namespace)}/{name}"
+        merged: dict = {}
+        for pattern, values in self.entries:
+            if matches(pattern, full):
+                merged.update(values)
+        return merged
+
+    def override(self, node: str, **values) -> Configuration:
+        """Return a configuration in which ``node`` (in every namespace; ``""``: every node) has these values.
+
+        Dots in parameter names are written as double underscores: ``waveform__type="hold"``.
+        """
+        pattern = f"/**/{node}" if node else "/**"
+        flat = {name.replace("__", "."): value for name, value in values.items()}
+        return replace(self, entries=(*self.entries, (pattern, flat)))
+
+    def namespaces(self) -> tuple[str, ...]:
+        """Return the namespaces that the file names explicitly, in order; ``("",)`` when it names none."""
+        found = []
+        for pattern, _ in self.entries:
+            parts = [part for part in pattern.split("/") if part]
+            if "*" in pattern or not parts or parts[-1] not in NODE_NAMES + OPTIONAL_NODE_NAMES:
+                continue
+            namespace = normalised_namespace("/".join(parts[:-1]))
+            if namespace not in found:
+                found.append(namespace)
+        return tuple(found) or ("",)
+
+
+def normalised_namespace(namespace: str) -> str:
+    """Return the namespace with one leading and no trailing slash; the root is the empty string."""
+    stripped = namespace.strip("/")
+    return f"/{stripped}" if stripped else ""
+
+
+def matches(pattern: str, full_name: str) -> bool:
+    """Tell whether a node's full name fits a pattern: ``**`` stands for any tokens, ``*`` for one."""
+    if not pattern.startswith("/"):
+        pattern = "/" + pattern
+    expression = ""
+    for token in pattern.split("/")[1:]:
+        if token == "**":
+            expression += "(?:/[^/]+)*"
+        else:
+            expression += "/" + "[^/]+".join(re.escape(part) for part in token.split("*"))
+    return re.fullmatch(expression, full_name) is not None
+
+
+def parse_configuration(text: str, source: str) -> Configuration:
+    """Read a ROS 2 parameter file from its text.
+
+    Raises
+    ------
+    ConfigurationError
+        It is not YAML or not a ROS 2 parameter file; the message names the line or the entry.
+    """
+    try:
+        aliases = [event for event in yaml.parse(text) if isinstance(event, yaml.AliasEvent)]
+        document = yaml.load(text, Loader=_Loader)
+    except yaml.YAMLError as error:
+        detail = " ".join(str(error).split())
+        raise ConfigurationError(f"{source}: not readable as YAML: {detail}") from None
+    if aliases:
+        line = aliases[0].start_mark.line + 1
+        raise ConfigurationError(
+            f"{source}: line {line}: ROS 2 reads no YAML aliases (*{aliases[0].anchor}); write the values out"
+        )
+    if not isinstance(document, dict):
+        raise ConfigurationError(
+            f"{source}: empty, or no ROS 2 parameter file (node names at the top level are missing)"
+        )
+    entries: list[tuple[str, dict]] = []
+    for name, content in document.items():
+        _collect(str(name), content, source, entries)
+    if not entries:
+        raise ConfigurationError(
+            f"{source}: no 'ros__parameters' anywhere; write '/**/plant_simulator: ros__parameters: …'"
+        )
+    return Configuration(tuple(entries), text, source)
+
+
+def _collect(name: str, content, source: str, entries: list) -> None:
+    if not isinstance(content, dict):
+        raise ConfigurationError(f"{source}: '{name}' must hold 'ros__parameters', found {content!r}")
+    for key, value in content.items():
+        if key == "ros__parameters":
+            if not isinstance(value, dict):
+                raise ConfigurationError(f"{source}: 'ros__parameters' of '{name}' must be a mapping, found {value!r}")
+            entries.append((name, _flatten(value)))
+        else:
+            _collect(f"{name}/{key}", value, source, entries)
+
+
+def _flatten(mapping: dict, prefix: str = "") -> dict:
+    flat = {}
+    for key, value in mapping.items():
+        if isinstance(value, dict):
+            flat.update(_flatten(value, f"{prefix}{key}."))
+        else:
+            flat[f"{prefix}{key}"] = value
+    return flat
+
+
+def config_path(name: str) -> pathlib.Path:
+    """Return the parameter file of that name, such as ``kim2009``, which comes with the package.
+
+    Raises
+    ------
+    ConfigurationError
+        There is none of that name; the message lists what there is.
+    """
+    package = pathlib.Path(__file__).resolve().parent
+    folders = [package.parent / "config"]
+    prefixes = [*package.parents, *map(pathlib.Path, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep))]
+    folders += [prefix / "share" / package.name / "config" for prefix in prefixes]
+    found = {
+        path.stem: path for folder in reversed(folders) if folder.is_dir() for path in sorted(folder.glob("*.yaml"))
+    }
+    if name not in found:
+        raise ConfigurationError(
+            f"no configuration '{name}' comes with the package; there are: {', '.join(found) or 'none'}"
+        )
+    return found[name]
+
+
+def load_configuration(path) -> Configuration:
+    """Read a ROS 2 parameter file: a path, or the bare name of a file that comes with the package (``kim2009``).
+
+    Raises
+    ------
+    ConfigurationError
+        The file is missing or unreadable, or see :func:`parse_configuration`.
+    """
+    path = pathlib.Path(path)
+    if not path.exists() and path.name == path.stem == str(path):
+        path = config_path(path.name)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except FileNotFoundError:
+        raise ConfigurationError(f"{path}: no such file; give the path of a ROS 2 parameter file") from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigurationError(f"{path}: cannot be read: {error}") from None
+    return parse_configuration(text, str(path))
+
+
+class _Dumper(yaml.SafeDumper):
+    """YAML that both parsers read as the same numbers: every double keeps a point or an exponent with a point."""
+
+
+def _represent_float(dumper, value):
+    text = repr(float(value))
+    if "e" in text and "." not in text:
+        text = text.replace("e", ".0e")
+    return dumper.represent_scalar("tag:yaml.org,2002:float", text)
+
+
+_Dumper.add_representer(float, _represent_float)
+_Dumper.add_representer(
+    tuple, lambda dumper, value: dumper.represent_sequence("tag:yaml.org,2002:seq", list(value), flow_style=True)
+)
+
+
+def dump_configuration(nodes: dict[str, dict]) -> str:
+    """Return the text of a parameter file.
+
+    Parameters
+    ----------
+    nodes : dict of str to dict
+        Full node name or pattern → flat dotted parameters (values exactly representable: floats are written by
+        ``repr`` and come back bit for bit).
+    """
+    document = {}
+    for name, flat in nodes.items():
+        tree: dict = {}
+        for dotted, value in flat.items():
+            *groups, last = dotted.split(".")
+            branch = tree
+            for part in groups:
+                branch = branch.setdefault(part, {})
+            branch[last] = value
+        document[name] = {"ros__parameters": tree}
+    return yaml.dump(document, Dumper=_Dumper, sort_keys=False, allow_unicode=True, width=118, default_flow_style=False)

@@ -1,0 +1,294 @@
+"""From the messages of a bag to the columns of a run, aligned by stamp."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hysteresis_ros.errors import RecordingError
+from hysteresis_ros.recordings import cdr
+from hysteresis_ros.recordings.bag_reader import Bag, Topic, read_bag
+from hysteresis_ros.recordings.configured import configured
+from hysteresis_ros.recordings.dataset import COLUMNS, Recording
+from hysteresis_ros.recordings.run_bag import STATE_SIGNALS
+
+#: ``~/state`` topics in which a column is looked for, best first: (node, name in its message).
+STATE_SOURCES = {
+    "setpoint": (("reference_generator", "setpoint"),),
+    "reference": (("reference_generator", "reference"), ("motion_controller", "reference")),
+    "command": (("motion_controller", "command"), ("hysteresis_compensator", "command")),
+    "voltage": (("hysteresis_compensator", "voltage"), ("plant_simulator", "voltage")),
+    "displacement": (("plant_simulator", "displacement"),),
+    "measured": (("plant_simulator", "measured"), ("motion_controller", "measured")),
+    "estimated": (("motion_controller", "estimated"),),
+}
+
+#: Samples at the end of which the last messages may not have reached the recorder when it was stopped.
+TAIL = 100
+
+
+def read_recording(path, namespace: str | None = None) -> Recording:
+    """Read a bag and align it; see :func:`align`."""
+    return align(read_bag(path), namespace)
+
+
+def namespaces(bag: Bag) -> tuple[str, ...]:
+    """Return the namespaces in which the bag holds an axis, sorted; the root namespace is the empty string."""
+    endings = ["/joint_states", *(f"/{node}/state" for node in STATE_SIGNALS)]
+    found = set()
+    for name in bag.topics:
+        if bag.of_type(name, cdr.JOINT_STATE) is None:
+            continue
+        ending = next((ending for ending in endings if name.endswith(ending)), None)
+        if ending is not None:
+            found.add(name[: -len(ending)])
+    return tuple(sorted(found))
+
+
+def choose_namespace(bag: Bag, namespace: str | None) -> str:
+    """Return the namespace to read.
+
+    Raises
+    ------
+    RecordingError
+        There is no axis in the bag, several and none was chosen, or the chosen one is not there.
+    """
+    found = namespaces(bag)
+    listed = ", ".join(name or "/" for name in found)
+    if not found:
+        topics = ", ".join(sorted(bag.topics)[:8]) or "none"
+        raise RecordingError(
+            f"{bag.path}: no axis in it: neither joint_states nor ~/state messages (topics: {topics}); "
+            "record the topics of an axis"
+        )
+    if namespace is not None:
+        wanted = f"/{namespace.strip('/')}" if namespace.strip("/") else ""
+        if wanted not in found:
+            raise RecordingError(f"{bag.path}: no axis in namespace '{wanted or '/'}'; there is {listed}")
+        return wanted
+    if len(found) > 1:
+        raise RecordingError(f"{bag.path}: several axes ({listed}); choose one with --namespace")
+    return found[0]
+
+
+def align(bag: Bag, namespace: str | None = None) -> Recording:
+    """Put all signals of one axis into the columns of a run.
+
+    The stamp of ``joint_states`` is the key of a sample. The ``~/state`` messages carry that stamp and are matched by
+    it. Where there are none, ``joint_states`` and the Float64 topics serve: by count when a topic has one message a
+    sample, otherwise the last message before the next sample. Without a simulated plant nobody knows the true
+    displacement: that column is then the measured one, and a note says so.
+
+    Parameters
+    ----------
+    bag : Bag
+        What :func:`hysteresis_ros.recordings.bag_reader.read_bag` gave.
+    namespace : str, optional
+        Which axis, when there are several.
+
+    Returns
+    -------
+    Recording
+        Eight columns; ``metadata`` holds ``missing_samples``, ``missing`` (per signal), ``messages`` (per
+        topic), ``notes``, ``timing``,
+        ``configuration``, ``namespace``, ``complete``, ``start_time_ns`` and ``source``.
+
+    Raises
+    ------
+    RecordingError
+        See :func:`choose_namespace`; or a message is damaged, or the configured joint is not in ``joint_states``.
+    """
+    prefix = choose_namespace(bag, namespace)
+    notes = list(bag.notes)
+    configuration = _configuration(bag, prefix)
+    joints, rows = _one_run(bag, f"{prefix}/joint_states", notes)
+    states = {node: _one_run(bag, f"{prefix}/{node}/state", [])[0] for node in STATE_SIGNALS}
+    key = joints or next(state for state in states.values() if state is not None)
+    stamps = np.unique(key.stamps)
+
+    columns = {}
+    for name in COLUMNS:
+        for node, signal in STATE_SOURCES[name]:
+            values = states[node].signal(signal) if states[node] is not None else None
+            if values is not None:
+                columns[name] = _by_stamp(stamps, states[node].stamps, values)
+                break
+    if joints is not None:
+        joint = configured(configuration, "plant_simulator", prefix).get("joint")
+        measured = _joint(bag, joints, joint)
+        if "measured" not in columns:
+            columns["measured"] = _by_stamp(stamps, joints.stamps, measured)
+        _add_float_topics(bag, prefix, columns, joints, rows)
+    if "displacement" not in columns and "measured" in columns:
+        columns["displacement"] = columns["measured"].copy()
+        notes.append("no true displacement in the bag: the column displacement is the measured one")
+    absent = [name for name in COLUMNS if name not in columns]
+    if absent:
+        notes.append(f"not in the bag: {', '.join(absent)}")
+    for name in absent:
+        columns[name] = np.full(stamps.size, np.nan)
+
+    present = [name for name in COLUMNS if name not in absent]
+    recorded = stamps.size
+    stamps, columns = _without_tail(stamps, columns, present, notes)
+    missing, per_signal = _missing(stamps, columns, present, notes)
+    if bag.complete:
+        # a bag that was closed properly has no excuse for an incomplete end
+        missing += recorded - stamps.size
+    metadata = {
+        "source": str(bag.path.name),
+        "namespace": prefix,
+        "configuration": configuration,
+        "complete": bag.complete,
+        "start_time_ns": int(stamps[0]) if stamps.size else 0,
+        "missing_samples": missing,
+        "missing": per_signal,
+        "messages": {name: len(bag.topics[name].data) for name in sorted(bag.topics) if name.startswith(f"{prefix}/")},
+        "timing": _timing(bag, prefix, joints, rows),
+        "notes": notes,
+    }
+    time = (stamps - stamps[0]) / 1e9 if stamps.size else np.zeros(0)
+    return Recording(time, {name: columns[name] for name in COLUMNS}, {}, metadata)
+
+
+def setpoints_per_sample(recording: Recording) -> np.ndarray:
+    """Return the setpoint applied at each sample from the first on, shape (M,), for replay by the simulation.
+
+    Samples that the recording misses get the setpoint before them: a setpoint holds until the next.
+
+    Raises
+    ------
+    RecordingError
+        The recording has no setpoints, or not the first one.
+    """
+    setpoint = recording["setpoint"]
+    if not recording.has("setpoint"):
+        raise RecordingError("the recording has no setpoints; record reference_generator/state or setpoint")
+    if not np.isfinite(setpoint[0]):
+        raise RecordingError("the setpoint of the first sample is not in the recording; a replay needs it")
+    if len(recording) == 1:
+        return setpoint.copy()
+    index = np.rint((recording.time - recording.time[0]) / recording.sample_time).astype(np.int64)
+    rows = np.where(np.isfinite(setpoint), np.arange(len(recording)), 0)
+    held = setpoint[np.maximum.accumulate(rows)]
+    return held[np.searchsorted(index, np.arange(index[-1] + 1), side="right") - 1]
+
+
+def _configuration(bag: Bag, prefix: str) -> str:
+    topic = bag.of_type(f"{prefix}/configuration", cdr.STRING)
+    return cdr.decode_strings(topic.data[-1:], f"{prefix}/configuration")[0] if topic else ""
+
+
+def _one_run(bag: Bag, name: str, notes: list[str]):
+    """Return the messages of a topic and their rows; of several runs in one bag (stamps went back) the longest."""
+    topic = bag.of_type(name, cdr.JOINT_STATE)
+    if topic is None:
+        return None, np.zeros(0, dtype=np.int64)
+    messages = cdr.decode_joint_states(topic.data, name)
+    cuts = np.flatnonzero(np.diff(messages.stamps) < 0) + 1
+    runs = np.split(np.arange(messages.stamps.size), cuts)
+    rows = max(runs, key=len)
+    if len(runs) > 1:
+        notes.append(f"the time of the samples went back {len(runs) - 1} times (reset): the longest run is shown")
+    return messages.take(rows), rows
+
+
+def _by_stamp(stamps, source_stamps, values) -> np.ndarray:
+    """Return ``values`` on the grid ``stamps``, NaN where the source has no message; of repeats the last one."""
+    found = np.full(stamps.size, np.nan)
+    place = np.searchsorted(stamps, source_stamps)
+    inside = place < stamps.size
+    inside[inside] = stamps[place[inside]] == source_stamps[inside]
+    found[place[inside]] = values[inside]
+    return found
+
+
+def _joint(bag: Bag, joints: cdr.JointStates, joint) -> np.ndarray:
+    if not joints.names:
+        raise RecordingError(f"{bag.path}: joint_states holds no joint; the driver must fill name and position")
+    if joint is not None and joint not in joints.names:
+        raise RecordingError(
+            f"{bag.path}: joint '{joint}' of the configuration is not in joint_states; it has {', '.join(joints.names)}"
+        )
+    return joints.signal(joint or joints.names[0])
+
+
+def _add_float_topics(bag: Bag, prefix: str, columns: dict, joints: cdr.JointStates, rows: np.ndarray) -> None:
+    order = np.array(bag.topics[f"{prefix}/joint_states"].order, dtype=np.int64)[rows]
+    stamps, first = np.unique(joints.stamps, return_index=True)
+    order = order[first]
+    for name in ("setpoint", "reference", "command", "voltage"):
+        topic = bag.of_type(f"{prefix}/{name}", cdr.FLOAT64)
+        if name in columns or topic is None:
+            continue
+        values = cdr.decode_float64s(topic.data, f"{prefix}/{name}")
+        if name == "setpoint":
+            columns[name] = _held(values, topic, order)
+        elif values.size == stamps.size == len(bag.topics[f"{prefix}/joint_states"].data):
+            columns[name] = values
+        else:
+            columns[name] = _held(values, topic, np.append(order[1:], np.iinfo(np.int64).max))
+
+
+def _held(values: np.ndarray, topic: Topic, until: np.ndarray) -> np.ndarray:
+    """Return for each sample the last value before its limit in the order of the bag; NaN before the first value."""
+    place = np.searchsorted(np.array(topic.order, dtype=np.int64), until) - 1
+    return np.where(place >= 0, values[np.maximum(place, 0)], np.nan)
+
+
+def _without_tail(stamps, columns, present, notes):
+    """Leave out the last samples whose messages the recorder did not live to see."""
+    whole = np.ones(stamps.size, dtype=bool)
+    for name in present:
+        if np.any(np.isfinite(columns[name])):
+            whole &= ~np.isnan(columns[name])
+    if not stamps.size or whole[-1] or not np.any(whole):
+        return stamps, columns
+    last = int(np.flatnonzero(whole)[-1]) + 1
+    if stamps.size - last > TAIL:
+        return stamps, columns
+    notes.append(f"the last {stamps.size - last} samples are incomplete and left out")
+    return stamps[:last], {name: values[:last] for name, values in columns.items()}
+
+
+def _missing(stamps, columns, present, notes):
+    """Count samples that are absent from the grid, or lack a signal between its first and its last value."""
+    gaps = 0
+    if stamps.size > 2:
+        steps = np.diff(stamps)
+        gaps = int(np.sum(np.maximum(np.rint(steps / np.median(steps)) - 1, 0)))
+    if gaps:
+        notes.append(f"{gaps} samples are missing in the bag")
+    per_signal, holes = {}, np.zeros(stamps.size, dtype=bool)
+    for name in present:
+        there = np.flatnonzero(~np.isnan(columns[name]))
+        if there.size == 0:
+            continue
+        hole = np.isnan(columns[name])
+        hole[: there[0]] = False
+        hole[there[-1] + 1 :] = False
+        holes |= hole
+        if np.any(hole):
+            per_signal[name] = int(np.sum(hole))
+        outside = int(there[0]) + stamps.size - 1 - int(there[-1])
+        if outside:
+            notes.append(f"{name} is there for {stamps.size - outside} of {stamps.size} samples only")
+    if per_signal:
+        notes.append("samples without a value: " + ", ".join(f"{name} {count}" for name, count in per_signal.items()))
+    return gaps + int(np.sum(holes)), per_signal
+
+
+def _timing(bag: Bag, prefix: str, joints, rows: np.ndarray) -> dict:
+    """Rate and jitter of ``joint_states`` from the times of reception."""
+    if joints is None or rows.size < 3:
+        return {}
+    received = bag.topics[f"{prefix}/joint_states"].received()[rows]
+    if received[-1] <= received[0]:
+        return {}
+    if np.array_equal(received - received[0], joints.stamps - joints.stamps[0]):
+        # nobody recorded a clock: the stamps themselves are in its place (simulated run)
+        return {}
+    steps = np.diff(received) / 1e9
+    return {
+        "rate_hz": float((received.size - 1) / (received[-1] - received[0]) * 1e9),
+        "jitter_p99_s": float(np.percentile(np.abs(steps - np.median(steps)), 99)),
+    }

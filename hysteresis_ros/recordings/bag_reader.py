@@ -1,0 +1,178 @@
+"""Bags of every make as messages by topic: rosbags, ``ros2 bag record`` (MCAP, sqlite3), bare and cut-off files."""
+
+from __future__ import annotations
+
+import pathlib
+import re
+from dataclasses import dataclass, field
+
+import numpy as np
+from rosbags.rosbag2 import Reader
+
+from hysteresis_ros.errors import RecordingError
+from hysteresis_ros.recordings import cdr
+from hysteresis_ros.recordings.mcap_stream import StreamResult, read_stream
+
+#: Types whose messages are kept; of others (images …) only the topic is remembered.
+KEPT_TYPES = frozenset({cdr.FLOAT64, cdr.STRING, cdr.JOINT_STATE, cdr.DIAGNOSTICS})
+
+
+@dataclass
+class Topic:
+    """The messages of one topic in the order of the bag.
+
+    Parameters
+    ----------
+    type_name : str
+        Message type.
+    data : list of bytes
+        Serialised messages.
+    times : list of int
+        Times of reception [ns].
+    order : list of int
+        Place of each message among all messages of the bag.
+    """
+
+    type_name: str
+    data: list[bytes] = field(default_factory=list)
+    times: list[int] = field(default_factory=list)
+    order: list[int] = field(default_factory=list)
+
+    def received(self) -> np.ndarray:
+        """Return the times of reception [ns], shape (N,), int64."""
+        return np.array(self.times, dtype=np.int64)
+
+
+@dataclass
+class Bag:
+    """Everything this package can use of a bag.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        Where it was read from.
+    topics : dict of str to Topic
+        By full topic name.
+    complete : bool
+        False when the bag was cut off or is damaged.
+    notes : list of str
+        What a reader must know about it.
+    """
+
+    path: pathlib.Path
+    topics: dict[str, Topic] = field(default_factory=dict)
+    complete: bool = True
+    notes: list[str] = field(default_factory=list)
+    _count: int = 0
+
+    def add(self, name: str, type_name: str, time_ns: int, data: bytes) -> None:
+        """Append one message."""
+        topic = self.topics.get(name)
+        if topic is None:
+            topic = self.topics[name] = Topic(type_name)
+        if topic.type_name == type_name and type_name in KEPT_TYPES:
+            topic.data.append(bytes(data))
+            topic.times.append(time_ns)
+            topic.order.append(self._count)
+        self._count += 1
+
+    def __len__(self) -> int:
+        """Return the number of messages that were read."""
+        return self._count
+
+    def of_type(self, name: str, type_name: str) -> Topic | None:
+        """Return a topic that holds messages of the given type, or None."""
+        topic = self.topics.get(name)
+        return topic if topic is not None and topic.type_name == type_name and topic.data else None
+
+
+def read_bag(path) -> Bag:
+    """Read a bag.
+
+    Parameters
+    ----------
+    path : path-like
+        A folder with ``metadata.yaml`` (MCAP or sqlite3, also split and compressed), a folder without it (its
+        ``.mcap`` or ``.db3`` files are read), or one such file.
+
+    Raises
+    ------
+    RecordingError
+        There is no such path, it holds no bag, or nothing in it can be read.
+    """
+    path = pathlib.Path(path)
+    if path.is_dir():
+        return _read_folder(path)
+    if not path.exists():
+        raise RecordingError(f"{path}: no such file or folder; give the path of a recorded bag")
+    if path.suffix == ".mcap":
+        return _read_streams(path, [path], [])
+    if path.suffix == ".db3":
+        bag = Bag(path)
+        _read_with_rosbags(bag, path)
+        return bag
+    raise RecordingError(f"{path}: unknown kind of recording; give a bag folder, a .mcap, .db3, .npz or .csv file")
+
+
+def _read_folder(path: pathlib.Path) -> Bag:
+    streams = sorted(path.glob("*.mcap"), key=_natural)
+    databases = sorted(path.glob("*.db3"), key=_natural)
+    reason = None
+    if (path / "metadata.yaml").exists():
+        try:
+            bag = Bag(path)
+            _read_with_rosbags(bag, path)
+            return bag
+        except RecordingError as error:
+            reason = str(error)
+            if not streams:
+                raise
+    if streams:
+        note = f"read in file order because the index cannot be used ({reason})" if reason else None
+        return _read_streams(path, streams, [note] if note else ["metadata.yaml is missing: read in file order"])
+    if databases:
+        bag = Bag(path, notes=["metadata.yaml is missing"])
+        for database in databases:
+            _read_with_rosbags(bag, database)
+        return bag
+    raise RecordingError(f"{path}: not a bag: neither metadata.yaml nor .mcap or .db3 files in it")
+
+
+def _read_with_rosbags(bag: Bag, path: pathlib.Path) -> None:
+    try:
+        with Reader(path) as reader:
+            for connection in reader.connections:
+                bag.topics.setdefault(connection.topic, Topic(connection.msgtype))
+            wanted = [connection for connection in reader.connections if connection.msgtype in KEPT_TYPES]
+            if not wanted:
+                return
+            for connection, time_ns, data in reader.messages(wanted):
+                bag.add(connection.topic, connection.msgtype, time_ns, data)
+    except Exception as error:  # rosbags lets errors of sqlite, YAML, zstd and struct through
+        detail = " ".join(str(error).split()) or type(error).__name__
+        raise RecordingError(f"{path}: not a readable bag: {detail}") from None
+
+
+def _read_streams(path: pathlib.Path, files: list[pathlib.Path], notes: list[str]) -> Bag:
+    bag = Bag(path, notes=notes)
+    for file in files:
+        result = read_stream(file, bag.add)
+        bag.complete &= result.complete and not result.damaged_chunks
+        bag.notes += _stream_notes(file, result)
+    return bag
+
+
+def _stream_notes(file: pathlib.Path, result: StreamResult) -> list[str]:
+    notes = []
+    if result.damaged_chunks:
+        notes.append(f"{file.name}: {result.damaged_chunks} chunks are damaged and left out")
+    if not result.complete:
+        notes.append(
+            f"{file.name} was cut off: {result.whole} of {result.size} bytes are whole records, "
+            f"{result.salvaged} messages were taken from the chunk that was open"
+        )
+    return notes
+
+
+def _natural(path: pathlib.Path):
+    return [int(part) if part.isdigit() else part for part in re.split(r"(\d+)", path.name)]

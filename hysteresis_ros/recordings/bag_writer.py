@@ -1,0 +1,201 @@
+"""Bags written through ``rosbags`` as MCAP, in chunks that survive a kill."""
+
+from __future__ import annotations
+
+import pathlib
+
+from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.rosbag2.errors import WriterError
+
+from hysteresis_ros.errors import RecordingError
+from hysteresis_ros.recordings import cdr
+
+#: Bytes of messages after which a chunk is closed and handed to the operating system.
+CHUNK_BYTES = 256 * 1024
+
+_FOREVER = QosTime(2147483647, 4294967295)
+
+
+def offered_qos(durability: str = "volatile", depth: int = 1000) -> tuple[Qos, ...]:
+    """Return what a bag says about a topic's publisher: reliable, keep last ``depth``, volatile or transient_local."""
+    kinds = {"volatile": QosDurability.VOLATILE, "transient_local": QosDurability.TRANSIENT_LOCAL}
+    if durability not in kinds:
+        raise RecordingError(f"durability = {durability!r}: must be one of {', '.join(kinds)}")
+    return (
+        Qos(
+            history=QosHistory.KEEP_LAST,
+            depth=depth,
+            reliability=QosReliability.RELIABLE,
+            durability=kinds[durability],
+            deadline=_FOREVER,
+            lifespan=_FOREVER,
+            liveliness=QosLiveliness.AUTOMATIC,
+            liveliness_lease_duration=_FOREVER,
+            avoid_ros_namespace_conventions=False,
+        ),
+    )
+
+
+class BagWriter:
+    """Writes one bag folder (``NAME/NAME.mcap`` and ``NAME/metadata.yaml``) that ``ros2 bag`` and MCAP tools open.
+
+    Messages collect in a chunk; a full chunk goes to the file at once, so a SIGKILL loses at most the open one. Call
+    :meth:`flush` now and then (the recorder does, once a second) so that a slow axis does not fill a chunk for minutes.
+
+    Parameters
+    ----------
+    path : path-like
+        Folder to create; it must not exist.
+    chunk_bytes : int
+        Size of a chunk before it is closed.
+
+    Raises
+    ------
+    RecordingError
+        The folder exists or cannot be created.
+
+    Examples
+    --------
+    >>> with BagWriter("run") as bag:                                                        # doctest: +SKIP
+    ...     bag.write_float64("/setpoint", 5e-6, time_ns=0)
+    """
+
+    def __init__(self, path, *, chunk_bytes: int = CHUNK_BYTES):
+        """Create the folder and open the file."""
+        self.path = pathlib.Path(path)
+        self.chunk_bytes = int(chunk_bytes)
+        self.message_count = 0
+        self._connections: dict[str, tuple[str, object]] = {}
+        self._encoders: dict[tuple[str, tuple[str, ...]], cdr.JointStateEncoder] = {}
+        self._open_bytes = 0
+        try:
+            self._writer = Writer(self.path, version=9, storage_plugin=StoragePlugin.MCAP)
+            self._writer.open()
+        except WriterError:
+            raise RecordingError(f"{self.path}: exists already; choose another name or remove it") from None
+        except OSError as error:
+            raise RecordingError(f"{self.path}: cannot be created: {error.strerror}; choose another place") from None
+
+    def __enter__(self) -> BagWriter:
+        """Return the writer."""
+        return self
+
+    def __exit__(self, *exception) -> None:
+        """Close the bag, also after an error: what was recorded is kept."""
+        self.close()
+
+    @property
+    def closed(self) -> bool:
+        """True after :meth:`close`."""
+        return self._writer is None
+
+    def add_topic(self, topic: str, type_name: str, durability: str = "volatile") -> None:
+        """Announce a topic; :meth:`write` does it by itself where volatile is right. A second time does nothing.
+
+        Raises
+        ------
+        RecordingError
+            The type is not known, or the topic has another one already.
+        """
+        if topic in self._connections:
+            known = self._connections[topic][0]
+            if known != type_name:
+                raise RecordingError(f"topic {topic} holds {known} and cannot take {type_name}")
+            return
+        if type_name not in cdr.typestore().types:
+            raise RecordingError(
+                f"topic {topic}: message type {type_name!r} is not known; use the types of ROS 2 Jazzy"
+            )
+        self._connections[topic] = (
+            type_name,
+            self._alive().add_connection(
+                topic, type_name, typestore=cdr.typestore(), offered_qos_profiles=offered_qos(durability)
+            ),
+        )
+
+    def write(self, topic: str, type_name: str, data: bytes, time_ns: int) -> None:
+        """Write one message that is serialised already.
+
+        Parameters
+        ----------
+        topic, type_name : str
+            Full topic name and type, such as ``/setpoint`` and ``std_msgs/msg/Float64``.
+        data : bytes
+            CDR with its four-byte header, as a raw subscription gives it.
+        time_ns : int
+            Time of reception [ns].
+
+        Raises
+        ------
+        RecordingError
+            The bag is closed, the disk is full, or see :meth:`add_topic`.
+        """
+        connection = self._connections.get(topic)
+        if connection is None or connection[0] != type_name:
+            self.add_topic(topic, type_name)
+            connection = self._connections[topic]
+        try:
+            self._alive().write(connection[1], int(time_ns), data)
+        except OSError as error:
+            raise RecordingError(f"{self.path}: cannot be written: {error.strerror}") from None
+        self.message_count += 1
+        self._open_bytes += len(data) + 31  # 31 bytes of record header around every message
+        if self._open_bytes >= self.chunk_bytes:
+            self.flush()
+
+    def write_float64(self, topic: str, value: float, time_ns: int) -> None:
+        """Write a std_msgs/Float64."""
+        self.write(topic, cdr.FLOAT64, cdr.encode_float64(value), time_ns)
+
+    def write_string(self, topic: str, text: str, time_ns: int) -> None:
+        """Write a std_msgs/String."""
+        self.write(topic, cdr.STRING, cdr.encode_string(text), time_ns)
+
+    def write_joint_state(self, topic: str, stamp_ns: int, names, positions, time_ns: int | None = None) -> None:
+        """Write a sensor_msgs/JointState with ``names`` and ``position``; received at its stamp unless told."""
+        key = (topic, tuple(names))
+        encoder = self._encoders.get(key)
+        if encoder is None:
+            encoder = self._encoders[key] = cdr.JointStateEncoder(names)
+        received = stamp_ns if time_ns is None else time_ns
+        self.write(topic, cdr.JOINT_STATE, encoder.encode(stamp_ns, positions), received)
+
+    def flush(self) -> None:
+        """Close the open chunk and hand it to the operating system: a kill of this process no longer loses it.
+
+        Raises
+        ------
+        RecordingError
+            The bag is closed or the disk is full.
+        """
+        storage = self._alive().storage
+        try:
+            # an empty chunk would carry no times and confuse readers
+            if self._open_bytes:
+                storage.close_chunk()
+            storage.bio.flush()
+        except OSError as error:
+            raise RecordingError(f"{self.path}: cannot be written: {error.strerror}") from None
+        self._open_bytes = 0
+
+    def close(self) -> None:
+        """Write everything, the index and ``metadata.yaml``; doing it twice does nothing.
+
+        Raises
+        ------
+        RecordingError
+            The disk is full; what was flushed before stays readable.
+        """
+        if self._writer is None:
+            return
+        writer, self._writer = self._writer, None
+        try:
+            writer.close()
+        except OSError as error:
+            raise RecordingError(f"{self.path}: cannot be finished: {error.strerror}") from None
+
+    def _alive(self) -> Writer:
+        if self._writer is None:
+            raise RecordingError(f"{self.path}: the bag is closed already; open a new one")
+        return self._writer

@@ -1,0 +1,177 @@
+"""The dataset type every recording, simulation and analysis shares."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hysteresis_ros.errors import RecordingError
+
+#: Signals of a closed-loop run beside ``time``, in the order in which files hold them.
+COLUMNS = ("setpoint", "reference", "command", "voltage", "displacement", "measured", "estimated")
+
+#: SI units of the signals this package knows; ``1`` means dimensionless or in the model's own units.
+SIGNAL_UNITS = {
+    "time": "s",
+    "setpoint": "m",
+    "reference": "m",
+    "command": "m",
+    "voltage": "V",
+    "displacement": "m",
+    "measured": "m",
+    "estimated": "m",
+    "applied": "m",
+    "plant_voltage": "V",
+    "saturated": "1",
+    "switching": "1",
+    "disturbance": "1",
+}
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """Signals sampled at common instants.
+
+    Parameters
+    ----------
+    time : array_like, shape (N,)
+        Instants [s], finite and strictly increasing.
+    signals : dict of str to array_like, shape (N,)
+        Named signals in SI units; NaN where a sample of a signal is missing.
+    units : dict of str to str, optional
+        Unit of each signal; those of :data:`SIGNAL_UNITS` need not be given.
+    metadata : dict, optional
+        Whatever JSON can hold. Known keys: ``configuration`` (YAML text of the axis), ``notes`` (list of str),
+        ``missing_samples`` (int), ``timing`` (dict with ``rate_hz`` and ``jitter_p99_s``), ``namespace``, ``source``.
+
+    Raises
+    ------
+    RecordingError
+        A shape, a unit or the time axis is wrong; the message names the signal.
+    """
+
+    time: np.ndarray
+    signals: dict[str, np.ndarray]
+    units: dict[str, str] = field(default_factory=dict)
+    metadata: dict = field(default_factory=dict)
+
+    def __post_init__(self):
+        """Check and convert all columns."""
+        time = _column("time", self.time)
+        if not np.all(np.isfinite(time)):
+            raise RecordingError(
+                f"time[{_first(~np.isfinite(time))}] is not finite; every sample needs its instant [s]"
+            )
+        backwards = np.diff(time) <= 0.0
+        if np.any(backwards):
+            k = _first(backwards) + 1
+            raise RecordingError(
+                f"time[{k}] = {time[k]!r} s does not come after time[{k - 1}] = {time[k - 1]!r} s; "
+                "time must increase strictly"
+            )
+        signals, units = {}, {}
+        for name, values in self.signals.items():
+            if name == "time":
+                raise RecordingError("'time' is the time axis and cannot be a signal as well; give it as `time`")
+            column = _column(name, values)
+            if column.shape != time.shape:
+                raise RecordingError(
+                    f"signal '{name}' has {column.size} samples and time has {time.size}; both must agree"
+                )
+            unit = self.units.get(name, SIGNAL_UNITS.get(name))
+            if unit is None:
+                raise RecordingError(f"signal '{name}' has no unit; give units={{'{name}': 'm'}} or whatever it is in")
+            known = SIGNAL_UNITS.get(name, unit)
+            if unit != known:
+                raise RecordingError(f"signal '{name}' is given in '{unit}'; it must be in '{known}' (SI)")
+            signals[name], units[name] = column, unit
+        unused = sorted(set(self.units) - set(signals) - {"time"})
+        if unused:
+            raise RecordingError(f"units are given for {', '.join(unused)}, which is no signal of the recording")
+        object.__setattr__(self, "time", time)
+        object.__setattr__(self, "signals", signals)
+        object.__setattr__(self, "units", units)
+
+    @classmethod
+    def from_columns(cls, columns, metadata=None) -> Recording:
+        """Build a recording from a mapping that holds ``time`` among the columns, all of known names.
+
+        Raises
+        ------
+        RecordingError
+            ``time`` is missing, or see the class.
+        """
+        signals = dict(columns)
+        if "time" not in signals:
+            raise RecordingError(f"no column 'time'; the columns are {', '.join(signals) or 'none'}")
+        return cls(signals.pop("time"), signals, {}, dict(metadata or {}))
+
+    def __len__(self) -> int:
+        """Return the number of samples."""
+        return self.time.size
+
+    def __contains__(self, name: str) -> bool:
+        """Tell whether there is such a signal (or ``time``)."""
+        return name == "time" or name in self.signals
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        """Return the signal ``name`` (or ``time``), shape (N,).
+
+        Raises
+        ------
+        RecordingError
+            There is no such signal; the message lists those there are.
+        """
+        if name == "time":
+            return self.time
+        try:
+            return self.signals[name]
+        except KeyError:
+            there = ", ".join(["time", *self.signals])
+            raise RecordingError(f"the recording has no signal '{name}'; it has {there}") from None
+
+    def has(self, name: str) -> bool:
+        """Tell whether the signal is there with at least one finite value."""
+        return name in self and bool(np.any(np.isfinite(self[name])))
+
+    @property
+    def sample_time(self) -> float:
+        """Distance of two samples [s], missing ones counted; NaN with fewer than two samples.
+
+        The whole duration is divided: stamps are whole nanoseconds, and over 10⁶ samples the rounding of a single
+        distance would add up to a sample.
+        """
+        if len(self) < 2:
+            return float("nan")
+        distances = np.diff(self.time)
+        return float(np.sum(distances) / np.sum(np.maximum(np.rint(distances / np.median(distances)), 1.0)))
+
+    @property
+    def notes(self) -> list[str]:
+        """What a reader of the recording must know (displacement not true, samples missing, bag cut off …)."""
+        return list(self.metadata.get("notes", ()))
+
+    @property
+    def configuration(self) -> str:
+        """YAML text of the axis; empty when the recording does not hold it."""
+        return str(self.metadata.get("configuration", ""))
+
+    def run_columns(self) -> dict[str, np.ndarray]:
+        """Return ``time`` and the seven columns of a run, all NaN where the recording lacks one."""
+        absent = np.full(len(self), np.nan)
+        return {"time": self.time, **{name: self.signals.get(name, absent) for name in COLUMNS}}
+
+
+def _column(name: str, values) -> np.ndarray:
+    try:
+        column = np.ascontiguousarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise RecordingError(f"signal '{name}' does not hold numbers") from None
+    if np.ndim(values) != 1:
+        raise RecordingError(f"signal '{name}' has shape {np.shape(values)}; it must be one-dimensional")
+    return column
+
+
+def _first(mask) -> int:
+    return int(np.argmax(mask))

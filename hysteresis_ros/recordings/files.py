@@ -1,0 +1,66 @@
+"""One door for every kind of recording: the path says which format it is."""
+
+from __future__ import annotations
+
+import pathlib
+
+from hysteresis_ros.errors import RecordingError
+from hysteresis_ros.recordings.dataset import Recording
+from hysteresis_ros.recordings.tables import read_csv, read_npz, write_csv, write_npz
+
+
+def load_run(path, namespace: str | None = None) -> Recording:
+    """Read a run from ``.npz``, ``.csv``, a bag folder, a bare ``.mcap`` or a bare ``.db3`` file.
+
+    Parameters
+    ----------
+    path : path-like
+        The recording.
+    namespace : str, optional
+        Which axis of a bag; needed only when the bag holds several.
+
+    Raises
+    ------
+    RecordingError
+        The recording is missing, unreadable, lacks the signals, or holds several axes and none was chosen.
+    """
+    path = pathlib.Path(path)
+    if path.suffix.lower() == ".npz":
+        return read_npz(path)
+    if path.suffix.lower() == ".csv":
+        return read_csv(path)
+    # rosbags and mcap take a tenth of a second to import: only those who open a bag pay for it
+    from hysteresis_ros.recordings.align import read_recording
+
+    return read_recording(path, namespace)
+
+
+def save_run(recording: Recording, path, configuration: str | None = None) -> None:
+    """Write a run as ``.npz``, ``.csv`` or ``.mcap``; the suffix decides.
+
+    Parameters
+    ----------
+    recording : Recording
+        The run.
+    path : path-like
+        Where to; an existing table is replaced, an existing bag is not.
+    configuration : str, optional
+        YAML text of the axis for a bag; the one in the recording's metadata by default.
+
+    Raises
+    ------
+    RecordingError
+        The suffix is another, or the file cannot be written.
+    """
+    path = pathlib.Path(path)
+    suffix = path.suffix.lower()
+    if suffix == ".npz":
+        write_npz(recording, path)
+    elif suffix == ".csv":
+        write_csv(recording, path)
+    elif suffix == ".mcap":
+        from hysteresis_ros.recordings.run_bag import write_recording
+
+        write_recording(recording, path, configuration)
+    else:
+        raise RecordingError(f"{path}: unknown kind of file '{path.suffix}'; write .npz, .csv or .mcap")

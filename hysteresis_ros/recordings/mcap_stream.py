@@ -1,0 +1,165 @@
+"""MCAP read in file order: what is left of a bag whose writer was killed, up to its last whole message."""
+
+from __future__ import annotations
+
+import io
+import pathlib
+import struct
+from dataclasses import dataclass, field
+
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
+from mcap.records import Channel, Chunk, DataEnd, Message, Schema
+from mcap.stream_reader import StreamReader, get_chunk_data_stream
+
+from hysteresis_ros.errors import RecordingError
+
+MAGIC = b"\x89MCAP0\r\n"
+
+_RECORD = struct.Struct("<BQ")
+_MESSAGE = struct.Struct("<HIQQ")
+_CHUNK = struct.Struct("<QQQII")
+
+
+@dataclass
+class StreamResult:
+    """How reading ended.
+
+    Parameters
+    ----------
+    complete : bool
+        The end of the data section was reached.
+    size, whole : int
+        Bytes of the file, and bytes up to the last whole record.
+    salvaged : int
+        Messages taken from a chunk that was cut off.
+    damaged_chunks : int
+        Chunks inside the file that could not be unpacked.
+    """
+
+    complete: bool = False
+    size: int = 0
+    whole: int = 0
+    salvaged: int = 0
+    damaged_chunks: int = 0
+
+
+@dataclass
+class _Records:
+    """Follows schemas and channels and hands every message on."""
+
+    sink: object
+    schemas: dict = field(default_factory=dict)
+    channels: dict = field(default_factory=dict)
+    count: int = 0
+
+    def schema(self, record: Schema) -> None:
+        self.schemas[record.id] = record.name
+
+    def channel(self, record: Channel) -> None:
+        if record.message_encoding == "cdr":
+            self.channels[record.id] = (record.topic, self.schemas.get(record.schema_id, ""))
+
+    def message(self, channel_id: int, time_ns: int, data: bytes) -> None:
+        channel = self.channels.get(channel_id)
+        if channel is not None:
+            self.sink(*channel, time_ns, data)
+            self.count += 1
+
+    def walk(self, data: bytes) -> None:
+        """Go through the records of a chunk, up to the last whole one."""
+        cursor = 0
+        while cursor + _RECORD.size <= len(data):
+            opcode, length = _RECORD.unpack_from(data, cursor)
+            start, cursor = cursor + _RECORD.size, cursor + _RECORD.size + length
+            if cursor > len(data):
+                return
+            if opcode == Opcode.MESSAGE and length >= _MESSAGE.size:
+                channel_id, _, time_ns, _ = _MESSAGE.unpack_from(data, start)
+                self.message(channel_id, time_ns, data[start + _MESSAGE.size : cursor])
+            elif opcode == Opcode.SCHEMA:
+                self.schema(Schema.read(ReadDataStream(io.BytesIO(data[start:cursor]))))
+            elif opcode == Opcode.CHANNEL:
+                self.channel(Channel.read(ReadDataStream(io.BytesIO(data[start:cursor]))))
+
+
+def read_stream(path, sink) -> StreamResult:
+    """Hand every whole message of an MCAP file to ``sink(topic, type_name, time_ns, data)``, in file order.
+
+    Neither index nor footer is needed. A file that ends anywhere gives everything before that point, messages inside
+    a chunk that was cut off included.
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be opened or is no MCAP.
+    """
+    path = pathlib.Path(path)
+    result, records = StreamResult(), _Records(sink)
+    try:
+        stream = path.open("rb")
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read: {error.strerror}") from None
+    with stream:
+        result.size = stream.seek(0, io.SEEK_END)
+        stream.seek(0)
+        head = stream.read(len(MAGIC))
+        if not MAGIC.startswith(head):
+            raise RecordingError(f"{path}: not an MCAP file (it begins with {head!r}); give a recorded bag")
+        stream.seek(0)
+        result.whole = len(head)
+        # A damaged file makes the parser fail in any way (struct, UTF-8, decompression …); all of them mean "ends here"
+        try:
+            for record in StreamReader(stream, emit_chunks=True, record_size_limit=result.size).records:
+                _take(record, records, result)
+                result.whole = stream.tell()
+        except Exception:
+            if not result.complete:
+                before = records.count
+                stream.seek(result.whole)
+                _salvage(stream.read(), records)
+                result.salvaged = records.count - before
+    return result
+
+
+def _take(record, records: _Records, result: StreamResult) -> None:
+    if isinstance(record, Chunk):
+        try:
+            data = get_chunk_data_stream(record, validate_crc=True)[0]
+            records.walk(data.read(record.uncompressed_size))
+        except Exception:  # see read_stream; the next chunk may be sound
+            result.damaged_chunks += 1
+    elif isinstance(record, Schema):
+        records.schema(record)
+    elif isinstance(record, Channel):
+        records.channel(record)
+    elif isinstance(record, Message):
+        records.message(record.channel_id, record.log_time, record.data)
+    elif isinstance(record, DataEnd):
+        result.complete = True
+
+
+def _salvage(tail: bytes, records: _Records) -> None:
+    """Take the whole messages out of a chunk whose end is missing."""
+    if len(tail) < _RECORD.size + _CHUNK.size or tail[0] != Opcode.CHUNK:
+        return
+    name_length = _CHUNK.unpack_from(tail, _RECORD.size)[4]
+    name_start = _RECORD.size + _CHUNK.size
+    compression = tail[name_start : name_start + name_length]
+    data = tail[name_start + name_length + 8 :]
+    try:
+        records.walk(_unpacked(data, compression))
+    except Exception:  # see read_stream
+        return
+
+
+def _unpacked(data: bytes, compression: bytes) -> bytes:
+    if compression == b"zstd":
+        import zstandard
+
+        return zstandard.ZstdDecompressor().decompressobj().decompress(data)
+    if compression == b"lz4":
+        import lz4.frame
+
+        return lz4.frame.LZ4FrameDecompressor().decompress(data)
+    return data if compression == b"" else b""

@@ -1,0 +1,122 @@
+"""A simulated run as a bag: the topics, stamps and order of messages that the nodes would have published."""
+
+from __future__ import annotations
+
+import pathlib
+import shutil
+import tempfile
+
+import numpy as np
+
+from hysteresis_ros.errors import RecordingError
+from hysteresis_ros.recordings.bag_writer import BagWriter
+from hysteresis_ros.recordings.configured import configured
+from hysteresis_ros.recordings.dataset import Recording
+
+#: ``~/state`` of each node: name in the message → signal of the run.
+STATE_SIGNALS = {
+    "plant_simulator": {"displacement": "displacement", "measured": "measured", "voltage": "plant_voltage"},
+    "reference_generator": {"setpoint": "setpoint", "reference": "reference"},
+    "motion_controller": {
+        "reference": "reference",
+        "measured": "measured",
+        "estimated": "estimated",
+        "command": "command",
+        "switching": "switching",
+        "disturbance": "disturbance",
+    },
+    "hysteresis_compensator": {
+        "command": "command",
+        "voltage": "voltage",
+        "applied": "applied",
+        "saturated": "saturated",
+    },
+}
+
+#: Float64 topics, in the order in which a sample's messages follow each other.
+FLOAT_TOPICS = ("reference", "command", "applied", "voltage")
+
+
+def write_recording(
+    recording: Recording,
+    path,
+    configuration: str | None = None,
+    *,
+    namespace: str = "",
+    joint: str | None = None,
+    start_time_ns: int = 0,
+) -> None:
+    """Write a run as the bag the nodes would have left.
+
+    Parameters
+    ----------
+    recording : Recording
+        The run; signals it lacks (``applied``, ``switching`` …) are left out of the topics.
+    path : path-like
+        ``NAME.mcap`` gives that one file, anything else a bag folder. It must not exist.
+    configuration : str, optional
+        YAML text of the axis for ``configuration``; the recording's own by default.
+    namespace : str
+        Namespace of the axis.
+    joint : str, optional
+        Name of the joint in ``joint_states``; by default the one in the configuration, or ``piezo``.
+    start_time_ns : int
+        Stamp of the sample at time 0 [ns].
+
+    Raises
+    ------
+    RecordingError
+        The path exists or cannot be written.
+    """
+    path = pathlib.Path(path)
+    text = recording.configuration if configuration is None else configuration
+    joint = joint or str(configured(text, "plant_simulator", namespace).get("joint", "piezo"))
+    if path.suffix.lower() != ".mcap":
+        with BagWriter(path) as bag:
+            _write_topics(bag, recording, text, _prefix(namespace), joint, start_time_ns)
+        return
+    if path.exists():
+        raise RecordingError(f"{path}: exists already; choose another name or remove it")
+    try:
+        folder = pathlib.Path(tempfile.mkdtemp(prefix=f".{path.stem}-", dir=path.parent))
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be written: {error.strerror}; choose another place") from None
+    try:
+        with BagWriter(folder / path.stem) as bag:
+            _write_topics(bag, recording, text, _prefix(namespace), joint, start_time_ns)
+        (folder / path.stem / f"{path.stem}.mcap").rename(path)
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def _prefix(namespace: str) -> str:
+    stripped = namespace.strip("/")
+    return f"/{stripped}" if stripped else ""
+
+
+def _write_topics(bag, recording, configuration, prefix, joint, start_time_ns) -> None:
+    stamps = (np.rint(recording.time * 1e9).astype(np.int64) + int(start_time_ns)).tolist()
+    bag.add_topic(f"{prefix}/configuration", "std_msgs/msg/String", "transient_local")
+    if configuration:
+        bag.write_string(f"{prefix}/configuration", configuration, stamps[0] if stamps else int(start_time_ns))
+    values = {name: column.tolist() for name, column in recording.signals.items()}
+    values.setdefault("plant_voltage", values.get("voltage"))
+    states = []
+    for node, names in STATE_SIGNALS.items():
+        there = {name: values[signal] for name, signal in names.items() if values.get(signal) is not None}
+        if there:
+            columns = list(zip(*there.values(), strict=True))
+            states.append((f"{prefix}/{node}/state", tuple(there), columns))
+    floats = [(f"{prefix}/{name}", values[name]) for name in FLOAT_TOPICS if name in values]
+    measured = values.get("measured", values.get("displacement"))
+    setpoint, last = values.get("setpoint"), None
+    for k, stamp in enumerate(stamps):
+        if setpoint is not None and setpoint[k] != last and setpoint[k] == setpoint[k]:
+            last = setpoint[k]
+            bag.write_float64(f"{prefix}/setpoint", last, stamp)
+        if measured is not None:
+            bag.write_joint_state(f"{prefix}/joint_states", stamp, (joint,), (measured[k],))
+        for topic, column in floats:
+            bag.write_float64(topic, column[k], stamp)
+        for topic, names, columns in states:
+            bag.write_joint_state(topic, stamp, names, columns[k])

@@ -1,0 +1,177 @@
+"""Runs as tables: CSV with the unit of each column in the header, and NPZ. Floats come back bit for bit."""
+
+from __future__ import annotations
+
+import json
+import os
+import pathlib
+import re
+import zipfile
+
+import numpy as np
+
+from hysteresis_ros.errors import RecordingError
+from hysteresis_ros.recordings.dataset import SIGNAL_UNITS, Recording
+
+#: Units read beside the SI ones: name → (SI unit, number of them in one SI unit).
+SUBUNITS = {
+    "mm": ("m", 1e3),
+    "um": ("m", 1e6),
+    "µm": ("m", 1e6),
+    "μm": ("m", 1e6),
+    "nm": ("m", 1e9),
+    "ms": ("s", 1e3),
+    "us": ("s", 1e6),
+    "µs": ("s", 1e6),
+    "μs": ("s", 1e6),
+    "mV": ("V", 1e3),
+}
+
+_HEADER = re.compile(r"^\s*(?P<name>[^\[\]]+?)\s*\[(?P<unit>[^\[\]]*)\]\s*$")
+
+
+def write_csv(recording: Recording, path) -> None:
+    """Write ``time`` and all signals as CSV: one header line such as ``time [s],displacement [m]``, then numbers.
+
+    Numbers are written with as many digits as give the same float64 back. A plain table has no place for metadata:
+    the configuration and the notes stay behind.
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be written.
+    """
+    names = ["time", *recording.signals]
+    units = {"time": "s", **recording.units}
+    columns = [recording[name].tolist() for name in names]
+
+    def write(stream):
+        stream.write(",".join(f"{name} [{units[name]}]" for name in names) + "\n")
+        stream.writelines(",".join(map(repr, row)) + "\n" for row in zip(*columns, strict=True))
+
+    _replace(path, "w", write)
+
+
+def read_csv(path) -> Recording:
+    """Read a CSV table whose header gives each column as ``name [unit]``; lines that start with ``#`` are skipped.
+
+    SI units and their usual parts (µm, mm, nm, ms, µs, mV) are understood and become SI.
+
+    Raises
+    ------
+    RecordingError
+        The file is missing or unreadable, a header has no unit, a cell is no number, or there is no ``time``.
+    """
+    path = _existing(path)
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as stream:
+            header = next((line for line in stream if line.strip() and not line.startswith("#")), "")
+            cells = [cell.strip().strip('"') for cell in header.split(",")]
+            parts = [_named_column(path, cell) for cell in cells]
+            lines = [line for line in stream if line.strip()]
+        table = np.loadtxt(lines, delimiter=",", ndmin=2, dtype=np.float64) if lines else np.empty((0, len(parts)))
+    except (OSError, UnicodeDecodeError) as error:
+        raise RecordingError(f"{path}: cannot be read: {_reason(error)}") from None
+    except RecordingError:
+        raise
+    except ValueError as error:
+        raise RecordingError(f"{path}: not a table of numbers: {error}") from None
+    if table.shape[1] != len(parts):
+        raise RecordingError(f"{path}: rows have {table.shape[1]} numbers and the header {len(parts)} columns")
+    names = [name for name, _, _ in parts]
+    repeated = {name for name in names if names.count(name) > 1}
+    if repeated:
+        raise RecordingError(f"{path}: column {', '.join(sorted(repeated))} appears more than once")
+    columns = {
+        name: table[:, i].copy() if divisor == 1.0 else table[:, i] / divisor
+        for i, (name, _, divisor) in enumerate(parts)
+    }
+    return _assemble(path, columns, {name: unit for name, unit, _ in parts}, {})
+
+
+def write_npz(recording: Recording, path) -> None:
+    """Write a compressed NPZ: one array per column, and ``units`` and ``metadata`` as JSON text.
+
+    ``numpy.load(path)["displacement"]`` gives a column without this package.
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be written.
+    """
+    units = json.dumps({"time": "s", **recording.units}, ensure_ascii=False)
+    metadata = json.dumps(recording.metadata, ensure_ascii=False)
+    reserved = {"units", "metadata"} & set(recording.signals)
+    if reserved:
+        raise RecordingError(f"a signal may not be called {', '.join(sorted(reserved))} in an NPZ file; rename it")
+
+    def write(stream):
+        np.savez_compressed(
+            stream, time=recording.time, **recording.signals, units=np.array(units), metadata=np.array(metadata)
+        )
+
+    _replace(path, "wb", write)
+
+
+def read_npz(path) -> Recording:
+    """Read an NPZ written by :func:`write_npz`, or any with one-dimensional arrays of the known column names.
+
+    Raises
+    ------
+    RecordingError
+        The file is missing, unreadable, or its arrays are no recording.
+    """
+    path = _existing(path)
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            arrays = {name: archive[name] for name in archive.files}
+        units = json.loads(str(arrays.pop("units", "{}")))
+        metadata = json.loads(str(arrays.pop("metadata", "{}")))
+    except (OSError, ValueError, EOFError, KeyError, AttributeError, zipfile.BadZipFile) as error:
+        raise RecordingError(f"{path}: not a readable NPZ file: {_reason(error)}") from None
+    return _assemble(path, arrays, units, metadata)
+
+
+def _assemble(path, columns, units, metadata) -> Recording:
+    if "time" not in columns:
+        raise RecordingError(f"{path}: no column 'time'; the columns are {', '.join(columns) or 'none'}")
+    time = columns.pop("time")
+    if units.pop("time", "s") != "s":
+        raise RecordingError(f"{path}: the column 'time' must be in seconds; write 'time [s]'")
+    try:
+        return Recording(time, columns, units, metadata)
+    except RecordingError as error:
+        raise RecordingError(f"{path}: {error}") from None
+
+
+def _named_column(path, cell):
+    match = _HEADER.match(cell)
+    if match is None:
+        example = f"{cell or 'displacement'} [{SIGNAL_UNITS.get(cell, 'm')}]"
+        raise RecordingError(f"{path}: column '{cell}' has no unit in the header; write it like '{example}'")
+    unit, divisor = SUBUNITS.get(match["unit"].strip(), (match["unit"].strip(), 1.0))
+    return match["name"], unit, divisor
+
+
+def _existing(path) -> pathlib.Path:
+    path = pathlib.Path(path)
+    if not path.is_file():
+        raise RecordingError(f"{path}: no such file; give the path of a recording")
+    return path
+
+
+def _replace(path, mode, write) -> None:
+    """Write beside the target and rename, so that a failure never leaves half a file under its name."""
+    path = pathlib.Path(path)
+    partial = path.with_name(path.name + ".partial")
+    try:
+        with partial.open(mode, encoding=None if "b" in mode else "utf-8") as stream:
+            write(stream)
+        os.replace(partial, path)
+    except OSError as error:
+        partial.unlink(missing_ok=True)
+        raise RecordingError(f"{path}: cannot be written: {_reason(error)}; choose another place") from None
+
+
+def _reason(error) -> str:
+    return getattr(error, "strerror", None) or str(error) or type(error).__name__

@@ -1,0 +1,399 @@
+"""Bags: what the nodes publish becomes the columns of a run, whoever wrote the bag and however it ended."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from rosbags.rosbag2 import Reader, StoragePlugin, Writer
+from rosbags.rosbag2.enums import CompressionFormat, CompressionMode
+
+from hysteresis_ros.errors import RecordingError
+from hysteresis_ros.recordings import COLUMNS, Recording, cdr
+from hysteresis_ros.recordings.align import align, read_recording, setpoints_per_sample
+from hysteresis_ros.recordings.bag_reader import read_bag
+from hysteresis_ros.recordings.bag_writer import BagWriter
+from hysteresis_ros.recordings.run_bag import write_recording
+
+RATE = 3000.0
+CONFIGURATION = "/**:\n  ros__parameters: {joint: extender}\n"
+
+
+def make_run(samples=300, seed=1):
+    random = np.random.default_rng(seed)
+    time = np.rint(np.arange(samples) * 1e9 / RATE) / 1e9
+    columns = {name: random.normal(size=samples) * 1e-6 for name in (*COLUMNS, "applied", "switching", "saturated")}
+    columns["setpoint"] = np.repeat([0.0, 5e-6, 2e-6], samples // 3 + 1)[:samples]
+    return Recording.from_columns({"time": time, **columns}, {"configuration": CONFIGURATION})
+
+
+def assert_same_run(back, original, samples=None):
+    count = len(original) if samples is None else samples
+    assert len(back) == count
+    assert list(back.signals) == list(COLUMNS)
+    for name in ("time", *COLUMNS):
+        assert back[name].tobytes() == original[name][:count].tobytes(), name
+
+
+def copy_bag(source, target, plugin, compression=CompressionMode.NONE):
+    with Reader(source) as reader:
+        writer = Writer(target, version=9, storage_plugin=plugin)
+        writer.set_compression(compression, CompressionFormat.ZSTD)
+        with writer:
+            connections = {
+                connection.topic: writer.add_connection(connection.topic, connection.msgtype, typestore=cdr.typestore())
+                for connection in reader.connections
+            }
+            for connection, time_ns, data in reader.messages():
+                writer.write(connections[connection.topic], time_ns, data)
+
+
+@pytest.mark.parametrize("name", ["bag", "bag.mcap"])
+def test_a_run_survives_a_bag_bit_for_bit(tmp_path, name):
+    original = make_run()
+    write_recording(original, tmp_path / name, namespace="left", start_time_ns=1_700_000_000_123_456_789)
+    back = read_recording(tmp_path / name)
+    assert_same_run(back, original)
+    assert back.configuration == CONFIGURATION
+    assert back.metadata["namespace"] == "/left"
+    assert back.metadata["missing_samples"] == 0
+    assert back.metadata["messages"]["/left/applied"] == len(original)
+    assert back.metadata["complete"]
+    assert sorted(tmp_path.iterdir()) == [tmp_path / name]
+
+
+def test_a_bag_has_the_topics_of_the_nodes(tmp_path):
+    write_recording(make_run(), tmp_path / "bag")
+    with Reader(tmp_path / "bag") as reader:
+        topics = {connection.topic: connection.msgtype.split("/")[-1] for connection in reader.connections}
+        messages = {
+            connection.topic: cdr.typestore().deserialize_cdr(data, connection.msgtype)
+            for connection, _, data in reader.messages()
+        }
+    floats = {f"/{name}": "Float64" for name in ("setpoint", "reference", "command", "applied", "voltage")}
+    nodes = ("plant_simulator", "reference_generator", "motion_controller", "hysteresis_compensator")
+    states = {f"/{node}/state": "JointState" for node in nodes}
+    assert topics == {**floats, **states, "/joint_states": "JointState", "/configuration": "String"}
+    assert messages["/joint_states"].name == ["extender"]
+    assert messages["/plant_simulator/state"].name == ["displacement", "measured", "voltage"]
+    assert messages["/joint_states"].header.stamp.nanosec == round(299e9 / RATE)
+
+
+@pytest.mark.parametrize("plugin", [StoragePlugin.SQLITE3, StoragePlugin.MCAP])
+@pytest.mark.parametrize("compression", [CompressionMode.NONE, CompressionMode.FILE, CompressionMode.MESSAGE])
+def test_bags_of_ros2_bag_record_are_read(tmp_path, plugin, compression):
+    original = make_run()
+    write_recording(original, tmp_path / "bag")
+    copy_bag(tmp_path / "bag", tmp_path / "copy", plugin, compression)
+    assert_same_run(read_recording(tmp_path / "copy"), original)
+
+
+def test_a_database_without_metadata_is_read(tmp_path):
+    original = make_run()
+    write_recording(original, tmp_path / "bag")
+    copy_bag(tmp_path / "bag", tmp_path / "copy", StoragePlugin.SQLITE3)
+    (tmp_path / "copy" / "metadata.yaml").unlink()
+    assert_same_run(read_recording(tmp_path / "copy"), original)
+    assert_same_run(read_recording(tmp_path / "copy" / "copy.db3"), original)
+
+
+def test_what_was_flushed_survives_a_kill(tmp_path):
+    """A writer that is never closed leaves what a killed process leaves: neither index nor metadata.yaml."""
+    writer = BagWriter(tmp_path / "bag", chunk_bytes=1000)
+    for k in range(200):
+        writer.write_float64("/setpoint", float(k), k)
+    on_disk = (tmp_path / "bag" / "bag.mcap").read_bytes()
+    (tmp_path / "killed.mcap").write_bytes(on_disk)
+    values = cdr.decode_float64s(read_bag(tmp_path / "killed.mcap").topics["/setpoint"].data, "/setpoint")
+    per_chunk = -(-1000 // 43)
+    assert values.tolist() == list(range(200 // per_chunk * per_chunk))
+    writer.flush()
+    (tmp_path / "killed.mcap").write_bytes((tmp_path / "bag" / "bag.mcap").read_bytes())
+    assert len(read_bag(tmp_path / "killed.mcap")) == 200
+    writer.close()
+    assert len(read_bag(tmp_path / "bag")) == 200
+
+
+@pytest.fixture(scope="module", params=["", "zstd"])
+def stream(request, tmp_path_factory):
+    """An MCAP of many chunks, as bytes, with the place at which each chunk ends and the messages there are by then."""
+    folder = tmp_path_factory.mktemp("stream")
+    writer = Writer(folder / "bag", version=9, storage_plugin=StoragePlugin.MCAP)
+    if request.param:
+        writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
+    ends = [(0, 0)]
+    with writer:
+        connection = writer.add_connection("/voltage", cdr.FLOAT64, typestore=cdr.typestore())
+        for k in range(120):
+            writer.write(connection, k, cdr.encode_float64(k / 7))
+            if k % 10 == 9:
+                writer.storage.close_chunk()
+                ends.append((writer.storage.bio.tell(), k + 1))
+    return (folder / "bag" / "bag.mcap").read_bytes(), ends
+
+
+@settings(max_examples=150)
+@given(data=st.data())
+def test_a_file_cut_anywhere_gives_all_its_whole_chunks(stream, tmp_path_factory, data):
+    content, ends = stream
+    cut = data.draw(st.integers(0, len(content) - 1))
+    path = tmp_path_factory.mktemp("cut") / "cut.mcap"
+    path.write_bytes(content[:cut])
+    bag = read_bag(path)
+    topic = bag.topics.get("/voltage")
+    values = cdr.decode_float64s(topic.data, "/voltage").tolist() if topic else []
+    whole = max(count for end, count in ends if end <= cut)
+    assert whole <= len(values) <= whole + 10
+    assert values == [k / 7 for k in range(len(values))]
+    if len(values) < 120:
+        assert not bag.complete and "cut off" in bag.notes[0]
+
+
+def test_an_uncompressed_chunk_gives_its_messages_up_to_the_last_whole_one(tmp_path):
+    with BagWriter(tmp_path / "bag") as writer:
+        for k in range(100):
+            writer.write_float64("/voltage", float(k), k)
+    content = (tmp_path / "bag" / "bag.mcap").read_bytes()
+    record = cdr.encode_float64(57.0)
+    place = content.index(record) + len(record)
+    for cut, count in ((place, 58), (place - 1, 57), (place + 1, 58)):
+        (tmp_path / "cut.mcap").write_bytes(content[:cut])
+        assert len(read_bag(tmp_path / "cut.mcap")) == count
+
+
+@settings(max_examples=100)
+@given(data=st.data())
+def test_damage_inside_a_file_is_never_a_traceback(stream, tmp_path_factory, data):
+    content, _ = stream
+    place = data.draw(st.integers(8, len(content) - 1))
+    damage = data.draw(st.binary(min_size=1, max_size=20))
+    path = tmp_path_factory.mktemp("damaged") / "damaged.mcap"
+    path.write_bytes(content[:place] + damage + content[place + len(damage) :])
+    try:
+        read_bag(path)
+    except RecordingError as error:
+        assert str(path) in str(error)
+
+
+@pytest.mark.parametrize("part", [0.3, 0.5, 0.9, 0.999])
+def test_a_run_cut_off_is_a_shorter_run(tmp_path, part):
+    original = make_run()
+    write_recording(original, tmp_path / "bag")
+    file = tmp_path / "bag" / "bag.mcap"
+    file.write_bytes(file.read_bytes()[: int(part * file.stat().st_size)])
+    with_metadata = read_recording(tmp_path / "bag")
+    (tmp_path / "bag" / "metadata.yaml").unlink()
+    back = read_recording(tmp_path / "bag")
+    assert_same_run(back, original, len(back))
+    assert_same_run(with_metadata, original, len(back))
+    assert len(back) > 0.9 * part * len(original) - 2
+    assert back.metadata["missing_samples"] == 0
+    if part < 0.9:
+        assert not back.metadata["complete"]
+
+
+def axis(bag, prefix, samples=50, nodes=True, lost=(), received=lambda k: k * 1_000_000):
+    for k in range(samples):
+        stamp, time = k * 1_000_000, received(k)
+        if k == 10:
+            bag.write_float64(f"{prefix}/setpoint", 5e-6, time)
+        if k not in lost:
+            bag.write_joint_state(f"{prefix}/joint_states", stamp, ("stage", "other"), (1e-6 * k, 9.0), time)
+        bag.write_float64(f"{prefix}/reference", 2e-6 * k, time)
+        bag.write_float64(f"{prefix}/voltage", 3.0 * k, time)
+        if nodes:
+            bag.write_joint_state(
+                f"{prefix}/reference_generator/state",
+                stamp,
+                ("reference", "setpoint"),
+                (2e-6 * k, 5e-6 if k >= 10 else 0.0),
+                time,
+            )
+
+
+def test_several_axes_need_a_choice(tmp_path):
+    with BagWriter(tmp_path / "bag") as bag:
+        axis(bag, "/left")
+        axis(bag, "")
+        axis(bag, "/lab/right", samples=20)
+    with pytest.raises(RecordingError, match=r"several axes \(/, /lab/right, /left\); choose one with --namespace"):
+        read_recording(tmp_path / "bag")
+    for spelling in ("lab/right", "/lab/right/"):
+        assert len(read_recording(tmp_path / "bag", spelling)) == 20
+    assert len(read_recording(tmp_path / "bag", "/")) == 50
+    with pytest.raises(RecordingError, match="no axis in namespace '/up'; there is /, /lab/right, /left"):
+        read_recording(tmp_path / "bag", "up")
+
+
+def test_hardware_without_state_topics_is_aligned_by_order(tmp_path):
+    with BagWriter(tmp_path / "bag") as bag:
+        axis(bag, "", nodes=False)
+    run = read_recording(tmp_path / "bag")
+    assert run["reference"].tolist() == [2e-6 * k for k in range(50)]
+    assert run["voltage"].tolist() == [3.0 * k for k in range(50)]
+    assert run["measured"].tolist() == run["displacement"].tolist() == [1e-6 * k for k in range(50)]
+    assert np.isnan(run["setpoint"][:10]).all() and (run["setpoint"][10:] == 5e-6).all()
+    assert any("no true displacement" in note for note in run.notes)
+    assert any("not in the bag: command, estimated" in note for note in run.notes)
+
+
+def test_lost_samples_are_counted_and_the_rest_stays_aligned(tmp_path):
+    with BagWriter(tmp_path / "bag") as bag:
+        axis(bag, "", lost=(7, 20, 21))
+    run = read_recording(tmp_path / "bag")
+    there = [k for k in range(50) if k not in (7, 20, 21)]
+    assert run.metadata["missing_samples"] == 3
+    assert np.rint(run.time * 1000).tolist() == there
+    assert run["reference"].tolist() == [2e-6 * k for k in there]
+
+
+def test_a_lost_state_message_is_a_missing_sample(tmp_path):
+    with BagWriter(tmp_path / "bag") as bag:
+        for k in range(30):
+            bag.write_joint_state("/joint_states", k * 1000, ("piezo",), (0.0,))
+            if k != 11:
+                bag.write_joint_state("/motion_controller/state", k * 1000, ("command", "estimated"), (k, -k))
+    run = read_recording(tmp_path / "bag")
+    assert run.metadata["missing_samples"] == 1
+    assert run.metadata["missing"] == {"command": 1, "estimated": 1}
+    assert np.flatnonzero(np.isnan(run["command"])).tolist() == [11]
+    assert np.nansum(run["estimated"]) == -(29 * 30 / 2 - 11)
+
+
+def test_an_incomplete_end_is_left_out_and_counts_only_in_a_bag_that_was_closed(tmp_path):
+    with BagWriter(tmp_path / "bag") as bag:
+        for k in range(30):
+            bag.write_joint_state("/joint_states", k * 1000, ("piezo",), (0.0,))
+            if k < 28:
+                bag.write_joint_state("/motion_controller/state", k * 1000, ("command",), (k,))
+    run = read_recording(tmp_path / "bag")
+    assert len(run) == 28 and run.metadata["missing_samples"] == 2
+    assert any("last 2 samples are incomplete" in note for note in run.notes)
+    file = tmp_path / "bag" / "bag.mcap"
+    (tmp_path / "killed.mcap").write_bytes(file.read_bytes()[:-3000])
+    killed = read_recording(tmp_path / "killed.mcap")
+    assert not killed.metadata["complete"] and killed.metadata["missing_samples"] == 0
+
+
+def test_rate_and_jitter_come_from_the_times_of_reception(tmp_path):
+    late = {25: 400_000}
+    with BagWriter(tmp_path / "bag") as bag:
+        axis(bag, "", received=lambda k: 5_000 + 2_000_000 * k + late.get(k, 0))
+    timing = read_recording(tmp_path / "bag").metadata["timing"]
+    assert timing["rate_hz"] == pytest.approx(500.0)
+    assert timing["jitter_p99_s"] == pytest.approx(400e-6)
+
+
+def test_setpoints_are_given_for_every_sample_of_a_replay(tmp_path):
+    with BagWriter(tmp_path / "bag") as bag:
+        axis(bag, "", lost=(7, 20, 21))
+    setpoints = setpoints_per_sample(read_recording(tmp_path / "bag"))
+    assert setpoints.tolist() == [0.0] * 10 + [5e-6] * 40
+
+
+def test_of_several_runs_the_longest_is_shown(tmp_path):
+    with BagWriter(tmp_path / "bag") as bag:
+        axis(bag, "", samples=20)
+        axis(bag, "", samples=40, received=lambda k: (k + 20) * 1_000_000)
+    run = read_recording(tmp_path / "bag")
+    assert len(run) == 40
+    assert run["reference"].tolist() == [2e-6 * k for k in range(40)]
+    assert any("went back 1 times" in note for note in run.notes)
+
+
+def test_a_wrong_joint_is_named(tmp_path):
+    with BagWriter(tmp_path / "bag") as bag:
+        bag.write_string("/configuration", CONFIGURATION, 0)
+        axis(bag, "")
+    with pytest.raises(RecordingError, match="joint 'extender' .* it has stage, other"):
+        read_recording(tmp_path / "bag")
+
+
+def test_a_configuration_that_is_no_configuration_does_no_harm(tmp_path):
+    with BagWriter(tmp_path / "bag") as bag:
+        bag.write_string("/configuration", "{ not yaml", 0)
+        axis(bag, "")
+    assert read_recording(tmp_path / "bag").configuration == "{ not yaml"
+
+
+def test_damaged_messages_are_named(tmp_path):
+    with BagWriter(tmp_path / "bag") as bag:
+        bag.write("/joint_states", cdr.JOINT_STATE, b"\x00\x01\x00\x00\x05", 0)
+    with pytest.raises(RecordingError, match="/joint_states is no sensor_msgs/msg/JointState"):
+        read_recording(tmp_path / "bag")
+
+
+def test_names_that_change_are_followed():
+    first = cdr.JointStateEncoder(("a", "b")).encode(1, (1.0, 2.0))
+    second = cdr.JointStateEncoder(("b", "long name"), frame_id="map").encode(-1_500_000_000, (3.0, 4.0))
+    states = cdr.decode_joint_states([first, second], "/joint_states")
+    assert states.names == ("a", "b", "long name")
+    assert states.stamps.tolist() == [1, -1_500_000_000]
+    assert np.array_equal(states.positions, [[1.0, 2.0, np.nan], [np.nan, 3.0, 4.0]], equal_nan=True)
+
+
+@given(
+    names=st.lists(st.text(max_size=9), min_size=1, max_size=5, unique=True),
+    stamp=st.integers(-(2**60), 2**60),
+    value=st.floats(allow_nan=False),
+)
+def test_messages_are_what_the_type_store_makes_of_them(names, stamp, value):
+    names = [name.replace("\x00", "0") for name in names]
+    raw = cdr.JointStateEncoder(names).encode(stamp, [value] * len(names))
+    message = cdr.typestore().deserialize_cdr(raw, cdr.JOINT_STATE)
+    assert message.name == names and message.position.tolist() == [value] * len(names)
+    assert message.header.stamp.sec * 10**9 + message.header.stamp.nanosec == stamp
+    both = cdr.decode_joint_states([raw, raw], "/joint_states")
+    assert both.stamps.tolist() == [stamp, stamp] and (both.positions == value).all()
+
+
+def test_diagnostics_are_read(tmp_path):
+    kinds = cdr.typestore().types
+    stamp = kinds["builtin_interfaces/msg/Time"](sec=3, nanosec=5)
+    status = kinds["diagnostic_msgs/msg/DiagnosticStatus"](
+        level=1,
+        name="motion_controller",
+        message="stale",
+        hardware_id="",
+        values=[kinds["diagnostic_msgs/msg/KeyValue"](key="rate", value="999.8")],
+    )
+    message = kinds[cdr.DIAGNOSTICS](header=kinds["std_msgs/msg/Header"](stamp=stamp, frame_id=""), status=[status])
+    raw = bytes(cdr.typestore().serialize_cdr(message, cdr.DIAGNOSTICS))
+    rows = cdr.decode_diagnostics([raw], "/diagnostics")
+    assert rows == [(3_000_000_005, "motion_controller", 1, "stale", {"rate": "999.8"})]
+
+
+def test_writer_refuses_what_it_cannot_do(tmp_path):
+    with BagWriter(tmp_path / "bag") as bag:
+        bag.write_float64("/voltage", 1.0, 0)
+        with pytest.raises(RecordingError, match=r"holds std_msgs/msg/Float64 and cannot take"):
+            bag.write_string("/voltage", "a", 0)
+        with pytest.raises(RecordingError, match="is not known"):
+            bag.write("/other", "my_msgs/msg/Unknown", b"", 0)
+    with pytest.raises(RecordingError, match="closed already"):
+        bag.write_float64("/voltage", 1.0, 0)
+    with pytest.raises(RecordingError, match="exists already"):
+        BagWriter(tmp_path / "bag")
+    with pytest.raises(RecordingError, match="exists already"):
+        write_recording(make_run(), tmp_path / "bag")
+    (tmp_path / "file").write_text("")
+    with pytest.raises(RecordingError, match="cannot be created"):
+        BagWriter(tmp_path / "file" / "bag")
+
+
+def test_paths_that_are_no_bags_are_named(tmp_path):
+    with pytest.raises(RecordingError, match="not a bag"):
+        read_bag(tmp_path)
+    (tmp_path / "text.mcap").write_text("hello world")
+    with pytest.raises(RecordingError, match="not an MCAP file"):
+        read_bag(tmp_path / "text.mcap")
+    (tmp_path / "text.db3").write_text("hello world")
+    with pytest.raises(RecordingError, match="not a readable bag"):
+        read_bag(tmp_path / "text.db3")
+    (tmp_path / "metadata.yaml").write_text("[")
+    (tmp_path / "text.mcap").unlink()
+    with pytest.raises(RecordingError, match="not a readable bag"):
+        read_bag(tmp_path)
+    with BagWriter(tmp_path / "empty") as bag:
+        bag.write_string("/chatter", "hello", 0)
+    with pytest.raises(RecordingError, match=r"no axis in it.*topics: /chatter"):
+        align(read_bag(tmp_path / "empty"))
