@@ -92,6 +92,15 @@ def kernel(function):
         return numba.njit(forceinline=True, **_OPTIONS)(function)
 
 
+def nested(function):
+    """Mark a composite that other composites call: compiled with them, and never cached by itself.
+
+    A cache entry for "this function with that kernel as argument" would hold a weak reference to the kernel, which
+    breaks the cache when the kernel is gone. Do not call it from Python with kernels; call ``interpreted(function)``.
+    """
+    return numba.njit(error_model="numpy")(function) if COMPILED else function
+
+
 def interpreted(function):
     """Return the Python form of a composite, for callers that call it once per sample."""
     return getattr(function, "py_func", function)
@@ -113,7 +122,7 @@ def signature(*names: str):
         "kernel": numba.types.FunctionType(scalar(array, array, scalar)),
         "controller": numba.types.FunctionType(scalar(array, array, scalar, scalar)),
     }
-    kinds["inverse"] = numba.types.FunctionType(scalar(kinds["kernel"], array, array, array, array, scalar))
+    kinds["inverse"] = numba.types.FunctionType(scalar(kinds["kernel"], *4 * (array,), scalar))
 
     def kind(name):
         if name.startswith("arrays:"):
@@ -149,6 +158,10 @@ def compiled(function):
         with _cache_directory():
             _compiled[function] = numba.njit(signature(*function.composite_signature), **_OPTIONS)(function)
     return _compiled[function]
+
+
+#: Words of the signature of every inverse: ``inverse(hysteresis, p_i, x_i, p_h, x_h, displacement)``.
+INVERSE = ("scalar", "kernel", "array", "array", "array", "array", "scalar")
 
 
 @composite("void", "kernel", "array", "array", "array", "array")

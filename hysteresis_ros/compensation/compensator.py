@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hysteresis_ros.block import interpreted, kernel
+from hysteresis_ros.block import compiled, interpreted, nested
 from hysteresis_ros.compensation.creep import creep_inverse
 from hysteresis_ros.compensation.duhem import inverse_duhem
 from hysteresis_ros.compensation.general import general
@@ -46,6 +46,8 @@ INVERSES = {
     "multiplicative": multiplicative,
     "duhem": inverse_duhem,
 }
+#: Inverses that try the model's kernel; all others are closed forms, which do not use it.
+TRYING = (picard, general)
 #: ``general`` searches this part of the range of the limits beyond its ends, so that saturation shows.
 SEARCH_MARGIN = 0.1
 
@@ -107,7 +109,7 @@ class CompensatorParameters(Parameters):
             yield Problem("inverse.type", kind, allowed)
 
 
-@kernel
+@nested
 def compensator_hold(hysteresis, ps, xs, voltage):
     """Put out ``voltage`` [V] as far as the limits allow, let the model follow, and return what is put out [V]."""
     limited = limits(ps[LIMITS], xs[LIMITS], voltage)
@@ -115,7 +117,7 @@ def compensator_hold(hysteresis, ps, xs, voltage):
     return limited
 
 
-@kernel
+@nested
 def compensator_step(hysteresis, inverse, ps, xs, command):
     """Voltage [V] for the displacement ``command`` [m]; the displacement really carried out is left in ``xs[3][0]``.
 
@@ -133,6 +135,18 @@ def compensator_step(hysteresis, inverse, ps, xs, command):
     limited = limits(ps[LIMITS], xs[LIMITS], voltage)
     out[APPLIED] = creep(ps[CREEP], xs[CREEP], hysteresis(ps[HYSTERESIS], xs[HYSTERESIS], limited))
     return limited
+
+
+def inverse_step(inverse):
+    """Return an inverse for calls from Python, once per sample, with the arguments of every inverse.
+
+    Handed over from Python, a kernel would become part of the type of what is called: machine code would be made anew
+    in every process, and Numba cannot keep it in its cache. So an inverse that tries the kernel gets it as a
+    first-class function, and a closed form a number in its place.
+    """
+    if inverse in TRYING:
+        return compiled(inverse)
+    return lambda hysteresis, *arguments: inverse(0.0, *arguments)
 
 
 class Compensator:
@@ -161,7 +175,9 @@ class Compensator:
         self.hysteresis = self._model(parameters)
         self.hysteresis_kernel = self.hysteresis.kernel
         self.creep = Creep(self._creep(parameters), sample_time)
-        self.inverse_kernel = INVERSES[parameters.inverse.type] or self.hysteresis.inverse
+        inverse = INVERSES[parameters.inverse.type] or self.hysteresis.inverse
+        self.inverse_kernel = compiled(inverse) if inverse in TRYING else inverse
+        self._inverse_step = inverse_step(inverse)
         self.ps = (self._pack_inverse(), self.hysteresis.p, self.limits.p, self._pack_out(), self.creep.p)
         scratch = np.zeros(len(self.hysteresis.x) + 2)
         self.xs = (scratch, self.hysteresis.x, self.limits.x, np.zeros(3), self.creep.x)
@@ -201,7 +217,7 @@ class Compensator:
     def step(self, command: float) -> float:
         """Return the voltage [V] for the displacement ``command`` [m] wanted from the hysteresis element."""
         return interpreted(compensator_step)(
-            self.hysteresis_kernel, self.inverse_kernel, self.ps, self.xs, float(command)
+            self.hysteresis_kernel, self._inverse_step, self.ps, self.xs, float(command)
         )
 
     def hold(self, voltage: float) -> float:
@@ -267,7 +283,7 @@ class Compensator:
             return 0.0  # the slew rate keeps the voltage from jumping
         p, x = self.hysteresis.p, self.hysteresis.x
         wanted = creep_inverse(self.creep.p, self.creep.x, self.xs[OUT][COMMAND])
-        now = self.inverse_kernel(self.hysteresis_kernel, self.ps[INVERSE], self.xs[INVERSE], p, x, wanted)
+        now = self._inverse_step(self.hysteresis_kernel, self.ps[INVERSE], self.xs[INVERSE], p, x, wanted)
         last, given = self.limits.x[UNQUANTISED], self.parameters.limits
         if now >= given.maximum <= last or now <= given.minimum >= last:
             return 0.0  # at the same end of the range as before

@@ -6,7 +6,7 @@ one at which that model gives the wanted displacement.
 
 from __future__ import annotations
 
-from hysteresis_ros.block import kernel
+from hysteresis_ros.block import INVERSE, composite, nested
 
 # Layout of p_i; the first three are those of the Picard steps.
 GAIN = 2  # nominal gain [m/V]
@@ -18,7 +18,7 @@ TOLERANCE = 4.0e-16
 MOST_TRIALS = 120
 
 
-@kernel
+@nested
 def _trial(hysteresis, x_i, p_h, x_h, voltage):
     states = x_h.shape[0]
     trial = x_i[:states]
@@ -27,7 +27,7 @@ def _trial(hysteresis, x_i, p_h, x_h, voltage):
     return hysteresis(p_h, trial, voltage)
 
 
-@kernel
+@composite(*INVERSE)
 def general(hysteresis, p_i, x_i, p_h, x_h, displacement):
     """Voltage [V] at which the model's next output is ``displacement`` [m], to rounding; ``x_h`` is left as it is.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hysteresis_ros.block import kernel
+from hysteresis_ros.block import INVERSE, composite
 
 # Layout of p_i.
 STEPS = 0
@@ -10,7 +10,7 @@ RATE = 1  # R [V/m]
 GAIN = 2  # nominal gain [m/V]
 
 
-@kernel
+@composite(*INVERSE)
 def picard(hysteresis, p_i, x_i, p_h, x_h, displacement):
     """Voltage [V] for ``displacement`` [m]: V_0 = V_r = displacement/gain, V_{j+1} = V_j + (V_r - R H(V_j)).
 

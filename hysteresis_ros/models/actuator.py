@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hysteresis_ros.block import interpreted, kernel
+from hysteresis_ros.block import interpreted, kernel, nested
 from hysteresis_ros.models import sensor as sensing
 from hysteresis_ros.models.creep import Creep, CreepParameters, creep
 from hysteresis_ros.models.hysteresis import HysteresisParameters, hysteresis_block
@@ -46,7 +46,7 @@ def actuator_measure(ps, xs):
     return sensor(ps[SENSOR], xs[SENSOR], displacement)
 
 
-@kernel
+@nested
 def actuator_advance(hysteresis, ps, xs, voltage):
     """Hold ``voltage`` [V] until the next sample; returns the voltage that the amplifier really puts out [V]."""
     applied = limits(ps[LIMITS], xs[LIMITS], voltage)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hysteresis_ros.block import compiled, composite, interpreted, kernel
+from hysteresis_ros.block import compiled, composite, interpreted, nested
 from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.parameters import Parameters, group, parameter
 from hysteresis_ros.references.approach import HIGH, LOW, SETPOINT, Approach, ApproachParameters, approach
@@ -40,7 +40,7 @@ class ReferenceParameters(Parameters):
             yield Problem("initial_setpoint", self.initial_setpoint, allowed)
 
 
-@kernel
+@nested
 def reference_step(waveform, ps, xs, setpoint):
     """Return the reference [m] of this sample: approach(setpoint) + waveform, clipped to minimum … maximum.
 
