@@ -1,0 +1,1 @@
+"""The closed loop without ROS: configuration files, the axis made of blocks, and its offline simulation."""

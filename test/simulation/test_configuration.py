@@ -1,0 +1,143 @@
+"""Parameter files: read as ROS reads them, and refused with the place that is wrong."""
+
+import math
+
+import pytest
+
+from hysteresis_ros.configuration import (
+    config_path,
+    dump_configuration,
+    load_configuration,
+    matches,
+    parse_configuration,
+)
+from hysteresis_ros.errors import ConfigurationError, ParameterError
+from hysteresis_ros.simulation.axis import AxisParameters, axes
+
+
+@pytest.mark.parametrize(
+    ("pattern", "name", "expected"),
+    [
+        ("/**", "/plant_simulator", True),
+        ("/**", "/left/plant_simulator", True),
+        ("/**/plant_simulator", "/plant_simulator", True),
+        ("/**/plant_simulator", "/a/b/plant_simulator", True),
+        ("/**/plant_simulator", "/a/plant_simulator_2", False),
+        ("/*/plant_simulator", "/left/plant_simulator", True),
+        ("/*/plant_simulator", "/plant_simulator", False),
+        ("plant_simulator", "/plant_simulator", True),
+        ("plant_simulator", "/left/plant_simulator", False),
+        ("/left/plant_simulator", "/left/plant_simulator", True),
+    ],
+)
+def test_patterns_match_node_names_as_in_ros(pattern, name, expected):
+    assert matches(pattern, name) is expected
+
+
+def test_later_entries_win_and_groups_are_flattened():
+    text = """
+/**: {ros__parameters: {sample_rate: 1000.0, limits: {bits: 8}}}
+/**/plant_simulator: {ros__parameters: {limits: {bits: 16, minimum: -30.0}}}
+"""
+    values = parse_configuration(text, "file").node("plant_simulator", "left")
+    assert values == {"sample_rate": 1000.0, "limits.bits": 16, "limits.minimum": -30.0}
+
+
+def test_numbers_are_read_as_the_ros_parser_reads_them():
+    text = "n: {ros__parameters: {a: 5e-6, b: 1.0e3, c: 3, d: [1e-7, .5], e: 'x', f: true, g: -2., h: 1e5x}}"
+    values = parse_configuration(text, "file").node("n")
+    assert values == {"a": 5e-6, "b": 1e3, "c": 3, "d": [1e-7, 0.5], "e": "x", "f": True, "g": -2.0, "h": "1e5x"}
+    assert isinstance(values["a"], float) and isinstance(values["c"], int)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "empty"),
+        ("- 1", "empty"),
+        ("a: [", "not readable as YAML"),
+        ("a: 1", "must hold 'ros__parameters'"),
+        ("a: {ros__parameters: 3}", "must be a mapping"),
+        ("a: {b: {}}", "no 'ros__parameters'"),
+        ("a: {ros__parameters: &x {b: 1}}\nc: {ros__parameters: *x}", "line 2: ROS 2 reads no YAML aliases"),
+    ],
+)
+def test_what_is_no_parameter_file_is_refused_by_name(text, said):
+    with pytest.raises(ConfigurationError, match=r"^f\.yaml: ") as refusal:
+        parse_configuration(text, "f.yaml")
+    assert said in str(refusal.value)
+
+
+def test_missing_and_unreadable_files_are_named(tmp_path):
+    with pytest.raises(ConfigurationError, match="none.yaml: no such file"):
+        load_configuration(tmp_path / "none.yaml")
+    binary = tmp_path / "binary.yaml"
+    binary.write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(ConfigurationError, match="binary.yaml: cannot be read"):
+        load_configuration(binary)
+    with pytest.raises(ConfigurationError, match="no configuration 'nothing'.*kim2009"):
+        config_path("nothing")
+
+
+def test_written_parameters_come_back_bit_for_bit():
+    axis = axes(load_configuration("kim2009"))[0]
+    again = axes(parse_configuration(axis.configuration_text(), "text"))[0]
+    assert again == axis
+    awkward = {"/n": {"x.y": 0.1 + 0.2, "x.z": 1e22, "b": (5e-324, -1.7976931348623157e308)}}
+    assert parse_configuration(dump_configuration(awkward), "t").node("n") == {
+        "x.y": 0.1 + 0.2,
+        "x.z": 1e22,
+        "b": [5e-324, -1.7976931348623157e308],
+    }
+
+
+def test_all_wrong_parameters_are_named_together():
+    configuration = load_configuration("kim2009")
+    configuration = configuration.override("plant_simulator", limits__bits=99, sensor__noyse=1.0)
+    configuration = configuration.override("motion_controller", type="magic", sliding_mode__eta="much")
+    with pytest.raises(ParameterError) as refusal:
+        AxisParameters.from_configuration(configuration)
+    named = {problem.name: str(problem) for problem in refusal.value.problems}
+    assert set(named) == {
+        "plant_simulator: limits.bits",
+        "plant_simulator: sensor.noyse",
+        "motion_controller: type",
+        "motion_controller: sliding_mode.eta",
+    }
+    assert "0 … 32" in named["plant_simulator: limits.bits"]
+    assert "did you mean plant_simulator: sensor.noise" in named["plant_simulator: sensor.noyse"]
+    assert "open_loop, sliding_mode" in named["motion_controller: type"]
+    assert "double" in named["motion_controller: sliding_mode.eta"]
+
+
+def test_a_missing_parameter_is_named_with_what_it_must_be():
+    plant = "{limits: {minimum: 0.0, maximum: 100.0}, hysteresis: {type: proportional}}"
+    text = f"/**/plant_simulator: {{ros__parameters: {plant}}}"
+    with pytest.raises(ParameterError) as refusal:
+        AxisParameters.from_configuration(parse_configuration(text, "f"))
+    assert "plant_simulator: hysteresis.proportional.gain = None: missing; give a double" in str(refusal.value)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf])
+def test_numbers_that_are_not_finite_are_refused(value):
+    configuration = load_configuration("kim2009").override("plant_simulator", preload__force=value)
+    with pytest.raises(ParameterError, match="preload.force.*must be finite"):
+        axes(configuration)
+
+
+def test_nodes_that_disagree_about_the_rate_are_refused():
+    configuration = load_configuration("kim2009").override("motion_controller", sample_rate=1000.0)
+    with pytest.raises(ParameterError, match=r"motion_controller: sample_rate = 1000.0: must equal .* 3000.0"):
+        axes(configuration)
+
+
+def test_axes_are_found_by_the_namespaces_that_the_file_names():
+    base = load_configuration("kim2009")
+    left = "/left/plant_simulator: {ros__parameters: {publish_clock: true}}"
+    both = f"{base.text}\n{left}\n/right/plant_simulator: {{ros__parameters: {{}}}}\n"
+    configuration = parse_configuration(both, "both.yaml")
+    assert [axis.namespace for axis in axes(configuration)] == ["/left", "/right"]
+    assert [axis.namespace for axis in axes(base)] == [""]
+    two_clocks = configuration.override("plant_simulator", publish_clock=True)
+    with pytest.raises(ConfigurationError, match="/left and /right both set publish_clock"):
+        axes(two_clocks)

@@ -1,0 +1,123 @@
+"""The block machinery: kernels with and without Numba, composites, state, and the cache that must not go stale."""
+
+import os
+import pathlib
+import subprocess
+import sys
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from hysteresis_ros import block
+from hysteresis_ros.block import Block, compiled, interpreted, kernel, run_kernel
+from hysteresis_ros.errors import ParameterError
+from hysteresis_ros.parameters import Parameters, parameter
+
+PACKAGE = pathlib.Path(block.__file__).parent
+
+
+@kernel
+def leak(p, x, u):
+    """First-order lag x⁺ = a x + (1 - a) u."""
+    x[0] = p[0] * x[0] + (1.0 - p[0]) * u
+    return x[0]
+
+
+@dataclass(frozen=True)
+class LagParameters(Parameters):
+    a: float = parameter(0.5, low=0.0, high=1.0, description="pole")
+
+
+class Lag(Block):
+    kernel = staticmethod(leak)
+
+    def pack(self, parameters):
+        return np.array([parameters.a])
+
+
+def test_simulate_is_step_after_step_and_follows_the_closed_form():
+    one, many = Lag(LagParameters(0.8), 1.0), Lag(LagParameters(0.8), 1.0)
+    u = np.ones(40)
+    y = many.simulate(u)
+    np.testing.assert_array_equal([one.step(value) for value in u], y)
+    np.testing.assert_allclose(y, 1.0 - 0.8 ** np.arange(1, 41), rtol=1e-13)
+
+
+def test_state_is_saved_restored_and_reset_exactly():
+    lag = Lag(LagParameters(), 1.0)
+    lag.simulate(np.arange(5.0))
+    kept = lag.state
+    expected = lag.simulate(np.arange(3.0))
+    lag.state = kept
+    np.testing.assert_array_equal(lag.simulate(np.arange(3.0)), expected)
+    assert lag.state is not lag.x
+    lag.reset()
+    np.testing.assert_array_equal(lag.x, [0.0])
+
+
+def test_retune_takes_all_or_nothing():
+    lag = Lag(LagParameters(0.5), 1.0)
+    with pytest.raises(ParameterError, match=r"a = 2.0: out of range.*0 … 1"):
+        lag.retune(LagParameters(2.0))
+    assert lag.p[0] == 0.5
+    lag.retune(LagParameters(0.25))
+    assert lag.p[0] == 0.25
+
+
+def test_compiled_and_interpreted_forms_agree_bit_for_bit():
+    u = np.random.default_rng(1).normal(size=300)
+    results = []
+    for form, function in ((compiled, leak), (interpreted, interpreted(leak))):
+        y, x = np.empty_like(u), np.zeros(1)
+        form(run_kernel)(function, np.array([0.9]), x, u, y)
+        results.append(y)
+    np.testing.assert_array_equal(*results)
+
+
+def test_a_block_that_packs_nothing_says_so():
+    with pytest.raises(TypeError, match="Empty does not say how its parameters are packed"):
+        type("Empty", (Block,), {"kernel": staticmethod(leak)})(LagParameters(), 1.0)
+
+
+def test_every_kernel_stands_in_a_folder_whose_sources_name_the_cache():
+    for path in PACKAGE.rglob("*.py"):
+        text = path.read_text(encoding="utf-8")
+        if "\n@kernel" in text or "\n@composite" in text:
+            folder = path.parent.relative_to(PACKAGE).as_posix()
+            assert folder in block.KERNEL_FOLDERS, f"{path}: add its folder to KERNEL_FOLDERS"
+
+
+def child(code: str, **variables) -> str:
+    answer = subprocess.run(
+        [sys.executable, "-c", code], env={**os.environ, **variables}, capture_output=True, text=True, check=True
+    )
+    return answer.stdout.strip()
+
+
+def test_everything_runs_without_numba():
+    code = """
+import sys
+sys.modules["numba"] = None
+from hysteresis_ros import block
+from hysteresis_ros.configuration import load_configuration
+from hysteresis_ros.simulation.run import simulate, single_axis
+run = simulate(single_axis(load_configuration("kim2009")), duration=0.02)
+print(block.COMPILED, run.time.size, float(run["displacement"][-1]).hex())
+"""
+    plain = child(code).split()
+    fast = child(code.replace('sys.modules["numba"] = None', "")).split()
+    assert plain[:2] == ["False", "60"]
+    # the converter's grid may be met one step apart where the last bits differ
+    assert float.fromhex(plain[2]) == pytest.approx(float.fromhex(fast[2]), abs=1e-9)
+
+
+@pytest.mark.skipif(not block.COMPILED, reason="Numba is not installed: nothing is cached")
+def test_old_caches_are_removed_and_recent_ones_kept(tmp_path):
+    root = tmp_path / "hysteresis_ros"
+    for name, age in (("old", 40), ("recent", 2)):
+        (root / name).mkdir(parents=True)
+        stamp = (root / name).stat().st_mtime - age * 86400
+        os.utime(root / name, (stamp, stamp))
+    child("import hysteresis_ros.models.limits", XDG_CACHE_HOME=str(tmp_path), NUMBA_CACHE_DIR="")
+    assert not (root / "old").exists() and (root / "recent").exists()
