@@ -1,0 +1,89 @@
+"""Hysteresis loops: branches of an input and the opening between them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+#: Reversals smaller than this part of the input's range belong to noise and quantisation, not to the loop.
+REVERSAL = 0.01
+#: Different input values a branch must have to count: a jump between two levels is no branch.
+BRANCH_LEVELS = 10
+
+
+def turning_points(u, reversal: float = REVERSAL) -> np.ndarray:
+    """Return the indices at which ``u``, shape (N,), turns by more than ``reversal`` of its range, ends included.
+
+    Parameters
+    ----------
+    u : array_like, shape (N,)
+        Input, finite.
+    reversal : float
+        Smallest reversal, as a part of the range of ``u``.
+    """
+    u = np.asarray(u, dtype=np.float64)
+    if u.size < 2 or np.ptp(u) == 0.0:
+        return np.arange(min(u.size, 1))
+    threshold = reversal * np.ptp(u)
+    change = np.diff(u)
+    moving = np.flatnonzero(change)
+    turns = moving[np.flatnonzero(np.diff(np.sign(change[moving]))) + 1] if moving.size > 1 else moving[:0]
+    points, direction, extreme = [0], 0, 0
+    low = high = 0
+    for k in [*turns.tolist(), u.size - 1]:
+        if direction == 0:
+            low = k if u[k] < u[low] else low
+            high = k if u[k] > u[high] else high
+            if u[high] - u[low] > threshold:
+                direction = 1 if high > low else -1
+                extreme = max(high, low)
+                if min(high, low) > 0:
+                    points.append(min(high, low))
+        elif (u[k] - u[extreme]) * direction > 0.0:
+            extreme = k
+        elif (u[extreme] - u[k]) * direction > threshold:
+            points.append(extreme)
+            direction, extreme = -direction, k
+    if extreme and extreme != points[-1]:
+        points.append(extreme)
+    return np.array(points)
+
+
+def loop_opening(u, y) -> float | None:
+    """Return the largest vertical opening of the loops of ``y`` over ``u``, in the unit of ``y``.
+
+    Two branches that follow each other (one rising, one falling) enclose a loop; its opening at an input is the
+    difference of their outputs there. The largest over all inputs both branches reach, and over all pairs, counts.
+    The first branch is left out where others follow, because it starts at rest (virgin curve) and closes no loop.
+    The opening holds everything that makes branches differ: hysteresis, creep and the lag of the dynamics.
+
+    Parameters
+    ----------
+    u, y : array_like, shape (N,)
+        Input (reference or voltage) and displacement; samples with NaN are left out.
+
+    Returns
+    -------
+    float or None
+        None when the input does not go to and fro through at least ten levels.
+    """
+    u, y = np.asarray(u, dtype=np.float64), np.asarray(y, dtype=np.float64)
+    finite = np.isfinite(u) & np.isfinite(y)
+    u, y = u[finite], y[finite]
+    points = turning_points(u)
+    branches = [_branch(u[a : b + 1], y[a : b + 1]) for a, b in zip(points[:-1], points[1:], strict=True)]
+    if len(branches) > 2:
+        branches = branches[1:]
+    openings = []
+    for (u_a, y_a), (u_b, y_b) in zip(branches[:-1], branches[1:], strict=True):
+        low, high = max(u_a[0], u_b[0]), min(u_a[-1], u_b[-1])
+        levels = np.union1d(u_a, u_b)
+        levels = levels[(levels >= low) & (levels <= high)]
+        if min(u_a.size, u_b.size, levels.size) >= BRANCH_LEVELS:
+            openings.append(float(np.max(np.abs(np.interp(levels, u_a, y_a) - np.interp(levels, u_b, y_b)))))
+    return max(openings, default=None)
+
+
+def _branch(u, y):
+    """Sort a branch by its input; outputs at equal inputs are averaged."""
+    levels, place, counts = np.unique(u, return_inverse=True, return_counts=True)
+    return levels, np.bincount(place, weights=y) / counts

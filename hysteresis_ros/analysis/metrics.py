@@ -1,0 +1,209 @@
+"""Figures of merit of a run. Each is defined in :func:`compute_metrics`; SI units."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hysteresis_ros.analysis.loops import loop_opening
+from hysteresis_ros.analysis.settings import axis_settings
+from hysteresis_ros.analysis.steps import find_holds, step_responses
+from hysteresis_ros.errors import RecordingError
+from hysteresis_ros.recordings.dataset import Recording
+
+#: All figures with the unit shown to people, the factor from SI and a label; the order is that of the tables.
+FIGURES = (
+    ("rms_error_m", "RMS error", "µm", 1e6),
+    ("rms_error_percent_of_stroke", "RMS error", "% of stroke", 1.0),
+    ("max_error_m", "Maximum error", "µm", 1e6),
+    ("max_error_percent_of_stroke", "Maximum error", "% of stroke", 1.0),
+    ("iae_m_s", "IAE", "µm s", 1e6),
+    ("overshoot_percent", "Overshoot", "%", 1.0),
+    ("settling_time_s", "Settling time (2 %)", "ms", 1e3),
+    ("steady_state_error_m", "Steady-state error", "µm", 1e6),
+    ("residual_m", "Residual at zero command", "µm", 1e6),
+    ("loop_width_percent", "Loop width, reference → displacement", "%", 1.0),
+    ("voltage_loop_width_percent", "Loop width, voltage → displacement", "%", 1.0),
+    ("stroke_m", "Stroke", "µm", 1e6),
+    ("steps", "Steps", "", 1.0),
+    ("samples", "Samples", "", 1.0),
+    ("missing_samples", "Missing samples", "", 1.0),
+    ("duration_s", "Duration", "s", 1.0),
+    ("sample_rate_hz", "Sample rate (stamps)", "Hz", 1.0),
+    ("rate_hz", "Rate reached (clock)", "Hz", 1.0),
+    ("jitter_p99_s", "Jitter p99", "ms", 1e3),
+)
+
+
+def compute_metrics(recording: Recording) -> dict:
+    """Return the figures of merit of a run.
+
+    The error is e = reference - displacement, the displacement being the true one (the measured one on hardware, which
+    the recording's notes then say) less the preload offset W of the controller's model. Samples where either is
+    missing do not count.
+
+    ======================================= ==========================================================================
+    ``rms_error_m``                         √(mean e²)
+    ``max_error_m``                         max abs(e)
+    ``…_percent_of_stroke``                 the same in % of the stroke
+    ``stroke_m``                            largest less smallest reference of the run
+    ``iae_m_s``                             ∫ abs(e) dt, trapezoidal
+    ``overshoot_percent``                   farthest displacement beyond the value finally reached, in the direction of
+                                            the step, in % of the step; the largest of all steps
+    ``settling_time_s``                     from the step until the displacement stays within 2 % of the step around
+                                            the value finally reached (mean of the last tenth of the hold); the longest
+                                            of all steps
+    ``steady_state_error_m``                largest abs(reference - value finally reached) of all steps
+    ``residual_m``                          displacement at the end (last tenth) of the last hold at zero reference that
+                                            follows a motion
+    ``loop_width_percent``                  largest opening of the loop displacement over reference, in % of the stroke
+    ``voltage_loop_width_percent``          the same over voltage
+    ``steps``, ``samples``, ``duration_s``  number of steps from hold to hold, number of samples, time of the last
+                                            sample less that of the first
+    ``missing_samples``                     samples the bag lacks wholly or in a signal
+    ``sample_rate_hz``                      1 / distance of the stamps, missing samples counted
+    ``rate_hz``                             rate at which samples really came, from the times of reception; the sample
+                                            rate where a recording has no such times
+    ``jitter_p99_s``                        99th percentile of abs(distance of two receptions - its median)
+    ``notes``                               dict: figure → why it is None or how to read it; ``recording`` → list
+    ======================================= ==========================================================================
+
+    Parameters
+    ----------
+    recording : Recording
+        Needs ``reference`` and ``displacement`` (or ``measured``).
+
+    Returns
+    -------
+    dict
+        float, int or None for each figure, and ``notes``; everything JSON can hold.
+
+    Raises
+    ------
+    RecordingError
+        Reference or displacement are missing altogether.
+    """
+    notes: dict = {"recording": recording.notes}
+    actual = "displacement" if recording.has("displacement") else "measured"
+    for name in ("reference", actual):
+        if not recording.has(name):
+            raise RecordingError(f"the recording has no values of '{name}': nothing to compare; record the whole axis")
+    if actual == "measured":
+        notes["recording"] = [*notes["recording"], "no displacement: errors are judged by the measured one"]
+    offset = axis_settings(recording).offset
+    if offset:
+        notes["recording"] = [*notes["recording"], f"preload offset of {offset * 1e6:.6g} µm subtracted"]
+    time, reference, displacement = recording.time, recording["reference"], recording[actual] - offset
+    good = np.isfinite(reference) & np.isfinite(displacement)
+    if not np.any(good):
+        raise RecordingError("no sample of the recording has both reference and displacement")
+    figures = {name: None for name, *_ in FIGURES}
+    figures.update(_error_figures(time[good], reference[good], displacement[good], notes))
+    figures.update(_step_figures(time[good], reference[good], displacement[good], figures["stroke_m"], notes))
+    voltage = recording["voltage"][good] if recording.has("voltage") else None
+    figures.update(_loop_figures(reference[good], displacement[good], voltage, figures["stroke_m"], notes))
+    figures.update(_sampling_figures(recording, notes))
+    return {**{name: _plain(value) for name, value in figures.items()}, "notes": notes}
+
+
+def _error_figures(time, reference, displacement, notes) -> dict:
+    error = reference - displacement
+    stroke = float(np.ptp(reference))
+    figures = {
+        "rms_error_m": float(np.sqrt(np.mean(error**2))),
+        "max_error_m": float(np.max(np.abs(error))),
+        "iae_m_s": float(np.sum(0.5 * np.diff(time) * (np.abs(error[1:]) + np.abs(error[:-1])))),
+        "stroke_m": stroke,
+    }
+    for name in ("rms_error", "max_error"):
+        if stroke > 0.0:
+            figures[f"{name}_percent_of_stroke"] = 100.0 * figures[f"{name}_m"] / stroke
+        else:
+            notes[f"{name}_percent_of_stroke"] = "the reference never moves: no stroke"
+    return figures
+
+
+def _step_figures(time, reference, displacement, stroke, notes) -> dict:
+    responses = step_responses(time, reference, displacement)
+    figures: dict = {"steps": len(responses)}
+    if responses:
+        figures["overshoot_percent"] = 100.0 * max(response.overshoot for response in responses)
+        figures["steady_state_error_m"] = max(abs(response.steady_state_error) for response in responses)
+        times = [response.settling_time for response in responses]
+        unsettled = sum(value is None for value in times)
+        if unsettled:
+            notes["settling_time_s"] = f"{unsettled} of {len(times)} steps do not stay within 2 % before the hold ends"
+        else:
+            figures["settling_time_s"] = max(times)
+    else:
+        for name in ("overshoot_percent", "settling_time_s", "steady_state_error_m"):
+            notes[name] = "no steps from one hold of the reference to another"
+    zero = [hold for hold in find_holds(reference) if abs(hold.level) <= 1e-9 * stroke]
+    zero = [hold for hold in zero if np.any(np.abs(reference[: hold.start]) > 1e-9 * stroke)]
+    if zero:
+        figures["residual_m"] = float(np.mean(displacement[zero[-1].final]))
+    else:
+        notes["residual_m"] = "the reference does not return to zero and stay there"
+    return figures
+
+
+def _loop_figures(reference, displacement, voltage, stroke, notes) -> dict:
+    figures: dict = {}
+    opening = loop_opening(reference, displacement)
+    if opening is None or stroke <= 0.0:
+        why = "no loop: the reference does not go to and fro through at least ten levels"
+        notes["loop_width_percent"] = notes["voltage_loop_width_percent"] = why
+        return figures
+    figures["loop_width_percent"] = 100.0 * opening / stroke
+    opening = loop_opening(voltage, displacement) if voltage is not None else None
+    if opening is None:
+        notes["voltage_loop_width_percent"] = "no voltage that goes to and fro in the recording"
+    else:
+        figures["voltage_loop_width_percent"] = 100.0 * opening / stroke
+    return figures
+
+
+def _sampling_figures(recording: Recording, notes) -> dict:
+    figures: dict = {
+        "samples": len(recording),
+        "missing_samples": int(recording.metadata.get("missing_samples", 0)),
+        "duration_s": float(recording.time[-1] - recording.time[0]),
+    }
+    timing = recording.metadata.get("timing") or {}
+    if len(recording) > 1:
+        figures["sample_rate_hz"] = 1.0 / recording.sample_time
+    else:
+        notes["sample_rate_hz"] = "a single sample"
+    if "rate_hz" in timing:
+        figures["rate_hz"] = timing["rate_hz"]
+        figures["jitter_p99_s"] = timing["jitter_p99_s"]
+    else:
+        figures["rate_hz"] = figures.get("sample_rate_hz")
+        notes["rate_hz"] = "from the stamps: the recording has no times of reception"
+        notes["jitter_p99_s"] = "no times of reception in the recording (simulated, or a plain table)"
+    return figures
+
+
+def _plain(value):
+    return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
+def format_table(figures: dict) -> str:
+    """Return the figures as aligned lines for a terminal, in µm and ms; below them why one has no meaning."""
+    rows = [(label, format_value(figures[name], factor), unit) for name, label, unit, factor in FIGURES]
+    width = max(len(label) for label, *_ in rows)
+    lines = [f"{label:<{width}}  {value:>9} {unit}".rstrip() for label, value, unit in rows]
+    reasons: dict[str, list[str]] = {}
+    for name, label, *_ in FIGURES:
+        if name in figures["notes"]:
+            reasons.setdefault(figures["notes"][name], []).append(label)
+    lines += [f"{'; '.join(dict.fromkeys(labels))}: {reason}" for reason, labels in reasons.items()]
+    return "\n".join([*lines, *(f"note: {note}" for note in figures["notes"]["recording"])])
+
+
+def format_value(value, factor: float = 1.0) -> str:
+    """Return a number for people: four significant digits, whole numbers as they are, a dash for None."""
+    if value is None:
+        return "–"
+    if isinstance(value, int):
+        return str(value)
+    return f"{value * factor:.4g}"

@@ -1,0 +1,91 @@
+"""The report of a run: one HTML file that needs nothing beside it."""
+
+from __future__ import annotations
+
+import os
+import pathlib
+
+from hysteresis_ros.analysis.metrics import FIGURES, compute_metrics, format_value
+from hysteresis_ros.analysis.plots import FIGURES as PLOTS
+from hysteresis_ros.analysis.plots import MissingExtraError, data_uri
+from hysteresis_ros.errors import RecordingError
+from hysteresis_ros.recordings.dataset import Recording
+
+
+def render_page(template: str, **values) -> str:
+    """Return the page that a template of this package gives with ``values``.
+
+    Raises
+    ------
+    MissingExtraError
+        Jinja2 is not installed.
+    """
+    try:
+        import jinja2
+    except ImportError:
+        raise MissingExtraError("Jinja2") from None
+    environment = jinja2.Environment(
+        loader=jinja2.PackageLoader("hysteresis_ros.analysis"), autoescape=True, trim_blocks=True, lstrip_blocks=True
+    )
+    return environment.get_template(template).render(**values)
+
+
+def write_page(path, html: str) -> None:
+    """Write a page whole or not at all.
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be written.
+    """
+    path = pathlib.Path(path)
+    partial = path.with_name(path.name + ".partial")
+    try:
+        partial.write_text(html, encoding="utf-8")
+        os.replace(partial, path)
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be written: {error.strerror}; choose another place") from None
+
+
+def render_report(recording: Recording, title: str, figures: dict | None = None) -> str:
+    """Return the report as HTML: table of figures, plots, notes and configuration.
+
+    Parameters
+    ----------
+    recording : Recording
+        The run.
+    title : str
+        Heading, such as the name of the bag.
+    figures : dict, optional
+        What :func:`hysteresis_ros.analysis.metrics.compute_metrics` gave, when it is known already.
+
+    Raises
+    ------
+    HysteresisError
+        Matplotlib or Jinja2 is missing (the message says how to install them), or there is nothing to compare.
+    """
+    figures = figures or compute_metrics(recording)
+    rows = [
+        dict(label=label, value=format_value(figures[name], factor), unit=unit, remark=figures["notes"].get(name, ""))
+        for name, label, unit, factor in FIGURES
+    ]
+    return render_page(
+        "report.html.j2",
+        title=title,
+        rows=rows,
+        plots=[dict(caption=caption, source=data_uri(draw(recording))) for caption, draw in PLOTS],
+        notes=figures["notes"]["recording"],
+        configuration=recording.configuration,
+        namespace=recording.metadata.get("namespace") or "/",
+    )
+
+
+def write_report(recording: Recording, path, title: str, figures: dict | None = None) -> None:
+    """Write the report; see :func:`render_report`.
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be written.
+    """
+    write_page(path, render_report(recording, title, figures))

@@ -1,0 +1,233 @@
+"""Figures of merit against closed forms."""
+
+import json
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hysteresis_ros.analysis.loops import loop_opening, turning_points
+from hysteresis_ros.analysis.metrics import FIGURES, compute_metrics, format_table
+from hysteresis_ros.analysis.steps import step_responses
+from hysteresis_ros.errors import RecordingError
+from hysteresis_ros.recordings import Recording
+
+RATE = 10_000.0
+
+
+def run(time, reference, displacement, metadata=None, **more):
+    columns = {"time": time, "reference": reference, "displacement": displacement, **more}
+    return Recording.from_columns(columns, metadata)
+
+
+def step(duration=1.0, height=2e-6, before=0.1):
+    time = np.arange(-before, duration, 1.0 / RATE)
+    return time, np.where(time >= -0.5 / RATE, height, 0.0)
+
+
+@pytest.mark.parametrize("damping", [0.1, 0.2, 0.5, 0.8])
+@pytest.mark.parametrize("height", [2e-6, -3e-6])
+def test_second_order_step_overshoots_by_its_damping(damping, height):
+    time, reference = step(duration=4.0 / damping, height=height)
+    w = 10.0
+    wd = w * np.sqrt(1 - damping**2)
+    t = np.maximum(time, 0.0)
+    displacement = height * (1 - np.exp(-damping * w * t) * (np.cos(wd * t) + damping * w / wd * np.sin(wd * t)))
+    figures = compute_metrics(run(time, reference, displacement))
+    expected = 100 * np.exp(-np.pi * damping / np.sqrt(1 - damping**2))
+    assert figures["overshoot_percent"] == pytest.approx(expected, rel=1e-4, abs=1e-4)
+    assert figures["steps"] == 1
+
+
+@pytest.mark.parametrize("time_constant", [0.01, 0.05])
+def test_exponential_settles_after_ln_50_time_constants(time_constant):
+    time, reference = step()
+    displacement = 2e-6 * (1 - np.exp(-np.maximum(time, 0.0) / time_constant))
+    figures = compute_metrics(run(time, reference, displacement))
+    assert figures["settling_time_s"] == pytest.approx(time_constant * np.log(50), abs=1.1 / RATE)
+    assert figures["overshoot_percent"] == pytest.approx(0.0, abs=1e-3)
+    assert figures["iae_m_s"] == pytest.approx(2e-6 * time_constant, rel=1e-2)
+
+
+def test_settling_is_judged_around_the_value_reached_and_the_offset_reported():
+    time, reference = step()
+    displacement = 1.5e-6 * (1 - np.exp(-np.maximum(time, 0.0) / 0.02))
+    figures = compute_metrics(run(time, reference, displacement))
+    assert figures["steady_state_error_m"] == pytest.approx(0.5e-6)
+    assert figures["settling_time_s"] == pytest.approx(0.02 * np.log(1.5 / 0.04), abs=2 / RATE)
+
+
+def test_vibration_that_outlasts_the_hold_has_no_settling_time():
+    time, reference = step()
+    displacement = 2e-6 * (1 + 0.3 * np.cos(400 * time)) * (time >= 0)
+    figures = compute_metrics(run(time, reference, displacement))
+    assert figures["settling_time_s"] is None
+    assert "1 of 1 steps" in figures["notes"]["settling_time_s"]
+
+
+def test_a_limited_move_counts_from_where_the_hold_ends():
+    time = np.arange(0.0, 1.0, 1e-3)
+    reference = 1e-6 * np.clip((time - 0.2) / 0.1, 0.0, 1.0)
+    (response,) = step_responses(time, reference, reference)
+    assert response.start == pytest.approx(0.2)
+    assert response.settling_time == pytest.approx(0.098, abs=1.1e-3)
+    assert response.overshoot == pytest.approx(0.0, abs=1e-12)
+
+
+def test_the_worst_of_several_steps_counts():
+    time = np.arange(3000) / 1000.0
+    reference = np.repeat([0.0, 1e-6, 3e-6], 1000)
+    displacement = reference.copy()
+    displacement[1000:1005] = 1.2e-6
+    displacement[2000:2020] = 3.1e-6
+    figures = compute_metrics(run(time, reference, displacement))
+    assert figures["overshoot_percent"] == pytest.approx(20.0)
+    assert figures["settling_time_s"] == pytest.approx(0.020)
+
+
+@given(gain=st.floats(1e-9, 1e3), offset=st.floats(-1.0, 1.0))
+def test_constant_error_has_itself_as_rms_and_maximum(gain, offset):
+    time = np.linspace(0.0, 2.0, 101)
+    reference = gain * np.sin(time)
+    figures = compute_metrics(run(time, reference, reference - offset * gain))
+    assert figures["rms_error_m"] == pytest.approx(abs(offset) * gain, rel=1e-6, abs=1e-14 * gain)
+    assert figures["max_error_m"] == pytest.approx(abs(offset) * gain, rel=1e-6, abs=1e-14 * gain)
+    assert figures["iae_m_s"] == pytest.approx(2.0 * abs(offset) * gain, rel=1e-6, abs=1e-14 * gain)
+    assert figures["stroke_m"] == pytest.approx(gain, rel=1e-2)
+    assert figures["max_error_percent_of_stroke"] == pytest.approx(
+        100 * figures["max_error_m"] / figures["stroke_m"], rel=1e-12
+    )
+
+
+def test_rms_of_a_sine_is_its_amplitude_over_root_two():
+    time = np.arange(10_000) / RATE
+    error = 3e-9 * np.sin(2 * np.pi * 10 * time)
+    reference = 1e-6 * np.sin(2 * np.pi * time)
+    figures = compute_metrics(run(time, reference, reference - error))
+    assert figures["rms_error_m"] == pytest.approx(3e-9 / np.sqrt(2), rel=1e-9)
+    assert figures["rms_error_percent_of_stroke"] == pytest.approx(100 * 3e-9 / np.sqrt(2) / 2e-6, rel=1e-6)
+
+
+def test_residual_is_what_is_left_at_the_last_zero():
+    time = np.arange(3000) / 1000.0
+    reference = np.repeat([0.0, 1e-6, 0.0], 1000)
+    displacement = np.concatenate([np.zeros(1000), np.full(1000, 1e-6), 0.25e-6 + 1e-6 * np.exp(-np.arange(1000) / 20)])
+    assert compute_metrics(run(time, reference, displacement))["residual_m"] == pytest.approx(0.25e-6)
+    figures = compute_metrics(run(time[:2000], reference[:2000], displacement[:2000]))
+    assert figures["residual_m"] is None and "return to zero" in figures["notes"]["residual_m"]
+
+
+@pytest.mark.parametrize("phase", [0.01, 0.1, 0.5, 1.0])
+def test_ellipse_opens_by_twice_the_sine_of_its_phase(phase):
+    """y = sin(wt - φ) over u = sin(wt): y = u cos φ ∓ √(1 - u²) sin φ, opening 2 sin φ at u = 0."""
+    time = np.arange(30_000) / RATE
+    reference = 1e-6 * np.sin(2 * np.pi * time)
+    displacement = 1e-6 * np.sin(2 * np.pi * time - phase)
+    figures = compute_metrics(run(time, reference, displacement))
+    assert figures["loop_width_percent"] == pytest.approx(100 * np.sin(phase), rel=1e-3)
+
+
+def triangle(cycles, samples=2000):
+    return np.abs((np.arange(cycles * samples + 1) / (samples / 2) + 1) % 2 - 1)
+
+
+@pytest.mark.parametrize(
+    ("picard_steps", "rate", "percent"),
+    [(0, 1.0, 15.0), (1, 1.0, 8.2), (3, 1.0, 1.7), (6, 1.0, 0.26), (1, 1.12, 9.3), (3, 1.12, 1.8), (6, 1.12, 0.10)],
+)
+def test_loop_widths_of_the_inverse_are_those_published(picard_steps, rate, percent):
+    """Loop of 120 V, 15 % open: 15, 8.2, 1.7, 0.26 % after 0, 1, 3, 6 Picard steps with R g = 1 (PAPERS K7a, K8)."""
+    g, d, w, v_max = 0.1025e-6, 0.0125e-6, 0.15, 120.0
+    corner = d * v_max
+
+    def branch(voltage, sign):
+        return corner + (g - d + sign * 2 * w * g) * voltage - sign * 2 * w * g / v_max * voltage**2
+
+    reference = g * v_max * triangle(3)
+    falling = np.append(np.diff(reference) < 0, True)
+    wanted = reference / g
+    voltage = wanted
+    for _ in range(picard_steps):
+        voltage = voltage + wanted - rate / g * np.where(falling, branch(voltage, 1), branch(voltage, -1))
+    displacement = np.where(falling, branch(voltage, 1), branch(voltage, -1))
+    figures = compute_metrics(run(np.arange(reference.size) / RATE, reference, displacement, voltage=voltage))
+    assert figures["loop_width_percent"] == pytest.approx(percent, rel=0.05)
+
+
+@given(noise=st.floats(0.0, 0.004), cycles=st.integers(1, 4))
+def test_turning_points_are_the_corners_whatever_the_noise(noise, cycles):
+    u = triangle(cycles, 200)
+    jitter = noise * np.random.default_rng(0).uniform(-1.0, 1.0, u.size)
+    corners = np.arange(0, u.size, 100)
+    points = turning_points(u + jitter)
+    assert points.size == corners.size
+    assert np.max(np.abs(points - corners)) <= 1
+
+
+def test_a_line_has_no_opening_and_a_jump_no_loop():
+    u = triangle(3)
+    assert loop_opening(u, 2 * u) == pytest.approx(0.0, abs=1e-12)
+    assert loop_opening(np.repeat([0.0, 1.0, 0.0, 1.0], 100), np.zeros(400)) is None
+    assert loop_opening(np.linspace(0, 1, 100), np.zeros(100)) is None
+    assert loop_opening(np.zeros(100), np.zeros(100)) is None
+    assert loop_opening(np.zeros(0), np.zeros(0)) is None
+
+
+def test_the_virgin_curve_is_no_branch_of_the_loop():
+    u = triangle(2)
+    y = u.copy()
+    y[:1000] += 0.5
+    assert loop_opening(u, y) == pytest.approx(0.0, abs=1e-3)
+    assert loop_opening(u[:2001], y[:2001]) == pytest.approx(0.5, abs=1e-3)
+
+
+def test_an_axis_at_rest_has_figures_without_meaning_and_says_why():
+    time = np.arange(50) / 1000.0
+    figures = compute_metrics(run(time, np.zeros(50), np.full(50, 1e-9), {"notes": ["a note"], "missing_samples": 3}))
+    for name in (
+        "rms_error_percent_of_stroke",
+        "overshoot_percent",
+        "settling_time_s",
+        "residual_m",
+        "loop_width_percent",
+        "jitter_p99_s",
+    ):
+        assert figures[name] is None and figures["notes"][name], name
+    assert figures["rms_error_m"] == pytest.approx(1e-9)
+    assert figures["missing_samples"] == 3 and figures["notes"]["recording"] == ["a note"]
+    assert json.loads(json.dumps(figures, allow_nan=False)) == figures
+    assert list(figures) == [*(name for name, *_ in FIGURES), "notes"]
+    assert "a note" in format_table(figures)
+
+
+def test_missing_values_do_not_count():
+    time = np.arange(100) / 1000.0
+    reference = np.sin(time * 60)
+    displacement = reference - 1.0
+    displacement[[0, 50, 99]] = np.nan
+    assert compute_metrics(run(time, reference, displacement))["rms_error_m"] == pytest.approx(1.0)
+    with pytest.raises(RecordingError, match="no values of 'measured'"):
+        compute_metrics(run(time, reference, np.full(100, np.nan)))
+    with pytest.raises(RecordingError, match="no values of 'reference'"):
+        compute_metrics(Recording.from_columns({"time": time, "displacement": displacement}))
+
+
+def test_times_of_reception_give_rate_and_jitter():
+    time = np.arange(100) / 1000.0
+    figures = compute_metrics(run(time, time, time, {"timing": {"rate_hz": 998.0, "jitter_p99_s": 2e-5}}))
+    assert figures["rate_hz"] == 998.0 and figures["jitter_p99_s"] == 2e-5
+    assert figures["sample_rate_hz"] == pytest.approx(1000.0)
+
+
+def test_preload_of_the_controllers_model_is_no_error():
+    text = """
+/**/motion_controller:
+  ros__parameters:
+    model: {preload: {force: 2.0, A1: 1.0e-6, B1: -2.0e-6, B2: 0.5e-6}}
+"""
+    time = np.arange(100) / 1000.0
+    offset = 1e-6 - 2e-6 * 2.0 + 0.5e-6 * 4.0
+    figures = compute_metrics(run(time, 1e-6 * time, 1e-6 * time + offset, {"configuration": text}))
+    assert figures["max_error_m"] == pytest.approx(0.0, abs=1e-18)
+    assert any("preload" in note for note in figures["notes"]["recording"])
