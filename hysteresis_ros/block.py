@@ -98,7 +98,7 @@ def nested(function):
     A cache entry for "this function with that kernel as argument" would hold a weak reference to the kernel, which
     breaks the cache when the kernel is gone. Do not call it from Python with kernels; call ``interpreted(function)``.
     """
-    return numba.njit(error_model="numpy")(function) if COMPILED else function
+    return numba.njit(forceinline=True, **{**_OPTIONS, "cache": False})(function) if COMPILED else function
 
 
 def interpreted(function):
