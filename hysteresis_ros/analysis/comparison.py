@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from hysteresis_ros.analysis.loops import loop_opening
 from hysteresis_ros.analysis.plots import data_uri, envelope, new_figure
 from hysteresis_ros.analysis.report import render_page, write_page
 from hysteresis_ros.recordings.dataset import Recording
+from hysteresis_ros.recordings.loops import loop_opening
 
 _MICRO = 1e6
 _REFERENCE = "#222222"

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from hysteresis_ros.analysis.loops import loop_opening
 from hysteresis_ros.analysis.settings import axis_settings
 from hysteresis_ros.analysis.steps import find_holds, step_responses
 from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.recordings.dataset import Recording
+from hysteresis_ros.recordings.loops import loop_opening
 
 #: All figures with the unit shown to people, the factor from SI and a label; the order is that of the tables.
 FIGURES = (

@@ -7,10 +7,10 @@ import io
 
 import numpy as np
 
-from hysteresis_ros.analysis.loops import loop_opening
 from hysteresis_ros.analysis.settings import axis_settings
 from hysteresis_ros.errors import HysteresisError
 from hysteresis_ros.recordings.dataset import Recording
+from hysteresis_ros.recordings.loops import loop_opening
 
 #: Points of a line on paper; longer signals are drawn as the minimum and maximum of as many intervals.
 LINE_POINTS = 3000

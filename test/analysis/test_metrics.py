@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hysteresis_ros.analysis.loops import loop_opening, turning_points
 from hysteresis_ros.analysis.metrics import FIGURES, compute_metrics, format_table
 from hysteresis_ros.analysis.steps import step_responses
 from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.recordings import Recording
+from hysteresis_ros.recordings.loops import loop_opening, turning_points
 
 RATE = 10_000.0
 
