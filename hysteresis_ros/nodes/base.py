@@ -1,0 +1,343 @@
+"""The shared lifecycle of all nodes: parameters, autostart, topics, services, diagnostics."""
+
+from __future__ import annotations
+
+import time
+from array import array
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from rclpy.clock import Clock, ClockType
+from rclpy.duration import Duration
+from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
+
+from hysteresis_ros.errors import HysteresisError, ParameterError
+from hysteresis_ros.nodes.lockstep import WATCH_PERIOD, LockstepProtocol, Partners
+from hysteresis_ros.nodes.parameters import ParameterInterface
+from hysteresis_ros.nodes.qos import diagnostics_qos, loop_qos
+from hysteresis_ros.nodes.timing import Pace
+from hysteresis_ros.simulation.node_parameters import NODE_PARAMETERS
+
+
+class AxisNode(LockstepProtocol, LifecycleNode):
+    """Base of the nodes of an axis.
+
+    Subclasses implement :meth:`build` (blocks from parameters), :meth:`connect` (publishers and subscriptions),
+    :meth:`reset_blocks`, :meth:`retune`, and what happens on a sample. A mistake of the user or a broken run ends in
+    :attr:`failure`, a sentence; the process that runs the node then leaves with :attr:`exit_code`.
+
+    Parameters
+    ----------
+    name : str
+        Node name; also chooses the parameter table.
+    """
+
+    #: Signals of ``~/state``, in order.
+    state_names: tuple[str, ...] = ()
+
+    def __init__(self, name: str, **options):
+        super().__init__(name, **options)
+        self.interface = ParameterInterface(self, NODE_PARAMETERS[name], self._retune)
+        self.steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.partners = Partners(self)
+        self.parameters = None
+        self.active = False
+        self.running = True
+        self.finished = False
+        self.failure = ""
+        self.exit_code = 0
+        self.pace = Pace()
+        self.sample = 0
+        self.end_of_run = -1
+        self._topic_handles: list = []
+        self._loop_publishers: list = []
+        self._work_timers: list = []
+        self._warned: dict[str, int] = {}
+        self._reported: dict[str, int] = {}
+        for service in ("start", "stop", "reset"):
+            self.create_service(Trigger, f"~/{service}", getattr(self, f"_on_{service}"))
+
+    # -- what subclasses provide -------------------------------------------------------------------------------
+
+    def build(self, parameters) -> None:
+        """Make the blocks. Raises HysteresisError when the parameters do not fit together."""
+
+    def connect(self) -> None:
+        """Make publishers and subscriptions."""
+
+    def begin(self) -> None:
+        """Go to work after activation."""
+
+    def advance(self) -> None:
+        """Lockstep: answer the present sample if everything it needs has come."""
+
+    def go_safe(self) -> None:
+        """Bring the outputs to their safe values at once; called on deactivation and at exit."""
+
+    def release(self) -> None:
+        """Let go of threads and files; called on deactivation and at exit, also after the regular end of a run."""
+
+    @property
+    def listens_at_exit(self) -> bool:
+        """Whether this node still takes what is under way to it before it leaves."""
+        return False
+
+    def drained(self) -> bool:
+        """Tell whether nothing is under way any more to a node that listens at exit."""
+        return True
+
+    def reset_blocks(self) -> None:
+        """Return blocks and counters to the beginning."""
+
+    def retune(self, parameters) -> None:
+        """Take changed parameters without a jump."""
+
+    def on_running(self, running: bool) -> None:
+        """``~/start`` (True) or ``~/stop`` (False) was called."""
+
+    def missing_partner(self) -> str:
+        """Lockstep: name who has not delivered what the present sample needs; empty when nobody is awaited."""
+        return ""
+
+    def health(self) -> tuple[int, str, dict]:
+        """Return diagnostic level (0 OK, 1 warning, 2 error), message and further values."""
+        return 0, "", {}
+
+    # -- lifecycle ---------------------------------------------------------------------------------------------
+
+    @property
+    def lockstep(self) -> bool:
+        """True when samples are answered one by one instead of by the clock."""
+        return self.parameters is not None and self.parameters.time_mode == "lockstep"
+
+    @property
+    def autostart(self) -> bool:
+        """Whether the node configures and activates by itself."""
+        return self.get_parameter("autostart").value is not False
+
+    def configure_now(self) -> bool:
+        """Configure; False when that failed."""
+        return self.trigger_configure() == TransitionCallbackReturn.SUCCESS
+
+    def activate_now(self) -> bool:
+        """Activate; False when that failed."""
+        return self.trigger_activate() == TransitionCallbackReturn.SUCCESS
+
+    def on_configure(self, state):
+        """Read and check the parameters, build the blocks, connect the topics."""
+        try:
+            self.parameters = self.interface.read()
+            self.build(self.parameters)
+            self._connect()
+        except HysteresisError as error:
+            problems = error.problems if isinstance(error, ParameterError) else (error,)
+            return self._not_configured(problems, 2)
+        except Exception as error:  # rclpy would swallow it without a word
+            return self._not_configured((f"{type(error).__name__}: {error}",), 1)
+        self.failure, self.exit_code = "", 0
+        return super().on_configure(state)
+
+    def _not_configured(self, problems, exit_code: int):
+        lines = [" ".join(str(problem).split()) for problem in problems]
+        for line in lines:
+            self.get_logger().error(f"not configured: {line}")
+        self.failure, self.exit_code = f"not configured: {'; '.join(lines)}", exit_code
+        self._disconnect()
+        return TransitionCallbackReturn.FAILURE
+
+    def _connect(self) -> None:
+        rate = self.parameters.sample_rate * getattr(self.parameters, "real_time_factor", 1.0)
+        self.pace = Pace(float("inf") if self.lockstep else 1.0 / rate)
+        self._state = self._make_state()
+        self._state_publisher = self.publisher(JointState, "~/state", self.qos()) if self.state_names else None
+        self._diagnostics = self.publisher(DiagnosticArray, "/diagnostics", diagnostics_qos())
+        self.begin_protocol()
+        self.connect()
+
+    def _disconnect(self) -> None:
+        for destroy, handle in self._topic_handles:
+            destroy(handle)
+        self._topic_handles.clear()
+        self._loop_publishers.clear()
+        self.partners.clear()
+        self.interface.typed = None
+        self.parameters = None
+
+    def on_activate(self, state):
+        """Start working."""
+        try:
+            self.active = True
+            self._heard_at = self.steady.now().nanoseconds
+            self.pace.restart()
+            self.timer(1.0, self._publish_diagnostics)
+            if self.lockstep:
+                self.timer(WATCH_PERIOD, self.watch_partners)
+            self.begin()
+        except HysteresisError as error:
+            self.get_logger().error(f"not activated: {error}")
+            self.exit_code = 2
+            self._stop_working()
+            return TransitionCallbackReturn.FAILURE
+        except Exception as error:  # rclpy would swallow it without a word
+            self.fail(f"not activated: {type(error).__name__}: {error}")
+            self._stop_working()
+            return TransitionCallbackReturn.FAILURE
+        return super().on_activate(state)
+
+    def on_deactivate(self, state):
+        """Stop working; outputs go to their safe values. A lockstep run is over: the next one starts at sample 0."""
+        self.go_safe()
+        self._stop_working()
+        if self.lockstep:
+            self.clear_protocol()
+            self.reset_blocks()
+        return super().on_deactivate(state)
+
+    def _stop_working(self) -> None:
+        self.active = False
+        self.release()
+        for timer in self._work_timers:
+            self.destroy_timer(timer)
+        self._work_timers.clear()
+
+    def on_cleanup(self, state):
+        """Let go of topics and blocks."""
+        self._disconnect()
+        self.running = True
+        return super().on_cleanup(state)
+
+    def on_shutdown(self, state):
+        """Leave from any state: outputs go to their safe values first."""
+        if self.active:
+            self.go_safe()
+        self._stop_working()
+        self.finished = True
+        return super().on_shutdown(state)
+
+    # -- topics ------------------------------------------------------------------------------------------------
+
+    def qos(self):
+        """Quality of service of the topics between the nodes."""
+        return loop_qos(self.parameters.time_mode, self.parameters.queue_depth)
+
+    def publisher(self, message_type, topic: str, qos, loop: bool = False):
+        """Make a publisher that goes with cleanup; ``loop``: lockstep needs its partner before the first answer."""
+        made = self.create_publisher(message_type, topic, qos)
+        self._topic_handles.append((self.destroy_publisher, made))
+        if loop:
+            self._loop_publishers.append(made)
+        return made
+
+    def subscriber(self, message_type, topic: str, callback, qos, raw: bool = False, partner: str = ""):
+        """Make a subscription that goes with cleanup; ``partner``: who publishes it in lockstep, and is watched."""
+        made = self.create_subscription(message_type, topic, callback, qos, raw=raw)
+        self._topic_handles.append((self.destroy_subscription, made))
+        if partner:
+            self.partners.add(made.topic_name, partner)
+        return made
+
+    def timer(self, period: float, callback):
+        """Make a timer on the steady clock that goes with deactivation."""
+        made = self.create_timer(period, callback, clock=self.steady)
+        self._work_timers.append(made)
+        return made
+
+    def _make_state(self) -> JointState:
+        message = JointState()
+        message.name = list(self.state_names)
+        message.position = array("d", bytes(8 * len(self.state_names)))
+        return message
+
+    def publish_state(self, stamp, *values: float) -> None:
+        """Publish ``~/state`` with the stamp of the measurement it belongs to; the message is reused."""
+        message = self._state
+        message.header.stamp = stamp
+        position = message.position
+        for index, value in enumerate(values):
+            position[index] = value
+        self._state_publisher.publish(message)
+
+    def warn(self, key: str, text: str, every: float = 1.0, error: bool = False) -> None:
+        """Log a warning (or error), at most one per ``key`` and ``every`` seconds."""
+        now = self.steady.now().nanoseconds
+        if now - self._warned.get(key, -(10**18)) >= every * 1e9:
+            self._warned[key] = now
+            # two lines, because rclpy ties a place in the source to one severity
+            if error:
+                self.get_logger().error(text)
+            else:
+                self.get_logger().warning(text)
+
+    def wait_acknowledged(self, deadline: float) -> None:
+        """Wait until all that was published has been received, at most until ``time.monotonic()`` is ``deadline``."""
+        for _, handle in self._topic_handles:
+            if hasattr(handle, "wait_for_all_acked"):
+                handle.wait_for_all_acked(Duration(seconds=max(deadline - time.monotonic(), 0.0)))
+
+    # -- services and parameters -------------------------------------------------------------------------------
+
+    def _on_start(self, request, response):
+        return self._set_running(response, True)
+
+    def _on_stop(self, request, response):
+        return self._set_running(response, False)
+
+    def _set_running(self, response, running: bool):
+        if self.parameters is not None and self.running != running:
+            self.running = running
+            self.pace.restart()
+            self.on_running(running)
+        return self._answer_service(response, "running" if running else "stopped")
+
+    def _on_reset(self, request, response):
+        if self.parameters is not None:
+            self.failure, self.exit_code = "", 0
+            self.pace.restart()
+            self.clear_protocol()
+            self.reset_blocks()
+        return self._answer_service(response, "reset")
+
+    def _answer_service(self, response, done: str):
+        response.success = self.parameters is not None
+        response.message = done if response.success else "not configured yet"
+        return response
+
+    def _retune(self, parameters) -> None:
+        self.retune(parameters)
+        self.parameters = parameters
+
+    # -- diagnostics -------------------------------------------------------------------------------------------
+
+    def since_report(self, key: str, count: int) -> int:
+        """Return by how much a counter has grown since it was last reported."""
+        before, self._reported[key] = self._reported.get(key, 0), count
+        return max(count - before, 0)
+
+    def _publish_diagnostics(self) -> None:
+        rate, jitter = self.pace.read()
+        level, text, values = self.health()
+        overruns = self.since_report("overruns", self.pace.overruns)
+        if self.failure:
+            level, text = 2, self.failure
+        elif not self.running:
+            level, text = max(level, 1), text or "stopped"
+        elif overruns and not level:
+            level, text = 1, f"{overruns} periods overrun"
+        status = DiagnosticStatus()
+        status.name = f"{self.get_fully_qualified_name()}: axis"
+        status.hardware_id = self.parameters.joint
+        status.level = (DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR)[level]
+        status.message = text or "OK"
+        table = {"rate_hz": f"{rate:.3f}", "jitter_p99_s": f"{jitter:.6f}", "samples": self.pace.total}
+        table |= {"overruns": self.pace.overruns} | values
+        status.values = [KeyValue(key=key, value=str(value)) for key, value in table.items()]
+        message = DiagnosticArray()
+        message.header.stamp = self.get_clock().now().to_msg()
+        message.status = [status]
+        self._diagnostics.publish(message)
+
+
+def sample_index(stamp, rate: float) -> int:
+    """Return the number of the sample with this stamp: lockstep time starts at zero."""
+    return round((stamp.sec + stamp.nanosec * 1e-9) * rate)

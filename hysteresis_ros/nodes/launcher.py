@@ -1,0 +1,201 @@
+"""Start the graph of a configuration as processes and bring it down again; imports no ROS itself."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import os
+import pathlib
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass, field, replace
+from functools import partial
+
+from hysteresis_ros.configuration import NODE_NAMES
+from hysteresis_ros.errors import ConfigurationError, HysteresisError
+from hysteresis_ros.simulation.axis import AxisParameters
+
+#: Order in which nodes are told to leave: the voltage returns to safe while the plant still listens, the recorder last.
+STOP_ORDER = (
+    "reference_generator",
+    "motion_controller",
+    "hysteresis_compensator",
+    "hysteresis_axis",
+    "plant_simulator",
+    "recorder",
+)
+
+#: Seconds a node gets to leave before it is killed.
+PATIENCE = 10.0
+
+_PR_SET_PDEATHSIG = 1
+
+
+class GraphError(HysteresisError):
+    """A node died or refused to start; the rest of the graph was brought down."""
+
+    def __init__(self, text: str, exit_code: int):
+        super().__init__(text)
+        self.exit_code = exit_code
+
+
+@dataclass
+class NodeProcess:
+    """One running process of the graph."""
+
+    name: str
+    namespace: str
+    process: subprocess.Popen = field(repr=False)
+
+    @property
+    def full_name(self) -> str:
+        """Full node name for messages."""
+        return f"{self.namespace}/{self.name}"
+
+
+class Graph:
+    """The processes of one or several axes.
+
+    Parameters
+    ----------
+    axes : list of AxisParameters
+        Parameters of each axis, complete.
+    composed : bool
+        The four nodes of an axis in one process instead of four.
+    record : path-like, optional
+        Bag folder; with several axes each gets a folder of its namespace's name in it.
+    log_level : str
+        Log level of the nodes.
+
+    Raises
+    ------
+    ConfigurationError
+        The recording exists already.
+    """
+
+    def __init__(self, axes: list[AxisParameters], *, composed: bool = False, record=None, log_level: str = "warn"):
+        self.composed = composed
+        self.record = pathlib.Path(record) if record is not None else None
+        self.bags: list[pathlib.Path] = []
+        self.log_level = log_level
+        self.axes = [self._with_recorder(axis, len(axes) > 1) for axis in axes]
+        self.processes: list[NodeProcess] = []
+        self._stack = contextlib.ExitStack()
+        self._first_left = 0.0
+
+    def _with_recorder(self, axis: AxisParameters, several: bool) -> AxisParameters:
+        if self.record is None:
+            return axis
+        bag = self.record / (axis.namespace.strip("/").replace("/", "_") or "axis") if several else self.record
+        if bag.exists():
+            raise ConfigurationError(f"{bag}: exists already; choose another folder for the recording or remove it")
+        self.bags.append(bag)
+        return replace(
+            axis,
+            plant_simulator=replace(axis.plant_simulator, wait_for_recorder=True),
+            recorder=replace(axis.recorder, path=str(bag.resolve())),
+        )
+
+    def __enter__(self) -> Graph:
+        try:
+            self.start()
+        except BaseException:
+            self.stop()
+            raise
+        return self
+
+    def __exit__(self, *exception) -> None:
+        self.stop()
+
+    def start(self) -> None:
+        """Start all processes; returns at once. They find each other by themselves."""
+        folder = pathlib.Path(self._stack.enter_context(tempfile.TemporaryDirectory(prefix="hysteresis_")))
+        for number, axis in enumerate(self.axes):
+            path = folder / f"axis{number}.yaml"
+            axis = replace(axis, recorder=replace(axis.recorder, configuration=str(path)))
+            path.write_text(axis.configuration_text(), encoding="utf-8")
+            names = ["hysteresis_axis"] if self.composed else list(NODE_NAMES)
+            if self.record is not None:
+                self.record.parent.mkdir(parents=True, exist_ok=True)
+                names.insert(0, "recorder")
+            for name in names:
+                self.processes.append(self._spawn(name, axis.namespace, path))
+
+    def _spawn(self, name: str, namespace: str, path: pathlib.Path) -> NodeProcess:
+        module = "axis" if name == "hysteresis_axis" else name
+        command = [sys.executable, "-m", f"hysteresis_ros.nodes.{module}", "--ros-args"]
+        command += ["--params-file", str(path), "--log-level", self.log_level]
+        if namespace:
+            command += ["-r", f"__ns:={namespace}"]
+        # A session of its own: Ctrl-C in a terminal reaches this process only, which then stops the nodes in order.
+        process = subprocess.Popen(command, start_new_session=True, preexec_fn=partial(_die_with_parent, os.getpid()))
+        return NodeProcess(name, namespace, process)
+
+    def poll(self) -> bool:
+        """Return True while the graph runs, False when every node left by itself with exit code 0.
+
+        Raises
+        ------
+        GraphError
+            A node died, or left long before the others; the others have been stopped then.
+        """
+        codes = [node.process.poll() for node in self.processes]
+        ended = [node for node, code in zip(self.processes, codes, strict=True) if code is not None]
+        dead = [node for node in ended if node.process.returncode != 0]
+        if dead:
+            # who breaks a run takes others along within moments: what was killed or refused its parameters comes first
+            first = min(dead, key=lambda node: (node.process.returncode > 0, node.process.returncode != 2))
+            code = first.process.returncode
+            self.stop()
+            reason = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
+            raise GraphError(f"{first.full_name} {reason}; the rest was stopped", code if code > 0 else 1)
+        if ended and None in codes:
+            self._first_left = self._first_left or time.monotonic()
+            if time.monotonic() - self._first_left > PATIENCE:
+                names = ", ".join(node.full_name for node in ended)
+                self.stop()
+                raise GraphError(f"{names} left while the others went on; the rest was stopped", 1)
+        return None in codes
+
+    def wait(self, stop_requested=lambda: False) -> bool:
+        """Wait until the run ends by itself (True) or ``stop_requested()`` becomes true (False).
+
+        Raises
+        ------
+        GraphError
+            A node died.
+        """
+        while self.poll():
+            if stop_requested():
+                return False
+            time.sleep(0.05)
+        return True
+
+    def stop(self) -> None:
+        """Bring down what still runs; kills what does not leave within its time.
+
+        In order in real time. All at once in lockstep: without one node the others would call the run broken.
+        """
+        lockstep = all(axis.plant_simulator.time_mode == "lockstep" for axis in self.axes)
+        for names in [STOP_ORDER] if lockstep else [[name] for name in STOP_ORDER]:
+            group = [node for node in self.processes if node.name in names and node.process.poll() is None]
+            for node in group:
+                node.process.send_signal(signal.SIGTERM)
+            for node in group:
+                try:
+                    node.process.wait(PATIENCE)
+                except subprocess.TimeoutExpired:
+                    node.process.kill()
+                    node.process.wait()
+        self._stack.close()
+
+
+def _die_with_parent(parent: int) -> None:
+    """Linux: a node does not outlive a launcher that is killed."""
+    with contextlib.suppress(OSError, AttributeError):
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+        if os.getppid() != parent:
+            os._exit(1)

@@ -1,0 +1,257 @@
+"""Node ``motion_controller``: ``reference`` and ``joint_states`` → ``command``, the displacement that is wanted."""
+
+from __future__ import annotations
+
+import math
+import time
+
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64
+
+from hysteresis_ros.control.controller import ControllerParameters, controller_block, handover_block
+from hysteresis_ros.control.handover import HandoverParameters, arm
+from hysteresis_ros.control.open_loop import APPLIED, COMMAND, DISTURBANCE, ESTIMATED, STARTED, SWITCHING
+from hysteresis_ros.nodes.base import AxisNode, sample_index
+from hysteresis_ros.nodes.spin import run
+from hysteresis_ros.simulation.node_parameters import part
+
+#: Seconds between two looks at the watchdog.
+WATCHDOG_PERIOD = 0.01
+
+
+class MotionControllerNode(AxisNode):
+    """Closes the loop: one ``command`` [m] for every measurement of the joint.
+
+    In real time a measurement that stops, repeats, goes back in time, is not finite or lacks the joint is skipped;
+    after ``measurement_timeout`` without a good one the command slews to ``safe_command``. When good measurements
+    return, the controller starts from there and the command continues without a jump.
+    """
+
+    state_names = ("reference", "measured", "estimated", "command", "switching", "disturbance")
+    share = 0.85
+
+    def __init__(self, **options):
+        super().__init__("motion_controller", **options)
+
+    def build(self, parameters) -> None:
+        """Make controller and hand-over from the parameters."""
+        block = part(parameters, ControllerParameters)
+        sample_time = 1.0 / parameters.sample_rate
+        self.controller = controller_block(block, sample_time)
+        self.controller_type = block.type
+        self.handover = handover_block(block, sample_time)
+        self.controller.step(0.0, 0.0)  # compile now, not at the first sample
+        self.handover.step(0.0)
+        self._clear()
+
+    def _clear(self) -> None:
+        self.controller.reset()
+        self.handover.reset()
+        self.reference = 0.0
+        self.command = 0.0
+        self.rejected = 0
+        self.stale = False
+        self._last_good = time.monotonic()
+        self._last_stamp = -1
+        self._measured = None
+        self._stamp = None
+        self._references = 0
+        self._applied = 0
+        self._joint_index = -1
+        self.wrong_joint = False
+
+    def connect(self) -> None:
+        """Make the topics."""
+        self._message = Float64()
+        self._command = self.publisher(Float64, "command", self.qos(), loop=True)
+        self.subscriber(JointState, "joint_states", self._on_measurement, self.qos(), partner="plant_simulator")
+        self.subscriber(Float64, "reference", self._on_reference, self.qos(), partner="reference_generator")
+        self.subscriber(Float64, "applied", self._on_applied, self.qos(), partner="hysteresis_compensator")
+        self.subscribe_end()
+
+    def begin(self) -> None:
+        """Start the watchdog of the measurement."""
+        if not self.lockstep:
+            self._last_good = time.monotonic()
+            if self.sample:
+                self._resume()
+            self.timer(WATCHDOG_PERIOD, self._watchdog)
+
+    def reset_blocks(self) -> None:
+        """Begin again with everything at rest."""
+        self._clear()
+
+    def retune(self, parameters) -> None:
+        """Take new gains, or another type of controller; the command goes on from where it is."""
+        block = part(parameters, ControllerParameters)
+        sample_time = 1.0 / parameters.sample_rate
+        if block.type == self.controller_type:
+            self.controller.retune(block)
+        else:
+            controller = controller_block(block, sample_time)
+            controller.step(0.0, 0.0)  # compile now, not at the next sample
+            controller.reset()
+            controller.x[APPLIED] = self.controller.x[APPLIED]
+            self.controller = controller
+        self.controller_type = block.type
+        self.handover.retune(HandoverParameters(time=block.handover_time))
+        arm(self.handover, self.command)
+
+    def on_running(self, running: bool) -> None:
+        """``~/stop`` slews to the safe command, ``~/start`` goes on without a jump."""
+        if running:
+            self._resume()
+
+    # -- inputs ------------------------------------------------------------------------------------------------
+
+    def _on_reference(self, message) -> None:
+        finite = math.isfinite(message.data)
+        if not finite:
+            self.warn("reference", f"reference {message.data} m refused, {self.reference:.6g} m kept")
+        if self.lockstep:
+            self._references += 1
+            if self.surplus(self._references, self.sample + 1, "reference", "reference_generator"):
+                return
+            self.heard()
+        self.reference = message.data if finite else self.reference
+        if self.lockstep:
+            self.advance()
+
+    def _on_applied(self, message) -> None:
+        if math.isfinite(message.data):
+            self.controller.x[APPLIED] = message.data
+        if self.lockstep:
+            self._applied += 1
+            if not self.surplus(self._applied, self.sample, "applied", "hysteresis_compensator"):
+                self.heard()
+                self.advance()
+
+    def _on_measurement(self, message) -> None:
+        if self.lockstep:
+            if self.expected(sample_index(message.header.stamp, self.parameters.sample_rate)):
+                self.heard()
+                self._measured, self._stamp = self._displacement(message), message.header.stamp
+                self.advance()
+        elif self.active:
+            self._on_measurement_realtime(message)
+
+    def _on_measurement_realtime(self, message) -> None:
+        self.pace.tick()
+        value = self._displacement(message)
+        if math.isnan(value):
+            self.rejected += 1
+            return
+        stamp = message.header.stamp.sec * 1_000_000_000 + message.header.stamp.nanosec
+        if stamp <= self._last_stamp and not self.stale:
+            self.rejected += 1
+            self.warn("stamp", f"measurement rejected: stamp {stamp} ns does not follow {self._last_stamp} ns")
+            return
+        self.wrong_joint = False
+        self._last_stamp = stamp
+        self._last_good = time.monotonic()
+        if self.stale:
+            self.stale = False
+            self.get_logger().info("measurement is back")
+            self._resume()
+        self._answer(message.header.stamp, value)
+
+    def _displacement(self, message) -> float:
+        """Return the joint's position [m]; NaN, with a message, when there is none that can be used."""
+        joint, names, index = self.parameters.joint, message.name, self._joint_index
+        if not 0 <= index < len(names) or names[index] != joint:
+            self.wrong_joint = joint not in names
+            if self.wrong_joint:
+                text = f"joint '{joint}' is not in joint_states, which has {list(names)}: set the parameter joint"
+                if self.lockstep:
+                    self.fail(text)
+                else:
+                    self.warn("joint", text, error=True)
+                return math.nan
+            index = self._joint_index = names.index(joint)
+        if index >= len(message.position) or not math.isfinite(message.position[index]):
+            self.warn("nan", f"measurement of joint '{joint}' is missing or not finite and was rejected")
+            return math.nan
+        return message.position[index]
+
+    # -- answers -----------------------------------------------------------------------------------------------
+
+    def advance(self) -> None:
+        """Lockstep: answer when measurement k, reference k and what was applied at k-1 are there."""
+        if self._measured is None or self._references <= self.sample or self._applied < self.sample:
+            return
+        if not self.active or self.failure or not self.matched():
+            return
+        self.pace.tick()
+        value, self._measured = self._measured, None
+        self._answer(self._stamp, value)
+
+    def missing_partner(self) -> str:
+        """Name who has not delivered what the present sample needs."""
+        if self._measured is None:
+            return "plant_simulator"
+        if self._references <= self.sample:
+            return "reference_generator"
+        return "hysteresis_compensator" if self._applied < self.sample else ""
+
+    def _answer(self, stamp, value: float) -> None:
+        if not self.running:
+            self._slew_safe(1.0 / self.parameters.sample_rate)
+        elif math.isnan(value):
+            self.rejected += 1
+        else:
+            self.command = self.handover.step(self.controller.step(self.reference, value))
+            self.controller.x[COMMAND] = self.command
+        self._message.data = self.command
+        self._command.publish(self._message)
+        x = self.controller.x
+        self.publish_state(stamp, self.reference, value, x[ESTIMATED], self.command, x[SWITCHING], x[DISTURBANCE])
+        self.sample += 1
+
+    def _resume(self) -> None:
+        """Start the observer anew at the present measurement; the command continues from the last one."""
+        self.controller.x[STARTED] = 0.0
+        arm(self.handover, self.command)
+
+    def _watchdog(self) -> None:
+        """Real time: slew to the safe command while no good measurement comes."""
+        quiet = time.monotonic() - self._last_good
+        if not self.active or self._last_stamp < 0 or quiet < self.parameters.measurement_timeout:
+            return
+        if not self.stale:
+            self.stale = True
+            joint, safe = self.parameters.joint, self.parameters.safe_command
+            limit = self.parameters.measurement_timeout
+            self.warn("stale", f"no good measurement of '{joint}' for {limit:g} s: going to safe_command {safe:g} m")
+        self._slew_safe(WATCHDOG_PERIOD)
+        self._message.data = self.command
+        self._command.publish(self._message)
+
+    def _slew_safe(self, duration: float) -> None:
+        step = self.parameters.safe_slew_rate * duration
+        self.command += min(max(self.parameters.safe_command - self.command, -step), step)
+
+    def go_safe(self) -> None:
+        """Publish the safe command; in lockstep, where it would be taken for the one of a sample, nothing."""
+        if not self.lockstep and self.sample:
+            self.command = self.parameters.safe_command
+            self._message.data = self.command
+            self._command.publish(self._message)
+
+    def health(self):
+        """Report a stale measurement and rejected ones."""
+        values = {"rejected_measurements": self.rejected, "command_m": f"{self.command:.9g}", "stale": self.stale}
+        rejected = self.since_report("rejected", self.rejected)
+        if self.wrong_joint:
+            return 2, f"joint '{self.parameters.joint}' is not in joint_states", values
+        if self.stale or (self._last_stamp < 0 and not self.lockstep):
+            return 2, f"measurement of '{self.parameters.joint}' is stale", values
+        return (1, f"{rejected} measurements rejected", values) if rejected else (0, "", values)
+
+
+def main(arguments=None) -> int:
+    """Run the node; returns the exit code."""
+    return run([MotionControllerNode], arguments)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,36 @@
+"""Quality of service of every topic of an axis; ``docs/topics.md`` states the same for users."""
+
+from __future__ import annotations
+
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+
+
+def _reliable(depth: int, durability: DurabilityPolicy) -> QoSProfile:
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST, depth=depth, reliability=ReliabilityPolicy.RELIABLE, durability=durability
+    )
+
+
+def loop_qos(time_mode: str, depth: int) -> QoSProfile:
+    """Topics between the nodes of an axis.
+
+    Lockstep keeps the last ``depth`` messages for whoever is matched a little later (transient-local): with volatile
+    topics sample 0 can be lost and the loop would wait for ever. In real time old samples are worthless (volatile).
+    """
+    lockstep = time_mode == "lockstep"
+    return _reliable(depth, DurabilityPolicy.TRANSIENT_LOCAL if lockstep else DurabilityPolicy.VOLATILE)
+
+
+def setpoint_qos() -> QoSProfile:
+    """Setpoints from people: reliable and volatile, so that a default ``ros2 topic pub`` matches."""
+    return _reliable(10, DurabilityPolicy.VOLATILE)
+
+
+def latched_qos() -> QoSProfile:
+    """Said once, for whoever comes later: the end of a run, the configuration of a recording."""
+    return _reliable(1, DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+def diagnostics_qos() -> QoSProfile:
+    """``/diagnostics`` as ROS tools expect it."""
+    return _reliable(10, DurabilityPolicy.VOLATILE)

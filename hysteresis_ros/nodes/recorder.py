@@ -1,0 +1,227 @@
+"""Node ``recorder``: every topic of an axis into one bag, acknowledged to the plant so that nothing is lost."""
+
+from __future__ import annotations
+
+import pathlib
+import time
+
+from diagnostic_msgs.msg import DiagnosticArray
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64, String, UInt64
+
+from hysteresis_ros.errors import ConfigurationError, RecordingError
+from hysteresis_ros.nodes.base import AxisNode
+from hysteresis_ros.nodes.qos import diagnostics_qos, latched_qos, setpoint_qos
+from hysteresis_ros.nodes.spin import QUIET, run
+from hysteresis_ros.nodes.timing import STALE
+from hysteresis_ros.recordings.bag_writer import BagWriter
+
+#: Topics with exactly one message a sample, and who publishes them.
+SAMPLED = (
+    ("joint_states", JointState, "plant_simulator"),
+    ("reference", Float64, "reference_generator"),
+    ("command", Float64, "motion_controller"),
+    ("applied", Float64, "hysteresis_compensator"),
+    ("voltage", Float64, "hysteresis_compensator"),
+    ("plant_simulator/state", JointState, ""),
+    ("reference_generator/state", JointState, ""),
+    ("motion_controller/state", JointState, ""),
+    ("hysteresis_compensator/state", JointState, ""),
+)
+
+#: Samples between two acknowledgements to the plant.
+STRIDE = 16
+
+#: Seconds that a real-time recording waits for the publishers of an axis before it lets the plant begin anyway.
+PATIENCE_AT_START = 20.0
+
+#: Seconds of silence after the end mark that end a real-time recording.
+SILENCE = 0.3
+
+
+class RecorderNode(AxisNode):
+    """Writes MCAP in chunks; at exit, Ctrl-C or SIGTERM nothing is lost, at SIGKILL at most one open chunk."""
+
+    def __init__(self, **options):
+        super().__init__("recorder", **options)
+        self.bag = None
+        self._arrived = False
+
+    def build(self, parameters) -> None:
+        """Open the bag."""
+        self._configuration = ""
+        if parameters.configuration:
+            try:
+                self._configuration = pathlib.Path(parameters.configuration).read_text(encoding="utf-8")
+            except (OSError, UnicodeDecodeError) as error:
+                raise ConfigurationError(
+                    f"configuration = '{parameters.configuration}' cannot be read: {error}"
+                ) from None
+        self._further = [_topic_and_type(entry) for entry in parameters.topics]
+        self.bag = BagWriter(parameters.path)
+        self._path = parameters.path
+        self._flushed = time.monotonic()
+        self.reset_blocks()
+
+    def reset_blocks(self) -> None:
+        """Count from sample 0 again; the bag goes on, readers of it show the longest run."""
+        self._counts = [0] * len(SAMPLED)
+        self._acknowledged = 0
+        self._last_arrival = time.monotonic()
+        self.reset_pending = False
+
+    def connect(self) -> None:
+        """Subscribe to everything, as raw CDR."""
+        qos = self.qos()
+        self._sampled: list[str] = []
+        durability = "transient_local" if self.lockstep else "volatile"
+        for index, (topic, message_type, partner) in enumerate(SAMPLED):
+            self._record(topic, message_type, qos, durability, index, partner)
+        self.subscribe_end()
+        self._record("setpoint", Float64, setpoint_qos(), "volatile")
+        self._record("/diagnostics", DiagnosticArray, diagnostics_qos(), "volatile")
+        for topic, message_type in self._further:
+            self._record(topic, message_type, setpoint_qos(), "volatile")
+        self._acknowledge = self.publisher(UInt64, "~/acknowledged", latched_qos())
+        # `ros2 bag record` beside us finds the parameters here as well
+        self._announce = self.publisher(String, "configuration", latched_qos())
+
+    def begin(self) -> None:
+        """Write the configuration first, then tell the plant that it may begin."""
+        if self.bag is None:
+            raise RecordingError(f"{self._path} is finished; start another recorder with another path")
+        if self._configuration:
+            self._announce.publish(String(data=self._configuration))
+            self.bag.add_topic(self._announce.topic_name, "std_msgs/msg/String", "transient_local")
+            self.bag.write_string(self._announce.topic_name, self._configuration, time.time_ns())
+            self.bag.flush()
+        self._began = self.lockstep
+        self._patience = time.monotonic() + PATIENCE_AT_START
+        if self._began:
+            self._send_acknowledgement()
+        self.timer(min(0.1, self.parameters.chunk_time), self._tend)
+
+    def _record(self, topic: str, message_type, qos, durability: str, index=-1, partner="") -> None:
+        type_name = f"{message_type.__module__.split('.')[0]}/msg/{message_type.__name__}"
+        subscription = None
+
+        def write(data: bytes) -> None:
+            if self.bag is None or not self.active or not self.running:
+                return
+            try:
+                self.bag.write(subscription.topic_name, type_name, data, time.time_ns())
+            except RecordingError as error:
+                self.fail(str(error))
+                return
+            if index >= 0:
+                self._note(index)
+
+        subscription = self.subscriber(message_type, topic, write, qos, raw=True, partner=partner)
+        self.bag.add_topic(subscription.topic_name, type_name, durability)
+        if index >= 0:
+            self._sampled.append(subscription.topic_name)
+
+    def _note(self, index: int) -> None:
+        counts = self._counts
+        counts[index] += 1
+        self._heard_new = self._arrived = True
+        if index == 0:
+            self.pace.tick()
+            self.sample = counts[0]
+        if self._began and counts[index] % STRIDE == 0 and min(counts) >= self._acknowledged + STRIDE:
+            self._send_acknowledgement()
+
+    def _send_acknowledgement(self) -> None:
+        self._acknowledged = min(self._counts)
+        self._acknowledge.publish(UInt64(data=self._acknowledged))
+
+    def _tend(self) -> None:
+        now = time.monotonic()
+        if self._arrived:
+            self._last_arrival, self._arrived = now, False
+        if self.bag is not None and now - self._flushed > self.parameters.chunk_time:
+            self._flushed = now
+            try:
+                self.bag.flush()
+            except RecordingError as error:
+                self.fail(str(error))
+        if not self._began:
+            # real-time topics keep nothing for a late reader: let the plant begin when all publishers are there
+            self._began = now > self._patience or all(self.count_publishers(topic) for topic in self._sampled)
+            if self._began:
+                self._send_acknowledgement()
+        if self.end_of_run >= 0 and not self.lockstep and now - self._last_arrival > SILENCE:
+            self.leave_when_done()
+
+    def _on_end(self, message) -> None:
+        self.end_of_run = message.data
+        self._last_arrival = time.monotonic()
+
+    def missing_partner(self) -> str:
+        """Everything comes from the plant in the end."""
+        return "plant_simulator"
+
+    def is_done(self) -> bool:
+        """Tell whether every message of the run is in the bag."""
+        return min(self._counts) >= self.end_of_run
+
+    @property
+    def listens_at_exit(self) -> bool:
+        """What was sent before this node left is still written."""
+        return True
+
+    def drained(self) -> bool:
+        """Tell whether no message is under way any more."""
+        if self._arrived:
+            self._last_arrival, self._arrived = time.monotonic(), False
+        return time.monotonic() - self._last_arrival > QUIET
+
+    def release(self) -> None:
+        """Finish the bag: index and metadata."""
+        if self.bag is None:
+            return
+        bag, self.bag = self.bag, None
+        try:
+            bag.close()
+        except RecordingError as error:
+            self.fail(str(error))
+        pairs = zip(SAMPLED, self._counts, strict=True)
+        missing = [f"{topic} {self.end_of_run - count}" for (topic, *_), count in pairs if count < self.end_of_run]
+        if missing:
+            self.get_logger().warning(f"messages missing from the recording: {', '.join(missing)}")
+
+    def health(self):
+        """Report what has been written, and whether nothing comes."""
+        stale = self.pace.age > max(STALE, 3.0 / self.parameters.sample_rate) and self.end_of_run < 0
+        count = self.bag.message_count if self.bag else 0
+        values = {"messages": count, "acknowledged": self._acknowledged, "stale": stale}
+        return (2, "joint_states is stale", values) if stale else (0, "", values)
+
+
+def _topic_and_type(entry: str):
+    """Return topic and message class of ``name:package/msg/Type``."""
+    topic, _, type_name = entry.partition(":")
+    try:
+        from rosidl_runtime_py.utilities import get_message
+    except ImportError:
+        get_message = _get_message
+    try:
+        return topic, get_message(type_name)
+    except (AttributeError, ModuleNotFoundError, ValueError, TypeError):
+        raise ConfigurationError(f"topics: '{entry}' names no known message; write 'name:package/msg/Type'") from None
+
+
+def _get_message(type_name: str):
+    import importlib
+
+    package, kind, name = type_name.split("/")
+    return getattr(importlib.import_module(f"{package}.{kind}"), name)
+
+
+def main(arguments=None) -> int:
+    """Run the node; returns the exit code."""
+    return run([RecorderNode], arguments)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,89 @@
+"""Publish setpoints as a person would with ``ros2 topic pub``, for machines that have no ``ros2`` command."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+
+import rclpy
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64
+
+from hysteresis_ros.nodes.qos import setpoint_qos
+
+
+class SetpointPublisher(Node):
+    """Publishes each setpoint once its time has come on the axis' own clock, the stamps of ``joint_states``.
+
+    Parameters
+    ----------
+    schedule : list of (float, float)
+        Time [s] since the first sample at which somebody listens, and setpoint [m], in order of time.
+    """
+
+    def __init__(self, schedule):
+        super().__init__("setpoint_publisher")
+        self.schedule = list(schedule)
+        self._first = None
+        self._setpoint = self.create_publisher(Float64, "setpoint", setpoint_qos())
+        if any(time > 0.0 for time, _ in self.schedule):
+            self.create_subscription(JointState, "joint_states", self._on_sample, QoSProfile(depth=100))
+
+    @property
+    def heard(self) -> bool:
+        """True when a reference generator is there to receive the setpoint."""
+        return self._setpoint.get_subscription_count() > 0
+
+    def _on_sample(self, message) -> None:
+        now = message.header.stamp.sec + message.header.stamp.nanosec * 1e-9
+        if self._first is None and self.heard:
+            self._first = now
+        if self._first is not None:
+            self.publish_until(now - self._first)
+
+    def publish_until(self, time: float) -> None:
+        """Publish what is due at ``time`` [s], if somebody listens."""
+        while self.heard and self.schedule and self.schedule[0][0] <= time:
+            self._setpoint.publish(Float64(data=self.schedule.pop(0)[1]))
+
+    def flush(self) -> bool:
+        """Wait until everything has been received."""
+        return self._setpoint.wait_for_all_acked(Duration(seconds=5.0))
+
+
+def main(arguments=None) -> int:
+    """Publish the setpoints of the command line; returns 0, or 1 when nobody listened within the timeout."""
+    parser = argparse.ArgumentParser(prog="setpoint_publisher", description=__doc__)
+    parser.add_argument("--setpoint", type=float, nargs="+", required=True, help="setpoints [m]")
+    parser.add_argument("--at", type=float, nargs="+", default=[0.0], help="time of each [s of the axis]")
+    parser.add_argument("--namespace", default="", help="namespace of the axis")
+    parser.add_argument("--timeout", type=float, default=30.0, help="how long to wait for a reference generator [s]")
+    options = parser.parse_args(arguments)
+    if len(options.at) != len(options.setpoint):
+        parser.error(f"{len(options.setpoint)} setpoints but {len(options.at)} times: give --at one time for each")
+    rclpy.init(args=["--ros-args", "-r", f"__ns:=/{options.namespace.strip('/')}"] if options.namespace else [])
+    node = SetpointPublisher(sorted(zip(options.at, options.setpoint, strict=True)))
+    give_up = node.get_clock().now() + Duration(seconds=options.timeout)
+    try:
+        while node.schedule:
+            rclpy.spin_once(node, timeout_sec=0.05)
+            if node._first is None:
+                node.publish_until(0.0)
+                if node.get_clock().now() > give_up:
+                    where = f"{node.get_namespace().rstrip('/')}/setpoint"
+                    print(f"nobody listens on {where}: is a reference_generator running?", file=sys.stderr)
+                    return 1
+        node.flush()
+    except KeyboardInterrupt:
+        return 0
+    finally:
+        node.destroy_node()
+        rclpy.try_shutdown()
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

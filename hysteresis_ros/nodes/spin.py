@@ -1,0 +1,151 @@
+"""Run nodes until they finish, fail or are told to leave; exit codes and signals are the same for all of them."""
+
+from __future__ import annotations
+
+import gc
+import signal
+import sys
+import time
+
+import rclpy
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.logging import LoggingSeverity, set_logger_level
+from rclpy.signals import SignalHandlerOptions
+
+from hysteresis_ros.nodes.footprint import release_compiler
+
+#: Seconds between two looks at signals and at nodes that have finished, when nothing happens otherwise.
+LOOK = 0.05
+
+#: Seconds that messages get to arrive: at the regular end of a run, and when a signal or an error ends it.
+PATIENCE_AT_END = 5.0
+PATIENCE_AT_EXIT = 0.3
+
+#: Seconds without a message after which nothing is under way any more.
+QUIET = 0.1
+
+
+def make_executor():
+    """Return rclpy's EventsExecutor (a tenth of the default executor's cost), or the default one if it is missing."""
+    try:
+        from rclpy.experimental import EventsExecutor
+    except ImportError:
+        return SingleThreadedExecutor()
+    return EventsExecutor()
+
+
+def run(factories, arguments=None) -> int:
+    """Make nodes, start them, and spin until the end.
+
+    Parameters
+    ----------
+    factories : sequence of callable
+        Each returns an AxisNode.
+    arguments : list of str, optional
+        Command line; ``sys.argv`` by default.
+
+    Returns
+    -------
+    int
+        0 after a run's end, Ctrl-C or SIGTERM; 2 for wrong parameters or arguments; 1 when a run broke.
+    """
+    stop: list[int] = []
+
+    starting = True
+
+    def request_stop(number, frame):
+        stop.append(number)
+        if starting:
+            raise SystemExit(0)  # compiling the kernels may take long
+
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, request_stop)
+    nodes: list = []
+    executor = None
+    try:
+        try:
+            set_logger_level("rcl", LoggingSeverity.FATAL)  # what it says about wrong arguments is raised as well
+            rclpy.init(
+                args=arguments if arguments is not None else sys.argv, signal_handler_options=SignalHandlerOptions.NO
+            )
+            nodes += [factory() for factory in factories]
+        except Exception as error:  # rclpy raises its own and plain C++ errors for names and files that it refuses
+            # without the places in rcl's C sources
+            print(f"error: {' '.join(str(error).split(', at /')[0].split())}", file=sys.stderr)
+            return 2
+        executor = make_executor()
+        for node in nodes:
+            executor.add_node(node)
+        # all are configured before the first one moves
+        for step in ("configure_now", "activate_now"):
+            for node in nodes:
+                if node.autostart and not getattr(node, step)():
+                    return node.exit_code or 2
+        starting = False
+        release_compiler()
+        return _spin(executor, nodes, stop)
+    except SystemExit:
+        return 0
+    finally:
+        starting = False
+        for node in nodes:
+            node.release()  # also after an exception: no thread may go on publishing
+        for node in nodes:
+            if executor is not None:
+                executor.remove_node(node)
+            node.destroy_node()
+        if rclpy.ok():
+            rclpy.shutdown()
+
+
+def _spin(executor, nodes, stop) -> int:
+    # The loop makes no reference cycles; a collection in the middle of a sample would cost milliseconds.
+    gc.collect()
+    gc.freeze()
+    gc.disable()
+    try:
+        while not stop:
+            executor.spin_once(timeout_sec=LOOK)
+            # a node that could not be configured by hand waits for better parameters
+            if any(node.failure and node.parameters is not None for node in nodes):
+                break
+            if all(node.finished for node in nodes):
+                break
+    finally:
+        regular = not stop and all(node.finished and not node.failure for node in nodes)
+        _leave(executor, nodes, regular)
+    if stop:
+        return 0
+    return max((node.exit_code for node in nodes if node.failure), default=0)
+
+
+def _leave(executor, nodes, regular: bool) -> None:
+    """Bring outputs to their safe values and wait until they have arrived, then let go of threads and files."""
+    deadline = time.monotonic() + PATIENCE_AT_END
+    if regular:
+        for node in nodes:
+            node.wait_acknowledged(deadline)
+    # The controller before the compensator, the compensator before the plant: it still sees the voltage return.
+    listening = []
+    for node in reversed(nodes):
+        if not node.active:
+            continue
+        # A lockstep run that ended regularly has exactly one voltage a sample, and its plant is gone.
+        if not (regular and node.lockstep):
+            node.go_safe()
+        if node.listens_at_exit and not regular:
+            listening.append(node)
+        else:
+            node.active = False
+    if not regular:
+        deadline = time.monotonic() + PATIENCE_AT_EXIT
+        for node in nodes:
+            node.wait_acknowledged(deadline)
+    start = time.monotonic()
+    while listening and time.monotonic() < start + PATIENCE_AT_EXIT:
+        executor.spin_once(timeout_sec=0.01)
+        if time.monotonic() > start + QUIET and all(node.drained() for node in listening):
+            break
+    for node in nodes:
+        node.active = False
+        node.release()

@@ -1,0 +1,108 @@
+"""How regularly samples come: rate, jitter and overruns for ``/diagnostics``."""
+
+from __future__ import annotations
+
+import time
+from array import array
+from collections import deque
+
+#: An interval is overrun when it is longer than this many periods.
+OVERRUN = 1.5
+
+#: Seconds without a measurement after which the input is called stale, unless samples are slower than that.
+STALE = 1.0
+
+
+class Pace:
+    """Collects the arrival times of samples between two readings; nothing grows with time.
+
+    Parameters
+    ----------
+    period : float
+        Seconds between samples; infinite when no clock decides (lockstep), nothing is overrun then.
+    capacity : int
+        Intervals kept between two readings; later ones only count.
+    """
+
+    def __init__(self, period: float = float("inf"), capacity: int = 20000):
+        self._intervals = array("d", bytes(8 * capacity))
+        self._count = 0
+        self._last = 0
+        self._limit = OVERRUN * period
+        self.total = 0
+        self.overruns = 0
+
+    def tick(self) -> None:
+        """Note one sample, now."""
+        now = time.monotonic_ns()
+        self.total += 1
+        if self._last:
+            interval = (now - self._last) * 1e-9
+            if interval > self._limit:
+                self.overruns += 1
+            if self._count < len(self._intervals):
+                self._intervals[self._count] = interval
+                self._count += 1
+        self._last = now
+
+    @property
+    def age(self) -> float:
+        """Seconds since the last sample; infinite before the first."""
+        return (time.monotonic_ns() - self._last) * 1e-9 if self._last else float("inf")
+
+    def restart(self) -> None:
+        """Forget the last sample, so that a pause is not taken for an interval."""
+        self._last = 0
+
+    def read(self) -> tuple[float, float]:
+        """Return rate [Hz] and 99 % jitter [s] (deviation from the median interval) since the last reading."""
+        intervals = sorted(self._intervals[: self._count])
+        self._count = 0
+        if not intervals:
+            return 0.0, 0.0
+        median = intervals[len(intervals) // 2]
+        deviations = sorted(abs(value - median) for value in intervals)
+        return len(intervals) / max(sum(intervals), 1e-12), deviations[int(0.99 * (len(deviations) - 1))]
+
+
+class Pairing:
+    """Real time: finds the measurement an answer belongs to, though the two arrive on different topics in any order.
+
+    Every measurement is answered once, so the n-th answer belongs to the n-th measurement; whichever of the two comes
+    first waits. An answer is ahead of its measurement only by chance and by little; a measurement may wait as long as
+    a loaded machine takes. Two things keep a loss from shifting all that follows: what waits for too long is
+    forgotten (a watchdog's command answers nothing), and when answers find several measurements waiting time after
+    time, the oldest one was never answered (it was rejected) and is dropped.
+    """
+
+    #: Most that may wait, and for how long [s].
+    ANSWERS, ANSWER_PATIENCE = 2, 0.05
+    MEASUREMENTS, MEASUREMENT_PATIENCE = 256, 1.0
+    #: Answers in a row that find several measurements waiting before the oldest is dropped.
+    SUSPICION = 50
+
+    def __init__(self):
+        self._measurements: deque = deque(maxlen=self.MEASUREMENTS)
+        self._answers: deque = deque(maxlen=self.ANSWERS)
+        self._crowded = 0
+
+    def measurement(self, stamp, now: float):
+        """Note a measurement; returns the answer that waited for it, or None and the measurement waits."""
+        return self._meet(stamp, now, self._measurements, self._answers, self.ANSWER_PATIENCE)
+
+    def answer(self, answer, now: float):
+        """Note an answer; returns the stamp of its measurement, or None and the answer waits."""
+        self._crowded = self._crowded + 1 if len(self._measurements) > 1 else 0
+        if self._crowded > self.SUSPICION:
+            self._measurements.popleft()
+            self._crowded = 0
+        return self._meet(answer, now, self._answers, self._measurements, self.MEASUREMENT_PATIENCE)
+
+    @staticmethod
+    def _meet(item, now, own, other, patience):
+        while other and now - other[0][0] > patience:
+            other.popleft()
+        if other:
+            return other.popleft()[1]
+        own.append((now, item))
+        return None

@@ -1,0 +1,148 @@
+"""One axis: plant (or driver), compensator, controller and reference generator, set by one parameter file.
+
+``ros2 launch hysteresis_ros axis.launch.py config:=kim2009 record:=bags/first namespace:=left``
+does what ``hysteresis up`` does; ``ros2 launch hysteresis_ros axis.launch.py -s`` lists the arguments. This file
+imports nothing of the package, because ``ros2`` of an apt-installed ROS may run in another Python than the nodes.
+"""
+
+from __future__ import annotations
+
+import json
+import pathlib
+import shutil
+import tempfile
+
+from launch import LaunchDescription
+from launch.actions import (
+    DeclareLaunchArgument,
+    EmitEvent,
+    LogInfo,
+    OpaqueFunction,
+    RegisterEventHandler,
+    TimerAction,
+)
+from launch.event_handlers import OnShutdown
+from launch.events import Shutdown
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import LifecycleNode, Node
+
+PACKAGE = "hysteresis_ros"
+NODES = ("plant_simulator", "hysteresis_compensator", "motion_controller", "reference_generator")
+CONFIGURATIONS = pathlib.Path(__file__).resolve().parents[1] / "config"
+#: Seconds the others have to leave by themselves after one has left without an error, as at the end of a run.
+PATIENCE = 5.0
+
+ARGUMENTS = (
+    DeclareLaunchArgument(
+        "config", default_value="kim2009", description="parameter file, or the name of one that comes with the package"
+    ),
+    DeclareLaunchArgument("namespace", default_value="", description="namespace of the axis"),
+    DeclareLaunchArgument("record", default_value="", description="folder of a new bag; empty: nothing is recorded"),
+    DeclareLaunchArgument(
+        "composed", default_value="false", choices=["true", "false"], description="the nodes in one process"
+    ),
+    DeclareLaunchArgument(
+        "rate", default_value="", choices=["", "realtime", "lockstep"], description="empty: as the parameter file says"
+    ),
+    DeclareLaunchArgument("samples", default_value="", description="length of the run; empty: as the file says"),
+)
+
+
+def generate_launch_description():
+    """Return the launch description of one axis."""
+    return LaunchDescription([*ARGUMENTS, OpaqueFunction(function=axis)])
+
+
+def axis(context):
+    """Return the processes of the axis for the arguments given.
+
+    Raises
+    ------
+    FileNotFoundError
+        The parameter file is missing.
+    ValueError
+        ``samples`` is not a positive whole number.
+    """
+    given = {argument.name: LaunchConfiguration(argument.name).perform(context) for argument in ARGUMENTS}
+    if given["samples"] and not (given["samples"].isdecimal() and int(given["samples"])):
+        raise ValueError(f"samples:={given['samples']}: must be a whole number of at least 1, or left out")
+    config = configuration(given["config"])
+    composed = given["composed"] == "true"
+    names = ["hysteresis_axis"] if composed else list(NODES)
+    if given["record"]:
+        names.append("recorder")
+    folder = pathlib.Path(tempfile.mkdtemp(prefix="axis_launch_"))
+    overrides = folder / "overrides.yaml"
+    overrides.write_text(json.dumps(override(given, config)), encoding="utf-8")
+    running = set(names)
+    actions = []
+    for name in names:
+        options = dict(
+            package=PACKAGE,
+            executable=name,
+            namespace=given["namespace"],
+            parameters=[config, str(overrides)],
+            output="screen",
+            on_exit=farewell(name, running),
+        )
+        # hysteresis_axis holds four nodes, which keep their own names.
+        actions.append(Node(**options) if name == "hysteresis_axis" else LifecycleNode(name=name, **options))
+
+    def clean(event, context):
+        shutil.rmtree(folder, ignore_errors=True)
+
+    return [RegisterEventHandler(OnShutdown(on_shutdown=clean)), *actions]
+
+
+def override(given: dict, config: str) -> dict:
+    """Return the parameters which the arguments ``given`` set, in the shape of a parameter file (JSON is YAML).
+
+    A file, because ``-p node:name:=value`` reaches no node in a namespace and the composed process has four nodes.
+    """
+    common, plant, recorder = {}, {}, {}
+    if given["rate"]:
+        common["time_mode"] = given["rate"]
+    if given["samples"]:
+        common["exit_at_end"] = True
+        plant["samples"] = int(given["samples"])
+    if given["record"]:
+        # In lockstep the plant keeps within reach of the recorder, so that not one message is lost.
+        plant["wait_for_recorder"] = True
+        recorder = {"path": given["record"], "configuration": config}
+    patterns = {"/**": common, "/**/plant_simulator": plant, "/**/recorder": recorder}
+    return {pattern: {"ros__parameters": values} for pattern, values in patterns.items() if values}
+
+
+def configuration(text: str) -> str:
+    """Return the path of the parameter file that ``config`` names.
+
+    Raises
+    ------
+    FileNotFoundError
+        There is no such file.
+    """
+    installed = CONFIGURATIONS / f"{text}.yaml"
+    for path in (pathlib.Path(text).expanduser(), installed):
+        if path.is_file():
+            return str(path.resolve())
+    known = ", ".join(sorted(path.stem for path in CONFIGURATIONS.glob("*.yaml")))
+    raise FileNotFoundError(f"config:={text}: no such file; give a path or one of: {known}")
+
+
+def farewell(name: str, running: set):
+    """Return what is done when the process ``name`` leaves: none of an axis goes on without the others."""
+
+    def on_exit(event, context):
+        running.discard(name)
+        if context.is_shutdown:
+            return None
+        if event.returncode != 0:
+            # An exception, not an event: only this makes `ros2 launch` itself leave with an exit code other than 0.
+            raise RuntimeError(f"{name} died with exit code {event.returncode}; the rest of the axis is stopped")
+        if not running:
+            return [EmitEvent(event=Shutdown(reason="the axis has finished"))]
+        message = f"{name} has left; the rest of the axis is stopped"
+        stop = [LogInfo(msg=message), EmitEvent(event=Shutdown(reason=message))]
+        return [TimerAction(period=PATIENCE, actions=stop)]
+
+    return on_exit

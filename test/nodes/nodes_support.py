@@ -1,0 +1,286 @@
+"""Real processes and real DDS: every group of nodes in a domain of its own, waiting for conditions, never sleeping."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import os
+import pathlib
+import signal
+import subprocess
+import sys
+import threading
+import time
+from dataclasses import replace
+
+# Before the first participant: nobody outside is asked, and a process that is killed leaves no shared memory behind.
+os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
+os.environ["FASTDDS_BUILTIN_TRANSPORTS"] = "UDPv4"
+
+ROOT = pathlib.Path(__file__).resolve().parents[2]
+#: Seconds a condition may take; only a broken test waits that long.
+PATIENCE = 60.0
+#: Seconds in which a node has to leave, with slack for a machine whose cores are taken.
+LEAVE = 3.0
+
+# Domains 0 … 99 in ten blocks, so that two runs of the tests on one machine seldom meet.
+_BLOCK = int(os.environ.get("HYSTERESIS_ROS_TEST_BLOCK", os.getpid() % 10))
+_counter = itertools.count()
+
+
+def new_domain() -> int:
+    return _BLOCK * 10 + next(_counter) % 10
+
+
+def until(condition, timeout: float = PATIENCE, what: str = ""):
+    """Wait until ``condition()`` is true and return its value."""
+    deadline = time.monotonic() + timeout
+    pause = threading.Event()
+    while True:
+        value = condition()
+        if value:
+            return value
+        if time.monotonic() > deadline:
+            raise AssertionError(f"not within {timeout:g} s: {what or condition}")
+        pause.wait(0.01)
+
+
+#: Everything that is not ideal: noise of 5 nm, 16 bits, tight limits, preload.
+REAL = {
+    "plant_simulator": {
+        "sensor__noise": 5.0e-9,
+        "limits__maximum": 90.0,
+        "limits__slew_rate": 4.0e4,
+        "preload__force": 0.2,
+    },
+    "hysteresis_compensator": {"limits__maximum": 90.0, "limits__slew_rate": 4.0e4},
+    "motion_controller": {"model__preload__force": 0.2},
+    "reference_generator": {"waveform__type": "sine", "waveform__amplitude": 4.0e-6},
+}
+SINE = {"waveform__frequency": 20.0, "waveform__offset": 5.0e-6}
+
+
+def axis_parameters(namespace: str = "", overrides: dict | None = None, **common):
+    """Return the parameters of Kim's axis with overrides: node → {parameter with double underscores: value}."""
+    from hysteresis_ros.configuration import load_configuration
+    from hysteresis_ros.simulation.axis import AxisParameters
+
+    configuration = load_configuration(ROOT / "config" / "kim2009.yaml").override("", **common)
+    configuration = configuration.override("reference_generator", waveform__type="hold")
+    for node, values in (overrides or {}).items():
+        configuration = configuration.override(node, **values)
+    return AxisParameters.from_configuration(configuration, namespace)
+
+
+def write_axis(path, axis) -> str:
+    path.write_text(axis.configuration_text(), encoding="utf-8")
+    return str(path)
+
+
+class Process:
+    """A process with its output in a file."""
+
+    def __init__(self, command, folder, domain: int, name: str):
+        self.log = folder / f"{name}-{next(_counter)}.log"
+        environment = dict(os.environ, ROS_DOMAIN_ID=str(domain), PYTHONUNBUFFERED="1")
+        paths = [str(ROOT), environment.get("PYTHONPATH", "")] if _from_tree() else [environment.get("PYTHONPATH", "")]
+        environment["PYTHONPATH"] = os.pathsep.join(path for path in paths if path)
+        with open(self.log, "w", encoding="utf-8") as output:
+            self.popen = subprocess.Popen(
+                command, cwd=folder, env=environment, stdout=output, stderr=subprocess.STDOUT, start_new_session=True
+            )
+
+    @property
+    def output(self) -> str:
+        return self.log.read_text(encoding="utf-8")
+
+    def wait(self, timeout: float = PATIENCE) -> int:
+        try:
+            return self.popen.wait(timeout)
+        except subprocess.TimeoutExpired:
+            raise AssertionError(f"still running after {timeout:g} s:\n{self.output}") from None
+
+    def send(self, number) -> None:
+        self.popen.send_signal(number)
+
+    def leave(self, number=signal.SIGTERM) -> tuple[int, float]:
+        """Send a signal; return exit code and seconds until the process was gone."""
+        start = time.monotonic()
+        self.send(number)
+        code = self.wait()
+        return code, time.monotonic() - start
+
+    def kill(self) -> None:
+        if self.popen.poll() is None:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(self.popen.pid, signal.SIGKILL)
+        self.popen.wait()
+
+
+def _from_tree() -> bool:
+    import hysteresis_ros
+
+    return pathlib.Path(hysteresis_ros.__file__).is_relative_to(ROOT) and "site-packages" not in hysteresis_ros.__file__
+
+
+class Processes:
+    """Starts processes in one domain and kills what is left of them."""
+
+    def __init__(self, folder, domain: int):
+        self.folder, self.domain, self.started = folder, domain, []
+
+    def start(self, command, name: str) -> Process:
+        process = Process(command, self.folder, self.domain, name)
+        self.started.append(process)
+        return process
+
+    def node(self, name: str, path, *more: str, namespace: str = "") -> Process:
+        module = "axis" if name == "hysteresis_axis" else name
+        command = [sys.executable, "-m", f"hysteresis_ros.nodes.{module}", "--ros-args", "--params-file", str(path)]
+        command += ["-r", f"__ns:={namespace}"] if namespace else []
+        return self.start([*command, *more], name)
+
+    def command(self, *arguments: str) -> Process:
+        return self.start([sys.executable, "-m", "hysteresis_ros.cli.main", *arguments], arguments[0])
+
+    def busy(self, number: int = 2) -> None:
+        """Keep the cores busy."""
+        for _ in range(number):
+            self.start([sys.executable, "-c", "while True: sum(range(1000))"], "busy")
+
+    def close(self) -> None:
+        for process in self.started:
+            process.kill()
+
+
+class Observer:
+    """A node of the test itself, spun in a thread; keeps what it hears."""
+
+    def __init__(self, domain: int):
+        import rclpy
+        from rclpy.context import Context
+        from rclpy.executors import SingleThreadedExecutor
+
+        self.context = Context()
+        rclpy.init(context=self.context, domain_id=domain)
+        self.node = rclpy.create_node(f"observer_{next(_counter)}", context=self.context)
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+        self._leaving = threading.Event()
+        self.mine = []
+        self._thread = threading.Thread(target=self._spin, daemon=True)
+        self._thread.start()
+
+    def _spin(self) -> None:
+        while not self._leaving.is_set():
+            self.executor.spin_once(timeout_sec=0.02)
+
+    def close(self) -> None:
+        self._leaving.set()
+        self._thread.join()
+        self.executor.shutdown()
+        self.node.destroy_node()
+        self.context.try_shutdown()
+
+    def listen(self, message_type, topic: str, qos=1000) -> list:
+        heard: list = []
+        self.node.create_subscription(message_type, topic, heard.append, qos)
+        return heard
+
+    def talk(self, message_type, topic: str, qos=10):
+        publisher = self.node.create_publisher(message_type, topic, qos)
+        return publisher
+
+    def call(self, service_type, name: str, request):
+        client = self.node.create_client(service_type, name)
+        try:
+            until(client.service_is_ready, what=f"service {name}")
+            future = client.call_async(request)
+            until(future.done, what=f"answer of {name}")
+            return future.result()
+        finally:
+            self.node.destroy_client(client)
+
+    def trigger(self, name: str):
+        from std_srvs.srv import Trigger
+
+        return self.call(Trigger, name, Trigger.Request())
+
+    def transition(self, node: str, name: str) -> bool:
+        from lifecycle_msgs.msg import Transition
+        from lifecycle_msgs.srv import ChangeState
+
+        request = ChangeState.Request()
+        request.transition.id = getattr(Transition, f"TRANSITION_{name.upper()}")
+        return self.call(ChangeState, f"{node}/change_state", request).success
+
+    def set_parameters(self, node: str, atomically: bool = True, **values):
+        """Set parameters (double underscores for dots) and return (successful, reason)."""
+        from rcl_interfaces.srv import SetParametersAtomically
+        from rclpy.parameter import Parameter
+
+        request = SetParametersAtomically.Request()
+        for name, value in values.items():
+            value = list(value) if isinstance(value, tuple) else value
+            request.parameters.append(Parameter(name.replace("__", "."), value=value).to_parameter_msg())
+        result = self.call(SetParametersAtomically, f"{node}/set_parameters_atomically", request).result
+        return result.successful, result.reason
+
+
+class InProcess:
+    """Nodes of the package in the test's own process, on one executor in a thread."""
+
+    def __init__(self, domain: int):
+        import rclpy
+        from rclpy.context import Context
+
+        from hysteresis_ros.nodes import spin
+
+        self.context = Context()
+        rclpy.init(context=self.context, domain_id=domain)
+        try:
+            from rclpy.experimental import EventsExecutor
+
+            self.executor = EventsExecutor(context=self.context)
+        except ImportError:
+            self.executor = spin.SingleThreadedExecutor(context=self.context)
+        self.nodes: list = []
+        self._leaving = threading.Event()
+        self._thread = threading.Thread(target=self._spin, daemon=True)
+
+    def add(self, cls, parameters, autostart: bool = True, **options):
+        """Make a node of the typed parameters."""
+        from rclpy.parameter import Parameter
+
+        values = {name: value for name, value in parameters.to_mapping().items() if value != ()}
+        overrides = [Parameter(n, value=list(v) if isinstance(v, tuple) else v) for n, v in values.items()]
+        node = cls(context=self.context, parameter_overrides=overrides, **options)
+        self.executor.add_node(node)
+        self.nodes.append(node)
+        if autostart:
+            assert node.configure_now() and node.activate_now()
+        return node
+
+    def spin(self) -> None:
+        self._thread.start()
+
+    def _spin(self) -> None:
+        while not self._leaving.is_set():
+            self.executor.spin_once(timeout_sec=0.02)
+
+    def close(self) -> None:
+        self._leaving.set()
+        if self._thread.is_alive():
+            self._thread.join()
+        for node in self.nodes:
+            node.active = False
+            node.release()
+        for node in self.nodes:
+            self.executor.remove_node(node)
+            node.destroy_node()
+        self.context.try_shutdown()
+
+
+def shortened(axis, samples: int, **plant):
+    """Return the axis with a run of ``samples`` samples."""
+    return replace(axis, plant_simulator=replace(axis.plant_simulator, samples=samples, **plant))

@@ -1,0 +1,268 @@
+"""How nodes end: signals, wrong parameters, a dead neighbour, a killed recorder."""
+
+from __future__ import annotations
+
+import re
+import signal
+import sys
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
+
+from nodes_support import LEAVE, Processes, axis_parameters, new_domain, until, write_axis  # noqa: E402
+
+NODES = ("plant_simulator", "hysteresis_compensator", "motion_controller", "reference_generator")
+#: The axis holds 8 µm, at about 70 V.
+HELD = {
+    "reference_generator": {"initial_setpoint": 8.0e-6},
+    "hysteresis_compensator": {"limits__slew_rate": 5.0e3, "safe_voltage": 1.5},
+}
+WITHOUT_EVENTS_EXECUTOR = """
+import sys
+import rclpy
+sys.modules["rclpy.experimental"] = None
+from hysteresis_ros.nodes.axis import main
+from hysteresis_ros.nodes.spin import make_executor
+raise SystemExit(main())
+"""
+#: A node whose blocks take for ever.
+SLOW_START = """
+from hysteresis_ros.nodes import reference_generator
+def build(self, parameters):
+    print("building", flush=True)
+    while True:
+        pass
+reference_generator.ReferenceGeneratorNode.build = build
+raise SystemExit(reference_generator.main())
+"""
+
+
+def held_axis(mode: str, **more):
+    return axis_parameters(overrides=HELD, time_mode=mode, sample_rate=200.0 if mode == "realtime" else 3000.0, **more)
+
+
+def is_safe(voltage: float) -> bool:
+    return abs(voltage - 1.5) <= 150.0 / 65535  # the converter has 16 bits
+
+
+@pytest.mark.parametrize(
+    ("mode", "how", "number"),
+    [
+        ("realtime", "processes", signal.SIGINT),
+        ("lockstep", "processes", signal.SIGTERM),
+        ("realtime", "composed", signal.SIGTERM),
+        ("lockstep", "composed", signal.SIGINT),
+        ("realtime", "without EventsExecutor", signal.SIGTERM),
+    ],
+)
+def test_signal_ends_nodes_at_once_with_the_voltage_safe(processes, observer, tmp_path, mode, how, number):
+    from std_msgs.msg import Float64
+
+    path = write_axis(tmp_path / "axis.yaml", held_axis(mode))
+    voltages = observer.listen(Float64, "/voltage")
+    if how == "processes":
+        nodes = [processes.node(name, path) for name in NODES]
+    elif how == "composed":
+        nodes = [processes.node("hysteresis_axis", path)]
+    else:
+        command = [sys.executable, "-c", WITHOUT_EVENTS_EXECUTOR, "--ros-args", "--params-file", path]
+        nodes = [processes.start(command, "axis")]
+    until(lambda: voltages and voltages[-1].data > 50.0, what="the axis to hold its position")
+    start = time.monotonic()
+    for node in nodes:
+        node.send(number)
+    codes = [node.wait() for node in nodes]
+    assert time.monotonic() - start < LEAVE
+    assert codes == [0] * len(nodes), "\n".join(node.output for node in nodes)
+    assert not any("Traceback" in node.output or "ERROR" in node.output for node in nodes)
+    until(lambda: is_safe(voltages[-1].data), what="the safe voltage")
+    if mode == "realtime" and how == "composed":
+        # it returned at safe_slew_rate, 1000 V/s at 200 samples a second
+        assert len({v.data for v in voltages if 5.0 < v.data < 60.0}) >= 10
+    assert "real-time factor" in "".join(node.output for node in nodes)
+
+
+def test_memory_does_not_grow_over_many_samples(processes, observer, tmp_path):
+    import psutil
+    from diagnostic_msgs.msg import DiagnosticArray
+
+    reports = observer.listen(DiagnosticArray, "/diagnostics")
+
+    def samples() -> int:
+        return max((int(v.value) for r in reports for v in r.status[0].values if v.key == "samples"), default=0)
+
+    node = processes.node("hysteresis_axis", write_axis(tmp_path / "axis.yaml", held_axis("lockstep")))
+    memory = psutil.Process(node.popen.pid).memory_info
+    # before that, queues fill and kernels come from the cache
+    until(lambda: samples() > 10_000, what="the first samples")
+    before = memory().rss
+    until(lambda: samples() > 30_000, what="many samples")
+    assert memory().rss - before < 1_500_000  # 75 bytes a sample
+    assert node.leave(signal.SIGTERM)[0] == 0
+
+
+@pytest.mark.parametrize(("mode", "how"), [("realtime", "--processes"), ("lockstep", "--composed")])
+def test_up_stopped_by_a_signal_leaves_a_whole_recording(processes, observer, tmp_path, mode, how):
+    from std_msgs.msg import Float64
+
+    from hysteresis_ros.recordings.bag_reader import read_bag
+    from hysteresis_ros.recordings.cdr import decode_float64s
+    from hysteresis_ros.recordings.files import load_run
+    from hysteresis_ros.simulation.run import differences
+
+    axis = held_axis(mode)
+    voltages = observer.listen(Float64, "/voltage")
+    path = write_axis(tmp_path / "axis.yaml", axis)
+    run = processes.command("up", path, how, "--record", str(tmp_path / "bag"))
+    until(lambda: len(voltages) > 100 and voltages[-1].data > 50.0, what="the axis to hold its position")
+    code, _ = run.leave(signal.SIGINT if mode == "realtime" else signal.SIGTERM)
+    assert code == 0, run.output
+    assert "Traceback" not in run.output and "ERROR" not in run.output
+    bag = read_bag(tmp_path / "bag")
+    assert bag.complete
+    assert is_safe(decode_float64s(bag.topics["/voltage"].data, "/voltage")[-1])
+    recorded = load_run(tmp_path / "bag")
+    assert recorded.time.size > 50
+    if mode == "lockstep":
+        assert differences(recorded, axis) == {}
+
+
+def test_signal_while_the_kernels_are_compiled_ends_a_node(processes, tmp_path):
+    """A node that has said nothing yet, with a cache that holds nothing yet."""
+    command = [sys.executable, "-c", SLOW_START, "--ros-args"]
+    node = processes.start(command, "slow")
+    until(lambda: "building" in node.output)
+    code, seconds = node.leave(signal.SIGINT)
+    assert code == 0, node.output
+    assert seconds < LEAVE
+    assert "Traceback" not in node.output
+
+
+@pytest.fixture(scope="module")
+def refusals(tmp_path_factory):
+    """Start everything that has to be refused at once; return name → (exit code, output)."""
+    folder = tmp_path_factory.mktemp("refused")
+    started = Processes(folder, new_domain())
+    common = "/**:\n  ros__parameters:\n    sample_rate: 100.0\n"
+    files = {
+        "unknown": common + "    maximun: 1.0e-5\n",
+        "mistyped": common + "    waveform.type: hold\n    maximum: high\n",
+        "out of range": common + "    partner_timeout: 0.0\n",
+        "inconsistent": common + "    minimum: 1.0\n    maximum: 0.5\n    initial_setpoint: 0.7\n",
+        "malformed": "/**: [unclosed\n  x: }\n",
+        "missing": common + "    hysteresis:\n      type: polynomial\n",
+    }
+    running = {}
+    for name, text in files.items():
+        path = folder / f"{name.replace(' ', '_')}.yaml"
+        path.write_text(text, encoding="utf-8")
+        running[name] = started.node("plant_simulator" if name == "missing" else "reference_generator", path)
+    running["composed"] = started.node("hysteresis_axis", folder / "unknown.yaml")
+    running["no file"] = started.node("reference_generator", folder / "nothing.yaml")
+    running["bad name"] = started.node("reference_generator", folder / "missing.yaml", "-r", "__node:=bad-name")
+    existing = folder / "bag"
+    existing.mkdir()
+    good = write_axis(folder / "good.yaml", held_axis("lockstep"))
+    two = [axis_parameters(ns, {"plant_simulator": {"publish_clock": True}}) for ns in ("/left", "/right")]
+    clocks = folder / "clocks.yaml"
+    clocks.write_text("".join(axis.configuration_text() for axis in two), encoding="utf-8")
+    running["up without file"] = started.command("up", "nothing.yaml")
+    running["up malformed"] = started.command("up", str(folder / "malformed.yaml"))
+    running["up existing"] = started.command("up", good, "--record", str(existing))
+    running["up clocks"] = started.command("up", str(clocks))
+    running["up factor"] = started.command("up", good, "--factor", "0")
+    ended = {name: (process.wait(), process.output) for name, process in running.items()}
+    started.close()
+    return ended
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("unknown", ("maximun", "1e-05", "did you mean maximum?")),
+        ("mistyped", ("maximum", "'high'", "double")),
+        ("out of range", ("partner_timeout", "0.0", "0.1 … 3600 s")),
+        ("inconsistent", ("maximum", "0.5", "must be > minimum = 1 m")),
+        ("malformed", ("error:", "malformed.yaml")),
+        ("missing", ("hysteresis.polynomial.virgin", "missing", "double array")),
+        ("composed", ("maximun", "unknown parameter")),
+        ("no file", ("error:", "nothing.yaml")),
+        ("bad name", ("error:", "bad-name")),
+        ("up without file", ("nothing.yaml", "no such file")),
+        ("up malformed", ("malformed.yaml", "not readable as YAML")),
+        ("up existing", ("bag", "exists already")),
+        ("up clocks", ("/left and /right", "publish_clock")),
+        ("up factor", ("real_time_factor", "1e-06")),
+    ],
+)
+def test_wrong_input_is_refused_with_exit_code_2_and_says_what_is_allowed(refusals, name, words):
+    code, output = refusals[name]
+    assert code == 2, output
+    assert all(word in output for word in words), output
+    assert "Traceback" not in output
+    lines = [line for line in output.splitlines() if line.strip()]
+    if name.startswith("up") or name in ("malformed", "no file", "bad name"):
+        assert len(lines) == 1, output
+
+
+def test_node_that_is_killed_brings_the_others_down(processes, observer, tmp_path):
+    import psutil
+    from std_msgs.msg import Float64
+
+    voltages = observer.listen(Float64, "/voltage")
+    run = processes.command("up", write_axis(tmp_path / "axis.yaml", held_axis("realtime")))
+    until(lambda: len(voltages) > 20, what="the axis to run")
+    children = psutil.Process(run.popen.pid).children(recursive=True)
+    victim = next(c for c in children if "hysteresis_ros.nodes.motion_controller" in c.cmdline())
+    victim.kill()
+    assert run.wait() == 1
+    assert "/motion_controller was killed by SIGKILL; the rest was stopped" in run.output
+    assert not psutil.wait_procs(children, timeout=LEAVE)[1]
+    assert is_safe(voltages[-1].data)
+
+
+@pytest.fixture(scope="module")
+def killed_recorder(tmp_path_factory):
+    """An endless lockstep run whose recorder is killed hard."""
+    folder = tmp_path_factory.mktemp("killed")
+    processes = Processes(folder, new_domain())
+    try:
+        axis = held_axis("lockstep", partner_timeout=5.0)
+        plant = replace(axis.plant_simulator, wait_for_recorder=True)
+        axis = replace(axis, plant_simulator=plant, recorder=replace(axis.recorder, path=str(folder / "bag")))
+        path = write_axis(folder / "axis.yaml", axis)
+        recorder, nodes = processes.node("recorder", path), processes.node("hysteresis_axis", path)
+        file = folder / "bag" / "bag.mcap"
+        until(lambda: file.exists() and file.stat().st_size > 300_000, what="some chunks on disk")
+        recorder.send(signal.SIGKILL)
+        code = nodes.wait()
+        yield axis, folder / "bag", code, nodes.output
+    finally:
+        processes.close()
+
+
+def test_sigkill_of_the_recorder_leaves_a_readable_bag(killed_recorder):
+    from hysteresis_ros.recordings.bag_writer import CHUNK_BYTES
+    from hysteresis_ros.recordings.files import load_run
+    from hysteresis_ros.simulation.run import differences
+
+    axis, bag, _, output = killed_recorder
+    recorded = load_run(bag)
+    assert differences(recorded, axis) == {}
+    assert recorded.metadata["missing_samples"] == 0
+    # The plant is at most `lead` ahead of what was received; an open chunk holds at most so many samples of nine
+    # messages, each of at least 12 bytes and 31 of its header.
+    reached = int(re.search(r"(\d+) samples in", output).group(1))
+    assert recorded.time.size >= max(reached - axis.plant_simulator.lead - CHUNK_BYTES / (9 * 43), 200)
+    assert np.all(np.diff(recorded.time) > 0)
+
+
+def test_lockstep_run_ends_when_its_recorder_is_gone(killed_recorder):
+    _, _, code, output = killed_recorder
+    assert code == 1
+    assert "recorder" in output and ("silent" in output or "vanished" in output)
+    assert "Traceback" not in output

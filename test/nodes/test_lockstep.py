@@ -1,0 +1,140 @@
+"""Lockstep: the nodes give the numbers of the offline twin, bit for bit, whatever else the machine does."""
+
+from __future__ import annotations
+
+import collections
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
+
+from nodes_support import REAL, SINE, axis_parameters, shortened, until, write_axis  # noqa: E402
+
+SAMPLES = 900
+PER_SAMPLE = (
+    *("/joint_states", "/reference", "/command", "/applied", "/voltage", "/plant_simulator/state"),
+    *("/reference_generator/state", "/motion_controller/state", "/hysteresis_compensator/state"),
+)
+
+
+def real_axis(**more):
+    overrides = {**REAL, "reference_generator": REAL["reference_generator"] | SINE}
+    return axis_parameters(overrides=overrides, time_mode="lockstep", exit_at_end=True, **more)
+
+
+@pytest.mark.parametrize("busy", [False, True], ids=["idle", "busy"])
+@pytest.mark.parametrize("how", ["--processes", "--composed"])
+def test_recorded_run_equals_offline_twin_bit_for_bit(processes, tmp_path, how, busy):
+    from hysteresis_ros.recordings.bag_reader import read_bag
+    from hysteresis_ros.recordings.files import load_run
+    from hysteresis_ros.simulation.run import differences, simulate
+
+    axis = shortened(real_axis(), SAMPLES)
+    path = write_axis(tmp_path / "axis.yaml", axis)
+    if busy:
+        processes.busy()
+    run = processes.command("up", path, how, "--record", str(tmp_path / "bag"), "--verify")
+    assert run.wait() == 0, run.output
+    assert "bit for bit" in run.output
+    assert f"{SAMPLES} samples in" in run.output and "real-time factor" in run.output
+    bag = read_bag(tmp_path / "bag")
+    assert {topic: len(bag.topics[topic].data) for topic in PER_SAMPLE} == dict.fromkeys(PER_SAMPLE, SAMPLES)
+    recorded = load_run(tmp_path / "bag")
+    assert differences(recorded, axis) == {}
+    twin = simulate(axis)
+    # the run was worth comparing: it moves, is noisy, is limited, is loaded
+    assert np.ptp(twin.signals["displacement"]) > 3e-6
+    assert np.std(twin.signals["measured"] - twin.signals["displacement"]) == pytest.approx(5e-9, rel=0.2)
+    assert twin.signals["displacement"][0] == pytest.approx(-0.2 / 0.41 * 1e-6, abs=1e-9)
+    # every signal that has no column is compared from its topic
+    table = collections.defaultdict(list)
+    for topic, signal in (("/applied", "applied"), ("/voltage", "voltage")):
+        from hysteresis_ros.recordings.cdr import decode_float64s
+
+        table[signal] = decode_float64s(bag.topics[topic].data, topic)
+    from hysteresis_ros.simulation.axis import Axis
+
+    offline = Axis(axis).run(np.zeros(SAMPLES))
+    for signal, values in table.items():
+        assert np.array_equal(values, offline[signal]), signal
+
+
+def compose(inside, axis, **options):
+    from hysteresis_ros.nodes.hysteresis_compensator import HysteresisCompensatorNode
+    from hysteresis_ros.nodes.motion_controller import MotionControllerNode
+    from hysteresis_ros.nodes.plant_simulator import PlantSimulatorNode
+    from hysteresis_ros.nodes.reference_generator import ReferenceGeneratorNode
+
+    classes = (PlantSimulatorNode, HysteresisCompensatorNode, MotionControllerNode, ReferenceGeneratorNode)
+    names = ("plant_simulator", "hysteresis_compensator", "motion_controller", "reference_generator")
+    return [
+        inside.add(cls, getattr(axis, name), namespace=axis.namespace, **options)
+        for cls, name in zip(classes, names, strict=True)
+    ]
+
+
+def states(heard):
+    return [(m.header.stamp.sec, m.header.stamp.nanosec, *m.position) for m in heard]
+
+
+def test_reset_of_all_nodes_gives_the_same_numbers_again(inside, observer):
+    from rclpy.qos import QoSProfile
+    from sensor_msgs.msg import JointState
+
+    axis = shortened(replace(real_axis()), 400, wait_for_recorder=False)
+    axis = replace(
+        axis, **{n: replace(getattr(axis, n), exit_at_end=False) for n in ("plant_simulator", "motion_controller")}
+    )
+    plant, compensator, controller, generator = compose(inside, axis)
+    for node in inside.nodes:
+        node.parameters = replace(node.parameters, exit_at_end=False)
+    heard = observer.listen(JointState, "/plant_simulator/state", QoSProfile(depth=2000))
+    until(lambda: plant.count_subscribers("/plant_simulator/state"))
+    inside.spin()
+    until(lambda: plant.end_of_run == 400 and len(heard) == 400, what="first run")
+    first = states(heard)
+    for name in ("reference_generator", "motion_controller", "hysteresis_compensator", "plant_simulator"):
+        assert observer.trigger(f"/{name}/reset").success
+    until(lambda: len(heard) == 800, what="second run")
+    assert states(heard)[400:] == first
+    assert first[0][:2] == (0, 0)
+    # and in the middle of a run that is held
+    assert all(observer.trigger(f"/{n}/reset").success for n in ("reference_generator", "motion_controller"))
+    assert all(observer.trigger(f"/{n}/reset").success for n in ("hysteresis_compensator", "plant_simulator"))
+    until(lambda: len(heard) > 810)
+    assert observer.trigger("/plant_simulator/stop").success
+    for name in ("reference_generator", "motion_controller", "hysteresis_compensator", "plant_simulator"):
+        assert observer.trigger(f"/{name}/reset").success
+    before = len(heard)
+    assert observer.trigger("/plant_simulator/start").success
+    until(lambda: len(heard) == before + 400, what="fourth run")
+    assert states(heard)[before:] == first
+    assert not any(node.failure for node in inside.nodes)
+
+
+def test_nodes_activated_in_any_order_and_again(inside, observer):
+    """Lifecycle by the standard services: the plant first, so that sample 0 is there before the others work."""
+    axis = shortened(real_axis(autostart=False), 200)
+    nodes = compose(inside, axis, autostart=False)
+    for node in nodes:
+        assert node.autostart is False
+    inside.spin()
+    names = [f"/{node.get_name()}" for node in nodes]
+    for name in names:
+        assert observer.transition(name, "configure")
+    for node in nodes:
+        node.parameters = replace(node.parameters, exit_at_end=False)
+    for name in names:
+        assert observer.transition(name, "activate")
+    until(lambda: nodes[0].end_of_run == 200)
+    for name in names:
+        assert observer.transition(name, "deactivate")
+        assert observer.transition(name, "cleanup")
+    for name in reversed(names):
+        assert observer.transition(name, "configure")
+    for name in reversed(names):
+        assert observer.transition(name, "activate")
+    until(lambda: nodes[0].end_of_run == 200, what="a second run after cleanup and configure")
+    assert not any(node.failure for node in nodes)

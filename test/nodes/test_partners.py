@@ -1,0 +1,95 @@
+"""Partners that vanish, fall silent or come back, and axes side by side."""
+
+from __future__ import annotations
+
+import signal
+
+import pytest
+
+pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
+
+from nodes_support import axis_parameters, until, write_axis  # noqa: E402
+
+NODES = ("plant_simulator", "hysteresis_compensator", "motion_controller", "reference_generator")
+
+
+@pytest.fixture
+def running(processes, observer, tmp_path, request):
+    """Four processes in lockstep that are under way; name → process."""
+    from sensor_msgs.msg import JointState
+
+    timeout = getattr(request, "param", 5.0)
+    path = write_axis(tmp_path / "axis.yaml", axis_parameters(time_mode="lockstep", partner_timeout=timeout))
+    heard = observer.listen(JointState, "/joint_states")
+    started = {name: processes.node(name, path) for name in NODES}
+    started["path"] = path
+    until(lambda: len(heard) > 100, what="the run to be under way")
+    return started
+
+
+@pytest.mark.parametrize(
+    ("victim", "number"),
+    [
+        ("plant_simulator", signal.SIGKILL),
+        ("hysteresis_compensator", signal.SIGSTOP),
+        ("reference_generator", signal.SIGSTOP),
+        ("motion_controller", signal.SIGTERM),
+    ],
+)
+def test_run_ends_with_an_error_that_names_the_partner(running, victim, number):
+    running[victim].send(number)
+    for name in NODES:
+        if name == victim:
+            continue
+        process = running[name]
+        assert process.wait(20.0) == 1, f"{name}: {process.output}"
+        line = next(line for line in process.output.splitlines() if "[ERROR]" in line)
+        assert victim in line.split("]: ", 1)[1], f"{name} says: {line}"
+        assert "Traceback" not in process.output
+
+
+@pytest.mark.parametrize("running", [60.0], indirect=True)
+@pytest.mark.parametrize("victim", ["reference_generator", "hysteresis_compensator"])
+def test_restarted_node_cannot_silently_rejoin(running, processes, victim):
+    running[victim].kill()
+    processes.node(victim, running["path"])
+    for process in (running[name] for name in NODES if name != victim):
+        assert process.wait(20.0) == 1, process.output
+        assert victim in process.output and "start or reset all nodes together" in process.output
+
+
+def test_two_axes_side_by_side_equal_their_twins(processes, tmp_path):
+    axes = [
+        axis_parameters("/left", {"reference_generator": {"waveform__type": "steps"}}, time_mode="lockstep"),
+        axis_parameters("/right", {"reference_generator": {"initial_setpoint": 3e-6}}, time_mode="lockstep"),
+    ]
+    path = tmp_path / "axes.yaml"
+    path.write_text("".join(axis.configuration_text() for axis in axes), encoding="utf-8")
+    bags = tmp_path / "bags"
+    run = processes.command("up", str(path), "--composed", "--duration", "0.1", "--record", str(bags), "--verify")
+    assert run.wait() == 0, run.output
+    assert run.output.count("300 samples equal the offline twin bit for bit") == 2
+
+
+def test_remapping_and_simulated_time(processes, observer, tmp_path):
+    from diagnostic_msgs.msg import DiagnosticArray
+    from rclpy.qos import qos_profile_sensor_data
+    from rosgraph_msgs.msg import Clock
+    from sensor_msgs.msg import JointState
+    from std_msgs.msg import Float64
+
+    axis = axis_parameters(overrides={"plant_simulator": {"publish_clock": True}}, sample_rate=200.0, use_sim_time=True)
+    clock = observer.listen(Clock, "/clock", qos_profile_sensor_data)
+    joints = observer.listen(JointState, "/stage/joint_states")
+    reports = observer.listen(DiagnosticArray, "/diagnostics")
+    path = write_axis(tmp_path / "axis.yaml", axis)
+    remap = ("-r", "setpoint:=/hand/target", "-r", "joint_states:=/stage/joint_states")
+    node = processes.node("hysteresis_axis", path, *remap)
+    target = observer.talk(Float64, "/hand/target")
+    until(lambda: joints and target.get_subscription_count())
+    target.publish(Float64(data=4e-6))
+    until(lambda: abs(joints[-1].position[0] - 4e-6) < 1e-8, what="the axis at its setpoint")
+    until(lambda: clock and len(reports) > 4, what="time and diagnostics")
+    assert clock[-1].clock.sec < 1000  # simulated time starts at zero
+    assert all(report.header.stamp.sec < 1000 for report in reports)
+    assert node.leave(signal.SIGTERM)[0] == 0

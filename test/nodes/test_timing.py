@@ -1,0 +1,49 @@
+"""Pace and pairing of samples: pure arithmetic, no ROS."""
+
+import random
+
+import pytest
+
+pytest.importorskip("rclpy", reason="ROS 2 is not installed")
+
+from hysteresis_ros.nodes.timing import Pairing  # noqa: E402
+
+
+def play(events):
+    """Return the pairs (stamp, answer) for events (time, kind, number)."""
+    pairing, pairs = Pairing(), []
+    for now, kind, number in events:
+        partner = getattr(pairing, kind)(number, now)
+        if partner is not None:
+            pairs.append((number, partner) if kind == "measurement" else (partner, number))
+    return pairs
+
+
+def test_answers_meet_their_measurements_in_any_order():
+    order = random.Random(1)
+    events = []
+    for k in range(500):
+        first, second = order.sample(["measurement", "answer"], 2)
+        events += [(k * 1e-3, first, k), (k * 1e-3 + 2e-4, second, k)]
+    assert play(events) == [(k, k) for k in range(500)]
+
+
+def test_an_answer_may_be_later_than_the_next_measurement():
+    events = sorted(
+        [(k * 1e-3, "measurement", k) for k in range(9)] + [(k * 1e-3 + 1.4e-3, "answer", k) for k in range(9)]
+    )
+    assert play(events) == [(k, k) for k in range(9)]
+
+
+def test_a_measurement_that_is_never_answered_does_not_shift_what_follows_for_long():
+    events = [
+        (k * 1e-3 + 1e-4 * late, kind, k) for k in range(300) for late, kind in enumerate(("measurement", "answer"))
+    ]
+    pairs = play([event for event in events if event[1:] != ("answer", 50)])
+    assert pairs[:50] == [(k, k) for k in range(50)]
+    assert pairs[-100:] == [(k, k) for k in range(200, 300)]
+
+
+def test_a_pause_is_forgotten():
+    events = [(0.0, "answer", -1), (1.0, "measurement", 0), (1.001, "answer", 0)]
+    assert play(events) == [(0, 0)]
