@@ -1,0 +1,1 @@
+"""The command ``hysteresis``: thin subcommands over the rest of the package."""

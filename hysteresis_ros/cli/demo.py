@@ -1,0 +1,89 @@
+"""``hysteresis demo``: four nodes over real DDS, moved by setpoints on a topic, recorded and reported."""
+
+from __future__ import annotations
+
+import pathlib
+import subprocess
+import sys
+import tempfile
+
+import click
+
+#: Time [s of the axis] and setpoint [m] of each message: the paper's step of 1 V, then a walk over the stroke.
+SETPOINTS = ((0.1, 2.05e-6), (0.4, 0.0), (0.7, 5.0e-6), (1.0, 9.0e-6), (1.3, 3.0e-6), (1.6, 0.0))
+#: Length of the demonstration [s of the axis]; the publisher may need some of it to be discovered.
+DURATION = 2.6
+#: Part of the lockstep rate that is taken for real time: recorder and publisher need the rest.
+MARGIN = 0.4
+
+
+@click.command(short_help="Run Kim's axis as four processes, move it, record it, report it.")
+@click.option("-o", "--output", default="demo", show_default=True, help="New folder for bag, report and figures.")
+@click.option("--factor", type=float, help="Real-time factor; measured on this machine by default.")
+def demo(output, factor):
+    """Run the inchworm's propulsion part of Kim 2009 in real time and leave a bag, report.html and metrics.json."""
+    from hysteresis_ros.configuration import config_path, load_configuration
+    from hysteresis_ros.errors import ConfigurationError, HysteresisError
+    from hysteresis_ros.nodes.launcher import Graph
+    from hysteresis_ros.simulation.axis import axes
+
+    folder = pathlib.Path(output)
+    if folder.exists():
+        raise ConfigurationError(f"{folder}: exists already; choose another folder with -o or remove it")
+    configuration = load_configuration(config_path("kim2009"))
+    configuration = configuration.override("", exit_at_end=True)
+    # the waveform of the file stays out: here the setpoints come from outside, on the topic
+    configuration = configuration.override("reference_generator", waveform__type="hold")
+    if factor is None:
+        factor = _measured_factor(configuration)
+    configuration = configuration.override("plant_simulator", real_time_factor=factor)
+    axis = axes(configuration)[0].with_duration(DURATION)
+    rate = axis.plant_simulator.sample_rate
+    click.echo(f"running {DURATION:g} s of the axis at {rate:g} Hz, real-time factor {factor:g}, four processes …")
+    with Graph([axis], record=folder / "bag", log_level="warn") as graph:
+        publisher = subprocess.Popen(_publisher_command())
+        try:
+            graph.wait()
+        finally:
+            code = publisher.poll()
+            publisher.kill()
+            publisher.wait()
+    if code != 0:
+        raise HysteresisError(
+            "the setpoints could not all be published before the end of the run; try a smaller --factor"
+        )
+    _report(folder, rate)
+
+
+def _publisher_command() -> list[str]:
+    times, values = ([repr(item) for item in column] for column in zip(*SETPOINTS, strict=True))
+    module = [sys.executable, "-m", "hysteresis_ros.nodes.setpoint_publisher"]
+    return [*module, "--setpoint", *values, "--at", *times]
+
+
+def _measured_factor(configuration) -> float:
+    """Run a moment in lockstep and return the real-time factor this machine holds, at most 1."""
+    from hysteresis_ros.nodes.launcher import Graph
+    from hysteresis_ros.recordings.files import load_run
+    from hysteresis_ros.simulation.axis import axes
+
+    axis = axes(configuration.override("", time_mode="lockstep"))[0]
+    axis = axis.with_duration(1000.0 / axis.plant_simulator.sample_rate)
+    with tempfile.TemporaryDirectory(prefix="hysteresis_") as folder:
+        with Graph([axis], record=pathlib.Path(folder) / "bag", log_level="warn") as graph:
+            graph.wait()
+        reached = load_run(graph.bags[0]).metadata["timing"]["rate_hz"]
+    share = MARGIN * reached / axis.plant_simulator.sample_rate
+    click.echo(f"this machine answers {reached:.0f} samples a second in four processes")
+    return 1.0 if share >= 1.0 else max(round(share, 2), 0.01)
+
+
+def _report(folder: pathlib.Path, rate: float) -> None:
+    from hysteresis_ros.cli.report import report
+    from hysteresis_ros.recordings.files import load_run
+
+    arguments = [str(folder / "bag"), "-o", str(folder / "report.html"), "--json", str(folder / "metrics.json")]
+    report.main(arguments, standalone_mode=False)
+    reached = load_run(folder / "bag").metadata["timing"]["rate_hz"]
+    click.echo(f"real-time factor reached: {reached / rate:.3f} ({reached:.0f} of {rate:g} samples a second)")
+    click.echo(f"bag, report.html and metrics.json are in {folder}")

@@ -1,0 +1,32 @@
+"""``hysteresis export``: a recording as a table."""
+
+from __future__ import annotations
+
+import pathlib
+
+import click
+
+
+@click.command()
+@click.argument("recording", type=click.Path(path_type=pathlib.Path))
+@click.option(
+    "-o", "--output", required=True, type=click.Path(path_type=pathlib.Path), help="File to write: .npz or .csv."
+)
+@click.option("--namespace", help="Which axis, when the bag holds several.")
+def export(recording: pathlib.Path, output: pathlib.Path, namespace: str | None) -> None:
+    """Turn RECORDING (bag folder, .mcap, .db3, .npz or .csv) into a table of eight columns in SI units.
+
+    The columns are time, setpoint, reference, command, voltage, displacement (true), measured, estimated: the same
+    that `hysteresis simulate` writes.
+    """
+    from hysteresis_ros.errors import RecordingError
+    from hysteresis_ros.recordings.files import load_run, save_run
+
+    if output.suffix.lower() not in (".npz", ".csv"):
+        raise RecordingError(f"{output}: unknown kind of file '{output.suffix}'; export writes .npz or .csv")
+    run = load_run(recording, namespace)
+    save_run(run, output)
+    missing = run.metadata.get("missing_samples", 0)
+    click.echo(f"{output}: {len(run)} samples, {missing} missing")
+    for note in run.notes:
+        click.echo(f"note: {note}", err=True)

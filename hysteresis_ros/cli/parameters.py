@@ -1,0 +1,47 @@
+"""``hysteresis parameters``: the parameter tables of the nodes, as people read them and as docs/parameters.md."""
+
+from __future__ import annotations
+
+import click
+
+
+@click.command(short_help="List the parameters of the nodes with type, default, unit and range.")
+@click.argument("node", required=False)
+def parameters(node):
+    """Print the parameter table of NODE, or of all nodes, in Markdown."""
+    from hysteresis_ros.errors import ConfigurationError
+    from hysteresis_ros.simulation.node_parameters import NODE_PARAMETERS
+
+    if node is not None and node not in NODE_PARAMETERS:
+        raise ConfigurationError(f"no node '{node}'; there are: {', '.join(NODE_PARAMETERS)}")
+    click.echo("\n".join(lines([node] if node else list(NODE_PARAMETERS))), nl=False)
+
+
+def lines(nodes: list[str]):
+    """Yield the lines of the tables: first what all nodes share, then each node's own."""
+    from hysteresis_ros.simulation.node_parameters import NODE_PARAMETERS, NodeParameters
+
+    shared = {row.name for row in NodeParameters.table()}
+    yield "## Every node\n"
+    yield from _table(NodeParameters.table())
+    for name in nodes:
+        yield f"\n## {name}\n"
+        yield from _table([row for row in NODE_PARAMETERS[name].table() if row.name not in shared])
+    yield ""
+
+
+def _table(rows):
+    yield "| parameter | type and range | default | live | meaning |"
+    yield "|---|---|---|---|---|"
+    for row in rows:
+        default = "*required*" if row.required else f"`{_yaml(row.default)}`"
+        live = "no" if row.read_only else "yes"
+        yield f"| `{row.name}` | {row.allowed()} | {default} | {live} | {row.description} |"
+
+
+def _yaml(value) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, tuple):
+        return "[" + ", ".join(map(_yaml, value)) + "]"
+    return f"'{value}'" if value == "" else str(value)

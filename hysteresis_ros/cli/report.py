@@ -1,0 +1,50 @@
+"""``hysteresis report``: figures and plots of a recording."""
+
+from __future__ import annotations
+
+import json
+import pathlib
+
+import click
+
+
+@click.command()
+@click.argument("recording", type=click.Path(path_type=pathlib.Path))
+@click.option("-o", "--output", type=click.Path(path_type=pathlib.Path), help="HTML file to write.")
+@click.option(
+    "--json", "json_path", metavar="FILE", help="JSON file for the figures; '-' prints them instead of the table."
+)
+@click.option("--namespace", help="Which axis, when the bag holds several.")
+def report(recording: pathlib.Path, output: pathlib.Path | None, json_path: str | None, namespace: str | None) -> None:
+    """Judge RECORDING (bag folder, .mcap, .db3, .npz or .csv): error, overshoot, settling, loop width, rate, jitter.
+
+    Prints a table; -o adds a self-contained HTML file with plots (needs the extra: pip install
+    "hysteresis_ros[report]").
+    """
+    from hysteresis_ros.analysis.metrics import compute_metrics, format_table
+    from hysteresis_ros.recordings.files import load_run
+
+    run = load_run(recording, namespace)
+    figures = compute_metrics(run)
+    if output is not None:
+        from hysteresis_ros.analysis.report import write_report
+
+        write_report(run, output, recording.name, figures)
+    text = json.dumps(figures, indent=2, ensure_ascii=False, allow_nan=False)
+    if json_path == "-":
+        click.echo(text)
+        return
+    click.echo(format_table(figures))
+    if json_path is not None:
+        _write(pathlib.Path(json_path), text + "\n")
+    if output is not None:
+        click.echo(f"report: {output}")
+
+
+def _write(path: pathlib.Path, text: str) -> None:
+    from hysteresis_ros.errors import RecordingError
+
+    try:
+        path.write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be written: {error.strerror}; choose another place") from None

@@ -1,0 +1,59 @@
+"""``hysteresis reproduce``: a paper's experiments, each claim beside what is found here."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import pathlib
+
+import click
+
+#: Experiments that can be repeated, and the module with their ``reproduce`` and ``figures``.
+EXPERIMENTS = {"kim2009": "hysteresis_ros.experiments.kim2009"}
+
+
+@click.command()
+@click.argument("experiment", type=click.Choice(list(EXPERIMENTS)))
+@click.option(
+    "--json", "json_path", metavar="FILE", help="JSON file for the rows; '-' prints them instead of the table."
+)
+@click.option("-o", "--output", type=click.Path(path_type=pathlib.Path), help="HTML file to write.")
+def reproduce(experiment: str, json_path: str | None, output: pathlib.Path | None) -> None:
+    """Repeat the experiments of a paper and print a table: paper, here, and whether the claim holds.
+
+    Rows that do not hold are part of the result and named with their reason; they do not change the exit code.
+    -o adds a self-contained HTML file with plots (needs the extra: pip install "hysteresis_ros[report]").
+    """
+    from hysteresis_ros.errors import RecordingError
+    from hysteresis_ros.experiments.claims import HEADINGS, format_claims
+
+    module = importlib.import_module(EXPERIMENTS[experiment])
+    found = module.reproduce()
+    if output is not None:
+        from hysteresis_ros.analysis.comparison import write_claims_page
+
+        write_claims_page(
+            output,
+            found.title,
+            summary=found.summary(),
+            headings=HEADINGS,
+            groups={
+                name: [(found.cells(claim), claim.holds) for claim in claims] for name, claims in found.groups().items()
+            },
+            remarks=found.remarks(),
+            assumptions=found.assumptions,
+            plots=module.figures(found),
+            configuration=found.configuration,
+        )
+    text = json.dumps(found.to_json(), indent=2, ensure_ascii=False, allow_nan=False)
+    if json_path == "-":
+        click.echo(text)
+        return
+    click.echo(format_claims(found))
+    if json_path is not None:
+        try:
+            pathlib.Path(json_path).write_text(text + "\n", encoding="utf-8")
+        except OSError as error:
+            raise RecordingError(f"{json_path}: cannot be written: {error.strerror}; choose another place") from None
+    if output is not None:
+        click.echo(f"\nreport: {output}")

@@ -1,0 +1,25 @@
+"""``hysteresis setpoint``: move an axis by hand where there is no ``ros2`` command."""
+
+from __future__ import annotations
+
+import click
+
+
+@click.command(short_help="Publish a setpoint, like ros2 topic pub --once.")
+@click.argument("value", type=float)
+@click.option("--namespace", default="", help="Namespace of the axis.")
+@click.option("--timeout", type=float, default=30.0, show_default=True, help="Wait so long for the axis [s].")
+def setpoint(value, namespace, timeout):
+    """Publish VALUE [m] on the topic setpoint once and wait until it has been received."""
+    import importlib.util
+    import subprocess
+    import sys
+
+    from hysteresis_ros.errors import HysteresisError
+
+    if importlib.util.find_spec("rclpy") is None:
+        raise HysteresisError('rclpy is not installed: pip install "hysteresis_ros[ros]" or source /opt/ros/jazzy')
+    # a process of its own: the pip wheels of ROS restart the interpreter on import
+    command = [sys.executable, "-m", "hysteresis_ros.nodes.setpoint_publisher", "--setpoint", repr(value)]
+    command += ["--timeout", repr(timeout)] + (["--namespace", namespace] if namespace else [])
+    raise SystemExit(subprocess.run(command).returncode)

@@ -1,0 +1,1 @@
+"""Published experiments, repeated: each claim of a paper beside what the package finds."""

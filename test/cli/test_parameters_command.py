@@ -1,0 +1,31 @@
+"""The parameter tables: complete, and the same in the documentation."""
+
+import pathlib
+import subprocess
+import sys
+
+from hysteresis_ros.cli.parameters import lines
+from hysteresis_ros.simulation.node_parameters import NODE_PARAMETERS
+
+DOCUMENT = pathlib.Path(__file__).resolve().parents[2] / "docs" / "parameters.md"
+
+
+def test_the_documentation_holds_the_present_tables():
+    text = DOCUMENT.read_text(encoding="utf-8")
+    assert text.endswith("\n".join(lines(list(NODE_PARAMETERS)))), (
+        "docs/parameters.md is out of date: keep its head and replace the tables by what `hysteresis parameters` prints"
+    )
+
+
+def test_every_parameter_of_a_node_is_listed_with_range_and_meaning():
+    printed = "\n".join(lines(["motion_controller"]))
+    for row in NODE_PARAMETERS["motion_controller"].table():
+        assert f"| `{row.name}` |" in printed and row.description
+    assert "plant_simulator" not in printed.split("## motion_controller")[0].split("## Every node")[0]
+
+
+def test_an_unknown_node_is_refused_with_the_names_there_are():
+    answer = subprocess.run(
+        [sys.executable, "-m", "hysteresis_ros.cli.main", "parameters", "nothing"], capture_output=True, text=True
+    )
+    assert answer.returncode == 2 and "plant_simulator" in answer.stderr and len(answer.stderr.splitlines()) == 1

@@ -1,0 +1,64 @@
+"""`hysteresis simulate`: the same run in every format, replayed setpoints, and what wrong input gets."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+
+from hysteresis_ros.recordings import COLUMNS, load_run
+
+
+def hysteresis(*words, code=0):
+    answer = subprocess.run(
+        [sys.executable, "-m", "hysteresis_ros.cli.main", *map(str, words)], capture_output=True, text=True
+    )
+    assert answer.returncode == code, answer.stdout + answer.stderr
+    return answer.stdout + answer.stderr
+
+
+@pytest.fixture(scope="module")
+def run_file(tmp_path_factory):
+    path = tmp_path_factory.mktemp("run") / "run.npz"
+    assert "600 samples at 3000 Hz" in hysteresis("simulate", "kim2009", "-o", path, "--duration", 0.2)
+    return path
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".mcap"])
+def test_every_format_holds_the_same_numbers(run_file, tmp_path, suffix):
+    other = tmp_path / f"run{suffix}"
+    hysteresis("simulate", "kim2009", "-o", other, "--duration", 0.2)
+    first, second = load_run(run_file), load_run(other)
+    np.testing.assert_array_equal(first.time, second.time)
+    for name in COLUMNS:
+        np.testing.assert_array_equal(first[name], second[name], err_msg=name)
+
+
+def test_recorded_setpoints_are_replayed_sample_by_sample(run_file, tmp_path):
+    given = load_run(run_file)
+    setpoints = np.where(given.time > 0.05, 3e-6, 0.0)
+    from hysteresis_ros.recordings import Recording, save_run
+
+    save_run(Recording(given.time, {**given.signals, "setpoint": setpoints}), tmp_path / "given.npz")
+    hysteresis("simulate", "kim2009", "-o", tmp_path / "replay.npz", "--setpoints", tmp_path / "given.npz")
+    replay = load_run(tmp_path / "replay.npz")
+    np.testing.assert_array_equal(replay["setpoint"], setpoints)
+    # the steps of the file's waveform of 2.05 µm stand on top of the setpoint
+    assert replay["reference"][-1] == pytest.approx(5.05e-6)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("nothing.yaml", "-o", "x.npz"), "nothing.yaml: no such file"),
+        (("nothing", "-o", "x.npz"), "kim2009"),
+        (("kim2009", "-o", "x.txt", "--duration", "0.01"), "write .npz, .csv or .mcap"),
+        (("kim2009", "-o", "x.npz", "--duration", "-1"), "positive number of seconds"),
+        (("kim2009", "-o", "nowhere/x.npz", "--duration", "0.01"), "nowhere"),
+        (("kim2009", "-o", "x.npz", "--setpoints", "none.npz"), "none.npz"),
+    ],
+)
+def test_wrong_input_gets_one_line_and_exit_code_2(tmp_path, monkeypatch, words, said):
+    monkeypatch.chdir(tmp_path)
+    text = hysteresis("simulate", *words, code=2)
+    assert said in text and len(text.splitlines()) == 1 and "Traceback" not in text
