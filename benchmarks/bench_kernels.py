@@ -1,0 +1,173 @@
+"""Compiled kernels against the same recursions in C (recursions.c, gcc -O3)."""
+
+from __future__ import annotations
+
+import ctypes
+import pathlib
+import shutil
+import statistics
+import subprocess
+import tempfile
+from functools import partial
+
+import common
+import numpy as np
+
+from hysteresis_ros.block import COMPILED, kernel
+from hysteresis_ros.configuration import load_configuration
+from hysteresis_ros.control.sliding_mode import sliding_mode
+from hysteresis_ros.models.limits import Limits, LimitsParameters, limits
+from hysteresis_ros.models.linear import linear
+from hysteresis_ros.models.polynomial import STATES, polynomial, polynomial_inverse
+from hysteresis_ros.simulation.axis import Axis, axes
+
+TARGET = 1.3
+SAMPLES = 100_000
+
+_DOUBLES = np.ctypeslib.ndpointer(dtype=np.float64, flags="C_CONTIGUOUS")
+
+
+@kernel
+def run_polynomial(p, x, u, y):
+    """Fill ``y`` with the output of the hysteresis."""
+    for k in range(u.shape[0]):
+        y[k] = polynomial(p, x, u[k])
+
+
+@kernel
+def run_compensation(p, x, scratch, r, voltage):
+    """Fill ``voltage`` for the displacements ``r``, the model following."""
+    for k in range(r.shape[0]):
+        # a closed form does not use the kernel that it is handed; a number in its place can be cached
+        voltage[k] = polynomial_inverse(0.0, scratch, scratch, p, x, r[k])
+        polynomial(p, x, voltage[k])
+
+
+@kernel
+def run_linear(p, x, u, y):
+    """Fill ``y`` with the output of the state space."""
+    for k in range(u.shape[0]):
+        y[k] = linear(p, x, u[k])
+
+
+@kernel
+def run_limits(p, x, u, y):
+    """Fill ``y`` with the limited voltage."""
+    for k in range(u.shape[0]):
+        y[k] = limits(p, x, u[k])
+
+
+@kernel
+def run_sliding_mode(p, x, r, y, u):
+    """Fill ``u`` with the controller's commands."""
+    for k in range(r.shape[0]):
+        u[k] = sliding_mode(p, x, r[k], y[k])
+
+
+def c_library(folder: pathlib.Path) -> ctypes.CDLL:
+    """Compile recursions.c into ``folder`` and load it."""
+    gcc = shutil.which("gcc")
+    if gcc is None:
+        raise common.BenchmarkError(
+            "gcc is not installed, and the compiled kernels are measured against it; install it (apt install gcc)"
+        )
+    source = pathlib.Path(__file__).with_name("recursions.c")
+    library = folder / "recursions.so"
+    # the kernels do not contract a*b + c either, so both sides do the same IEEE operations
+    command = [gcc, "-O3", "-ffp-contract=off", "-std=c11", "-shared", "-fPIC", str(source), "-o", str(library), "-lm"]
+    done = subprocess.run(command, capture_output=True, text=True)
+    if done.returncode:
+        raise common.BenchmarkError(f"gcc could not compile {source.name}: {done.stderr.strip()}")
+    return ctypes.CDLL(str(library))
+
+
+class Case:
+    """One recursion, as compiled kernel and in C, on the same parameters, states and signals.
+
+    Parameters
+    ----------
+    name : str
+        For the table.
+    block : Block
+        Whose ``p`` and ``x`` are used.
+    ours, theirs : function
+        ``run(p, x, *scratch, *signals, output)``, in C with the number of samples behind.
+    signals : tuple of arrays, shape (N,)
+        Inputs.
+    scratch : tuple of arrays
+        What the recursion needs besides.
+    """
+
+    def __init__(self, name, block, ours, theirs, signals, scratch=()):
+        self.name = name
+        self.block = block
+        self.signals = [np.ascontiguousarray(signal) for signal in signals]
+        theirs.argtypes = [_DOUBLES] * (3 + len(scratch) + len(signals)) + [ctypes.c_size_t]
+        theirs.restype = None
+        self._x = block.initial_state()
+        self.outputs = [np.empty(SAMPLES), np.empty(SAMPLES)]
+        inputs = (block.p, self._x, *scratch, *self.signals)
+        self._calls = [(ours, (*inputs, self.outputs[0])), (theirs, (*inputs, self.outputs[1], SAMPLES))]
+
+    def run(self, side: int) -> None:
+        """Run one side, 0 the kernel and 1 C, from the state at rest."""
+        function, arguments = self._calls[side]
+        self._x[:] = self.block.initial_state()
+        function(*arguments)
+
+    def simulate(self) -> None:
+        """Run the kernel as the argument of a compiled loop, the way it runs in the package."""
+        self.block.reset()
+        self.block.simulate(*self.signals)
+
+    def difference(self) -> float:
+        """Return the largest difference of the two outputs, as a part of the range of the output."""
+        self.run(0)
+        self.run(1)
+        return float(np.max(np.abs(self.outputs[0] - self.outputs[1])) / np.ptp(self.outputs[1]))
+
+
+def cases(library) -> list[Case]:
+    """Return the cases, with the signals of a closed loop that moves all over its range."""
+    axis = Axis(axes(load_configuration(common.CONFIGURATION))[0])
+    # steps of random height, smoothed: branches, minor loops and the virgin curve all occur
+    steps = np.repeat(np.random.default_rng(1).uniform(0.0, 10e-6, SAMPLES // 50), 50)
+    reference = np.convolve(steps, np.full(30, 1.0 / 30.0), mode="same")
+    signals = axis.run(reference)
+    command, voltage, measured = (signals[name] for name in ("command", "voltage", "measured"))
+    hysteresis, dynamics, controller = axis.actuator.hysteresis, axis.actuator.dynamics, axis.controller
+    tight = Limits(LimitsParameters(minimum=-30.0, maximum=80.0, slew_rate=20e3, bits=16), 1.0 / axis.sample_rate)
+    scratch = (np.zeros(STATES),)
+    return [
+        Case("polynomial hysteresis", hysteresis, run_polynomial, library.run_polynomial, (voltage,)),
+        Case("its exact inverse, and it", hysteresis, run_compensation, library.run_compensation, (command,), scratch),
+        Case("linear state space", dynamics, run_linear, library.run_linear, (command,)),
+        Case("sliding mode, Kalman", controller, run_sliding_mode, library.run_sliding_mode, (reference, measured)),
+        Case("limits and quantiser", tight, run_limits, library.run_limits, (voltage,)),
+    ]
+
+
+def main() -> int:
+    """Run the benchmark; returns the exit code."""
+    options = common.parser(__doc__, repeats=101).parse_args()
+    if not COMPILED:
+        raise common.BenchmarkError("Numba is missing or switched off: there are no compiled kernels to measure")
+    results = []
+    with tempfile.TemporaryDirectory() as folder:
+        for case in cases(c_library(pathlib.Path(folder))):
+            difference = case.difference()
+            if difference > 1e-12:
+                raise common.BenchmarkError(f"{case.name}: kernel and C differ by {difference:.3g} of full scale")
+            ratio, *times = common.interleaved(partial(case.run, 0), partial(case.run, 1), options.repeats)
+            ours, theirs = (seconds / SAMPLES * 1e9 for seconds in times)
+            detail = f"{ours:.1f} ns a sample, C {theirs:.1f} ns, {'same bits' if difference == 0.0 else ''}"
+            if "inverse" not in case.name:
+                case.simulate()
+                passed = statistics.median(common.cpu_seconds(case.simulate) for _ in range(options.repeats))
+                detail += f"; as argument of a loop {passed / SAMPLES * 1e9:.1f} ns"
+            results.append(common.Result(case.name, ratio, "at most", TARGET, detail))
+    return common.report(results, options)
+
+
+if __name__ == "__main__":
+    common.run(main)

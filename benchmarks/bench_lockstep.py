@@ -1,0 +1,85 @@
+"""Lockstep loop of the four nodes against a bare relay of the same graph, composed and as four processes."""
+
+from __future__ import annotations
+
+import json
+import os
+import pathlib
+import statistics
+import subprocess
+import sys
+import tempfile
+from dataclasses import replace
+
+import common
+
+from hysteresis_ros.configuration import NODE_NAMES, load_configuration
+from hysteresis_ros.simulation.axis import axes
+
+TARGET = 0.6
+#: Processes of a graph, and samples of a turn: 30 to 50 ms.
+GRAPHS = {"composed": (("all",), 200), "four processes": (NODE_NAMES, 80)}
+#: Turns at the beginning that do not count: discovery and first calls are not the loop.
+WARM_UP = 3
+#: Seconds that a run may take before something is wrong.
+PATIENCE = 240.0
+
+_WORKER = str(pathlib.Path(__file__).with_name("graphs.py"))
+# a namespace of its own: nothing else on this machine takes part
+_NAMESPACE = f"/benchmark_{os.getpid()}"
+
+
+def parameter_file(folder: pathlib.Path, samples: int) -> pathlib.Path:
+    """Write the configuration of a lockstep run of ``samples`` samples."""
+    configuration = load_configuration(common.CONFIGURATION)
+    configuration = configuration.override("", time_mode="lockstep", exit_at_end=True, autostart=True)
+    axis = axes(configuration)[0]
+    plant = replace(axis.plant_simulator, samples=samples)
+    axis = replace(axis, namespace=f"{_NAMESPACE}/nodes", plant_simulator=plant)
+    path = folder / f"{samples}.yaml"
+    path.write_text(axis.configuration_text(), encoding="utf-8")
+    return path
+
+
+def turns(names, parameters: pathlib.Path, count: int, samples: int) -> list[tuple[float, float]]:
+    """Run both graphs in turns, one process for each of ``names``; returns the seconds of nodes and relay, in pairs."""
+    further = [str(parameters), _NAMESPACE, str(count), str(samples)]
+    processes = [
+        subprocess.Popen([sys.executable, _WORKER, name, *further], stdout=subprocess.PIPE, text=True) for name in names
+    ]
+    try:
+        outputs = [process.communicate(timeout=PATIENCE)[0] for process in processes]
+    except subprocess.TimeoutExpired:
+        raise common.BenchmarkError(f"the graphs did not end within {PATIENCE:g} s") from None
+    finally:
+        for process in processes:
+            if process.poll() is None:
+                process.kill()
+                process.wait()
+    codes = [process.returncode for process in processes]
+    if any(codes):
+        raise common.BenchmarkError(f"the processes {', '.join(names)} ended with exit codes {codes}")
+    seconds = json.loads("".join(outputs))
+    return list(zip(seconds["nodes"], seconds["relay"], strict=True))[WARM_UP:]
+
+
+def main() -> int:
+    """Run the benchmark; returns the exit code."""
+    options = common.parser(__doc__, repeats=100).parse_args()
+    count = options.repeats + WARM_UP
+    results = []
+    with tempfile.TemporaryDirectory() as folder:
+        for name, (processes, samples) in GRAPHS.items():
+            parameters = parameter_file(pathlib.Path(folder), count * samples)
+            pairs = turns(processes, parameters, count, samples)
+            ratios = sorted(relay / nodes for nodes, relay in pairs)
+            ours, bare = (samples / statistics.median(side) for side in zip(*pairs, strict=True))
+            quartiles = f"{ratios[len(ratios) // 4]:.2f} ... {ratios[3 * len(ratios) // 4]:.2f}"
+            detail = f"nodes {ours:.0f} Hz, relay {bare:.0f} Hz, half of the ratios in {quartiles}"
+            median = statistics.median(ratios)
+            results.append(common.Result(f"lockstep loop, {name}", median, "at least", TARGET, detail))
+    return common.report(results, options)
+
+
+if __name__ == "__main__":
+    common.run(main)

@@ -1,0 +1,180 @@
+"""Memory of the nodes above a bare rclpy node, its growth over a long run, and what a node must not import."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import os
+import pathlib
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import replace
+
+import common
+
+from hysteresis_ros.block import COMPILED
+from hysteresis_ros.configuration import NODE_NAMES, load_configuration
+from hysteresis_ros.simulation.axis import axes
+
+#: Megabytes of a node above a bare one, with compiled kernels and without.
+TARGETS = {"compiled": 90.0, "plain": 30.0}
+#: Megabytes that a long run may grow by between its first tenth and its end: one byte a tick over 10⁶ ticks.
+GROWTH = 1.0
+#: What a running node has no use for.
+UNWANTED = (
+    "scipy.signal",
+    "scipy.optimize",
+    "matplotlib",
+    "jinja2",
+    "click",
+    "rosbags",
+    "mcap",
+    "tqdm",
+    "hysteresis_ros.analysis",
+    "hysteresis_ros.cli",
+    "hysteresis_ros.experiments",
+    "hysteresis_ros.identification",
+    "hysteresis_ros.recordings",
+)
+#: Samples after which a node has everything it will ever have: the queues of its topics (1000) are full.
+WARM = 2500
+#: Seconds that something may take before it is wrong.
+PATIENCE = 120.0
+
+_WORKER = str(pathlib.Path(__file__).with_name("memory_worker.py"))
+# a namespace of its own: nothing else on this machine takes part
+_NAMESPACE = f"/benchmark_{os.getpid()}"
+
+
+class Worker:
+    """A process that answers how far it is and how much memory it has."""
+
+    def __init__(self, node: str, parameters=None, compiled: bool = True, cache=None):
+        ros = ["--ros-args", "--log-level", "warn", "-r", f"__ns:={_NAMESPACE}"]
+        ros += ["--params-file", str(parameters)] if parameters else []
+        command = [sys.executable, _WORKER, node, *([] if compiled else ["--without-numba"]), *ros]
+        environment = os.environ | ({"XDG_CACHE_HOME": str(cache)} if cache else {})
+        self.node = node
+        self.process = subprocess.Popen(
+            command, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+        )
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *exception) -> None:
+        self.process.stdin.close()
+        try:
+            self.process.wait(15.0)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
+        self.process.stdout.close()
+
+    def read(self) -> dict:
+        """Return sample, megabytes and modules at this moment."""
+        try:
+            self.process.stdin.write("\n")
+            self.process.stdin.flush()
+            line = self.process.stdout.readline()
+        except BrokenPipeError:
+            line = ""
+        if not line:
+            raise common.BenchmarkError(f"{self.node} ended early, with exit code {self.process.wait()}")
+        return json.loads(line)
+
+    def read_after(self, sample: int, patience: float = PATIENCE) -> dict:
+        """Return the same once ``sample`` has been reached."""
+        deadline = time.monotonic() + patience
+        while True:
+            found = self.read()
+            if found["sample"] >= sample:
+                return found
+            if time.monotonic() > deadline:
+                raise common.BenchmarkError(f"{self.node} did not reach sample {sample} in {patience:g} s")
+            time.sleep(0.1)
+
+
+def parameter_file(folder: pathlib.Path) -> pathlib.Path:
+    """Write the configuration of an endless lockstep run."""
+    configuration = load_configuration(common.CONFIGURATION).override("", time_mode="lockstep", autostart=True)
+    path = folder / "axis.yaml"
+    path.write_text(replace(axes(configuration)[0], namespace=_NAMESPACE).configuration_text(), encoding="utf-8")
+    return path
+
+
+def bare_megabytes() -> float:
+    """Return the memory of a bare node."""
+    with Worker("bare") as worker:
+        worker.read_after(0)
+        time.sleep(1.0)  # its discovery threads are at rest then
+        return worker.read()["megabytes"]
+
+
+def four_processes(parameters, compiled: bool, cache) -> list[dict]:
+    """Return what four nodes, one process each, have after WARM samples."""
+    workers = []
+    try:
+        for name in NODE_NAMES:
+            workers.append(Worker(name, parameters, compiled, cache))
+        return [worker.read_after(WARM) for worker in workers]
+    finally:
+        for worker in workers:
+            worker.__exit__()
+
+
+def growth(parameters, ticks: int) -> tuple[float, list[float]]:
+    """Return by how much the composed process grows between 10 % and 100 % of ``ticks``, and its megabytes [MB].
+
+    The growth is that of the median tenth, nine times: what leaks does so in every tenth, while an allocator takes a
+    block of its own now and then. The detail of the table shows both ends.
+    """
+    found = []
+    with Worker("all", parameters) as worker:
+        for tenth in range(1, 11):
+            now = worker.read_after(max(tenth * ticks // 10, WARM), patience=PATIENCE + ticks / 1000.0)
+            found.append(now["megabytes"])
+    steps = [later - before for before, later in itertools.pairwise(found)]
+    return len(steps) * statistics.median(steps), found
+
+
+def unwanted(modules) -> list[str]:
+    """Return which of the loaded modules a node has no use for."""
+    return [name for name in UNWANTED if any(found == name or found.startswith(f"{name}.") for found in modules)]
+
+
+def main() -> int:
+    """Run the benchmark; returns the exit code."""
+    parser = common.parser(__doc__)
+    parser.add_argument("--ticks", type=int, default=1_000_000, help="length of the long run; 0: none (default 10^6)")
+    options = parser.parse_args()
+    results = []
+    with tempfile.TemporaryDirectory() as folder:
+        parameters = parameter_file(pathlib.Path(folder))
+        bare = bare_megabytes()
+        for kind in ("compiled", "plain") if COMPILED else ("plain",):
+            compiled = kind == "compiled"
+            cache = pathlib.Path(folder) / "cache"
+            first = four_processes(parameters, True, cache) if compiled else None  # compiles, and fills the cache
+            found = four_processes(parameters, compiled, cache)
+            for index, (name, one) in enumerate(zip(NODE_NAMES, found, strict=True)):
+                detail = f"{one['megabytes']:.0f} MB, bare node {bare:.0f} MB"
+                if first:
+                    detail += f"; at the very first start, which compiles, {first[index]['megabytes']:.0f} MB"
+                above = one["megabytes"] - bare
+                results.append(common.Result(f"MB above bare: {name}, {kind}", above, "at most", TARGETS[kind], detail))
+            loaded = [name for one in found for name in unwanted(one["modules"])]
+            detail = ", ".join(sorted(set(loaded)))
+            results.append(common.Result(f"modules without use, {kind}", len(loaded), "at most", 0, detail))
+        if options.ticks:
+            grown, megabytes = growth(parameters, options.ticks)
+            detail = f"{megabytes[0]:.1f} MB at 10 %, {megabytes[-1]:.1f} MB at the end"
+            results.append(common.Result(f"MB grown in {options.ticks} ticks", grown, "at most", GROWTH, detail))
+    return common.report(results, options)
+
+
+if __name__ == "__main__":
+    common.run(main)

@@ -1,0 +1,129 @@
+"""What the benchmarks share: ratios from interleaved repeats, the table, the exit code."""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+import json
+import os
+import pathlib
+import platform
+import statistics
+import time
+from dataclasses import asdict, dataclass
+
+#: The axis that everything is measured on: Kim, Kim & Park 2009, complete with quantiser, compensator and observer.
+CONFIGURATION = pathlib.Path(__file__).parent.parent / "config" / "kim2009.yaml"
+
+
+class BenchmarkError(Exception):
+    """A benchmark cannot run; the message says what is missing."""
+
+
+@dataclass(frozen=True)
+class Result:
+    """One figure with its target.
+
+    Parameters
+    ----------
+    name : str
+        What was measured.
+    value : float
+        The figure.
+    limit : str
+        ``at least`` or ``at most``.
+    target : float
+        The target.
+    detail : str
+        The figures that the value was made from.
+    """
+
+    name: str
+    value: float
+    limit: str
+    target: float
+    detail: str = ""
+
+    @property
+    def holds(self) -> bool:
+        """Whether the target is met."""
+        return self.value >= self.target if self.limit == "at least" else self.value <= self.target
+
+
+def parser(description: str, **defaults) -> argparse.ArgumentParser:
+    """Return the command line that all benchmarks have."""
+    made = argparse.ArgumentParser(description=description)
+    made.add_argument("--json", metavar="F", help="write the figures to this file as well")
+    repeats = defaults.get("repeats")
+    if repeats:
+        made.add_argument("--repeats", type=int, default=repeats, help=f"repeats (default {repeats})")
+    return made
+
+
+def machine() -> dict:
+    """Return what the figures depend on."""
+    processor = platform.processor() or platform.machine()
+    info = pathlib.Path("/proc/cpuinfo")
+    if info.exists():
+        lines = [line for line in info.read_text().splitlines() if line.startswith("model name")]
+        processor = lines[0].split(":", 1)[1].strip() if lines else processor
+    return {
+        "date": datetime.date.today().isoformat(),
+        "cores": len(os.sched_getaffinity(0)),
+        "processor": processor,
+        "python": f"{platform.python_implementation()} {platform.python_version()}",
+    }
+
+
+def report(results: list[Result], options) -> int:
+    """Print the table, write the JSON file if wanted, and return the exit code: 1 when a target is missed."""
+    about = machine()
+    print(f"{about['date']}, {about['cores']} cores, {about['processor']}, {about['python']}")
+    width = max(len(result.name) for result in results)
+    for result in results:
+        verdict = f"{result.limit} {result.target:<5g}  holds: {'yes' if result.holds else 'NO':3}"
+        print(f"{result.name:{width}}  {result.value:8.3g}  {verdict}  {result.detail}")
+    if options.json:
+        rows = [asdict(result) | {"holds": result.holds} for result in results]
+        text = json.dumps({"machine": about, "results": rows}, indent=2)
+        pathlib.Path(options.json).write_text(text + "\n", encoding="utf-8")
+    return 0 if all(result.holds for result in results) else 1
+
+
+def run(main) -> None:
+    """Run the ``main`` of a benchmark; what it cannot do is one line on standard output and exit code 2."""
+    try:
+        raise SystemExit(main())
+    except BenchmarkError as error:
+        print(f"error: {error}")
+        raise SystemExit(2) from None
+
+
+def cpu_seconds(function) -> float:
+    """Return the processor time of this thread [s] that ``function()`` takes: other programs do not count."""
+    start = time.thread_time_ns()
+    function()
+    return (time.thread_time_ns() - start) * 1e-9
+
+
+def interleaved(first, second, repeats: int, seconds=cpu_seconds) -> tuple[float, float, float]:
+    """Time two functions in turns and return the median ratio first / second and the median time of each [s].
+
+    The two of a pair run directly after one another, in alternating order, so that what else happens on the machine
+    meets both; the ratio is taken pair by pair.
+    """
+    times: list[tuple[float, float]] = []
+    for index in range(repeats):
+        if index % 2:
+            later = seconds(second)
+            times.append((seconds(first), later))
+        else:
+            times.append((seconds(first), seconds(second)))
+    ratio = statistics.median(a / b for a, b in times)
+    return ratio, statistics.median(a for a, _ in times), statistics.median(b for _, b in times)
+
+
+def resident_megabytes() -> float:
+    """Return the memory that this process has in RAM [MB] (Linux)."""
+    pages = int(pathlib.Path("/proc/self/statm").read_text().split()[1])
+    return pages * os.sysconf("SC_PAGE_SIZE") / 1e6
