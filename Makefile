@@ -1,0 +1,87 @@
+# Everything here needs a Python (3.11 to 3.13; choose with PYTHON=…) and a package index, nothing else. No ROS has to
+# be installed: `make setup` makes .venv with the ROS 2 Jazzy wheels. `make demo`, `make test` and `make bench` do the
+# set-up by themselves and repeat the quick part of it after every change of a source.
+
+VENV := .venv
+BIN := $(VENV)/bin
+SOURCES := $(shell find hysteresis_ros config launch resource -type f -not -name '*.pyc') setup.py setup.cfg package.xml
+# Nodes of this environment must not inherit the libraries of another one, nor answer to the network around.
+export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
+unexport LD_LIBRARY_PATH _ROS_WHEELS_BOOTSTRAP_COMPLETE
+INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+
+.PHONY: help setup demo test lint format bench clean
+.DELETE_ON_ERROR:
+
+help:
+	@echo "make setup | demo | test | lint | format | bench | clean      (PYTHON=python3.12 chooses the Python)"
+
+setup: $(VENV)/installed
+
+demo: setup
+	$(BIN)/hysteresis demo -o demo
+
+test: lint
+	$(BIN)/python -m pytest
+
+lint: setup
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+format: setup
+	$(BIN)/ruff check --fix .
+	$(BIN)/ruff format .
+
+bench: setup
+	missed=0; for file in benchmarks/bench_*.py; do echo "== $$file"; $(BIN)/python $$file || missed=1; done; exit $$missed
+
+clean:
+	rm -rf $(VENV) demo dist build install log *.egg-info .pytest_cache .ruff_cache .hypothesis
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# What is tested is what a user gets: a true installation, made anew after every change (build/lib would keep files
+# that were removed from the tree).
+$(VENV)/installed: $(VENV)/requirements $(SOURCES)
+	rm -rf build/lib build/bdist.*
+	$(INSTALL) --no-deps --no-build-isolation --force-reinstall .
+	rm -rf build/lib build/bdist.* hysteresis_ros.egg-info
+	@touch $@
+
+$(VENV)/requirements: $(VENV)/python setup.py pyproject.toml
+	@echo "installing into $(VENV) (some minutes the first time)"
+	$(INSTALL) ".[all,test]"
+	@touch $@
+
+$(VENV)/python:
+	@$(call make_environment)
+	@touch $@
+
+# A Python counts when it runs and has a fitting version (pyenv leaves names that do not run). Debian and Ubuntu split
+# the venv module: without ensurepip the environment gets its pip from the pip outside, if there is one.
+define make_environment
+set -e; chosen=; \
+for candidate in $(or $(PYTHON),python3.12 python3.11 python3.13 python3 python); do \
+    if $$candidate -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 13))' 2>/dev/null; then \
+        chosen=$$candidate; break; \
+    fi; \
+done; \
+if [ -z "$$chosen" ]; then \
+    echo "error: $(if $(PYTHON),$(PYTHON) is not,there is no) Python 3.11, 3.12 or 3.13, which the ROS 2 Jazzy wheels need;" \
+        "found: $$($(or $(PYTHON),python3) --version 2>&1 | tail -n 1)." \
+        "Install one (Ubuntu 24.04: apt install python3.12-venv) and choose it: make setup PYTHON=python3.12" >&2; \
+    exit 1; \
+fi; \
+echo "making $(VENV) with $$($$chosen --version) ($$chosen)"; \
+rm -rf $(VENV); \
+if $$chosen -c 'import ensurepip, venv' 2>/dev/null; then \
+    $$chosen -m venv $(VENV); \
+elif $$chosen -c 'import venv, pip' 2>/dev/null; then \
+    echo "note: $$chosen has no ensurepip; .venv gets pip from the pip of $$chosen"; \
+    $$chosen -m venv --without-pip $(VENV); \
+    $$chosen -m pip --quiet --python $(BIN)/python install pip; \
+else \
+    echo "error: $$chosen can make no virtual environment: it has no venv module, or neither ensurepip nor pip." \
+        "Debian and Ubuntu: apt install python3-venv; or choose another Python: make setup PYTHON=…" >&2; \
+    exit 1; \
+fi
+endef

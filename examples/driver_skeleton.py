@@ -1,0 +1,89 @@
+"""A driver in the plant's place: replace read_sensor and write_amplifier by those of your card and keep the rest."""
+
+from __future__ import annotations
+
+import threading
+import time
+from array import array
+
+import rclpy
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+from rclpy.qos import QoSProfile
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64
+
+RATE = 500.0  # samples per second [Hz]
+LIMITS = (-30.0, 120.0)  # hard limits of the amplifier [V]
+WATCHDOG = 0.5  # without a voltage for so long, go to the safe voltage [s]
+SAFE_VOLTAGE = 0.0
+
+
+class Bench:
+    """Stands for amplifier and sensor: 0.1 µm/V behind a lag of 5 ms. Yours talks to a card."""
+
+    def __init__(self):
+        self.displacement = 0.0
+        self.voltage = 0.0
+
+    def read_sensor(self) -> float:
+        """Return the displacement [m]."""
+        self.displacement += (1.0e-7 * self.voltage - self.displacement) / (0.005 * RATE)
+        return self.displacement
+
+    def write_amplifier(self, voltage: float) -> None:
+        """Put out a voltage [V]."""
+        self.voltage = voltage
+
+
+class Driver(Node):
+    """Reads the sensor and puts out the voltage, at its own rate."""
+
+    def __init__(self):
+        super().__init__("driver")
+        self.bench = Bench()
+        self.voltage = SAFE_VOLTAGE
+        self.received = time.monotonic()
+        self.stop = threading.Event()
+        self.samples = self.create_publisher(JointState, "joint_states", QoSProfile(depth=100))
+        self.create_subscription(Float64, "voltage", self.on_voltage, QoSProfile(depth=10))
+        self.thread = threading.Thread(target=self.keep_time)
+        self.thread.start()
+
+    def on_voltage(self, message: Float64) -> None:
+        """Take a voltage [V] for the next sample."""
+        self.voltage = min(max(message.data, LIMITS[0]), LIMITS[1])
+        self.received = time.monotonic()
+
+    def keep_time(self) -> None:
+        """Sample with absolute deadlines, in a thread of its own: an executor's timer would drop periods."""
+        message = JointState(name=["extender"], position=array("d", [0.0]))
+        deadline = time.monotonic()
+        while not self.stop.is_set():
+            message.position[0] = self.bench.read_sensor()
+            message.header.stamp = self.get_clock().now().to_msg()
+            self.samples.publish(message)
+            silent = time.monotonic() - self.received > WATCHDOG
+            self.bench.write_amplifier(SAFE_VOLTAGE if silent else self.voltage)
+            deadline += 1.0 / RATE
+            self.stop.wait(max(deadline - time.monotonic(), 0.0))
+        self.bench.write_amplifier(SAFE_VOLTAGE)
+
+
+def main() -> None:
+    """Run the driver until Ctrl-C."""
+    rclpy.init()
+    driver = Driver()
+    try:
+        rclpy.spin(driver)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    finally:
+        driver.stop.set()
+        driver.thread.join()
+        driver.destroy_node()
+        rclpy.try_shutdown()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,117 @@
+"""The package installs with pip and with colcon: executables, shares and modules land where ROS 2 looks for them."""
+
+from __future__ import annotations
+
+import os
+import pathlib
+import shutil
+import subprocess
+import sys
+import zipfile
+
+import pytest
+
+ROOT = pathlib.Path(__file__).resolve().parents[1]
+EXECUTABLES = {
+    "plant_simulator",
+    "hysteresis_compensator",
+    "motion_controller",
+    "reference_generator",
+    "recorder",
+    "hysteresis_axis",
+    "hysteresis",
+}
+SHARES = {
+    "share/ament_index/resource_index/packages/hysteresis_ros",
+    "share/hysteresis_ros/package.xml",
+    "share/hysteresis_ros/launch/axis.launch.py",
+    *(f"share/hysteresis_ros/config/{path.name}" for path in (ROOT / "config").glob("*.yaml")),
+}
+#: Modules, and the templates they read.
+MODULES = {
+    str(path.relative_to(ROOT)) for path in (ROOT / "hysteresis_ros").rglob("*") if path.suffix in (".py", ".j2")
+}
+
+
+def run(*command, cwd, **variables) -> str:
+    """Run a command to its good end and return what it printed."""
+    answer = subprocess.run(
+        [str(word) for word in command], cwd=cwd, env={**os.environ, **variables}, capture_output=True, text=True
+    )
+    assert answer.returncode == 0, f"{command} ended with {answer.returncode}:\n{answer.stdout}\n{answer.stderr}"
+    return answer.stdout
+
+
+def relative_files(folder: pathlib.Path) -> set[str]:
+    return {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
+
+
+def modules_folder(prefix: pathlib.Path) -> pathlib.Path:
+    """Return the folder under a prefix which holds the package."""
+    (found,) = prefix.glob("lib/python*/*-packages")
+    return found
+
+
+def check_prefix(prefix: pathlib.Path) -> None:
+    """Check an installation the way ROS 2 looks at it, and start its executable from there."""
+    files = relative_files(prefix)
+    assert files >= SHARES
+    assert files >= {f"lib/hysteresis_ros/{name}" for name in EXECUTABLES}
+    assert all(os.access(prefix / "lib/hysteresis_ros" / name, os.X_OK) for name in EXECUTABLES)
+    packages = modules_folder(prefix)
+    assert relative_files(packages) >= MODULES
+    path = os.pathsep.join(filter(None, [str(packages), os.environ.get("PYTHONPATH")]))
+    text = run(prefix / "lib/hysteresis_ros/hysteresis", "--help", cwd=prefix, PYTHONPATH=path)
+    assert "simulate" in text and "report" in text
+
+
+@pytest.fixture(scope="module")
+def tree(tmp_path_factory) -> pathlib.Path:
+    """A copy of the sources, so that no build is left in them."""
+    folder = tmp_path_factory.mktemp("workspace") / "hysteresis_ros"
+    ignored = shutil.ignore_patterns(".*", "build", "install", "log", "dist", "demo", "__pycache__", "*.egg-info")
+    shutil.copytree(ROOT, folder, ignore=ignored)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def wheel(tree, tmp_path_factory) -> pathlib.Path:
+    """The wheel that pip builds of the tree."""
+    pytest.importorskip("pip", reason="pip builds the wheel")
+    pytest.importorskip("setuptools", "68", reason="setuptools 68 or newer builds the wheel")
+    pytest.importorskip("wheel", reason="setuptools before 70.1 builds wheels with the package wheel")
+    folder = tmp_path_factory.mktemp("wheel")
+    run(sys.executable, "-m", "pip", "wheel", "--no-deps", "--no-build-isolation", "-w", folder, tree, cwd=folder)
+    (found,) = folder.glob("*.whl")
+    return found
+
+
+def test_wheel_holds_modules_shares_and_executables(wheel):
+    with zipfile.ZipFile(wheel) as archive:
+        names = {name for name in archive.namelist() if ".dist-info/" not in name}
+    data = wheel.name.split("-py3")[0] + ".data/data/"
+    executables = {f"lib/hysteresis_ros/{name}" for name in EXECUTABLES}
+    assert names == MODULES | {data + name for name in SHARES | executables}
+
+
+def test_pip_installs_what_ros_2_looks_for(wheel, tmp_path):
+    options = ["--no-deps", "--no-index", "--ignore-installed", "--prefix", tmp_path]
+    run(sys.executable, "-m", "pip", "install", *options, wheel, cwd=tmp_path)
+    check_prefix(tmp_path)
+    for name in EXECUTABLES:
+        first = (tmp_path / "bin" / name).read_text(encoding="utf-8").splitlines()[0]
+        assert first == f"#!{sys.executable}", "the executable runs with the Python it was installed by"
+
+
+@pytest.mark.parametrize("options", [[], ["--symlink-install"]], ids=["copies", "symlinks"])
+def test_colcon_builds_the_package(tree, tmp_path, options):
+    pytest.importorskip("colcon_ros", reason="colcon with its ROS extensions is not installed")
+    bases = ["--base-paths", tree, "--build-base", tmp_path / "build", "--install-base", tmp_path / "install"]
+    command = [sys.executable, "-m", "colcon", "--log-base", tmp_path / "log", "build", *bases, *options]
+    run(*command, cwd=tmp_path, COLCON_HOME=str(tmp_path))
+    prefix = tmp_path / "install" / "hysteresis_ros"
+    if options:
+        assert relative_files(prefix) >= SHARES | {f"lib/hysteresis_ros/{name}" for name in EXECUTABLES}
+        assert (prefix / "share/hysteresis_ros/package.xml").resolve() == tree / "package.xml"
+    else:
+        check_prefix(prefix)

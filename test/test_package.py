@@ -1,0 +1,223 @@
+"""The package as a whole: one version, the layers of the design, complete docstrings."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import pathlib
+import re
+import subprocess
+import sys
+import xml.etree.ElementTree
+
+import pytest
+
+import hysteresis_ros
+
+ROOT = pathlib.Path(__file__).resolve().parents[1]
+PACKAGE = ROOT / "hysteresis_ros"
+SOURCES = sorted(PACKAGE.rglob("*.py"))
+
+#: What every folder may use of the package besides itself: imports go one way, in the order in which data flows.
+BASE = {"", "errors", "parameters", "block"}
+FORWARD = BASE | {"configuration", "models", "references", "recordings"}
+METHODS = FORWARD | {"compensation", "control", "identification"}
+MAY_IMPORT = {
+    "": BASE,
+    "errors": {""},
+    "configuration": {"", "errors"},
+    "parameters": {"", "errors"},
+    "block": {"", "errors", "parameters"},
+    "models": BASE,
+    "references": BASE,
+    "recordings": BASE | {"configuration"},
+    "compensation": BASE | {"models"},
+    "control": BASE | {"models"},
+    "identification": BASE | {"configuration", "models", "recordings", "compensation"},
+    "simulation": METHODS,
+    "analysis": METHODS,
+    "experiments": METHODS | {"simulation", "analysis"},
+    "nodes": METHODS | {"simulation", "analysis"},
+    "cli": METHODS | {"simulation", "analysis", "experiments", "nodes"},
+}
+ROS = re.compile(r"^(rclpy|ament_index_python|std_srvs|\w+_(msgs|interfaces))$")
+#: Heavy or special packages, and the only folder that may import them.
+ONLY_IN = {
+    "matplotlib": "analysis",
+    "jinja2": "analysis",
+    "click": "cli",
+    "rosbags": "recordings",
+    "mcap": "recordings",
+}
+#: What neither the blocks nor their parameters may bring into a node.
+HEAVY = ("scipy.signal", "scipy.optimize", "matplotlib", "jinja2", "rclpy", "click", "rosbags")
+
+
+def name_of(path: pathlib.Path) -> str:
+    return str(path.relative_to(PACKAGE.parent))
+
+
+def layer_of(path: pathlib.Path) -> str:
+    """Return the folder of a source, or the name of a module at the top; the package itself is ''."""
+    parts = path.relative_to(PACKAGE).with_suffix("").parts
+    return "" if parts == ("__init__",) else parts[0]
+
+
+def imported_modules(path: pathlib.Path):
+    """Yield the dotted names of all modules that a source imports anywhere, lazily too."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{name_of(path)}:{node.lineno}: relative import"
+            yield node.module
+            if node.module == "hysteresis_ros":
+                yield from (f"hysteresis_ros.{alias.name}" for alias in node.names)
+
+
+def child(element, name: str) -> str:
+    return element.find(name).text
+
+
+def setup_arguments(monkeypatch) -> dict:
+    """Return what setup.py hands to setuptools."""
+    setuptools = pytest.importorskip("setuptools", reason="setup.py needs setuptools")
+    given = {}
+    monkeypatch.setattr(setuptools, "setup", given.update)
+    monkeypatch.chdir(ROOT)
+    path = ROOT / "setup.py"
+    exec(compile(path.read_text(encoding="utf-8"), path, "exec"), {"__file__": str(path), "__name__": "setup"})
+    return given
+
+
+def test_version_is_the_same_everywhere(monkeypatch):
+    manifest = xml.etree.ElementTree.parse(ROOT / "package.xml").getroot()
+    arguments = setup_arguments(monkeypatch)
+    assert hysteresis_ros.__version__ == child(manifest, "version") == arguments["version"]
+    assert re.fullmatch(r"\d+\.\d+\.\d+", hysteresis_ros.__version__), "ROS wants three numbers"
+    assert hysteresis_ros.__version__ in (ROOT / "CHANGELOG.rst").read_text(encoding="utf-8")
+
+
+def test_manifest_and_setup_describe_the_same_package(monkeypatch):
+    manifest = xml.etree.ElementTree.parse(ROOT / "package.xml").getroot()
+    arguments = setup_arguments(monkeypatch)
+    assert child(manifest, "name") == arguments["name"] == "hysteresis_ros"
+    assert child(manifest, "license") == arguments["license"] == "Apache-2.0"
+    assert child(manifest, "maintainer") == arguments["maintainer"]
+    assert manifest.find("maintainer").get("email") == arguments["maintainer_email"]
+    assert manifest.find("export/build_type").text == "ament_python"
+
+
+def test_manifest_names_every_ros_package_that_is_imported():
+    manifest = xml.etree.ElementTree.parse(ROOT / "package.xml").getroot()
+    named = {element.text for element in manifest.iter("exec_depend")}
+    tops = {module.split(".")[0] for path in SOURCES for module in imported_modules(path)}
+    assert {top for top in tops if ROS.match(top)} <= named
+
+
+def test_every_executable_has_a_main_function(monkeypatch):
+    for entry in setup_arguments(monkeypatch)["entry_points"]["console_scripts"]:
+        name, target = entry.split(" = ")
+        module, function = target.split(":")
+        path = ROOT / (module.replace(".", "/") + ".py")
+        assert path.is_file(), f"{name}: no {path}"
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        defined = {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}
+        imported = {
+            alias.asname or alias.name for node in tree.body if isinstance(node, ast.ImportFrom) for alias in node.names
+        }
+        assert function in defined | imported, f"{name}: {module} has no {function}"
+
+
+def test_every_folder_of_sources_is_a_package():
+    assert [str(folder) for folder in {path.parent for path in SOURCES} if not (folder / "__init__.py").is_file()] == []
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=name_of)
+def test_imports_go_one_way(path):
+    layer = layer_of(path)
+    assert layer in MAY_IMPORT, f"{layer} is new: give it a place among the layers in this test"
+    for module in imported_modules(path):
+        top, _, rest = module.partition(".")
+        if top == "hysteresis_ros":
+            used = rest.split(".")[0] if rest.split(".")[0] in MAY_IMPORT else ""
+            assert used in MAY_IMPORT[layer] | {layer}, f"{layer} imports {module}"
+        elif ROS.match(top):
+            assert layer == "nodes", f"{layer} imports {module}; only nodes may"
+        elif top in ONLY_IN:
+            assert layer == ONLY_IN[top], f"{layer} imports {module}; only {ONLY_IN[top]} may"
+
+
+def test_the_rules_see_what_they_forbid(tmp_path):
+    source = tmp_path / "lazy.py"
+    source.write_text("def f():\n    from rclpy.node import Node\n    import matplotlib.pyplot as p, os\n")
+    assert list(imported_modules(source)) == ["rclpy.node", "matplotlib.pyplot", "os"]
+    assert ROS.match("std_srvs") and ROS.match("lifecycle_msgs") and not ROS.match("rosbags")
+
+
+def is_setter(node) -> bool:
+    """A property is documented at its getter."""
+    return any(isinstance(item, ast.Attribute) and item.attr == "setter" for item in node.decorator_list)
+
+
+def public_definitions(tree: ast.Module):
+    """Yield ``(qualified name, node)`` of the public classes and functions of a module, methods included."""
+    definitions = (ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
+    for node in tree.body:
+        if isinstance(node, definitions) and not node.name.startswith("_"):
+            yield node.name, node
+            if isinstance(node, ast.ClassDef):
+                for inner in node.body:
+                    if isinstance(inner, definitions) and not inner.name.startswith("_") and not is_setter(inner):
+                        yield f"{node.name}.{inner.name}", inner
+
+
+def section(docstring: str, title: str) -> str | None:
+    """Return the text of one numpydoc section, or None when there is no such section."""
+    found = re.search(rf"^{title}\n-+\n(.*?)(?=^\S[^\n]*\n-+\n|\Z)", docstring, re.MULTILINE | re.DOTALL)
+    return found and found.group(1)
+
+
+def described_names(text: str) -> set[str]:
+    """Return the names at the left margin of a Parameters section, ``a, b : float`` being two."""
+    lines = [line.split(" :")[0] for line in text.splitlines() if line and not line[0].isspace()]
+    return {name.strip().lstrip("*") for line in lines for name in line.split(",")}
+
+
+def accepted_names(node, bound: bool) -> set[str] | None:
+    """Return the parameters of a function or of a class's ``__init__``; a dataclass's are its fields."""
+    if isinstance(node, ast.ClassDef):
+        makers = [item for item in node.body if isinstance(item, ast.FunctionDef) and item.name == "__init__"]
+        if not makers:
+            return {item.target.id for item in node.body if isinstance(item, ast.AnnAssign)} or None
+        node, bound = makers[0], True
+    names = [item.arg for item in [*node.args.posonlyargs, *node.args.args]]
+    if bound and not any(isinstance(item, ast.Name) and item.id == "staticmethod" for item in node.decorator_list):
+        del names[0]
+    return {*names, *(item.arg for item in node.args.kwonlyargs)}
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=name_of)
+def test_public_things_are_documented_completely(path):
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    assert ast.get_docstring(tree), f"{name_of(path)} has no docstring"
+    for name, node in public_definitions(tree):
+        docstring = ast.get_docstring(node)
+        assert docstring, f"{name} has no docstring"
+        assert docstring.splitlines()[0].rstrip()[-1] in ".:", f"{name}: the first line is no sentence"
+        text = section(inspect.cleandoc(docstring) + "\n", "Parameters")
+        accepted = accepted_names(node, bound="." in name)
+        if text is not None and accepted is not None:
+            described = described_names(text)
+            variadic = {item.arg for item in ast.walk(node) if isinstance(item, ast.arg)}
+            assert described <= accepted | variadic, f"{name} describes {sorted(described - accepted)}: not taken"
+            missing = {item for item in accepted - described if not item.startswith("_")}
+            assert not missing, f"{name} does not describe {sorted(missing)}"
+
+
+def test_a_node_imports_no_more_than_it_needs():
+    """Memory is a promise: SciPy's signal and optimisation, plots and the command line stay out of the loop."""
+    modules = "sys, hysteresis_ros.simulation.closed_loop, hysteresis_ros.simulation.node_parameters"
+    code = f"import {modules}; print(*[name for name in {HEAVY} if name in sys.modules])"
+    answer = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert answer.stdout.split() == []
