@@ -1,0 +1,352 @@
+"""Checks of measured data, all made before any fit: what makes it unusable, and what a reader must know of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.signal
+
+from hysteresis_ros.errors import IdentificationError
+
+#: A sample may lie this much beside its place on the uniform grid, in sample times.
+GRID_TOLERANCE = 0.1
+#: A range below this share of the mean level counts as constant.
+CONSTANT = 1e-12
+#: This many equal samples in a row at the extreme may be clipping.
+CLIPPED_RUN = 3
+#: A clipped run is so many times longer than those beside it; the round top of a coarsely read sine is 5.5 times.
+CLIPPED_POPULATION = 8.0
+#: Drift over the whole data above this share of the stroke is warned of.
+DRIFT_SHARE = 0.01
+
+
+class DataError(IdentificationError):
+    """Data that cannot be used for identification.
+
+    Parameters
+    ----------
+    check : str
+        Which check found it: ``short``, ``constant``, ``nan``, ``uniform``, ``unit``, ``shape``, ``range`` …
+    message : str
+        What was found, what is allowed, what to do.
+    """
+
+    def __init__(self, check: str, message: str):
+        self.check = check
+        super().__init__(message)
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing found by a check.
+
+    Parameters
+    ----------
+    check : str
+        ``short``, ``constant``, ``nan``, ``uniform``, ``clipping``, ``delay``, ``drift``, ``jitter``.
+    severity : str
+        ``error`` (cannot be used), ``warning`` (results suffer) or ``note``.
+    message : str
+        In words, with numbers and units.
+    """
+
+    check: str
+    severity: str
+    message: str
+
+
+@dataclass(frozen=True)
+class DataReport:
+    """What the checks found.
+
+    Parameters
+    ----------
+    samples : int
+    sample_time : float
+        [s]
+    jitter : float
+        Largest distance of a sample from its place on the uniform grid [s].
+    missing : int
+        Samples at which the input or output is not finite.
+    stroke : float
+        Peak-to-peak output in its SI unit.
+    input_minimum, input_maximum : float
+        In the input's SI unit.
+    clipped_input, clipped_output : float
+        Share of samples at a clipped extreme.
+    delay : float
+        Lag of the output behind the input [s] at the best correlation: dead time, dynamics and hysteresis together.
+    drift : float
+        Change of the output over the whole data that the input does not explain, in its SI unit.
+    reversals : int
+        How often the input turns round.
+    findings : tuple of Finding
+        In the order of the checks.
+    """
+
+    samples: int
+    sample_time: float
+    jitter: float
+    missing: int
+    stroke: float
+    input_minimum: float
+    input_maximum: float
+    clipped_input: float
+    clipped_output: float
+    delay: float
+    drift: float
+    reversals: int
+    findings: tuple[Finding, ...]
+
+    @property
+    def errors(self) -> tuple[Finding, ...]:
+        """Findings that make the data unusable."""
+        return tuple(item for item in self.findings if item.severity == "error")
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Messages of the warnings, for the result of a fit."""
+        return tuple(item.message for item in self.findings if item.severity == "warning")
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Messages of the notes."""
+        return tuple(item.message for item in self.findings if item.severity == "note")
+
+    def raise_errors(self) -> None:
+        """Raise what makes the data unusable.
+
+        Raises
+        ------
+        DataError
+            With the messages of all errors, and the name of the first check.
+        """
+        if self.errors:
+            raise DataError(self.errors[0].check, "; ".join(item.message for item in self.errors))
+
+
+def check_data(time, input, output, input_unit="V", output_unit="m", minimum_samples: int = 50) -> DataReport:
+    """Check one input and one output before any fit; nothing is changed and nothing raised.
+
+    Parameters
+    ----------
+    time : ndarray, shape (N,)
+        [s]
+    input, output : ndarray, shape (N,)
+        SI.
+    input_unit, output_unit : str
+        For the messages.
+    minimum_samples : int
+        Fewer are too short.
+    """
+    found: list[Finding] = []
+    finite = np.isfinite(input) & np.isfinite(output)
+    missing = int(np.count_nonzero(~finite))
+    if len(time) < minimum_samples:
+        text = f"too short: {len(time)} samples, at least {minimum_samples} are needed"
+        found.append(Finding("short", "error", text))
+    if missing:
+        index = int(np.argmax(~finite))
+        text = f"{missing} of {len(time)} samples are missing (NaN), the first at index {index}"
+        found.append(Finding("nan", "error", f"{text}; choose a range without them or ask for resampling"))
+    sample_time, jitter, finding = check_uniform(time)
+    found += finding
+    u, y = input[finite], output[finite]
+    numbers = dict(stroke=np.nan, low=np.nan, high=np.nan, clipped_u=0.0, clipped_y=0.0, delay=np.nan, drift=np.nan)
+    reversals = 0
+    if u.size:
+        numbers |= dict(stroke=np.ptp(y), low=u.min(), high=u.max())
+        for role, values, unit in (("input", u, input_unit), ("output", y, output_unit)):
+            if np.ptp(values) <= CONSTANT * np.max(np.abs(values)):
+                text = f"the {role} is constant ({values[0]:.6g} {unit}); excite the actuator and record again"
+                found.append(Finding("constant", "error", text))
+    if u.size and not any(item.check in ("constant", "short") for item in found):
+        numbers["clipped_u"], numbers["clipped_y"] = clipped_share(u), clipped_share(y, u)
+        for role, values, unit, share in (
+            ("input", u, input_unit, numbers["clipped_u"]),
+            ("output", y, output_unit, numbers["clipped_y"]),
+        ):
+            if share > 0.0:
+                text = (
+                    f"the {role} seems clipped: {100 * share:.2g} % of the samples rest exactly at its extreme "
+                    f"({values.min():.6g} … {values.max():.6g} {unit})"
+                )
+                found.append(Finding("clipping", "warning", text))
+        reversals = count_reversals(u)
+        if not any(item.check in ("uniform", "nan") for item in found):
+            numbers["delay"], finding = _check_delay(u, y, sample_time)
+            found += finding
+        numbers["drift"], finding = _check_drift(time[finite], u, y, output_unit)
+        found += finding
+    return DataReport(
+        len(time),
+        sample_time,
+        jitter,
+        missing,
+        float(numbers["stroke"]),
+        float(numbers["low"]),
+        float(numbers["high"]),
+        numbers["clipped_u"],
+        numbers["clipped_y"],
+        numbers["delay"],
+        numbers["drift"],
+        reversals,
+        tuple(found),
+    )
+
+
+def check_uniform(time) -> tuple[float, float, list[Finding]]:
+    """Return sample time [s], jitter [s] and findings of a time axis of shape (N,).
+
+    Times that were rounded when they were written are uniform when they all lie within the rounding of a grid.
+
+    Parameters
+    ----------
+    time : ndarray, shape (N,)
+    """
+    if len(time) < 2:
+        return float("nan"), 0.0, []
+    index = np.arange(len(time))
+    distances = np.diff(time)
+    slope = float((time[-1] - time[0]) / (len(time) - 1))
+    beside = time - time[0] - slope * index
+    jitter = float(np.ptp(beside) / 2)
+    if not np.all(distances > 0.0):
+        return slope, jitter, [Finding("uniform", "error", "time does not increase; sort the samples")]
+    if jitter <= GRID_TOLERANCE * slope or jitter <= 0.51 * _rounding(time):
+        if jitter <= 0.01 * slope:
+            return slope, jitter, []
+        text = f"samples lie up to {jitter:.3g} s beside a uniform grid of {slope:.6g} s; taken as uniform"
+        return slope, jitter, [Finding("jitter", "note", text)]
+    median = float(np.median(distances))
+    steps = np.rint(distances / median)
+    if np.max(np.abs(distances - steps * median)) <= GRID_TOLERANCE * median:
+        lost = int(np.sum(steps - 1))
+        text = f"not uniformly sampled: {lost} samples of a grid of {median:.6g} s are missing"
+    else:
+        text = f"not uniformly sampled: distances from {distances.min():.6g} s to {distances.max():.6g} s"
+    return slope, jitter, [Finding("uniform", "error", f"{text}; ask for resampling, or choose a uniform range")]
+
+
+def _rounding(time):
+    """Return the decimal place [s] to which all times are rounded, 0 when to none."""
+    for digits in range(1, 7):
+        scaled = time * 10.0**digits
+        if np.max(np.abs(scaled - np.rint(scaled))) < 1e-6 * max(1.0, np.max(np.abs(scaled)) * 1e-7):
+            # one rounded step must be shorter than the distance of two samples, or the times say nothing
+            return 10.0**-digits if 10.0**-digits < np.median(np.diff(time)) else 0.0
+    return 0.0
+
+
+def clipped_share(values, driver=None) -> float:
+    """Return the share of samples that rest at a clipped extreme, 0 when nothing looks clipped.
+
+    Clipped means: runs of at least three equal samples at the very extreme, many times longer than the runs (of mostly
+    one sample) just before and after. Where a ``driver`` is given (the input of an output), only runs during which it
+    moves count: an output may rest while its input rests. Without one, a signal that rests at many levels (steps) is
+    not clipped.
+
+    Parameters
+    ----------
+    values : ndarray, shape (N,)
+    driver : ndarray, shape (N,), optional
+    """
+    tolerance = 1e-9 * np.ptp(values)
+    starts = np.flatnonzero(np.r_[True, np.abs(np.diff(values)) > tolerance])
+    lengths = np.diff(np.r_[starts, values.size])
+    level = values[starts]
+    count = 0
+    ends = [np.abs(level - extreme) <= tolerance for extreme in (values.min(), values.max())]
+    others = lengths[~(ends[0] | ends[1])]
+    resting = others[others >= CLIPPED_RUN]
+    for at in ends:
+        long = at & (lengths >= CLIPPED_RUN)
+        if driver is not None:
+            span = 1e-3 * np.ptp(driver)
+            for i in np.flatnonzero(long):
+                long[i] = np.ptp(driver[starts[i] : starts[i] + lengths[i]]) > span
+        if not long.any():
+            continue
+        longest = int(np.argmax(np.where(long, lengths, 0)))
+        beside = np.r_[lengths[max(longest - 2, 0) : longest], lengths[longest + 1 : longest + 3]]
+        if beside.size == 0 or lengths[longest] < CLIPPED_POPULATION * np.mean(beside):
+            continue
+        if driver is None and resting.size and np.max(resting) >= 0.5 * np.max(lengths[long]):
+            continue
+        count += int(lengths[long].sum())
+    return count / values.size
+
+
+def count_reversals(values) -> int:
+    """Return how often ``values`` of shape (N,) turn round; ripple below 1 % of the range does not count.
+
+    Parameters
+    ----------
+    values : ndarray, shape (N,)
+    """
+    peaks = [scipy.signal.find_peaks(sign * values, prominence=0.01 * np.ptp(values))[0].size for sign in (1.0, -1.0)]
+    return int(sum(peaks))
+
+
+def estimate_delay(u, y, sample_time: float) -> float:
+    """Return the lag [s] of y behind u with the highest correlation, between the samples by a parabola.
+
+    The search goes over half of the input's period, so that a periodic input cannot be mistaken by a whole one.
+
+    Parameters
+    ----------
+    u, y : ndarray, shape (N,)
+    sample_time : float
+        [s]
+    """
+    u, y = (u - u.mean()) / u.std(), (y - y.mean()) / y.std()
+    n = u.size
+    spectrum = np.abs(np.fft.rfft(u)) ** 2
+    main = max(1, int(np.argmax(spectrum[1:]) + 1))
+    reach = max(2, min(n // 4, int(0.5 * n / main)))
+    products = scipy.signal.correlate(y, u, mode="full", method="fft")[n - 1 - reach : n + reach]
+    lags = np.arange(-reach, reach + 1)
+    # the correlation coefficient of the overlapping parts: plain products lean towards no lag
+    first_u, first_y = np.maximum(-lags, 0), np.maximum(lags, 0)
+    overlap = n - np.abs(lags)
+    sums = []
+    for values, first in ((u, first_u), (y, first_y), (u * u, first_u), (y * y, first_y)):
+        total = np.r_[0.0, np.cumsum(values)]
+        sums.append(total[first + overlap] - total[first])
+    spread = (sums[2] - sums[0] ** 2 / overlap) * (sums[3] - sums[1] ** 2 / overlap)
+    window = (products - sums[0] * sums[1] / overlap) / np.sqrt(np.maximum(spread, 1e-300))
+    # half a period away a sine fits as well upside down: an inverted output must be the clearly better match
+    sign = -1.0 if -window.min() > 1.1 * window.max() else 1.0
+    best = int(np.argmax(sign * window))
+    shift = 0.0
+    if 0 < best < window.size - 1:
+        left, middle, right = window[best - 1 : best + 2]
+        bend = left - 2 * middle + right
+        shift = 0.5 * (left - right) / bend if bend else 0.0
+    return float((lags[best] + shift) * sample_time)
+
+
+def _check_delay(u, y, sample_time):
+    delay = estimate_delay(u, y, sample_time)
+    text = f"the output lags the input by {delay:.4g} s at the best correlation (dead time, dynamics and hysteresis)"
+    if delay < -1.5 * sample_time:
+        text = f"the output comes {-delay:.4g} s before the input; are the columns of one clock and not exchanged?"
+        return delay, [Finding("delay", "warning", text)]
+    return delay, [Finding("delay", "note", text)]
+
+
+def _check_drift(time, u, y, unit):
+    """Fit y with the input, its direction and a straight line in time: the line is the drift."""
+    scaled = (u - u.mean()) / np.ptp(u)
+    smooth = np.gradient(scaled)
+    direction = smooth / (np.max(np.abs(smooth)) or 1.0)
+    progress = np.linspace(-0.5, 0.5, u.size) if np.ptp(time) == 0 else (time - time.mean()) / np.ptp(time)
+    table = np.column_stack([np.ones(u.size), scaled, scaled**2, scaled**3, direction, direction * scaled**2, progress])
+    solution, *_ = np.linalg.lstsq(table, y, rcond=None)
+    drift, stroke = float(solution[-1]), float(np.ptp(y))
+    monotone = abs(np.corrcoef(scaled, progress)[0, 1]) > 0.95
+    if monotone or abs(drift) <= DRIFT_SHARE * stroke:
+        return (0.0 if monotone else drift), []
+    text = f"the output drifts by {drift:.4g} {unit} ({100 * drift / stroke:.2g} % of stroke) over the data"
+    return drift, [Finding("drift", "warning", f"{text}: creep, temperature or a transient at the start")]

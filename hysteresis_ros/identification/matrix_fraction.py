@@ -1,0 +1,434 @@
+"""Frequency response → matrix-fraction description → state space of lowest order (K4), without iteration.
+
+The left matrix fraction ``G(z) = Q(z)⁻¹ R(z)``, ``Q = I + Q_1 z⁻¹ + …``, ``R = R_0 + R_1 z⁻¹ + …``, is linear in its
+coefficients once multiplied by Q, so that one linear least-squares solution fits them to all lines at once. Its degree
+is chosen generously, its realisation has pole-zero pairs that nearly cancel, and a truncation of the balanced
+realisation takes them out within a tolerance.
+
+References
+----------
+.. [1] Juang, Applied System Identification, 1994, chapter 7 (matrix-fraction description, linear least squares).
+.. [2] Kim, Kim & Park 2009, section 2.4.
+.. [3] Laub et al., IEEE Trans. Autom. Control 32, 1987 (balancing by square roots).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+import scipy.linalg
+
+from hysteresis_ros.identification.data import refuse_short
+from hysteresis_ros.identification.frequency_response import FrequencyResponse
+from hysteresis_ros.identification.state_space import BOUNDARY, FitError, LinearModel
+
+#: Misfits below this share of the response's own size are taken for rounding, not for a lack of order.
+ROUNDING = 1e-7
+
+
+@dataclass(frozen=True, eq=False)
+class MatrixFraction:
+    """A left matrix fraction in z⁻¹.
+
+    Parameters
+    ----------
+    denominator : ndarray, shape (p + 1, n_y, n_y)
+        Q_0 = I … Q_p.
+    numerator : ndarray, shape (p + 1, n_y, n_u)
+        R_0 … R_p; R_0 = 0 without feedthrough.
+    sample_time : float
+        [s]
+    """
+
+    denominator: np.ndarray
+    numerator: np.ndarray
+    sample_time: float
+
+    @property
+    def degree(self) -> int:
+        """p."""
+        return len(self.denominator) - 1
+
+    def realisation(self, input_unit: str = "V", output_unit: str = "m") -> LinearModel:
+        """Return the state space in observer form, order p · n_y, nothing cancelled yet.
+
+        Parameters
+        ----------
+        input_unit, output_unit : str
+            SI units.
+        """
+        Q, R = self.denominator, self.numerator
+        p, ny = self.degree, Q.shape[1]
+        A = np.zeros((p * ny, p * ny))
+        A[:, :ny] = -Q[1:].reshape(p * ny, ny)
+        A[: (p - 1) * ny, ny:] = np.eye((p - 1) * ny)
+        B = (R[1:] - Q[1:] @ R[0]).reshape(p * ny, -1)
+        C = np.zeros((ny, p * ny))
+        C[:, :ny] = np.eye(ny)
+        return LinearModel(A, B, C, R[0].copy(), self.sample_time, input_unit, output_unit)
+
+
+@dataclass(frozen=True, eq=False)
+class MatrixFractionFit:
+    """A linear model from a frequency response.
+
+    Parameters
+    ----------
+    model : LinearModel
+        Of the order chosen.
+    order : int
+        Its order: the one asked for, or the one suggested.
+    suggested_order : int
+        The lowest order whose misfit is within the tolerance of the best one.
+    hankel_values : ndarray, shape (n,)
+        Hankel singular values of the full fit over the largest, falling.
+    orders : ndarray, shape (m,)
+        Orders that were tried.
+    misfit : ndarray, shape (m,)
+        Misfit of each: rms of |Ĝ - G| over the lines in units of the standard deviation, or over rms |G| when the
+        variance is not known.
+    fraction : MatrixFraction
+        The full fit.
+    dropped : tuple of complex
+        Unstable poles of the full fit that were left out: usually of noise. What they took with them is in the misfit.
+    warnings : tuple of str
+        Non-minimum-phase fit, large misfit, order at its bound …
+    """
+
+    model: LinearModel
+    order: int
+    suggested_order: int
+    hankel_values: np.ndarray
+    orders: np.ndarray
+    misfit: np.ndarray
+    fraction: MatrixFraction
+    dropped: tuple[complex, ...]
+    warnings: tuple[str, ...]
+
+
+def fit_matrix_fraction(
+    data: FrequencyResponse, degree: int, feedthrough: bool = False, iterations: int = 0, weights=None
+) -> MatrixFraction:
+    """Fit a left matrix fraction of ``degree`` by linear least squares (Juang, K4).
+
+    Parameters
+    ----------
+    data : FrequencyResponse
+        Response at F lines.
+    degree : int
+        p ≥ 1, generous: twice the order expected or more.
+    feedthrough : bool
+        Whether R_0 is fitted too; an input held between samples cannot act on a sample taken as it changes.
+    iterations : int
+        How often to repeat with each line divided by the last |det Q| (Sanathanan and Koerner); 0: the paper's method.
+    weights : array_like, shape (F,), optional
+        Weight of each line, e.g. one over its standard deviation.
+
+    Raises
+    ------
+    FitError
+        The degree is below 1.
+    DataError
+        There are fewer lines than unknowns.
+    """
+    if degree < 1:
+        raise FitError(f"degree = {degree}: a matrix fraction has at least degree 1")
+    G = data.response
+    F, ny, nu = G.shape
+    unknowns = degree * ny + (degree + bool(feedthrough)) * nu
+    refuse_short(2 * F * nu, unknowns, f"a matrix fraction of degree {degree} (numbers in the response)")
+    # scaled, so that metres and volts do not decide about rank
+    scale = np.sqrt(np.mean(np.abs(G) ** 2))
+    G = G / scale
+    z = np.exp(2j * np.pi * data.frequency * data.sample_time)
+    powers = z[:, None] ** -np.arange(degree + 1)
+    base = np.ones(F) if weights is None else np.asarray(weights, dtype=float)
+    weight = base
+    first = 0 if feedthrough else 1
+    for _ in range(iterations + 1):
+        # for each line and input, transposed: -Σ z⁻ⁱ Gᵀ Q_iᵀ + Σ z⁻ⁱ R_iᵀ = Gᵀ
+        output_part = -np.einsum("fi,fyu->fuiy", powers[:, 1:], G).reshape(F, nu, degree * ny)
+        input_part = np.einsum("fi,uv->fuiv", powers[:, first:], np.eye(nu)).reshape(F, nu, -1)
+        table = np.concatenate([output_part, input_part], axis=2) * weight[:, None, None]
+        right = G.transpose(0, 2, 1) * weight[:, None, None]
+        table, right = table.reshape(F * nu, -1), right.reshape(F * nu, ny)
+        solution, *_ = np.linalg.lstsq(
+            np.concatenate([table.real, table.imag]), np.concatenate([right.real, right.imag]), rcond=None
+        )
+        Q = np.concatenate([np.eye(ny)[None], solution[: degree * ny].reshape(degree, ny, ny).transpose(0, 2, 1)])
+        R = np.zeros((degree + 1, ny, nu))
+        R[first:] = solution[degree * ny :].reshape(-1, nu, ny).transpose(0, 2, 1)
+        determinant = np.abs(np.linalg.det(np.einsum("fi,iab->fab", powers, Q)))
+        weight = base / np.maximum(determinant, 1e-12)
+    return MatrixFraction(Q, R * scale, data.sample_time)
+
+
+def identify_matrix_fraction(
+    data: FrequencyResponse,
+    order: int | None = None,
+    degree: int | None = None,
+    tolerance: float = 0.05,
+    maximum_order: int = 10,
+    feedthrough: bool = False,
+    iterations: int = 0,
+) -> MatrixFractionFit:
+    """Fit a frequency response and realise it in the lowest order (K4).
+
+    Parameters
+    ----------
+    data : FrequencyResponse
+        Response, best with its variance: lines are weighted with it.
+    order : int, optional
+        Order of the model; the suggested one by default.
+    degree : int, optional
+        Of the matrix fraction; by default several up to 2 · maximum_order / n_y, of which each order takes the best.
+    tolerance : float
+        An order is enough when its misfit is at most 1 + tolerance times the best.
+    maximum_order : int
+        Highest order that is tried.
+    feedthrough : bool
+        See :func:`fit_matrix_fraction`.
+    iterations : int
+        See :func:`fit_matrix_fraction`.
+
+    Raises
+    ------
+    FitError
+        The order is not within 1 … the number of Hankel values, or no stable part remains.
+    DataError
+        There are too few lines.
+    """
+    deviation = _deviation(data)
+    weights = None if deviation is None else 1.0 / np.maximum(deviation.max(axis=(1, 2)), 1e-3 * deviation.max())
+    candidates = []
+    for p in _degrees(data.response.shape, degree, max(maximum_order, order or 0), feedthrough):
+        fraction = fit_matrix_fraction(data, p, feedthrough, iterations, weights)
+        full, dropped = stable_part(fraction.realisation(data.input_unit, data.output_unit))
+        if full.order:
+            balanced, values = balanced_realisation(full)
+            models = [
+                refit_input(truncate(balanced, n), data, deviation, feedthrough)
+                for n in range(1, min(max(maximum_order, order or 0), len(values)) + 1)
+            ]
+            misfits = [response_misfit(model, data, deviation) for model in models]
+            candidates.append(_Candidate(fraction, dropped, values / values[0], models, misfits))
+    if not candidates:
+        raise FitError(
+            "no stable part remains of the fit; is the response that of a stable system, and not noise only?"
+        )
+    highest = max(len(item.models) for item in candidates)
+    if order is not None and not 1 <= order <= highest:
+        raise FitError(f"order = {order}: must be within 1 … {highest}, what degree {degree} and the lines allow")
+    orders = np.arange(1, highest + 1)
+    best = [min((c for c in candidates if len(c.models) >= n), key=lambda c, n=n: c.misfits[n - 1]) for n in orders]
+    misfit = np.array([candidate.misfits[n - 1] for n, candidate in zip(orders, best, strict=True)])
+    size = response_misfit(None, data, deviation)
+    enough = misfit <= max((1.0 + tolerance) * misfit.min(), ROUNDING * size)
+    suggested = int(orders[np.argmax(enough)])
+    chosen = suggested if order is None else order
+    winner = best[chosen - 1]
+    model = winner.models[chosen - 1]
+    warnings = [*data.warnings, *model.warnings]
+    if winner.dropped:
+        # poles of noise outside the circle take nothing with them; those of an unstable system do
+        whole = winner.fraction.realisation(data.input_unit, data.output_unit)
+        if misfit[chosen - 1] > 1.5 * max(response_misfit(whole, data, deviation), ROUNDING * size):
+            poles = ", ".join(f"{pole:.4g}" for pole in winner.dropped)
+            warnings.append(
+                f"unstable linear fit: pole(s) {poles} outside the unit circle were left out and are missed"
+            )
+    if misfit[chosen - 1] > 0.5 * size:
+        warnings.append(f"the model misses the response by {100 * misfit[chosen - 1] / size:.0f} % of it: not usable")
+    if suggested == maximum_order and order is None:
+        warnings.append(f"the suggested order {suggested} is the highest that was tried; the misfit still falls")
+    if order is not None and order < suggested:
+        warnings.append(f"order {order} was asked for; {suggested} is suggested (misfit {misfit[order - 1]:.3g})")
+    return MatrixFractionFit(
+        model,
+        chosen,
+        suggested,
+        winner.values,
+        orders,
+        misfit,
+        winner.fraction,
+        tuple(winner.dropped),
+        tuple(dict.fromkeys(warnings)),
+    )
+
+
+class _Candidate(NamedTuple):
+    """What one degree gave."""
+
+    fraction: MatrixFraction
+    dropped: list[complex]
+    values: np.ndarray
+    models: list[LinearModel]
+    misfits: list[float]
+
+
+def _degrees(shape, degree, maximum_order, feedthrough):
+    """Return the degrees to try: a low one is biased by noise, a high one puts poles of noise beside the true ones."""
+    if degree is not None:
+        return [degree]
+    F, ny, nu = shape
+    possible = max(1, (F * nu - feedthrough * nu) // (ny + nu))
+    wanted = [maximum_order * share / (4 * ny) for share in (8, 6, 4, 3, 2, 1)]
+    return sorted({max(1, min(possible, math.ceil(p))) for p in wanted}, reverse=True)
+
+
+def stable_part(model: LinearModel) -> tuple[LinearModel, list[complex]]:
+    """Return the part of ``model`` with the poles inside the unit circle, and the poles left out.
+
+    The two parts are separated by a block-diagonal form (ordered Schur form and a Sylvester equation), so that the
+    stable one keeps its share of the response.
+
+    Parameters
+    ----------
+    model : LinearModel
+    """
+    for margin in (BOUNDARY, 1e-6, 1e-4, 1e-3, 1e-2):
+        stable, dropped = _separated(model, 1.0 - margin)
+        if stable.stable:  # poles in a cluster move by more than rounding when they are put in order
+            break
+    return stable, dropped
+
+
+def _separated(model, radius):
+    def inside(real, imaginary=0.0):  # named arguments: SciPy looks at the signature
+        return abs(real + 1j * imaginary) < radius
+
+    A, basis, count = scipy.linalg.schur(model.A, output="real", sort=inside)
+    dropped = [complex(pole) for pole in np.linalg.eigvals(A[count:, count:])] if count < len(A) else []
+    B, C = basis.T @ model.B, model.C @ basis
+    if dropped and count:
+        X = scipy.linalg.solve_sylvester(A[:count, :count], -A[count:, count:], -A[:count, count:])
+        B[:count] -= X @ B[count:]
+    return replace(model, A=A[:count, :count], B=B[:count], C=C[:, :count]), dropped
+
+
+def balanced_realisation(model: LinearModel) -> tuple[LinearModel, np.ndarray]:
+    """Return the balanced realisation of a stable model and its Hankel singular values, falling.
+
+    Directions below rounding (1e-14 of the largest) are left out: they are neither reached nor seen.
+
+    Parameters
+    ----------
+    model : LinearModel
+
+    Raises
+    ------
+    FitError
+        The model is unstable: it has no Hankel singular values.
+    """
+    if not model.stable:
+        raise FitError(f"an unstable model (poles {model.poles}) has no balanced realisation; take its stable part")
+    reach = _root(_gramian(model.A, model.B))
+    seen = _root(_gramian(model.A.T, model.C.T))
+    U, values, Vt = np.linalg.svd(seen.T @ reach)
+    keep = values > 1e-14 * values[0]
+    root = 1.0 / np.sqrt(values[keep])
+    into, out = reach @ Vt[keep].T * root, (seen @ U[:, keep] * root).T
+    return replace(model, A=out @ model.A @ into, B=out @ model.B, C=model.C @ into), values[keep]
+
+
+def truncate(balanced: LinearModel, order: int) -> LinearModel:
+    """Return the first ``order`` states of a balanced model.
+
+    Parameters
+    ----------
+    balanced : LinearModel
+    order : int
+    """
+    return replace(balanced, A=balanced.A[:order, :order], B=balanced.B[:order], C=balanced.C[:, :order])
+
+
+def minimal_realisation(model: LinearModel, tolerance: float = 1e-6) -> LinearModel:
+    """Cancel what neither input nor output notice: Hankel singular values below ``tolerance`` of the largest.
+
+    A pole that a zero nearly cancels has such a value, and so has one that hardly shows for another reason.
+
+    Parameters
+    ----------
+    model : LinearModel
+        Stable.
+    tolerance : float
+        [1]
+
+    Raises
+    ------
+    FitError
+        The model is unstable.
+    """
+    balanced, values = balanced_realisation(model)
+    return truncate(balanced, max(1, int(np.count_nonzero(values > tolerance * values[0]))))
+
+
+def refit_input(model: LinearModel, data: FrequencyResponse, deviation=None, feedthrough: bool = False) -> LinearModel:
+    """Fit B (and D) to the lines again by linear least squares, A and C kept: what was cancelled shifts the rest.
+
+    Parameters
+    ----------
+    model : LinearModel
+    data : FrequencyResponse
+    deviation : ndarray, shape (F, n_y, n_u), optional
+        Standard deviation of each entry.
+    feedthrough : bool
+        Whether D is fitted; otherwise it stays zero.
+    """
+    F, ny, nu = data.response.shape
+    n = model.order
+    z = np.exp(2j * np.pi * data.frequency * data.sample_time)
+    rows = model.C @ np.linalg.inv(z[:, None, None] * np.eye(n) - model.A)
+    if feedthrough:
+        rows = np.concatenate([rows, np.broadcast_to(np.eye(ny), (F, ny, ny))], axis=2)
+    B, D = np.empty((n, nu)), np.zeros((ny, nu))
+    for i in range(nu):
+        weight = np.ones((F, ny)) if deviation is None else 1.0 / np.maximum(deviation[:, :, i], 1e-300)
+        table = (rows * weight[:, :, None]).reshape(F * ny, -1)
+        right = (data.response[:, :, i] * weight).ravel()
+        table, right = np.concatenate([table.real, table.imag]), np.concatenate([right.real, right.imag])
+        length = np.linalg.norm(table, axis=0)
+        length[length == 0.0] = 1.0
+        solution = np.linalg.lstsq(table / length, right, rcond=None)[0] / length
+        B[:, i] = solution[:n]
+        if feedthrough:
+            D[:, i] = solution[n:]
+    return replace(model, B=B, D=D)
+
+
+def response_misfit(model: LinearModel | None, data: FrequencyResponse, deviation=None) -> float:
+    """Return the rms misfit of a model at the lines; of the model zero when None.
+
+    Parameters
+    ----------
+    model : LinearModel or None
+    data : FrequencyResponse
+    deviation : ndarray, shape (F, n_y, n_u), optional
+        Standard deviation; the misfit is in units of it, else over rms |G|.
+    """
+    predicted = 0.0 if model is None else model.frequency_response(data.frequency)
+    scale = np.sqrt(np.mean(np.abs(data.response) ** 2)) if deviation is None else np.maximum(deviation, 1e-300)
+    return float(np.sqrt(np.mean(np.abs((predicted - data.response) / scale) ** 2)))
+
+
+def _deviation(data):
+    variance = data.total_variance if data.total_variance is not None else data.noise_variance
+    if variance is None or not np.all(np.isfinite(variance)) or not np.any(variance > 0.0):
+        return None
+    # a variance from few averages scatters; a smoothed floor keeps single lines from taking over
+    floor = 0.1 * np.median(variance[variance > 0.0])
+    return np.sqrt(np.maximum(variance, floor))
+
+
+def _gramian(A, B):
+    # the direct method solves n² equations at once and is ill-conditioned near the unit circle
+    return scipy.linalg.solve_discrete_lyapunov(A, B @ B.T, method="bilinear")
+
+
+def _root(gramian):
+    """Return a factor L with L Lᵀ = gramian, which rounding may have made slightly indefinite."""
+    values, vectors = np.linalg.eigh((gramian + gramian.T) / 2)
+    return vectors * np.sqrt(np.maximum(values, 0.0))

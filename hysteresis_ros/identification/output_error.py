@@ -1,0 +1,416 @@
+"""Continuous transfer functions by output error (B2): the simulated output is fitted, not a one-step prediction.
+
+``G(s) = (b_m sᵐ + … + b_0)/(sⁿ + a_(n-1) sⁿ⁻¹ + … + a_0)``. For given poles the output is linear in the numerator, the
+initial state and an offset, which are solved for exactly within every step (variable projection); only the n numbers
+of the denominator are searched. The denominator is a product of ``s² + α s + β`` and ``s + α`` with positive
+coefficients, which are all the stable ones: no step can leave them.
+
+References
+----------
+.. [1] Auwal et al., section 2.2.
+.. [2] Golub & Pereyra, SIAM J. Numer. Anal. 10, 1973 (variable projection).
+.. [3] Van Loan, IEEE Trans. Autom. Control 23, 1978 (matrix exponentials for discretisation).
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.optimize
+
+from hysteresis_ros.identification.continuous import INTERSAMPLE, CanonicalSimulation, simulate_transfer_function
+from hysteresis_ros.identification.data import DataError, finite_array, refuse_short
+from hysteresis_ros.identification.data_checks import CONSTANT
+from hysteresis_ros.identification.least_squares import fit_arx
+from hysteresis_ros.identification.state_space import FitError, LinearModel
+from hysteresis_ros.identification.validation import final_prediction_error, fit_percent, parameter_covariance
+
+#: Where the state of the model starts.
+INITIAL = ("zero", "rest", "periodic", "estimate")
+
+
+@dataclass(frozen=True)
+class Start:
+    """One start of the search.
+
+    Parameters
+    ----------
+    poles : tuple of complex
+        [rad/s]
+    first_rmse, rmse : float
+        Before and after, in the output's unit.
+    converged : bool
+    """
+
+    poles: tuple[complex, ...]
+    first_rmse: float
+    rmse: float
+    converged: bool
+
+
+@dataclass(frozen=True, eq=False)
+class TransferFunctionFit:
+    """A continuous transfer function from sampled data.
+
+    Parameters
+    ----------
+    numerator : ndarray, shape (m + 1,)
+        b_m … b_0, highest power first.
+    denominator : ndarray, shape (n + 1,)
+        1, a_(n-1) … a_0.
+    covariance : ndarray, shape (m + 1 + n, m + 1 + n)
+        Of b_m … b_0, a_(n-1) … a_0 for white residuals; NaN where the data does not tell them apart.
+    offset : float
+        Constant of the output, in its unit; 0 when it was not fitted.
+    delay : float
+        Dead time of the input [s], as given.
+    predicted : ndarray, shape (N,)
+        Simulated output.
+    fit_percent : float
+        [%]
+    mse, fpe : float
+        In the output's unit squared.
+    sample_time : float
+        Of the data [s].
+    intersample : str
+        How the input was taken to run between samples.
+    starts : tuple of Start
+        All starts of the search, best first.
+    converged : bool
+        Whether the best one converged.
+    warnings : tuple of str
+        Not converged, at a bound, non-minimum-phase, weakly determined.
+    input_unit, output_unit : str
+        SI units.
+    """
+
+    numerator: np.ndarray
+    denominator: np.ndarray
+    covariance: np.ndarray
+    offset: float
+    delay: float
+    predicted: np.ndarray
+    fit_percent: float
+    mse: float
+    fpe: float
+    sample_time: float
+    intersample: str
+    starts: tuple[Start, ...]
+    converged: bool
+    warnings: tuple[str, ...]
+    input_unit: str = "V"
+    output_unit: str = "m"
+
+    @property
+    def poles(self) -> np.ndarray:
+        """[rad/s], shape (n,)."""
+        return np.roots(self.denominator)
+
+    @property
+    def zeros(self) -> np.ndarray:
+        """[rad/s]."""
+        return np.roots(self.numerator)
+
+    @property
+    def dc_gain(self) -> float:
+        """b_0/a_0, output unit per input unit."""
+        return float(self.numerator[-1] / self.denominator[-1])
+
+    @property
+    def standard_deviations(self) -> np.ndarray:
+        """Of b_m … b_0, a_(n-1) … a_0."""
+        return np.sqrt(np.diag(self.covariance))
+
+    def simulate(self, u, sample_time: float | None = None, initial: str = "zero") -> np.ndarray:
+        """Return the output for another input, without the offset, shape (N,).
+
+        Parameters
+        ----------
+        u : array_like, shape (N,)
+        sample_time : float, optional
+            [s]; that of the fit by default.
+        initial : str
+            ``zero``, ``rest`` (at rest under the first input) or ``periodic``.
+        """
+        return simulate_transfer_function(
+            self.numerator,
+            self.denominator,
+            u,
+            sample_time or self.sample_time,
+            self.intersample,
+            initial,
+            self.delay,
+        )
+
+    def discrete(self, sample_time: float | None = None) -> LinearModel:
+        """Return the state space for an input held over each sample; the delay is not in it.
+
+        Parameters
+        ----------
+        sample_time : float, optional
+            [s]; that of the fit by default.
+        """
+        step = sample_time or self.sample_time
+        return CanonicalSimulation(self.denominator, step, "zoh").model(
+            self.numerator, self.input_unit, self.output_unit
+        )
+
+
+def fit_transfer_function(
+    u,
+    y,
+    sample_time: float,
+    poles: int = 2,
+    zeros: int = 0,
+    intersample: str = "zoh",
+    initial: str = "zero",
+    offset: bool = False,
+    delay: float = 0.0,
+    skip: int = 0,
+    starts: int = 6,
+    start_poles=None,
+    seed: int = 0,
+    input_unit: str = "V",
+    output_unit: str = "m",
+) -> TransferFunctionFit:
+    """Fit a stable continuous transfer function to input and output, from several starts.
+
+    Parameters
+    ----------
+    u, y : array_like, shape (N,)
+        Input and output [SI].
+    sample_time : float
+        [s]
+    poles, zeros : int
+        n ≥ 1 and m ≤ n.
+    intersample : str
+        ``zoh``, ``foh`` (or ``linear``) or ``bandlimited``.
+    initial : str
+        ``zero``, ``rest`` (under the first input), ``periodic`` (the data is whole periods) or ``estimate``.
+    offset : bool
+        Whether a constant is fitted too.
+    delay : float
+        Known dead time [s].
+    skip : int
+        First samples left out of the error; the model still sees them.
+    starts : int
+        How many starts are followed: an ARX fit, the user's, and frequencies and dampings spread over the data's band.
+    start_poles : array_like of complex, shape (n,), optional
+        A start of the user's [rad/s].
+    seed : int
+        Of the random starts.
+    input_unit, output_unit : str
+        SI units.
+
+    Raises
+    ------
+    DataError
+        Too short, constant, or not finite.
+    FitError
+        A choice is out of range.
+    """
+    u, y = finite_array("input", u), finite_array("output", y)
+    _check(u, y, poles, zeros, intersample, initial, skip)
+    columns = zeros + 1 + bool(offset) + (poles if initial == "estimate" else 0)
+    refuse_short(len(y) - skip, 3 * (poles + columns), f"a transfer function with {poles} poles and {zeros} zeros")
+    scale_u, scale_y = float(np.ptp(u)), float(np.ptp(y[skip:]))
+    problem = _Problem(u / scale_u, y / scale_y, sample_time, poles, zeros, intersample, initial, offset, delay, skip)
+    candidates = _starts(problem, u, y, sample_time, poles, start_poles, 6 * starts, seed)
+    ranked = sorted(candidates, key=problem.cost)[: max(1, starts)]
+    if start_poles is not None and not any(np.array_equal(candidates[0], item) for item in ranked):
+        ranked[-1] = candidates[0]
+    results = [(start, problem.solve(start, 40)) for start in ranked]
+    results.sort(key=lambda pair: pair[1].cost)
+    best = problem.solve(results[0][1].x, 400)
+    records = tuple(
+        Start(
+            tuple(map(complex, np.roots(problem.denominator(start)))),
+            problem.rmse(problem.cost(start)) * scale_y,
+            problem.rmse(result.cost) * scale_y,
+            bool(result.status > 0),
+        )
+        for start, result in results
+    )
+    return _result(problem, best, records, scale_u, scale_y, input_unit, output_unit)
+
+
+class _Problem:
+    """Residual of the fit in scaled units as a function of the logarithms of the denominator's factors."""
+
+    def __init__(self, u, y, sample_time, poles, zeros, intersample, initial, offset, delay, skip):
+        self.u, self.y, self.sample_time, self.poles, self.zeros = u, y, sample_time, poles, zeros
+        self.intersample, self.initial, self.offset, self.delay, self.skip = intersample, initial, offset, delay, skip
+        self.slowest, self.fastest = 0.05 / (sample_time * len(y)), 50.0 / sample_time
+        pairs, odd = divmod(poles, 2)
+        low, high = np.log(self.slowest), np.log(self.fastest)
+        # s² + α s + β: α from nearly undamped to the sum of two fast real poles
+        self.low = np.array([low + np.log(1e-4), 2 * low] * pairs + [low] * odd)
+        self.high = np.array([high + np.log(2.0), 2 * high] * pairs + [high] * odd)
+
+    def denominator(self, theta):
+        """Return 1, a_(n-1) … a_0."""
+        result = np.ones(1)
+        values = np.exp(theta)
+        for i in range(0, self.poles - 1, 2):
+            result = np.polymul(result, [1.0, values[i], values[i + 1]])
+        return np.polymul(result, [1.0, values[-1]]) if self.poles % 2 else result
+
+    def theta(self, poles):
+        """Return the logarithms for given poles, mirrored to the stable side and put within the bounds."""
+        poles = -np.abs(np.real(poles)) + 1j * np.imag(poles)
+        pairs = [p for p in poles if p.imag > 0.0]
+        real = sorted((p.real for p in poles if p.imag == 0.0), reverse=True)
+        factors = [(-2 * p.real, abs(p) ** 2) for p in pairs]
+        factors += [(-(real[i] + real[i + 1]), real[i] * real[i + 1]) for i in range(0, len(real) - 1, 2)]
+        flat = [x for factor in factors for x in factor] + ([-real[-1]] if len(real) % 2 else [])
+        values = np.log(np.maximum(flat, 1e-300))
+        return np.clip(values, self.low + 1e-6, self.high - 1e-6)
+
+    def table(self, denominator):
+        """Return the columns the output is linear in, shape (N, …): numerator, offset, free response."""
+        simulation = CanonicalSimulation(denominator, self.sample_time, self.intersample)
+        start = "zero" if self.initial == "estimate" else self.initial
+        columns = [simulation.bases(self.u, self.zeros, start, self.delay)]
+        if self.offset:
+            columns.append(np.ones((len(self.y), 1)))
+        if self.initial == "estimate":
+            columns.append(simulation.free_responses(len(self.y)))
+        return np.concatenate(columns, axis=1)
+
+    def fitted(self, theta):
+        """Return the table, its coefficients and the residual."""
+        table = self.table(self.denominator(theta))
+        used = table[self.skip :]
+        length = np.linalg.norm(used, axis=0)
+        length[~(length > 0.0)] = 1.0
+        solution = np.linalg.lstsq(used / length, self.y[self.skip :], rcond=1e-13)[0] / length
+        return table, solution, used @ solution - self.y[self.skip :]
+
+    def residual(self, theta):
+        residual = self.fitted(theta)[2]
+        return residual if np.all(np.isfinite(residual)) else np.full(residual.shape, 1e6)
+
+    def cost(self, theta):
+        residual = self.residual(theta)
+        return 0.5 * float(residual @ residual)
+
+    def rmse(self, cost):
+        return float(np.sqrt(2 * cost / (len(self.y) - self.skip)))
+
+    def solve(self, theta, evaluations):
+        theta = np.clip(theta, self.low + 1e-6, self.high - 1e-6)
+        return scipy.optimize.least_squares(
+            self.residual, theta, bounds=(self.low, self.high), max_nfev=evaluations, xtol=1e-12, ftol=1e-12, gtol=1e-14
+        )
+
+
+def _starts(problem, u, y, sample_time, poles, start_poles, count, seed):
+    """Return starts as logarithms: the user's, that of an ARX fit, a spread over the band, random ones."""
+    found = [] if start_poles is None else [problem.theta(np.asarray(start_poles, dtype=complex))]
+    if start_poles is not None and len(found[0]) != poles:
+        raise FitError(f"start_poles has {len(start_poles)} poles in conjugate pairs or real; {poles} are wanted")
+    try:
+        arx = fit_arx(u, y, sample_time, poles, poles, offset=True).poles.astype(complex)
+        arx[np.abs(arx) < 1e-6] = 1e-6
+        arx[(arx.imag == 0.0) & (arx.real < 0.0)] = 0.05  # no continuous pole gives a negative real one
+        found.append(problem.theta(np.log(arx) / sample_time))
+    except (FitError, DataError):
+        pass  # an ARX fit needs a richer input than output error does; the other starts remain
+    random = np.random.default_rng(seed)
+    # frequencies the data can tell: from one period in it to half the sample rate
+    band = np.log([2 * np.pi / (sample_time * len(y)), np.pi / sample_time])
+    grid = np.exp(np.linspace(*band, 6))
+    for frequency, damping in itertools.product(grid, (0.05, 0.7)):
+        pairs = [_pair(min(frequency * 4.0**i, problem.fastest / 4), damping) for i in range(poles // 2)]
+        found.append(problem.theta(np.array([*itertools.chain(*pairs), *[-frequency] * (poles % 2)], dtype=complex)))
+    while len(found) < count:
+        pairs = [
+            _pair(np.exp(random.uniform(*band)), np.exp(random.uniform(np.log(0.01), 0.0))) for _ in range(poles // 2)
+        ]
+        real = [-np.exp(random.uniform(*band)) for _ in range(poles % 2)]
+        found.append(problem.theta(np.array([*itertools.chain(*pairs), *real], dtype=complex)))
+    return found
+
+
+def _pair(frequency, damping):
+    pole = frequency * (-damping + 1j * np.sqrt(1.0 - damping**2))
+    return pole, np.conj(pole)
+
+
+def _result(problem, best, starts, scale_u, scale_y, input_unit, output_unit):
+    table, solution, residual = problem.fitted(best.x)
+    denominator = problem.denominator(best.x)
+    numerator = solution[: problem.zeros + 1][::-1] * scale_y / scale_u
+    predicted = table @ solution
+    # the derivative by each coefficient of the denominator, the linear part kept
+    derivatives = []
+    for j in range(1, problem.poles + 1):
+        moved = denominator.copy()
+        step = 1e-6 * max(abs(moved[j]), 1e-30)
+        moved[j] += step
+        derivatives.append((problem.table(moved) @ solution - predicted) / step)
+    units = np.r_[np.full(problem.zeros + 1, scale_y / scale_u), np.ones(problem.poles)]
+    ordered = np.column_stack([table[:, problem.zeros :: -1], *derivatives, table[:, problem.zeros + 1 :]])
+    count = problem.zeros + 1 + problem.poles
+    warnings = []
+    try:
+        covariance = parameter_covariance(ordered[problem.skip :], residual)[:count, :count] * np.outer(units, units)
+        weak = np.sqrt(np.diag(covariance))[problem.zeros + 1 :] > np.abs(denominator[1:])
+        if weak.any():
+            warnings.append("the denominator is weakly determined (deviations above 100 %): lower the order")
+    except DataError:
+        covariance = np.full((count, count), np.nan)
+        warnings.append("the data does not tell all coefficients apart: lower the order")
+    at_bound = (best.x - problem.low < 1e-3) | (problem.high - best.x < 1e-3)
+    if at_bound.any():
+        warnings.append("a pole is at its bound, slower or faster than the data can tell: lower the order")
+    if not best.status > 0:
+        warnings.append("the search did not converge; this is the best point it reached")
+    roots = np.roots(numerator)
+    right = [z for z in roots if z.real >= 0.0]
+    if right:
+        listed = ", ".join(f"{z:.4g}" for z in right)
+        warnings.append(f"non-minimum-phase linear fit: zero(s) {listed} rad/s in the right half plane")
+    if numerator[-1] / denominator[-1] <= 0.0:
+        warnings.append("the DC gain is not positive: the output moves against the input")
+    samples = len(residual)
+    mse = float(np.mean(residual**2)) * scale_y**2
+    unknowns = table.shape[1] + problem.poles
+    return TransferFunctionFit(
+        numerator,
+        denominator,
+        covariance,
+        float(solution[problem.zeros + 1] * scale_y) if problem.offset else 0.0,
+        float(problem.delay),
+        predicted * scale_y,
+        fit_percent(problem.y[problem.skip :], predicted[problem.skip :]),
+        mse,
+        final_prediction_error(mse, samples, unknowns),
+        problem.sample_time,
+        problem.intersample,
+        starts,
+        bool(best.status > 0),
+        tuple(warnings),
+        input_unit,
+        output_unit,
+    )
+
+
+def _check(u, y, poles, zeros, intersample, initial, skip):
+    if u.shape != y.shape or u.ndim != 1:
+        raise DataError("shape", f"input {u.shape} and output {y.shape} must both be (N,)")
+    if poles < 1 or not 0 <= zeros <= poles:
+        raise FitError(
+            f"poles = {poles}, zeros = {zeros}: there must be at least one pole and no more zeros than poles"
+        )
+    if intersample not in INTERSAMPLE:
+        raise FitError(f"intersample = {intersample!r}: must be one of {', '.join(INTERSAMPLE)}")
+    if initial not in INITIAL:
+        raise FitError(f"initial = {initial!r}: must be one of {', '.join(INITIAL)}")
+    if not 0 <= skip < len(y):
+        raise DataError("range", f"skip = {skip}: must be in 0 … {len(y) - 1}")
+    for name, values in (("input", u), ("output", y[skip:])):
+        if np.ptp(values) <= CONSTANT * np.max(np.abs(values)):
+            raise DataError("constant", f"the {name} is constant; excite the actuator and record again")

@@ -1,0 +1,432 @@
+"""Validation of any model: how far the prediction is off, whether what is left is noise, and how sure the numbers are.
+
+References
+----------
+.. [1] Ljung, System Identification, 1999, sections 9.2 (covariance), 16.4 (FPE) and 16.6 (residual tests).
+.. [2] Ljung & Box, Biometrika 65, 1978 (portmanteau test).
+.. [3] Künsch, Ann. Statist. 17, 1989; Politis & Romano, 1992 (block bootstrap, circular).
+.. [4] Auwal et al., figure 5 (residual tests at 99.9 %).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.signal
+import scipy.stats
+
+from hysteresis_ros.identification.data import DataError, finite_array, refuse_short
+
+
+@dataclass(frozen=True, eq=False)
+class CorrelationTest:
+    """A correlation of the residual with the bounds it keeps within when the residual is what it should be.
+
+    Parameters
+    ----------
+    lags : ndarray, shape (L,)
+        [samples]; a positive lag of an input is the input that many samples earlier.
+    correlation : ndarray, shape (L,)
+        Normalised, -1 … 1.
+    bound : float
+        Half width of the confidence region of each single lag.
+    confidence : float
+        Its probability.
+    outside : int
+        How many lags leave it (lag 0 of an autocorrelation is not tested).
+    largest : float
+        Largest absolute correlation of the lags tested.
+    joint_bound : float
+        Half width of the region that all tested lags together keep within with that probability (Bonferroni).
+    probability : float
+        Of a statistic over all lags together at least this large by chance (Ljung-Box); NaN where there is none.
+    """
+
+    lags: np.ndarray
+    correlation: np.ndarray
+    bound: float
+    confidence: float
+    outside: int
+    largest: float
+    joint_bound: float
+    probability: float
+
+    @property
+    def passed(self) -> bool:
+        """Whether all lags are within the joint bound: by chance they are not with probability 1 - confidence."""
+        return self.largest <= self.joint_bound
+
+
+def _correlation_test(lags, correlation, tested, deviation, confidence, probability=float("nan")):
+    """Return the test of the lags ``tested`` (a slice), each of standard ``deviation`` when independent."""
+    size = np.abs(correlation[tested])
+    bound = scipy.stats.norm.isf(0.5 * (1.0 - confidence)) * deviation
+    joint = scipy.stats.norm.isf(0.5 * (1.0 - confidence) / max(size.size, 1)) * deviation
+    outside, largest = int(np.count_nonzero(size > bound)), float(np.max(size, initial=0.0))
+    return CorrelationTest(lags, correlation, float(bound), confidence, outside, largest, float(joint), probability)
+
+
+@dataclass(frozen=True)
+class Interval:
+    """An estimate with its confidence interval.
+
+    Parameters
+    ----------
+    estimate : float
+    low, high : float
+    confidence : float
+        Probability that the interval covers the true value.
+    """
+
+    estimate: float
+    low: float
+    high: float
+    confidence: float
+
+
+@dataclass(frozen=True, eq=False)
+class Validation:
+    """How a prediction compares with a measurement.
+
+    Parameters
+    ----------
+    samples : int
+        Compared, those skipped not counted.
+    skipped : int
+        First samples left out of the comparison.
+    offset : float
+        Constant that was added to the prediction, in the unit; 0 when it was not free.
+    rmse : float
+        Root mean square error, in the unit.
+    maximum_error : float
+        Largest absolute error, in the unit.
+    stroke : float
+        Peak-to-peak measurement, in the unit.
+    fit_percent : float
+        100 (1 - ‖e‖/‖y - mean y‖) [%].
+    mse : float
+        Mean square error, in the unit squared.
+    fpe : float
+        Akaike's final prediction error: mse (1 + d/N)/(1 - d/N), in the unit squared.
+    autocorrelation : CorrelationTest
+        Of the residual.
+    cross_correlation : CorrelationTest or None
+        Of the input with the residual; None when no input was given.
+    unit : str
+        SI unit of the measurement.
+    residual : ndarray, shape (samples,)
+        Measurement minus prediction, in the unit.
+    warnings : tuple of str
+        Residual not white, residual correlated with the input.
+    """
+
+    samples: int
+    skipped: int
+    offset: float
+    rmse: float
+    maximum_error: float
+    stroke: float
+    fit_percent: float
+    mse: float
+    fpe: float
+    autocorrelation: CorrelationTest
+    cross_correlation: CorrelationTest | None
+    unit: str
+    residual: np.ndarray
+    warnings: tuple[str, ...]
+
+    @property
+    def rmse_percent_of_stroke(self) -> float:
+        """100 rmse/stroke [%]."""
+        return 100.0 * self.rmse / self.stroke
+
+    def to_dict(self) -> dict:
+        """Return the figures under names that carry their units, e.g. ``rmse_m``, for JSON."""
+        unit = self.unit
+        figures = {
+            "samples": self.samples,
+            "skipped": self.skipped,
+            f"offset_{unit}": self.offset,
+            f"rmse_{unit}": self.rmse,
+            "rmse_percent_of_stroke": self.rmse_percent_of_stroke,
+            f"maximum_error_{unit}": self.maximum_error,
+            f"stroke_{unit}": self.stroke,
+            "fit_percent": self.fit_percent,
+            f"mse_{unit}2": self.mse,
+            f"fpe_{unit}2": self.fpe,
+            "residual_white": self.autocorrelation.passed,
+            "confidence": self.autocorrelation.confidence,
+        }
+        if self.cross_correlation is not None:
+            figures["residual_independent_of_input"] = self.cross_correlation.passed
+        return {**figures, "warnings": list(self.warnings)}
+
+
+def validate(
+    measured,
+    predicted,
+    input=None,
+    unit: str = "m",
+    parameters: int = 0,
+    skip: int = 0,
+    free_offset: bool = False,
+    confidence: float = 0.999,
+    lags: int = 25,
+    stroke: float | None = None,
+) -> Validation:
+    """Compare a prediction with a measurement.
+
+    Parameters
+    ----------
+    measured, predicted : array_like, shape (N,)
+        In ``unit``; the model has seen all N samples.
+    input : array_like, shape (N,), optional
+        The model's input, for the cross-correlation.
+    unit : str
+        SI unit of the measurement (V for an inverse).
+    parameters : int
+        Fitted numbers d, for the FPE; 0 for data the fit has not seen.
+    skip : int
+        First samples left out of the comparison.
+    free_offset : bool
+        Whether one constant is removed.
+    confidence : float
+        Of the bounds of each lag.
+    lags : int
+        Of the correlations [samples].
+    stroke : float, optional
+        What the error is compared with; the measurement's peak-to-peak by default.
+
+    Raises
+    ------
+    DataError
+        Shapes differ, values are not finite, too few samples remain, the measurement is constant, no unit.
+    """
+    if not unit:
+        raise DataError("unit", "unit is empty: an error without a unit says nothing; give m, V …")
+    _check_confidence(confidence)
+    y, p = finite_array("measured", measured), finite_array("predicted", predicted)
+    if y.shape != p.shape or y.ndim != 1:
+        raise DataError("shape", f"measured {y.shape} and predicted {p.shape} must both be (N,)")
+    if not 0 <= skip < len(y):
+        raise DataError("range", f"skip = {skip}: must be in 0 … {len(y) - 1}")
+    refuse_short(len(y) - skip, max(4, parameters + 2), f"a validation with skip = {skip}, parameters = {parameters}")
+    y, p = y[skip:], p[skip:]
+    if np.ptp(y) == 0.0:
+        raise DataError("constant", f"the measurement is constant ({y[0]:.6g} {unit}) over the samples compared")
+    offset = float(np.mean(y - p)) if free_offset else 0.0
+    residual = y - p - offset
+    mse = float(np.mean(residual**2))
+    N = len(y)
+    lags = min(lags, (N - 1) // 2)
+    auto = residual_autocorrelation(residual, lags, confidence)
+    cross = None
+    if input is not None:
+        u = finite_array("input", input)
+        if u.shape != np.shape(measured):
+            raise DataError("shape", f"the input has shape {u.shape} and the measurement {np.shape(measured)}")
+        cross = input_cross_correlation(u[skip:], residual, lags, confidence)
+    percent = f"{100 * confidence:g} %"
+    warnings = []
+    if not auto.passed:
+        warnings.append(f"the residual is not white: {auto.outside} of {lags} lags outside the {percent} bounds")
+    if cross is not None and not cross.passed:
+        warnings.append(f"the residual depends on the input: {cross.outside} lags outside the {percent} bounds")
+    return Validation(
+        N,
+        skip,
+        offset,
+        float(np.sqrt(mse)),
+        float(np.max(np.abs(residual))),
+        float(np.ptp(y)) if stroke is None else float(stroke),
+        fit_percent(y, p + offset),
+        mse,
+        final_prediction_error(mse, N, parameters),
+        auto,
+        cross,
+        unit,
+        residual,
+        tuple(warnings),
+    )
+
+
+def fit_percent(measured, predicted) -> float:
+    """Return 100 (1 - ‖y - ŷ‖/‖y - mean y‖) [%]; 100 is perfect, 0 no better than the mean.
+
+    Parameters
+    ----------
+    measured, predicted : array_like, shape (N,)
+    """
+    y, p = np.asarray(measured, dtype=float), np.asarray(predicted, dtype=float)
+    return float(100.0 * (1.0 - np.linalg.norm(y - p) / np.linalg.norm(y - y.mean())))
+
+
+def final_prediction_error(mse: float, samples: int, parameters: int) -> float:
+    """Return Akaike's FPE = mse (1 + d/N)/(1 - d/N), in the unit of ``mse``.
+
+    Parameters
+    ----------
+    mse : float
+    samples : int
+        N.
+    parameters : int
+        d < N.
+    """
+    share = parameters / samples
+    return float(mse * (1.0 + share) / (1.0 - share))
+
+
+def residual_autocorrelation(residual, lags: int = 25, confidence: float = 0.999) -> CorrelationTest:
+    """Return the autocorrelation of a residual at the lags 0 … ``lags``; ±z/√N bounds it when it is white.
+
+    Parameters
+    ----------
+    residual : array_like, shape (N,)
+    lags : int
+        [samples]
+    confidence : float
+        Of each lag; 0.999 is paper B's.
+    """
+    _check_confidence(confidence)
+    e = np.asarray(residual, dtype=float)
+    e = e - e.mean()
+    N = len(e)
+    refuse_short(N, lags + 2, f"an autocorrelation over {lags} lags")
+    power = float(e @ e)
+    correlation = np.zeros(lags + 1)
+    correlation[0] = 1.0
+    if power > 0.0:
+        correlation = scipy.signal.correlate(e, e, method="auto")[N - 1 : N + lags] / power
+        correlation[0] = 1.0
+    later = np.arange(1, lags + 1)
+    portmanteau = N * (N + 2) * np.sum(correlation[1:] ** 2 / (N - later))
+    probability = float(scipy.stats.chi2.sf(portmanteau, lags)) if lags else float("nan")
+    return _correlation_test(np.arange(lags + 1), correlation, slice(1, None), N**-0.5, confidence, probability)
+
+
+def input_cross_correlation(u, residual, lags: int = 25, confidence: float = 0.999) -> CorrelationTest:
+    """Return the correlation of earlier and later inputs with a residual at the lags -``lags`` … ``lags``.
+
+    Its variance for independent signals is Σ r_e(τ) r_u(τ)/N with both autocorrelations, so that coloured signals have
+    wider bounds. Correlation at negative lags means feedback from the output to the input.
+
+    Parameters
+    ----------
+    u, residual : array_like, shape (N,)
+    lags : int
+        [samples]
+    confidence : float
+        Of each lag.
+    """
+    _check_confidence(confidence)
+    e, u = np.asarray(residual, dtype=float), np.asarray(u, dtype=float)
+    e, u = e - e.mean(), u - u.mean()
+    N = len(e)
+    refuse_short(N, lags + 2, f"a cross-correlation over {lags} lags")
+    size = np.sqrt((e @ e) * (u @ u))
+    every = np.arange(-lags, lags + 1)
+    if size == 0.0:
+        return _correlation_test(every, np.zeros(every.size), slice(None), 0.0, confidence)
+    correlation = scipy.signal.correlate(e, u, method="auto")[N - 1 - lags : N + lags] / size
+    # summed as far as the autocorrelations are more than chance: their noise would add up over all N lags
+    reach = min(N - 1, max(4 * lags, int(10 * np.sqrt(N))))
+    r_e, r_u = (scipy.signal.correlate(x, x, method="auto")[N - 1 : N + reach] / (x @ x) for x in (e, u))
+    spread = max(1.0 + 2.0 * float(np.sum(r_e[1:] * r_u[1:])), 1.0 / N)
+    return _correlation_test(every, correlation, slice(None), np.sqrt(spread / N), confidence)
+
+
+def parameter_covariance(jacobian, residual) -> np.ndarray:
+    """Return the covariance σ² (JᵀJ)⁻¹ of fitted parameters, shape (d, d), for white residuals.
+
+    Parameters
+    ----------
+    jacobian : array_like, shape (N, d)
+        Derivative of the prediction by each parameter.
+    residual : array_like, shape (N,)
+
+    Raises
+    ------
+    DataError
+        Fewer than d + 1 samples, or the parameters cannot be told apart (rank below d).
+    """
+    J, e = np.asarray(jacobian, dtype=float), np.asarray(residual, dtype=float)
+    N, d = J.shape
+    refuse_short(N, d + 1, f"the covariance of {d} parameters")
+    length = np.linalg.norm(J, axis=0)
+    if np.any(length == 0.0):
+        raise DataError("rank", f"parameter {int(np.argmin(length))} has no influence on the prediction")
+    _, values, Vt = np.linalg.svd(J / length, full_matrices=False)
+    if values[-1] < 1e-12 * values[0]:
+        raise DataError("rank", f"the {d} parameters cannot be told apart from this data")
+    root = Vt.T / values / length[:, None]
+    return float(e @ e) / (N - d) * root @ root.T
+
+
+def block_length(residual) -> int:
+    """Return a block length [samples] for the bootstrap: N^⅓ times the residual's correlation time, at most N/4.
+
+    Parameters
+    ----------
+    residual : array_like, shape (N,)
+    """
+    e = np.asarray(residual, dtype=float)
+    e = e - e.mean()
+    N = len(e)
+    if not np.any(e):
+        return 1
+    correlation = scipy.signal.correlate(e, e)[N - 1 :] / (e @ e)
+    chance = np.flatnonzero(np.abs(correlation) < 2.0 / np.sqrt(N))
+    end = int(chance[0]) if chance.size else N // 4
+    time = 1.0 + 2.0 * float(np.sum(np.abs(correlation[1 : max(end, 1)])))
+    return int(np.clip(round(N ** (1 / 3) * time ** (2 / 3)), 1, max(1, N // 4)))
+
+
+def block_bootstrap(
+    residual,
+    statistic: Callable[[np.ndarray], float],
+    samples: int = 500,
+    confidence: float = 0.95,
+    block: int | None = None,
+    seed: int = 0,
+) -> Interval:
+    """Return a percentile interval of a statistic of correlated residuals (circular blocks).
+
+    Resampling blocks keeps the correlation within them, which drawing single samples would destroy: intervals of an
+    RMSE from correlated errors would come out too narrow. For parameters let ``statistic`` fit again to
+    ``prediction + residual``.
+
+    Parameters
+    ----------
+    residual : array_like, shape (N,)
+    statistic : callable
+        Takes an array of shape (N,), returns a float.
+    samples : int
+        Resamplings.
+    confidence : float
+        Of the interval.
+    block : int, optional
+        Samples a block; by default from the residual (:func:`block_length`).
+    seed : int
+        Of the random numbers: equal seeds give equal intervals.
+    """
+    _check_confidence(confidence)
+    e = finite_array("residual", residual)
+    N = len(e)
+    refuse_short(N, 8, "a bootstrap")
+    length = block or block_length(e)
+    random = np.random.default_rng(seed)
+    blocks = -(-N // length)
+    drawn = np.empty(samples)
+    for i in range(samples):
+        starts = random.integers(0, N, blocks)
+        index = (starts[:, None] + np.arange(length)).ravel()[:N] % N
+        drawn[i] = statistic(e[index])
+    low, high = np.quantile(drawn, [0.5 - confidence / 2, 0.5 + confidence / 2])
+    return Interval(float(statistic(e)), float(low), float(high), confidence)
+
+
+def _check_confidence(confidence):
+    if not 0.0 < confidence < 1.0:
+        raise DataError("confidence", f"confidence = {confidence}: must be between 0 and 1, such as 0.999")
