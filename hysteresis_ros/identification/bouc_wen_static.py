@@ -1,0 +1,186 @@
+"""Identification of the static Bouc-Wen element by the Nelder-Mead simplex (paper B, section 3.2; B3)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hysteresis_ros.block import compiled, run_kernel
+from hysteresis_ros.errors import IdentificationError
+from hysteresis_ros.identification.branches import checked_signals, require_both_directions, split_branches
+from hysteresis_ros.identification.nelder_mead import NelderMeadResult, nelder_mead
+from hysteresis_ros.models.bouc_wen import STATES, BoucWenParameters, bouc_wen
+
+NAMES = ("d_e", "alpha", "beta", "gamma")
+#: The paper's initial guess (table II), SI units.
+PUBLISHED_GUESS = BoucWenParameters(d_e=0.127e-6, alpha=7.20e-2 * 1e-6, beta=1.76e-2, gamma=1.66e-2)
+#: Step of the differences behind the covariance, in parts of a parameter.
+DIFFERENCE = 1e-5
+
+
+@dataclass(frozen=True)
+class BoucWenIdentification:
+    """Result of :func:`identify_bouc_wen_static`.
+
+    Parameters
+    ----------
+    parameters : BoucWenParameters
+        The model: the best point found, converged or not.
+    offset : float
+        Constant part of the displacement [m], 0 unless it was free.
+    covariance : ndarray, shape (4, 4)
+        Of d_e, α, β and γ, for white residuals.
+    rms, maximum : float
+        Residual [m].
+    search : NelderMeadResult
+        Trajectories of the parameters, one run for each start.
+    converged : bool
+        The simplex converged.
+    warnings : tuple of str
+        What to doubt.
+    """
+
+    parameters: BoucWenParameters
+    offset: float
+    covariance: np.ndarray
+    rms: float
+    maximum: float
+    search: NelderMeadResult
+    converged: bool
+    warnings: tuple[str, ...]
+
+    @property
+    def standard_errors(self) -> dict[str, float]:
+        """Standard errors of the four parameters."""
+        return dict(zip(NAMES, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+
+
+def default_guess(voltage, displacement, exponent: float = 1.0) -> BoucWenParameters:
+    """Return a guess from the ranges alone: α a quarter of d_e, memory fading over half the voltage range."""
+    slope = abs(float(np.ptp(displacement) / np.ptp(voltage)))
+    d_e, alpha = 1.25 * slope, 0.3 * slope
+    rate = 2.0 / float(np.ptp(voltage))
+    if exponent != 1.0:  # the same saturation α/(β + γ) for every exponent
+        rate = alpha / (alpha / rate) ** exponent
+    return BoucWenParameters(d_e=d_e, alpha=alpha, beta=0.6 * rate, gamma=0.4 * rate, exponent=exponent)
+
+
+def identify_bouc_wen_static(
+    voltage,
+    displacement,
+    *,
+    guess: BoucWenParameters | None = None,
+    exponent: float = 1.0,
+    free_offset: bool = False,
+    starts: int | None = None,
+    iterations: int = 2000,
+    seed: int = 0,
+    progress=None,
+) -> BoucWenIdentification:
+    """Fit d_e, α, β and γ of ``x = d_e V - h`` to slow loops by Nelder-Mead.
+
+    Parameters
+    ----------
+    voltage : array_like, shape (N,)
+        Voltage [V]; the actuator is at rest at 0 V before the first sample.
+    displacement : array_like, shape (N,)
+        Displacement [m].
+    guess : BoucWenParameters, optional
+        First start, :data:`PUBLISHED_GUESS` for instance; without it one is made from the ranges. Its exponent is
+        used.
+    exponent : float
+        n when there is no guess; it is not fitted.
+    free_offset : bool
+        Remove the constant that fits best (a sensor has no zero).
+    starts : int, optional
+        Starts of the simplex: 1 with a guess, 4 without.
+    iterations : int
+        Most iterations of a start.
+    seed : int
+        Of the further starts.
+    progress : callable, optional
+        See :func:`~hysteresis_ros.identification.nelder_mead.nelder_mead`.
+
+    Raises
+    ------
+    IdentificationError
+        Too short, constant, not finite, or a single branch, from which α and β, γ do not follow.
+    """
+    voltage, displacement = checked_signals(voltage, displacement)
+    require_both_directions(split_branches(voltage), "Bouc-Wen fit")
+    correlated = float(np.dot(voltage - voltage.mean(), displacement - displacement.mean()))
+    if correlated <= 0.0:
+        raise IdentificationError(
+            "the displacement falls with rising voltage; change the sign of one column (d_e must be above 0)"
+        )
+    starts = starts or (1 if guess is not None else 4)
+    guess = guess or default_guess(voltage, displacement, exponent)
+    n = guess.exponent
+    x_unit, v_unit = float(np.ptp(displacement)), float(np.ptp(voltage))
+    # normalised: h in x_unit, V in v_unit; β and γ have the unit m^(1-n)/V
+    units = np.array([x_unit / v_unit, x_unit / v_unit, x_unit ** (1.0 - n) / v_unit, x_unit ** (1.0 - n) / v_unit])
+    v, x = voltage / v_unit, displacement / x_unit
+    y, state, p = np.empty_like(v), np.zeros(STATES), np.empty(5)
+    run = compiled(run_kernel)
+
+    def residual(theta):
+        p[:4], p[4], state[:] = theta, n, 0.0
+        run(bouc_wen, p, state, v, y)
+        error = y - x
+        return error - error.mean() if free_offset else error
+
+    def cost(theta):
+        with np.errstate(over="ignore", invalid="ignore"):
+            error = residual(theta)
+            return float(np.dot(error, error)) / v.size
+
+    start = np.array([getattr(guess, name) for name in NAMES]) / units
+    scale = np.where(start != 0.0, np.abs(start), 1.0)
+    search = nelder_mead(cost, start, scale=scale, starts=starts, iterations=iterations, seed=seed, progress=progress)
+    error = residual(search.x).copy()
+    error_with_offset = float(np.mean(y - x)) if free_offset else 0.0
+    covariance = _covariance(residual, search.x, error, free_offset) * np.outer(units, units)
+    found = dict(zip(NAMES, (search.x * units).tolist(), strict=True))
+    parameters = replace(guess, **found)
+    warnings = [problem.allowed for problem in parameters.problems()]
+    warnings += parameters.warnings()
+    if not search.converged:
+        warnings.append(f"not converged after {search.runs[search.best].iterations} iterations: the best point so far")
+    search = _in_units(search, units)
+    spread = np.sqrt(np.diag(covariance))
+    for name, value, deviation in zip(NAMES, found.values(), spread.tolist(), strict=True):
+        if not deviation < 0.5 * abs(value):
+            warnings.append(f"{name} = {value:.4g} ± {deviation:.2g} is hardly determined by this recording")
+    return BoucWenIdentification(
+        parameters=parameters,
+        offset=-error_with_offset * x_unit,
+        covariance=covariance,
+        rms=x_unit * float(np.sqrt(np.mean(error**2))),
+        maximum=x_unit * float(np.max(np.abs(error))),
+        search=search,
+        converged=search.converged,
+        warnings=tuple(warnings),
+    )
+
+
+def _covariance(residual, theta, error, free_offset) -> np.ndarray:
+    """Return the Gauss-Newton covariance in normalised units; infinite where nothing is determined."""
+    columns = []
+    for i in range(theta.size):
+        step = np.zeros(theta.size)
+        step[i] = DIFFERENCE * max(abs(theta[i]), 1e-6)
+        ahead = residual(theta + step).copy()
+        columns.append((ahead - residual(theta - step)) / (2.0 * step[i]))
+    jacobian = np.stack(columns, axis=1)
+    variance = float(error @ error) / max(error.size - theta.size - int(free_offset), 1)
+    try:
+        return variance * np.linalg.inv(jacobian.T @ jacobian)
+    except np.linalg.LinAlgError:
+        return np.full((theta.size, theta.size), np.inf)
+
+
+def _in_units(search: NelderMeadResult, units) -> NelderMeadResult:
+    """Return the search with trajectories in SI units; costs stay normalised by the range of the displacement."""
+    runs = tuple(replace(run, trajectory=run.trajectory * units) for run in search.runs)
+    return replace(search, x=search.x * units, runs=runs)

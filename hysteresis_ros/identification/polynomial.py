@@ -1,0 +1,431 @@
+"""Identification of the polynomial branch model and of the preload curve (Kim, Kim & Park 2009; K2, K3).
+
+K2: triangles of growing peak are cut into loops, each loop gets its branch parabolas, and their coefficients become
+quadratics of the peak voltage V_max. Two corrections make the branches continuous:
+
+* both branches of a loop start in one lower corner, D_r = D_f, and meet in one upper corner (*per loop*);
+* the upper corners lie on the virgin curve, for every V_max (*for the quadratics*, as identities of polynomials).
+
+With them nine numbers remain: the virgin curve (3), D = D_v + D_1 V_max + D_2 V_max², and the bends C_r2 and C_f2 as
+linear functions of V_max; C_r1 and C_f1 follow. As the output of the model is linear in its coefficients for a given
+voltage — minor loops included, because branches change with the voltage only — the nine numbers are then fitted to all
+samples at once by linear least squares, which works with any excitation. The paper judges a model by its largest
+error; where the shape of the loops, not noise, makes the residual, the weights are therefore moved towards the largest
+residuals (Lawson's reweighting), which halves the largest error on loops of another kind.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hysteresis_ros.block import compiled, run_kernel
+from hysteresis_ros.errors import IdentificationError
+from hysteresis_ros.identification.branches import (
+    FEWEST_BRANCH_SAMPLES,
+    checked_signals,
+    require_both_directions,
+    split_branches,
+)
+from hysteresis_ros.models.polynomial import (
+    CHECKED_LOOPS,
+    DIRECTION,
+    DISPLACEMENT,
+    ON_VIRGIN,
+    SMALLEST_LOOP,
+    STATES,
+    TURN_DISPLACEMENT,
+    VIRGIN,
+    PolynomialParameters,
+    polynomial,
+)
+from hysteresis_ros.recordings.loops import REVERSAL
+
+#: The free numbers θ of a fit, in this order; the last three need several peaks.
+FREE = ("D_v", "C_v1", "C_v2", "D_1", "C_r2", "C_f2", "D_2", "C_r2 slope", "C_f2 slope")
+SINGLE_PEAK_FREE = 6
+#: Those that are taken as small where the recording says nothing about them, and the weight of that.
+SMALL = ("C_v2", "D_1", "D_2", "C_r2 slope", "C_f2 slope")
+SMALL_WEIGHT = 1e-6
+#: Peaks that differ by more than this part of the largest are different loops.
+DIFFERENT_PEAKS = 0.02
+#: Where a branch parabola is sampled when quadratics of V_max are drawn through the loops, in parts of V_max.
+NODES = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
+#: A recording may go below 0 V by this part of its highest voltage; further down the model has no branches.
+LOWEST_PART = -0.35
+#: A constrained fit keeps slopes above this part of the mean slope.
+SMALLEST_SLOPE = 0.02
+#: Steps of Lawson's reweighting; and the part of the largest residual a sample without residual counts as.
+REWEIGHTINGS = 30
+LEAST_WEIGHT = 0.15
+#: A residual that is this many times as large as its noise has structure.
+STRUCTURE = 2.0
+
+_NAMES = ("virgin", "rising_D", "rising_C1", "rising_C2", "falling_D", "falling_C1", "falling_C2")
+
+
+@dataclass(frozen=True)
+class LoopCoefficients:
+    """Branch parabolas of one loop (eqs 1-2; figure 4 of the paper), SI units.
+
+    Parameters
+    ----------
+    v_max : float
+        Peak [V].
+    D : float
+        Lower corner D_r = D_f [m].
+    C_r1, C_r2 : float
+        Rising branch [m/V, m/V²]; NaN where the recording does not rise again after this peak.
+    C_f1, C_f2 : float
+        Falling branch.
+    rms : float
+        Residual [m].
+    """
+
+    v_max: float
+    D: float
+    C_r1: float
+    C_r2: float
+    C_f1: float
+    C_f2: float
+    rms: float
+
+
+@dataclass(frozen=True)
+class PolynomialIdentification:
+    """Result of :func:`identify_polynomial`.
+
+    Parameters
+    ----------
+    parameters : PolynomialParameters
+        The model.
+    loops : tuple of LoopCoefficients
+        What each loop gave by itself.
+    covariance : ndarray, shape (21, 21)
+        Of the coefficients in the order virgin, rising_D, rising_C1, rising_C2, falling_D, falling_C1, falling_C2,
+        three numbers each; for white residuals.
+    rms, maximum : float
+        Residual of all samples [m].
+    criterion : str
+        ``rms`` or ``maximum``: what was made small.
+    converged : bool
+        False when a monotone model had to be forced and was not found.
+    warnings : tuple of str
+        What to doubt.
+    """
+
+    parameters: PolynomialParameters
+    loops: tuple[LoopCoefficients, ...]
+    covariance: np.ndarray
+    rms: float
+    maximum: float
+    criterion: str
+    converged: bool
+    warnings: tuple[str, ...]
+
+    @property
+    def standard_errors(self) -> dict[str, tuple[float, ...]]:
+        """Standard errors of the coefficients, by parameter name."""
+        errors = np.sqrt(np.clip(np.diag(self.covariance), 0.0, None)).reshape(7, 3)
+        return {name: tuple(row.tolist()) for name, row in zip(_NAMES, errors, strict=True)}
+
+
+def _basis(count: int) -> np.ndarray:
+    """Return the matrix from θ to the 21 coefficients, shape (21, count), that keeps both corners for every V_max."""
+    basis = np.zeros((7, 3, len(FREE)))
+    d_v, c_v1, c_v2, d_1, c_r2, c_f2, d_2, c_r2_slope, c_f2_slope = range(len(FREE))
+    basis[0, [0, 1, 2], [d_v, c_v1, c_v2]] = 1.0
+    for first, bend, slope in ((1, c_r2, c_r2_slope), (4, c_f2, c_f2_slope)):
+        basis[first, [0, 1, 2], [d_v, d_1, d_2]] = 1.0
+        basis[first + 2, [0, 1], [bend, slope]] = 1.0
+        # D + C1 V_max + C2 V_max² = x_v(V_max), power by power
+        basis[first + 1, [0, 0], [c_v1, d_1]] = 1.0, -1.0
+        basis[first + 1, [1, 1, 1], [c_v2, d_2, bend]] = 1.0, -1.0, -1.0
+        basis[first + 1, 2, slope] = -1.0
+    return basis.reshape(21, len(FREE))[:, :count]
+
+
+def _simulated(voltage, coefficients) -> np.ndarray:
+    """Return the output, shape (N,), of the model with any 21 coefficients, also such that are no actuator."""
+    p = np.append(coefficients, 1.0)
+    x = np.zeros(STATES)
+    x[DISPLACEMENT] = x[TURN_DISPLACEMENT] = p[VIRGIN]
+    x[DIRECTION] = x[ON_VIRGIN] = 1.0
+    y = np.empty_like(voltage)
+    compiled(run_kernel)(polynomial, p, x, voltage, y)
+    return y
+
+
+def _slopes(basis, v_low) -> np.ndarray:
+    """Return G such that G θ are the slopes that PolynomialParameters wants positive; they are linear in θ."""
+
+    def curve(family, v_max, v, order):
+        """Row of the value (order 0) or the slope (1) of a branch."""
+        powers = v_max ** np.arange(3)
+        rows = basis.reshape(7, 3, -1)[family : family + 3]
+        factors = (1.0, v, v * v) if order == 0 else (0.0, 1.0, 2.0 * v)
+        return sum(factor * (powers @ row) for factor, row in zip(factors, rows, strict=True))
+
+    virgin = basis[:3]
+    rows = [virgin[1], virgin[1] + 2.0 * virgin[2]]
+    for v_max in np.linspace(SMALLEST_LOOP, 1.0, CHECKED_LOOPS):
+        for bottom in {0.0, v_low}:
+            start = curve(4, v_max, bottom, 0) - curve(1, v_max, bottom, 0)
+            # at the upper corner nothing has to be blended: it lies on the virgin curve
+            rows += [curve(1, v_max, v, 1) - start / (v_max - bottom) for v in (bottom, v_max)]
+            rows += [curve(4, v_max, v, 1) for v in (bottom, v_max)]
+    return np.array(rows)
+
+
+def _loop_table(voltage, displacement, branches):
+    """Return the loops (normalised units) and the virgin samples as (v, x)."""
+    loops, virgin, reached = [], [], 0.0
+    for place, branch in enumerate(branches):
+        if not branch.rising or branch.high <= reached:
+            continue
+        rise = slice(branch.start, branch.stop + 1)
+        fresh = voltage[rise] >= reached
+        virgin.append(np.stack([voltage[rise][fresh], displacement[rise][fresh]]))
+        grown = branch.high > (1.0 + DIFFERENT_PEAKS) * reached
+        reached = branch.high
+        after = branches[place + 1 : place + 3]
+        if not grown or not after or len(after[0]) < FEWEST_BRANCH_SAMPLES:
+            continue
+        fall, again = after[0], after[1] if len(after) == 2 and len(after[1]) >= FEWEST_BRANCH_SAMPLES else None
+        loops.append(_one_loop(voltage, displacement, reached, fall, again))
+    return loops, np.concatenate(virgin, axis=1) if virgin else np.zeros((2, 0))
+
+
+def _one_loop(voltage, displacement, v_max, fall, rise) -> LoopCoefficients:
+    """Fit D, the upper corner X and the bends: x = D + (X - D) V/V_max + C2 V (V - V_max) on each branch."""
+    parts = [(2, fall)] + ([(3, rise)] if rise is not None else [])
+    rows, wanted = [], []
+    for column, branch in parts:
+        v, x = voltage[branch.samples], displacement[branch.samples]
+        below = v <= v_max
+        v = v[below]
+        matrix = np.zeros((v.size, 4))
+        matrix[:, 0], matrix[:, 1], matrix[:, column] = 1.0 - v / v_max, v / v_max, v * (v - v_max)
+        rows.append(matrix)
+        wanted.append(x[below])
+    matrix, wanted = np.concatenate(rows), np.concatenate(wanted)
+    found = np.linalg.lstsq(matrix, wanted, rcond=None)[0]
+    corner, top, c_f2, c_r2 = found
+    rms = float(np.sqrt(np.mean((matrix @ found - wanted) ** 2)))
+    mean = (top - corner) / v_max
+    if rise is None:
+        c_r2 = np.nan
+    return LoopCoefficients(v_max, corner, mean - c_r2 * v_max, c_r2, mean - c_f2 * v_max, c_f2, rms)
+
+
+def _through_loops(loops, virgin, basis) -> np.ndarray:
+    """Return θ of the quadratics of V_max that run nearest to the loops' own parabolas (K2 as printed)."""
+    rows, wanted = [], []
+    blocks = basis.reshape(7, 3, -1)
+    for loop in loops:
+        powers = loop.v_max ** np.arange(3)
+        for first, c1, c2 in ((1, loop.C_r1, loop.C_r2), (4, loop.C_f1, loop.C_f2)):
+            if np.isnan(c2):
+                continue
+            for v in NODES * loop.v_max:
+                rows.append(sum(v**i * (powers @ blocks[first + i]) for i in range(3)))
+                wanted.append(loop.D + v * (c1 + v * c2))
+    v, x = virgin
+    weight = np.sqrt(len(wanted) / max(v.size, 1))  # as much as all loops together
+    rows = np.concatenate([np.array(rows), weight * (np.vander(v, 3, increasing=True) @ basis[:3])])
+    return np.linalg.lstsq(rows, np.concatenate([wanted, weight * x]), rcond=None)[0]
+
+
+def _weights(matrix, wanted, criterion):
+    """Return the square roots of the weights, shape (N,), and the criterion that ``automatic`` turned into."""
+    # weights change 30 times: work on an orthogonal basis, whose weighted normal equations are well conditioned
+    u, singular, _ = np.linalg.svd(matrix, full_matrices=False)
+    u = u[:, singular > 1e-10 * singular[0]]
+    weight = np.ones(len(wanted))
+    residual = u @ (u.T @ wanted) - wanted
+    if criterion == "automatic":
+        noise = np.sqrt(0.5 * np.mean(np.diff(residual) ** 2))
+        structured = np.sqrt(np.mean(residual**2)) > max(STRUCTURE * noise, 1e-9)
+        criterion = "maximum" if structured else "rms"
+    if criterion == "maximum":
+        for _ in range(REWEIGHTINGS):
+            size = np.abs(residual)
+            weight *= LEAST_WEIGHT * size.max() + size
+            weight /= weight.max()
+            weighted = weight[:, None] * u
+            residual = u @ np.linalg.solve(u.T @ weighted, weighted.T @ wanted) - wanted
+    return np.sqrt(weight), criterion
+
+
+def _with_prior(weight, matrix, wanted):
+    """Return the weighted problem with rows that keep undetermined numbers small."""
+    size = SMALL_WEIGHT * np.sqrt(len(wanted))
+    prior = size * np.eye(len(FREE))[[FREE.index(name) for name in SMALL], : matrix.shape[1]]
+    return np.vstack([weight[:, None] * matrix, prior]), np.append(weight * wanted, np.zeros(len(prior)))
+
+
+def _monotone(theta, matrix, wanted, slopes, smallest):
+    """Return the least-squares θ whose slopes stay at or above ``smallest``, and whether it was found."""
+    from scipy.optimize import minimize  # imported here because only fits need it
+
+    q, r = np.linalg.qr(matrix)
+    target = q.T @ wanted
+    solved = minimize(
+        lambda t: 0.5 * np.sum((r @ t - target) ** 2) / len(wanted),
+        theta,
+        jac=lambda t: r.T @ (r @ t - target) / len(wanted),
+        constraints={"type": "ineq", "fun": lambda t: slopes @ t - smallest, "jac": lambda t: slopes},
+        method="SLSQP",
+        options={"maxiter": 500, "ftol": 1e-14},
+    )
+    return solved.x, bool(np.all(slopes @ solved.x > 0.0))
+
+
+def identify_polynomial(
+    voltage,
+    displacement,
+    *,
+    history=(),
+    method: str = "samples",
+    criterion: str = "automatic",
+    reversal: float = REVERSAL,
+) -> PolynomialIdentification:
+    """Identify the polynomial branch model from loops between about 0 V and one or several peaks (K2).
+
+    Parameters
+    ----------
+    voltage : array_like, shape (N,)
+        Voltage at the actuator [V].
+    displacement : array_like, shape (N,)
+        Displacement [m]; a constant offset goes to the constant terms D.
+    history : sequence of float
+        Turning voltages [V] the actuator went through before the recording; empty: it starts at rest (virgin).
+    method : str
+        ``samples``: all samples at once. ``loops``: the paper's two stages, quadratics through the coefficients of
+        each loop.
+    criterion : str
+        Of the fit to all samples: ``rms``, ``maximum`` (the largest error), or ``automatic``: the largest error where
+        the residual has structure, else rms.
+    reversal : float
+        Reversals smaller than this part of the voltage range are noise.
+
+    Returns
+    -------
+    PolynomialIdentification
+
+    Raises
+    ------
+    IdentificationError
+        Too short, constant, not finite, a single branch, or mostly negative voltages.
+    """
+    voltage, displacement = checked_signals(voltage, displacement)
+    for name, value, allowed in (
+        ("method", method, ("samples", "loops")),
+        ("criterion", criterion, ("automatic", "rms", "maximum")),
+    ):
+        if value not in allowed:
+            raise IdentificationError(f"{name} = {value!r}: must be one of {', '.join(allowed)}")
+    high, low = float(voltage.max()), float(voltage.min())
+    if high <= 0.0 or low < LOWEST_PART * high:
+        raise IdentificationError(
+            f"the voltage runs from {low:g} to {high:g} V; the polynomial model knows loops between 0 V and positive "
+            "peaks only: record such loops, or identify another model (prandtl_ishlinskii) for both polarities"
+        )
+    path = np.concatenate([np.asarray(history, dtype=float), voltage])
+    skipped = path.size - voltage.size
+    v_unit, x_unit = float(path.max()), float(np.ptp(displacement))
+    v, x = path / v_unit, displacement / x_unit
+    branches = split_branches(voltage / v_unit, reversal)
+    require_both_directions(branches, "loop model")
+
+    loops, virgin = _loop_table(v[skipped:], x, branches)
+    warnings = []
+    count = len(FREE)
+    peaks = _distinct_peaks(v, reversal)
+    if len(peaks) < 3:
+        count = SINGLE_PEAK_FREE
+        warnings.append(
+            f"the recording reaches {len(peaks)} different V_max, three or more are needed for coefficients that are "
+            "quadratics of V_max; the residual displacement is assumed proportional to V_max and the bends constant: "
+            "record triangles of growing peak from 0 V"
+        )
+    if low > 0.1 * high:
+        warnings.append(f"the lowest voltage is {low:g} V; the residual displacement at 0 V is extrapolated")
+    basis = _basis(count)
+    matrix = np.stack([_simulated(v, column)[skipped:] for column in basis.T], axis=1)
+    if method == "loops":
+        if not loops:
+            raise IdentificationError("no loop starts on the virgin curve; use method samples with this recording")
+        theta = _through_loops(loops, virgin, basis)
+        weight, criterion = np.ones(x.size), "rms"
+    else:
+        weight, criterion = _weights(matrix, x, criterion)
+        theta = np.linalg.lstsq(*_with_prior(weight, matrix, x), rcond=None)[0]
+    condition = np.linalg.cond(matrix)
+    if condition > 1e6:
+        warnings.append(
+            f"the recording does not determine all coefficients (condition number {condition:.1e}); the others are "
+            "set so that the virgin curve is straight and nothing depends on V_max"
+        )
+
+    v_low = min(low, 0.0) / v_unit
+    slopes = _slopes(basis, v_low)
+    converged = True
+    worst = float(np.min(slopes @ theta))
+    if not worst > 0.0:
+        mean = np.ptp(x) / np.ptp(v)
+        theta, converged = _monotone(theta, *_with_prior(weight, matrix, x), slopes, SMALLEST_SLOPE * mean)
+        warnings.append(
+            f"the best fit has a branch that is not monotone (smallest slope {worst * x_unit / v_unit:.3g} m/V); "
+            + (
+                "the nearest monotone one was taken"
+                if converged
+                else "no monotone one was found: do not use this model"
+            )
+        )
+    residual = matrix @ theta - x
+    variance = float(residual @ residual) / max(x.size - count, 1)
+    scale = np.array([x_unit / v_unit ** (power + row) for row in (0, 0, 1, 2, 0, 1, 2) for power in range(3)])
+    scale[:3] = x_unit / v_unit ** np.arange(3)
+    spread = basis @ np.linalg.pinv(matrix.T @ matrix, rcond=1e-20) @ basis.T
+    values = (scale * (basis @ theta)).reshape(7, 3)
+    parameters = PolynomialParameters(
+        **{name: tuple(row.tolist()) for name, row in zip(_NAMES, values, strict=True)},
+        voltage_low=min(low, 0.0),
+        voltage_high=v_unit,
+    )
+    if converged:
+        parameters.validated()
+    return PolynomialIdentification(
+        parameters=parameters,
+        loops=tuple(_in_units(loop, v_unit, x_unit) for loop in loops),
+        covariance=variance * spread * np.outer(scale, scale),
+        rms=x_unit * float(np.sqrt(np.mean(residual**2))),
+        maximum=x_unit * float(np.max(np.abs(residual))),
+        criterion=criterion,
+        converged=converged,
+        warnings=tuple(warnings),
+    )
+
+
+def _distinct_peaks(v, reversal) -> list[float]:
+    """Return the values V_max takes, those that hardly differ once."""
+    peaks = []
+    for branch in split_branches(v, reversal):
+        if branch.high > (1.0 + DIFFERENT_PEAKS) * (peaks[-1] if peaks else 0.0):
+            peaks.append(branch.high)
+    return peaks
+
+
+def _in_units(loop, v_unit, x_unit) -> LoopCoefficients:
+    one, two = x_unit / v_unit, x_unit / v_unit**2
+    return LoopCoefficients(
+        v_max=float(loop.v_max * v_unit),
+        D=float(loop.D * x_unit),
+        C_r1=float(loop.C_r1 * one),
+        C_r2=float(loop.C_r2 * two),
+        C_f1=float(loop.C_f1 * one),
+        C_f2=float(loop.C_f2 * two),
+        rms=float(loop.rms * x_unit),
+    )
