@@ -1,0 +1,306 @@
+"""Grey-box fit of the Bouc-Wen oscillator: its physical parameters by output error, any input between the samples.
+
+The oscillator of :mod:`hysteresis_ros.models.bouc_wen_mechanical` is simulated by the very kernel of the nodes, on a
+grid finer than the samples; Levenberg-Marquardt steps with sensitivities by finite differences lower the output error.
+Of β, γ and δ only the products βγ and βδ are in the equations: β is kept at its initial value. Output error has local
+minima when the initial resonance is far off, so the initial values are improved first: trial points around them are
+judged on a short part of the data, and the best few are followed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from hysteresis_ros.block import compiled, run_kernel
+from hysteresis_ros.errors import IdentificationError
+from hysteresis_ros.identification.intersample import METHODS, find_period, upsample
+from hysteresis_ros.models.bouc_wen_mechanical import (
+    ALPHA,
+    BETA_DELTA,
+    BETA_GAMMA,
+    DAMPING,
+    INVERSE_MASS,
+    STATES,
+    STIFFNESS,
+    BoucWenMechanicalParameters,
+    BoucWenOscillator,
+    bouc_wen_mechanical,
+)
+
+#: Names of what is fitted, in the order of the vectors.
+FREE = ("mass", "damping", "stiffness", "alpha", "beta_gamma", "beta_delta")
+PLACES = (DAMPING, STIFFNESS, ALPHA, BETA_GAMMA, BETA_DELTA)  # of all but the mass in the kernel's parameters
+#: Grid points a sample, for the search and for the result; straight lines between them, one Runge-Kutta step each.
+SEARCH_GRID = 4
+FINE_GRID = 16
+#: Trial points around the initial values, their spread (factors of 2^±SPREAD), and how many are followed at most.
+TRIALS = 64
+SPREAD = 1.0
+FOLLOWED = 12
+#: Samples on which trial points are judged and followed; the best one is then refined on all samples.
+SHORT_PART = 6000
+#: Output errors above this many strokes count as this many: an oscillation that runs away has no gradient.
+LARGEST_ERROR = 10.0
+#: Periods over which a periodic start settles.
+SETTLING = 1
+#: Starts agree when their residuals are within this part of the best; when two of them do, no more are followed.
+AGREEING = 1.01
+MOST_EVALUATIONS = 60
+#: … provided that the residual is below this part of the stroke.
+WELL_DONE = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class BoucWenMechanicalFit:
+    """Result of :func:`fit_bouc_wen_mechanical`.
+
+    Parameters
+    ----------
+    parameters : BoucWenMechanicalParameters
+        β as given, γ and δ from the products.
+    rmse : float
+        RMS output error [m].
+    deviations : dict of str to float
+        Standard deviations, by the names of :data:`FREE` (from the Jacobian and the residual).
+    covariance : ndarray, shape (6, 6)
+        Of :data:`FREE`, in their units.
+    agreeing, starts : int
+        How many of the starts that were followed came to the same residual.
+    intersample, initial : str
+        How the input ran between samples and where the state started.
+    warnings : tuple of str
+    converged : bool
+    """
+
+    parameters: BoucWenMechanicalParameters
+    rmse: float
+    deviations: dict[str, float]
+    covariance: np.ndarray
+    agreeing: int
+    starts: int
+    intersample: str
+    initial: str
+    warnings: tuple[str, ...] = field(default=())
+    converged: bool = True
+
+    def simulate(self, u, sample_time: float, initial: str | None = None) -> np.ndarray:
+        """Return the displacement [m], shape (N,), at the samples of ``u``, see :func:`simulate_oscillator`."""
+        return simulate_oscillator(self.parameters, u, sample_time, self.intersample, initial or self.initial)
+
+
+def simulate_oscillator(
+    parameters: BoucWenMechanicalParameters,
+    u,
+    sample_time: float,
+    intersample: str = "bandlimited",
+    initial: str = "zero",
+    grid: int = FINE_GRID,
+) -> np.ndarray:
+    """Return the displacement of the oscillator at the samples of its input.
+
+    Parameters
+    ----------
+    parameters : BoucWenMechanicalParameters
+        Their own ``intersample`` and ``substeps`` are not used.
+    u : array_like, shape (N,)
+        Input.
+    sample_time : float
+        [s]
+    intersample : str
+        How the input runs between samples: ``zoh``, ``linear``, ``bandlimited``.
+    initial : str
+        ``zero``: at rest; ``periodic``: as if the input had repeated before. A band-limited input is then continued
+        periodically too.
+    grid : int
+        Grid points a sample.
+
+    Returns
+    -------
+    ndarray, shape (N,)
+        [m]
+
+    Raises
+    ------
+    ParameterError
+        The parameters are wrong, or the grid is too coarse for the oscillator's frequency.
+    """
+    settings = replace(parameters, intersample="zoh" if intersample == "zoh" else "linear", substeps=1)
+    block = BoucWenOscillator(settings, sample_time / grid)
+    periodic = initial == "periodic"
+    return _run(block.p, _finer(u, grid, intersample, periodic), grid, intersample, periodic)
+
+
+def _finer(u, grid, intersample, periodic):
+    return upsample(u, grid, intersample, periodic or intersample == "bandlimited" and find_period(u) is not None)
+
+
+def _run(p, finer, grid, intersample, periodic):
+    state, output = np.zeros(STATES), np.empty_like(finer)
+    run = compiled(run_kernel)
+    if periodic:
+        for _ in range(SETTLING):
+            run(bouc_wen_mechanical, p, state, finer, output)
+    if intersample != "zoh":
+        run(bouc_wen_mechanical, p, state, finer, output)
+        return output[::grid]
+    start = state[1]
+    run(bouc_wen_mechanical, p, state, finer, output)  # a held input: the output is that at the end of each step
+    return np.append(start, output[grid - 1 :: grid][:-1])
+
+
+def fit_bouc_wen_mechanical(
+    u,
+    y,
+    sample_time: float,
+    start: BoucWenMechanicalParameters,
+    *,
+    intersample: str = "bandlimited",
+    initial: str = "zero",
+    trials: int = TRIALS,
+    seed: int = 0,
+    progress=None,
+) -> BoucWenMechanicalFit:
+    """Fit mass, damping, stiffness and the hysteretic force to input and output.
+
+    Parameters
+    ----------
+    u, y : array_like, shape (N,)
+        Input (N, or V with ``force_per_input``) and displacement [m], uniformly sampled.
+    sample_time : float
+        [s]
+    start : BoucWenMechanicalParameters
+        Initial values; they may be off by a factor of two. β, the exponent and the force per input are kept.
+    intersample, initial : str
+        See :func:`simulate_oscillator`.
+    trials : int
+        Trial points around the initial values.
+    seed : int
+        Of the trial points.
+    progress : callable, optional
+        Called as ``progress(start, rmse)`` after each start that was followed.
+
+    Raises
+    ------
+    IdentificationError
+        The data or a setting cannot be used, or no start gives a finite output.
+    """
+    u, y = (np.ascontiguousarray(values, dtype=np.float64) for values in (u, y))
+    _check(u, y, start, intersample, initial)
+    problem = _Problem(u, y, sample_time, start, intersample, initial)
+    guesses = problem.guesses(trials, seed)
+    results = []
+    agreeing = 0
+    for number, guess in enumerate(guesses):
+        results.append(problem.descend(guess, SEARCH_GRID, SHORT_PART))
+        best = min(results, key=lambda result: result.cost)
+        agreeing = sum(result.cost <= AGREEING**2 * best.cost for result in results)
+        if progress is not None:
+            progress(number, problem.rms(best))
+        if agreeing > 1 and problem.rms(best) < WELL_DONE * problem.stroke:
+            break
+    coarse = problem.descend(best.x, SEARCH_GRID)
+    return problem.result(problem.descend(coarse.x, FINE_GRID), agreeing, len(results))
+
+
+def _check(u, y, start, intersample, initial):
+    if u.ndim != 1 or u.shape != y.shape or u.size < 100:
+        raise IdentificationError(f"input {u.shape} and output {y.shape}: must have one shape (N,), N ≥ 100")
+    if not (np.all(np.isfinite(u)) and np.all(np.isfinite(y))):
+        raise IdentificationError("input or output has NaN or infinite values; cut them out or resample")
+    if np.ptp(u) == 0.0 or np.ptp(y) == 0.0:
+        raise IdentificationError("input or output is constant; excite the oscillator")
+    if intersample not in METHODS or initial not in ("zero", "periodic"):
+        raise IdentificationError(
+            f"intersample = {intersample!r}, initial = {initial!r}: must be one of {', '.join(METHODS)}; "
+            "zero or periodic"
+        )
+    if start.beta == 0.0 or start.alpha == 0.0:
+        raise IdentificationError("alpha and beta of the initial values must not be 0: they set the scale of z")
+
+
+class _Problem:
+    """Output error as a function of the parameters in units of their initial values."""
+
+    def __init__(self, u, y, sample_time, start, intersample, initial):
+        self.u, self.y, self.sample_time, self.start = u, y, sample_time, start
+        self.intersample, self.initial = intersample, initial
+        products = [start.beta * (value or 0.1) for value in (start.gamma, start.delta)]
+        self.scale = np.array([start.mass, start.damping or 1e-3, start.stiffness, start.alpha, *products])
+        self.scale[1] = start.damping or 0.02 * np.sqrt(start.mass * (start.stiffness + start.alpha))
+        self.stroke = float(np.ptp(y))
+        settings = replace(start, intersample="zoh" if intersample == "zoh" else "linear", substeps=1)
+        self.packed = {grid: BoucWenOscillator(settings, sample_time / grid).p for grid in (SEARCH_GRID, FINE_GRID)}
+        self.finer = {grid: _finer(u, grid, intersample, initial == "periodic") for grid in (SEARCH_GRID, FINE_GRID)}
+
+    def residual(self, z, grid, samples=None):
+        """Output error over the stroke, without its mean."""
+        n = len(self.y) if samples is None else min(samples, len(self.y))
+        parameters = z * self.scale
+        bad = np.full(n, LARGEST_ERROR)
+        if np.any(parameters[[0, 2]] <= 0.0) or np.any(parameters[[1, 3]] < 0.0):
+            return bad
+        packed = self.packed[grid].copy()
+        packed[INVERSE_MASS] = 1.0 / parameters[0]
+        packed[list(PLACES)] = parameters[1:]
+        with np.errstate(all="ignore"):
+            output = _run(packed, self.finer[grid][: n * grid], grid, self.intersample, self.initial == "periodic")
+        if not np.all(np.isfinite(output)):
+            return bad
+        error = (output - self.y[:n]) / self.stroke
+        return np.clip(error - error.mean(), -LARGEST_ERROR, LARGEST_ERROR)
+
+    def guesses(self, trials, seed):
+        """The initial values and the most promising trial points around them."""
+        random = np.random.default_rng(seed)
+        points = 2.0 ** (SPREAD * random.uniform(-1.0, 1.0, (trials, len(FREE))))
+        costs = [np.mean(self.residual(point, SEARCH_GRID, SHORT_PART) ** 2) for point in points]
+        return [np.ones(len(FREE)), *points[np.argsort(costs)[: FOLLOWED - 1]]]
+
+    def descend(self, guess, grid, samples=None):
+        from scipy.optimize import least_squares  # imported here because only fits need it
+
+        return least_squares(
+            lambda z: self.residual(z, grid, samples),
+            guess,
+            x_scale=np.abs(guess),
+            diff_step=1e-5,
+            xtol=1e-9,
+            max_nfev=MOST_EVALUATIONS,
+        )
+
+    def rms(self, result) -> float:
+        return float(np.sqrt(2.0 * result.cost / len(result.fun))) * self.stroke
+
+    def result(self, found, agreeing, starts) -> BoucWenMechanicalFit:
+        values = dict(zip(FREE, (found.x * self.scale).tolist(), strict=True))
+        rmse = self.rms(found)
+        if not rmse < self.stroke:
+            raise IdentificationError(
+                f"no start comes near the data: RMS error {rmse:.3g} m of a stroke of {self.stroke:.3g} m; "
+                "give better initial values"
+            )
+        beta = self.start.beta
+        parameters = replace(
+            self.start,
+            **{name: values[name] for name in FREE[:4]},
+            gamma=values["beta_gamma"] / beta,
+            delta=values["beta_delta"] / beta,
+            intersample=self.intersample if self.intersample != "bandlimited" else "linear",
+        )
+        variance = 2.0 * found.cost / max(len(self.y) - len(FREE), 1)
+        covariance = np.linalg.pinv(found.jac.T @ found.jac) * variance * np.outer(self.scale, self.scale)
+        deviations = dict(zip(FREE, np.sqrt(np.diag(covariance)).tolist(), strict=True))
+        warnings = list(parameters.warnings())
+        if agreeing < 2:
+            warnings.append(f"only {agreeing} of {starts} starts came to this residual: there may be a better one")
+        warnings += [
+            f"{name} = {values[name]:.4g} ± {deviations[name]:.2g}: the data does not settle it"
+            for name in FREE
+            if not deviations[name] < 0.5 * abs(values[name])
+        ]
+        return BoucWenMechanicalFit(
+            parameters, rmse, deviations, covariance, agreeing, starts, self.intersample, self.initial,
+            tuple(warnings), found.status > 0,
+        )  # fmt: skip

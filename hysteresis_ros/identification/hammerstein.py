@@ -1,0 +1,339 @@
+"""Hammerstein models from measured data: hysteresis, creep, lag and delay are fitted together.
+
+Lag and creep widen every loop. Taken for hysteresis they spoil the prediction at other speeds and amplitudes, so they
+are separated: for each trial of the few parameters of the linear part the many weights of the hysteresis follow from
+constrained linear least squares (variable projection), and what is left decides between the trials.
+
+A lag, a delay and creep are accepted one after the other when they make the residual smaller by :data:`WORTH_IT`.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from hysteresis_ros.errors import IdentificationError
+from hysteresis_ros.identification.linear_part import LinearPart
+from hysteresis_ros.models.actuator import ActuatorParameters
+from hysteresis_ros.models.creep import Creep, CreepParameters
+from hysteresis_ros.models.hysteresis import HysteresisParameters, hysteresis_block
+from hysteresis_ros.models.limits import LimitsParameters
+from hysteresis_ros.models.linear import LinearDynamics, LinearParameters
+from hysteresis_ros.recordings.loops import turning_points
+
+#: Parts of the linear model are kept when they lower the RMS residual by this part.
+WORTH_IT = 0.01
+#: Data is made coarser until the voltage moves by this part of its range in one sample …
+LARGEST_STEP = 0.02
+#: … and no further than needed to come down to this many samples.
+ENOUGH_SAMPLES = 6000
+#: The fit starts where the input has come within this part of its range of both ends: the past is wiped out there.
+WIPED_OUT = 0.05
+#: Largest lag and delay, as parts of the mean time between two reversals; largest creep rate a decade.
+LONGEST_LAG = 0.15
+LARGEST_RATE = 0.05
+SETTLED_WORTH_IT = 0.05
+MOST_EVALUATIONS = 40
+
+
+@dataclass(frozen=True, eq=False)
+class Condensed:
+    """Data as a fit uses it: uniform, as coarse as the loops allow, centred on block averages.
+
+    Parameters
+    ----------
+    voltage, displacement : ndarray, shape (N,)
+        [V], [m].
+    sample_time : float
+        [s]
+    first : int
+        First sample whose residual counts.
+    factor : int
+        How many samples of the recording make one.
+    """
+
+    voltage: np.ndarray
+    displacement: np.ndarray
+    sample_time: float
+    first: int
+    factor: int
+
+    @property
+    def voltage_range(self) -> float:
+        """Peak-to-peak voltage [V]."""
+        return float(np.ptp(self.voltage))
+
+    @property
+    def stroke(self) -> float:
+        """Peak-to-peak displacement [m] of the samples that count."""
+        return float(np.ptp(self.displacement[self.first :]))
+
+
+def condense(voltage, displacement, sample_time: float, skip: int | None = None) -> Condensed:
+    """Average blocks of samples, so that a long or finely sampled recording is fitted in seconds.
+
+    Parameters
+    ----------
+    voltage, displacement : array_like, shape (N,)
+        [V] and [m], uniformly sampled, without gaps.
+    sample_time : float
+        [s]
+    skip : int, optional
+        Samples left out of the fit at the start (the models see their voltage all the same); by default those until
+        the voltage has been near both ends of its range, if that leaves half of the data.
+
+    Raises
+    ------
+    IdentificationError
+        Shapes differ, values are not finite or constant, or too few samples are left.
+    """
+    v, y = (np.ascontiguousarray(values, dtype=np.float64) for values in (voltage, displacement))
+    if v.ndim != 1 or v.shape != y.shape or v.size < 50:
+        raise IdentificationError(f"voltage {v.shape} and displacement {y.shape}: must have one shape (N,), N ≥ 50")
+    if not np.all(np.isfinite(v)) or not np.all(np.isfinite(y)):
+        raise IdentificationError("voltage or displacement has NaN or infinite values; cut them out or resample")
+    if np.ptp(v) == 0.0 or np.ptp(y) == 0.0:
+        raise IdentificationError("voltage or displacement is constant; record a moving input")
+    if len(turning_points(v)) < 3:
+        raise IdentificationError("the voltage never turns: a loop model needs a rising and a falling branch")
+    first = skip
+    if skip is None:
+        near = WIPED_OUT * np.ptp(v)
+        reached = [np.flatnonzero(v >= v.max() - near)[0], np.flatnonzero(v <= v.min() + near)[0]]
+        first = int(max(reached)) if max(reached) <= v.size // 2 else 0
+    if not 0 <= first < v.size - 50:
+        raise IdentificationError(f"skip = {skip}: must leave at least 50 of the {v.size} samples")
+    # the steepest steps of all may be jumps at the start, which no sampling resolves
+    step = float(np.quantile(np.abs(np.diff(v)), 0.98)) / float(np.ptp(v))
+    coarsest = max(1, int(LARGEST_STEP / step)) if step > 0.0 else 1
+    factor = max(1, min(coarsest, v.size // ENOUGH_SAMPLES))
+    blocks = v.size // factor
+    v, y = (values[: blocks * factor].reshape(blocks, factor).mean(axis=1) for values in (v, y))
+    return Condensed(v, y, factor * sample_time, math.ceil(first / factor), factor)
+
+
+@dataclass(frozen=True, eq=False)
+class HammersteinFit:
+    """Identified voltage → hysteresis → creep → lag and delay, as the nodes run it.
+
+    Parameters
+    ----------
+    hysteresis : HysteresisParameters
+    creep : CreepParameters
+    dynamics : LinearParameters
+        For ``sample_time``.
+    linear_part : LinearPart
+        The same linear part in continuous time; ``linear_part.dynamics(Ts)`` gives it at another rate.
+    sample_time : float
+        Of the recording [s].
+    rmse : float
+        RMS residual of the fit [m].
+    stroke : float
+        Peak-to-peak displacement of the fitted samples [m].
+    voltage_low, voltage_high : float
+        Range of the recording [V].
+    deviations : dict of str to float
+        Standard deviations of ``lag`` [s], ``delay`` [s], ``creep_rate`` and the shape parameters of the hysteresis;
+        the correlation of the residual is taken into account.
+    warnings : tuple of str
+    synchronous : bool
+        The lag is below half a sample: each displacement belongs to the voltage of its own sample (quasi-static
+        sweeps), where an axis reads it one sample later.
+    converged : bool
+        False: the best point found is returned, the optimiser ran out of evaluations.
+    """
+
+    hysteresis: HysteresisParameters
+    creep: CreepParameters
+    dynamics: LinearParameters
+    linear_part: LinearPart
+    sample_time: float
+    rmse: float
+    stroke: float
+    voltage_low: float
+    voltage_high: float
+    deviations: dict[str, float] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+    converged: bool = True
+    synchronous: bool = False
+
+    @property
+    def actuator(self) -> ActuatorParameters:
+        """Parameters of a plant, limited to the voltages of the recording."""
+        limits = LimitsParameters(minimum=min(self.voltage_low, 0.0), maximum=max(self.voltage_high, 0.0))
+        return ActuatorParameters(limits=limits, hysteresis=self.hysteresis, creep=self.creep, dynamics=self.dynamics)
+
+    def simulate(self, voltage, sample_time: float | None = None, settled: bool = True) -> np.ndarray:
+        """Return the displacement [m], shape (N,), see :func:`simulate_chain`.
+
+        Parameters
+        ----------
+        voltage : array_like, shape (N,)
+            [V]
+        sample_time : float, optional
+            [s]; that of the recording by default.
+        settled : bool
+            Start as the fitted recording was found to start; False: always at rest at 0 V, as nodes do.
+        """
+        sample_time = self.sample_time if sample_time is None else sample_time
+        dynamics = self.dynamics if sample_time == self.sample_time else self.linear_part.dynamics(sample_time)
+        return simulate_chain(
+            self.hysteresis,
+            self.creep,
+            dynamics,
+            voltage,
+            sample_time,
+            self.linear_part.settled and settled,
+            self.synchronous and sample_time == self.sample_time,
+        )
+
+
+def simulate_chain(
+    hysteresis: HysteresisParameters,
+    creep: CreepParameters,
+    dynamics: LinearParameters,
+    voltage,
+    sample_time: float,
+    settled: bool = False,
+    synchronous: bool = False,
+) -> np.ndarray:
+    """Return what a plant measures under ``voltage``, by the very kernels of the nodes, without limits and sensor.
+
+    It starts at rest at 0 V. Sample k is measured before voltage k acts, as on an axis, unless ``synchronous``.
+
+    Parameters
+    ----------
+    hysteresis, creep, dynamics : Parameters
+        Blocks of the chain.
+    voltage : array_like, shape (N,)
+        [V]
+    sample_time : float
+        [s]
+    settled : bool
+        Creep and lag have settled under the first voltage instead, at 0 V only the hysteresis was at rest.
+    synchronous : bool
+        Sample k is measured at the end of the sample in which voltage k acts.
+
+    Returns
+    -------
+    ndarray, shape (N,)
+        [m]
+    """
+    voltage = np.ascontiguousarray(voltage, dtype=np.float64)
+    front = hysteresis_block(hysteresis, sample_time)
+    behind, last = Creep(creep, sample_time), LinearDynamics(dynamics, sample_time)
+    last.settle(behind.settle(front.step(voltage[0] if settled else 0.0)))
+    start = last.output()
+    after = last.simulate(behind.simulate(front.simulate(voltage)))
+    return after if synchronous else np.append(start, after[:-1])
+
+
+def fit_linear_part(solve, data: Condensed, extra=(), linear=("lag", "delay", "creep"), progress=None):
+    """Find the linear part and the shape parameters between which ``solve`` leaves the smallest residual.
+
+    Parameters
+    ----------
+    solve : callable
+        ``solve(linear_part, shape)`` with a LinearPart and a dict of the ``extra`` parameters returns the residual
+        [m], shape (N - first,), of the best weights for these.
+    data : Condensed
+    extra : sequence of (name, start, low, high)
+        Shape parameters, always fitted.
+    linear : sequence of str
+        Which of lag, delay and creep may be there.
+    progress : callable, optional
+        Called as ``progress(evaluations, rmse)``.
+
+    Returns
+    -------
+    LinearPart, dict, dict, tuple of str, bool
+        Linear part, shape parameters, standard deviations, warnings, whether every search converged.
+
+    Raises
+    ------
+    IdentificationError
+        A part of ``linear`` is unknown.
+    """
+    from scipy.optimize import least_squares  # imported here because only fits need it
+
+    unknown = sorted(set(linear) - {"lag", "delay", "creep"})
+    if unknown:
+        raise IdentificationError(f"linear part {', '.join(unknown)}: must be of lag, delay, creep, or empty")
+    half_cycle = data.sample_time * len(data.voltage) / max(len(turning_points(data.voltage)) - 1, 1)
+    longest = LONGEST_LAG * half_cycle
+    base = LinearPart(longest_time=max(1.0, len(data.voltage) * data.sample_time))
+    ranges = {
+        "lag": ("lag", 0.2 * longest, 0.0, longest),
+        "delay": ("delay", 0.05 * longest, 0.0, longest),
+        "creep": ("creep_rate", 0.01, 0.0, LARGEST_RATE),
+    }
+    calls = [0]
+
+    def search(names, start, base):
+        table = {name: row[1:] for name, *row in ([n, n, *r] for n, *r in extra)} | {
+            ranges[part][0]: ranges[part][1:] for part in names
+        }
+        keys = list(table)
+        if not keys:
+            return {}, solve(base, {}), None, True
+        scale = np.array([table[key][2] - table[key][1] for key in keys])
+        low = np.array([table[key][1] for key in keys]) / scale
+        guess = np.array([start.get(key, table[key][0]) for key in keys]) / scale
+
+        def residual(z):
+            values = dict(zip(keys, z * scale, strict=True))
+            calls[0] += 1
+            result = solve(*_split(base, values)) / data.stroke
+            if progress is not None:
+                progress(calls[0], float(np.sqrt(np.mean(result**2))) * data.stroke)
+            return result
+
+        inside = np.clip(guess, low + 1e-3, low + 1.0 - 1e-3)
+        found = least_squares(
+            residual, inside, bounds=(low, low + 1.0), diff_step=1e-3, xtol=1e-5, ftol=1e-6, max_nfev=MOST_EVALUATIONS
+        )
+        values = dict(zip(keys, found.x * scale, strict=True))
+        deviation = dict(zip(keys, _deviations(found.jac, found.fun) * scale, strict=True))
+        return values, found.fun * data.stroke, deviation, found.status > 0
+
+    kept: list[str] = []
+    best, rest, deviation, converged = search(kept, {}, base)
+    for part in ("lag", "creep", "delay"):
+        if part not in linear:
+            continue
+        # at rest at 0 V before, as nodes start, unless the data clearly wants rest under its first voltage
+        bases = [base, replace(base, settled=True)] if part == "creep" else [base]
+        trials = [search([*kept, part], best, start) for start in bases]
+        better = int(len(trials) == 2 and np.std(trials[1][1]) < (1.0 - SETTLED_WORTH_IT) * np.std(trials[0][1]))
+        trial, start = trials[better], bases[better]
+        if np.std(trial[1]) < (1.0 - WORTH_IT) * np.std(rest):
+            kept.append(part)
+            base = start
+            best, rest, deviation, converged = trial
+    warnings = [
+        f"{name} = {best[name]:.4g} lies at the end of its range {low:.3g} … {high:.3g}; the data does not settle it"
+        for name, _, low, high in [*extra, *(ranges[part] for part in kept)]
+        if min(best[name] - low, high - best[name]) < 1e-4 * (high - low) and name != "delay"
+    ]
+    part, shape = _split(base, best)
+    return part, shape, deviation or {}, tuple(warnings), converged
+
+
+def _split(base: LinearPart, values: dict) -> tuple[LinearPart, dict]:
+    own = {name: float(values[name]) for name in ("lag", "delay", "creep_rate") if name in values}
+    return replace(base, **own), {name: float(value) for name, value in values.items() if name not in own}
+
+
+def _deviations(jacobian, residual) -> np.ndarray:
+    """Standard deviations from the Jacobian; correlated residuals count as fewer samples."""
+    n, m = jacobian.shape
+    centred = residual - residual.mean()
+    power = np.abs(np.fft.rfft(centred, 2 * n)) ** 2
+    correlation = np.fft.irfft(power)[: n // 4]
+    below = np.flatnonzero(correlation < 0.05 * correlation[0])
+    reach = int(below[0]) if below.size else n // 4
+    inflation = 1.0 + 2.0 * float(np.sum(correlation[1:reach])) / float(correlation[0] or 1.0)
+    variance = inflation * float(centred @ centred) / max(n - m, 1)
+    return np.sqrt(np.maximum(np.diag(np.linalg.pinv(jacobian.T @ jacobian)) * variance, 0.0))

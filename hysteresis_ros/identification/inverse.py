@@ -1,0 +1,107 @@
+"""Inverse validation: the measured displacement goes in, the voltage that caused it should come back.
+
+The lag is undone with a smoothed derivative (which may look ahead, unlike on a running axis), creep and hysteresis by
+the compensator of the nodes. Errors of a model are felt here divided by its local slope.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.signal
+
+from hysteresis_ros.compensation.compensator import Compensator, CompensatorParameters, InverseParameters
+from hysteresis_ros.identification.hammerstein import HammersteinFit
+from hysteresis_ros.models.limits import LimitsParameters
+
+#: The window of the smoothed derivative covers this many lags, and at least so many samples.
+WINDOW = 3.0
+FEWEST = 5
+#: The voltage may leave the range of the identification by this part of it on each side.
+BEYOND = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class InverseValidation:
+    """Result of :func:`recover_voltage`.
+
+    Parameters
+    ----------
+    voltage : ndarray, shape (N,)
+        Recovered voltage [V].
+    error : ndarray, shape (N - skip,)
+        Recovered less applied voltage [V].
+    rmse : float
+        [V]
+    rmse_displacement : float
+        The same in displacement [m], through the model's nominal gain.
+    rmse_percent : float
+        Of the range of the applied voltage.
+    """
+
+    voltage: np.ndarray
+    error: np.ndarray
+    rmse: float
+    rmse_displacement: float
+    rmse_percent: float
+
+
+def recover_voltage(
+    fit: HammersteinFit, displacement, voltage, skip: int = 0, free_offset: bool = True
+) -> InverseValidation:
+    """Invert the model along a measured displacement and compare with the voltage that was applied.
+
+    Parameters
+    ----------
+    fit : HammersteinFit
+        Model; the data must have its sample time.
+    displacement, voltage : array_like, shape (N,)
+        [m] and [V].
+    skip : int
+        Samples left out of the comparison at the start.
+    free_offset : bool
+        Take the constant between measurement and model out of the displacement first.
+    """
+    y, v = (np.ascontiguousarray(values, dtype=np.float64) for values in (displacement, voltage))
+    if free_offset:
+        y = y - np.mean((y - fit.simulate(v))[skip:])
+    wanted = undo_lag(y, fit.linear_part.lag, fit.linear_part.delay, fit.sample_time)
+    margin = BEYOND * (fit.voltage_high - fit.voltage_low)
+    parameters = CompensatorParameters(
+        inverse=InverseParameters(type="general"),
+        hysteresis=fit.hysteresis,
+        creep=fit.creep,
+        limits=LimitsParameters(
+            minimum=min(fit.voltage_low, 0.0) - margin, maximum=max(fit.voltage_high, 0.0) + margin
+        ),
+    )
+    compensator = Compensator(parameters, fit.sample_time)
+    found = np.array([compensator.step(command) for command in wanted])
+    error = (found - v)[skip:]
+    rmse = float(np.sqrt(np.mean(error**2)))
+    gain = compensator.hysteresis.gain
+    return InverseValidation(found, error, rmse, rmse * gain, 100.0 * rmse / float(np.ptp(v[skip:])))
+
+
+def undo_lag(y, lag: float, delay: float, sample_time: float) -> np.ndarray:
+    """Return the input, shape (N,), of a lag and a delay whose output is ``y``, smoothed no more than needed.
+
+    Parameters
+    ----------
+    y : array_like, shape (N,)
+    lag, delay : float
+        [s]
+    sample_time : float
+        [s]
+    """
+    y = np.asarray(y, dtype=float)
+    if lag + delay < 0.1 * sample_time:
+        return y.copy()
+    samples = max(FEWEST, 2 * int(0.5 * WINDOW * lag / sample_time) + 1)
+    samples = min(samples, y.size - 1 + y.size % 2)
+    smooth = scipy.signal.savgol_filter(y, samples, 2)
+    slope = scipy.signal.savgol_filter(y, samples, 2, deriv=1, delta=sample_time)
+    early = smooth + lag * slope
+    place = np.arange(y.size) + delay / sample_time
+    return np.interp(place, np.arange(y.size), early)

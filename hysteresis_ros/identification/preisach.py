@@ -1,0 +1,134 @@
+"""Preisach models from data, together with lag, delay and creep.
+
+One large loop does not settle a Preisach density over two variables, so the density is taken as the simplest that fits
+such loops: a constant reversible slope, and a density that depends on the width of an elementary loop freely (but
+smoothly, and never negative) and on its bias linearly. The Everett map of such a density is that of plays behind the
+bent voltage ``g(V) = V + κ ((V - c)²/h - h)`` (c and h: centre and half width of the range): the weights follow by
+linear least squares (:mod:`.weights`), κ is searched with the linear part. Rayleigh's law is the case of equal weights.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hysteresis_ros.identification.hammerstein import HammersteinFit, condense, fit_linear_part
+from hysteresis_ros.identification.prandtl_ishlinskii import SEARCH_STRENGTH, finished
+from hysteresis_ros.identification.weights import plays, radii, smooth_weights
+from hysteresis_ros.models.hysteresis import HysteresisParameters
+from hysteresis_ros.models.preisach import PreisachParameters
+
+WIDTHS = 24
+NODES = 33
+#: The range of the map goes beyond that of the data by this part on each side.
+BEYOND = 0.01
+#: Largest dependence on the bias: g stays monotone up to 0.5.
+LARGEST_BIAS = 0.4
+
+
+def fit_preisach(
+    voltage,
+    displacement,
+    sample_time: float,
+    *,
+    widths: int = WIDTHS,
+    nodes: int = NODES,
+    linear=("lag", "delay", "creep"),
+    skip: int | None = None,
+    progress=None,
+) -> HammersteinFit:
+    """Fit voltage → Preisach map → creep → lag and delay.
+
+    Parameters
+    ----------
+    voltage, displacement : array_like, shape (N,)
+        [V] and [m], uniformly sampled.
+    sample_time : float
+        [s]
+    widths : int
+        Widths at which the density has a weight.
+    nodes : int
+        Nodes of the map on each side.
+    linear : sequence of str
+        Which of ``lag``, ``delay`` and ``creep`` may be there; each is kept only if it lowers the residual.
+    skip : int, optional
+        Samples left out of the fit at the start, see :func:`.hammerstein.condense`.
+    progress : callable, optional
+        Called as ``progress(evaluations, rmse)``.
+
+    Raises
+    ------
+    IdentificationError
+        The data or the settings cannot be used; the message says why.
+    """
+    data = condense(voltage, displacement, sample_time, skip)
+    fit = _Density(data, widths)
+    fit.search(linear, progress)
+    return finished(fit, fit.parameters(nodes), voltage, displacement, sample_time)
+
+
+class _Density:
+    """Weights over the width of elementary loops, and their dependence on the bias."""
+
+    def __init__(self, data, widths: int):
+        self.data = data
+        low, high = min(float(data.voltage.min()), 0.0), max(float(data.voltage.max()), 0.0)
+        margin = BEYOND * (high - low)
+        self.low, self.high = (low - margin if low < 0.0 else 0.0), high + margin
+        self.centre, self.half = 0.5 * (self.low + self.high), 0.5 * (self.high - self.low)
+        spacing = self.half / widths
+        self.radii = radii(2.0 * self.half, widths) + 0.5 * spacing
+        # second differences of the density, per step of the width in half ranges
+        self.roughness = np.diff(np.eye(widths + 1), 2, axis=0)[1:] * np.sqrt(widths)
+
+    def bent(self, voltage, bias: float):
+        """Return g(V) [V]."""
+        offset = np.asarray(voltage, dtype=float) - self.centre
+        return voltage + bias * (offset**2 / self.half - self.half)
+
+    def columns(self, bias: float) -> np.ndarray:
+        """Regressors, shape (N, 1 + widths): the voltage, and the plays behind g, after saturation at the lower end."""
+        voltage = self.data.voltage
+        g = self.bent(voltage, bias)
+        bottom, rest = self.bent(np.array([self.low, 0.0]), bias)
+        # fallen to the lower end and risen to 0 V: where the Preisach block starts
+        start = np.maximum(bottom + self.radii, rest - self.radii)
+        return np.column_stack([voltage, plays(g, self.radii, start) - start])
+
+    def solve(self, part, shape, strength=SEARCH_STRENGTH):
+        """Return the residual [m] of the best weights."""
+        data = self.data
+        target = data.displacement[data.first :]
+        self.bias = shape["bias"]
+        moved = part.apply(self.columns(self.bias), data.sample_time)[data.first :]
+        self.weights, free, residual, _ = smooth_weights(
+            moved, np.ones((len(target), 1)), target, self.roughness, strength
+        )
+        self.offset = float(free[0])
+        return residual
+
+    def search(self, linear, progress):
+        """Search the linear part and the bias, then settle the weights."""
+        extra = [("bias", 0.0, -LARGEST_BIAS, LARGEST_BIAS)]
+        self.part, shape, self.deviations, self.warnings, self.converged = fit_linear_part(
+            self.solve, self.data, extra, linear, progress
+        )
+        self.rms = float(np.std(self.solve(self.part, shape, None)))
+
+    def parameters(self, nodes: int) -> HysteresisParameters:
+        """Return slope and Everett map E(a, b) = Σ w max(0, g(a) - g(b) - 2 r)."""
+        voltages = np.linspace(self.low, self.high, nodes)
+        grid = self.bent(voltages, self.bias)
+        table = np.zeros((nodes, nodes))
+        for weight, radius in zip(self.weights[1:], self.radii, strict=True):
+            table += weight * np.maximum(grid[:, None] - grid[None, :] - 2.0 * radius, 0.0)
+        slope = max(float(self.weights[0]), 1e-6 * float(self.weights.sum()))
+        # the block counts from its lower end, the regressors from 0 V
+        rest = float(np.interp(0.0, voltages, table[:, 0])) - slope * self.low
+        parameters = PreisachParameters(
+            voltage_low=self.low,
+            voltage_high=self.high,
+            everett=tuple(table[np.tril_indices(nodes)].tolist()),
+            slope=slope,
+            offset=self.offset / self.part.settled_gain - rest,
+        )
+        return HysteresisParameters(type="preisach", preisach=parameters)

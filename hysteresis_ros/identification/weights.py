@@ -1,0 +1,144 @@
+"""Weights of many play operators from data: not negative, and as smooth over the radius as the data allows.
+
+A recording of one large loop settles every weight of a classical Prandtl-Ishlinskii model, but noise and small model
+errors make neighbouring weights alternate, which is felt in minor loops. So the roughness (second difference) of the
+weights is punished as strongly as the residual permits.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+#: The residual may grow by this part for the sake of smooth weights.
+DISCREPANCY = 0.01
+#: Added to the normal equations of columns of unit length.
+GRAM_FLOOR = 1e-13
+#: Strengths that are tried, from hardly any to nearly straight.
+STRENGTHS = 10.0 ** np.arange(-4.0, 1.6, 0.5)
+
+
+def radii(voltage_range: float, count: int) -> np.ndarray:
+    """Return ``count`` radii [V], from 0, in steps of half the range over their number.
+
+    A play whose radius is half the range never moves and is left out.
+
+    Parameters
+    ----------
+    voltage_range : float
+        [V]
+    count : int
+    """
+    return 0.5 * voltage_range * np.arange(count) / count
+
+
+def plays(voltage, play_radii, start=None) -> np.ndarray:
+    """Return the outputs of the play operators, shape (N, m), all in their middle at 0 V before.
+
+    Along a monotone stretch the play is a running maximum (minimum) of V - r (V + r), so the recursion only stops at
+    reversals; the loop over samples stays with NumPy.
+
+    Parameters
+    ----------
+    voltage : ndarray, shape (N,)
+        [V]
+    play_radii : ndarray, shape (m,)
+        [V]
+    start : ndarray, shape (m,), optional
+        Outputs before the first sample [V].
+    """
+    voltage = np.asarray(voltage, dtype=float)
+    z = np.zeros(len(play_radii)) if start is None else np.array(start, dtype=float)
+    result = np.empty((voltage.size, len(play_radii)))
+    direction = np.sign(np.diff(voltage, prepend=voltage[0] - 1.0))
+    moving = np.flatnonzero(direction)
+    turns = moving[1:][np.diff(direction[moving]) != 0.0]
+    edges = sorted({0, min(1, voltage.size), *turns.tolist(), voltage.size})
+    for first, last in zip(edges, edges[1:], strict=False):  # V moves one way within a stretch; the first is one step
+        part = voltage[first:last, None]
+        block = np.maximum(part - play_radii, np.minimum(part + play_radii, z))
+        result[first:last] = block
+        z = block[-1]
+    return result
+
+
+def smooth_weights(regressors, free, target, roughness, strength: float | None = None, ridge=None):
+    """Solve for weights ≥ 0 of ``regressors`` and free coefficients of ``free``, smooth within the discrepancy.
+
+    Parameters
+    ----------
+    regressors : ndarray, shape (N, m)
+        One column a weight, of about one size.
+    free : ndarray, shape (N, k)
+        Columns whose coefficients may have any sign.
+    target : ndarray, shape (N,)
+    roughness : ndarray, shape (q, m)
+        Rows that shall be small.
+    strength : float, optional
+        Of their penalty, relative to the size of the regressors; chosen by the discrepancy by default.
+    ridge : ndarray, shape (k,), optional
+        Penalties that pull the free coefficients to zero.
+
+    Returns
+    -------
+    weights, coefficients, residual : ndarray
+        Shapes (m,), (k,), (N,).
+    float
+        The strength of the penalty.
+    """
+    solver = WeightSolver(regressors, free, target, roughness, ridge)
+    if strength is not None:
+        return *solver.solve(strength), strength
+    trials = [(strength, *solver.solve(strength)) for strength in STRENGTHS]
+    smallest = min(np.std(residual) for *_, residual in trials)
+    strength, weights, coefficients, residual = [
+        trial for trial in trials if np.std(trial[-1]) <= (1.0 + DISCREPANCY) * smallest
+    ][-1]
+    return weights, coefficients, residual, strength
+
+
+class WeightSolver:
+    """Constrained least squares in the compressed form R of the Cholesky decomposition, for several penalties.
+
+    Parameters
+    ----------
+    regressors, free, target, roughness, ridge : ndarray
+        See :func:`smooth_weights`.
+    """
+
+    def __init__(self, regressors, free, target, roughness, ridge=None):
+        self.count = regressors.shape[1]
+        self.table = np.column_stack([regressors, free])
+        self.target = target
+        self.roughness = roughness
+        both = np.column_stack([self.table, target])
+        sizes = np.linalg.norm(both, axis=0)
+        sizes[sizes == 0.0] = 1.0
+        gram = (both.T @ both) / np.outer(sizes, sizes)
+        # the floor keeps columns that repeat each other apart; it is far below any noise
+        compressed = np.linalg.cholesky(gram + GRAM_FLOOR * np.eye(len(gram))).T * sizes
+        self.r, self.t = compressed[:, :-1], compressed[:, -1]
+        self.ridge = np.zeros(free.shape[1]) if ridge is None else np.asarray(ridge, dtype=float)
+        self.size = float(np.linalg.norm(self.r[:, : self.count]) / np.sqrt(self.count))
+
+    def solve(self, strength: float):
+        """Return weights, free coefficients and residual for one strength of the penalty.
+
+        Parameters
+        ----------
+        strength : float
+            Relative to the size of the regressors.
+        """
+        from scipy.optimize import nnls  # imported here because only fits need it
+
+        free = self.r[:, self.count :]
+        penalty = np.zeros((len(self.roughness), self.table.shape[1] + free.shape[1]))
+        penalty[:, : self.count] = strength * self.size * self.roughness
+        # a coefficient of any sign is the difference of two that are not negative
+        pull = np.zeros((free.shape[1], penalty.shape[1]))
+        pull[:, self.count :] = np.column_stack([np.diag(self.ridge), -np.diag(self.ridge)])
+        table = np.vstack([np.column_stack([self.r, -free]), penalty, pull])
+        solution, _ = nnls(table, np.append(self.t, np.zeros(len(table) - len(self.t))), maxiter=50 * table.shape[1])
+        weights = solution[: self.count]
+        split = self.count + free.shape[1]
+        coefficients = solution[self.count : split] - solution[split:]
+        return weights, coefficients, self.target - self.table @ np.append(weights, coefficients)

@@ -1,0 +1,162 @@
+"""Hysteresis, creep, lag and delay are told apart on synthetic recordings whose truth is known."""
+
+import numpy as np
+import pytest
+
+from hysteresis_ros.errors import IdentificationError
+from hysteresis_ros.identification.hammerstein import condense, simulate_chain
+from hysteresis_ros.identification.inverse import recover_voltage
+from hysteresis_ros.identification.linear_part import LinearPart
+from hysteresis_ros.identification.prandtl_ishlinskii import fit_prandtl_ishlinskii
+from hysteresis_ros.identification.preisach import fit_preisach
+from hysteresis_ros.identification.weights import plays, radii, smooth_weights
+from hysteresis_ros.models.hysteresis import HysteresisParameters
+from hysteresis_ros.models.linear import dc_gain
+from hysteresis_ros.models.prandtl_ishlinskii import PrandtlIshlinskiiHysteresis, PrandtlIshlinskiiParameters
+
+SAMPLE_TIME = 0.005
+RADII = (0.0, 10.0, 20.0, 30.0, 40.0)
+WEIGHTS = (60e-9, 8e-9, 8e-9, 8e-9, 8e-9)
+
+
+def stack(thresholds=(), zone_weights=()):
+    parameters = PrandtlIshlinskiiParameters(RADII, WEIGHTS, thresholds, zone_weights)
+    return HysteresisParameters(type="prandtl_ishlinskii", prandtl_ishlinskii=parameters)
+
+
+def sine(cycles, amplitude=50.0, sample_time=SAMPLE_TIME):
+    time = np.arange(round(cycles / sample_time)) * sample_time
+    return amplitude * (1.0 - np.cos(2.0 * np.pi * time))
+
+
+def decaying(sample_time=SAMPLE_TIME):
+    time = np.arange(round(8.0 / sample_time)) * sample_time
+    return 50.0 - 50.0 * np.exp(-0.3 * time) * np.cos(2.0 * np.pi * time)
+
+
+def record(hysteresis, linear_part, voltage, noise=0.0, sample_time=SAMPLE_TIME):
+    dynamics = linear_part.dynamics(sample_time)
+    y = simulate_chain(hysteresis, linear_part.creep, dynamics, voltage, sample_time)
+    return y + noise * np.random.default_rng(1).standard_normal(y.size)
+
+
+def test_play_columns_equal_the_kernel_of_the_nodes():
+    voltage = np.random.default_rng(0).normal(0.0, 30.0, 400)
+    block = PrandtlIshlinskiiHysteresis(PrandtlIshlinskiiParameters(RADII, WEIGHTS), SAMPLE_TIME)
+    np.testing.assert_allclose(
+        plays(voltage, np.array(RADII)) @ np.array(WEIGHTS), block.simulate(voltage), rtol=0.0, atol=1e-18
+    )
+
+
+def test_weights_come_back_and_are_never_negative():
+    voltage = np.concatenate([sine(2), -sine(1), decaying()])
+    table = plays(voltage, radii(100.0, 5))
+    weights = np.array([5.0, 1.0, 0.8, 0.6, 0.4])
+    found, offset, residual, _ = smooth_weights(
+        table, np.ones((len(table), 1)), table @ weights - 3.0, np.diff(np.eye(5), 2, axis=0)[1:]
+    )
+    np.testing.assert_allclose(found, weights, rtol=1e-3)
+    np.testing.assert_allclose(offset, -3.0, rtol=1e-3)
+    assert np.max(np.abs(residual)) < 1e-2
+    pushed, *_ = smooth_weights(
+        table, np.ones((len(table), 1)), table @ (weights - 2.0), np.diff(np.eye(5), 2, axis=0)[1:]
+    )
+    assert np.all(pushed >= 0.0)
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.002, 0.005, 0.0125])
+def test_discrete_lag_and_delay_keep_unit_gain_and_total_delay(delay):
+    part = LinearPart(lag=0.02, delay=delay)
+    A, B, C, D = part.dynamics(SAMPLE_TIME).matrices
+    assert dc_gain(A, B, C, D) == pytest.approx(1.0, abs=1e-12)
+    # the centroid of the impulse response is the sum of lag and delay; holding is half a sample of it
+    x, response = B.copy(), []
+    for _ in range(400):
+        response.append(C @ x)
+        x = A @ x
+    centroid = np.sum(np.arange(400) * response) * SAMPLE_TIME
+    held = part.lag if delay >= 0.5 * SAMPLE_TIME else part.lag + delay - 0.5 * SAMPLE_TIME
+    expected = np.exp(-SAMPLE_TIME / held) / (1.0 - np.exp(-SAMPLE_TIME / held)) * SAMPLE_TIME
+    assert centroid == pytest.approx(expected + max(delay - 0.5 * SAMPLE_TIME, 0.0), abs=1e-9)
+
+
+def test_lag_and_creep_are_told_from_hysteresis():
+    truth = LinearPart(lag=0.02, creep_rate=0.015, longest_time=20.0)
+    voltage = sine(20)
+    y = record(stack(), truth, voltage, noise=2e-9)
+    fit = fit_prandtl_ishlinskii(voltage, y, SAMPLE_TIME, zone_count=0, play_count=10)
+    assert fit.linear_part.lag + fit.linear_part.delay == pytest.approx(truth.lag, abs=1.5e-3)
+    assert fit.linear_part.creep_rate == pytest.approx(truth.creep_rate, rel=0.1)
+    assert fit.rmse < 1e-3 * fit.stroke
+    # what counts: amplitudes that were not recorded
+    other = decaying()
+    error = fit.simulate(other) - record(stack(), truth, other)
+    assert np.std(error[200:]) < 4e-3 * fit.stroke
+
+
+def test_a_quasi_static_sweep_gets_no_dynamics():
+    points = [0.0, 100.0, 0.0, 100.0, 30.0, 70.0, 0.0]
+    voltage = np.concatenate([np.linspace(a, b, 150) for a, b in zip(points, points[1:], strict=False)])
+    y = PrandtlIshlinskiiHysteresis(stack().prandtl_ishlinskii, 1.0).simulate(voltage)
+    y = y + 1e-9 * np.random.default_rng(0).standard_normal(y.size)
+    fit = fit_preisach(voltage, y, 1.0)
+    assert fit.synchronous and fit.dynamics.order == 0 and fit.creep.type == "none"
+    assert fit.rmse < 2e-3 * fit.stroke
+
+
+@pytest.mark.parametrize("fitter", [fit_prandtl_ishlinskii, fit_preisach])
+def test_units_and_offset_do_not_matter(fitter):
+    voltage = sine(4)
+    y = record(stack(), LinearPart(lag=0.02), voltage, noise=5e-9)
+    options = dict(linear=("lag",))
+    one = fitter(voltage, y, SAMPLE_TIME, **options)
+    other = fitter(voltage, 1000.0 * y + 3e-3, SAMPLE_TIME, **options)
+    assert other.linear_part.lag == pytest.approx(one.linear_part.lag, rel=1e-3)
+    np.testing.assert_allclose(other.simulate(voltage), 1000.0 * one.simulate(voltage) + 3e-3, atol=2e-6)
+
+
+def test_dead_zones_are_found_where_they_are_needed():
+    bent = stack((2e-6, 4e-6, 6e-6), (-0.1, -0.1, -0.1))
+    voltage = sine(4)
+    y = record(bent, LinearPart(), voltage, noise=2e-9)
+    plain = fit_prandtl_ishlinskii(voltage, y, SAMPLE_TIME, linear=("lag",), zone_count=0)
+    modified = fit_prandtl_ishlinskii(voltage, y, SAMPLE_TIME, linear=("lag",))
+    assert modified.hysteresis.prandtl_ishlinskii.thresholds
+    assert modified.rmse < 0.35 * plain.rmse
+
+
+def test_a_fine_long_recording_is_condensed():
+    time = np.arange(60000) / 5000.0
+    data = condense(150.0 * np.sin(2.0 * np.pi * time), np.sin(2.0 * np.pi * time), 1.0 / 5000.0)
+    assert data.factor == 10 and len(data.voltage) == 6000
+    assert data.sample_time == pytest.approx(0.002)
+
+
+def test_the_voltage_comes_back_from_the_displacement():
+    truth = LinearPart(lag=0.02, creep_rate=0.01, longest_time=10.0)
+    voltage = sine(6)
+    y = record(stack(), truth, voltage)
+    fit = fit_prandtl_ishlinskii(voltage, y, SAMPLE_TIME, zone_count=0, play_count=10)
+    other = decaying()
+    back = recover_voltage(fit, record(stack(), truth, other), other, skip=200)
+    assert back.rmse_percent < 0.5
+
+
+@pytest.mark.parametrize(
+    "voltage, displacement, words",
+    [
+        (np.linspace(0.0, 1.0, 200), np.linspace(0.0, 1.0, 200), "never turns"),
+        (np.zeros(200), np.linspace(0.0, 1.0, 200), "constant"),
+        (sine(1), np.where(np.arange(200) == 50, np.nan, sine(1)), "NaN"),
+        (sine(1), sine(2), "one shape"),
+        (sine(1)[:20], sine(1)[:20], "N ≥ 50"),
+    ],
+)
+def test_bad_data_is_refused_with_the_reason(voltage, displacement, words):
+    with pytest.raises(IdentificationError, match=words):
+        fit_prandtl_ishlinskii(voltage, displacement, SAMPLE_TIME)
+
+
+def test_an_unknown_linear_part_is_refused():
+    with pytest.raises(IdentificationError, match="lag, delay, creep"):
+        fit_preisach(sine(2), sine(2), SAMPLE_TIME, linear=("resonance",))

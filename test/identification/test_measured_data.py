@@ -1,0 +1,65 @@
+"""Measured and benchmark recordings: fitted on their training files, judged on files the fit has not seen.
+
+The data is not part of the project. It is looked for in the folder that HYSTERESIS_DATA names, else beside the
+repository in ../shared/data.
+"""
+
+import os
+import pathlib
+
+import numpy as np
+import pytest
+
+from hysteresis_ros.block import COMPILED
+from hysteresis_ros.identification.bouc_wen_mechanical import fit_bouc_wen_mechanical
+from hysteresis_ros.identification.inverse import recover_voltage
+from hysteresis_ros.identification.prandtl_ishlinskii import fit_prandtl_ishlinskii
+from hysteresis_ros.identification.preisach import fit_preisach
+from hysteresis_ros.models.bouc_wen_mechanical import BoucWenMechanicalParameters
+
+REPOSITORY = pathlib.Path(__file__).resolve().parents[2]
+DATA = pathlib.Path(os.environ.get("HYSTERESIS_DATA", REPOSITORY.parent / "shared" / "data"))
+SKIPPED = 400  # samples of both piezo recordings that their README leaves out
+
+
+def table(name):
+    path = DATA / name
+    if not path.exists():
+        pytest.skip(f"no {name} in {DATA}; name the folder of the recordings in HYSTERESIS_DATA")
+    return np.loadtxt(path, delimiter=",", skiprows=1)
+
+
+def stack_recording(name):
+    columns = table(f"yan9a_dbo/{name}.csv")
+    return columns[:, 1], 1e-6 * columns[:, 2]
+
+
+@pytest.mark.parametrize(
+    "fitter, train, test", [(fit_preisach, 0.10e-6, 0.22e-6), (fit_prandtl_ishlinskii, 0.14e-6, 0.22e-6)]
+)
+def test_piezo_stack_major_loops_predict_other_amplitudes(fitter, train, test):
+    voltage, displacement = stack_recording("model_1Hz_major")
+    fit = fitter(voltage, displacement, 0.005, skip=SKIPPED)
+    assert fit.rmse < train
+    assert 0.013 < fit.linear_part.lag + fit.linear_part.delay < 0.019  # amplifier and sensor
+    assert 0.01 < fit.linear_part.creep_rate < 0.02  # what data sheets of such stacks say, a decade
+    voltage, displacement = stack_recording("test_1Hz_variable_amplitude")
+    error = (displacement - fit.simulate(voltage))[SKIPPED:]
+    assert np.std(error) < test
+    back = recover_voltage(fit, displacement, voltage, skip=SKIPPED)
+    assert back.rmse_percent < 0.6
+
+
+@pytest.mark.skipif(not COMPILED, reason="takes minutes without Numba")
+def test_bouc_wen_benchmark_from_thirty_percent_off():
+    train = table("boucwen_benchmark/train_multisine.csv")
+    factors = dict(mass=1.35, damping=0.65, stiffness=0.65, alpha=1.4, beta=0.69, gamma=1.4, delta=1.35)
+    truth = dict(mass=2.0, damping=10.0, stiffness=5e4, alpha=5e4, beta=1e3, gamma=0.8, delta=-1.1)
+    start = BoucWenMechanicalParameters(**{name: factors[name] * value for name, value in truth.items()})
+    sample_time = 1.0 / 750.0
+    fit = fit_bouc_wen_mechanical(train[:, 1], train[:, 2], sample_time, start)
+    assert not fit.warnings and fit.converged
+    for name, initial, limit in (("test_multisine", "periodic", 1e-6), ("test_sinesweep", "zero", 5e-6)):
+        test = table(f"boucwen_benchmark/{name}.csv")
+        error = fit.simulate(test[:, 1], sample_time, initial) - test[:, 2]
+        assert np.sqrt(np.mean(error**2)) < limit
