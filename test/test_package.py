@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import ast
+import functools
+import importlib.util
 import inspect
+import json
 import pathlib
 import re
 import subprocess
@@ -79,28 +82,37 @@ def child(element, name: str) -> str:
     return element.find(name).text
 
 
-def setup_arguments(monkeypatch) -> dict:
+#: Prints what setup.py hands to setuptools; in a process of its own, because setuptools replaces Python's distutils and
+#: refuses to be imported after it.
+SETUP = """
+import json, setuptools
+given = {}
+setuptools.setup = lambda **arguments: given.update(arguments)
+exec(compile(open("setup.py", encoding="utf-8").read(), "setup.py", "exec"), {"__file__": "setup.py"})
+print(json.dumps(given, default=str))
+"""
+
+
+@functools.cache
+def setup_arguments() -> dict:
     """Return what setup.py hands to setuptools."""
-    setuptools = pytest.importorskip("setuptools", reason="setup.py needs setuptools")
-    given = {}
-    monkeypatch.setattr(setuptools, "setup", given.update)
-    monkeypatch.chdir(ROOT)
-    path = ROOT / "setup.py"
-    exec(compile(path.read_text(encoding="utf-8"), path, "exec"), {"__file__": str(path), "__name__": "setup"})
-    return given
+    if importlib.util.find_spec("setuptools") is None:
+        pytest.skip("setup.py needs setuptools")
+    answer = subprocess.run([sys.executable, "-c", SETUP], cwd=ROOT, capture_output=True, text=True, check=True)
+    return json.loads(answer.stdout)
 
 
-def test_version_is_the_same_everywhere(monkeypatch):
+def test_version_is_the_same_everywhere():
     manifest = xml.etree.ElementTree.parse(ROOT / "package.xml").getroot()
-    arguments = setup_arguments(monkeypatch)
+    arguments = setup_arguments()
     assert hysteresis_ros.__version__ == child(manifest, "version") == arguments["version"]
     assert re.fullmatch(r"\d+\.\d+\.\d+", hysteresis_ros.__version__), "ROS wants three numbers"
     assert hysteresis_ros.__version__ in (ROOT / "CHANGELOG.rst").read_text(encoding="utf-8")
 
 
-def test_manifest_and_setup_describe_the_same_package(monkeypatch):
+def test_manifest_and_setup_describe_the_same_package():
     manifest = xml.etree.ElementTree.parse(ROOT / "package.xml").getroot()
-    arguments = setup_arguments(monkeypatch)
+    arguments = setup_arguments()
     assert child(manifest, "name") == arguments["name"] == "hysteresis_ros"
     assert child(manifest, "license") == arguments["license"] == "Apache-2.0"
     assert child(manifest, "maintainer") == arguments["maintainer"]
@@ -115,8 +127,8 @@ def test_manifest_names_every_ros_package_that_is_imported():
     assert {top for top in tops if ROS.match(top)} <= named
 
 
-def test_every_executable_has_a_main_function(monkeypatch):
-    for entry in setup_arguments(monkeypatch)["entry_points"]["console_scripts"]:
+def test_every_executable_has_a_main_function():
+    for entry in setup_arguments()["entry_points"]["console_scripts"]:
         name, target = entry.split(" = ")
         module, function = target.split(":")
         path = ROOT / (module.replace(".", "/") + ".py")
