@@ -200,7 +200,11 @@ def load_configuration(path) -> Configuration:
 
 
 class _Dumper(yaml.SafeDumper):
-    """YAML that both parsers read as the same numbers: every double keeps a point or an exponent with a point."""
+    """YAML that both parsers read as the same numbers: every double keeps its point, and nothing is aliased."""
+
+    def ignore_aliases(self, data) -> bool:
+        """Write every value out, also one that stands in several places: ROS reads no aliases."""
+        return True
 
 
 def _represent_float(dumper, value):

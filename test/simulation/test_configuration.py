@@ -91,6 +91,13 @@ def test_written_parameters_come_back_bit_for_bit():
     }
 
 
+def test_one_array_in_two_places_is_written_out_twice():
+    shared = (1.0, 2.0)
+    text = dump_configuration({"/a": {"x": shared}, "/b": {"y": shared, "z": shared}})
+    assert "*" not in text and "&" not in text
+    assert parse_configuration(text, "t").node("b") == {"y": [1.0, 2.0], "z": [1.0, 2.0]}
+
+
 def test_all_wrong_parameters_are_named_together():
     configuration = load_configuration("kim2009")
     configuration = configuration.override("plant_simulator", limits__bits=99, sensor__noyse=1.0)

@@ -1,0 +1,220 @@
+"""The page of an identification or validation: what was measured beside what the model says, and what is left."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hysteresis_ros.analysis.plots import add_legend, data_uri, envelope, new_figure
+from hysteresis_ros.analysis.report import render_page, write_page
+from hysteresis_ros.identification.data import IdentificationData
+from hysteresis_ros.identification.identified import Chain, Identification
+from hysteresis_ros.identification.inverse import InverseValidation
+from hysteresis_ros.identification.parameter_file import assumptions
+from hysteresis_ros.identification.validation import CorrelationTest, Validation
+
+_MEASURED, _MODEL, _RESIDUAL, _LIMIT = "#1f3b73", "#d1495b", "#2a9d8f", "#444444"
+_MICRO = 1e6
+#: Samples of a loop on paper.
+LOOP_POINTS = 20000
+#: Rows of the table: name, words, unit, factor.
+ROWS = (
+    ("rmse_m", "RMS error of the prediction", "µm", 1e6),
+    ("rmse_percent_of_stroke", "RMS error", "% of stroke", 1.0),
+    ("maximum_error_m", "Largest error", "µm", 1e6),
+    ("fit_percent", "Fit", "%", 1.0),
+    ("fpe_m2", "Final prediction error", "µm²", 1e12),
+    ("stroke_m", "Stroke", "µm", 1e6),
+    ("offset_m", "Constant removed", "µm", 1e6),
+    ("inverse_rmse_v", "RMS error of the voltage the inverse finds", "V", 1.0),
+    ("inverse_rmse_percent", "RMS error of that voltage", "% of its range", 1.0),
+    ("samples", "Samples compared", "", 1),
+    ("skipped", "Samples left out at the start", "", 1),
+    ("lag_s", "Lag", "ms", 1e3),
+    ("delay_s", "Delay", "ms", 1e3),
+    ("creep_rate_per_decade", "Creep a decade", "% of the step", 100.0),
+)
+
+
+def write_identification_report(
+    path,
+    data: IdentificationData,
+    result: Identification,
+    predicted,
+    found: Validation,
+    inverse: InverseValidation | None,
+    summary: dict,
+) -> None:
+    """Write the page of an identification: one HTML file that needs nothing beside it.
+
+    Parameters
+    ----------
+    path : path-like
+        HTML file.
+    data : IdentificationData
+    result : Identification
+    predicted : ndarray, shape (N,)
+        Of the data it was identified from [m].
+    found : Validation
+    inverse : InverseValidation, optional
+    summary : dict
+        Figures and ``warnings``.
+
+    Raises
+    ------
+    MissingExtraError
+        Matplotlib or Jinja2 is not installed.
+    RecordingError
+        The file cannot be written.
+    """
+    plots = _plots(data, result.chain, predicted, found, inverse)
+    if result.trajectory is not None:
+        plots.append(("Parameters of the best run, each over its final value", trajectory_figure(*result.trajectory)))
+    title = f"{result.model} identified from {data.source or 'a recording'}"
+    _write(path, title, data, found, summary, plots, assumptions(result))
+
+
+def write_validation_report(
+    path,
+    data: IdentificationData,
+    chain: Chain,
+    predicted,
+    found: Validation,
+    inverse: InverseValidation | None,
+    summary: dict,
+) -> None:
+    """Write the page of a validation, like :func:`write_identification_report`.
+
+    Raises
+    ------
+    MissingExtraError
+        Matplotlib or Jinja2 is not installed.
+    RecordingError
+        The file cannot be written.
+    """
+    title = f"{chain.hysteresis.type} validated on {data.source or 'a recording'}"
+    _write(path, title, data, found, summary, _plots(data, chain, predicted, found, inverse), ())
+
+
+def _write(path, title, data, found, summary, plots, stated) -> None:
+    rows = []
+    for name, label, unit, factor in ROWS:
+        value = summary.get(name)
+        if value is not None:
+            text = str(value) if isinstance(value, int) else f"{value * factor:.4g}"
+            rows.append(dict(label=label, value=text, unit=unit))
+    html = render_page(
+        "identification.html.j2",
+        title=title,
+        summary=f"{len(data)} samples at {1.0 / data.sample_time:.6g} Hz; RMS error {1e6 * found.rmse:.4g} µm, "
+        f"{found.rmse_percent_of_stroke:.3g} % of stroke, fit {found.fit_percent:.4g} %",
+        warnings=summary["warnings"],
+        rows=rows,
+        plots=[dict(caption=caption, source=data_uri(figure)) for caption, figure in plots],
+        assumptions=stated,
+    )
+    write_page(path, html)
+
+
+def _plots(data, chain, predicted, found, inverse):
+    plots = [
+        ("Measured and predicted displacement", traces_figure(data, predicted, found)),
+        ("Residual (measured − predicted)", residual_figure(data, found)),
+        ("Loops, and the residual over the voltage", loops_figure(data, predicted, found)),
+        (
+            f"Correlations of the residual, with bounds of {100 * found.autocorrelation.confidence:g} % for each lag",
+            correlations_figure(found),
+        ),
+    ]
+    if inverse is not None:
+        plots.append(
+            ("Voltage that the inverse finds behind the displacement, less the applied", inverse_figure(data, inverse))
+        )
+    return plots
+
+
+def traces_figure(data: IdentificationData, predicted, found: Validation):
+    """Return the figure of measured and predicted displacement over time [µm, s]."""
+    figure, (axis,) = new_figure(3.4)
+    for label, values, colour, width in (
+        ("measured", data.output, _MEASURED, 2.2),
+        ("predicted", np.asarray(predicted) + found.offset, _MODEL, 1.0),
+    ):
+        axis.plot(*envelope(data.time, values * _MICRO), color=colour, linewidth=width, label=label)
+    if found.skipped:
+        axis.axvspan(data.time[0], data.time[found.skipped], color="#eeeeee", zorder=0, label="not compared")
+    axis.set(xlabel="time [s]", ylabel="displacement [µm]")
+    add_legend(axis)
+    return figure
+
+
+def residual_figure(data: IdentificationData, found: Validation):
+    """Return the figure of the residual over time [µm, s]."""
+    figure, (axis,) = new_figure(2.6)
+    axis.axhline(0.0, color=_LIMIT, linewidth=0.8)
+    axis.plot(*envelope(data.time[found.skipped :], found.residual * _MICRO), color=_RESIDUAL, linewidth=0.9)
+    axis.set(xlabel="time [s]", ylabel="residual [µm]")
+    return figure
+
+
+def loops_figure(data: IdentificationData, predicted, found: Validation):
+    """Return the figure of the loops, and of the residual, over the voltage [µm, V]."""
+    figure, (loops, left) = new_figure(4.2, 2)
+    first, stride = found.skipped, max(1, found.samples // LOOP_POINTS)
+    u = data.input[first::stride]
+    loops.plot(u, data.output[first::stride] * _MICRO, color=_MEASURED, linewidth=2.0, label="measured")
+    loops.plot(u, (predicted[first::stride] + found.offset) * _MICRO, color=_MODEL, linewidth=0.8, label="predicted")
+    left.plot(u, found.residual[::stride] * _MICRO, color=_RESIDUAL, linewidth=0.6)
+    left.axhline(0.0, color=_LIMIT, linewidth=0.8)
+    unit = f"{data.input_name} [{data.input_unit}]"
+    loops.set(xlabel=unit, ylabel="displacement [µm]")
+    left.set(xlabel=unit, ylabel="residual [µm]")
+    add_legend(loops)
+    return figure
+
+
+def correlations_figure(found: Validation):
+    """Return the figure of autocorrelation and input cross-correlation over the lag [samples] with their bounds."""
+    tests = [("autocorrelation", found.autocorrelation)]
+    if found.cross_correlation is not None:
+        tests.append(("input → residual", found.cross_correlation))
+    figure, axes = new_figure(3.0, len(tests))
+    for axis, (title, test) in zip(axes, tests, strict=True):
+        _correlation(axis, title, test)
+    return figure
+
+
+def _correlation(axis, title: str, test: CorrelationTest) -> None:
+    axis.axhspan(-test.bound, test.bound, color="#dfe7f3", zorder=0)
+    axis.axhline(0.0, color=_LIMIT, linewidth=0.8)
+    axis.vlines(test.lags, 0.0, test.correlation, color=_MEASURED, linewidth=1.6)
+    verdict = "within the bounds together" if test.passed else f"{test.outside} lags outside"
+    axis.set_title(f"{title}: {verdict}", fontsize=11)
+    axis.set(xlabel="lag [samples]", ylabel="correlation")
+
+
+def inverse_figure(data: IdentificationData, inverse: InverseValidation):
+    """Return the figure of the error of the recovered voltage over time [mV, s]."""
+    figure, (axis,) = new_figure(2.6)
+    axis.axhline(0.0, color=_LIMIT, linewidth=0.8)
+    time = data.time[data.time.size - inverse.error.size :]
+    axis.plot(*envelope(time, inverse.error * 1e3), color="#6a4c93", linewidth=0.9)
+    axis.set(xlabel="time [s]", ylabel="voltage error [mV]")
+    return figure
+
+
+def trajectory_figure(names, values):
+    """Return the figure of the parameters over the iterations, each divided by its final value.
+
+    Parameters
+    ----------
+    names : tuple of str
+    values : ndarray, shape (K, n)
+    """
+    figure, (axis,) = new_figure(3.0)
+    values = np.asarray(values)
+    for name, column in zip(names, values.T, strict=True):
+        axis.plot(column / (column[-1] or 1.0), linewidth=1.2, label=name)
+    axis.axhline(1.0, color=_LIMIT, linewidth=0.8)
+    axis.set(xlabel="iteration", ylabel="parameter / final value")
+    add_legend(axis)
+    return figure

@@ -1,0 +1,141 @@
+"""``hysteresis identify``: from a recording to a parameter file that the nodes run."""
+
+from __future__ import annotations
+
+import pathlib
+import sys
+
+import click
+
+from hysteresis_ros.cli.data_options import data_options, finite, format_figures, inverse_figures, read_data, write_json
+
+#: Exit code of a fit that did not converge: the best point was written.
+NOT_CONVERGED = 3
+#: Figures that are shown first.
+FIRST = ("model", "linear", "rmse_m", "rmse_percent_of_stroke", "fit_percent", "inverse_rmse_v")
+#: Steps of a progress bar; a fit whose length nobody knows fills it ever more slowly.
+BAR = 1000
+
+
+class Progress:
+    """A progress bar for fits of unknown length, on terminals: each report fills a part of what is left.
+
+    Parameters
+    ----------
+    model : str
+    """
+
+    def __init__(self, model: str):
+        self.label, self.filled, self.bar = f"identifying {model}", 0, None
+
+    def __enter__(self):
+        """Show the bar on a terminal."""
+        if sys.stderr.isatty():
+            self.bar = click.progressbar(
+                length=BAR, label=self.label, file=sys.stderr, show_eta=False, item_show_func=lambda text: text
+            ).__enter__()
+        return self
+
+    def __exit__(self, *exception):
+        """Fill and leave the bar."""
+        if self.bar is None:
+            return
+        if exception[0] is None:
+            self.bar.update(BAR - self.filled)
+        self.bar.__exit__(*exception)
+
+    def report(self, number: int, text: str) -> None:
+        """Take a report of the fit."""
+        if self.bar is None:
+            return
+        target = int(BAR * number / (number + 60.0)) if number > 0 else 0
+        step = max(target - self.filled, 0)
+        self.filled += step
+        self.bar.update(step, text)
+
+
+@click.command(short_help="Identify a model from a recording.")
+@click.argument("data", type=click.Path(path_type=pathlib.Path))
+@click.option("--model", default="prandtl_ishlinskii", show_default=True, help="Model; see `hysteresis models`.")
+@click.option("--linear", help="auto (default), none, lag,delay,creep, second_order, arx …; see `hysteresis models`.")
+@click.option("-p", "--option", "options", multiple=True, metavar="NAME=VALUE", help="Option of the model; repeatable.")
+@click.option("--inverse", help="Inverse of the compensator; the model's first by default.")
+@click.option("-o", "--params", "params", required=True, type=click.Path(path_type=pathlib.Path), help="File to write.")
+@click.option("--report", "report_path", type=click.Path(path_type=pathlib.Path), help="HTML page to write.")
+@data_options
+@click.pass_context
+def identify(
+    ctx,
+    data,
+    model,
+    linear,
+    options,
+    inverse,
+    params,
+    report_path,
+    skip,
+    offset,
+    intersample,
+    initial,
+    json_path,
+    **columns,
+):
+    """Identify a model from DATA (CSV, NPZ or bag) and write it as ROS 2 parameter file.
+
+    The file loads unchanged into plant, compensator and controller. Exit code 3: the fit did not converge, the best
+    point was written. 2: wrong input.
+    """
+    from dataclasses import replace
+
+    from hysteresis_ros.identification.parameter_file import (
+        file_text,
+        identification_section,
+        model_warnings,
+        write_file,
+    )
+    from hysteresis_ros.identification.prediction import judge, predict
+    from hysteresis_ros.identification.procedures import automatic_skip
+    from hysteresis_ros.identification.registry import identify as run
+    from hysteresis_ros.identification.registry import parse_options
+
+    chosen = parse_options(model, options)
+    recording, checks = read_data(data, **columns)
+    with Progress(model) as progress:
+        result = run(recording, model, linear, chosen, inverse, skip, intersample or "zoh", initial, progress.report)
+    compared = skip
+    if compared is None:
+        compared = 0 if result.chain.mechanical else automatic_skip(recording)
+    if offset == "free":
+        result = replace(
+            result,
+            chain=replace(result.chain, offset=0.0),
+            assumptions=(*result.assumptions, "one constant of the output was removed: the sensor's zero is not kept"),
+        )
+    predicted = predict(result.chain, recording.input, recording.sample_time, measured=recording.output)
+    found, back, reason = judge(
+        result.chain, recording.input, recording.output, predicted, compared, offset == "free", result.fitted
+    )
+    figures = found.to_dict()
+    judged = figures.pop("warnings")
+    figures |= inverse_figures(back)
+    notes = [*checks.warnings, *result.warnings, *model_warnings(result), *judged]
+    if back is None:
+        notes.append(f"no inverse validation: {reason}")
+    if not result.converged:
+        notes.insert(0, "the fit did not converge: this is the best point it found")
+    result = replace(result, warnings=tuple(dict.fromkeys(notes)))
+    section = identification_section(result, recording, figures, compared)
+    write_file(params, file_text(result, section))
+    summary = finite(
+        {"model": model, "linear": result.linear, **figures, **result.numbers, "converged": result.converged}
+    )
+    summary |= {"parameter_file": str(params), "warnings": list(result.warnings)}
+    if report_path is not None:
+        from hysteresis_ros.analysis.identification_report import write_identification_report
+
+        write_identification_report(report_path, recording, result, predicted, found, back, summary)
+        summary["report"] = str(report_path)
+    write_json(summary, json_path, format_figures(summary, FIRST))
+    if not result.converged:
+        click.echo(f"hysteresis: the fit did not converge; {params} holds the best point", err=True)
+        ctx.exit(NOT_CONVERGED)

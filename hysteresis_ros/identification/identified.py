@@ -1,0 +1,225 @@
+"""What every identification gives: one chain of blocks that the nodes run, and what must be said about it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from hysteresis_ros.compensation.compensator import InverseParameters
+from hysteresis_ros.identification.hammerstein import HammersteinFit
+from hysteresis_ros.identification.linear_part import LinearPart
+from hysteresis_ros.models.creep import CreepParameters
+from hysteresis_ros.models.hysteresis import HysteresisParameters, hysteresis_block
+from hysteresis_ros.models.linear import LinearParameters, dc_gain
+
+
+@dataclass(frozen=True, eq=False)
+class Chain:
+    """A plant as it is predicted: voltage → hysteresis → creep → linear dynamics → + offset.
+
+    Parameters
+    ----------
+    hysteresis : HysteresisParameters
+    creep : CreepParameters
+    dynamics : LinearParameters
+        For ``sample_time``.
+    sample_time : float
+        [s]
+    offset : float
+        Constant part of the displacement [m]; a plant carries it as preload offset.
+    linear_part : LinearPart, optional
+        Creep, lag and delay in continuous time, where the dynamics are nothing else.
+    transfer_function : (tuple of float, tuple of float), optional
+        Numerator and denominator of the dynamics in continuous time, where they were found so.
+    synchronous : bool
+        A displacement belongs to the voltage of its own sample (quasi-static sweeps); on an axis it is read before.
+    initial : str
+        Where the state starts: ``zero``, ``periodic`` or ``estimate``.
+    intersample : str
+        How the input runs between samples: ``zoh``, ``linear`` or ``bandlimited``.
+    voltage_low, voltage_high : float
+        Range of the recording [V].
+    inverse : InverseParameters
+        Inverse that the compensator uses.
+    """
+
+    hysteresis: HysteresisParameters
+    creep: CreepParameters
+    dynamics: LinearParameters
+    sample_time: float
+    offset: float = 0.0
+    linear_part: LinearPart | None = None
+    transfer_function: tuple[tuple[float, ...], tuple[float, ...]] | None = None
+    synchronous: bool = False
+    initial: str = "zero"
+    intersample: str = "zoh"
+    voltage_low: float = 0.0
+    voltage_high: float = 0.0
+    inverse: InverseParameters = field(default_factory=lambda: InverseParameters(type="general"))
+
+    @property
+    def mechanical(self) -> bool:
+        """Whether the hysteresis stands inside an equation of motion."""
+        return self.hysteresis.type == "bouc_wen_mechanical"
+
+    @property
+    def continuous(self) -> LinearPart:
+        """Creep, lag and delay; other dynamics are stood for by a lag of their group delay at low frequencies."""
+        if self.linear_part is not None:
+            return self.linear_part
+        # half of the sample time is the converter's, which the voltage of a recording does not know
+        delay = group_delay(self.dynamics) * self.sample_time - 0.5 * self.sample_time
+        return LinearPart(lag=max(delay, 0.0))
+
+    def as_hammerstein(self, rmse: float = 0.0, stroke: float = 1.0) -> HammersteinFit:
+        """Return the chain as the result of a Hammerstein fit, without its offset."""
+        return HammersteinFit(
+            hysteresis=self.hysteresis,
+            creep=self.creep,
+            dynamics=self.dynamics,
+            linear_part=self.continuous,
+            sample_time=self.sample_time,
+            rmse=rmse,
+            stroke=stroke,
+            voltage_low=self.voltage_low,
+            voltage_high=self.voltage_high,
+            synchronous=self.synchronous,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Identification:
+    """Result of any identification.
+
+    Parameters
+    ----------
+    model : str
+        Name of the model in the registry.
+    linear : str
+        What stands behind the hysteresis, in words.
+    chain : Chain
+        The model; its hysteresis gives zero at rest at 0 V.
+    fitted : int
+        How many numbers were fitted.
+    numbers : dict of str to float
+        Figures of the fit besides the parameters, names with units (``lag_s``).
+    deviations : dict of str to float
+        Standard deviations, by parameter.
+    assumptions, warnings : tuple of str
+    converged : bool
+        False: the best point found.
+    trajectory : (tuple of str, ndarray of shape (K, n)), optional
+        Names and values of the parameters after each iteration of the best run.
+    """
+
+    model: str
+    linear: str
+    chain: Chain
+    fitted: int
+    numbers: dict[str, float] = field(default_factory=dict)
+    deviations: dict[str, float] = field(default_factory=dict)
+    assumptions: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+    converged: bool = True
+    trajectory: tuple[tuple[str, ...], np.ndarray] | None = None
+
+
+def group_delay(dynamics: LinearParameters) -> float:
+    """Return the group delay at zero frequency [samples]; 0 without dynamics.
+
+    Parameters
+    ----------
+    dynamics : LinearParameters
+    """
+    if not dynamics.order:
+        return 0.0
+    A, B, C, D = dynamics.matrices
+    rest = np.linalg.inv(np.eye(dynamics.order) - A)
+    return float(C @ rest @ rest @ B) / dc_gain(A, B, C, D)
+
+
+def at_rest(hysteresis: HysteresisParameters, sample_time: float) -> float:
+    """Return the displacement [m] of a hysteresis that never saw another voltage than 0 V.
+
+    Parameters
+    ----------
+    hysteresis : HysteresisParameters
+    sample_time : float
+        [s]
+    """
+    return float(hysteresis_block(hysteresis, sample_time).step(0.0))
+
+
+def shifted(hysteresis: HysteresisParameters, offset: float) -> HysteresisParameters:
+    """Return the hysteresis with ``offset`` [m] added to its displacement, where the model has a constant.
+
+    Parameters
+    ----------
+    hysteresis : HysteresisParameters
+    offset : float
+        [m]
+    """
+    chosen = hysteresis.chosen
+    if hysteresis.type == "polynomial":
+        constant = offset / chosen.scale
+        changed = {
+            name: (getattr(chosen, name)[0] + constant, *getattr(chosen, name)[1:])
+            for name in ("virgin", "rising_D", "falling_D")
+        }
+    elif hysteresis.type == "duhem":
+        changed = {name: getattr(chosen, name) + offset for name in ("output_low", "output_high", "output_start")}
+    elif hysteresis.type in ("prandtl_ishlinskii", "preisach"):
+        changed = {"offset": chosen.offset + offset}
+    else:
+        return hysteresis
+    return replace(hysteresis, **{hysteresis.type: replace(chosen, **changed)})
+
+
+def scaled(hysteresis: HysteresisParameters, factor: float) -> HysteresisParameters:
+    """Return the hysteresis with its displacement multiplied by ``factor``.
+
+    Parameters
+    ----------
+    hysteresis : HysteresisParameters
+        Rate independent.
+    factor : float
+        Above 0.
+    """
+    chosen = hysteresis.chosen
+
+    def times(*names):
+        values = {name: getattr(chosen, name) for name in names}
+        return {
+            name: tuple(item * factor for item in value) if isinstance(value, tuple) else value * factor
+            for name, value in values.items()
+        }
+
+    changed = {
+        "proportional": lambda: times("gain"),
+        "polynomial": lambda: times("scale"),
+        "prandtl_ishlinskii": lambda: times("weights", "thresholds", "offset"),
+        "preisach": lambda: times("everett", "slope", "offset"),
+        "duhem": lambda: times("output_low", "output_high", "output_start"),
+        "bouc_wen": lambda: {
+            **times("d_e", "alpha"),
+            **{name: getattr(chosen, name) * factor ** (1.0 - chosen.exponent) for name in ("beta", "gamma")},
+        },
+    }[hysteresis.type]()
+    return replace(hysteresis, **{hysteresis.type: replace(chosen, **changed)})
+
+
+def grounded(hysteresis: HysteresisParameters, sample_time: float) -> tuple[HysteresisParameters, float]:
+    """Return the hysteresis shifted such that it is at zero at rest at 0 V, and the constant [m] taken out.
+
+    A constant of the sensor is no part of a stroke: kept out of the hysteresis, references count from rest.
+
+    Parameters
+    ----------
+    hysteresis : HysteresisParameters
+    sample_time : float
+        [s]
+    """
+    rest = at_rest(hysteresis, sample_time)
+    moved = shifted(hysteresis, -rest)
+    return (moved, rest) if moved is not hysteresis else (hysteresis, 0.0)

@@ -1,0 +1,312 @@
+"""The result of an identification as ROS 2 parameter file: the nodes run it unchanged, and it says where it comes from.
+
+The sections of plant, compensator and controller are those every axis has. The section ``/identification`` belongs to
+no node, so ROS passes it over; it holds the source, the figures, and what was assumed or is to be doubted.
+"""
+
+from __future__ import annotations
+
+import datetime
+import math
+import os
+import pathlib
+
+import numpy as np
+
+from hysteresis_ros.compensation.compensator import CompensatorParameters, InverseParameters
+from hysteresis_ros.configuration import Configuration, dump_configuration, load_configuration, parse_configuration
+from hysteresis_ros.errors import ConfigurationError, IdentificationError, ParameterError
+from hysteresis_ros.identification.data import IdentificationData
+from hysteresis_ros.identification.identified import Chain, Identification
+from hysteresis_ros.identification.linear_part import LinearPart
+from hysteresis_ros.identification.prediction import INITIAL
+from hysteresis_ros.models.actuator import ActuatorParameters
+from hysteresis_ros.models.hysteresis import hysteresis_block
+from hysteresis_ros.parameters import Parameters
+
+#: The entry that no node reads.
+SECTION = "/identification"
+_HEADER = """\
+# Identified by `hysteresis identify`; a ROS 2 parameter file for the nodes of an axis. SI units.
+# /identification is no node: it says where the numbers come from.
+"""
+
+
+def limits_of(chain: Chain) -> tuple[float, float]:
+    """Return the range of the recorded voltage [V], 0 V in it.
+
+    Parameters
+    ----------
+    chain : Chain
+    """
+    return min(chain.voltage_low, 0.0), max(chain.voltage_high, 0.0)
+
+
+def block_mapping(parameters: Parameters, prefix: str) -> dict:
+    """Return the flat parameters of a block without the variants that are not in use, and without empty arrays.
+
+    Parameters
+    ----------
+    parameters : Parameters
+    prefix : str
+        Put before the names, ending in a dot.
+    """
+    kind = getattr(parameters, "type", None)
+    values = {}
+    variants = {row.name.split(".")[0] for row in type(parameters).table() if "." in row.name}
+    for name, value in parameters.to_mapping().items():
+        first = name.split(".")[0]
+        if value == () or (first in variants and kind is not None and first != kind):
+            continue
+        values[prefix + name] = value
+    return values
+
+
+def sections(result: Identification) -> dict[str, dict]:
+    """Return the sections of plant, compensator, controller and reference generator of an identified axis.
+
+    Parameters
+    ----------
+    result : Identification
+    """
+    chain = result.chain
+    low, high = limits_of(chain)
+    limits = {"limits.minimum": low, "limits.maximum": high}
+    hysteresis = block_mapping(chain.hysteresis, "hysteresis.")
+    creep = {} if chain.creep.type == "none" else block_mapping(chain.creep, "creep.")
+    dynamics = block_mapping(chain.dynamics, "dynamics.") if chain.dynamics.order else {}
+    offset = {"preload.A1": chain.offset} if chain.offset else {}
+    inverse = block_mapping(chain.inverse, "inverse.")
+    model = {f"model.{name}": value for name, value in {**dynamics, **offset}.items()}
+    lowest, highest = _reach(chain, low, high)
+    return {
+        "/**": {"sample_rate": rate_of(chain.sample_time)},
+        "/**/plant_simulator": {**limits, **hysteresis, **creep, **dynamics, **offset},
+        "/**/hysteresis_compensator": {**inverse, **limits, **hysteresis, **creep},
+        "/**/motion_controller": {"type": "open_loop", **model},
+        "/**/reference_generator": {"minimum": lowest, "maximum": highest},
+    }
+
+
+def rate_of(sample_time: float) -> float:
+    """Return the sample rate [Hz], rounded to 9 digits: stamps of whole nanoseconds carry no more.
+
+    Parameters
+    ----------
+    sample_time : float
+        [s]
+    """
+    return float(f"{1.0 / sample_time:.9g}")
+
+
+def _reach(chain: Chain, low: float, high: float) -> tuple[float, float]:
+    """Return the displacements [m] at the ends of the voltage range, 0 in it."""
+    if chain.mechanical:
+        reach = 2.0 * hysteresis_block(chain.hysteresis, chain.sample_time).gain * max(high, -low)
+        return (-reach if low < 0.0 else 0.0), reach
+    ends = [0.0]
+    for end in (low, high):
+        # from rest in fine steps: some models are integrated along the way
+        ends.append(
+            float(hysteresis_block(chain.hysteresis, chain.sample_time).simulate(np.linspace(0.0, end, 257))[-1])
+        )
+    return min(ends), max(ends)
+
+
+def identification_section(
+    result: Identification, data: IdentificationData, metrics: dict, skip: int, extra: dict | None = None
+) -> dict:
+    """Return the section ``/identification``: source, date, figures, assumptions and warnings.
+
+    Parameters
+    ----------
+    result : Identification
+    data : IdentificationData
+        What it was identified from.
+    metrics : dict
+        Figures; those that are no finite numbers or truth values are left out.
+    skip : int
+        First samples left out of the error.
+    extra : dict, optional
+        Further entries.
+    """
+    chain = result.chain
+    now = datetime.datetime.now(datetime.UTC).replace(microsecond=0)
+    section = {
+        "model": result.model,
+        "linear": result.linear,
+        "source": data.source or "unnamed",
+        "input": f"{data.input_name} [{data.input_unit}]",
+        "output": f"{data.output_name} [{data.output_unit}]",
+        "date": now.isoformat(),
+        "sample_range": (data.first, data.first + len(data)),
+        "skipped": skip,
+        "converged": result.converged,
+        "intersample": chain.intersample,
+        "initial": chain.initial,
+        "synchronous": chain.synchronous,
+        "voltage_range": (float(chain.voltage_low), float(chain.voltage_high)),
+    }
+    if chain.linear_part is not None:
+        part = chain.linear_part
+        section |= {"continuous.lag": part.lag, "continuous.delay": part.delay, "continuous.settled": part.settled}
+        section |= {"continuous.creep_rate": part.creep_rate, "continuous.longest_time": part.longest_time}
+    if chain.transfer_function is not None:
+        section["continuous.numerator"], section["continuous.denominator"] = chain.transfer_function
+    figures = {**result.numbers, **metrics}
+    for name, value in figures.items():
+        if isinstance(value, (bool, int, float, np.floating)) and math.isfinite(value):
+            section[f"metrics.{name}"] = value if isinstance(value, (bool, int)) else float(value)
+    for name, value in result.deviations.items():
+        if math.isfinite(value):
+            section[f"deviations.{name}"] = float(value)
+    for name, texts in (("assumptions", assumptions(result)), ("warnings", result.warnings), ("notes", data.notes)):
+        if texts:
+            section[name] = list(texts)
+    return {**section, **(extra or {})}
+
+
+def assumptions(result: Identification) -> tuple[str, ...]:
+    """Return what the parameter file assumes, in sentences.
+
+    Parameters
+    ----------
+    result : Identification
+    """
+    low, high = limits_of(result.chain)
+    found = [
+        f"limits {low:.6g} ... {high:.6g} V: the range of the recorded voltage, not the amplifier's",
+        "no noise, no quantisation, no slew rate: the recording does not say which of the blocks has them",
+    ]
+    if result.chain.offset:
+        found.append("preload.A1 holds the constant of the sensor: displacements count from rest at 0 V")
+    if result.chain.linear_part is not None and result.chain.linear_part.lag > 0.0:
+        found.append("the lag stands behind the hysteresis; whether amplifier, actuator or sensor lags is not known")
+    if result.chain.synchronous:
+        found.append("quasi-static recording: an axis reads each displacement one sample later")
+    return (*found, *result.assumptions)
+
+
+def file_text(result: Identification, section: dict) -> str:
+    """Return the text of the parameter file, checked: plant and compensator can be built from it.
+
+    Parameters
+    ----------
+    result : Identification
+    section : dict
+        See :func:`identification_section`.
+
+    Raises
+    ------
+    IdentificationError
+        What was found is no valid model: a branch that is not monotone, an unstable part.
+    """
+    nodes = {**sections(result), SECTION: section}
+    # every array an object of its own: YAML would write the second one as an alias, which ROS does not read
+    copied = {
+        node: {name: tuple([*value]) if isinstance(value, tuple) else value for name, value in values.items()}
+        for node, values in nodes.items()
+    }
+    text = _HEADER + dump_configuration(copied)
+    configuration = parse_configuration(text, "the identified model")
+    try:
+        _block(configuration, "plant_simulator", ActuatorParameters)
+        _block(configuration, "hysteresis_compensator", CompensatorParameters)
+    except ParameterError as error:
+        raise IdentificationError(f"no usable model comes out of this data: {error}") from None
+    return text
+
+
+def model_warnings(result: Identification) -> tuple[str, ...]:
+    """Return the doubts about the parameters themselves (outside the valid class), as their blocks state them.
+
+    Parameters
+    ----------
+    result : Identification
+    """
+    chain = result.chain
+    return (*chain.hysteresis.chosen.warnings(), *chain.creep.warnings(), *chain.dynamics.warnings())
+
+
+def write_file(path, text: str) -> None:
+    """Write a parameter file whole or not at all.
+
+    Raises
+    ------
+    IdentificationError
+        It cannot be written.
+    """
+    path = pathlib.Path(path)
+    partial = path.with_name(path.name + ".partial")
+    try:
+        partial.write_text(text, encoding="utf-8")
+        os.replace(partial, path)
+    except OSError as error:
+        raise IdentificationError(f"{path}: cannot be written: {error.strerror}; choose another place") from None
+
+
+def _block(configuration: Configuration, node: str, cls, namespace: str = ""):
+    """Return the parameters of a block out of its node's, whose further parameters are left aside."""
+    names = {row.name for row in cls.table()}
+    values = {name: value for name, value in configuration.node(node, namespace).items() if name in names}
+    return cls.from_mapping(values, prefix=f"{configuration.source}: {node}: ").validated()
+
+
+def load_chain(path, namespace: str = "") -> tuple[Chain, dict]:
+    """Read the plant of a parameter file, identified or written by hand, and its section ``/identification``.
+
+    Parameters
+    ----------
+    path : path-like
+        Parameter file, or the bare name of one that comes with the package.
+    namespace : str
+        Of the axis.
+
+    Raises
+    ------
+    ConfigurationError, ParameterError
+        It is no parameter file, has no plant, or a parameter is wrong.
+    """
+    configuration = load_configuration(path)
+    if "hysteresis.type" not in configuration.node("plant_simulator", namespace):
+        raise ConfigurationError(
+            f"{path}: has no plant_simulator with hysteresis.type; give a parameter file of an axis"
+        )
+    plant: ActuatorParameters = _block(configuration, "plant_simulator", ActuatorParameters, namespace)
+    inverse = InverseParameters(type="general")
+    if "hysteresis.type" in configuration.node("hysteresis_compensator", namespace):
+        inverse = _block(configuration, "hysteresis_compensator", CompensatorParameters, namespace).inverse
+    section = next((dict(values) for name, values in configuration.entries if name == SECTION), {})
+    rate = configuration.node("plant_simulator", namespace).get("sample_rate", 1000.0)
+    low, high = section.get("voltage_range", (plant.limits.minimum, plant.limits.maximum))
+    initial = section.get("initial", "zero")
+    chain = Chain(
+        hysteresis=plant.hysteresis,
+        creep=plant.creep,
+        dynamics=plant.dynamics,
+        sample_time=1.0 / float(rate),
+        offset=plant.preload.offset,
+        linear_part=_linear_part(section, plant),
+        transfer_function=_transfer_function(section),
+        synchronous=bool(section.get("synchronous", False)),
+        initial=initial if initial in INITIAL else "zero",
+        intersample=str(section.get("intersample", "zoh")),
+        voltage_low=float(low),
+        voltage_high=float(high),
+        inverse=inverse,
+    )
+    return chain, section
+
+
+def _linear_part(section: dict, plant: ActuatorParameters) -> LinearPart | None:
+    names = {"lag", "delay", "creep_rate", "longest_time"}
+    found = {name: section.get(f"continuous.{name}") for name in names}
+    if any(value is None for value in found.values()):
+        return None if plant.dynamics.order or plant.creep.type != "none" else LinearPart()
+    values = {name: float(value) for name, value in found.items()}
+    return LinearPart(**values, settled=bool(section.get("continuous.settled", False)))
+
+
+def _transfer_function(section: dict):
+    parts = [section.get(f"continuous.{name}") for name in ("numerator", "denominator")]
+    return None if None in parts else tuple(tuple(map(float, part)) for part in parts)

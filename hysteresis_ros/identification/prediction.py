@@ -1,0 +1,205 @@
+"""Predict with an identified plant: what it measures under a voltage, and the voltage behind a displacement.
+
+The chain is simulated without limits and sensor, by the kernels of the nodes. With ``zoh`` (the voltage is held, as a
+converter does) that is sample for sample what the plant node measures. ``linear`` and ``bandlimited`` let the input run
+straight or band-limited between the samples, which a sampler of its own clock sees.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from hysteresis_ros.errors import IdentificationError, ParameterError
+from hysteresis_ros.identification.bouc_wen_mechanical import simulate_oscillator
+from hysteresis_ros.identification.continuous import CanonicalSimulation, simulate_transfer_function
+from hysteresis_ros.identification.hammerstein import simulate_chain
+from hysteresis_ros.identification.identified import Chain
+from hysteresis_ros.identification.intersample import METHODS, upsample
+from hysteresis_ros.identification.inverse import InverseValidation, recover_voltage
+from hysteresis_ros.identification.state_space import LinearModel
+from hysteresis_ros.identification.validation import Validation, validate
+from hysteresis_ros.models.hysteresis import hysteresis_block
+
+#: Where the state of a prediction may start.
+INITIAL = ("zero", "periodic", "estimate")
+#: Points a sample at which a band-limited voltage is followed.
+FINER = 8
+#: Sample times this near to each other are the same.
+SAME_RATE = 1e-4
+#: Free responses of more states than these are not told apart.
+MOST_FREE = 12
+
+
+def predict(
+    chain: Chain,
+    voltage,
+    sample_time: float,
+    intersample: str | None = None,
+    initial: str | None = None,
+    measured=None,
+) -> np.ndarray:
+    """Return the predicted displacement [m], shape (N,), at the samples of the voltage.
+
+    Parameters
+    ----------
+    chain : Chain
+    voltage : array_like, shape (N,)
+        [V]
+    sample_time : float
+        [s]
+    intersample : str, optional
+        ``zoh``, ``linear`` or ``bandlimited``; the chain's own by default.
+    initial : str, optional
+        ``zero``: everything was at rest at 0 V; ``periodic``: the input had repeated before; ``estimate``: creep and
+        dynamics had settled under the first voltage, and the state of the dynamics is fitted to ``measured``. By
+        default the chain's own.
+    measured : array_like, shape (N,), optional
+        [m], for ``estimate``.
+
+    Raises
+    ------
+    IdentificationError
+        A choice is unknown or not possible with this chain.
+    """
+    intersample, initial = intersample or chain.intersample, initial or chain.initial
+    if intersample not in METHODS or initial not in INITIAL:
+        raise IdentificationError(
+            f"intersample = {intersample!r}, initial = {initial!r}: must be one of {', '.join(METHODS)}; "
+            f"{', '.join(INITIAL)}"
+        )
+    voltage = np.ascontiguousarray(voltage, dtype=np.float64)
+    if chain.mechanical:
+        if initial == "estimate":
+            raise IdentificationError("initial = 'estimate': an oscillator starts at zero or periodic; choose one")
+        parameters = chain.hysteresis.bouc_wen_mechanical
+        return simulate_oscillator(parameters, voltage, sample_time, intersample, initial) + chain.offset
+    chain = at_rate(chain, sample_time)
+    if initial == "periodic":
+        twice = np.concatenate([voltage, voltage])
+        return _forced(chain, twice, intersample, True)[voltage.size :] + chain.offset
+    forced = _forced(chain, voltage, intersample, initial == "estimate") + chain.offset
+    if initial == "estimate" and measured is not None:
+        forced = forced + _free_response(chain, np.asarray(measured, dtype=float) - forced)
+    return forced
+
+
+def at_rate(chain: Chain, sample_time: float) -> Chain:
+    """Return the chain for another sample time.
+
+    Parameters
+    ----------
+    chain : Chain
+    sample_time : float
+        [s]
+
+    Raises
+    ------
+    IdentificationError
+        Its dynamics are known at one sample time only.
+    """
+    if abs(sample_time - chain.sample_time) <= SAME_RATE * chain.sample_time:
+        return chain
+    if chain.linear_part is not None:
+        dynamics = chain.linear_part.dynamics(sample_time)
+    elif chain.transfer_function is not None:
+        numerator, denominator = (np.array(part) for part in chain.transfer_function)
+        held = CanonicalSimulation(denominator, sample_time, "zoh")
+        model: LinearModel = held.model(numerator)
+        dynamics = model.linear_parameters()
+    elif not chain.dynamics.order:
+        dynamics = chain.dynamics
+    else:
+        raise IdentificationError(
+            f"the model's dynamics are for {chain.sample_time:g} s and the data has {sample_time:g} s; resample the "
+            "data to the model's sample time, or identify with --linear lag or second_order"
+        )
+    return replace(chain, dynamics=dynamics, sample_time=sample_time)
+
+
+def _forced(chain: Chain, voltage, intersample, settled) -> np.ndarray:
+    if intersample == "zoh":
+        return simulate_chain(
+            chain.hysteresis, chain.creep, chain.dynamics, voltage, chain.sample_time, settled, chain.synchronous
+        )
+    if chain.linear_part is None and chain.transfer_function is None and chain.dynamics.order:
+        raise IdentificationError(
+            f"intersample = {intersample!r}: the model's dynamics are known for a held voltage only; use zoh"
+        )
+    factor = FINER if intersample == "bandlimited" else 1
+    fine = upsample(voltage, factor, intersample)
+    step = chain.sample_time / factor
+    static = hysteresis_block(chain.hysteresis, step).simulate(fine)
+    if chain.transfer_function is not None:
+        start = "rest" if settled else "zero"
+        return simulate_transfer_function(*chain.transfer_function, static, step, "linear", start)[::factor]
+    part = replace(chain.continuous, settled=settled)
+    return part.apply(static, step)[::factor][: voltage.size]
+
+
+def _free_response(chain: Chain, residual) -> np.ndarray:
+    """Return the least-squares sum of the dynamics' free responses, beside a constant that is left out."""
+    if chain.synchronous or not 0 < chain.dynamics.order <= MOST_FREE:
+        return np.zeros_like(residual)
+    A, _, C, _ = chain.dynamics.matrices
+    table = np.empty((residual.size, chain.dynamics.order + 1))
+    row = np.array(C)
+    for k in range(residual.size):
+        table[k, :-1] = row
+        row = row @ A
+    table[:, -1] = 1.0
+    solution = np.linalg.lstsq(table, residual, rcond=1e-9)[0]
+    return table[:, :-1] @ solution[:-1]
+
+
+def judge(
+    chain: Chain,
+    voltage,
+    measured,
+    predicted,
+    skip: int = 0,
+    free_offset: bool = False,
+    fitted: int = 0,
+    with_inverse: bool = True,
+) -> tuple[Validation, InverseValidation | None, str]:
+    """Compare prediction with measurement, and the voltage the inverse finds behind the measurement with the applied.
+
+    Parameters
+    ----------
+    chain : Chain
+        For the sample time of the data.
+    voltage, measured, predicted : array_like, shape (N,)
+        [V], [m], [m].
+    skip : int
+        First samples left out of the comparison; the model has seen them.
+    free_offset : bool
+        Remove one constant.
+    fitted : int
+        Numbers that were fitted to this data; 0 for other data.
+    with_inverse : bool
+        Try the inverse too.
+
+    Returns
+    -------
+    Validation, InverseValidation or None, str
+        The last says why there is no inverse validation; empty otherwise.
+
+    Raises
+    ------
+    DataError
+        See :func:`~hysteresis_ros.identification.validation.validate`.
+    """
+    found = validate(measured, predicted, voltage, parameters=fitted, skip=skip, free_offset=free_offset)
+    if not with_inverse:
+        return found, None, "not asked for"
+    if chain.mechanical or chain.hysteresis.type == "duhem" and chain.inverse.type == "none":
+        return found, None, f"{chain.hysteresis.type} is not rate independent, it has no inverse"
+    displacement = np.asarray(measured, dtype=float) - chain.offset
+    try:
+        inverse = recover_voltage(chain.as_hammerstein(), displacement, voltage, skip, free_offset)
+    except ParameterError as error:
+        return found, None, " ".join(str(error).split())
+    if not np.isfinite(inverse.rmse):
+        return found, None, "the inverse leaves the range of numbers"
+    return found, inverse, ""

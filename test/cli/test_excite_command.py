@@ -1,0 +1,95 @@
+"""Excitations stay within the limits of the amplifier, and a bag that was made with one goes into an identification."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hysteresis_ros.errors import ConfigurationError
+from hysteresis_ros.references.recipes import LENGTHS, RECIPES, in_metres, recipe
+from hysteresis_ros.references.waveforms import Waveform, WaveformParameters
+
+
+def voltages(name, low, high, rate, **options):
+    """Voltage [V] of a whole run."""
+    found = recipe(name, low, high, rate, **options)
+    if found.samples is not None:
+        return found.samples
+    waveform = Waveform(WaveformParameters.from_mapping(found.waveform), 1.0 / rate)
+    return waveform.simulate(np.zeros(round(found.duration * rate)))
+
+
+@pytest.mark.parametrize("name", RECIPES)
+@settings(deadline=None)
+@given(
+    low=st.floats(-150.0, 0.0), high=st.floats(1.0, 150.0), rate=st.floats(10.0, 1e4), amplitude=st.floats(0.01, 1.0)
+)
+def test_recipes_stay_within_the_limits(name, low, high, rate, amplitude):
+    options = {"duration": 2000.0 / rate} if name in ("creep", "chirp", "multisine") else {}
+    volts = voltages(name, low, high, rate, amplitude=amplitude, **options)
+    tolerance = 1e-9 * (high - low)
+    assert low - tolerance <= volts.min() and volts.max() <= high + tolerance
+    assert np.ptp(volts) > 0.0
+
+
+def test_triangles_grow_in_twenty_equal_steps_and_close_the_largest_loop():
+    volts = voltages("triangles", 0.0, 120.0, 1000.0)
+    peaks = volts[1:-1][(volts[1:-1] > volts[:-2]) & (volts[1:-1] > volts[2:])]
+    assert peaks == pytest.approx([*np.arange(6.0, 120.5, 6.0), 120.0])
+    assert volts[0] == volts[-1] == 0.0
+
+
+def test_decaying_begins_with_two_whole_cycles():
+    volts = voltages("decaying", -30.0, 120.0, 200.0)
+    cycle = 500
+    assert volts[0] == -30.0 and np.max(volts[: 2 * cycle]) == pytest.approx(120.0, abs=1e-2)
+    assert np.min(volts[cycle : 2 * cycle + 1]) == pytest.approx(-30.0, abs=1e-2)
+    assert np.ptp(volts[-cycle:]) < 0.03 * 150.0
+
+
+def test_only_lengths_are_scaled_with_the_gain():
+    given_ = recipe("multisine", 0.0, 100.0, 1000.0)
+    metres = in_metres(given_, 1e-7)
+    for name, value in given_.waveform.items():
+        assert metres[name] == (value * 1e-7 if name in LENGTHS else value)
+
+
+@pytest.mark.parametrize(
+    "options", [{"amplitude": 0.0}, {"amplitude": 1.5}, {"frequency": 900.0}, {"frequency": -1.0}, {"duration": 1e-9}]
+)
+def test_recipes_refuse_what_no_amplifier_does(options):
+    with pytest.raises(ConfigurationError, match="must be"):
+        recipe("triangles", 0.0, 100.0, 1000.0, **options)
+
+
+@pytest.mark.skipif(importlib.util.find_spec("rclpy") is None, reason="rclpy is not installed")
+def test_an_excited_axis_is_identified_from_its_bag(tmp_path):
+    environment = dict(os.environ, ROS_DOMAIN_ID="71", ROS_AUTOMATIC_DISCOVERY_RANGE="LOCALHOST")
+
+    def hysteresis(*arguments):
+        command = [sys.executable, "-m", "hysteresis_ros.cli.main", *map(str, arguments)]
+        return subprocess.run(command, capture_output=True, text=True, timeout=180, env=environment)
+
+    bag = tmp_path / "bag"
+    arguments = ["--recipe", "decaying", "--frequency", 2, "--record", bag, "--rate", "lockstep", "--composed"]
+    result = hysteresis("excite", "picma_stage", *arguments)
+    assert result.returncode == 0, result.stderr
+    again = hysteresis("excite", "picma_stage", *arguments)
+    assert again.returncode == 2 and "exists already" in again.stderr
+    path = tmp_path / "params.yaml"
+    result = hysteresis(
+        "identify", bag, "--model", "prandtl_ishlinskii", "-p", "zone_count=0", "-o", path, "--json", "-"
+    )
+    assert result.returncode == 0, result.stderr
+    figures = json.loads(result.stdout)
+    # the stage's lag, seen through the converter of its axis
+    assert figures["lag_s"] == pytest.approx(0.0158, abs=0.003)
+    assert figures["rmse_percent_of_stroke"] < 0.5
