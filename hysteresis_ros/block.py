@@ -171,6 +171,24 @@ def run_kernel(step, p, x, u, y):
         y[k] = step(p, x, u[k])
 
 
+class Chain:
+    """Several blocks that work as one; ``xs`` holds the state arrays of its parts."""
+
+    xs: tuple[np.ndarray, ...]
+
+    @property
+    def state(self) -> np.ndarray:
+        """A copy of all states in one array; assign it to restore exactly (with the same parameters)."""
+        return np.concatenate(self.xs)
+
+    @state.setter
+    def state(self, value) -> None:
+        first = 0
+        for x in self.xs:
+            x[:] = value[first : first + len(x)]
+            first += len(x)
+
+
 class Block:
     """A kernel with its parameters and state.
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hysteresis_ros.block import compiled, interpreted, nested
+from hysteresis_ros.block import Chain, compiled, interpreted, nested
 from hysteresis_ros.compensation.creep import creep_inverse
 from hysteresis_ros.compensation.duhem import inverse_duhem
 from hysteresis_ros.compensation.general import general
@@ -149,7 +149,7 @@ def inverse_step(inverse):
     return lambda hysteresis, *arguments: inverse(0.0, *arguments)
 
 
-class Compensator:
+class Compensator(Chain):
     """Inverse of a hysteresis model behind the limits of the amplifier.
 
     Composites use ``ps``, ``xs``, ``hysteresis_kernel`` and ``inverse_kernel`` directly. With inverse ``none`` the
@@ -289,15 +289,3 @@ class Compensator:
             return 0.0  # at the same end of the range as before
         bias = last - now
         return bias if abs(bias) > NEGLIGIBLE_BIAS else 0.0
-
-    @property
-    def state(self) -> np.ndarray:
-        """A copy of all states in one array; assign it to restore exactly."""
-        return np.concatenate(self.xs)
-
-    @state.setter
-    def state(self, value) -> None:
-        first = 0
-        for x in self.xs:
-            x[:] = value[first : first + len(x)]
-            first += len(x)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hysteresis_ros.block import interpreted, kernel, nested
+from hysteresis_ros.block import Chain, interpreted, kernel, nested
 from hysteresis_ros.models import sensor as sensing
 from hysteresis_ros.models.creep import Creep, CreepParameters, creep
 from hysteresis_ros.models.hysteresis import HysteresisParameters, hysteresis_block
@@ -55,7 +55,7 @@ def actuator_advance(hysteresis, ps, xs, voltage):
     return applied
 
 
-class Actuator:
+class Actuator(Chain):
     """A hysteretic actuator with amplifier and sensor.
 
     Call :meth:`measure` and then :meth:`advance` once per sample. Composites use ``ps``, ``xs`` and
@@ -144,15 +144,3 @@ class Actuator:
         self.sensor.retune(parameters.sensor)
         self.ps[SENSOR][PRELOAD] = parameters.preload.offset
         self.parameters = parameters
-
-    @property
-    def state(self) -> np.ndarray:
-        """A copy of all states in one array; assign it to restore exactly."""
-        return np.concatenate(self.xs)
-
-    @state.setter
-    def state(self, value) -> None:
-        first = 0
-        for x in self.xs:
-            x[:] = value[first : first + len(x)]
-            first += len(x)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hysteresis_ros.block import compiled, composite, interpreted, nested
+from hysteresis_ros.block import Chain, compiled, composite, interpreted, nested
 from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.parameters import Parameters, group, parameter
 from hysteresis_ros.references.approach import HIGH, LOW, SETPOINT, Approach, ApproachParameters, approach
@@ -68,7 +68,7 @@ def run_reference(waveform, ps, xs, setpoints, references):
         references[k] = reference_step(waveform, ps, xs, setpoints[k])
 
 
-class ReferenceGenerator:
+class ReferenceGenerator(Chain):
     """Setpoints and waveform to reference. It runs from construction on.
 
     Parameters
@@ -201,17 +201,6 @@ class ReferenceGenerator:
         first = self.parameters.initial_setpoint + self._first_value()
         output = min(max(first, self.parameters.minimum), self.parameters.maximum)
         self._range[1][:] = (1.0, output, 0.0, 0.0)
-
-    @property
-    def state(self) -> np.ndarray:
-        """A copy of all state in one array; assign it to restore exactly (with the same parameters)."""
-        return np.concatenate(self.xs)
-
-    @state.setter
-    def state(self, value) -> None:
-        parts = np.split(np.asarray(value, dtype=np.float64), np.cumsum([x.size for x in self.xs])[:-1])
-        for x, part in zip(self.xs, parts, strict=True):
-            x[:] = part
 
     def retune(self, parameters: ReferenceParameters) -> None:
         """Take another waveform while stopped; it is played from its beginning at the next :meth:`start`.
