@@ -19,6 +19,7 @@ help:
 setup: $(VENV)/installed
 
 demo: setup
+	rm -rf demo
 	$(BIN)/hysteresis demo -o demo
 
 test: lint

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from array import array
@@ -51,7 +52,9 @@ class Driver(Node):
         self.thread.start()
 
     def on_voltage(self, message: Float64) -> None:
-        """Take a voltage [V] for the next sample."""
+        """Take a voltage [V] for the next sample; one that is no number leaves the last one in force."""
+        if not math.isfinite(message.data):
+            return
         self.voltage = min(max(message.data, LIMITS[0]), LIMITS[1])
         self.received = time.monotonic()
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import os
 import pathlib
 import re
@@ -132,7 +133,17 @@ def parse_configuration(text: str, source: str) -> Configuration:
         raise ConfigurationError(
             f"{source}: no 'ros__parameters' anywhere; write '/**/plant_simulator: ros__parameters: …'"
         )
+    for pattern, _ in entries:
+        _refuse_misspelled(pattern.rsplit("/", 1)[-1], source)
     return Configuration(tuple(entries), text, source)
+
+
+def _refuse_misspelled(name: str, source: str) -> None:
+    """A section of a node that nobody has is passed over, as in ROS; one that is nearly a node's name is a mistake."""
+    known = NODE_NAMES + OPTIONAL_NODE_NAMES
+    close = difflib.get_close_matches(name, known, n=1, cutoff=0.8)
+    if close and name not in known:
+        raise ConfigurationError(f"{source}: there is no node '{name}'; did you mean {close[0]}?")
 
 
 def _collect(name: str, content, source: str, entries: list) -> None:

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+import math
+
 import click
 
 
-@click.command(short_help="Publish a setpoint, like ros2 topic pub --once.")
+@click.command(
+    short_help="Publish a setpoint, like ros2 topic pub --once.",
+    # a negative setpoint is no option
+    context_settings={"ignore_unknown_options": True},
+)
 @click.argument("value", type=float)
 @click.option("--namespace", default="", help="Namespace of the axis.")
 @click.option("--timeout", type=float, default=30.0, show_default=True, help="Wait so long for the axis [s].")
@@ -17,9 +23,12 @@ def setpoint(value, namespace, timeout):
 
     from hysteresis_ros.errors import HysteresisError
 
+    if not math.isfinite(value):
+        raise HysteresisError(f"setpoint {value} m: must be a finite number of metres")
+
     if importlib.util.find_spec("rclpy") is None:
         raise HysteresisError('rclpy is not installed: pip install "hysteresis_ros[ros]" or source /opt/ros/jazzy')
     # a process of its own: the pip wheels of ROS restart the interpreter on import
-    command = [sys.executable, "-m", "hysteresis_ros.nodes.setpoint_publisher", "--setpoint", repr(value)]
+    command = [sys.executable, "-m", "hysteresis_ros.nodes.setpoint_publisher", f"--setpoint={value!r}"]
     command += ["--timeout", repr(timeout)] + (["--namespace", namespace] if namespace else [])
     raise SystemExit(subprocess.run(command).returncode)

@@ -203,7 +203,7 @@ class PlantSimulatorNode(AxisNode):
 
     def _tell(self) -> None:
         """Log what the run was; once."""
-        if self._told or not self.sample:
+        if not self.sample or self._told:
             return
         self._told = True
         wall = max(time.monotonic() - self._first, 1e-9)

@@ -88,9 +88,9 @@ def align(bag: Bag, namespace: str | None = None) -> Recording:
     Returns
     -------
     Recording
-        Eight columns; ``metadata`` holds ``missing_samples``, ``missing`` (per signal), ``messages`` (per
-        topic), ``notes``, ``timing``,
-        ``configuration``, ``namespace``, ``complete``, ``start_time_ns`` and ``source``.
+        Eight columns; ``metadata`` holds ``late_commands`` (as the plant last reported them), ``missing_samples``,
+        ``missing`` (per signal), ``messages`` (per topic), ``notes``, ``timing``, ``configuration``, ``namespace``,
+        ``complete``, ``start_time_ns`` and ``source``.
 
     Raises
     ------
@@ -134,8 +134,14 @@ def align(bag: Bag, namespace: str | None = None) -> Recording:
     if bag.complete:
         # a bag that was closed properly has no excuse for an incomplete end
         missing += recorded - stamps.size
+    late = _late_commands(bag, prefix)
+    if late:
+        notes.append(
+            f"{late} voltages came late, the plant held the one before: this machine was too busy for the rate"
+        )
     metadata = {
         "source": str(bag.path.name),
+        "late_commands": late,
         "namespace": prefix,
         "configuration": configuration,
         "complete": bag.complete,
@@ -275,6 +281,16 @@ def _missing(stamps, columns, present, notes):
     if per_signal:
         notes.append("samples without a value: " + ", ".join(f"{name} {count}" for name, count in per_signal.items()))
     return gaps + int(np.sum(holes)), per_signal
+
+
+def _late_commands(bag: Bag, prefix: str) -> int:
+    """Return how many voltages came late, by the plant's last diagnostics; 0 when nothing is known."""
+    topic = bag.of_type("/diagnostics", cdr.DIAGNOSTICS)
+    count = 0
+    for _, name, _, _, values in cdr.decode_diagnostics(topic.data, "/diagnostics") if topic else ():
+        if name.startswith(f"{prefix}/plant_simulator:"):
+            count = int(values.get("late_commands", count))
+    return count
 
 
 def _timing(bag: Bag, prefix: str, joints, rows: np.ndarray) -> dict:

@@ -37,7 +37,7 @@ def test_the_demonstration_leaves_a_bag_a_report_and_a_table(tmp_path):
     starts = np.flatnonzero(np.diff(run["setpoint"])) + 1
     assert len(starts) == len(SETPOINTS)
     for start, (_, value) in zip(starts, SETPOINTS, strict=True):
-        assert np.median(run["displacement"][start + 300 : start + 800]) == pytest.approx(value, abs=0.05e-6)
+        assert np.median(run["displacement"][start + 200 : start + 500]) == pytest.approx(value, abs=0.05e-6)
     page = (tmp_path / "demo" / "report.html").read_text(encoding="utf-8")
     assert page.count("<img") >= 3 or page.count("<svg") >= 3
     metrics = json.loads((tmp_path / "demo" / "metrics.json").read_text(encoding="utf-8"))
