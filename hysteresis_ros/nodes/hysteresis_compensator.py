@@ -67,7 +67,7 @@ class HysteresisCompensatorNode(AxisNode):
         """Start the watchdog of the command."""
         if not self.lockstep:
             self._received = time.monotonic()
-            self._rejoin()
+            self.silent = self.sample > 0  # the first command that comes is where it goes on
             self.timer(WATCHDOG_PERIOD, self._watchdog)
 
     def reset_blocks(self) -> None:

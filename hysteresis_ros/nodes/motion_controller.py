@@ -19,6 +19,10 @@ from hysteresis_ros.simulation.node_parameters import part
 WATCHDOG_PERIOD = 0.01
 
 
+#: Samples without an answer of the compensator after which commands are taken not to be carried out.
+UNFOLLOWED = 20
+
+
 class MotionControllerNode(AxisNode):
     """Closes the loop: one ``command`` [m] for every measurement of the joint.
 
@@ -40,6 +44,8 @@ class MotionControllerNode(AxisNode):
         self.controller = controller_block(block, sample_time)
         self.controller_type = block.type
         self.handover = handover_block(block, sample_time)
+        self.return_path = handover_block(block, sample_time)
+        self.preload_offset = block.model.preload.offset
         self.controller.step(0.0, 0.0)  # compile now, not at the first sample
         self.handover.step(0.0)
         self._clear()
@@ -47,6 +53,9 @@ class MotionControllerNode(AxisNode):
     def _clear(self) -> None:
         self.controller.reset()
         self.handover.reset()
+        self.return_path.reset()
+        self._returning = False
+        self._unanswered = 0
         self.reference = 0.0
         self.command = 0.0
         self.rejected = 0
@@ -73,8 +82,7 @@ class MotionControllerNode(AxisNode):
         """Start the watchdog of the measurement."""
         if not self.lockstep:
             self._last_good = time.monotonic()
-            if self.sample:
-                self._resume()
+            self._returning = self.sample > 0
             self.timer(WATCHDOG_PERIOD, self._watchdog)
 
     def reset_blocks(self) -> None:
@@ -100,7 +108,7 @@ class MotionControllerNode(AxisNode):
     def on_running(self, running: bool) -> None:
         """``~/stop`` slews to the safe command, ``~/start`` goes on without a jump."""
         if running:
-            self._resume()
+            self._returning = True
 
     # -- inputs ------------------------------------------------------------------------------------------------
 
@@ -120,11 +128,15 @@ class MotionControllerNode(AxisNode):
     def _on_applied(self, message) -> None:
         if math.isfinite(message.data):
             self.controller.x[APPLIED] = message.data
-        if self.lockstep:
-            self._applied += 1
-            if not self.surplus(self._applied, self.sample, "applied", "hysteresis_compensator"):
-                self.heard()
-                self.advance()
+        if not self.lockstep:
+            if self._unanswered > UNFOLLOWED:
+                self.get_logger().info("commands are carried out again")
+                self._returning = True
+            self._unanswered = 0
+        self._applied += 1
+        if self.lockstep and not self.surplus(self._applied, self.sample, "applied", "hysteresis_compensator"):
+            self.heard()
+            self.advance()
 
     def _on_measurement(self, message) -> None:
         if self.lockstep:
@@ -152,7 +164,7 @@ class MotionControllerNode(AxisNode):
         if self.stale:
             self.stale = False
             self.get_logger().info("measurement is back")
-            self._resume()
+            self._resume(value)
         self._answer(message.header.stamp, value)
 
     def _displacement(self, message) -> float:
@@ -198,19 +210,43 @@ class MotionControllerNode(AxisNode):
             self._slew_safe(1.0 / self.parameters.sample_rate)
         elif math.isnan(value):
             self.rejected += 1
+        elif not self.lockstep and self._applied and self._unanswered >= UNFOLLOWED:
+            # nobody carries commands out: they follow the displacement until somebody does
+            self.command = value - self.preload_offset
         else:
-            self.command = self.handover.step(self.controller.step(self.reference, value))
+            if self._returning:
+                self._resume(value)
+            self.command = self.handover.step(self.controller.step(self._reference_now(), value))
             self.controller.x[COMMAND] = self.command
+        self._unanswered += 1
         self._message.data = self.command
         self._command.publish(self._message)
         x = self.controller.x
         self.publish_state(stamp, self.reference, value, x[ESTIMATED], self.command, x[SWITCHING], x[DISTURBANCE])
         self.sample += 1
 
-    def _resume(self) -> None:
-        """Start the observer anew at the present measurement; the command continues from the last one."""
+    def _resume(self, value: float | None = None) -> None:
+        """Start the observer anew at the present measurement; the command continues from the last one.
+
+        With the measurement at hand the reference starts from there too and fades to the one received: a reaching law
+        answers a step of the reference calmly, but a long difference between its command and what is carried out
+        violently (Φ = 0.93 amplifies a constant one by 1/(1 - Φ) = 14).
+        """
         self.controller.x[STARTED] = 0.0
+        self._returning = False
         arm(self.handover, self.command)
+        if value is not None:
+            arm(self.return_path, value - self.preload_offset)
+            self._on_return_path = True
+
+    _on_return_path = False
+
+    def _reference_now(self) -> float:
+        if not self._on_return_path:
+            return self.reference
+        reference = self.return_path.step(self.reference)
+        self._on_return_path = reference != self.reference
+        return reference
 
     def _watchdog(self) -> None:
         """Real time: slew to the safe command while no good measurement comes."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+import time
 
 import rclpy
 from rclpy.duration import Duration
@@ -13,6 +14,9 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
 from hysteresis_ros.nodes.qos import setpoint_qos
+
+#: Seconds after which both sides know each other; a volatile message sent before is lost.
+ACQUAINTANCE = 0.5
 
 
 class SetpointPublisher(Node):
@@ -28,14 +32,19 @@ class SetpointPublisher(Node):
         super().__init__("setpoint_publisher")
         self.schedule = list(schedule)
         self._first = None
+        self._found: float | None = None
         self._setpoint = self.create_publisher(Float64, "setpoint", setpoint_qos())
-        if any(time > 0.0 for time, _ in self.schedule):
+        if any(due > 0.0 for due, _ in self.schedule):
             self.create_subscription(JointState, "joint_states", self._on_sample, QoSProfile(depth=100))
 
     @property
     def heard(self) -> bool:
-        """True when a reference generator is there to receive the setpoint."""
-        return self._setpoint.get_subscription_count() > 0
+        """True when a reference generator has been there for a while: it may find us later than we find it."""
+        if self._setpoint.get_subscription_count() == 0:
+            self._found = None
+        elif self._found is None:
+            self._found = time.monotonic()
+        return self._found is not None and time.monotonic() - self._found > ACQUAINTANCE
 
     def _on_sample(self, message) -> None:
         now = message.header.stamp.sec + message.header.stamp.nanosec * 1e-9
@@ -44,9 +53,9 @@ class SetpointPublisher(Node):
         if self._first is not None:
             self.publish_until(now - self._first)
 
-    def publish_until(self, time: float) -> None:
-        """Publish what is due at ``time`` [s], if somebody listens."""
-        while self.heard and self.schedule and self.schedule[0][0] <= time:
+    def publish_until(self, now: float) -> None:
+        """Publish what is due at ``now`` [s], if somebody listens."""
+        while self.heard and self.schedule and self.schedule[0][0] <= now:
             self._setpoint.publish(Float64(data=self.schedule.pop(0)[1]))
 
     def flush(self) -> bool:
