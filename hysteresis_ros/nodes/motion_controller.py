@@ -45,7 +45,6 @@ class MotionControllerNode(AxisNode):
         self.controller_type = block.type
         self.handover = handover_block(block, sample_time)
         self.return_path = handover_block(block, sample_time)
-        self.preload_offset = block.model.preload.offset
         self.controller.step(0.0, 0.0)  # compile now, not at the first sample
         self.handover.step(0.0)
         self._clear()
@@ -212,7 +211,7 @@ class MotionControllerNode(AxisNode):
             self.rejected += 1
         elif not self.lockstep and self._applied and self._unanswered >= UNFOLLOWED:
             # nobody carries commands out: they follow the displacement until somebody does
-            self.command = value - self.preload_offset
+            self.command = value - self.parameters.model.preload.offset
         else:
             if self._returning:
                 self._resume(value)
@@ -236,7 +235,7 @@ class MotionControllerNode(AxisNode):
         self._returning = False
         arm(self.handover, self.command)
         if value is not None:
-            arm(self.return_path, value - self.preload_offset)
+            arm(self.return_path, value - self.parameters.model.preload.offset)
             self._on_return_path = True
 
     _on_return_path = False
