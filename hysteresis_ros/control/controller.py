@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from hysteresis_ros.control.feedforward import Feedforward, FeedforwardParameters
 from hysteresis_ros.control.handover import Handover, HandoverParameters
 from hysteresis_ros.control.kalman import KalmanParameters
 from hysteresis_ros.control.open_loop import Controller, OpenLoop
@@ -32,6 +33,7 @@ class ControllerParameters(Parameters):
         description="Pass the reference through (open_loop) or sliding mode control with a Kalman filter",
     )
     model: ModelParameters = group(ModelParameters)
+    feedforward: FeedforwardParameters = group(FeedforwardParameters)
     sliding_mode: SlidingModeParameters = group(SlidingModeParameters, variant_of="type")
     kalman: KalmanParameters = group(KalmanParameters)
     handover_time: float = parameter(
@@ -62,6 +64,17 @@ def controller_block(parameters: ControllerParameters, sample_time: float) -> Co
         A parameter is out of range, or no stable controller follows from the parameters.
     """
     return CONTROLLERS[parameters.validated().type](parameters, sample_time)
+
+
+def feedforward_block(parameters: ControllerParameters, sample_time: float) -> Feedforward:
+    """Return the feedforward in front of the controller.
+
+    Raises
+    ------
+    ParameterError
+        The model cannot be inverted as the parameters ask for.
+    """
+    return Feedforward(parameters, sample_time)
 
 
 def handover_block(parameters: ControllerParameters, sample_time: float) -> Handover:

@@ -24,8 +24,12 @@ COMMAND = 3
 DISTURBANCE = 4
 #: x[STARTED]: 0.0 makes the next call start the observer from rest at the measured displacement.
 STARTED = 5
+#: x[FEEDFORWARD]: command of the feedforward for this sample [m]; whoever runs the loop writes it before the call.
+FEEDFORWARD = 6
 #: Number of entries of the common part of x.
-HEADER = 6
+HEADER = 7
+#: p[FED]: 1.0 when there is a feedforward, the first entry of the parameters of every controller.
+FED = 0
 
 #: Signals beyond this are cut, so that no finite input ever makes a product or a sum infinite.
 BOUND = 1e60
@@ -43,12 +47,13 @@ def bounded(value):
 
 @kernel
 def open_loop(p, x, reference, measured):
-    """Return the reference as command; nothing is estimated, so the estimate is the measurement."""
+    """Return the feedforward's command, or the reference without one; the estimate is the measurement."""
+    command = x[FEEDFORWARD] if p[FED] != 0.0 else reference
     x[ESTIMATED] = measured
     x[STARTED] = 1.0
-    x[COMMAND] = reference
-    x[APPLIED] = reference
-    return reference
+    x[COMMAND] = command
+    x[APPLIED] = command
+    return command
 
 
 @composite("void", "controller", "array", "array", "array", "array", "array")
@@ -101,13 +106,13 @@ class Controller(Block):
 
 
 class OpenLoop(Controller):
-    """Passes the reference through as command."""
+    """Passes the reference, or the command of the feedforward, through."""
 
     kernel = staticmethod(open_loop)
 
     def pack(self, parameters) -> np.ndarray:
-        """Return the parameter array; there is nothing to set."""
-        return np.zeros(1)
+        """Return the parameter array: whether there is a feedforward."""
+        return np.array([parameters.feedforward.type != "none"], dtype=float)
 
     def initial_state(self) -> np.ndarray:
         """Return the state at rest: the common part only."""

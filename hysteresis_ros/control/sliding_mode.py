@@ -26,6 +26,7 @@ from hysteresis_ros.control.open_loop import (
     COMMAND,
     DISTURBANCE,
     ESTIMATED,
+    FED,
     HEADER,
     STARTED,
     SWITCHING,
@@ -35,20 +36,20 @@ from hysteresis_ros.control.open_loop import (
 from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.parameters import Parameters, parameter
 
-# Parameter array: a head, then K and S (n entries each), then the Kalman filter's.
-N = 0
-INTEGRATING = 1
-INPUT_SCALE = 2
-OUTPUT_SCALE = 3
-PRELOAD = 4
-REST_COMMAND = 5
-INTEGRAL_GAIN = 6
-INTEGRAL_HYPERPLANE = 7
-SLOPE = 8
-LEVEL = 9
-WIDTH = 10
-THRESHOLD = 11
-GAINS = 12
+# Parameter array: a head (FED first), then K and S (n entries each), then the Kalman filter's.
+N = 1
+INTEGRATING = 2
+INPUT_SCALE = 3
+OUTPUT_SCALE = 4
+PRELOAD = 5
+REST_COMMAND = 6
+INTEGRAL_GAIN = 7
+INTEGRAL_HYPERPLANE = 8
+SLOPE = 9
+LEVEL = 10
+WIDTH = 11
+THRESHOLD = 12
+GAINS = 13
 
 # State array after the common part: integral of the error, largest applied command so far, then the Kalman filter's.
 INTEGRAL = HEADER
@@ -262,6 +263,7 @@ def packed_sliding_mode(parameters) -> np.ndarray:
     integral = smc.tracking == "integral"
     sign = 1.0 if gains.switching_gain > 0.0 else -1.0
     head = np.zeros(GAINS)
+    head[FED] = parameters.feedforward.type != "none"
     head[N] = n
     head[INTEGRATING] = integral
     head[INPUT_SCALE] = dynamics.resolved_input_scale

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from hysteresis_ros.configuration import Configuration
+from hysteresis_ros.experiments.runner import run
 from hysteresis_ros.recordings.dataset import Recording
-from hysteresis_ros.simulation.run import simulate, single_axis
 
 # What the paper prints, SI units.
 STEP = 1.0  # V before the amplifier
@@ -131,7 +131,7 @@ def run_steps(configuration: Configuration, hold: float = STEP_TIME) -> Recordin
     times = [hold * (0.5 + i) for i in range(4)]
     values = dict(waveform__type="steps", waveform__steps__values=[DC_GAIN * STEP, 0.0] * 2)
     moved = configuration.override("reference_generator", **values, waveform__steps__times=times)
-    return simulate(single_axis(moved), duration=4.5 * hold)
+    return run(moved, 4.5 * hold)
 
 
 def run_cycles(configuration: Configuration, waveform: str, stroke: float, frequency: float) -> Recording:
@@ -142,7 +142,7 @@ def run_cycles(configuration: Configuration, waveform: str, stroke: float, frequ
     else:
         values |= dict(waveform__amplitude=stroke)
     moved = open_loop(configuration).override("reference_generator", **values)
-    return simulate(single_axis(moved), duration=2.0 / frequency)
+    return run(moved, 2.0 / frequency)
 
 
 def off_both_ways(change, configuration: Configuration) -> list[Configuration]:

@@ -8,9 +8,23 @@ import time
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
-from hysteresis_ros.control.controller import ControllerParameters, controller_block, handover_block
+from hysteresis_ros.control.controller import (
+    ControllerParameters,
+    controller_block,
+    feedforward_block,
+    handover_block,
+)
+from hysteresis_ros.control.feedforward import STARTED as FEEDFORWARD_STARTED
 from hysteresis_ros.control.handover import HandoverParameters, arm
-from hysteresis_ros.control.open_loop import APPLIED, COMMAND, DISTURBANCE, ESTIMATED, STARTED, SWITCHING
+from hysteresis_ros.control.open_loop import (
+    APPLIED,
+    COMMAND,
+    DISTURBANCE,
+    ESTIMATED,
+    FEEDFORWARD,
+    STARTED,
+    SWITCHING,
+)
 from hysteresis_ros.nodes.base import AxisNode, sample_index
 from hysteresis_ros.nodes.spin import run
 from hysteresis_ros.simulation.node_parameters import part
@@ -41,15 +55,18 @@ class MotionControllerNode(AxisNode):
         """Make controller and hand-over from the parameters."""
         block = part(parameters, ControllerParameters)
         sample_time = 1.0 / parameters.sample_rate
+        self.feedforward = feedforward_block(block, sample_time)
         self.controller = controller_block(block, sample_time)
         self.controller_type = block.type
         self.handover = handover_block(block, sample_time)
         self.return_path = handover_block(block, sample_time)
-        self.controller.step(0.0, 0.0)  # compile now, not at the first sample
+        self.feedforward.step(0.0)  # compile now, not at the first sample
+        self.controller.step(0.0, 0.0)
         self.handover.step(0.0)
         self._clear()
 
     def _clear(self) -> None:
+        self.feedforward.reset()
         self.controller.reset()
         self.handover.reset()
         self.return_path.reset()
@@ -92,6 +109,7 @@ class MotionControllerNode(AxisNode):
         """Take new gains, or another type of controller; the command goes on from where it is."""
         block = part(parameters, ControllerParameters)
         sample_time = 1.0 / parameters.sample_rate
+        self.feedforward.retune(block)
         if block.type == self.controller_type:
             self.controller.retune(block)
         else:
@@ -215,7 +233,7 @@ class MotionControllerNode(AxisNode):
         else:
             if self._returning:
                 self._resume(value)
-            self.command = self.handover.step(self.controller.step(self._reference_now(), value))
+            self.command = self.handover.step(self._control(value))
             self.controller.x[COMMAND] = self.command
         self._unanswered += 1
         self._message.data = self.command
@@ -224,6 +242,11 @@ class MotionControllerNode(AxisNode):
         self.publish_state(stamp, self.reference, value, x[ESTIMATED], self.command, x[SWITCHING], x[DISTURBANCE])
         self.sample += 1
 
+    def _control(self, value: float) -> float:
+        delayed = self.feedforward.step(self._reference_now())
+        self.controller.x[FEEDFORWARD] = self.feedforward.command
+        return self.controller.step(delayed, value)
+
     def _resume(self, value: float | None = None) -> None:
         """Start the observer anew at the present measurement; the command continues from the last one.
 
@@ -231,6 +254,7 @@ class MotionControllerNode(AxisNode):
         answers a step of the reference calmly, but a long difference between its command and what is carried out
         violently (Φ = 0.93 amplifies a constant one by 1/(1 - Φ) = 14).
         """
+        self.feedforward.x[FEEDFORWARD_STARTED] = 0.0
         self.controller.x[STARTED] = 0.0
         self._returning = False
         arm(self.handover, self.command)

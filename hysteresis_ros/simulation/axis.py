@@ -14,7 +14,12 @@ from hysteresis_ros.configuration import (
     dump_configuration,
     normalised_namespace,
 )
-from hysteresis_ros.control.controller import ControllerParameters, controller_block, handover_block
+from hysteresis_ros.control.controller import (
+    ControllerParameters,
+    controller_block,
+    feedforward_block,
+    handover_block,
+)
 from hysteresis_ros.errors import ConfigurationError, ParameterError, Problem
 from hysteresis_ros.models.actuator import Actuator, ActuatorParameters
 from hysteresis_ros.parameters import Parameters
@@ -134,7 +139,7 @@ class Axis:
 
     Attributes
     ----------
-    actuator, generator, controller, handover, compensator
+    actuator, generator, feedforward, controller, handover, compensator
         The blocks; their state goes on from one :meth:`run` to the next.
     """
 
@@ -145,6 +150,7 @@ class Axis:
         self.actuator = Actuator(part(plant, ActuatorParameters), sample_time)
         self.generator = ReferenceGenerator(part(parameters.reference_generator, ReferenceParameters), sample_time)
         control: Parameters = part(parameters.motion_controller, ControllerParameters)
+        self.feedforward = feedforward_block(control, sample_time)
         self.controller = controller_block(control, sample_time)
         self.handover = handover_block(control, sample_time)
         self.compensator = Compensator(part(parameters.hysteresis_compensator, CompensatorParameters), sample_time)
@@ -185,6 +191,7 @@ class Axis:
         return (
             *(self.actuator.hysteresis_kernel, self.actuator.ps, self.actuator.xs),
             *(self.generator.waveform_kernel, self.generator.ps, self.generator.xs),
+            *(self.feedforward.p, self.feedforward.x),
             *(self.controller.kernel, self.controller.p, self.controller.x, self.handover.p, self.handover.x),
             *(self.compensator.hysteresis_kernel, self.compensator.inverse_kernel),
             *(self.compensator.ps, self.compensator.xs),
@@ -192,6 +199,9 @@ class Axis:
 
     def reset(self) -> None:
         """Return all blocks to their beginning."""
-        for block in (self.actuator, self.generator, self.controller, self.handover, self.compensator):
+        for block in (
+            *(self.actuator, self.generator, self.feedforward),
+            *(self.controller, self.handover, self.compensator),
+        ):
             block.reset()
         self.sample = 0

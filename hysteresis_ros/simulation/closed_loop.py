@@ -6,8 +6,10 @@ from hysteresis_ros.block import composite
 from hysteresis_ros.compensation.compensator import APPLIED as COMPENSATOR_APPLIED
 from hysteresis_ros.compensation.compensator import LIMITS as COMPENSATOR_LIMITS
 from hysteresis_ros.compensation.compensator import OUT, compensator_step
+from hysteresis_ros.control.feedforward import COMMAND as FEEDFORWARD_COMMAND
+from hysteresis_ros.control.feedforward import feedforward
 from hysteresis_ros.control.handover import handover
-from hysteresis_ros.control.open_loop import APPLIED, COMMAND, DISTURBANCE, ESTIMATED, SWITCHING
+from hysteresis_ros.control.open_loop import APPLIED, COMMAND, DISTURBANCE, ESTIMATED, FEEDFORWARD, SWITCHING
 from hysteresis_ros.models.actuator import DISPLACEMENT, SENSOR, actuator_advance, actuator_measure
 from hysteresis_ros.models.limits import FLAGS
 from hysteresis_ros.references.generator import reference_step
@@ -32,7 +34,7 @@ SIGNALS = (
     "void",
     *("kernel", "arrays:5", "arrays:5"),
     *("kernel", "arrays:3", "arrays:3"),
-    *("controller", "array", "array", "array", "array"),
+    *("array", "array", "controller", "array", "array", "array", "array"),
     *("kernel", "inverse", "arrays:5", "arrays:5"),
     *("array", "table"),
 )
@@ -43,6 +45,8 @@ def closed_loop(
     waveform,
     reference_ps,
     reference_xs,
+    feedforward_p,
+    feedforward_x,
     controller,
     controller_p,
     controller_x,
@@ -63,8 +67,8 @@ def closed_loop(
         What makes this loop that loop.
     plant_ps, plant_xs, reference_ps, reference_xs, compensator_ps, compensator_xs : tuples of arrays
         Parameters and states of plant, reference generator and compensator.
-    controller_p, controller_x, handover_p, handover_x : arrays
-        Parameters and states of controller and hand-over.
+    feedforward_p, feedforward_x, controller_p, controller_x, handover_p, handover_x : arrays
+        Parameters and states of feedforward, controller and hand-over.
     setpoints : array, shape (N,)
         Setpoint in force at each sample [m].
     table : array, shape (N, len(SIGNALS))
@@ -73,7 +77,9 @@ def closed_loop(
     for k in range(setpoints.shape[0]):
         measured = actuator_measure(plant_ps, plant_xs)
         reference = reference_step(waveform, reference_ps, reference_xs, setpoints[k])
-        command = handover(handover_p, handover_x, controller(controller_p, controller_x, reference, measured))
+        delayed = feedforward(feedforward_p, feedforward_x, reference)
+        controller_x[FEEDFORWARD] = feedforward_x[FEEDFORWARD_COMMAND]
+        command = handover(handover_p, handover_x, controller(controller_p, controller_x, delayed, measured))
         voltage = compensator_step(model_hysteresis, inverse, compensator_ps, compensator_xs, command)
         table[k, 0] = reference
         table[k, 1] = command
