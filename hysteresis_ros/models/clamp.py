@@ -1,0 +1,277 @@
+"""Clamp of an inchworm motor: a normally open piezo that presses on the slider.
+
+voltage → limits → hysteresis → lag → displacement d; the normal force is N = w · max(0, K (d - gap)) with the stiffness
+K of clamp and contact together and the wear factor w; friction holds up to μ_s N and slides with μ_k N.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from hysteresis_ros.block import Chain, kernel
+from hysteresis_ros.errors import ParameterError, Problem
+from hysteresis_ros.models import sensor as sensing
+from hysteresis_ros.models.hysteresis import HysteresisParameters, hysteresis_block
+from hysteresis_ros.models.limits import FLAGS, OUTPUT, UNQUANTISED, Limits, LimitsParameters
+from hysteresis_ros.models.linear import LinearDynamics, LinearParameters
+from hysteresis_ros.models.sensor import Sensor, SensorParameters, sensor
+from hysteresis_ros.parameters import Parameters, group, parameter
+
+# Places in the tuples ps and xs.
+LIMITS, HYSTERESIS, LAG, CONTACT = 0, 1, 2, 3
+
+# Layout of ps[CONTACT], behind the sensor's own parameters.
+GAP = 3  # [m]
+STIFFNESS = 4  # [N/m], the wear factor in it
+STATIC = 5  # coefficients of friction
+KINETIC = 6
+
+# Layout of xs[CONTACT], behind the sensor's own state.
+DISPLACEMENT = sensing.STATES  # [m]
+NORMAL = sensing.STATES + 1  # normal force [N]
+
+
+@dataclass(frozen=True)
+class FirstOrderParameters(Parameters):
+    """Lag x' = (u - x)/T."""
+
+    time_constant: float = parameter(description="time constant T", unit="s", low=1e-7, high=100.0)
+
+
+@dataclass(frozen=True)
+class SecondOrderParameters(Parameters):
+    """Lag x'' + 2 ζ ω x' + ω² x = ω² u."""
+
+    frequency: float = parameter(description="natural frequency ω/2π", unit="Hz", low=1e-2, high=1e6)
+    damping: float = parameter(description="damping ratio ζ", low=1e-3, high=100.0)
+
+
+@dataclass(frozen=True)
+class LagParameters(Parameters):
+    """Lag of a clamp: amplifier and mechanics together."""
+
+    type: str = parameter(
+        "first_order", choices=("first_order", "second_order"), description="order of the lag", read_only=True
+    )
+    first_order: FirstOrderParameters = group(FirstOrderParameters, variant_of="type")
+    second_order: SecondOrderParameters = group(SecondOrderParameters, variant_of="type")
+
+    def discrete(self, sample_time: float) -> LinearParameters:
+        """Return the lag in discrete time, input held over ``sample_time`` [s], DC gain one."""
+        if self.type == "first_order":
+            decay = math.exp(-sample_time / self.first_order.time_constant)
+            return LinearParameters(A=(decay,), B=(1.0 - decay,), C=(1.0,))
+        omega, damping = 2.0 * math.pi * self.second_order.frequency, self.second_order.damping
+        # states: displacement and velocity/ω; the exponential of a 2 × 2 matrix in closed form
+        spread = cmath.sqrt(damping * damping - 1.0) * omega * sample_time
+        decay = damping * omega * sample_time
+        slow, fast = cmath.exp(spread - decay), cmath.exp(-spread - decay)
+        even = 0.5 * (slow + fast).real
+        odd = (0.5 * (slow - fast) / spread if spread else slow).real * omega * sample_time
+        A = (even + damping * odd, odd, -odd, even - damping * odd)
+        return LinearParameters(A=A, B=(1.0 - A[0], -A[2]), C=(1.0, 0.0))
+
+    def settling_time(self, tolerance: float = 0.02) -> float:
+        """Return the time [s] after a step beyond which the lag stays within ``tolerance`` of the step.
+
+        Exact without overshoot; for a damping below 1 the time at which the envelope is there.
+        """
+        if self.type == "first_order":
+            return -self.first_order.time_constant * math.log(tolerance)
+        omega, damping = 2.0 * math.pi * self.second_order.frequency, self.second_order.damping
+        if damping < 1.0:
+            return -math.log(tolerance * math.sqrt(1.0 - damping * damping)) / (damping * omega)
+        root = math.sqrt(damping * damping - 1.0)
+        slow, fast = omega / (damping + root), omega * (damping + root)
+
+        def remaining(t):
+            if fast - slow < 1e-6 * omega:
+                return (1.0 + omega * t) * math.exp(-omega * t)
+            return (fast * math.exp(-slow * t) - slow * math.exp(-fast * t)) / (fast - slow)
+
+        low, high = 0.0, 1.0 / slow
+        while remaining(high) > tolerance:
+            high *= 2.0
+        for _ in range(60):
+            middle = 0.5 * (low + high)
+            low, high = (middle, high) if remaining(middle) > tolerance else (low, middle)
+        return high
+
+
+@dataclass(frozen=True)
+class ClampParameters(Parameters):
+    """Parameters of one clamp with its amplifier and sensor."""
+
+    limits: LimitsParameters = group(LimitsParameters)
+    hysteresis: HysteresisParameters = group(HysteresisParameters)
+    lag: LagParameters = group(LagParameters)
+    gap: float = parameter(description="displacement at which the clamp touches the slider", unit="m", low=0.0)
+    stiffness: float = parameter(
+        description="normal force per displacement beyond the gap", unit="N/m", low=1.0, high=1e12
+    )
+    static_friction: float = parameter(description="coefficient of static friction", low=0.0, high=10.0)
+    kinetic_friction: float = parameter(description="coefficient of kinetic friction", low=0.0, high=10.0)
+    wear: float = parameter(1.0, description="factor on the normal force; 0.8: 20 % weaker", low=0.0, high=1.0)
+    initial_voltage: float = parameter(0.0, description="voltage at which the clamp rests at the start", unit="V")
+    sensor: SensorParameters = group(SensorParameters)
+
+    def check(self):
+        """Yield what does not fit: friction that grows by sliding, clamps that never grip or never open."""
+        if self.kinetic_friction > self.static_friction:
+            allowed = f"must not be above static_friction = {self.static_friction:g}"
+            yield Problem("kinetic_friction", self.kinetic_friction, allowed)
+        low, high = self.limits.minimum, self.limits.maximum
+        if not low <= self.initial_voltage <= high:
+            allowed = f"must lie within limits.minimum … limits.maximum = {low:g} … {high:g} V"
+            yield Problem("initial_voltage", self.initial_voltage, allowed)
+        stroke, residual = self._displacements((high, low))
+        if stroke <= self.gap:
+            allowed = f"the clamp never grips: at limits.maximum = {high:g} V it reaches {stroke:.4g} m; narrow the gap"
+            yield Problem("gap", self.gap, allowed)
+        elif residual >= self.gap:
+            allowed = (
+                f"the clamp never opens: back at limits.minimum = {low:g} V after {high:g} V it stays at "
+                f"{residual:.4g} m; widen the gap"
+            )
+            yield Problem("gap", self.gap, allowed)
+
+    def _displacements(self, voltages) -> list[float]:
+        """Return the displacement [m] at rest under each of the voltages [V], gone through one after the other."""
+        block = hysteresis_block(self.hysteresis, 1e-3)
+        # a model with dynamics of its own is given time to come to rest
+        held = 1 if getattr(block, "rate_independent", False) or self.hysteresis.type == "proportional" else 20000
+        low, high = self.limits.minimum, self.limits.maximum
+        return [float(block.simulate(np.full(held, min(max(v, low), high)))[-1]) for v in voltages]
+
+    def normal_force(self, voltage: float) -> float:
+        """Return the normal force [N] at rest at ``voltage`` [V].
+
+        Of the first closing and of one after opening fully (hysteresis): the smaller.
+        """
+        low = self.limits.minimum
+        displacement = min(self._displacements((voltage, low, voltage))[::2])
+        return self.wear * max(0.0, self.stiffness * (displacement - self.gap))
+
+    def holding_force(self, voltage: float) -> float:
+        """Return the load [N] that static friction holds at rest at ``voltage`` [V]."""
+        return self.static_friction * self.normal_force(voltage)
+
+    def settling_time(self, tolerance: float = 0.02) -> float:
+        """Return the time [s] after which the displacement stays within ``tolerance`` of a step of the voltage.
+
+        With a slew rate, the time over the whole range is added: an upper bound.
+        """
+        slew = self.limits.slew_rate
+        ramp = (self.limits.maximum - self.limits.minimum) / slew if slew > 0.0 else 0.0
+        return ramp + self.lag.settling_time(tolerance)
+
+
+@kernel
+def contact(p, x, displacement):
+    """Normal force [N] of a clamp at ``displacement`` [m]."""
+    x[DISPLACEMENT] = displacement
+    x[NORMAL] = p[STIFFNESS] * max(0.0, displacement - p[GAP])
+    return x[NORMAL]
+
+
+class Clamp(Chain):
+    """A clamp with amplifier and sensor; ``ps`` and ``xs`` are tuples (limits, hysteresis, lag, contact with sensor).
+
+    Parameters
+    ----------
+    parameters : ClampParameters
+        Checked on construction.
+    sample_time : float
+        Sample time [s].
+
+    Raises
+    ------
+    ParameterError
+        Names every wrong parameter.
+    """
+
+    def __init__(self, parameters: ClampParameters, sample_time: float):
+        self.parameters = parameters.validated()
+        self.sample_time = float(sample_time)
+        self.limits = Limits(parameters.limits, sample_time)
+        self.hysteresis = hysteresis_block(parameters.hysteresis, sample_time)
+        self.lag = LinearDynamics(parameters.lag.discrete(sample_time), sample_time)
+        self.sensor = Sensor(parameters.sensor, sample_time)
+        p = np.concatenate([self.sensor.p, self._contact(parameters)])
+        x = np.concatenate([self.sensor.x, np.zeros(2)])
+        self.sensor.p, self.sensor.x = p[:GAP], x[:DISPLACEMENT]  # views: the sensor's block stays usable
+        self.ps = (self.limits.p, self.hysteresis.p, self.lag.p, p)
+        self.xs = (self.limits.x, self.hysteresis.x, self.lag.x, x)
+        self.hysteresis_kernel = self.hysteresis.kernel
+        self._settle()
+
+    @staticmethod
+    def _contact(parameters: ClampParameters) -> np.ndarray:
+        friction = (parameters.static_friction, parameters.kinetic_friction)
+        return np.array([parameters.gap, parameters.stiffness * parameters.wear, *friction])
+
+    def _settle(self) -> None:
+        """Put everything to rest at the initial voltage."""
+        self.limits.x[UNQUANTISED] = self.parameters.initial_voltage  # from there, so that a slew rate does not act
+        start = self.hysteresis.step(self.limits.step(self.parameters.initial_voltage))
+        self.limits.x[FLAGS] = 0.0
+        self.lag.settle(start)
+        contact(self.ps[CONTACT], self.xs[CONTACT], self.lag.output())
+        self.xs[CONTACT][sensing.MEASURED] = self.displacement + self.ps[CONTACT][sensing.OFFSET]
+
+    def measure(self) -> float:
+        """Return the sensor's reading [m]; call it once per sample (it draws the noise)."""
+        return sensor(self.ps[CONTACT], self.xs[CONTACT], self.displacement)
+
+    def advance(self, voltage: float) -> float:
+        """Hold ``voltage`` [V] for one sample and return the normal force [N] at its end."""
+        displacement = self.lag.step(self.hysteresis.step(self.limits.step(voltage)))
+        return contact(self.ps[CONTACT], self.xs[CONTACT], displacement)
+
+    @property
+    def displacement(self) -> float:
+        """True displacement [m]."""
+        return float(self.xs[CONTACT][DISPLACEMENT])
+
+    @property
+    def normal_force(self) -> float:
+        """Normal force [N]."""
+        return float(self.xs[CONTACT][NORMAL])
+
+    @property
+    def voltage(self) -> float:
+        """Voltage [V] that the amplifier puts out."""
+        return float(self.limits.x[OUTPUT])
+
+    def reset(self) -> None:
+        """Return to rest at the initial voltage: virgin hysteresis, noise from its start."""
+        for block in (self.limits, self.hysteresis, self.lag, self.sensor):
+            block.reset()
+        self._settle()
+
+    def check_retune(self, parameters: ClampParameters) -> None:
+        """Raise ParameterError when ``parameters`` cannot be taken while running."""
+        parameters.hysteresis.require_same(self.parameters.hysteresis)
+        if parameters.lag.type != self.parameters.lag.type:
+            allowed = f"is fixed while running: keep {self.parameters.lag.type}"
+            raise ParameterError([Problem("lag.type", parameters.lag.type, allowed)])
+
+    def retune(self, parameters: ClampParameters) -> None:
+        """Take new parameters of the same structure while running; the displacement goes on from where it is.
+
+        Raises
+        ------
+        ParameterError
+            The parameters are wrong or of another structure; nothing is changed then.
+        """
+        self.check_retune(parameters.validated())
+        self.limits.retune(parameters.limits)
+        self.hysteresis.retune(parameters.hysteresis.chosen)
+        self.lag.retune(parameters.lag.discrete(self.sample_time))
+        self.sensor.retune(parameters.sensor)
+        self.ps[CONTACT][GAP:] = self._contact(parameters)
+        self.parameters = parameters

@@ -1,0 +1,305 @@
+"""Inchworm motor: extender, front clamp on its tip, rear clamp on the body, and the slider they move by friction (K10).
+
+The extender is the actuator of :mod:`hysteresis_ros.models.actuator`; its displacement without load, less the force on
+its tip divided by its stiffness, is where the front clamp is. The clamps are those of
+:mod:`hysteresis_ros.models.clamp`, slider and friction those of :mod:`hysteresis_ros.models.friction`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from hysteresis_ros.block import Chain, interpreted, kernel, nested
+from hysteresis_ros.errors import ParameterError, Problem
+from hysteresis_ros.models import actuator as acting
+from hysteresis_ros.models import clamp as clamping
+from hysteresis_ros.models import friction
+from hysteresis_ros.models.actuator import DYNAMICS, HYSTERESIS, LIMITS, PRELOAD, SENSOR, Actuator, ActuatorParameters
+from hysteresis_ros.models.clamp import Clamp, ClampParameters, contact
+from hysteresis_ros.models.creep import creep
+from hysteresis_ros.models.friction import Slider, SliderParameters, slide
+from hysteresis_ros.models.limits import limits
+from hysteresis_ros.models.linear import linear, linear_advance, linear_output
+from hysteresis_ros.models.sensor import Sensor, sensor
+from hysteresis_ros.parameters import Parameters, group, parameter
+
+# Places in the tuples ps and xs; the first five are those of the actuator: LIMITS, HYSTERESIS, DYNAMICS, SENSOR, CREEP.
+CREEP = acting.CREEP
+FRONT_LIMITS, FRONT_HYSTERESIS, FRONT_LAG, FRONT_CONTACT = 5, 6, 7, 8
+REAR_LIMITS, REAR_HYSTERESIS, REAR_LAG, REAR_CONTACT = 9, 10, 11, 12
+SLIDER, SLIDER_SENSOR, JOINTS = 13, 14, 15
+ARRAYS = 16  # entries of each tuple
+
+#: Names of the joints, in the order in which they stand in ``xs[JOINTS]``.
+JOINT_NAMES = ("slider", "extender", "front_clamp", "rear_clamp")
+
+# Layout of xs[JOINTS]: four numbers each, in the order of JOINT_NAMES.
+POSITION = 0  # measured position [m]
+VELOCITY = 4  # difference of the last two measured positions [m/s]; 0 at the first measurement
+EFFORT = 8  # [N]: friction on the slider; force of the extender on the slider; normal forces of the clamps
+TRUE_POSITION = 12  # [m]
+STARTED = 16  # 1 after the first measurement
+JOINT_STATES = 17
+# within each four
+SLIDER_JOINT, EXTENDER_JOINT, FRONT_JOINT, REAR_JOINT = 0, 1, 2, 3
+
+SAMPLE_RATE = 0  # ps[JOINTS][0] [Hz]
+
+
+@dataclass(frozen=True)
+class InchwormParameters(Parameters):
+    """What makes an inchworm motor of an actuator: clamps, slider and the extender's stiffness."""
+
+    extender_stiffness: float = parameter(
+        0.41e6, description="force that shortens the extender by one metre", unit="N/m", low=1.0, high=1e12
+    )
+    front_clamp: ClampParameters = group(ClampParameters)
+    rear_clamp: ClampParameters = group(ClampParameters)
+    slider: SliderParameters = group(SliderParameters)
+
+    def holding_force(self, front_voltage: float, rear_voltage: float) -> tuple[float, float]:
+        """Return the loads [N] that front and rear clamp, each alone, hold at rest at their grip voltages [V]."""
+        return self.front_clamp.holding_force(front_voltage), self.rear_clamp.holding_force(rear_voltage)
+
+    def holding_problems(
+        self, front_voltage: float, rear_voltage: float, margin: float = 1.0, prefix: str = "inchworm."
+    ):
+        """Yield a Problem for each clamp that cannot hold the slider's load at its grip voltage.
+
+        Parameters
+        ----------
+        front_voltage, rear_voltage : float
+            Grip voltages of the gait [V].
+        margin : float
+            What must be held, as a multiple of the load. A load that is handed over at once swings to twice its force
+            on the extender, which is a spring: 2 is safe for any gait, 1 the limit of standing still.
+        prefix : str
+            Put before the names of the parameters.
+        """
+        load = margin * abs(self.slider.force)
+        for name, voltage in (("front_clamp", front_voltage), ("rear_clamp", rear_voltage)):
+            clamp = getattr(self, name)
+            holds = clamp.holding_force(voltage)
+            if holds <= load:
+                allowed = (
+                    f"cannot hold the load of {load:.4g} N: at {voltage:g} V static friction holds {holds:.4g} N; "
+                    "raise the grip voltage, the stiffness or the friction, or lower the load"
+                )
+                yield Problem(f"{prefix}{name}.stiffness", clamp.stiffness, allowed)
+
+
+@dataclass(frozen=True)
+class InchwormPlantParameters(ActuatorParameters):
+    """Parameters of an inchworm motor as a plant: the extender (an actuator) and the rest of the motor."""
+
+    inchworm: InchwormParameters = group(InchwormParameters)
+
+    def check(self):
+        """Yield a Problem for noisy sensors that would have the same noise."""
+        yield from super().check()
+        yield from seed_problems(self)
+
+
+def seed_problems(parameters):
+    """Yield a Problem for each noisy sensor whose seed another noisy sensor has: their noise would be the same.
+
+    Parameters
+    ----------
+    parameters : InchwormPlantParameters
+        Or any other that has ``sensor`` and ``inchworm``.
+    """
+    motor = parameters.inchworm
+    sensors = {
+        "sensor": parameters.sensor,
+        "inchworm.slider.sensor": motor.slider.sensor,
+        "inchworm.front_clamp.sensor": motor.front_clamp.sensor,
+        "inchworm.rear_clamp.sensor": motor.rear_clamp.sensor,
+    }
+    seen: dict[int, str] = {}
+    for name, part in sensors.items():
+        if part.noise > 0.0:
+            if part.seed in seen:
+                allowed = f"must differ from {seen[part.seed]}.seed: equal seeds give equal noise"
+                yield Problem(f"{name}.seed", part.seed, allowed)
+            seen.setdefault(part.seed, name)
+
+
+@kernel
+def inchworm_measure(ps, xs):
+    """Reading [m] of the slider's sensor at the present sample; ``xs[JOINTS]`` is filled for all joints.
+
+    ``ps`` and ``xs`` are tuples of 16 arrays, see the indices at the top of this module.
+    """
+    joints, x, rate = xs[JOINTS], xs[SLIDER], ps[JOINTS][SAMPLE_RATE]
+    front, rear = xs[FRONT_CONTACT], xs[REAR_CONTACT]
+    tip = x[friction.TIP]
+    joints[TRUE_POSITION] = x[friction.POSITION]
+    joints[TRUE_POSITION + 1] = tip
+    joints[TRUE_POSITION + 2] = front[clamping.DISPLACEMENT]
+    joints[TRUE_POSITION + 3] = rear[clamping.DISPLACEMENT]
+    for i in range(4):
+        joints[VELOCITY + i] = -joints[POSITION + i]
+    joints[POSITION] = sensor(ps[SLIDER_SENSOR], xs[SLIDER_SENSOR], x[friction.POSITION])
+    joints[POSITION + 1] = sensor(ps[SENSOR], xs[SENSOR], tip)
+    joints[POSITION + 2] = sensor(ps[FRONT_CONTACT], front, front[clamping.DISPLACEMENT])
+    joints[POSITION + 3] = sensor(ps[REAR_CONTACT], rear, rear[clamping.DISPLACEMENT])
+    for i in range(4):
+        joints[VELOCITY + i] = (joints[POSITION + i] + joints[VELOCITY + i]) * rate * joints[STARTED]
+    joints[EFFORT] = x[friction.FRONT_FORCE] + x[friction.REAR_FORCE]
+    joints[EFFORT + 1] = x[friction.FRONT_FORCE]
+    joints[EFFORT + 2] = front[clamping.NORMAL]
+    joints[EFFORT + 3] = rear[clamping.NORMAL]
+    joints[STARTED] = 1.0
+    xs[SENSOR][acting.DISPLACEMENT] = tip
+    return joints[POSITION]
+
+
+@nested
+def inchworm_advance(
+    extender_hysteresis, front_hysteresis, rear_hysteresis, ps, xs, voltage, front_voltage, rear_voltage
+):
+    """Hold three voltages [V] until the next sample; returns what the extender's amplifier really puts out [V].
+
+    What the clamps' amplifiers put out is in ``xs[FRONT_LIMITS][0]`` and ``xs[REAR_LIMITS][0]``.
+    """
+    applied = limits(ps[LIMITS], xs[LIMITS], voltage)
+    wanted = creep(ps[CREEP], xs[CREEP], extender_hysteresis(ps[HYSTERESIS], xs[HYSTERESIS], applied))
+    linear_advance(ps[DYNAMICS], xs[DYNAMICS], wanted)
+    free = linear_output(ps[DYNAMICS], xs[DYNAMICS]) + ps[SENSOR][PRELOAD]
+
+    put_out = limits(ps[FRONT_LIMITS], xs[FRONT_LIMITS], front_voltage)
+    wanted = front_hysteresis(ps[FRONT_HYSTERESIS], xs[FRONT_HYSTERESIS], put_out)
+    displacement = linear(ps[FRONT_LAG], xs[FRONT_LAG], wanted)
+    normal = contact(ps[FRONT_CONTACT], xs[FRONT_CONTACT], displacement)
+    xs[SLIDER][friction.FRONT_STATIC] = ps[FRONT_CONTACT][clamping.STATIC] * normal
+    xs[SLIDER][friction.FRONT_KINETIC] = ps[FRONT_CONTACT][clamping.KINETIC] * normal
+
+    put_out = limits(ps[REAR_LIMITS], xs[REAR_LIMITS], rear_voltage)
+    wanted = rear_hysteresis(ps[REAR_HYSTERESIS], xs[REAR_HYSTERESIS], put_out)
+    displacement = linear(ps[REAR_LAG], xs[REAR_LAG], wanted)
+    normal = contact(ps[REAR_CONTACT], xs[REAR_CONTACT], displacement)
+    xs[SLIDER][friction.REAR_STATIC] = ps[REAR_CONTACT][clamping.STATIC] * normal
+    xs[SLIDER][friction.REAR_KINETIC] = ps[REAR_CONTACT][clamping.KINETIC] * normal
+
+    slide(ps[SLIDER], xs[SLIDER], free)
+    return applied
+
+
+class Inchworm(Chain):
+    """An inchworm motor with amplifiers and sensors.
+
+    Call :meth:`measure` and then :meth:`advance` once per sample. Composites use ``ps``, ``xs`` and
+    ``hysteresis_kernels`` (extender, front clamp, rear clamp) directly.
+
+    Parameters
+    ----------
+    parameters : InchwormPlantParameters
+        Checked on construction.
+    sample_time : float
+        Sample time [s].
+
+    Raises
+    ------
+    ParameterError
+        Names every wrong parameter.
+    """
+
+    def __init__(self, parameters: InchwormPlantParameters, sample_time: float):
+        self.parameters = parameters.validated()
+        self.sample_time = float(sample_time)
+        motor = parameters.inchworm
+        self.extender = Actuator(_extender(parameters), sample_time)
+        self.front_clamp = Clamp(motor.front_clamp, sample_time)
+        self.rear_clamp = Clamp(motor.rear_clamp, sample_time)
+        self.slider = Slider(motor.slider, sample_time, motor.extender_stiffness)
+        self.slider_sensor = Sensor(motor.slider.sensor, sample_time)
+        own = (self.slider.p, self.slider_sensor.p, np.array([1.0 / self.sample_time]))
+        self.ps = (*self.extender.ps, *self.front_clamp.ps, *self.rear_clamp.ps, *own)
+        own = (self.slider.x, self.slider_sensor.x, np.zeros(JOINT_STATES))
+        self.xs = (*self.extender.xs, *self.front_clamp.xs, *self.rear_clamp.xs, *own)
+        self.hysteresis_kernels = tuple(
+            part.hysteresis_kernel for part in (self.extender, self.front_clamp, self.rear_clamp)
+        )
+        self._settle()
+
+    def _settle(self) -> None:
+        """Put the slider to rest where the parameters say, held by the clamps as they are."""
+        x = self.slider.x
+        for clamp, static, kinetic in (
+            (self.front_clamp, friction.FRONT_STATIC, friction.FRONT_KINETIC),
+            (self.rear_clamp, friction.REAR_STATIC, friction.REAR_KINETIC),
+        ):
+            x[static] = clamp.ps[clamping.CONTACT][clamping.STATIC] * clamp.normal_force
+            x[kinetic] = clamp.ps[clamping.CONTACT][clamping.KINETIC] * clamp.normal_force
+        self.slider.settle(linear_output(self.ps[DYNAMICS], self.xs[DYNAMICS]) + self.ps[SENSOR][PRELOAD])
+
+    def measure(self) -> np.ndarray:
+        """Return the measured positions [m] of the joints in the order of JOINT_NAMES, shape (4,).
+
+        Call it once per sample: it draws the noise. Velocities and efforts stand in ``joints``.
+        """
+        interpreted(inchworm_measure)(self.ps, self.xs)
+        return self.joints[POSITION : POSITION + 4].copy()
+
+    def advance(self, voltage: float, front_voltage: float, rear_voltage: float) -> float:
+        """Hold three voltages [V] for one sample and return what the extender's amplifier really put out [V]."""
+        voltages = float(voltage), float(front_voltage), float(rear_voltage)
+        return interpreted(inchworm_advance)(*self.hysteresis_kernels, self.ps, self.xs, *voltages)
+
+    @property
+    def joints(self) -> np.ndarray:
+        """Array ``xs[JOINTS]``, shape (17,): positions, velocities, efforts and true positions at the measurement."""
+        return self.xs[JOINTS]
+
+    @property
+    def displacement(self) -> float:
+        """True displacement [m] of the slider."""
+        return float(self.slider.x[friction.POSITION])
+
+    @property
+    def voltages(self) -> tuple[float, float, float]:
+        """Voltages [V] that the amplifiers of extender, front and rear clamp put out."""
+        return self.extender.voltage, self.front_clamp.voltage, self.rear_clamp.voltage
+
+    @property
+    def saturated(self) -> bool:
+        """Whether range or slew rate limited one of the last voltages."""
+        return any(part.limits.saturated for part in (self.extender, self.front_clamp, self.rear_clamp))
+
+    def reset(self) -> None:
+        """Return to the start: at rest, virgin hysteresis, noise from its start."""
+        for block in (self.extender, self.front_clamp, self.rear_clamp, self.slider, self.slider_sensor):
+            block.reset()
+        self.joints[:] = 0.0
+        self._settle()
+
+    def retune(self, parameters: InchwormPlantParameters) -> None:
+        """Take new parameters of the same structure while running; everything goes on from where it is.
+
+        Raises
+        ------
+        ParameterError
+            The parameters are wrong, of another structure, or their travel excludes the slider; nothing is changed.
+        """
+        motor = parameters.validated().inchworm
+        for name in ("front_clamp", "rear_clamp"):
+            try:
+                getattr(self, name).check_retune(getattr(motor, name))
+            except ParameterError as error:
+                found = [Problem(f"inchworm.{name}.{item.name}", item.value, item.allowed) for item in error.problems]
+                raise ParameterError(found) from None
+        self.slider.check_travel(motor.slider)
+        self.extender.retune(_extender(parameters))  # the last that may refuse
+        self.front_clamp.retune(motor.front_clamp)
+        self.rear_clamp.retune(motor.rear_clamp)
+        self.slider.stiffness = motor.extender_stiffness
+        self.slider.retune(motor.slider)
+        self.slider_sensor.retune(motor.slider.sensor)
+        self.parameters = parameters
+
+
+def _extender(parameters: InchwormPlantParameters) -> ActuatorParameters:
+    """Return the extender's own parameters."""
+    return ActuatorParameters(**{item.name: getattr(parameters, item.name) for item in fields(ActuatorParameters)})
