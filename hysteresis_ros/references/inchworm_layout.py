@@ -1,0 +1,149 @@
+"""Arrays of the inchworm sequencer: places of parameters, state and signals, and the codes of its states."""
+
+from __future__ import annotations
+
+#: Parameters p. Durations are in samples.
+(
+    SAMPLE_TIME,
+    RELEASE_SAMPLES,
+    GRIP_SAMPLES,
+    EXTEND_SAMPLES,
+    CONTRACT_SAMPLES,
+    SETTLE_SAMPLES,
+    OVERLAP_SAMPLES,
+    LINEAR_RAMP,
+    GRIP_VOLTAGE,
+    RELEASE_VOLTAGE,
+    LOWEST,
+    HIGHEST,
+    MARGIN,
+    MINIMUM,
+    MAXIMUM,
+    HOME,
+    RESTING,
+    FINE_ENABLED,
+    TOLERANCE,
+    FINE_SPEED,
+    FINE_TIME,
+    FINE_TIMEOUT,
+    SMOOTHING,
+    LEARNING,
+    FORGETTING,
+    STILL_STEPS,
+    MISSED_PART,
+    RUNAWAY,
+    SLIP_LIMIT,
+    SENSOR_SAMPLES,
+    CYCLE_SAMPLES,
+    WINDOW,
+) = range(32)
+PARAMETERS = 32
+
+#: State x: first what others read and write, then what the sequencer keeps for itself.
+(
+    REFERENCE,  # wanted extension, or wanted slider position less origin [m]
+    FRONT_VOLTAGE,  # [V]
+    REAR_VOLTAGE,  # [V]
+    ORIGIN,  # [m]; the motion controller's measurement is slider - origin
+    PHASE,
+    STEPS,  # whole and partial steps so far, those forward minus those backward
+    DIRECTION,  # +1, -1 or 0
+    SLIP,  # extension of the last step less what the slider moved [m]
+    ERROR,
+    MODE,
+    ARRIVED,  # 1 while the slider is at the setpoint within the tolerance
+    MISSED,  # steps that moved the slider by less than the missed part of the extension
+    TOTAL_STEPS,  # forward and backward steps so far
+    REFUSED,  # setpoints outside of the travel so far
+    LIMITED_SPEED,  # 1 when the wanted speed is beyond the gait's
+    COMMANDED_STEP,  # length the last finished step was to have [m], with the sign of its direction
+    ACHIEVED_STEP,  # length it had by the measured slider [m]
+    TARGET,  # setpoint in force [m]
+    REQUEST,  # written by others, taken at the next sample
+    SPEED,  # wanted speed of continuous walking [m/s], written by others; 0: walk to the setpoint
+    RECEIVED,  # last setpoint that was received [m]
+    SLIDER,  # last good measurements [m]
+    EXTENDER,
+    BAD,  # samples since the last good measurement
+    STARTED,  # 1 once both clamps have closed for the first time
+    TIMER,  # samples since the present phase began
+    SOURCE,  # what the controller's measurement is
+    BIAS,  # extender less reference when the extender was let go [m]; fades out over the next motion
+    FRONT_FROM,  # clamp ramps: voltage at the beginning and at the end [V], samples so far
+    FRONT_TO,
+    FRONT_COUNT,
+    REAR_FROM,
+    REAR_TO,
+    REAR_COUNT,
+    MOVE_FROM,  # motion of the extender: from, to [m], progress 0 … 1, samples, rate 0 … 1, samples of rest so far
+    MOVE_TO,
+    MOVE_DONE,
+    MOVE_SAMPLES,
+    MOVE_RATE,
+    MOVE_RESTED,
+    EXTENSION,  # of the coming or present step, as part of the stroke
+    FINAL,  # 1 when fine positioning follows the step
+    STEP_LENGTH,  # commanded length of the step [m], without sign
+    STEP_FROM,  # slider when the step began to carry [m]
+    JUDGE,  # 1 when a step has been carried out and not been judged
+    WALKED,  # 1 after continuous walking, until the motor holds its position
+    STILL,  # steps in a row in which the slider did not move
+    RETURNS,  # returns in a row without a step
+    ANCHOR,  # where the runaway guard measures from [m]
+    FINE_POSITION,
+    FINE_VELOCITY,
+    FINE_ERROR,  # smoothed setpoint less slider [m]
+    FINE_SLIP,  # smoothed slip of the front clamp [m]
+    FINE_LATE,  # samples outside of the tolerance
+    FINE_GOAL,
+    TIP,  # wanted extension [m]: the reference without the pretension
+    LOAD,  # learned deflection of the extender by the load [m]
+    PRETENSION,  # part of the load that the reference takes off [m], and the ends of its ramp
+    PRETENSION_FROM,
+    PRETENSION_TO,
+) = range(60)
+#: Learned step models, forward and backward (see :mod:`hysteresis_ros.references.step_model`).
+FORWARD_MODEL = 60
+BACKWARD_MODEL = 65
+STATES = 70
+
+#: Phases.
+(
+    STARTING,
+    HOLDING,
+    RELEASING_REAR,
+    CARRYING,
+    GRIPPING_REAR,
+    RELEASING_FRONT,
+    RETURNING,
+    GRIPPING_FRONT,
+    POSITIONING,
+    RELEASED,
+    STOPPING,
+) = range(11)
+PHASE_NAMES = (
+    "starting",
+    "holding",
+    "releasing_rear",
+    "carrying",
+    "gripping_rear",
+    "releasing_front",
+    "returning",
+    "gripping_front",
+    "positioning",
+    "released",
+    "stopping",
+)
+
+#: Modes.
+RUN, STOP, LET_GO, FAILED = range(4)
+
+#: Requests.
+NO_REQUEST, START_REQUEST, STOP_REQUEST, HOME_REQUEST, RELEASE_REQUEST = range(5)
+
+#: Errors. A bad sensor heals itself; the others stay until start.
+NO_ERROR, SENSOR_ERROR, NO_MOTION_ERROR, RUNAWAY_ERROR, SLIP_ERROR = range(5)
+ERROR_NAMES = ("", "sensor", "no_motion", "runaway", "slip")
+
+#: Sources of the controller's measurement: none (it reads its reference), the extender, the slider.
+BLOCKED, OWN, FOLLOWING = range(3)

@@ -1,0 +1,288 @@
+"""Steps of the inchworm sequencer: what its phases do with clamps and extender, how a step is chosen and judged."""
+
+from __future__ import annotations
+
+import math
+
+from hysteresis_ros.block import kernel
+from hysteresis_ros.references import inchworm_layout as at
+from hysteresis_ros.references.gait import cycloid
+from hysteresis_ros.references.step_model import extension_for, learn, longest_step
+
+#: Part of the commanded extension below which the slider counts as not moved.
+STILL_PART = 0.1
+#: Steps shorter than this part of the stroke teach nothing and are no evidence of anything.
+SHORT_STEP = 0.05
+#: Continuous walking makes no steps shorter than this part of the stroke; it waits between them instead.
+SLOW_STEP = 0.1
+#: The load may take up this part of the stroke at most.
+LOAD_PART = 0.8
+#: Part of the measured deflection by which the learned one is corrected at every step.
+LOAD_GAIN = 0.5
+#: Extensions are equal within this [m].
+EQUAL = 1.0e-12
+
+
+@kernel
+def fail(x, error):
+    """Stop for good with an error; the first one is kept."""
+    if x[at.MODE] != at.FAILED:
+        x[at.MODE] = at.FAILED
+        x[at.ERROR] = error
+
+
+@kernel
+def enter(x, phase):
+    """Begin a phase."""
+    x[at.PHASE] = phase
+    x[at.TIMER] = 0.0
+
+
+@kernel
+def drive_front(x, voltage):
+    """Let the front clamp's voltage go to ``voltage`` [V] from where it is."""
+    if x[at.FRONT_TO] != voltage:
+        x[at.FRONT_FROM] = x[at.FRONT_VOLTAGE]
+        x[at.FRONT_TO] = voltage
+        x[at.FRONT_COUNT] = 0.0
+
+
+@kernel
+def drive_rear(x, voltage):
+    """Let the rear clamp's voltage go to ``voltage`` [V] from where it is."""
+    if x[at.REAR_TO] != voltage:
+        x[at.REAR_FROM] = x[at.REAR_VOLTAGE]
+        x[at.REAR_TO] = voltage
+        x[at.REAR_COUNT] = 0.0
+
+
+@kernel
+def move(p, x, target):
+    """Begin a motion of the extender to ``target`` [m]."""
+    x[at.MOVE_FROM] = x[at.TIP]
+    x[at.MOVE_TO] = target
+    x[at.MOVE_DONE] = 0.0
+    x[at.MOVE_RATE] = 1.0
+    x[at.MOVE_RESTED] = 0.0
+    x[at.MOVE_SAMPLES] = p[at.EXTEND_SAMPLES] if target >= x[at.TIP] else p[at.CONTRACT_SAMPLES]
+
+
+@kernel
+def let_go(x):
+    """Give the extender its own feedback again before a clamp opens."""
+    x[at.SOURCE] = at.OWN
+    x[at.BIAS] = x[at.EXTENDER] - x[at.TIP]
+    x[at.MOVE_DONE] = 0.0
+
+
+@kernel
+def hold(x):
+    """Both clamps are closed: nothing is to be controlled."""
+    x[at.SOURCE] = at.BLOCKED
+    x[at.ANCHOR] = x[at.SLIDER]
+    enter(x, at.HOLDING)
+
+
+@kernel
+def must_stop(p, x):
+    """Whether the motor shall hold with both clamps."""
+    return x[at.MODE] == at.STOP or x[at.MODE] == at.FAILED or x[at.BAD] > p[at.SENSOR_SAMPLES]
+
+
+@kernel
+def stop_here(p, x):
+    """Close whatever is open, now."""
+    drive_front(x, p[at.GRIP_VOLTAGE])
+    drive_rear(x, p[at.GRIP_VOLTAGE])
+    enter(x, at.STOPPING)
+
+
+@kernel
+def moving(p, x):
+    """Advance the extender's motion by a sample; whether it still moves or rests."""
+    if x[at.MOVE_DONE] < 1.0:
+        x[at.MOVE_DONE] = min(x[at.MOVE_DONE] + x[at.MOVE_RATE] / x[at.MOVE_SAMPLES], 1.0)
+        if x[at.MOVE_DONE] > 1.0 - 1.0e-9:
+            x[at.MOVE_DONE] = 1.0
+            x[at.MOVE_RATE] = 0.0
+            x[at.TIP] = x[at.MOVE_TO]
+        else:
+            x[at.TIP] = x[at.MOVE_FROM] + (x[at.MOVE_TO] - x[at.MOVE_FROM]) * cycloid(x[at.MOVE_DONE])
+        return True
+    x[at.MOVE_RESTED] += 1.0
+    return x[at.MOVE_RESTED] <= p[at.SETTLE_SAMPLES]
+
+
+@kernel
+def turn(x, way):
+    """Set the direction to the sign of ``way``."""
+    direction = 1.0 if way >= 0.0 else -1.0
+    if direction != x[at.DIRECTION]:
+        x[at.DIRECTION] = direction
+        x[at.RETURNS] = 0.0
+
+
+@kernel
+def lowest(p, x):
+    """Smallest extension [m] of a step: the load takes its share of the range."""
+    return p[at.LOWEST] + max(x[at.LOAD], 0.0)
+
+
+@kernel
+def highest(p, x):
+    """Largest extension [m] of a step."""
+    return p[at.HIGHEST] + min(x[at.LOAD], 0.0)
+
+
+@kernel
+def within(p, x, extension):
+    """Whether ``extension`` [m] is in the range of steps."""
+    return extension >= lowest(p, x) - EQUAL and extension <= highest(p, x) + EQUAL
+
+
+@kernel
+def pretension(p, x, target):
+    """Begin to take the load off the clamp that opens: the extender takes a deflection of ``target`` [m] over."""
+    x[at.PRETENSION_FROM] = x[at.PRETENSION]
+    x[at.PRETENSION_TO] = target
+
+
+@kernel
+def pretensioning(p, x):
+    """Advance the pretension: done in the first half of the ramp that opens the clamp, while that still holds."""
+    part = cycloid(2.0 * (x[at.TIMER] + 1.0) / p[at.RELEASE_SAMPLES])
+    x[at.PRETENSION] = x[at.PRETENSION_FROM] + (x[at.PRETENSION_TO] - x[at.PRETENSION_FROM]) * part
+
+
+@kernel
+def weigh(p, x):
+    """Correct the learned load by what is left, when a step ends, of how the extender gave way when it took over."""
+    if p[at.LEARNING] != 0.0:
+        bound = LOAD_PART * (p[at.HIGHEST] - p[at.LOWEST])
+        load = x[at.LOAD] + LOAD_GAIN * (x[at.EXTENDER] - x[at.TIP] - x[at.BIAS])
+        x[at.LOAD] = min(max(load, -bound), bound)
+
+
+@kernel
+def account(p, x):
+    """Judge the step that was just carried out, and learn from it."""
+    stroke = p[at.HIGHEST] - p[at.LOWEST]
+    direction = x[at.DIRECTION]
+    extension = x[at.EXTENSION] * stroke
+    moved = direction * (x[at.SLIDER] - x[at.STEP_FROM])
+    x[at.STEPS] += direction
+    x[at.TOTAL_STEPS] += 1.0
+    x[at.SLIP] = extension - moved
+    x[at.COMMANDED_STEP] = direction * x[at.STEP_LENGTH]
+    x[at.ACHIEVED_STEP] = direction * moved
+    x[at.RETURNS] = 0.0
+    if x[at.EXTENSION] < SHORT_STEP:
+        return
+    if moved < p[at.MISSED_PART] * extension:
+        x[at.MISSED] += 1.0
+    x[at.STILL] = x[at.STILL] + 1.0 if moved < STILL_PART * extension else 0.0
+    if x[at.STILL] >= p[at.STILL_STEPS]:
+        fail(x, at.NO_MOTION_ERROR)
+    if p[at.LEARNING] != 0.0 and moved > p[at.MISSED_PART] * extension and moved < 2.0 * extension:
+        model = at.FORWARD_MODEL if direction > 0.0 else at.BACKWARD_MODEL
+        learn(x, model, p[at.FORGETTING], x[at.EXTENSION], moved / stroke)
+
+
+@kernel
+def carry_from(p, x, start):
+    """Open a clamp: the rear one when the extender is where the step starts, else the front one to go there."""
+    if x[at.RETURNS] > p[at.STILL_STEPS]:
+        fail(x, at.NO_MOTION_ERROR)
+        return
+    let_go(x)
+    x[at.ANCHOR] = x[at.SLIDER]
+    if abs(start - x[at.TIP]) <= EQUAL:
+        x[at.STEP_FROM] = x[at.SLIDER]
+        pretension(p, x, x[at.LOAD])
+        drive_rear(x, p[at.RELEASE_VOLTAGE])
+        enter(x, at.RELEASING_REAR)
+    else:
+        x[at.MOVE_TO] = start
+        pretension(p, x, 0.0)
+        drive_front(x, p[at.RELEASE_VOLTAGE])
+        enter(x, at.RELEASING_FRONT)
+
+
+@kernel
+def plan_partial(p, x, length):
+    """Choose the extension for ``length`` [m] ≥ 0 and return where it starts [m].
+
+    A step before fine positioning ends in the middle of the extender's range; one that is too long for that is not the
+    last one. Without fine positioning a step starts where the extender is, if it fits.
+    """
+    stroke = p[at.HIGHEST] - p[at.LOWEST]
+    middle = 0.5 * (lowest(p, x) + highest(p, x))
+    direction = x[at.DIRECTION]
+    model = at.FORWARD_MODEL if direction > 0.0 else at.BACKWARD_MODEL
+    usable = (highest(p, x) - lowest(p, x)) / stroke
+    x[at.EXTENSION] = min(extension_for(x, model, length / stroke), usable)
+    x[at.STEP_LENGTH] = length
+    change = direction * x[at.EXTENSION] * stroke
+    end = x[at.TIP] + change
+    x[at.FINAL] = 0.0
+    if p[at.FINE_ENABLED] == 0.0:
+        if within(p, x, end):
+            return x[at.TIP]
+    elif abs(end - middle) <= p[at.WINDOW] + EQUAL:
+        x[at.FINAL] = 1.0
+        return x[at.TIP]
+    elif within(p, x, middle - change):
+        x[at.FINAL] = 1.0
+    return min(max(middle - change, lowest(p, x)), highest(p, x))
+
+
+@kernel
+def next_walk(p, x):
+    """Begin the next step of continuous walking."""
+    turn(x, x[at.SPEED])
+    stroke = p[at.HIGHEST] - p[at.LOWEST]
+    model = at.FORWARD_MODEL if x[at.DIRECTION] > 0.0 else at.BACKWARD_MODEL
+    usable = (highest(p, x) - lowest(p, x)) / stroke
+    longest = stroke * longest_step(x, model, usable)
+    speed = abs(x[at.SPEED])
+    wanted = speed * p[at.SAMPLE_TIME] * p[at.CYCLE_SAMPLES]
+    x[at.LIMITED_SPEED] = 1.0 if wanted > longest * 1.05 else 0.0
+    length = min(max(wanted, SLOW_STEP * stroke), longest)
+    aim = x[at.SLIDER] + x[at.DIRECTION] * length
+    if aim > p[at.MAXIMUM] or aim < p[at.MINIMUM]:
+        x[at.DIRECTION] = 0.0
+        return
+    pause = max(length / (speed * p[at.SAMPLE_TIME]) - p[at.CYCLE_SAMPLES], 0.0)
+    if x[at.RETURNS] == 0.0 and x[at.TIMER] < math.floor(pause):
+        return
+    x[at.EXTENSION] = min(extension_for(x, model, length / stroke), usable)
+    x[at.STEP_LENGTH] = length
+    x[at.FINAL] = 0.0
+    change = x[at.DIRECTION] * x[at.EXTENSION] * stroke
+    start = 0.5 * (lowest(p, x) + highest(p, x) - change)
+    if x[at.RETURNS] > 0.0 and within(p, x, x[at.TIP] + change):
+        start = x[at.TIP]
+    carry_from(p, x, start)
+
+
+@kernel
+def next_step(p, x):
+    """Begin the next step to the setpoint, if there is anything left to do."""
+    distance = x[at.TARGET] - x[at.SLIDER]
+    if p[at.FINE_ENABLED] == 0.0 and abs(distance) <= p[at.TOLERANCE]:
+        x[at.DIRECTION] = 0.0
+        x[at.ARRIVED] = 1.0
+        return
+    x[at.ARRIVED] = 0.0
+    turn(x, distance)
+    stroke = p[at.HIGHEST] - p[at.LOWEST]
+    model = at.FORWARD_MODEL if x[at.DIRECTION] > 0.0 else at.BACKWARD_MODEL
+    usable = (highest(p, x) - lowest(p, x)) / stroke
+    longest = stroke * longest_step(x, model, usable)
+    if abs(distance) > longest:
+        x[at.EXTENSION] = usable
+        x[at.STEP_LENGTH] = longest
+        x[at.FINAL] = 0.0
+        carry_from(p, x, lowest(p, x) if x[at.DIRECTION] > 0.0 else highest(p, x))
+    else:
+        carry_from(p, x, plan_partial(p, x, abs(distance)))
