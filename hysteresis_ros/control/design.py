@@ -62,7 +62,8 @@ def _equilibrated(matrix):
     return matrix
 
 
-def _full_column_rank(matrix) -> bool:
+def full_rank(matrix) -> bool:
+    """Tell whether the columns of a matrix are independent, whatever their units."""
     singular = np.linalg.svd(_equilibrated(matrix), compute_uv=False)
     return bool(singular[-1] > RANK_TOLERANCE * singular[0])
 
@@ -71,7 +72,7 @@ def detectable(A, C) -> bool:
     """Tell whether every mode of A on or outside the unit circle shows in C (Popov-Belevitch-Hautus test)."""
     identity = np.eye(len(A))
     return all(
-        _full_column_rank(np.vstack([A - value * identity, C]))
+        full_rank(np.vstack([A - value * identity, C]))
         for value in np.linalg.eigvals(A)
         if abs(value) >= 1.0 - STABILITY_MARGIN
     )
@@ -117,7 +118,7 @@ def steady_state(A, B, C, D):
     """
     n = len(A)
     system = np.block([[A - np.eye(n), B], [C, np.array([[D]])]])
-    if not _full_column_rank(system):
+    if not full_rank(system):
         refuse(
             "model.dynamics.C",
             tuple(C[0].tolist()),
@@ -142,16 +143,27 @@ def integral_system(A, B, C, D):
     return np.block([[A, np.zeros((n, 1))], [-C @ A, np.eye(1)]]), np.vstack([B, -(C @ B + D)])
 
 
-def disturbance_system(A, B, C, D):
-    """Append a constant disturbance d of the input (matched: B (u + d)) to the model.
+def disturbance_system(A, B, C, D, A_d=None, c_d=None):
+    """Append a disturbance d of the input (matched: B (u + d)) with the model w⁺ = A_d w, d = c_d w to the model.
+
+    With y_k = C x_k + D (u_(k-1) + d_(k-1)) the feedthrough takes the disturbance of the sample before, c_d A_d⁻¹ w_k.
+
+    Parameters
+    ----------
+    A, B, C : ndarray, shapes (n, n), (n, 1), (1, n)
+    D : float
+    A_d, c_d : ndarray, shapes (m, m) and (m,), optional
+        Model of the disturbance, A_d invertible; a constant one by default.
 
     Returns
     -------
-    A : ndarray, shape (n + 1, n + 1)
-    C : ndarray, shape (1, n + 1)
+    A : ndarray, shape (n + m, n + m)
+    C : ndarray, shape (1, n + m)
     """
     n = len(A)
-    return np.block([[A, B], [np.zeros((1, n)), np.eye(1)]]), np.hstack([C, [[D]]])
+    A_d, c_d = (np.eye(1), np.ones(1)) if A_d is None else (A_d, c_d)
+    whole = np.block([[A, B * c_d], [np.zeros((len(A_d), n)), A_d]])
+    return whole, np.hstack([C, D * np.linalg.solve(A_d.T, c_d)[np.newaxis]])
 
 
 def sliding_gain(A, B, S, phi: float):
@@ -217,7 +229,7 @@ def hyperplane_from_poles(A, B, poles):
     for _ in range(n - 1):
         columns.append(A @ columns[-1])
     controllability = np.column_stack(columns)
-    if not _full_column_rank(controllability):
+    if not full_rank(controllability):
         refuse("model.dynamics.B", tuple(B[:, 0].tolist()), "the model is not controllable, so poles cannot be placed")
     S = np.linalg.solve(controllability.T, np.eye(n)[-1])
     polynomial = np.real(np.poly(np.asarray(poles, dtype=complex))) if n > 1 else np.ones(1)

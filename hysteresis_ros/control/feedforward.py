@@ -11,38 +11,69 @@ from dataclasses import dataclass
 import numpy as np
 
 from hysteresis_ros.block import Block, kernel
+from hysteresis_ros.control.inversion import InverseFilter, inverse_filter
 from hysteresis_ros.control.open_loop import bounded
+from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.parameters import Parameters, parameter
 
-# Parameter array: a head.
+# Parameter array: a head, the weights of the references (preview + 1 places), then of the causal part A (n·n, row by
+# row), B, C and its state at rest under a reference of one (n each).
 PREVIEW = 0
-STATIC = 1
-TAPS = 2
+ORDER = 1
+DEGREE = 2  # how far ahead of the delayed reference the first weight stands
+TAPS = 3  # weights in use
+WEIGHTS = 4
 
-# State array: a head, then the last references, the oldest at NEXT.
+# State array: a head, then the references r(k) … r(k + N) in a ring, n states and n numbers of scratch.
 COMMAND = 0  # command of the feedforward for the delayed reference [m]
 STARTED = 1  # 0.0 makes the next call take the reference for one that has always been there
-NEXT = 2
-PAST = 3
+NEXT = 2  # place of the ring for the next reference
+RING = 3
 
 
 @kernel
 def feedforward(p, x, reference):
     """Return the delayed reference [m] for ``reference`` [m]; the feedforward's command [m] is left in ``x[0]``."""
-    preview = int(p[PREVIEW])
+    length = int(p[PREVIEW]) + 1
+    n = int(p[ORDER])
+    matrix = WEIGHTS + length
+    inputs = matrix + n * n
+    outputs = inputs + n
+    rest = outputs + n
+    state = RING + length
     reference = bounded(reference)
     if x[STARTED] == 0.0:
         x[STARTED] = 1.0
-        for i in range(preview):
-            x[PAST + i] = reference
-    delayed = reference
-    if preview > 0:
-        place = PAST + int(x[NEXT])
-        delayed = x[place]
-        x[place] = reference
-        x[NEXT] = (x[NEXT] + 1.0) % p[PREVIEW]
-    x[COMMAND] = p[STATIC] * delayed
-    return delayed
+        for i in range(length):
+            x[RING + i] = reference
+        for i in range(n):
+            x[state + i] = p[rest + i] * reference
+    newest = int(x[NEXT])
+    x[RING + newest] = reference
+    oldest = newest + 1
+    if oldest == length:
+        oldest = 0
+    x[NEXT] = float(oldest)
+    place = oldest + int(p[DEGREE])
+    if place >= length:
+        place -= length
+    ahead = x[RING + place]
+    command = 0.0
+    for i in range(int(p[TAPS])):
+        command += p[WEIGHTS + i] * x[RING + place]
+        place += 1
+        if place == length:
+            place = 0
+    for i in range(n):
+        command += p[outputs + i] * x[state + i]
+        following = p[inputs + i] * ahead
+        for j in range(n):
+            following += p[matrix + i * n + j] * x[state + j]
+        x[state + n + i] = following
+    for i in range(n):
+        x[state + i] = x[state + n + i]
+    x[COMMAND] = command
+    return x[RING + oldest]
 
 
 @dataclass(frozen=True)
@@ -51,9 +82,10 @@ class FeedforwardParameters(Parameters):
 
     type: str = parameter(
         "none",
-        choices=("none", "static"),
+        choices=("none", "static", "inverse_dynamics"),
         read_only=True,
-        description="none, or static (the delayed reference itself: the model has unit DC gain)",
+        description="none, static (the delayed reference itself: the model has unit DC gain), or inverse_dynamics "
+        "(stable inversion of model.dynamics; needs preview)",
     )
     preview: int = parameter(
         0,
@@ -67,26 +99,77 @@ class FeedforwardParameters(Parameters):
 class Feedforward(Block):
     """The feedforward of a motion controller: from the received to the delayed reference and a command.
 
+    It begins at rest on the first reference it gets.
+
     Parameters
     ----------
     parameters : ControllerParameters
         Of which ``feedforward`` and ``model.dynamics`` are used.
     sample_time : float
         Sample time [s].
+
+    Raises
+    ------
+    ParameterError
+        The preview does not reach as far as the dynamics delay, the dynamics have no stable inverse, or are for
+        another sample time.
     """
 
     kernel = staticmethod(feedforward)
 
     def pack(self, parameters) -> np.ndarray:
-        """Return the parameter array."""
+        """Return the parameter array, shape (4 + N + 1 + n² + 3 n,)."""
         given = parameters.feedforward
-        return np.array([given.preview, given.type == "static"], dtype=float)
+        parameters.model.dynamics.require_sample_time(self.sample_time, "model.dynamics.sample_time")
+        chosen = _filter(given, parameters.model.dynamics)
+        taps = np.zeros(given.preview + 1)
+        taps[: len(chosen.weights)] = chosen.weights
+        head = [given.preview, len(chosen.B), chosen.degree, len(chosen.weights)]
+        return np.concatenate([head, taps, chosen.A.ravel(), chosen.B, chosen.C, chosen.rest])
 
     def initial_state(self) -> np.ndarray:
         """Return the state before the first sample."""
-        return np.zeros(PAST + self.parameters.feedforward.preview)
+        return np.zeros(RING + int(self.p[PREVIEW]) + 1 + 2 * int(self.p[ORDER]))
 
     @property
     def command(self) -> float:
         """Command [m] of the feedforward at the last sample."""
         return float(self.x[COMMAND])
+
+    def retune(self, parameters) -> None:
+        """Take another model of the same order while running.
+
+        References and states go on, so nothing jumps while the reference rests; arm the hand-over behind the
+        controller for a reference that moves.
+
+        Raises
+        ------
+        ParameterError
+            Type, preview or the order of the model differ, or the new model cannot be inverted; nothing is changed
+            then.
+        """
+        parameters = parameters.validated()
+        for name in ("type", "preview"):
+            value, present = getattr(parameters.feedforward, name), getattr(self.parameters.feedforward, name)
+            if value != present:
+                raise ParameterError([Problem(f"feedforward.{name}", value, f"is fixed while running: keep {present}")])
+        packed = np.ascontiguousarray(self.pack(parameters), dtype=np.float64)
+        if packed.shape != self.p.shape:
+            raise ParameterError(
+                [Problem("model.dynamics.A", parameters.model.dynamics.A, "the order of the model cannot change live")]
+            )
+        self.parameters = parameters
+        # what rests stays at rest under the new model too
+        length, order = int(packed[PREVIEW]) + 1, int(packed[ORDER])
+        ahead = self.x[RING + (int(self.x[NEXT]) + int(packed[DEGREE])) % length]
+        rest = len(packed) - order
+        self.x[RING + length : RING + length + order] += (packed[rest:] - self.p[rest:]) * ahead
+        self.p[:] = packed
+
+
+def _filter(given: FeedforwardParameters, dynamics) -> InverseFilter:
+    if given.type == "inverse_dynamics":
+        return inverse_filter(dynamics, given.preview)
+    nothing = np.zeros(0)
+    weights = np.ones(1) if given.type == "static" else nothing
+    return InverseFilter(0, weights, np.zeros((0, 0)), nothing, nothing, nothing, nothing, 0.0)

@@ -16,8 +16,10 @@ DECAY = 0
 BIAS = 0
 #: x[LAST]: last output.
 LAST = 1
-#: x[ARMED]: 1.0 when the next output shall equal the last one.
+#: x[ARMED]: 1.0 when the next output shall equal the last one; 2.0 when x[BIAS] already says how much of that lasts.
 ARMED = 2
+#: x[QUICK]: what is added besides the bias, and halved from sample to sample.
+QUICK = 3
 
 #: Below this the bias is dropped, before it becomes a slow subnormal number.
 SMALLEST = 1e-300
@@ -27,16 +29,27 @@ SMALLEST = 1e-300
 def handover(p, x, u):
     """Return ``u + bias`` and let the bias decay; when armed, choose the bias such that the output does not move."""
     if x[ARMED] != 0.0:
+        lasting = x[ARMED] == 2.0
         x[ARMED] = 0.0
         if p[DECAY] > 0.0:
-            x[BIAS] = x[LAST] - u
+            x[QUICK] = 0.0
+            if lasting:
+                x[QUICK] = x[LAST] - u - x[BIAS]
+            else:
+                x[BIAS] = x[LAST] - u
             # Exactly the last output, not u + (last - u) with its rounding.
             return x[LAST]
+        x[BIAS] = 0.0
     bias = x[BIAS] * p[DECAY]
+    quick = 0.5 * x[QUICK]
     y = u + bias
     if abs(bias) < SMALLEST or y == u:
         bias = 0.0
+    if abs(quick) < SMALLEST or y + quick == y:
+        quick = 0.0
+    y += quick
     x[BIAS] = bias
+    x[QUICK] = quick
     x[LAST] = y
     return y
 
@@ -71,10 +84,10 @@ class Handover(Block):
 
     def initial_state(self) -> np.ndarray:
         """Return the state without bias."""
-        return np.zeros(3)
+        return np.zeros(4)
 
 
-def arm(block: Handover, last: float | None = None) -> None:
+def arm(block: Handover, last: float | None = None, lasting: float | None = None) -> None:
     """Make the next output of ``block`` equal its last one and fade from there to the input.
 
     Used after a change of controller type, live gains, a stale measurement, and at start after stop.
@@ -84,7 +97,14 @@ def arm(block: Handover, last: float | None = None) -> None:
     block : Handover
     last : float, optional
         Where to go on from, when something else (a safe output) was sent since the block's last output.
+    lasting : float, optional
+        How far the output was from what the input would have been lately, on average. Only this part fades with the
+        time constant; what the present sample deviates from it, noise mostly, is halved from sample to sample. A
+        feedback that gets noise as a bias for long would be led away by it.
     """
     if last is not None:
         block.x[LAST] = float(last)
     block.x[ARMED] = 1.0
+    if lasting is not None:
+        block.x[ARMED] = 2.0
+        block.x[BIAS] = float(lasting)

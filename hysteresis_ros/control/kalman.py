@@ -1,18 +1,28 @@
-"""Kalman filter with steady gain, in predictor or current form, with or without a constant disturbance (K6).
+"""Kalman filter with steady gain, in predictor or current form, with or without a model of the disturbance (K6).
 
 All signals are in the model's own units. At sample k the filter receives the input really applied at sample k - 1 and
-the measurement y_k = C x_k + D u_(k-1). With d̂ the estimated disturbance of the input:
+the measurement y_k = C x_k + D u_(k-1). With d̂_k the estimated disturbance of the input in sample k:
 
-predictor   x̂_k = A x̂_(k-1) + B (u_(k-1) + d̂) + L ε_(k-1)             (y_k acts from sample k + 1)
-current     x̂_k = x̄_k + L ε_k,  x̄_k = A x̂_(k-1) + B (u_(k-1) + d̂)    (y_k acts at once)
+predictor   x̂_k = A x̂_(k-1) + B (u_(k-1) + d̂_(k-1)) + L ε_(k-1)        (y_k acts from sample k + 1)
+current     x̂_k = x̄_k + L ε_k,  x̄_k = A x̂_(k-1) + B (u_(k-1) + d̂_(k-1))    (y_k acts at once)
 
 where ε is the innovation, measured minus predicted output. Kim, Kim & Park 2009, eqs 13-15, print the predictor form
 (and call it current).
+
+The disturbance comes from a model of its own, w⁺ = A_d w, d = c_d w (internal model principle; Francis & Wonham 1976):
+
+constant    d⁺ = d
+ramp        d⁺ = d + v, v⁺ = v
+periodic    a constant, and at the frequency and each of its harmonics a resonator a⁺ = cos(φ) a + sin(φ) b,
+            b⁺ = cos(φ) b - sin(φ) a with the phase φ of one sample; d is the constant and the sum of all a
+
+What a controller compensates at sample k is d̂_k, predicted for the sample in which its command acts.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import cos, pi, sin
 
 import numpy as np
 
@@ -21,16 +31,16 @@ from hysteresis_ros.control import design
 from hysteresis_ros.control.open_loop import bounded, run_controller
 from hysteresis_ros.parameters import Parameters, parameter
 
-# Parameter array: a head, then A (rows), B, C, L, N_x.
+# Parameter array: a head, then A (rows), B, C, L, N_x of the model, then A_d (rows), c_d, gain and feedthrough of the
+# disturbance's model.
 ORDER = 0
 CURRENT = 1
-DISTURBED = 2
+DISTURBED = 2  # number of states of the disturbance's model
 FEEDTHROUGH = 3
-DISTURBANCE_GAIN = 4
-REST_INPUT = 5
-MATRICES = 6
+REST_INPUT = 4
+MATRICES = 5
 
-# State array: a head, then the estimate x̂ and n places to compute the next one in.
+# State array: a head, then the estimate x̂ and n places to compute the next one in, then the same for w.
 RUNNING = 0
 INNOVATION = 1
 OFFSET = 2
@@ -53,20 +63,32 @@ def kalman_step(p, x, first, start, applied, measured):
         Measurement of this sample.
     """
     n = int(p[first + ORDER])
+    m = int(p[first + DISTURBED])
     a = first + MATRICES
     b = a + n * n
     c = b + n
     gain = c + n
     rest = gain + n
+    transition = rest + n
+    shown = transition + m * m
+    correction = shown + m
+    through = correction + m
     now = start + ESTIMATE
     following = now + n
+    cause = following + n
+    coming = cause + m
     if x[start + RUNNING] == 0.0:
-        # The plant is taken to be at rest where it is measured.
+        # The plant is taken to be at rest where it is measured, under a constant disturbance.
         x[start + RUNNING] = 1.0
         x[start + INNOVATION] = 0.0
         for i in range(n):
             x[now + i] = bounded(p[rest + i] * measured)
-        x[start + OFFSET] = p[first + DISTURBED] * bounded(p[first + REST_INPUT] * measured - applied)
+        for i in range(m):
+            x[cause + i] = 0.0
+        x[start + OFFSET] = 0.0
+        if m > 0:
+            x[cause] = bounded(p[first + REST_INPUT] * measured - applied)
+            x[start + OFFSET] = x[cause]
         return measured
     late = 0.0
     if p[first + CURRENT] == 0.0:
@@ -79,18 +101,31 @@ def kalman_step(p, x, first, start, applied, measured):
         x[following + i] = bounded(value)
     for i in range(n):
         x[now + i] = x[following + i]
-    x[start + OFFSET] = bounded(x[start + OFFSET] + p[first + DISTURBANCE_GAIN] * late)
-    output = p[first + FEEDTHROUGH] * (applied + x[start + OFFSET])
+    for i in range(m):
+        value = p[correction + i] * late
+        for j in range(m):
+            value += p[transition + i * m + j] * x[cause + j]
+        x[coming + i] = bounded(value)
+    offset = 0.0
+    output = p[first + FEEDTHROUGH] * applied
+    for i in range(m):
+        x[cause + i] = x[coming + i]
+        offset += p[shown + i] * x[cause + i]
+        output += p[through + i] * x[cause + i]
     for i in range(n):
         output += p[c + i] * x[now + i]
     innovation = bounded(measured - output)
     x[start + INNOVATION] = innovation
     if p[first + CURRENT] != 0.0:
         for i in range(n):
-            correction = p[gain + i] * innovation
-            x[now + i] = bounded(x[now + i] + correction)
-            output += p[c + i] * correction
-        x[start + OFFSET] = bounded(x[start + OFFSET] + p[first + DISTURBANCE_GAIN] * innovation)
+            change = p[gain + i] * innovation
+            x[now + i] = bounded(x[now + i] + change)
+            output += p[c + i] * change
+        offset = 0.0
+        for i in range(m):
+            x[cause + i] = bounded(x[cause + i] + p[correction + i] * innovation)
+            offset += p[shown + i] * x[cause + i]
+    x[start + OFFSET] = bounded(offset)
     return output
 
 
@@ -118,7 +153,8 @@ class KalmanParameters(Parameters):
     )
     L: tuple[float, ...] = parameter(
         (),
-        description="Gain when given, in the chosen form: one entry a state, and one for the disturbance if estimated",
+        description="Gain when given, in the chosen form: one entry a state of the model, then one a state of the "
+        "disturbance (constant 1, ramp 2, periodic 1 + 2 harmonics)",
     )
     q: float = parameter(
         1.0, low=0.0, description="Variance of the noise of the input: process noise Q = q B B^T (input unit squared)"
@@ -129,61 +165,153 @@ class KalmanParameters(Parameters):
     r: float = parameter(1.0, low=0.0, description="Variance of the measurement noise (output unit squared), above 0")
     disturbance: str = parameter(
         "none",
-        choices=("none", "constant"),
+        choices=("none", "constant", "ramp", "periodic"),
         read_only=True,
-        description="Whether a constant disturbance of the input is estimated and compensated: offset-free tracking",
+        description="What disturbance of the input is estimated and compensated: none, constant (offset-free), ramp "
+        "(and its increment per sample), periodic (constant and resonators at a frequency and its harmonics)",
     )
     q_disturbance: float = parameter(
         1e-4,
         low=0.0,
         description="Variance by which the disturbance may wander each sample (input unit squared), above 0",
     )
+    q_disturbance_rate: float = parameter(
+        1e-6,
+        low=0.0,
+        description="ramp: variance by which the disturbance's increment per sample may wander each sample "
+        "(input unit squared), above 0",
+    )
+    q_disturbance_periodic: float = parameter(
+        1e-4,
+        low=0.0,
+        description="periodic: variance by which each resonator may wander each sample (input unit squared), above 0",
+    )
+    disturbance_frequency: float = parameter(
+        1.0, unit="Hz", low=0.0, description="periodic: frequency of the disturbance, that of the reference"
+    )
+    disturbance_harmonics: int = parameter(
+        1, low=1, high=10, read_only=True, description="periodic: number of resonators, at 1, 2, … times the frequency"
+    )
 
 
-def filter_gain(parameters: KalmanParameters, A, B, C, D):
-    """Return the gain in the chosen form, shape (n,) or (n + 1,) with a disturbance.
+def disturbance_states(parameters: KalmanParameters) -> int:
+    """Return the number of states of the disturbance's model."""
+    sizes = {"none": 0, "constant": 1, "ramp": 2}
+    return sizes.get(parameters.disturbance, 1 + 2 * parameters.disturbance_harmonics)
+
+
+def disturbance_model(parameters: KalmanParameters, sample_time: float | None):
+    """Return the model w⁺ = A_d w, d = c_d w of the disturbance, and the variances by which w wanders.
+
+    Parameters
+    ----------
+    parameters : KalmanParameters
+    sample_time : float or None
+        Sample time [s]; only a periodic disturbance needs it.
+
+    Returns
+    -------
+    A_d : ndarray, shape (m, m)
+    c_d, variances : ndarray, shape (m,)
 
     Raises
     ------
     ParameterError
-        ``kalman.form``, ``kalman.L``, ``kalman.q``, ``kalman.Q``, ``kalman.r``, ``kalman.q_disturbance`` or
-        ``model.dynamics.C``: no stable filter follows from these.
+        ``kalman.disturbance_frequency``, or a variance that is zero.
+    """
+    m = disturbance_states(parameters)
+    A_d, c_d, variances = np.eye(m), np.zeros(m), np.zeros(m)
+    if not m:
+        return A_d, c_d, variances
+    used = ["q_disturbance"]
+    c_d[0] = 1.0
+    variances[0] = parameters.q_disturbance
+    if parameters.disturbance == "ramp":
+        used.append("q_disturbance_rate")
+        A_d[0, 1] = 1.0
+        variances[1] = parameters.q_disturbance_rate
+    elif parameters.disturbance == "periodic":
+        used.append("q_disturbance_periodic")
+        frequency, harmonics = parameters.disturbance_frequency, parameters.disturbance_harmonics
+        if sample_time is None or not 0.0 < frequency * harmonics < 0.5 / sample_time:
+            half = "half the sample rate" if sample_time is None else f"half the sample rate, {0.5 / sample_time:g} Hz,"
+            design.refuse(
+                "kalman.disturbance_frequency", frequency, f"must be above 0 and below {half} with all its harmonics"
+            )
+        for harmonic in range(1, harmonics + 1):
+            i, phase = 2 * harmonic - 1, 2.0 * pi * frequency * harmonic * sample_time
+            A_d[i : i + 2, i : i + 2] = [[cos(phase), sin(phase)], [-sin(phase), cos(phase)]]
+            c_d[i] = 1.0
+            variances[i : i + 2] = parameters.q_disturbance_periodic
+    if parameters.gain == "riccati":
+        for name in used:
+            if not getattr(parameters, name) > 0.0:
+                design.refuse(f"kalman.{name}", getattr(parameters, name), "must be above 0 to estimate a disturbance")
+    return A_d, c_d, variances
+
+
+def filter_gain(parameters: KalmanParameters, A, B, C, D, sample_time: float | None = None):
+    """Return the gain in the chosen form, shape (n + m,) with m states of the disturbance's model.
+
+    Parameters
+    ----------
+    parameters : KalmanParameters
+    A, B, C : ndarray, shapes (n, n), (n, 1), (1, n)
+    D : float
+    sample_time : float, optional
+        Sample time [s]; only a periodic disturbance needs it.
+
+    Raises
+    ------
+    ParameterError
+        ``kalman.form``, ``kalman.L``, ``kalman.q``, ``kalman.Q``, ``kalman.r``, ``kalman.disturbance``, a
+        ``kalman.q_disturbance…``, ``kalman.disturbance_frequency`` or ``model.dynamics.C``: no stable filter follows.
     """
     current = parameters.form == "current"
-    disturbed = parameters.disturbance == "constant"
     if current and D != 0.0:
         design.refuse("kalman.form", "current", "needs a model with D = 0; choose predictor or give D = 0")
     n = len(A)
-    whole, output = design.disturbance_system(A, B, C, D) if disturbed else (A, C)
+    A_d, c_d, variances = disturbance_model(parameters, sample_time)
+    whole, output = design.disturbance_system(A, B, C, D, A_d, c_d)
+    if parameters.gain == "given" and len(parameters.L) != len(whole):
+        design.refuse("kalman.L", parameters.L, f"must have {len(whole)} entries with this model and disturbance")
+    if not design.detectable(whole, output):
+        if len(A_d) and design.detectable(A, C):
+            design.refuse(
+                "kalman.disturbance",
+                parameters.disturbance,
+                "cannot be told from the output: the model passes nothing at the frequency of the disturbance (zero on "
+                "the unit circle); choose none or another frequency",
+            )
+        design.refuse("model.dynamics.C", tuple(C[0].tolist()), "a mode that does not decay cannot be seen in it")
     if parameters.gain == "given":
-        if len(parameters.L) != len(whole):
-            design.refuse("kalman.L", parameters.L, f"must have {len(whole)} entries with this model and disturbance")
         L = np.array(parameters.L, dtype=float)
-        if not design.detectable(whole, output):
-            design.refuse("model.dynamics.C", tuple(C[0].tolist()), "a mode that does not decay cannot be seen in it")
         late = whole @ L if current else L
         design.require_stable(whole - np.outer(late, output[0]), "kalman.L", parameters.L, "the Kalman filter")
         return L
     if not parameters.r > 0.0:
         design.refuse("kalman.r", parameters.r, "must be above 0 for the Riccati equation")
-    noise = np.zeros((len(whole), len(whole)))
+    noise = np.diag(np.append(np.zeros(n), variances))
     noise[:n, :n] = design.square_weight(parameters.Q, n, "kalman.Q") if parameters.Q else parameters.q * B @ B.T
-    if disturbed:
-        if not parameters.q_disturbance > 0.0:
-            design.refuse("kalman.q_disturbance", parameters.q_disturbance, "must be above 0 to estimate a disturbance")
-        noise[n, n] = parameters.q_disturbance
     gain, _ = design.kalman_gain(whole, output, noise, parameters.r)
     return gain if current else whole @ gain
 
 
-def pack_kalman(parameters: KalmanParameters, A, B, C, D) -> np.ndarray:
-    """Return the filter's parameter array, shape (6 + n² + 4 n,)."""
+def pack_kalman(parameters: KalmanParameters, A, B, C, D, sample_time: float | None = None) -> np.ndarray:
+    """Return the filter's parameter array, shape (5 + n² + 4 n + m² + 3 m,)."""
     n = len(A)
-    disturbed = parameters.disturbance == "constant"
-    L = filter_gain(parameters, A, B, C, D)
+    A_d, c_d, _ = disturbance_model(parameters, sample_time)
+    L = filter_gain(parameters, A, B, C, D, sample_time)
+    _, output = design.disturbance_system(A, B, C, D, A_d, c_d)
     rest_state, rest_input = design.steady_state(A, B, C, D)
-    head = [n, parameters.form == "current", disturbed, D, L[n] if disturbed else 0.0, rest_input]
-    return np.concatenate([head, A.ravel(), B.ravel(), C.ravel(), L[:n], rest_state]).astype(float)
+    head = [n, parameters.form == "current", len(A_d), D, rest_input]
+    model = [A.ravel(), B.ravel(), C.ravel(), L[:n], rest_state]
+    return np.concatenate([head, *model, A_d.ravel(), c_d, L[n:], output[0, n:]]).astype(float)
+
+
+def kalman_state_size(parameters: KalmanParameters, order: int) -> int:
+    """Return the length of the filter's state array for a model of ``order`` states."""
+    return ESTIMATE + 2 * (order + disturbance_states(parameters))
 
 
 class KalmanFilter(Block):
@@ -193,7 +321,7 @@ class KalmanFilter(Block):
     ----------
     parameters : KalmanParameters
     sample_time : float
-        Sample time [s]; the model is discrete, so it only documents the rate.
+        Sample time [s] of the discrete model.
     dynamics : LinearParameters
         The model.
     """
@@ -207,11 +335,11 @@ class KalmanFilter(Block):
 
     def pack(self, parameters) -> np.ndarray:
         """Return the parameter array of :func:`pack_kalman`."""
-        return pack_kalman(parameters, *design.matrices(self.dynamics))
+        return pack_kalman(parameters, *design.matrices(self.dynamics), self.sample_time)
 
     def initial_state(self) -> np.ndarray:
         """Return the state before the first sample."""
-        return np.zeros(ESTIMATE + 2 * self.dynamics.order)
+        return np.zeros(kalman_state_size(self.parameters, self.dynamics.order))
 
     def step(self, applied: float, measured: float) -> float:
         """Return the estimated output after one sample."""

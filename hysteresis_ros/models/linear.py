@@ -14,6 +14,9 @@ from hysteresis_ros.block import Block, kernel
 from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.parameters import Parameters, parameter
 
+#: Sample times that differ by less than this part are the same one, written with fewer digits.
+SAMPLE_TIME_TOLERANCE = 1e-6
+
 # Layout of p, followed by A (n·n, row by row), B (n) and C (n).
 ORDER = 0
 FEEDTHROUGH = 1
@@ -67,6 +70,9 @@ class LinearParameters(Parameters):
         0.0, description="SI units per model unit of the input; 0: such that the DC gain in SI is one", low=0.0
     )
     output_scale: float = parameter(1.0, description="SI units per model unit of the output", low=1e-15)
+    sample_time: float = parameter(
+        0.0, description="sample time the matrices are for; 0: not stated", unit="s", low=0.0
+    )
 
     @property
     def order(self) -> int:
@@ -84,6 +90,31 @@ class LinearParameters(Parameters):
     def resolved_input_scale(self) -> float:
         """``input_scale``, or the one that makes the DC gain in SI one where it is 0."""
         return self.input_scale or self.output_scale * dc_gain(*self.matrices)
+
+    def require_sample_time(self, sample_time: float, name: str = "sample_time") -> None:
+        """Refuse to run the matrices at another sample time than the one they state.
+
+        Parameters
+        ----------
+        sample_time : float
+            Of the axis [s].
+        name : str
+            Full name of the parameter, for the message.
+
+        Raises
+        ------
+        ParameterError
+            The matrices are for another sample time.
+        """
+        if not self.order or not self.sample_time:
+            return
+        if abs(self.sample_time - sample_time) > SAMPLE_TIME_TOLERANCE * sample_time:
+            allowed = (
+                f"the matrices are for this sample time, the axis runs at {sample_time:.9g} s (sample_rate "
+                f"{1.0 / sample_time:.9g} Hz): set sample_rate to {1.0 / self.sample_time:.9g} Hz, or give matrices "
+                "for the sample time of the axis"
+            )
+            raise ParameterError([Problem(name, self.sample_time, allowed)])
 
     def check(self):
         """Yield what is wrong with the matrices: sizes, an unstable A, a DC gain that cannot be normalised."""
@@ -156,12 +187,18 @@ class LinearDynamics(Block):
         Matrices in discrete time.
     sample_time : float
         The sample time they are for [s].
+
+    Raises
+    ------
+    ParameterError
+        The parameters are wrong, or state another sample time.
     """
 
     kernel = staticmethod(linear)
 
     def pack(self, parameters: LinearParameters) -> np.ndarray:
         """Return p, shape (4 + n² + 2 n,)."""
+        parameters.require_sample_time(self.sample_time, "dynamics.sample_time")
         A, B, C, D = parameters.matrices
         head = [parameters.order, D, parameters.resolved_input_scale, parameters.output_scale]
         return np.concatenate([head, A.ravel(), B, C])

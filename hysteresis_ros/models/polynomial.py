@@ -108,22 +108,24 @@ class PolynomialParameters(Parameters):
         low, high = self.voltage_low, self.voltage_high
         _, c1, c2 = self.virgin
         worst = {"virgin": (min(c1, c1 + 2.0 * c2 * high), high)}
-        for v_max in np.linspace(SMALLEST_LOOP * high, high, CHECKED_LOOPS):
-            values = {name: np.polyval(getattr(self, name)[::-1], v_max) for name in _BRANCHES}
-            rising = np.array([values[f"rising_{c}"] for c in ("C2", "C1", "D")])
-            falling = np.array([values[f"falling_{c}"] for c in ("C2", "C1", "D")])
-            top = np.polyval(self.virgin[::-1], v_max)
-            slopes = {"rising_C1": [], "falling_C1": []}
-            for bottom in (0.0, low):
-                start = np.polyval(falling - rising, bottom)
-                end = top - np.polyval(rising, v_max)
-                blend = (end - start) / (v_max - bottom)
-                slopes["rising_C1"] += [np.polyval(np.polyder(rising), v) + blend for v in (bottom, v_max)]
-                blend = (top - np.polyval(falling, v_max)) / (v_max - bottom)
-                slopes["falling_C1"] += [np.polyval(np.polyder(falling), v) + blend for v in (bottom, v_max)]
-                slopes["falling_C1"].append(np.polyval(np.polyder(falling), bottom))
-            for name, found in slopes.items():
-                worst[name] = min(worst.get(name, (np.inf, 0.0)), (float(min(found)), float(v_max)))
+        v_max = np.linspace(SMALLEST_LOOP * high, high, CHECKED_LOOPS)
+        top = np.polyval(self.virgin[::-1], v_max)
+        rising, falling = (
+            [np.polyval(getattr(self, f"{branch}_{name}")[::-1], v_max) for name in ("C2", "C1", "D")]
+            for branch in ("rising", "falling")
+        )
+        slopes = {"rising_C1": [], "falling_C1": []}
+        for bottom in (0.0, low):
+            start = np.polyval(falling, bottom) - np.polyval(rising, bottom)
+            blend = (top - np.polyval(rising, v_max) - start) / (v_max - bottom)
+            slopes["rising_C1"] += [2.0 * rising[0] * v + rising[1] + blend for v in (bottom, v_max)]
+            blend = (top - np.polyval(falling, v_max)) / (v_max - bottom)
+            slopes["falling_C1"] += [2.0 * falling[0] * v + falling[1] + blend for v in (bottom, v_max)]
+            slopes["falling_C1"].append(2.0 * falling[0] * bottom + falling[1])
+        for name, found in slopes.items():
+            least = np.min(found, axis=0)
+            k = int(np.argmin(least))
+            worst[name] = (float(least[k]), float(v_max[k]))
         for name, (slope, v_max) in worst.items():
             if not slope > 0.0:
                 family = name.split("_")[0]

@@ -40,6 +40,16 @@ class ReferenceParameters(Parameters):
             yield Problem("initial_setpoint", self.initial_setpoint, allowed)
 
 
+def shaping_parameter(waveform: WaveformParameters) -> str:
+    """Return the name of the parameter that says how far a waveform goes.
+
+    Parameters
+    ----------
+    waveform : WaveformParameters
+    """
+    return {"hold": "offset", "steps": "steps.values", "file": "file.path"}.get(waveform.type, "amplitude")
+
+
 @nested
 def reference_step(waveform, ps, xs, setpoint):
     """Return the reference [m] of this sample: approach(setpoint) + waveform, clipped to minimum … maximum.
@@ -110,9 +120,7 @@ class ReferenceGenerator(Chain):
         tolerance = 1e-12 * (high - low)
         for value in (waveform.lowest + setpoint, waveform.highest + setpoint):
             if not low - tolerance <= value <= high + tolerance:
-                kind = parameters.waveform.type
-                name = "offset" if kind == "hold" else "steps.values" if kind == "steps" else "amplitude"
-                name = "file.path" if kind == "file" else name
+                kind, name = parameters.waveform.type, shaping_parameter(parameters.waveform)
                 given = parameters.waveform.to_mapping()[name]
                 text = (
                     f"the waveform {kind} around the setpoint {setpoint:g} m reaches {value:g} m, allowed: "

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from hysteresis_ros.control import design
 from hysteresis_ros.control.kalman import filter_gain
-from hysteresis_ros.control.sliding_mode import design_sliding_mode
+from hysteresis_ros.control.sliding_design import design_sliding_mode
 from hysteresis_ros.errors import ParameterError
 
 PUBLISHED_S = np.array([-1.0744, -0.0904, 0.0781])

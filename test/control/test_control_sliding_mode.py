@@ -11,9 +11,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hysteresis_ros.control import open_loop, sliding_mode
+from hysteresis_ros.control import open_loop, sliding_surface
 from hysteresis_ros.control.controller import controller_block, handover_block
 from hysteresis_ros.control.handover import arm
+from hysteresis_ros.control.kalman import filter_gain
 from hysteresis_ros.errors import ParameterError
 
 STEP = 2.05e-6  # one pre-amplifier volt
@@ -133,7 +134,7 @@ def test_integral_is_not_held_by_a_coarse_converter(loop):
 
 def test_published_units_and_metres_are_the_same_controller(controller, loop):
     """PAPERS K7: with g = DC gain x 1 um, S, K, eta and phi stay; C/2.05, q/r x 2.05^2, beta and delta x g."""
-    gain = controller().p[sliding_mode.INPUT_SCALE]
+    gain = controller().p[sliding_surface.INPUT_SCALE]
     metres = {
         "model.dynamics.C": tuple(c * 1e-6 / gain for c in (-0.8674, 0.7907, 0.3855)),
         "model.dynamics.output_scale": 1.0,
@@ -148,7 +149,7 @@ def test_published_units_and_metres_are_the_same_controller(controller, loop):
     in_metres, _ = loop(metres, noise=noise).run(reference)
     assert in_metres == pytest.approx(commands, abs=1e-11 * STEP)
     published, si = controller(), controller(metres)
-    assert si.p[sliding_mode.GAINS :][:6] == pytest.approx(published.p[sliding_mode.GAINS :][:6])
+    assert si.p[sliding_surface.GAINS :][:6] == pytest.approx(published.p[sliding_surface.GAINS :][:6])
 
 
 def test_command_is_bumpless_through_handover(controller, parameters, loop, plant):
@@ -237,11 +238,13 @@ for entries in json.load(sys.stdin):
 """
 
 
-def test_compiled_and_interpreted_controllers_give_the_same_bits(parameters, tmp_path):
+def test_compiled_and_interpreted_controllers_give_the_same_bits(parameters, matrices, tmp_path):
     import json
 
     import hysteresis_ros.block
 
+    ramp = parameters({"kalman.disturbance": "ramp"}).kalman
+    ramp_gain = tuple(filter_gain(ramp, *matrices).tolist())
     # Given gains, because two processes need not get the same bits from LAPACK.
     gains = {"kalman.gain": "given", "sliding_mode.hyperplane": "given"}
     whole = {**gains, "sliding_mode.tracking": "integral", "sliding_mode.S": (-1.2725, -0.1099, 0.0923, -0.0199)}
@@ -249,6 +252,11 @@ def test_compiled_and_interpreted_controllers_give_the_same_bits(parameters, tmp
         gains | {"kalman.L": (0.0040, 0.5771, 0.3558)},
         gains | {"kalman.form": "current", "kalman.L": (-0.4540, 0.3634, 0.2329)},
         whole | {"kalman.L": (0.0040, 0.5771, 0.3558)},
+        gains | {"type": "integral_sliding_mode", "kalman.L": (0.0040, 0.5771, 0.3558)},
+        gains | {"type": "super_twisting", "kalman.L": (0.0040, 0.5771, 0.3558)},
+        gains
+        | {"type": "super_twisting", "super_twisting.discretisation": "explicit"}
+        | {"kalman.disturbance": "ramp", "kalman.L": ramp_gain},
     ]
     given = json.dumps([parameters(case).to_mapping() for case in cases])
     root = os.path.dirname(os.path.dirname(hysteresis_ros.block.__file__))

@@ -1,0 +1,380 @@
+"""How robust a controller is on its own model: loop transfer, margins, sensitivity, bandwidth, closed-loop poles.
+
+Any controller kernel is linear close to rest (inside the boundary layer, without saturation). Its state space follows
+from the kernel itself: at rest all its values are zero, so the response to one tiny entry at a time *is* the column of
+a matrix, without cancellation. The loop is the one that runs: y_k = C x_k + D u_(k-1) is measured, u_k answers it in
+the same sample and is held until the next one; the controller knows its own command as the one carried out. The
+inverse of the hysteresis is taken to be exact.
+
+The loop is cut at the command: L(z) = −K_y(z) P(z), sensitivity S = 1/(1 + L), complementary sensitivity T = L/(1 + L).
+
+References
+----------
+.. [1] Åström & Murray, Feedback Systems, 2nd ed. 2021, chapters 10 and 12 (margins, delay margin, M_s, M_t).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hysteresis_ros.control import design
+from hysteresis_ros.control.feedforward import FeedforwardParameters
+from hysteresis_ros.control.open_loop import APPLIED, COMMAND, FEEDFORWARD
+from hysteresis_ros.models.preload import PreloadParameters
+
+#: Size of the entries at which a kernel is linearised: far below every boundary layer, far above subnormal numbers.
+TINY = 1e-24
+#: Samples at rest before: flags and counters of the start are past then.
+WARM_UP = 3
+#: Frequencies of the grid, and how many are added around each pole.
+GRID = 3000
+AROUND_POLE = 61
+#: An entry below this part of the largest of its matrix is rounding.
+ROUNDING = 1e-13
+
+
+@dataclass(frozen=True, eq=False)
+class StateSpace:
+    """Discrete state space.
+
+    Parameters
+    ----------
+    A, B, C, D : ndarray, shapes (n, n), (n, m), (1, n), (1, m)
+    """
+
+    A: np.ndarray
+    B: np.ndarray
+    C: np.ndarray
+    D: np.ndarray
+
+    def response(self, z) -> np.ndarray:
+        """Return the transfer at the points ``z``, shape (N,), of each input: complex, shape (N, m)."""
+        z = np.asarray(z, dtype=complex)
+        n = len(self.A)
+        if not n:
+            return np.broadcast_to(self.D, (len(z), self.D.shape[1])).astype(complex)
+        states = np.linalg.solve(
+            z[:, None, None] * np.eye(n) - self.A, np.broadcast_to(self.B, (len(z), *self.B.shape))
+        )
+        return (self.C @ states)[:, 0, :] + self.D[0]
+
+
+@dataclass(frozen=True, eq=False)
+class Margins:
+    """What :func:`margins` finds; infinite where there is no such crossover.
+
+    Parameters
+    ----------
+    gain_margin : float
+        Factor by which the gain may grow [dB].
+    gain_reduction_margin : float
+        Factor by which it may fall [dB].
+    phase_margin : float
+        Smallest distance of the phase from −180 degrees at a gain crossover [degrees].
+    delay_margin : float
+        Further delay that the loop bears [s].
+    gain_crossovers, phase_crossovers : ndarray
+        Frequencies at which the loop has gain one, and phase −180 degrees [Hz].
+    sensitivity_peak, complementary_peak : float
+        M_s and M_t.
+    bandwidth : float
+        Frequency at which the response to the reference, without feedforward, has first fallen by 3 dB [Hz]; infinite
+        when it does not below half the sample rate.
+    poles : ndarray
+        Closed-loop poles, the slowest first.
+    """
+
+    gain_margin: float
+    gain_reduction_margin: float
+    phase_margin: float
+    delay_margin: float
+    gain_crossovers: np.ndarray
+    phase_crossovers: np.ndarray
+    sensitivity_peak: float
+    complementary_peak: float
+    bandwidth: float
+    poles: np.ndarray
+
+    @property
+    def stable(self) -> bool:
+        """Whether all closed-loop poles are inside the unit circle."""
+        return bool(np.all(np.abs(self.poles) < 1.0 - design.STABILITY_MARGIN))
+
+
+def plant_state_space(dynamics, scaled: bool = True) -> StateSpace:
+    """Return the model from command to measured displacement, the input held last as its last state.
+
+    Parameters
+    ----------
+    dynamics : LinearParameters
+    scaled : bool
+        In SI units; otherwise in the model's.
+    """
+    A, B, C, D = design.matrices(dynamics)
+    n = len(A)
+    gain = dynamics.output_scale / dynamics.resolved_input_scale if scaled else 1.0
+    state = np.block([[A, np.zeros((n, 1))], [np.zeros((1, n + 1))]])
+    return StateSpace(
+        state, np.vstack([B, np.ones((1, 1))]), gain * np.hstack([C.reshape(1, n), [[D]]]), np.zeros((1, 1))
+    )
+
+
+def at_rest(parameters):
+    """Return the controller's parameters without feedforward, preload offset and limits of its own.
+
+    The explicit super-twisting law jumps at zero and has no linear form; it is judged as the implicit one.
+
+    Parameters
+    ----------
+    parameters : ControllerParameters
+    """
+    model = replace(parameters.model, preload=PreloadParameters())
+    pid = replace(parameters.pid, output_minimum=0.0, output_maximum=0.0)
+    twisting = replace(parameters.super_twisting, discretisation="implicit")
+    return replace(parameters, model=model, pid=pid, super_twisting=twisting, feedforward=FeedforwardParameters())
+
+
+def linearise(controller) -> StateSpace:
+    """Return the state space of a controller block close to rest, inputs (reference, measured), output command, SI.
+
+    Parameters
+    ----------
+    controller : Controller
+        Built of parameters like those of :func:`at_rest`; its state is not changed.
+    """
+    kernel, p = controller.kernel, controller.p
+    rest = np.ascontiguousarray(controller.initial_state(), dtype=float)
+    for _ in range(WARM_UP):
+        kernel(p, rest, 0.0, 0.0)
+    # The last command is one state, though it stands in two places; the feedforward is none.
+    groups = [[APPLIED, COMMAND]] + [[i] for i in range(len(rest)) if i not in (APPLIED, COMMAND, FEEDFORWARD)]
+    count = len(groups)
+    A, C = np.zeros((count, count)), np.zeros((1, count))
+    B, D = np.zeros((count, 2)), np.zeros((1, 2))
+
+    def respond(places, reference, measured):
+        x = rest.copy()
+        x[places] += TINY
+        command = kernel(p, x, reference, measured)
+        after = np.array([x[group[0]] - rest[group[0]] for group in groups])
+        return after / TINY, command / TINY
+
+    for j, places in enumerate(groups):
+        A[:, j], C[0, j] = respond(places, 0.0, 0.0)
+    for j, inputs in enumerate(((TINY, 0.0), (0.0, TINY))):
+        B[:, j], D[0, j] = respond([], *inputs)
+    return _connected(StateSpace(A, B, C, D))
+
+
+def _connected(system: StateSpace) -> StateSpace:
+    """Leave out states that no input reaches (flags, constants) or that never reach the output (records)."""
+    reached, seen = (system.B != 0.0).any(axis=1), system.C[0] != 0.0
+    for _ in range(len(system.A)):
+        reached = reached | ((system.A != 0.0) @ reached)
+        seen = seen | (seen @ (system.A != 0.0))
+    kept = np.flatnonzero(reached & seen)
+    return StateSpace(system.A[np.ix_(kept, kept)], system.B[kept], system.C[:, kept], system.D)
+
+
+def close(controller: StateSpace, plant: StateSpace) -> StateSpace:
+    """Return the closed loop from reference to measured displacement.
+
+    Parameters
+    ----------
+    controller, plant : StateSpace
+        Of :func:`linearise` and :func:`plant_state_space`.
+    """
+    n, m = len(controller.A), len(plant.A)
+    reference, measured = controller.B[:, :1], controller.B[:, 1:]
+    A = np.block(
+        [
+            [controller.A, measured @ plant.C],
+            [plant.B @ controller.C, plant.A + controller.D[0, 1] * plant.B @ plant.C],
+        ]
+    )
+    B = np.vstack([reference, controller.D[0, 0] * plant.B])
+    return StateSpace(A, B, np.hstack([np.zeros((1, n)), plant.C]).reshape(1, n + m), np.zeros((1, 1)))
+
+
+def loop_transfer(controller: StateSpace, plant: StateSpace, z) -> np.ndarray:
+    """Return L at the points ``z``, complex, shape (N,).
+
+    Parameters
+    ----------
+    controller, plant : StateSpace
+        Of :func:`linearise` and :func:`plant_state_space`.
+    z : array_like, shape (N,)
+    """
+    return -controller.response(z)[:, 1] * plant.response(z)[:, 0]
+
+
+def margins(parameters, sample_time: float) -> Margins:
+    """Return margins, bandwidth and poles of a controller on its own model.
+
+    Parameters
+    ----------
+    parameters : ControllerParameters
+    sample_time : float
+        Sample time [s].
+
+    Raises
+    ------
+    ParameterError
+        No controller can be built of the parameters.
+    """
+    return margins_of(*linear_loop(parameters, sample_time), sample_time)
+
+
+def linear_loop(parameters, sample_time: float) -> tuple[StateSpace, StateSpace]:
+    """Return controller and model of a controller's parameters, both close to rest.
+
+    Parameters
+    ----------
+    parameters : ControllerParameters
+    sample_time : float
+        Sample time [s].
+
+    Raises
+    ------
+    ParameterError
+        No controller can be built of the parameters.
+    """
+    from hysteresis_ros.control.controller import controller_block  # the registry imports every controller
+
+    controller = linearise(controller_block(at_rest(parameters), sample_time))
+    return controller, plant_state_space(parameters.model.dynamics)
+
+
+def sensitivity_peak(controller: StateSpace, plant: StateSpace, grid: int = 300) -> float:
+    """Return the sensitivity peak, infinite when the loop is unstable: for searches.
+
+    Parameters
+    ----------
+    controller, plant : StateSpace
+    grid : int
+        Number of frequencies besides those around the poles.
+    """
+    return _searched(controller, plant, grid)[2]
+
+
+def _searched(controller: StateSpace, plant: StateSpace, grid: int):
+    whole = close(controller, plant)
+    poles = np.linalg.eigvals(whole.A)
+    if np.max(np.abs(poles)) >= 1.0 - design.STABILITY_MARGIN:
+        return whole, None, np.inf
+    angles = _grid([*poles, *np.linalg.eigvals(plant.A)], grid)
+    values = loop_transfer(controller, plant, np.exp(1j * angles))
+    return whole, angles, float(np.max(1.0 / np.abs(1.0 + values)))
+
+
+def bandwidth_and_sensitivity(
+    controller: StateSpace, plant: StateSpace, sample_time: float, grid: int = 300
+) -> tuple[float, float]:
+    """Return −3 dB bandwidth [Hz] and sensitivity peak, which is infinite when the loop is unstable: for searches.
+
+    Parameters
+    ----------
+    controller, plant : StateSpace
+    sample_time : float
+        Sample time [s].
+    grid : int
+        Number of frequencies besides those around the poles.
+    """
+    whole, angles, peak = _searched(controller, plant, grid)
+    if angles is None:
+        return 0.0, np.inf
+    return _bandwidth(whole, angles) / (2.0 * np.pi * sample_time), peak
+
+
+def margins_of(controller: StateSpace, plant: StateSpace, sample_time: float) -> Margins:
+    """Return margins, bandwidth and poles of a linear loop.
+
+    Parameters
+    ----------
+    controller : StateSpace
+        Inputs (reference, measured), output command.
+    plant : StateSpace
+        From command to measured displacement.
+    sample_time : float
+        Sample time [s].
+    """
+    whole = close(controller, plant)
+    poles = np.linalg.eigvals(whole.A)
+    poles = poles[np.argsort(-np.abs(poles))]
+    angles = _grid([*poles, *np.linalg.eigvals(plant.A), *np.linalg.eigvals(controller.A)], GRID)
+
+    def loop(angle):
+        return loop_transfer(controller, plant, np.exp(1j * np.atleast_1d(angle)))
+
+    values = loop(angles)
+    gain_at = _crossings(lambda angle: np.log(np.abs(loop(angle)[0]) + 1e-300), angles, np.log(np.abs(values) + 1e-300))
+    phase_at = _crossings(lambda angle: loop(angle)[0].imag, angles, values.imag)
+    phase_at = np.array([angle for angle in phase_at if loop(angle)[0].real < 0.0])
+    if values[-1].real < 0.0:
+        phase_at = np.append(phase_at, np.pi)  # L is real at half the sample rate
+    phases = np.array([np.angle(loop(angle)[0]) for angle in gain_at]) + np.pi
+    phases = np.mod(phases, 2.0 * np.pi)
+    factors = 20.0 * np.log10([1.0 / max(abs(loop(angle)[0]), 1e-300) for angle in phase_at])
+    difference = np.abs(1.0 + values)
+    hertz = 1.0 / (2.0 * np.pi * sample_time)
+    return Margins(
+        gain_margin=_least(factors[factors > 0.0]),
+        gain_reduction_margin=_least(-factors[factors <= 0.0]),
+        phase_margin=_least(np.degrees(np.minimum(phases, 2.0 * np.pi - phases))),
+        delay_margin=_least(phases / gain_at) * sample_time,
+        gain_crossovers=gain_at * hertz,
+        phase_crossovers=phase_at * hertz,
+        sensitivity_peak=float(np.max(1.0 / difference)),
+        complementary_peak=float(np.max(np.abs(values) / difference)),
+        bandwidth=_bandwidth(whole, angles) * hertz,
+        poles=poles,
+    )
+
+
+def _least(values) -> float:
+    return float(min(values, default=np.inf))
+
+
+def _grid(poles, count: int) -> np.ndarray:
+    """Return angles of 0 … π: evenly in both scales, and dense around the resonances."""
+    parts = [np.geomspace(1e-7, np.pi, count), np.linspace(0.0, np.pi, count)[1:]]
+    for pole in poles:
+        angle, width = abs(np.angle(pole)), max(1.0 - min(abs(pole), 1.0), 1e-9)
+        spread = width * np.sinh(np.linspace(-6.0, 6.0, AROUND_POLE))
+        parts.append(angle + spread)
+    angles = np.unique(np.concatenate(parts))
+    return angles[(angles >= 1e-7) & (angles <= np.pi)]
+
+
+def _crossings(function, angles, values) -> np.ndarray:
+    """Return where a function that is sampled at ``angles`` passes zero, refined by bisection."""
+    found = []
+    for i in np.flatnonzero((values[:-1] < 0.0) != (values[1:] < 0.0)):
+        low, high, below = angles[i], angles[i + 1], values[i] < 0.0
+        for _ in range(60):
+            middle = 0.5 * (low + high)
+            if (function(middle) < 0.0) == below:
+                low = middle
+            else:
+                high = middle
+        found.append(0.5 * (low + high))
+    return np.array(found)
+
+
+def _bandwidth(whole: StateSpace, angles) -> float:
+    def level(angle):
+        return np.abs(whole.response(np.exp(1j * np.atleast_1d(angle)))[:, 0])
+
+    values = level(angles)
+    wanted = values[0] / np.sqrt(2.0)
+    below = np.flatnonzero(values < wanted)
+    if not len(below) or not wanted > 0.0:
+        return np.inf
+    i = below[0]
+    if i == 0:
+        return float(angles[0])
+    return float(
+        _crossings(lambda angle: level(angle)[0] - wanted, angles[i - 1 : i + 1], values[i - 1 : i + 1] - wanted)[0]
+    )

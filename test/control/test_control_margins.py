@@ -1,0 +1,138 @@
+"""Margins: closed forms, scipy.signal, and the time domain agree with what the kernels are linearised to."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.signal
+
+from hysteresis_ros.control.controller import ControllerParameters, controller_block
+from hysteresis_ros.control.margins import at_rest, close, linear_loop, linearise, margins
+from hysteresis_ros.control.pid import PidParameters, pid_state_space
+from hysteresis_ros.control.pid_design import error_state_space
+from hysteresis_ros.models.linear import LinearDynamics
+
+T = 1.0 / 3000.0
+#: One entry per type: what makes the published axis run under it.
+TYPES = {
+    "pid": {"pid.Kp": -0.1, "pid.Ki": 300.0, "pid.Kd": 4e-5, "pid.derivative_filter": 3000.0},
+    "sliding_mode": {},
+    "integral_sliding_mode": {"sliding_mode.rejection_pole": 0.5},
+    "super_twisting": {"super_twisting.bound": 10.0},
+}
+
+
+def static(**gains):
+    """PI on one sample of delay, T = 10 ms."""
+    return ControllerParameters.from_mapping({"type": "pid"} | {f"pid.{name}": value for name, value in gains.items()})
+
+
+def test_integral_control_of_one_sample_of_delay_is_the_closed_form():
+    # Kp = Ki T/2 puts the zero on z = 0: L = g/(z - 1), g = Ki T. Pole 1 - g; L(-1) = -g/2;
+    # |L| = 1 at 2 sin(w/2) = g with phase -90 deg - w/2; M_s = 1/(1 - g/2) at z = -1
+    g, time = 0.5, 0.01
+    found = margins(static(Kp=0.5 * g, Ki=g / time), time)
+    assert max(found.poles, key=abs) == pytest.approx(1.0 - g)
+    assert found.gain_margin == pytest.approx(20.0 * np.log10(2.0 / g))
+    assert found.gain_reduction_margin == np.inf
+    w = 2.0 * np.arcsin(0.5 * g)
+    assert found.gain_crossovers == pytest.approx([w / (2.0 * np.pi * time)])
+    assert found.phase_margin == pytest.approx(90.0 - np.degrees(0.5 * w))
+    assert found.delay_margin == pytest.approx((0.5 * np.pi - 0.5 * w) / w * time)
+    assert found.phase_crossovers == pytest.approx([50.0])
+    assert found.sensitivity_peak == pytest.approx(1.0 / (1.0 - 0.5 * g))
+    assert found.complementary_peak == pytest.approx(1.0, abs=1e-6)
+    # |T|² = g²/(1 - 2 (1 - g) cos w + (1 - g)²) = 1/2
+    p = 1.0 - g
+    assert found.bandwidth == pytest.approx(np.arccos((1.0 + p * p - 2.0 * g * g) / (2.0 * p)) / (2.0 * np.pi * time))
+
+
+def test_delay_margin_is_where_the_delayed_loop_loses_stability():
+    g, time = 0.3, 0.01
+    delay = margins(static(Kp=0.5 * g, Ki=g / time), time).delay_margin / time
+    pole = [max(abs(np.roots(np.r_[1.0, -1.0, np.zeros(k - 1), g]))) for k in (int(delay), int(delay) + 1)]
+    assert pole[0] < 1.0 < pole[1]
+
+
+@pytest.mark.parametrize("kind", TYPES)
+def test_linear_loop_is_what_kernel_and_plant_do(parameters, kind):
+    """A small step of the reference, sample by sample, against the linear closed loop."""
+    changes = {"type": kind, "sliding_mode.beta": 0.0, "sliding_mode.eta": 0.0} | TYPES[kind]
+    chosen = parameters(changes)
+    whole = close(*linear_loop(chosen, T))
+    step = 1e-18
+    _, (linear,) = scipy.signal.dimpulse((whole.A, whole.B, whole.C, whole.D, 1.0), n=120)
+    controller, plant = controller_block(at_rest(chosen), T), LinearDynamics(chosen.model.dynamics, T)
+    controller.step(0.0, 0.0)
+    measured = []
+    for _ in range(120):
+        measured.append(plant.output())
+        plant.step(controller.step(step, measured[-1]))
+    expected = step * np.cumsum(linear[:, 0])
+    assert np.array(measured) == pytest.approx(expected, rel=1e-6, abs=1e-6 * step)
+
+
+@pytest.mark.parametrize("kind", TYPES)
+def test_frequency_response_is_scipys(parameters, kind):
+    controller, plant = linear_loop(parameters({"type": kind} | TYPES[kind]), T)
+    w = np.linspace(0.05, 3.1, 40)
+    _, expected = scipy.signal.dfreqresp(scipy.signal.dlti(plant.A, plant.B, plant.C, plant.D, dt=1.0), w)
+    assert plant.response(np.exp(1j * w))[:, 0] == pytest.approx(expected, rel=1e-8)
+    system = scipy.signal.dlti(controller.A, controller.B[:, 1:], controller.C, controller.D[:, 1:], dt=1.0)
+    _, expected = scipy.signal.dfreqresp(system, w)
+    scale = np.abs(expected).max()
+    assert controller.response(np.exp(1j * w))[:, 1] == pytest.approx(expected, rel=1e-6, abs=1e-9 * scale)
+
+
+def test_pid_kernel_is_linearised_to_its_state_space(parameters):
+    chosen = parameters({"type": "pid"} | TYPES["pid"])
+    gains = chosen.pid
+    z = np.exp(1j * np.linspace(0.01, 3.0, 30))
+    scale = chosen.model.dynamics.resolved_input_scale / chosen.model.dynamics.output_scale
+    found = linearise(controller_block(at_rest(chosen), T)).response(z)[:, 1]
+    assert found == pytest.approx(scale * error_state_space(gains, T).response(z)[:, 1], rel=1e-9)
+    A, B, C, D = pid_state_space(gains, T)
+    direct = D + (C @ np.linalg.inv(z[:, None, None] * np.eye(2) - A) @ B)[:, 0, 0]
+    assert found == pytest.approx(-scale * direct, rel=1e-9)
+
+
+def test_separation_poles_of_the_published_axis_are_controllers_and_filters(parameters):
+    found = margins(parameters({"sliding_mode.beta": 0.0, "sliding_mode.eta": 0.0}), T)
+    for pole in (0.930, -0.122, -0.700):  # K7
+        assert np.min(np.abs(found.poles - pole)) < 1e-3
+    assert found.stable
+    assert len(found.poles[np.abs(found.poles) > 1e-6]) == 6
+
+
+def test_boundary_layer_counts_with_its_slope_at_zero(parameters):
+    # s+ = (phi - (beta / delta) Lambda) s inside the layer
+    found = margins(parameters({"sliding_mode.eta": 0.0}), T)
+    switching = -1.0744 * -0.7318 + 0.0904 * 0.3533 + 0.0781 * 0.2288
+    assert np.min(np.abs(found.poles - (0.93 - 0.0002 / 0.01 * switching))) < 1e-3
+
+
+def test_feedforward_limits_and_preload_do_not_change_the_loop(parameters):
+    plain = {"type": "pid"} | TYPES["pid"]
+    more = {"feedforward.type": "static", "pid.output_minimum": 0.0, "pid.output_maximum": 5.0}
+    one, other = margins(parameters(plain), T), margins(parameters(plain | more | {"model.preload.A1": 1e-6}), T)
+    assert other.sensitivity_peak == one.sensitivity_peak and other.bandwidth == one.bandwidth
+
+
+def test_without_feedback_there_is_nothing_to_lose(parameters):
+    found = margins(parameters({"type": "open_loop"}), T)
+    assert found.gain_margin == found.phase_margin == found.delay_margin == np.inf
+    assert found.sensitivity_peak == 1.0 and found.complementary_peak == 0.0
+
+
+def test_units_of_the_model_do_not_matter(parameters):
+    chosen = parameters({"type": "pid"} | TYPES["pid"])
+    dynamics = chosen.model.dynamics
+    scaled = replace(dynamics, B=tuple(1e3 * value for value in dynamics.B), output_scale=1e-9)
+    other = replace(chosen, model=replace(chosen.model, dynamics=scaled), pid=_scaled(chosen.pid, 1e-3))
+    assert margins(other, T).sensitivity_peak == pytest.approx(margins(chosen, T).sensitivity_peak, rel=1e-9)
+
+
+def _scaled(gains: PidParameters, factor: float) -> PidParameters:
+    return replace(gains, Kp=gains.Kp * factor, Ki=gains.Ki * factor, Kd=gains.Kd * factor)

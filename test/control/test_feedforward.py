@@ -1,0 +1,218 @@
+"""Feedforward: a model driven by its own inverse dynamics follows the reference, as far as the preview allows."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hysteresis_ros.control.controller import ControllerParameters, feedforward_block
+from hysteresis_ros.control.inversion import (
+    inverse_filter,
+    inversion_error,
+    preview_warning,
+    relative_degree,
+    sufficient_preview,
+)
+from hysteresis_ros.errors import ParameterError
+from hysteresis_ros.models.linear import LinearDynamics, LinearParameters
+
+KIM = LinearParameters(
+    A=(0.5856, 1.3305, -0.9172, -1.3085, 0.0475, -0.1471, -0.7609, 0.0803, -0.0809),
+    B=(-0.7318, -0.3533, 0.2288),
+    C=(-0.8674, 0.7907, 0.3855),
+    output_scale=1e-6,
+)
+LAG = LinearParameters(A=(0.686131723,), B=(0.313868277,), C=(1.0,), output_scale=1e-6)
+
+
+def second_order(poles, zero, lead=1.0):
+    """Return lead (z - zero) / ((z - poles[0]) (z - poles[1])) in controllable form."""
+    a1, a2 = -(poles[0] + poles[1]).real, (poles[0] * poles[1]).real
+    return LinearParameters(A=(0.0, 1.0, -a2, -a1), B=(0.0, 1.0), C=(-lead * zero, lead), output_scale=1e-6)
+
+
+def parameters(dynamics, preview, kind="inverse_dynamics"):
+    """Return open-loop control with this feedforward."""
+    values = {f"model.dynamics.{name}": value for name, value in dynamics.to_mapping().items()}
+    return ControllerParameters.from_mapping(values | {"feedforward.type": kind, "feedforward.preview": preview})
+
+
+def motion(samples, seed=1):
+    """Return a reference that rests, then moves without any smoothness, then rests [m]."""
+    moving = np.random.default_rng(seed).uniform(0.0, 1e-5, samples)
+    return np.concatenate([np.full(20, moving[0]), moving, np.full(60, moving[-1])])
+
+
+def followed(dynamics, preview, reference, kind="inverse_dynamics"):
+    """Return the delayed references, shape (K,), and the model's outputs at the same samples, from rest."""
+    block = feedforward_block(parameters(dynamics, preview, kind), 1e-3)
+    model = LinearDynamics(dynamics, 1e-3)
+    delayed, outputs = np.empty(len(reference)), np.empty(len(reference))
+    for k, r in enumerate(reference):
+        delayed[k] = block.step(r)
+        if k == 0:
+            model.settle(block.command)
+        outputs[k] = model.output()
+        model.step(block.command)
+    return delayed, outputs
+
+
+@pytest.mark.parametrize(
+    ("dynamics", "preview"),
+    [
+        (KIM, 30),
+        (LAG, 1),
+        (LAG, 7),
+        (second_order((0.9, 0.7), 0.5), 1),
+        (second_order((0.9, 0.7), -0.8), 3),
+        (second_order((0.6 + 0.7j, 0.6 - 0.7j), 1.4, -1.0), 120),
+        (LinearParameters(), 1),
+        (LinearParameters(A=(0.0, 1.0, -0.72, 1.7), B=(0.0, 1.0), C=(1.0, 0.0), output_scale=1e-6), 2),
+        (LinearParameters(A=(0.7,), B=(0.3,), C=(0.9,), D=(0.1,), output_scale=1e-6), 1),
+    ],
+)
+def test_with_enough_preview_the_model_is_at_the_reference_at_every_sample(dynamics, preview):
+    delayed, outputs = followed(dynamics, preview, motion(300))
+    assert np.max(np.abs(outputs - delayed)) < 1e-9 * 1e-5
+
+
+def test_the_delayed_reference_is_the_reference_before_preview_samples_and_begins_at_rest():
+    reference = motion(50)
+    for kind in ("none", "static", "inverse_dynamics"):
+        delayed, _ = followed(LAG, 5, reference, kind)
+        assert np.array_equal(delayed[5:], reference[:-5])
+        assert np.all(delayed[:5] == reference[0])
+
+
+def test_kims_sampling_zeros_are_the_published_realisations():
+    zeros = np.sort(inverse_filter(KIM, 5).zeros.real)
+    assert zeros == pytest.approx([-3.09, -0.59], abs=0.005)
+    assert relative_degree(KIM) == 1
+
+
+def test_the_error_dies_out_as_the_outside_zero_to_the_power_of_the_preview():
+    errors = [inversion_error(KIM, preview) for preview in (3, 4, 5)]
+    assert errors[0] / errors[1] == pytest.approx(3.09, abs=0.005) == errors[1] / errors[2]
+    enough = sufficient_preview(KIM)
+    assert inversion_error(KIM, enough) <= 1e-3 < inversion_error(KIM, enough - 1)
+
+
+def test_no_reference_makes_the_command_wrong_by_more_than_the_stated_error():
+    exact, cut = inverse_filter(KIM, 60), inverse_filter(KIM, 3)
+    reference = motion(2000)
+    wrong = np.max(np.abs(exact.simulate(reference) - cut.simulate(reference)))
+    assert 0.3 * cut.error * 1e-5 < wrong <= cut.error * 1e-5
+
+
+def test_the_filter_and_the_kernel_give_the_same_commands():
+    reference = motion(100)
+    block = feedforward_block(parameters(KIM, 6), 1e-3)
+    commands = []
+    for r in reference:
+        block.step(r)
+        commands.append(block.command)
+    assert np.allclose(commands[6:], inverse_filter(KIM, 6).simulate(reference)[:-6], rtol=0.0, atol=1e-19)
+
+
+def test_preview_shorter_than_the_relative_degree_is_named_with_the_one_needed():
+    with pytest.raises(ParameterError, match=r"feedforward\.preview = 0: must be at least 1.*ask for \d"):
+        parameters(KIM, 0)
+    slow = LinearParameters(A=(0.0, 1.0, -0.72, 1.7), B=(0.0, 1.0), C=(1.0, 0.0))
+    with pytest.raises(ParameterError, match=r"feedforward\.preview = 1: must be at least 2"):
+        parameters(slow, 1)
+
+
+def test_zeros_on_the_unit_circle_are_named():
+    with pytest.raises(ParameterError, match=r"zeros on the unit circle \(-1"):
+        parameters(second_order((0.9, 0.7), -1.0), 5)
+
+
+def test_what_a_short_preview_leaves_is_a_warning_and_a_long_one_none():
+    assert preview_warning(KIM, sufficient_preview(KIM)) == () == parameters(KIM, 20).warnings()
+    (text,) = parameters(KIM, 2).warnings()
+    assert "feedforward.preview = 2" in text and f"preview {sufficient_preview(KIM)} brings" in text
+    assert parameters(KIM, 2, "static").warnings() == ()
+
+
+def test_without_dynamics_the_inverse_is_the_identity():
+    reference = motion(30)
+    for preview in (0, 1, 4):
+        block = feedforward_block(parameters(LinearParameters(), preview), 1e-3)
+        commands = []
+        for r in reference:
+            block.step(r)
+            commands.append(block.command)
+        late = max(preview - 1, 0)
+        assert np.array_equal(commands[late:], reference[: len(reference) - late])
+
+
+def test_new_gains_do_not_move_a_command_at_rest_and_the_same_ones_change_nothing():
+    block = feedforward_block(parameters(KIM, 8), 1e-3)
+    for r in motion(100):
+        block.step(r)
+    twin = feedforward_block(parameters(KIM, 8), 1e-3)
+    twin.state = block.state
+    twin.retune(parameters(KIM, 8))
+    assert np.array_equal(twin.state, block.state) and np.array_equal(twin.p, block.p)
+    rest = block.command
+    other = LinearParameters(A=tuple(0.99 * np.array(KIM.A)), B=KIM.B, C=KIM.C, output_scale=1e-6)
+    block.retune(parameters(other, 8))
+    outputs = []
+    for _ in range(200):
+        block.step(motion(100)[-1])
+        outputs.append(block.command)
+    assert np.max(np.abs(np.array(outputs) - rest)) < 1e-9 * abs(rest)
+
+
+def test_structure_cannot_change_live():
+    block = feedforward_block(parameters(KIM, 8), 1e-3)
+    before = block.p.copy()
+    for changed, name in (
+        (parameters(KIM, 9), "preview"),
+        (parameters(KIM, 8, "static"), "type"),
+        (parameters(LAG, 8), "model.dynamics.A"),
+    ):
+        with pytest.raises(ParameterError, match=name):
+            block.retune(changed)
+    assert np.array_equal(block.p, before)
+
+
+inside = st.floats(-0.9, 0.9)
+angle = st.floats(0.1, 3.0)
+zero = st.one_of(inside, st.floats(1.3, 20.0), st.floats(-20.0, -1.3))
+
+
+@st.composite
+def models(draw):
+    """Draw a stable model of order 1 to 4 with any zeros away from the circle, in coordinates of any kind."""
+    from scipy.signal import zpk2ss
+
+    poles = []
+    for _ in range(draw(st.integers(0, 1))):
+        radius, phase = draw(st.floats(0.1, 0.9)), draw(angle)
+        poles += [radius * np.exp(1j * phase), radius * np.exp(-1j * phase)]
+    poles += draw(st.lists(inside, min_size=0 if poles else 1, max_size=2))
+    zeros = draw(st.lists(zero, max_size=len(poles) - 1))
+    A, B, C, _ = zpk2ss(zeros, poles, 1.0)
+    gain = float((C @ np.linalg.solve(np.eye(len(A)) - A, B))[0, 0])
+    mix = np.eye(len(A)) + 0.3 * np.tri(len(A), k=-1)
+    A, B, C = mix @ A @ np.linalg.inv(mix), mix @ B, C @ np.linalg.inv(mix) / gain
+    return LinearParameters(A=tuple(A.ravel()), B=tuple(B.ravel()), C=tuple(C.ravel()), output_scale=1e-6)
+
+
+@settings(max_examples=40, deadline=None)
+@given(models())
+def test_any_stable_model_is_followed_exactly_with_enough_preview(dynamics):
+    preview = sufficient_preview(dynamics, 1e-14)
+    delayed, outputs = followed(dynamics, preview, motion(100))
+    assert np.max(np.abs(outputs - delayed)) < 1e-8 * 1e-5
+
+
+@settings(max_examples=40, deadline=None)
+@given(models(), st.integers(0, 30))
+def test_a_command_for_a_reference_at_rest_holds_it_at_any_preview(dynamics, more):
+    preview = relative_degree(dynamics) + more
+    chosen = inverse_filter(dynamics, preview)
+    assert chosen.simulate(np.full(50, 3e-6)) == pytest.approx(np.full(50, 3e-6), rel=1e-8)

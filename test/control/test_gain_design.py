@@ -1,0 +1,82 @@
+"""Designs keep the bandwidth that was asked, place what they say, and refuse models and requests by name."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hysteresis_ros.control.controller import ControllerParameters
+from hysteresis_ros.control.gain_design import TYPES, design_gains
+from hysteresis_ros.control.pid import PidParameters, pid_state_space
+from hysteresis_ros.control.pid_design import design_pid, pid_with_zeros
+from hysteresis_ros.errors import ParameterError
+from hysteresis_ros.models.linear import LinearParameters
+
+T = 1.0 / 3000.0
+
+
+@pytest.mark.parametrize("controller", TYPES)
+def test_bandwidth_is_met_on_the_published_axis(parameters, controller):
+    found = design_gains(parameters({"super_twisting.bound": 10.0}), controller, T, bandwidth=100.0)
+    assert found.parameters.type == TYPES[controller]
+    assert found.margins.bandwidth == pytest.approx(100.0, rel=1e-3)
+    assert found.margins.stable
+
+
+def test_order_one_pi_has_the_closed_form():
+    # the zero cancels the lag: L = g/(z - 1) with the pole 1 - g alone
+    a, time = 0.686131723, 0.005
+    lag = LinearParameters(A=(a,), B=(1.0 - a,), C=(1.0,), output_scale=1e-6)
+    gains = design_pid(PidParameters(), lag, time, bandwidth=10.0)
+    zero = (gains.Kp - 0.5 * gains.Ki * time) / (gains.Kp + 0.5 * gains.Ki * time)
+    assert zero == pytest.approx(a)
+    g = gains.Ki * time
+    w, p = 2.0 * np.pi * 10.0 * time, 1.0 - g
+    assert g * g / (1.0 - 2.0 * p * np.cos(w) + p * p) == pytest.approx(0.5, rel=1e-4)
+
+
+def test_zeros_stand_where_they_are_wanted():
+    zeros = [0.3 + 0.9j, 0.3 - 0.9j]
+    Kp, Ki, Kd = pid_with_zeros(zeros, 0.2, T, 3000.0)
+    A, B, C, D = pid_state_space(PidParameters(Kp=Kp, Ki=Ki, Kd=Kd, derivative_filter=3000.0), T)
+    assert sorted(np.linalg.eigvals(A - B @ C / D), key=np.imag) == pytest.approx(sorted(zeros, key=np.imag))
+    assert pytest.approx(0.2) == D
+
+
+def test_q_sets_the_filter_and_offset_free_estimates_a_disturbance(parameters):
+    found = design_gains(parameters(), "offset_free", T, q=0.5).parameters.kalman
+    assert (found.gain, found.disturbance, found.q / found.r) == ("riccati", "constant", 0.5)
+    kept = design_gains(parameters({"kalman.gain": "given", "kalman.L": (0.004, 0.5771, 0.3558)}), "smc", T).parameters
+    assert kept.kalman.L == (0.004, 0.5771, 0.3558)
+
+
+def model(**changes):
+    """Parameters with a model of two states."""
+    entries = {"A": (0.9, 0.0, 0.0, 0.5), "B": (0.1, 0.5), "C": (1.0, 1.0), "input_scale": 1.0} | changes
+    return ControllerParameters.from_mapping({f"model.dynamics.{name}": value for name, value in entries.items()})
+
+
+REFUSED = [
+    ("pid", {"B": (0.0, 0.5)}, {}, "not controllable"),
+    ("smc", {"B": (0.0, 0.5)}, {}, "not controllable"),
+    ("pid", {"C": (1.0, 0.0)}, {}, "not observable"),
+    ("offset_free", {"C": (1.0, 0.0)}, {}, "not observable"),
+    ("smc", {"A": (), "B": (), "C": ()}, {}, "needs a model"),
+    ("pid", {}, {"bandwidth": 1600.0}, "half the sample rate"),
+    ("pid", {}, {"bandwidth": -1.0}, "half the sample rate"),
+    ("super_twisting", {"A": (0.9,), "B": (0.1,), "C": (1.0,)}, {"bandwidth": 10.0}, "no pole to place"),
+    ("pid", {"sample_time": 0.01}, {}, "sample_time"),
+    ("pid", {"A": (0.9, 0.0, 0.0, 1.0)}, {}, "unstable"),
+]
+
+
+@pytest.mark.parametrize(("controller", "changes", "options", "text"), REFUSED)
+def test_what_cannot_be_designed_is_refused_by_name(controller, changes, options, text):
+    with pytest.raises(ParameterError, match=text) as caught:
+        design_gains(model(**changes), controller, T, **options)
+    assert caught.value.problems[0].name.startswith(("model.dynamics.", "bandwidth", "sample"))
+
+
+def test_a_pid_reaches_only_what_its_margins_allow(parameters):
+    with pytest.raises(ParameterError, match=r"at most [\d.]+ Hz"):
+        design_gains(parameters(), "pid", T, bandwidth=1400.0)
