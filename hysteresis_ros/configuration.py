@@ -15,7 +15,7 @@ from hysteresis_ros.errors import ConfigurationError
 #: The nodes every axis has.
 NODE_NAMES = ("plant_simulator", "reference_generator", "motion_controller", "hysteresis_compensator")
 #: Nodes an axis may have besides.
-OPTIONAL_NODE_NAMES = ("recorder",)
+OPTIONAL_NODE_NAMES = ("recorder", "inchworm_sequencer")
 
 
 class _Loader(yaml.SafeLoader):
@@ -61,6 +61,11 @@ class Configuration:
             if matches(pattern, full):
                 merged.update(values)
         return merged
+
+    def describes(self, name: str, namespace: str = "") -> bool:
+        """Tell whether the file has a section of the node called ``name`` itself, not only one for every node."""
+        full = f"{normalised_namespace(namespace)}/{name}"
+        return any(pattern.rsplit("/", 1)[-1] == name and matches(pattern, full) for pattern, _ in self.entries)
 
     def override(self, node: str, **values) -> Configuration:
         """Return a configuration in which ``node`` (in every namespace; ``""``: every node) has these values.

@@ -9,19 +9,29 @@ import click
 @click.argument("config", type=click.Path(path_type=str))
 @click.option("-o", "--output", required=True, help="File to write: .npz, .csv or .mcap.")
 @click.option("--duration", type=float, help="Length of the run [s]; the configuration's own by default.")
-@click.option("--setpoints", help="Recording whose setpoints are replayed, sample by sample.")
+@click.option(
+    "--setpoints",
+    help="Recording whose setpoints (of an inchworm requests and speeds too) are replayed, sample by sample.",
+)
 @click.option("--namespace", help="Which axis of the configuration, when it describes several.")
 def simulate(config, output, duration, setpoints, namespace):
     """Run the blocks of CONFIG in closed loop, bit for bit what the nodes do in lockstep, and write all signals."""
     from hysteresis_ros.configuration import load_configuration
     from hysteresis_ros.recordings.align import setpoints_per_sample
     from hysteresis_ros.recordings.files import load_run, save_run
+    from hysteresis_ros.recordings.replay import requests_per_sample
+    from hysteresis_ros.simulation.reach import reach_warnings
     from hysteresis_ros.simulation.run import simulate as run_offline
     from hysteresis_ros.simulation.run import single_axis
 
     parameters = single_axis(load_configuration(config), namespace)
-    replay = None if setpoints is None else setpoints_per_sample(load_run(setpoints, namespace))
-    recording = run_offline(parameters, duration=duration, setpoints=replay)
+    for warning in reach_warnings(parameters):
+        click.echo(f"hysteresis: warning: {warning}", err=True)
+    replay = {}
+    if setpoints is not None:
+        recorded = load_run(setpoints, namespace)
+        replay = {"setpoints": setpoints_per_sample(recorded), **requests_per_sample(recorded)}
+    recording = run_offline(parameters, duration=duration, **replay)
     save_run(recording, output)
     rate = parameters.plant_simulator.sample_rate
     click.echo(f"{output}: {recording.time.size} samples at {rate:g} Hz ({recording.time.size / rate:g} s)")

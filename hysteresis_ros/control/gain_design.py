@@ -38,6 +38,8 @@ INPUT_WEIGHT = 0.025
 #: Largest pole that sets a bandwidth, and how closely the bandwidth is met.
 SLOWEST = 0.99999
 PRECISION = 1e-5
+#: Part of the bandwidth asked by which the slowest pole may be too fast.
+TOLERANCE = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,6 +193,13 @@ def _pole_for(with_pole, sample_time: float, bandwidth: float) -> float:
     fast, slow = 0.0, SLOWEST
     if not bandwidth <= reached(fast):
         design.refuse("bandwidth", bandwidth, f"this controller reaches at most {reached(fast):.4g} Hz on its model")
+    least = reached(slow)
+    if bandwidth < least * (1.0 - TOLERANCE):
+        allowed = (
+            f"this controller reaches no less than {least:.4g} Hz on its model: inside the boundary layer eta and "
+            "beta/delta add to the reaching law; lower them, or ask for more"
+        )
+        design.refuse("bandwidth", bandwidth, allowed)
     while slow - fast > PRECISION * (1.0 - slow):
         middle = 0.5 * (fast + slow)
         if reached(middle) < bandwidth:

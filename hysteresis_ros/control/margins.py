@@ -31,6 +31,8 @@ WARM_UP = 3
 #: Frequencies of the grid, and how many are added around each pole.
 GRID = 3000
 AROUND_POLE = 61
+#: Lowest angle of the grid.
+LOWEST = 1e-7
 #: An entry below this part of the largest of its matrix is rounding.
 ROUNDING = 1e-13
 
@@ -314,6 +316,8 @@ def margins_of(controller: StateSpace, plant: StateSpace, sample_time: float) ->
     phase_at = np.array([angle for angle in phase_at if loop(angle)[0].real < 0.0])
     if values[-1].real < 0.0:
         phase_at = np.append(phase_at, np.pi)  # L is real at half the sample rate
+    if _flat_and_negative(loop(LOWEST * np.array([1.0, 2.0]))):
+        phase_at = np.append(LOWEST, phase_at)  # and at rest, where nothing integrates
     phases = np.array([np.angle(loop(angle)[0]) for angle in gain_at]) + np.pi
     phases = np.mod(phases, 2.0 * np.pi)
     factors = 20.0 * np.log10([1.0 / max(abs(loop(angle)[0]), 1e-300) for angle in phase_at])
@@ -325,7 +329,7 @@ def margins_of(controller: StateSpace, plant: StateSpace, sample_time: float) ->
         phase_margin=_least(np.degrees(np.minimum(phases, 2.0 * np.pi - phases))),
         delay_margin=_least(phases / gain_at) * sample_time,
         gain_crossovers=gain_at * hertz,
-        phase_crossovers=phase_at * hertz,
+        phase_crossovers=np.where(phase_at > LOWEST, phase_at, 0.0) * hertz,
         sensitivity_peak=float(np.max(1.0 / difference)),
         complementary_peak=float(np.max(np.abs(values) / difference)),
         bandwidth=_bandwidth(whole, angles) * hertz,
@@ -339,13 +343,18 @@ def _least(values) -> float:
 
 def _grid(poles, count: int) -> np.ndarray:
     """Return angles of 0 … π: evenly in both scales, and dense around the resonances."""
-    parts = [np.geomspace(1e-7, np.pi, count), np.linspace(0.0, np.pi, count)[1:]]
+    parts = [np.geomspace(LOWEST, np.pi, count), np.linspace(0.0, np.pi, count)[1:]]
     for pole in poles:
         angle, width = abs(np.angle(pole)), max(1.0 - min(abs(pole), 1.0), 1e-9)
         spread = width * np.sinh(np.linspace(-6.0, 6.0, AROUND_POLE))
         parts.append(angle + spread)
     angles = np.unique(np.concatenate(parts))
-    return angles[(angles >= 1e-7) & (angles <= np.pi)]
+    return angles[(angles >= LOWEST) & (angles <= np.pi)]
+
+
+def _flat_and_negative(values) -> bool:
+    """Tell whether the loop transfer at the two lowest angles is that of a finite, negative gain at rest."""
+    return bool(values[0].real < 0.0 and abs(values[1] - values[0]) < 1e-3 * abs(values[0]))
 
 
 def _crossings(function, angles, values) -> np.ndarray:

@@ -31,13 +31,15 @@ HEADER = 7
 #: p[FED]: 1.0 when there is a feedforward, the first entry of the parameters of every controller.
 FED = 0
 
-#: Signals beyond this are cut, so that no finite input ever makes a product or a sum infinite.
+#: Signals beyond this are cut, so that no input ever makes a product or a sum infinite.
 BOUND = 1e60
 
 
 @kernel
 def bounded(value):
-    """Return ``value`` cut to ±1e60."""
+    """Return ``value`` cut to ±1e60; what is not a number, which nodes refuse before, counts as 0."""
+    if value != value:
+        return 0.0
     if value > BOUND:
         return BOUND
     if value < -BOUND:

@@ -61,7 +61,7 @@ class SlidingModeParameters(Parameters):
     beta: float = parameter(0.0, low=0.0, description="Constant level of the nonlinear part (input unit)")
     delta: float = parameter(0.0, low=0.0, description="Width of the boundary layer (unit of s)")
     anti_windup_threshold: float = parameter(
-        0.1,
+        0.02,
         low=0.0,
         description="The integral holds while command and applied differ by more than this fraction of the largest "
         "applied command so far and integrating would widen the difference",

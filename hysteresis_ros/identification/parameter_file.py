@@ -10,6 +10,7 @@ import datetime
 import math
 import os
 import pathlib
+from dataclasses import replace
 
 import numpy as np
 
@@ -74,7 +75,8 @@ def sections(result: Identification) -> dict[str, dict]:
     limits = {"limits.minimum": low, "limits.maximum": high}
     hysteresis = block_mapping(chain.hysteresis, "hysteresis.")
     creep = {} if chain.creep.type == "none" else block_mapping(chain.creep, "creep.")
-    dynamics = block_mapping(chain.dynamics, "dynamics.") if chain.dynamics.order else {}
+    linear = replace(chain.dynamics, sample_time=float(chain.sample_time))
+    dynamics = block_mapping(linear, "dynamics.") if linear.order else {}
     offset = {"preload.A1": chain.offset} if chain.offset else {}
     inverse = block_mapping(chain.inverse, "inverse.")
     model = {f"model.{name}": value for name, value in {**dynamics, **offset}.items()}

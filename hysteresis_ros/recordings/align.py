@@ -8,13 +8,16 @@ from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.recordings import cdr
 from hysteresis_ros.recordings.bag_reader import Bag, Topic, read_bag
 from hysteresis_ros.recordings.configured import configured
-from hysteresis_ros.recordings.dataset import COLUMNS, Recording
+from hysteresis_ros.recordings.dataset import COLUMNS, INCHWORM_UNITS, REQUESTS, Recording
 from hysteresis_ros.recordings.run_bag import STATE_SIGNALS
 
 #: ``~/state`` topics in which a column is looked for, best first: (node, name in its message).
 STATE_SOURCES = {
-    "setpoint": (("reference_generator", "setpoint"),),
-    "reference": (("reference_generator", "reference"), ("motion_controller", "reference")),
+    "setpoint": (("reference_generator", "setpoint"), ("inchworm_sequencer", "setpoint")),
+    "reference": (
+        *(("reference_generator", "reference"), ("inchworm_sequencer", "reference")),
+        ("motion_controller", "reference"),
+    ),
     "command": (("motion_controller", "command"), ("hysteresis_compensator", "command")),
     "voltage": (("hysteresis_compensator", "voltage"), ("plant_simulator", "voltage")),
     "displacement": (("plant_simulator", "displacement"),),
@@ -26,9 +29,9 @@ STATE_SOURCES = {
 TAIL = 100
 
 
-def read_recording(path, namespace: str | None = None) -> Recording:
+def read_recording(path, namespace: str | None = None, *, further: bool = False) -> Recording:
     """Read a bag and align it; see :func:`align`."""
-    return align(read_bag(path), namespace)
+    return align(read_bag(path), namespace, further=further)
 
 
 def namespaces(bag: Bag) -> tuple[str, ...]:
@@ -70,7 +73,7 @@ def choose_namespace(bag: Bag, namespace: str | None) -> str:
     return found[0]
 
 
-def align(bag: Bag, namespace: str | None = None) -> Recording:
+def align(bag: Bag, namespace: str | None = None, *, further: bool = False) -> Recording:
     """Put all signals of one axis into the columns of a run.
 
     The stamp of ``joint_states`` is the key of a sample. The ``~/state`` messages carry that stamp and are matched by
@@ -84,13 +87,15 @@ def align(bag: Bag, namespace: str | None = None) -> Recording:
         What :func:`hysteresis_ros.recordings.bag_reader.read_bag` gave.
     namespace : str, optional
         Which axis, when there are several.
+    further : bool
+        Also the signals beyond the columns of a run that ``~/state`` messages hold: all that a simulation gives.
 
     Returns
     -------
     Recording
-        Eight columns; ``metadata`` holds ``late_commands`` (as the plant last reported them), ``missing_samples``,
-        ``missing`` (per signal), ``messages`` (per topic), ``notes``, ``timing``, ``configuration``, ``namespace``,
-        ``complete``, ``start_time_ns`` and ``source``.
+        Eight columns, or more with ``further``; ``metadata`` holds ``late_commands`` (as the plant last reported them),
+        ``missing_samples``, ``missing`` (per signal), ``messages`` (per topic), ``notes``, ``timing``,
+        ``configuration``, ``namespace``, ``complete``, ``start_time_ns`` and ``source``.
 
     Raises
     ------
@@ -118,6 +123,7 @@ def align(bag: Bag, namespace: str | None = None) -> Recording:
         if "measured" not in columns:
             columns["measured"] = _by_stamp(stamps, joints.stamps, measured)
         _add_float_topics(bag, prefix, columns, joints, rows)
+    motor = _motor_columns(states, joints, stamps)
     if "displacement" not in columns and "measured" in columns:
         columns["displacement"] = columns["measured"].copy()
         notes.append("no true displacement in the bag: the column displacement is the measured one")
@@ -128,6 +134,8 @@ def align(bag: Bag, namespace: str | None = None) -> Recording:
         columns[name] = np.full(stamps.size, np.nan)
 
     present = [name for name in COLUMNS if name not in absent]
+    columns |= motor
+    present += motor
     recorded = stamps.size
     stamps, columns = _without_tail(stamps, columns, present, notes)
     missing, per_signal = _missing(stamps, columns, present, notes)
@@ -153,7 +161,10 @@ def align(bag: Bag, namespace: str | None = None) -> Recording:
         "notes": notes,
     }
     time = (stamps - stamps[0]) / 1e9 if stamps.size else np.zeros(0)
-    return Recording(time, {name: columns[name] for name in COLUMNS}, {}, metadata)
+    signals = {name: columns[name] for name in (*COLUMNS, *motor)}
+    if further:
+        signals |= {name: values for name, values in _further(states, stamps).items() if name not in signals}
+    return Recording(time, signals, {}, metadata)
 
 
 def setpoints_per_sample(recording: Recording) -> np.ndarray:
@@ -177,6 +188,27 @@ def setpoints_per_sample(recording: Recording) -> np.ndarray:
     rows = np.where(np.isfinite(setpoint), np.arange(len(recording)), 0)
     held = setpoint[np.maximum.accumulate(rows)]
     return held[np.searchsorted(index, np.arange(index[-1] + 1), side="right") - 1]
+
+
+def _motor_columns(states: dict, joints, stamps) -> dict[str, np.ndarray]:
+    """Return the further columns of an inchworm's run; of real hardware those that are known."""
+    if states["inchworm_sequencer"] is None:
+        return {}
+    found = _further(states, stamps)
+    if "extender" not in found and joints is not None and "extender" in joints.names:
+        found["extender"] = _by_stamp(stamps, joints.stamps, joints.signal("extender"))
+    return {name: found[name] for name in (*INCHWORM_UNITS, *REQUESTS) if name in found}
+
+
+def _further(states: dict, stamps) -> dict[str, np.ndarray]:
+    """Return the signals of ``~/state`` messages that are no columns of every run."""
+    found = {}
+    for node, names in STATE_SIGNALS.items():
+        for name, signal in names.items():
+            values = states[node].signal(name) if states[node] is not None else None
+            if signal not in COLUMNS and values is not None:
+                found[signal] = _by_stamp(stamps, states[node].stamps, values)
+    return found
 
 
 def _configuration(bag: Bag, prefix: str) -> str:

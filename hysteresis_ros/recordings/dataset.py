@@ -11,6 +11,30 @@ from hysteresis_ros.errors import RecordingError
 #: Signals of a closed-loop run beside ``time``, in the order in which files hold them.
 COLUMNS = ("setpoint", "reference", "command", "voltage", "displacement", "measured", "estimated")
 
+#: Signals of an inchworm's run besides, and their units.
+INCHWORM_UNITS = {
+    "origin": "m",
+    "extender": "m",
+    "extender_displacement": "m",
+    "front_voltage": "V",
+    "rear_voltage": "V",
+    "front_force": "N",
+    "rear_force": "N",
+    "phase": "1",
+    "steps": "1",
+    "direction": "1",
+    "slip": "m",
+    "error": "1",
+    "arrived": "1",
+    "total_steps": "1",
+    "missed": "1",
+    "step_commanded": "m",
+    "step_achieved": "m",
+}
+
+#: What people asked of an inchworm beside the setpoint: inputs of its replay.
+REQUESTS = ("request", "speed")
+
 #: SI units of the signals this package knows; ``1`` means dimensionless or in the model's own units.
 SIGNAL_UNITS = {
     "time": "s",
@@ -26,6 +50,16 @@ SIGNAL_UNITS = {
     "saturated": "1",
     "switching": "1",
     "disturbance": "1",
+    **INCHWORM_UNITS,
+    "request": "1",
+    "speed": "m/s",
+    "front_plant_voltage": "V",
+    "rear_plant_voltage": "V",
+    "load_deflection": "m",
+    "forward_gain": "1",
+    "forward_offset": "m",
+    "backward_gain": "1",
+    "backward_offset": "m",
 }
 
 

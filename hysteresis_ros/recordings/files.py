@@ -9,7 +9,7 @@ from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.tables import read_csv, read_npz, write_csv, write_npz
 
 
-def load_run(path, namespace: str | None = None) -> Recording:
+def load_run(path, namespace: str | None = None, *, further: bool = False) -> Recording:
     """Read a run from ``.npz``, ``.csv``, a bag folder, a bare ``.mcap`` or a bare ``.db3`` file.
 
     Parameters
@@ -18,6 +18,9 @@ def load_run(path, namespace: str | None = None) -> Recording:
         The recording.
     namespace : str, optional
         Which axis of a bag; needed only when the bag holds several.
+    further : bool
+        Of a bag also the signals beyond the columns of a run (``applied``, ``switching``, ``disturbance`` …); tables
+        give whatever they hold.
 
     Raises
     ------
@@ -32,7 +35,7 @@ def load_run(path, namespace: str | None = None) -> Recording:
     # rosbags and mcap take a tenth of a second to import: only those who open a bag pay for it
     from hysteresis_ros.recordings.align import read_recording
 
-    return read_recording(path, namespace)
+    return read_recording(path, namespace, further=further)
 
 
 def save_run(recording: Recording, path, configuration: str | None = None) -> None:

@@ -11,12 +11,27 @@ import numpy as np
 from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.recordings.bag_writer import BagWriter
 from hysteresis_ros.recordings.configured import configured
-from hysteresis_ros.recordings.dataset import Recording
+from hysteresis_ros.recordings.dataset import REQUESTS, Recording
 
 #: ``~/state`` of each node: name in the message → signal of the run.
 STATE_SIGNALS = {
-    "plant_simulator": {"displacement": "displacement", "measured": "measured", "voltage": "plant_voltage"},
+    "plant_simulator": {
+        "displacement": "displacement",
+        "measured": "measured",
+        "voltage": "plant_voltage",
+        **{name: name for name in ("extender_displacement", "extender", "front_force", "rear_force")},
+        "front_voltage": "front_plant_voltage",
+        "rear_voltage": "rear_plant_voltage",
+    },
     "reference_generator": {"setpoint": "setpoint", "reference": "reference"},
+    "inchworm_sequencer": {
+        name: name
+        for name in (
+            *("setpoint", *REQUESTS, "reference", "origin", "front_voltage", "rear_voltage", "phase", "steps"),
+            *("direction", "slip", "error", "arrived", "total_steps", "missed", "step_commanded", "step_achieved"),
+            *("load_deflection", "forward_gain", "backward_gain", "forward_offset", "backward_offset"),
+        )
+    },
     "motion_controller": {
         "reference": "reference",
         "measured": "measured",
@@ -33,8 +48,16 @@ STATE_SIGNALS = {
     },
 }
 
-#: Float64 topics, in the order in which a sample's messages follow each other.
-FLOAT_TOPICS = ("reference", "command", "applied", "voltage")
+#: Float64 topics and their signals, in the order in which a sample's messages follow each other.
+FLOAT_TOPICS = {
+    "origin": "origin",
+    "reference": "reference",
+    "front_clamp/voltage": "front_voltage",
+    "rear_clamp/voltage": "rear_voltage",
+    "command": "command",
+    "applied": "applied",
+    "voltage": "voltage",
+}
 
 
 def write_recording(
@@ -102,20 +125,26 @@ def _write_topics(bag, recording, configuration, prefix, joint, start_time_ns) -
     values = {name: column.tolist() for name, column in recording.signals.items()}
     values.setdefault("plant_voltage", values.get("voltage"))
     states = []
+    absent = "reference_generator" if "phase" in values else "inchworm_sequencer"
     for node, names in STATE_SIGNALS.items():
+        if node == absent:
+            continue
         there = {name: values[signal] for name, signal in names.items() if values.get(signal) is not None}
         if there:
             columns = list(zip(*there.values(), strict=True))
             states.append((f"{prefix}/{node}/state", tuple(there), columns))
-    floats = [(f"{prefix}/{name}", values[name]) for name in FLOAT_TOPICS if name in values]
+    floats = [(f"{prefix}/{name}", values[signal]) for name, signal in FLOAT_TOPICS.items() if signal in values]
     measured = values.get("measured", values.get("displacement"))
+    joints, positions = [joint], [measured]
+    if "extender" in values:
+        joints, positions = [joint, "extender"], [measured, values["extender"]]
     setpoint, last = values.get("setpoint"), None
     for k, stamp in enumerate(stamps):
         if setpoint is not None and setpoint[k] != last and setpoint[k] == setpoint[k]:
             last = setpoint[k]
             bag.write_float64(f"{prefix}/setpoint", last, stamp)
         if measured is not None:
-            bag.write_joint_state(f"{prefix}/joint_states", stamp, (joint,), (measured[k],))
+            bag.write_joint_state(f"{prefix}/joint_states", stamp, joints, [column[k] for column in positions])
         for topic, column in floats:
             bag.write_float64(topic, column[k], stamp)
         for topic, names, columns in states:

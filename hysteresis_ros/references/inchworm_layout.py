@@ -101,11 +101,14 @@ PARAMETERS = 32
     PRETENSION,  # part of the load that the reference takes off [m], and the ends of its ramp
     PRETENSION_FROM,
     PRETENSION_TO,
-) = range(60)
+    GIVEN_WAY,  # sum over the samples of a step of how far the extender is from where it should be [m]
+    FELT,  # how many samples those are
+    WEIGHED,  # steps from which the load was learned so far
+) = range(63)
 #: Learned step models, forward and backward (see :mod:`hysteresis_ros.references.step_model`).
-FORWARD_MODEL = 60
-BACKWARD_MODEL = 65
-STATES = 70
+FORWARD_MODEL = 63
+BACKWARD_MODEL = 68
+STATES = 73
 
 #: Phases.
 (

@@ -17,6 +17,7 @@ from hysteresis_ros.references.inchworm_steps import (
     drive_rear,
     enter,
     fail,
+    feel,
     highest,
     hold,
     let_go,
@@ -184,6 +185,8 @@ def held(p, x):
 def open_phase(p, x):
     """One sample of a phase in which one clamp opens or is open and the extender waits or moves."""
     phase = x[at.PHASE]
+    if phase == at.CARRYING:
+        feel(x)
     if must_stop(p, x):
         stop_here(p, x)
     elif phase == at.RELEASING_REAR:
@@ -191,6 +194,7 @@ def open_phase(p, x):
         if x[at.TIMER] >= p[at.RELEASE_SAMPLES]:
             end = x[at.TIP] + x[at.DIRECTION] * x[at.EXTENSION] * (p[at.HIGHEST] - p[at.LOWEST])
             move(p, x, min(max(end, lowest(p, x)), highest(p, x)))
+            x[at.GIVEN_WAY] = x[at.FELT] = 0.0
             enter(x, at.CARRYING)
     elif phase == at.RELEASING_FRONT:
         pretensioning(p, x)
@@ -294,7 +298,7 @@ def sequence(p, x, setpoint, slider, extender):
 
     Parameters
     ----------
-    p, x : ndarray, shapes (32,) and (70,)
+    p, x : ndarray, shapes (32,) and (73,)
         Parameters and state, see :mod:`hysteresis_ros.references.inchworm_layout`. Others may write ``x[REQUEST]`` and
         ``x[SPEED]`` before the call.
     setpoint : float

@@ -243,7 +243,7 @@ class InchwormSequencer(Block):
         return p
 
     def initial_state(self) -> np.ndarray:
-        """Return x, shape (70,): nothing has closed yet, both clamps are about to."""
+        """Return x, shape (73,): nothing has closed yet, both clamps are about to."""
         parameters = self.parameters
         gait, learning = parameters.gait, parameters.learning
         x = np.zeros(at.STATES)

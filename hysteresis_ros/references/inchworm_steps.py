@@ -17,8 +17,10 @@ SHORT_STEP = 0.05
 SLOW_STEP = 0.1
 #: The load may take up this part of the stroke at most.
 LOAD_PART = 0.8
-#: Part of the measured deflection by which the learned one is corrected at every step.
+#: Part of the mean deflection by which the learned one is corrected at every step, and at the first one: there the
+#: controller's integral has taken up about half of it meanwhile.
 LOAD_GAIN = 0.5
+FIRST_LOAD_GAIN = 2.0
 #: Extensions are equal within this [m].
 EQUAL = 1.0e-12
 
@@ -155,12 +157,21 @@ def pretensioning(p, x):
 
 
 @kernel
+def feel(x):
+    """Sum up how far the extender gives way while it carries: the mean over the step has little left of its swing."""
+    x[at.GIVEN_WAY] += x[at.EXTENDER] - x[at.TIP] - x[at.BIAS] * (1.0 - cycloid(x[at.MOVE_DONE]))
+    x[at.FELT] += 1.0
+
+
+@kernel
 def weigh(p, x):
-    """Correct the learned load by what is left, when a step ends, of how the extender gave way when it took over."""
-    if p[at.LEARNING] != 0.0:
+    """Correct the learned load by how the extender gave way in the mean when it took over; at first by all of it."""
+    if p[at.LEARNING] != 0.0 and x[at.FELT] > 0.0:
         bound = LOAD_PART * (p[at.HIGHEST] - p[at.LOWEST])
-        load = x[at.LOAD] + LOAD_GAIN * (x[at.EXTENDER] - x[at.TIP] - x[at.BIAS])
+        part = max(FIRST_LOAD_GAIN / (1.0 + x[at.WEIGHED]), LOAD_GAIN)
+        load = x[at.LOAD] + part * x[at.GIVEN_WAY] / x[at.FELT]
         x[at.LOAD] = min(max(load, -bound), bound)
+        x[at.WEIGHED] += 1.0
 
 
 @kernel
@@ -176,14 +187,16 @@ def account(p, x):
     x[at.COMMANDED_STEP] = direction * x[at.STEP_LENGTH]
     x[at.ACHIEVED_STEP] = direction * moved
     x[at.RETURNS] = 0.0
-    if x[at.EXTENSION] < SHORT_STEP:
+    wanted = max(extension, x[at.STEP_LENGTH])  # a load or a wrong model may want a step without extension
+    if wanted < SHORT_STEP * stroke:
         return
     if moved < p[at.MISSED_PART] * extension:
         x[at.MISSED] += 1.0
-    x[at.STILL] = x[at.STILL] + 1.0 if moved < STILL_PART * extension else 0.0
+    x[at.STILL] = x[at.STILL] + 1.0 if moved < STILL_PART * wanted else 0.0
     if x[at.STILL] >= p[at.STILL_STEPS]:
         fail(x, at.NO_MOTION_ERROR)
-    if p[at.LEARNING] != 0.0 and moved > p[at.MISSED_PART] * extension and moved < 2.0 * extension:
+    short = x[at.EXTENSION] < SHORT_STEP or moved < p[at.MISSED_PART] * extension
+    if p[at.LEARNING] != 0.0 and not short and moved < 2.0 * extension:
         model = at.FORWARD_MODEL if direction > 0.0 else at.BACKWARD_MODEL
         learn(x, model, p[at.FORGETTING], x[at.EXTENSION], moved / stroke)
 

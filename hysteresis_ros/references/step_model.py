@@ -3,8 +3,9 @@
 With u the commanded extension and z the movement of the slider along it, both as parts of the full stroke,
 z = gain u + offset: the offset takes the load (it has another sign in each direction) and what a clamp loses whenever
 it closes, the gain the rest. Reference: Åström & Wittenmark, *Adaptive Control*, 2nd edition 1995, section 2.2.
-Forgetting pauses while the covariance is as large as at the start, so that full steps alone, which say nothing about
-gain and offset apart, never make it grow without bound.
+Forgetting pauses while a variance is as large as at the start, so that full steps alone, which say nothing about gain
+and offset apart, never make it grow without bound. The gain is an extender's and nearly one, whatever the load: it stays
+within bounds, and the offset takes what is beyond them.
 """
 
 from __future__ import annotations
@@ -18,9 +19,13 @@ COVARIANCE = 2  # of gain and gain, gain and offset, offset and offset
 SIZE = 5
 
 #: Standard deviations with which gain and offset are known before the first step, and of one measured step.
-GAIN_DEVIATION = 0.1
-OFFSET_DEVIATION = 0.05
+GAIN_DEVIATION = 0.05
+OFFSET_DEVIATION = 0.5
 STEP_DEVIATION = 2.0e-3
+
+#: Bounds of the gain.
+LOWEST_GAIN = 0.8
+HIGHEST_GAIN = 1.25
 
 #: The model never says that the longest step is shorter than this part of its extension, nor longer than the next.
 SHORTEST = 0.1
@@ -46,7 +51,7 @@ def longest_step(x, at, usable):
 @kernel
 def extension_for(x, at, length):
     """Extension, 0 … 1, that moves the slider by ``length``, both as parts of the stroke."""
-    return min(max((length - x[at + OFFSET]) / max(x[at + GAIN], SHORTEST), 0.0), 1.0)
+    return min(max((length - x[at + OFFSET]) / max(x[at + GAIN], LOWEST_GAIN), 0.0), 1.0)
 
 
 @kernel
@@ -64,8 +69,11 @@ def learn(x, at, forgetting, u, z):
     a -= first * first / scale
     b -= first * second / scale
     c -= second * second / scale
-    limit = GAIN_DEVIATION * GAIN_DEVIATION + OFFSET_DEVIATION * OFFSET_DEVIATION
-    if a + c < limit * forgetting:
+    bounded = min(max(x[at + GAIN], LOWEST_GAIN), HIGHEST_GAIN)
+    x[at + OFFSET] += (x[at + GAIN] - bounded) * u
+    x[at + GAIN] = bounded
+    gain_limit = GAIN_DEVIATION * GAIN_DEVIATION * forgetting
+    if a < gain_limit and c < OFFSET_DEVIATION * OFFSET_DEVIATION * forgetting:
         a /= forgetting
         b /= forgetting
         c /= forgetting

@@ -25,15 +25,36 @@ from hysteresis_ros.models.actuator import Actuator, ActuatorParameters
 from hysteresis_ros.parameters import Parameters
 from hysteresis_ros.references.generator import ReferenceGenerator, ReferenceParameters
 from hysteresis_ros.simulation.closed_loop import SIGNALS, closed_loop
+from hysteresis_ros.simulation.inchworm_checks import inchworm_problems
 from hysteresis_ros.simulation.node_parameters import (
     NODE_PARAMETERS,
     CompensatorNodeParameters,
     ControllerNodeParameters,
+    InchwormSequencerNodeParameters,
     PlantNodeParameters,
     RecorderNodeParameters,
     ReferenceNodeParameters,
     part,
 )
+from hysteresis_ros.simulation.reach import check_reach
+
+
+def node_names(inchworm: bool) -> tuple[str, ...]:
+    """Return the names of the nodes every axis has; an inchworm's sequencer stands for the reference generator."""
+    return tuple("inchworm_sequencer" if inchworm and name == "reference_generator" else name for name in NODE_NAMES)
+
+
+def _inchworm_mismatches(plant, parts) -> list[Problem]:
+    """Return what does not fit between the plant's type, the sequencer and the controller."""
+    sequencer = parts["inchworm_sequencer"]
+    if (plant.type == "inchworm") != (sequencer is not None):
+        allowed = "an inchworm needs a section inchworm_sequencer, and only an inchworm may have one"
+        return [Problem("plant_simulator: type", plant.type, allowed)]
+    problems = []
+    if parts["motion_controller"].use_origin != (sequencer is not None):
+        allowed = "must be true with an inchworm_sequencer and false without one"
+        problems.append(Problem("motion_controller: use_origin", not sequencer, allowed))
+    return problems + list(inchworm_problems(plant, parts) if sequencer else ())
 
 
 @dataclass(frozen=True)
@@ -44,16 +65,19 @@ class AxisParameters:
     ----------
     namespace : str
         Namespace with a leading slash; empty for the root.
-    plant_simulator, reference_generator, motion_controller, hysteresis_compensator, recorder : NodeParameters
+    plant_simulator, motion_controller, hysteresis_compensator, recorder : NodeParameters
         Typed parameters of each node.
+    reference_generator, inchworm_sequencer : NodeParameters or None
+        One of the two: an axis with a section ``inchworm_sequencer`` has no reference generator.
     """
 
     namespace: str
     plant_simulator: PlantNodeParameters
-    reference_generator: ReferenceNodeParameters
+    reference_generator: ReferenceNodeParameters | None
     motion_controller: ControllerNodeParameters
     hysteresis_compensator: CompensatorNodeParameters
     recorder: RecorderNodeParameters
+    inchworm_sequencer: InchwormSequencerNodeParameters | None = None
 
     @classmethod
     def from_configuration(cls, configuration: Configuration, namespace: str = "") -> AxisParameters:
@@ -62,11 +86,16 @@ class AxisParameters:
         Raises
         ------
         ParameterError
-            Names every wrong parameter of every node, and rates or modes in which the nodes differ.
+            Names every wrong parameter of every node, rates or modes in which the nodes differ, and linear dynamics
+            for another sample time.
         """
         namespace = normalised_namespace(namespace)
-        parts, problems = {}, []
+        inchworm = configuration.describes("inchworm_sequencer", namespace)
+        absent = "reference_generator" if inchworm else "inchworm_sequencer"
+        parts, problems = {absent: None}, []
         for name, parameters_class in NODE_PARAMETERS.items():
+            if name == absent:
+                continue
             try:
                 values = configuration.node(name, namespace)
                 parts[name] = parameters_class.from_mapping(values, prefix=f"{name}: ")
@@ -75,12 +104,22 @@ class AxisParameters:
         if problems:
             raise ParameterError(problems)
         plant = parts["plant_simulator"]
-        for name in NODE_NAMES:
+        for name in node_names(inchworm):
             for shared in ("sample_rate", "time_mode", "joint"):
                 value, awaited = getattr(parts[name], shared), getattr(plant, shared)
                 if value != awaited:
                     allowed = f"must equal the plant_simulator's {awaited!r}; give it once, under '/**'"
                     problems.append(Problem(f"{name}: {shared}", value, allowed))
+        sample_time = 1.0 / plant.sample_rate
+        for name, dynamics, place in (
+            ("plant_simulator", plant.dynamics, "dynamics"),
+            ("motion_controller", parts["motion_controller"].model.dynamics, "model.dynamics"),
+        ):
+            try:
+                dynamics.require_sample_time(sample_time, f"{name}: {place}.sample_time")
+            except ParameterError as error:
+                problems += error.problems
+        problems += _inchworm_mismatches(plant, parts)
         if problems:
             raise ParameterError(problems)
         return cls(namespace=namespace, **parts)
@@ -102,6 +141,8 @@ class AxisParameters:
         """Return the parameter file of exactly this axis, every parameter written out under its full node name."""
         nodes = {}
         for name in NODE_PARAMETERS:
+            if getattr(self, name) is None:
+                continue
             values = getattr(self, name).to_mapping()
             # ROS has no type for an empty array; every array is empty by default where it may be
             nodes[f"{self.namespace}/{name}"] = {key: value for key, value in values.items() if value != ()}
@@ -116,10 +157,13 @@ def axes(configuration: Configuration, namespace: str | None = None) -> list[Axi
     ConfigurationError
         Two of the axes would publish ``/clock``: time may have one source only.
     ParameterError
-        A parameter is wrong.
+        A parameter is wrong, or a reference lies beyond what its axis can follow.
     """
     spaces = configuration.namespaces() if namespace is None else (namespace,)
     found = [AxisParameters.from_configuration(configuration, space) for space in spaces]
+    for axis in found:
+        if axis.inchworm_sequencer is None:
+            check_reach(axis)
     clocks = [axis.namespace or "/" for axis in found if axis.plant_simulator.publish_clock]
     if len(clocks) > 1:
         raise ConfigurationError(
@@ -165,6 +209,10 @@ class Axis:
         """Return the length of a run that the configuration itself gives, in samples; 0 when it gives none."""
         return self.parameters.plant_simulator.samples or self.generator.waveform.duration_samples
 
+    def default_setpoints(self, samples: int) -> np.ndarray:
+        """Return the initial setpoint [m] for each of ``samples`` samples."""
+        return np.full(samples, self.parameters.reference_generator.initial_setpoint)
+
     def run(self, setpoints) -> dict[str, np.ndarray]:
         """Simulate ``len(setpoints)`` samples.
 
@@ -184,7 +232,7 @@ class Axis:
         index = np.arange(self.sample, self.sample + len(setpoints))
         self.sample += len(setpoints)
         # the nodes stamp samples in whole nanoseconds, and time is compared bit for bit
-        time = np.array([round(k * 1e9 / self.sample_rate) for k in index.tolist()], dtype=np.int64) / 1e9
+        time = np.rint(index * 1e9 / self.sample_rate) / 1e9
         return {"time": time, "setpoint": setpoints, **{name: table[:, i].copy() for i, name in enumerate(SIGNALS)}}
 
     def _arguments(self):

@@ -11,8 +11,10 @@ from hysteresis_ros.compensation.compensator import CompensatorParameters
 from hysteresis_ros.control.controller import ControllerParameters
 from hysteresis_ros.errors import Problem
 from hysteresis_ros.models.actuator import ActuatorParameters
-from hysteresis_ros.parameters import Parameters, parameter
+from hysteresis_ros.models.inchworm import JOINT_NAMES, InchwormParameters, seed_problems
+from hysteresis_ros.parameters import Parameters, group, parameter
 from hysteresis_ros.references.generator import ReferenceParameters
+from hysteresis_ros.references.inchworm_sequencer import InchwormSequencerParameters
 
 
 @dataclass(frozen=True)
@@ -50,8 +52,12 @@ class NodeParameters(Parameters):
 
 @dataclass(frozen=True)
 class PlantNodeParameters(NodeParameters, ActuatorParameters):
-    """Parameters of ``plant_simulator``."""
+    """Parameters of ``plant_simulator``; an inchworm's extender is the actuator."""
 
+    type: str = parameter(
+        "actuator", choices=("actuator", "inchworm"), read_only=True, description="one actuator, or an inchworm motor"
+    )
+    inchworm: InchwormParameters = group(InchwormParameters, variant_of="type")
     real_time_factor: float = parameter(
         1.0, low=1.0e-6, high=1.0e3, read_only=True, description="realtime: simulated seconds per second of wall clock"
     )
@@ -83,6 +89,12 @@ class PlantNodeParameters(NodeParameters, ActuatorParameters):
                 f"must lie within limits.minimum … limits.maximum = {self.limits.minimum:g} … {self.limits.maximum:g} V"
             )
             yield Problem("safe_voltage", self.safe_voltage, allowed)
+        if self.type == "inchworm":
+            yield from seed_problems(self)
+            others = JOINT_NAMES[1:]
+            if self.joint in others:
+                allowed = f"must be the slider's name, other than {', '.join(others)}; write joint: slider under '/**'"
+                yield Problem("joint", self.joint, allowed)
 
 
 @dataclass(frozen=True)
@@ -91,8 +103,24 @@ class ReferenceNodeParameters(NodeParameters, ReferenceParameters):
 
 
 @dataclass(frozen=True)
+class InchwormSequencerNodeParameters(NodeParameters, InchwormSequencerParameters):
+    """Parameters of ``inchworm_sequencer``, which takes the place of ``reference_generator``."""
+
+    extender_joint: str = parameter(
+        "extender", read_only=True, description="name of the extender in joint_states; joint is the slider's"
+    )
+    measurement_timeout: float = parameter(
+        0.2, unit="s", low=1.0e-3, high=3600.0, description="realtime: silence of joint_states that closes both clamps"
+    )
+
+
+@dataclass(frozen=True)
 class ControllerNodeParameters(NodeParameters, ControllerParameters):
     """Parameters of ``motion_controller``."""
+
+    use_origin: bool = parameter(
+        False, read_only=True, description="inchworm: subtract the sequencer's origin from the measurement"
+    )
 
     measurement_timeout: float = parameter(
         0.2, unit="s", low=1.0e-3, high=3600.0, description="realtime: silence of joint_states that makes it go safe"
@@ -123,6 +151,11 @@ class RecorderNodeParameters(NodeParameters):
 
     path: str = parameter("recording", read_only=True, description="folder of the bag, made anew")
     configuration: str = parameter("", read_only=True, description="parameter file whose text goes into the bag")
+    inchworm: bool = parameter(
+        False,
+        read_only=True,
+        description="record an inchworm's topics; a configuration with an inchworm_sequencer says so by itself",
+    )
     topics: tuple[str, ...] = parameter(
         (),
         read_only=True,
@@ -145,6 +178,7 @@ NODE_PARAMETERS: dict[str, type[NodeParameters]] = {
     "motion_controller": ControllerNodeParameters,
     "hysteresis_compensator": CompensatorNodeParameters,
     "recorder": RecorderNodeParameters,
+    "inchworm_sequencer": InchwormSequencerNodeParameters,
 }
 
 

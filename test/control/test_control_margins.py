@@ -49,6 +49,14 @@ def test_integral_control_of_one_sample_of_delay_is_the_closed_form():
     assert found.bandwidth == pytest.approx(np.arccos((1.0 + p * p - 2.0 * g * g) / (2.0 * p)) / (2.0 * np.pi * time))
 
 
+def test_proportional_control_without_integral_loses_its_gain_margin_at_rest():
+    # positive feedback, Kp = -k on one sample of delay: L = -k/z, 1 + c L(1) = 0 at c = 1/k
+    found = margins(static(Kp=-0.25), 0.01)
+    assert found.gain_margin == pytest.approx(20.0 * np.log10(4.0)) and found.gain_reduction_margin == np.inf
+    assert found.phase_crossovers == pytest.approx([0.0])
+    assert found.sensitivity_peak == pytest.approx(1.0 / 0.75)
+
+
 def test_delay_margin_is_where_the_delayed_loop_loses_stability():
     g, time = 0.3, 0.01
     delay = margins(static(Kp=0.5 * g, Ki=g / time), time).delay_margin / time

@@ -174,6 +174,16 @@ def test_integral_of_super_twisting_holds_at_the_limits():
     assert settled[1e9] > 3 * settled[0.1]
 
 
+def test_super_twisting_leaves_the_limit_as_it_leaves_any_other_level():
+    """A slow law, held at the limit for long, comes back in the time of an ordinary step from there."""
+    slow = {"type": "super_twisting", "super_twisting.bound": 1.0}
+    settled = []
+    for level in (0.95, 2.0):
+        found = Known(slow, limit=1.0).run(np.append(np.full(20000, level), np.full(6000, 0.3)), np.zeros(26000))
+        settled.append(np.flatnonzero(np.abs(found[20000:, 2] - 0.3) > 0.014)[-1])
+    assert settled[1] < 1.3 * settled[0]
+
+
 def test_integral_sliding_mode_takes_no_limit_for_a_disturbance():
     axis = Known(INTEGRAL, limit=1.0)
     found = axis.run(np.append(np.full(500, 2.0), np.full(200, 0.3)), np.zeros(700))

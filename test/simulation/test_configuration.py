@@ -114,7 +114,7 @@ def test_all_wrong_parameters_are_named_together():
     }
     assert "0 … 32" in named["plant_simulator: limits.bits"]
     assert "did you mean plant_simulator: sensor.noise" in named["plant_simulator: sensor.noyse"]
-    assert "open_loop, sliding_mode" in named["motion_controller: type"]
+    assert "open_loop, pid, sliding_mode" in named["motion_controller: type"]
     assert "double" in named["motion_controller: sliding_mode.eta"]
 
 

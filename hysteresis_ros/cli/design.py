@@ -1,0 +1,51 @@
+"""``hysteresis design``: gains of a controller from the identified model in a configuration."""
+
+from __future__ import annotations
+
+import click
+
+
+@click.command(short_help="Design a controller from the model in a configuration.")
+@click.argument("config", type=click.Path(path_type=str))
+@click.option(
+    "--controller",
+    required=True,
+    type=click.Choice(["pid", "smc", "integral_smc", "super_twisting", "offset_free"]),
+    help="What to design.",
+)
+@click.option("--bandwidth", type=float, help="-3 dB bandwidth from reference to displacement [Hz].")
+@click.option("--q", type=float, help="Kalman filter: variance of the input's noise over that of the measurement.")
+@click.option(
+    "--criterion", type=click.Choice(["iae", "ise", "itae"]), help="pid: tune it by Nelder-Mead on the waveform."
+)
+@click.option("--duration", type=float, help="Length of the run that --criterion judges [s].")
+@click.option("--feedforward", is_flag=True, help="Add the inverse of the dynamics as feedforward.")
+@click.option("--preview", type=int, help="Samples that the reference is ahead, with --feedforward.")
+@click.option("--namespace", default="", help="Which axis of the configuration, when it describes several.")
+@click.option("-o", "--output", required=True, help="Parameter file to write.")
+def design(config, controller, bandwidth, q, criterion, duration, feedforward, preview, namespace, output):
+    """Design a controller for the model in CONFIG (motion_controller: model.dynamics; never the plant's).
+
+    Prints gains, margins and closed-loop poles, and writes CONFIG with the new controller to OUTPUT.
+    """
+    from hysteresis_ros.configuration import load_configuration, normalised_namespace
+    from hysteresis_ros.identification.parameter_file import write_file
+    from hysteresis_ros.simulation.design import DesignRequest, design_axis, design_file, design_lines
+    from hysteresis_ros.simulation.run import single_axis
+
+    configuration = load_configuration(config)
+    request = DesignRequest(
+        controller=controller,
+        bandwidth=bandwidth,
+        q=q,
+        criterion=criterion,
+        duration=duration,
+        feedforward=feedforward,
+        preview=preview,
+    )
+    axis = single_axis(configuration, namespace or None)
+    result = design_axis(axis, request)
+    write_file(output, design_file(configuration, result, normalised_namespace(axis.namespace)))
+    for line in design_lines(result):
+        click.echo(line)
+    click.echo(f"{output}: written, type {result.parameters.type}")

@@ -1,0 +1,33 @@
+"""What was asked of an inchworm in a recording, so that a simulation can be asked the same."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hysteresis_ros.recordings.dataset import REQUESTS, Recording
+
+
+def requests_per_sample(recording: Recording) -> dict[str, np.ndarray]:
+    """Return what was asked of an inchworm beside setpoints, for replay by the simulation.
+
+    Parameters
+    ----------
+    recording : Recording
+        Of any axis.
+
+    Returns
+    -------
+    dict of str to array, shape (M,)
+        ``requests`` and ``speeds`` of each sample from the first on; empty for an axis without a sequencer. Samples
+        that the recording misses have none.
+    """
+    if not all(recording.has(name) for name in REQUESTS):
+        return {}
+    if len(recording) == 1:
+        index = np.zeros(1, dtype=np.int64)
+    else:
+        index = np.rint((recording.time - recording.time[0]) / recording.sample_time).astype(np.int64)
+    requests, speeds = np.zeros(index[-1] + 1), np.full(index[-1] + 1, np.nan)
+    requests[index] = np.nan_to_num(recording["request"])
+    speeds[index] = recording["speed"]
+    return {"requests": requests, "speeds": speeds}

@@ -1,0 +1,280 @@
+"""Design of the controller of an axis: what ``hysteresis design`` does, decides and prints."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hysteresis_ros.configuration import Configuration, parse_configuration
+from hysteresis_ros.control import design
+from hysteresis_ros.control.controller import ControllerParameters
+from hysteresis_ros.control.feedforward import FeedforwardParameters
+from hysteresis_ros.control.gain_design import Designed, design_gains
+from hysteresis_ros.control.inversion import sufficient_preview
+from hysteresis_ros.control.margins import Margins, margins
+from hysteresis_ros.control.pid_design import slowest_poles
+from hysteresis_ros.control.sliding_design import design_sliding_mode
+from hysteresis_ros.control.super_twisting import twisting_gains
+from hysteresis_ros.errors import ConfigurationError
+from hysteresis_ros.simulation.axis import AxisParameters
+from hysteresis_ros.simulation.design_file import design_text
+from hysteresis_ros.simulation.node_parameters import part
+from hysteresis_ros.simulation.run import build_axis, single_axis
+from hysteresis_ros.simulation.tuning import Tuned, tune_pid
+
+#: A cancelled pole pair with less damping than this goes on ringing when something else than the reference excites it.
+LITTLE_DAMPING = 0.1
+#: Poles below this, delays, are not printed; several of them at 0 are computed no closer.
+AT_ZERO = 1e-3
+#: Sensitivity peak above which a design is doubted.
+DOUBTED_SENSITIVITY = 2.0
+
+
+@dataclass(frozen=True)
+class DesignRequest:
+    """What is asked of a design.
+
+    Parameters
+    ----------
+    controller : str
+        ``pid``, ``smc``, ``integral_smc``, ``super_twisting`` or ``offset_free``.
+    bandwidth : float, optional
+        [Hz]
+    q : float, optional
+        Variance of the input's noise over that of the measurement in the Kalman filter.
+    criterion : str, optional
+        ``iae``, ``ise`` or ``itae``: tune the PID on the waveform.
+    duration : float, optional
+        Length of the run for that [s].
+    feedforward : bool
+        Add the inverse of the dynamics.
+    preview : int, optional
+        Samples of preview of it; by default what the inverse needs.
+    """
+
+    controller: str
+    bandwidth: float | None = None
+    q: float | None = None
+    criterion: str | None = None
+    duration: float | None = None
+    feedforward: bool = False
+    preview: int | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class AxisDesign:
+    """A designed controller.
+
+    Parameters
+    ----------
+    request : DesignRequest
+    parameters : ControllerParameters
+    margins : Margins
+    sample_time : float
+        [s]
+    tuned : Tuned, optional
+        What the tuning did.
+    """
+
+    request: DesignRequest
+    parameters: ControllerParameters
+    margins: Margins
+    sample_time: float
+    tuned: Tuned | None = None
+
+
+def design_axis(axis: AxisParameters, request: DesignRequest) -> AxisDesign:
+    """Design the controller of an axis from the model in its own parameters.
+
+    Parameters
+    ----------
+    axis : AxisParameters
+    request : DesignRequest
+
+    Raises
+    ------
+    ConfigurationError
+        Requests that exclude each other.
+    ParameterError
+        No design follows from the model; names what keeps it.
+    """
+    pid = request.controller == "pid"
+    if request.criterion and not pid:
+        raise ConfigurationError(f"--criterion tunes a pid, not {request.controller}; leave it out")
+    if request.criterion and request.bandwidth is not None:
+        raise ConfigurationError("--criterion and --bandwidth exclude each other; give one of them")
+    if request.criterion and axis.reference_generator is None:
+        raise ConfigurationError(
+            "--criterion tunes on the waveform of a reference generator, and a sequencer is in its place; leave it out"
+        )
+    if pid and request.q is not None:
+        raise ConfigurationError("--q is of the Kalman filter, which pid has not; leave it out")
+    if request.q is not None and not request.q > 0.0:
+        raise ConfigurationError(f"--q {request.q:g}: must be above 0")
+    if request.preview is not None and not request.feedforward:
+        raise ConfigurationError("--preview belongs to --feedforward; give both")
+    sample_time = 1.0 / axis.motion_controller.sample_rate
+    control = part(axis.motion_controller, ControllerParameters)
+    control = replace(control, feedforward=_feedforward(control, request))
+    found = design_gains(control, request.controller, sample_time, request.bandwidth, request.q)
+    if not request.criterion:
+        return AxisDesign(request, found.parameters, found.margins, sample_time)
+    node = replace(axis.motion_controller, feedforward=control.feedforward, type="pid", pid=found.parameters.pid)
+    tuned = tune_pid(
+        replace(axis, motion_controller=node),
+        request.criterion,
+        start=found.parameters.pid,
+        duration=request.duration,
+    )
+    final = replace(found.parameters, pid=tuned.gains)
+    found = Designed(final, margins(final, sample_time))
+    return AxisDesign(request, found.parameters, found.margins, sample_time, tuned)
+
+
+def _feedforward(control: ControllerParameters, request: DesignRequest) -> FeedforwardParameters:
+    if not request.feedforward:
+        return control.feedforward
+    preview = request.preview
+    if preview is None:
+        preview = sufficient_preview(control.model.dynamics)
+    if preview < 0:
+        raise ConfigurationError(f"--preview {preview}: must be 0 or more samples")
+    return FeedforwardParameters(type="inverse_dynamics", preview=preview)
+
+
+def design_file(configuration: Configuration, result: AxisDesign, namespace: str) -> str:
+    """Return the text of the parameter file of a design, checked: the axis can be built from it.
+
+    Parameters
+    ----------
+    configuration : Configuration
+        What was designed from.
+    result : AxisDesign
+    namespace : str
+        Of the axis.
+
+    Raises
+    ------
+    ParameterError
+        The axis cannot be built.
+    """
+    request = result.request
+    words = [f"--controller {request.controller}"]
+    for name in ("bandwidth", "q", "criterion", "duration", "preview"):
+        value = getattr(request, name)
+        if value is not None:
+            words.append(f"--{name} {value:g}" if isinstance(value, float) else f"--{name} {value}")
+    if request.feedforward:
+        words.append("--feedforward")
+    source = configuration.source.replace("\\", "/").rsplit("/", 1)[-1]
+    reached = (
+        "none below half the sample rate" if np.isinf(result.margins.bandwidth) else _hertz(result.margins.bandwidth)
+    )
+    header = (
+        f"Controller designed by `hysteresis design {source} {' '.join(words)}`\n"
+        f"on the model in motion_controller: bandwidth {reached}, M_s {result.margins.sensitivity_peak:.3g}."
+    )
+    text = design_text(configuration, result.parameters, namespace, header)
+    build_axis(single_axis(parse_configuration(text, "the designed file"), namespace or None))
+    return text
+
+
+def _hertz(value: float) -> str:
+    return "above half the sample rate" if np.isinf(value) else f"{value:.4g} Hz"
+
+
+def design_lines(result: AxisDesign) -> list[str]:
+    """Return the table that the command prints: gains, margins, bandwidth, poles, doubts.
+
+    Parameters
+    ----------
+    result : AxisDesign
+    """
+    found, rows = result.margins, list(_gains(result))
+    if result.tuned is not None:
+        tuned = result.tuned
+        state = "converged" if tuned.converged else "not converged, the best found"
+        rows.append((f"{tuned.criterion.upper()} before, after", f"{tuned.before:.4g}, {tuned.after:.4g} ({state})"))
+    asked = result.request.bandwidth
+    rows += [
+        ("bandwidth asked", "-" if asked is None else _hertz(asked)),
+        ("bandwidth reached", _hertz(found.bandwidth)),
+        ("gain margin", _decibel(found.gain_margin)),
+        ("gain reduction margin", _decibel(found.gain_reduction_margin)),
+        ("phase margin", "infinite" if np.isinf(found.phase_margin) else f"{found.phase_margin:.1f} deg"),
+        ("delay margin", "infinite" if np.isinf(found.delay_margin) else f"{1e3 * found.delay_margin:.4g} ms"),
+        ("gain crossover", ", ".join(f"{value:.4g}" for value in found.gain_crossovers) + " Hz"),
+        ("phase crossover", ", ".join(f"{value:.4g}" for value in found.phase_crossovers) + " Hz"),
+        ("sensitivity peak M_s", f"{found.sensitivity_peak:.3f}"),
+        ("complementary peak M_t", f"{found.complementary_peak:.3f}"),
+        ("closed-loop poles", ", ".join(_pole(pole) for pole in found.poles if pole.imag >= 0.0 and abs(pole) > AT_ZERO)),
+    ]
+    width = max(len(name) for name, _ in rows)
+    lines = [f"{name:<{width}}  {'none' if text == ' Hz' else text}" for name, text in rows]
+    return lines + [f"note: {text}" for text in doubts(result)]
+
+
+def _decibel(value: float) -> str:
+    return "infinite" if np.isinf(value) else f"{value:.1f} dB"
+
+
+def _pole(value: complex) -> str:
+    return f"{value.real:.4f}" if value.imag == 0.0 else f"{value.real:.4f}±{value.imag:.4f}i"
+
+
+def _gains(result: AxisDesign):
+    parameters = result.parameters
+    if parameters.type == "pid":
+        gains = parameters.pid
+        yield "Kp, Ki, Kd", f"{gains.Kp:.6g}, {gains.Ki:.6g} 1/s, {gains.Kd:.6g} s"
+        if gains.Kd:
+            yield "derivative filter", f"{gains.derivative_filter:.6g} rad/s"
+        return
+    smc = parameters.sliding_mode
+    found = design_sliding_mode(smc, *design.matrices(parameters.model.dynamics))
+    yield "hyperplane S", ", ".join(f"{value:.6g}" for value in found.S)
+    if parameters.type == "super_twisting":
+        k1, k2 = twisting_gains(parameters.super_twisting, result.sample_time)
+        yield "k1, k2", f"{k1:.6g}, {k2:.6g} 1/s"
+    else:
+        yield "linear gain K", ", ".join(f"{value:.6g}" for value in found.K)
+        yield "phi", f"{smc.phi:.6g}"
+    yield (
+        "Kalman filter",
+        f"q/r {parameters.kalman.q / parameters.kalman.r:.4g}" if not parameters.kalman.L else "given L",
+    )
+
+
+def doubts(result: AxisDesign) -> list[str]:
+    """Return sentences about what a user should know of a design.
+
+    Parameters
+    ----------
+    result : AxisDesign
+    """
+    parameters = result.parameters
+    found = list(parameters.warnings())
+    if not parameters.model.dynamics.order:
+        found.append("model.dynamics.A is empty: designed for an axis that answers within a sample; identify its model")
+    peak = result.margins.sensitivity_peak
+    if peak > DOUBTED_SENSITIVITY:
+        found.append(
+            f"sensitivity peak {peak:.2f} above {DOUBTED_SENSITIVITY:g}: little room for a wrong model; "
+            "ask for another bandwidth or q"
+        )
+    if parameters.type == "pid":
+        pole = slowest_poles(design.matrices(parameters.model.dynamics)[0])[0]
+        logarithm = np.log(pole) if abs(pole) > 0.0 else -np.inf
+        damping = -np.real(logarithm) / abs(logarithm) if np.isfinite(logarithm) else 1.0
+        if damping < LITTLE_DAMPING and result.tuned is None:
+            hertz = abs(logarithm) / (2.0 * np.pi * result.sample_time)
+            found.append(
+                f"the pid cancels poles at {hertz:.4g} Hz with damping {damping:.2g}: the reference does not excite "
+                "them, but nothing damps them; offset_free does"
+            )
+    if parameters.type == "super_twisting":
+        found.append("super_twisting is judged for small signals, where the switching function is below k2 T")
+    elif parameters.type == "sliding_mode" and parameters.kalman.disturbance == "none":
+        found.append("without an estimated disturbance errors of the model leave an offset; offset_free leaves none")
+    return found

@@ -1,0 +1,228 @@
+"""What an axis can reach: references beyond the stroke or the bandwidth are refused before anything moves.
+
+Judged by what the axis itself believes, the compensator's model and the controller's: the plant is not known to it.
+
+*Stroke*: all that the compensator's hysteresis model ever reaches within its limits, swept in both directions from rest
+and without creep, times the DC gain of the controller's model. With inverse ``none`` the nominal gain times the limits.
+Steps may need more than that for a moment, to be quick; that is not refused.
+
+*Bandwidth*, for controllers but ``open_loop`` and waveforms with one fundamental f; open loop, chirp, multisine and
+files are experiments:
+
+- The command that gives the fundamental through the controller's dynamics, amplitude / |G(f)|, must fit into the
+  stroke. The limit is the stroke and not the -3 dB point: feedback and inverse dynamics do work beyond it, as long as
+  there is stroke left. Waveforms with jumps (square) are steps and left out.
+- An answer d samples late, d the relative degree, is wrong by 2 sin(π f d Ts) of the amplitude. From f = 1/(6 d Ts) on
+  standing still would be better. Only ``inverse_dynamics`` with its preview has no such delay.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+from dataclasses import fields
+from functools import lru_cache
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hysteresis_ros.control.inversion import relative_degree
+from hysteresis_ros.errors import ParameterError, Problem
+from hysteresis_ros.models.hysteresis import HysteresisParameters, hysteresis_block
+from hysteresis_ros.models.linear import LinearParameters, dc_gain
+from hysteresis_ros.parameters import Parameters
+from hysteresis_ros.references.generator import ReferenceGenerator, ReferenceParameters, shaping_parameter
+from hysteresis_ros.simulation.node_parameters import CompensatorNodeParameters, part
+
+if TYPE_CHECKING:
+    from hysteresis_ros.simulation.axis import AxisParameters
+
+#: Samples of one sweep of the voltage.
+SWEEP = 257
+#: Part of the stroke by which a reference may lie beyond it: rounding, and sweeps that are integrated.
+TOLERANCE = 1e-4
+#: Part of the stroke by which the command of a fundamental may lie beyond it: the peaks of the waveform are cut then.
+CUT_PEAKS = 0.1
+#: Amplitude of the fundamental of the waveforms that have one, as a part of half their height.
+FUNDAMENTALS = {
+    "sine": 1.0,
+    "decaying_sine": 1.0,
+    "triangle": 8.0 / math.pi**2,
+    "decreasing_triangle": 8.0 / math.pi**2,
+    "staircase": 8.0 / math.pi**2,
+}
+#: Periodic waveforms: those, and the one with jumps.
+PERIODIC = (*FUNDAMENTALS, "square")
+
+
+@lru_cache(maxsize=64)
+def _sweep(hysteresis: HysteresisParameters, low: float, high: float, sample_time: float) -> tuple[float, float]:
+    start = min(max(0.0, low), high)
+    reached = []
+    for ends in ((start, high, low, high), (start, low, high, low)):
+        voltages = np.concatenate([np.linspace(a, b, SWEEP) for a, b in zip(ends, ends[1:], strict=False)])
+        reached.append(hysteresis_block(hysteresis, sample_time).simulate(voltages))
+    return float(np.min(reached)), float(np.max(reached))
+
+
+def reachable_commands(compensator: CompensatorNodeParameters, sample_time: float) -> tuple[float, float]:
+    """Return the smallest and largest displacement [m] that the compensator can carry out at rest.
+
+    Parameters
+    ----------
+    compensator : CompensatorParameters
+        Model, inverse and limits.
+    sample_time : float
+        Sample time [s].
+    """
+    limits = compensator.limits
+    block = hysteresis_block(compensator.hysteresis, sample_time)
+    if compensator.inverse.type == "none" or not getattr(block, "rate_independent", True):
+        ends = block.gain * limits.minimum, block.gain * limits.maximum
+        return min(ends), max(ends)
+    return _sweep(compensator.hysteresis, limits.minimum, limits.maximum, sample_time)
+
+
+def reachable_displacements(axis: AxisParameters) -> tuple[float, float]:
+    """Return the smallest and largest displacement [m] at rest, without preload, as the axis' own models have it.
+
+    Parameters
+    ----------
+    axis : AxisParameters
+    """
+    gain = _gain(axis.motion_controller.model.dynamics)
+    low, high = reachable_commands(axis.hysteresis_compensator, 1.0 / axis.plant_simulator.sample_rate)
+    return min(low * gain, high * gain), max(low * gain, high * gain)
+
+
+def _gain(dynamics: LinearParameters, turns: float = 0.0) -> float:
+    """Return |G| in SI at ``turns`` cycles a sample; with its sign at 0."""
+    A, B, C, D = dynamics.matrices
+    scale = dynamics.output_scale / dynamics.resolved_input_scale
+    if turns == 0.0:
+        return dc_gain(A, B, C, D) * scale
+    z = cmath.exp(2j * math.pi * turns)
+    answer = C @ np.linalg.solve(z * np.eye(len(A)) - A, B.astype(complex)) + D / z
+    return float(abs(answer)) * scale
+
+
+def check_reach(axis: AxisParameters) -> None:
+    """Refuse a reference that the axis cannot follow.
+
+    Parameters
+    ----------
+    axis : AxisParameters
+
+    Raises
+    ------
+    ParameterError
+        The reference generator cannot be built, or waveform or initial setpoint lie beyond stroke or bandwidth.
+    """
+    if axis.plant_simulator.type != "actuator":
+        return  # the reference of a motor that walks is its sequencer's
+    given = part(axis.reference_generator, ReferenceParameters)
+    try:
+        generator = ReferenceGenerator(given, 1.0 / axis.plant_simulator.sample_rate)
+    except ParameterError as error:
+        named = [Problem(f"reference_generator: {p.name}", p.value, p.allowed) for p in error.problems]
+        raise ParameterError(named) from None
+    problems = [*_beyond_stroke(axis, given, generator)]
+    if not problems and axis.motion_controller.type != "open_loop" and given.waveform.type in PERIODIC:
+        problems = [*_too_late(axis, given), *_too_fast(axis, given, generator, CUT_PEAKS)]
+    if problems:
+        raise ParameterError(problems)
+
+
+def reach_warnings(axis: AxisParameters) -> tuple[str, ...]:
+    """Return a sentence for each doubt about an axis: those of its nodes' parameters, and what it reaches only partly.
+
+    Parameters
+    ----------
+    axis : AxisParameters
+    """
+    parts = {item.name: getattr(axis, item.name) for item in fields(axis)}
+    found = [
+        text for name, node in parts.items() if isinstance(node, Parameters) for text in node.warnings(f"{name}: ")
+    ]
+    if axis.inchworm_sequencer is not None:
+        # here, because those checks use this module
+        from hysteresis_ros.simulation.inchworm_checks import inchworm_warnings
+
+        return (*found, *inchworm_warnings(axis.plant_simulator, axis.inchworm_sequencer))
+    given = part(axis.reference_generator, ReferenceParameters)
+    low, high = reachable_displacements(axis)
+    slack = TOLERANCE * (high - low)
+    for name, beyond in (("minimum", given.minimum < low - slack), ("maximum", given.maximum > high + slack)):
+        if beyond:
+            found.append(
+                f"reference_generator: {name} = {_micro(getattr(given, name))} lies beyond what the compensator's "
+                f"model reaches, {_range(low, high)}: setpoints out there saturate"
+            )
+    if axis.motion_controller.type != "open_loop" and given.waveform.type in PERIODIC:
+        generator = ReferenceGenerator(given, 1.0 / axis.plant_simulator.sample_rate)
+        found += [f"{p.name} = {p.value}: {p.allowed}" for p in _too_fast(axis, given, generator, TOLERANCE)]
+    return tuple(found)
+
+
+def _beyond_stroke(axis, given: ReferenceParameters, generator: ReferenceGenerator):
+    low, high = reachable_displacements(axis)
+    slack = TOLERANCE * (high - low)
+    limits, around = axis.hysteresis_compensator.limits, given.initial_setpoint
+    reached = f"{_range(low, high)} within limits.minimum … maximum = {limits.minimum:g} … {limits.maximum:g} V"
+    if not low - slack <= around <= high + slack:
+        allowed = f"{_micro(around)} is out of reach: the compensator's model reaches {reached}"
+        yield Problem("reference_generator: initial_setpoint", around, allowed)
+        return
+    waveform = generator.waveform
+    for value in (around + waveform.lowest, around + waveform.highest):
+        if not low - slack <= value <= high + slack:
+            name = shaping_parameter(given.waveform)
+            allowed = (
+                f"the waveform {given.waveform.type} around the setpoint {_micro(around)} goes to {_micro(value)}, out of "
+                f"reach: the compensator's model reaches {reached}; change the waveform or widen the limits"
+            )
+            yield Problem(f"reference_generator: waveform.{name}", given.waveform.to_mapping()[name], allowed)
+            return
+
+
+def _too_late(axis, given: ReferenceParameters):
+    control, rate = axis.motion_controller, axis.plant_simulator.sample_rate
+    if control.feedforward.type == "inverse_dynamics" and control.feedforward.preview:
+        return
+    degree = relative_degree(control.model.dynamics)
+    highest = rate / (6.0 * degree)
+    if given.waveform.frequency > highest:
+        late = "a sample" if degree == 1 else f"{degree} samples"
+        allowed = (
+            f"must be ≤ {highest:.6g} Hz: the model answers {late} late, and beyond that the error is larger than the "
+            "waveform; lower it, raise sample_rate, or give feedforward.type: inverse_dynamics with preview"
+        )
+        yield Problem("reference_generator: waveform.frequency", given.waveform.frequency, allowed)
+
+
+def _too_fast(axis, given: ReferenceParameters, generator: ReferenceGenerator, margin: float):
+    waveform, dynamics = given.waveform, axis.motion_controller.model.dynamics
+    if waveform.type not in FUNDAMENTALS:
+        return
+    passed = _gain(dynamics, waveform.frequency / axis.plant_simulator.sample_rate)
+    low, high = reachable_commands(axis.hysteresis_compensator, 1.0 / axis.plant_simulator.sample_rate)
+    lowest, highest = generator.waveform.lowest, generator.waveform.highest
+    middle = (given.initial_setpoint + 0.5 * (lowest + highest)) / _gain(dynamics)
+    half = FUNDAMENTALS[waveform.type] * 0.5 * (highest - lowest)
+    slack = margin * (high - low)
+    room = min(middle - low, high - middle) + slack
+    if half > passed * room:
+        needed = _range(middle - half / passed, middle + half / passed) if passed > 0.0 else "any size"
+        allowed = (
+            f"the dynamics of motion_controller's model pass {100.0 * passed:.3g} % there: the {waveform.type} needs "
+            f"commands of {needed}, reachable are {_range(low, high)}; lower frequency or amplitude"
+        )
+        yield Problem("reference_generator: waveform.frequency", waveform.frequency, allowed)
+
+
+def _micro(value: float) -> str:
+    return f"{value * 1e6:.6g} µm"
+
+
+def _range(low: float, high: float) -> str:
+    return f"{low * 1e6:.6g} … {high * 1e6:.6g} µm"

@@ -1,0 +1,137 @@
+"""The inchworm axis offline: bits, figures of merit on short moves, the clamps' invariant, and what is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hysteresis_ros.block import COMPILED
+from hysteresis_ros.configuration import load_configuration, parse_configuration
+from hysteresis_ros.errors import ParameterError
+from hysteresis_ros.experiments.inchworm_campaign import LOADED, inchworm, move, sequences, speed, step_errors
+from hysteresis_ros.references import inchworm_layout as at
+from hysteresis_ros.simulation.inchworm_checks import inchworm_warnings
+from hysteresis_ros.simulation.run import simulate, single_axis
+
+#: Without machine code a simulated second takes a minute.
+slow = pytest.mark.skipif(not COMPILED, reason="takes minutes without Numba")
+
+
+def test_a_run_repeats_bit_for_bit_after_reset_and_may_be_cut_in_pieces():
+    axis = inchworm()
+    setpoints = 2e-5 * (np.arange(900) > 200)
+    whole = axis.run(setpoints)
+    axis.reset()
+    pieces = [axis.run(part) for part in np.split(setpoints, [1, 250, 777])]
+    for name, values in whole.items():
+        np.testing.assert_array_equal(np.concatenate([piece[name] for piece in pieces]), values, err_msg=name)
+
+
+def test_blocks_called_one_by_one_as_nodes_do_give_the_same_bits():
+    setpoint = 2e-5
+    table = inchworm().run(np.full(700, setpoint))
+    axis = inchworm()
+    for k in range(700):
+        slider, extender = axis.motor.measure()[:2]
+        reference = axis.sequencer.step(setpoint, slider, extender)
+        origin = axis.sequencer.origin
+        axis.controller.x[6] = 0.0
+        delayed = axis.feedforward.step(reference)
+        axis.controller.x[6] = axis.feedforward.command
+        command = axis.handover.step(axis.controller.step(delayed, slider - origin))
+        voltage = axis.compensator.step(command)
+        axis.controller.x[3] = command
+        axis.controller.x[0] = axis.compensator.applied
+        front, rear = axis.sequencer.front_voltage, axis.sequencer.rear_voltage
+        names = ("measured", "reference", "origin", "command", "voltage", "front_voltage", "rear_voltage")
+        assert (slider, reference, origin, command, voltage, front, rear) == tuple(table[name][k] for name in names), k
+        axis.motor.advance(voltage, front, rear)
+
+
+@slow
+@pytest.mark.parametrize(("plant", "allowed"), [(None, 5e-9), (LOADED, 10e-9)])
+def test_moves_there_and_back_end_within_nanometres_and_without_overshoot_beyond_a_step(plant, allowed):
+    axis = inchworm(plant=plant)
+    stroke = axis.sequencer.parameters.gait.stroke
+    moves = [move(axis, setpoint, hold=0.1) for setpoint in (1e-4, -1e-4, -0.5e-4, 1e-6, 6.5e-6)]
+    assert all(one.arrived for one in moves)
+    assert max(one.error for one in moves) < allowed
+    assert max(one.overshoot for one in moves) < stroke
+    if plant is None:
+        assert moves[1].steps == pytest.approx(2e-4 / stroke, abs=2)
+    else:
+        # the load bends the extender by 4.9 um, which the steps leave room for
+        assert axis.sequencer.learned["load_deflection"] < -3e-6
+        assert 2e-4 / stroke < moves[1].steps < 3 * 2e-4 / stroke
+
+
+@slow
+def test_walking_is_as_fast_as_stroke_times_frequency():
+    axis = inchworm()
+    assert speed(axis, 6000) == pytest.approx(axis.sequencer.parameters.gait.speed, rel=0.05)
+
+
+@slow
+@pytest.mark.parametrize("learning", [True, False])
+def test_compensated_hysteresis_spreads_step_lengths_at_least_five_times_less(learning):
+    spread = {kind: np.std(step_errors(kind, 60, learning=learning)) for kind in ("none", "exact")}
+    assert spread["exact"] < 0.2 * spread["none"]
+
+
+@slow
+@pytest.mark.parametrize("plant", [None, LOADED])
+def test_no_random_sequence_opens_both_clamps_breaks_limits_or_runs_away(plant):
+    found = sequences(150, seconds=0.3, plant=plant)
+    assert found.both_open == found.beyond_limits == found.unsafe_stops == found.errors == 0
+    # one clamp always presses with four fifths of what a closed clamp presses with
+    assert found.least_force > 15.0
+    assert found.farthest < inchworm().sequencer.parameters.gait.stroke * 2.0
+
+
+@slow
+def test_a_slider_that_cannot_move_stops_the_motor_with_an_error():
+    axis = inchworm(
+        plant={"inchworm__front_clamp__static_friction": 1e-6, "inchworm__front_clamp__kinetic_friction": 1e-6}
+    )
+    table = axis.run(np.full(5000, 1e-4))
+    assert axis.sequencer.error == "no_motion" and table["total_steps"][-1] == 5.0
+    assert table["phase"][-1] == at.HOLDING and table["front_voltage"][-1] == table["rear_voltage"][-1] == 100.0
+
+
+def test_the_schedule_of_the_configuration_is_the_default_run():
+    configuration = load_configuration("inchworm_travel").override(
+        "inchworm_sequencer", setpoints__times=[0.01], setpoints__values=[1e-5], setpoints__duration=0.05
+    )
+    run = simulate(single_axis(configuration))
+    assert run.time.size == 500 and run.units["front_force"] == "N" and run.units["origin"] == "m"
+    np.testing.assert_array_equal(run["setpoint"], np.where(np.arange(500) < 100, 0.0, 1e-5))
+    again = simulate(single_axis(parse_configuration(run.metadata["configuration"], "text")))
+    np.testing.assert_array_equal(again["displacement"], run["displacement"])
+
+
+@pytest.mark.parametrize(
+    ("node", "values", "name", "said"),
+    [
+        ("plant_simulator", {"inchworm__slider__external_force": 9.0}, "front_clamp", "cannot hold the load of 9 N"),
+        ("plant_simulator", {"type": "actuator"}, "plant_simulator: type", "needs a section inchworm_sequencer"),
+        ("motion_controller", {"use_origin": False}, "use_origin", "must be true"),
+        ("inchworm_sequencer", {"gait__clamp_settling": 5e-4}, "gait.clamp_settling", "must be ≥ 0.000782 s"),
+        ("inchworm_sequencer", {"gait__grip_voltage": 130.0}, "gait.grip_voltage", "0 … 120 V"),
+        ("inchworm_sequencer", {"gait__highest_extension": 12e-6}, "gait.highest_extension", "can carry out"),
+        ("inchworm_sequencer", {"maximum": 2e-2}, "inchworm_sequencer: maximum", "-0.01 … 0.01 m"),
+        ("inchworm_sequencer", {"gait__walking_speed": 1e-3}, "gait.walking_speed", "reaches 0.000307692 m/s"),
+    ],
+)
+def test_what_does_not_fit_together_is_refused_by_name_with_the_number(node, values, name, said):
+    with pytest.raises(ParameterError) as error:
+        single_axis(load_configuration("inchworm_travel").override(node, **values))
+    assert any(name in problem.name and said in problem.allowed for problem in error.value.problems), str(error.value)
+
+
+def test_clamps_that_hold_with_little_reserve_are_doubted():
+    configuration = load_configuration("inchworm_travel")
+    fine = single_axis(configuration)
+    assert inchworm_warnings(fine.plant_simulator, fine.inchworm_sequencer) == ()
+    near = single_axis(configuration.override("plant_simulator", inchworm__slider__external_force=5.0))
+    first, _ = inchworm_warnings(near.plant_simulator, near.inchworm_sequencer)
+    assert "front_clamp holds 7.5 N at 100 V, 1.5 times the load of 5 N" in first

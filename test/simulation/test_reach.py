@@ -1,0 +1,151 @@
+"""What an axis cannot follow is refused by name before anything moves: stroke, bandwidth, another sample time."""
+
+import numpy as np
+import pytest
+
+from hysteresis_ros.configuration import load_configuration
+from hysteresis_ros.errors import ParameterError
+from hysteresis_ros.models.linear import LinearDynamics, LinearParameters
+from hysteresis_ros.simulation.axis import Axis, axes
+from hysteresis_ros.simulation.reach import reach_warnings, reachable_displacements
+from hysteresis_ros.simulation.run import simulate
+
+
+def axis(name="kim2009", **nodes):
+    """Return the axis of a configuration that comes with the package, with parameters of its nodes changed."""
+    configuration = load_configuration(name)
+    for node, values in nodes.items():
+        configuration = configuration.override(node, **values)
+    return axes(configuration)[0]
+
+
+def sine(amplitude, frequency, offset, kind="sine", **more):
+    return {
+        "waveform__type": kind,
+        "waveform__amplitude": amplitude,
+        "waveform__frequency": frequency,
+        "waveform__offset": offset,
+        **more,
+    }
+
+
+def test_reach_of_the_stack_is_its_major_loop():
+    # K7a: upper corner g V_max; lowest before any voltage was there (V_max = 0), falling branch C1 V + C2 V^2 at -30 V
+    low, high = reachable_displacements(axis())
+    assert high == pytest.approx(0.1025e-6 * 120.0, rel=1e-9)
+    falling = 9.0e-8 * -30.0 - 2.5625e-10 * 900.0
+    assert low == pytest.approx(falling, rel=1e-9)
+
+
+def test_what_is_within_reach_is_reached_at_rest_and_what_is_refused_is_not():
+    low, high = reachable_displacements(axis("picma_stage"))
+    held = {"waveform__type": "hold", "maximum": 2.0 * high, "approach__maximum_velocity": 0.0}
+    for part, reached in ((0.9, True), (1.1, False)):
+        top = low + part * (high - low)
+        changed = {"reference_generator": {**held, "waveform__offset": top}}
+        if not reached:
+            with pytest.raises(ParameterError, match=r"reference_generator: waveform\.offset = .* out of reach"):
+                axis("picma_stage", **changed)
+            continue
+        run = simulate(axis("picma_stage", **changed), duration=3.0)
+        assert run["displacement"][-1] == pytest.approx(top, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("changed", "name", "value"),
+    [
+        (sine(7e-6, 2.0, 7e-6, maximum=15e-6), "waveform.amplitude", "14 µm"),
+        (sine(2e-6, 2.0, -2e-6, minimum=-5e-6), "waveform.amplitude", "-4 µm"),
+        ({"waveform__steps__values": [2e-6, 13e-6, 0.0, 0.0], "maximum": 20e-6}, "waveform.steps.values", "13 µm"),
+        ({"waveform__type": "hold", "initial_setpoint": 13e-6, "maximum": 20e-6}, "initial_setpoint", "13 µm"),
+        ({**sine(7e-6, 2.0, 2e-6, "triangle"), "initial_setpoint": 4e-6, "maximum": 15e-6}, "amplitude", "13 µm"),
+    ],
+)
+def test_references_beyond_the_stroke_are_named_with_value_and_reach(changed, name, value):
+    for kind in ("sliding_mode", "open_loop"):
+        with pytest.raises(ParameterError) as error:
+            axis(reference_generator=changed, motion_controller={"type": kind})
+        (problem,) = error.value.problems
+        assert problem.name.startswith("reference_generator: ") and name in problem.name
+        assert value in problem.allowed and "-2.93063 … 12.3 µm" in problem.allowed
+        assert "-30 … 120 V" in problem.allowed
+
+
+def test_frequencies_beyond_nyquist_and_beyond_what_a_late_answer_can_follow_are_named():
+    with pytest.raises(ParameterError, match=r"reference_generator: waveform\.frequency = 1600.0: must be ≤ 1500 Hz"):
+        axis(reference_generator=sine(1e-7, 1600.0, 1e-6))
+    with pytest.raises(ParameterError, match=r"waveform\.frequency = 600.0: must be ≤ 500 Hz.*answers a sample late"):
+        axis(reference_generator=sine(1e-7, 600.0, 1e-6))
+    axis(reference_generator=sine(1e-7, 600.0, 1e-6), motion_controller={"type": "open_loop"})
+    axis(
+        reference_generator=sine(1e-7, 600.0, 1e-6),
+        motion_controller={"feedforward__type": "inverse_dynamics", "feedforward__preview": 12},
+    )
+
+
+def test_commands_that_the_lag_makes_larger_than_the_stroke_are_named():
+    # the lag of the stage passes 71 % at 12 Hz: 24 µm around the middle need 34, there are 25
+    changed = {"minimum": 0.0, "maximum": 50e-6}
+    with pytest.raises(ParameterError, match=r"waveform\.frequency = 12\.0.*pass 71\.1 % there: the sine needs"):
+        axis("picma_stage", reference_generator=sine(24e-6, 12.0, 25e-6, **changed))
+    followed = axis("picma_stage", reference_generator=sine(24e-6, 1.0, 25e-6, **changed))
+    assert reach_warnings(followed) == ()
+    axis("picma_stage", reference_generator=sine(5e-6, 12.0, 25e-6, **changed))
+    (doubt,) = reach_warnings(axis("picma_stage", reference_generator=sine(24e-6, 4.0, 25e-6, **changed)))
+    assert "waveform.frequency = 4.0" in doubt
+
+
+@pytest.mark.parametrize(
+    "excitation",
+    [
+        {"waveform__type": "chirp", "waveform__chirp__final_frequency": 1400.0, "waveform__chirp__duration": 1.0},
+        {"waveform__type": "multisine", "waveform__frequency": 10.0, "waveform__multisine__last_harmonic": 140},
+    ],
+)
+def test_identification_signals_stay_possible_up_to_nyquist(excitation):
+    changed = {**excitation, "waveform__amplitude": 3e-6, "waveform__offset": 5e-6}
+    assert np.ptp(simulate(axis(reference_generator=changed), duration=0.5)["reference"]) > 4e-6
+
+
+def test_steps_in_closed_loop_may_ask_for_more_than_the_stroke_for_a_moment():
+    low, high = reachable_displacements(axis("picma_stage"))
+    changed = {"waveform__steps__values": [high, 0.0], "waveform__steps__times": [0.1, 1.0], "maximum": high}
+    axis("picma_stage", reference_generator=changed)
+
+
+def test_a_range_wider_than_the_reach_is_a_warning():
+    assert reach_warnings(axis()) == ()
+    low, high = reach_warnings(axis(reference_generator={"minimum": -4e-6, "maximum": 15e-6}))
+    assert "minimum = -4 µm" in low and "maximum = 15 µm" in high and "12.3 µm" in high
+
+
+def test_a_short_preview_is_a_warning_of_the_axis():
+    changed = {"feedforward__type": "inverse_dynamics", "feedforward__preview": 2}
+    (doubt,) = reach_warnings(axis(motion_controller=changed))
+    assert doubt.startswith("motion_controller: feedforward.preview = 2")
+
+
+def test_dynamics_for_another_sample_time_are_refused_for_plant_and_model():
+    with pytest.raises(ParameterError) as error:
+        axes(load_configuration("kim2009").override("", sample_rate=2000.0))
+    plant, model = error.value.problems
+    assert plant.name == "plant_simulator: dynamics.sample_time"
+    assert model.name == "motion_controller: model.dynamics.sample_time"
+    assert "runs at 0.0005 s (sample_rate 2000 Hz): set sample_rate to 3000" in plant.allowed
+    stated = LinearParameters(A=(0.5,), B=(0.5,), C=(1.0,), sample_time=3.33333333e-4)
+    LinearDynamics(stated, 1.0 / 3000.0)
+    with pytest.raises(ParameterError, match=r"dynamics\.sample_time"):
+        LinearDynamics(stated, 3.3334e-4)
+    LinearDynamics(LinearParameters(A=(0.5,), B=(0.5,), C=(1.0,)), 1.0)
+
+
+def test_preview_and_inverse_dynamics_bring_the_loop_to_the_delayed_reference():
+    changed = {"feedforward__type": "inverse_dynamics", "feedforward__preview": 20, "type": "open_loop"}
+    moved = axis(motion_controller=changed, reference_generator=sine(2e-6, 100.0, 5e-6))
+    moved = Axis(moved)
+    table = moved.run(np.zeros(6000))
+    delayed = np.concatenate([np.full(20, table["reference"][0]), table["reference"][:-20]])
+    late = slice(4500, None)  # the plant starts at 0, not at the reference: its resonance rings for a second
+    error = table["displacement"][late] - delayed[late]
+    without = table["displacement"][late] - table["reference"][late]
+    assert np.std(error) < 0.02 * np.std(without)

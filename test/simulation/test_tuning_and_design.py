@@ -1,0 +1,209 @@
+"""Tuning looks at the model only and improves its criterion; a designed file runs and keeps its bandwidth."""
+
+from __future__ import annotations
+
+import pathlib
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from hysteresis_ros.cli.main import main
+from hysteresis_ros.configuration import load_configuration, parse_configuration
+from hysteresis_ros.control.controller import ControllerParameters
+from hysteresis_ros.control.margins import margins
+from hysteresis_ros.control.pid import PidParameters
+from hysteresis_ros.errors import ConfigurationError
+from hysteresis_ros.simulation.axis import Axis
+from hysteresis_ros.simulation.node_parameters import part
+from hysteresis_ros.simulation.run import simulate, single_axis
+from hysteresis_ros.simulation.tuning import believed_axis, criterion_of, tune_pid
+
+ROOT = pathlib.Path(__file__).resolve().parents[2]
+PICMA = ROOT / "config" / "picma_stage.yaml"
+
+
+def picma(**changes):
+    """Return the measured stage with changes of the plant."""
+    return single_axis(load_configuration(PICMA).override("plant_simulator", **changes))
+
+
+def test_criteria_by_hand():
+    error = np.array([1.0, -2.0, 3.0])
+    assert criterion_of("iae", error, 0.1) == pytest.approx(0.6)
+    assert criterion_of("ise", error, 0.1) == pytest.approx(1.4)
+    assert criterion_of("itae", error, 0.1) == pytest.approx((0.1 * 2.0 + 0.2 * 3.0) * 0.1)
+
+
+def test_tuning_lowers_the_criterion_within_the_sensitivity():
+    axis = picma()
+    result = tune_pid(axis, "iae", duration=1.0, iterations=15, start=PidParameters(Kp=0.3, Ki=20.0))
+    assert result.after < 0.8 * result.before
+    assert result.history[0, :3] == pytest.approx([0.3, 20.0, 0.0])
+    assert result.history[0, 3] == result.before and result.history[-1, 3] == result.after
+    assert np.all(np.diff(result.history[:, 3]) <= 0.0)
+    assert not result.converged, "15 iterations are not enough, and it says so"
+    control = part(axis.motion_controller, ControllerParameters)
+    assert margins(replace(control, type="pid", pid=result.gains), 0.005).sensitivity_peak < 2.001
+
+
+def test_tuning_never_looks_at_the_plant():
+    options = {"duration": 0.5, "iterations": 4, "start": PidParameters(Kp=0.3, Ki=20.0)}
+    one = tune_pid(picma(), "ise", **options)
+    other = picma(sensor__noise=1e-7, creep__type="none", dynamics__A=[0.9], limits__maximum=3.0)
+    same = tune_pid(other, "ise", **options)
+    assert same.gains == one.gains and same.after == one.after
+
+
+def test_believed_axis_has_the_compensators_model_as_plant():
+    axis = believed_axis(picma(dynamics__A=[0.9], limits__maximum=3.0))
+    plant, compensator = axis.plant_simulator, axis.hysteresis_compensator
+    assert (plant.limits, plant.hysteresis, plant.creep) == (
+        compensator.limits,
+        compensator.hysteresis,
+        compensator.creep,
+    )
+    assert plant.dynamics == axis.motion_controller.model.dynamics and plant.sensor.noise == 0.0
+    Axis(axis)
+
+
+def test_tuning_refuses_a_run_without_end_and_gains_without_margins():
+    with pytest.raises(ConfigurationError, match="--duration"):
+        tune_pid(picma(), "iae")
+    with pytest.raises(ConfigurationError, match="sensitivity"):
+        tune_pid(picma(), "iae", duration=0.5, start=PidParameters(Kp=0.5, Ki=300.0))
+    with pytest.raises(ConfigurationError, match="criterion"):
+        tune_pid(picma(), "best", duration=0.5)
+
+
+def run(*words):
+    return CliRunner().invoke(main, ["design", *map(str, words)])
+
+
+@pytest.mark.parametrize("controller", ["pid", "smc", "integral_smc", "super_twisting", "offset_free"])
+def test_designed_file_runs_and_keeps_the_rest_of_the_file(tmp_path, controller):
+    bandwidth = [] if controller == "super_twisting" else ["--bandwidth", 10.0]
+    result = run(PICMA, "--controller", controller, *bandwidth, "-o", tmp_path / "f.yaml")
+    assert result.exit_code == 0, result.output
+    assert "gain margin" in result.output and "closed-loop poles" in result.output
+    text = (tmp_path / "f.yaml").read_text(encoding="utf-8")
+    assert text.startswith("# Controller designed by `hysteresis design picma_stage.yaml --controller " + controller)
+    original = PICMA.read_text(encoding="utf-8")
+    first = original.index("/**/motion_controller:")
+    assert original[:first] in text and original[original.index("/**/reference_generator:") :] in text
+    recording = simulate(single_axis(load_configuration(tmp_path / "f.yaml")), duration=0.5)
+    assert np.all(np.isfinite(recording.signals["displacement"]))
+    if bandwidth:
+        assert "bandwidth reached       10 Hz" in result.output
+
+
+def test_a_design_of_a_design_replaces_its_header_and_section(tmp_path):
+    assert run(PICMA, "--controller", "pid", "-o", tmp_path / "f.yaml").exit_code == 0
+    assert run(tmp_path / "f.yaml", "--controller", "offset_free", "-o", tmp_path / "f.yaml").exit_code == 0
+    text = (tmp_path / "f.yaml").read_text(encoding="utf-8")
+    assert text.count("# Controller designed by") == 1 and "--controller offset_free" in text.splitlines()[0]
+    values = load_configuration(tmp_path / "f.yaml").node("motion_controller")
+    assert values["type"] == "sliding_mode" and values["pid.Ki"] > 0.0, "the pid stays for live switching"
+
+
+def test_the_axis_really_has_the_bandwidth(tmp_path):
+    """A sine at the bandwidth comes out 3 dB lower where model and plant are equal."""
+    assert run(PICMA, "--controller", "pid", "--bandwidth", 10.0, "-o", tmp_path / "f.yaml").exit_code == 0
+    values = {"type": "sine", "amplitude": 2e-6, "frequency": 10.0, "offset": 10e-6}
+    configuration = load_configuration(tmp_path / "f.yaml").override(
+        "reference_generator", **{f"waveform__{name}": value for name, value in values.items()}
+    )
+    axis = believed_axis(single_axis(configuration))
+    y = simulate(axis, duration=3.0).signals["displacement"][-400:]
+    angle = 2.0 * np.pi * 10.0 * np.arange(400) / 200.0
+    amplitude = np.hypot(*(2.0 * np.mean(y * f(angle)) for f in (np.sin, np.cos)))
+    assert amplitude == pytest.approx(2e-6 / np.sqrt(2.0), rel=0.01)
+
+
+REFUSED = [
+    (["--controller", "pid", "--bandwidth", "-9"], "must be above 0"),
+    (["--controller", "smc", "--bandwidth", "150"], "below half the sample rate"),
+    (["--controller", "smc", "--criterion", "iae"], "--criterion"),
+    (["--controller", "pid", "--criterion", "iae", "--bandwidth", "5"], "exclude each other"),
+    (["--controller", "pid", "--q", "5"], "--q"),
+    (["--controller", "smc", "--q", "-5"], "--q"),
+    (["--controller", "pid", "--preview", "5"], "--feedforward"),
+    (["--controller", "super_twisting", "--bandwidth", "10"], "no pole to place"),
+    (["--controller", "pid", "--criterion", "iae", "--duration", "nan"], "positive number of seconds"),
+    (["--controller", "pid", "--criterion", "iae", "--duration", "0"], "positive number of seconds"),
+]
+
+
+@pytest.mark.parametrize(("words", "text"), REFUSED)
+def test_requests_that_cannot_be_met_end_in_one_line(tmp_path, words, text):
+    result = run(PICMA, *words, "-o", tmp_path / "f.yaml")
+    assert result.exit_code == 2
+    assert text in result.output and len(result.output.strip().splitlines()) == 1
+    assert not (tmp_path / "f.yaml").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (["kim2009", "--controller", "smc", "--bandwidth", "1"], "no less than 9.651 Hz"),
+        (["inchworm_travel", "--controller", "pid", "--criterion", "iae"], "sequencer"),
+    ],
+)
+def test_other_axes_name_what_cannot_be_met(tmp_path, words, text):
+    result = run(*words, "-o", tmp_path / "f.yaml")
+    assert result.exit_code == 2 and text in result.output, result.output
+
+
+def test_the_axis_of_a_sequencer_is_designed_too(tmp_path):
+    result = run("inchworm_travel", "--controller", "pid", "-o", tmp_path / "f.yaml")
+    assert result.exit_code == 0, result.output
+    simulate(single_axis(load_configuration(tmp_path / "f.yaml")), duration=0.01)
+
+
+def test_doubts_of_a_design_are_printed(tmp_path):
+    result = run("kim2009", "--controller", "pid", "--feedforward", "--preview", "2", "-o", tmp_path / "f.yaml")
+    assert "note: feedforward.preview = 2: zeros of model.dynamics outside the unit circle" in result.output
+    text = (ROOT / "config" / "kim2009.yaml").read_text(encoding="utf-8")
+    bare = text[: text.index("/**/motion_controller:")] + text[text.index("/**/reference_generator:") :]
+    (tmp_path / "bare.yaml").write_text(bare, encoding="utf-8")
+    result = run(tmp_path / "bare.yaml", "--controller", "pid", "-o", tmp_path / "f.yaml")
+    assert "note: model.dynamics.A is empty" in result.output
+
+
+MODEL = "        A: [0.686131723]\n        B: [0.313868277]\n        C: [1.0]\n"
+
+
+def second_order(B, C):
+    return f"        A: [0.7, 0.0, 0.0, 0.4]\n        {B}\n        {C}\n"
+
+
+@pytest.mark.parametrize(
+    ("line", "replacement", "text"),
+    [
+        ("        A: [0.686131723]", "        A: [1.2]", "unstable"),
+        (MODEL, second_order("B: [0.2, 0.3]", "C: [1.0, 0.0]"), "not observable"),
+        (MODEL, second_order("B: [0.2, 0.0]", "C: [1.0, 1.0]"), "not controllable"),
+        ("        B: [0.313868277]", "        B: [0.1, 0.2]", "as many as A has rows"),
+        ("    sample_rate: 200.0", "    sample_rate: 250.0", "sample_time"),
+    ],
+)
+def test_models_that_cannot_be_designed_for_end_in_one_line(tmp_path, line, replacement, text):
+    original = PICMA.read_text(encoding="utf-8").replace("type: sliding_mode ", "type: open_loop ")
+    at = 0 if "sample_rate" in line else original.index("/**/motion_controller:")
+    changed = original[:at] + original[at:].replace(line, replacement, 1)
+    assert changed != original
+    (tmp_path / "c.yaml").write_text(changed, encoding="utf-8")
+    result = run(tmp_path / "c.yaml", "--controller", "offset_free", "-o", tmp_path / "f.yaml")
+    assert result.exit_code == 2
+    assert text in result.output and len(result.output.strip().splitlines()) == 1, result.output
+
+
+def test_feedforward_and_tuning_from_the_command_line(tmp_path):
+    words = ["--controller", "pid", "--criterion", "itae", "--duration", "0.4", "--feedforward"]
+    result = run(PICMA, *words, "-o", tmp_path / "f.yaml")
+    assert result.exit_code == 0, result.output
+    assert "ITAE before, after" in result.output
+    configuration = parse_configuration((tmp_path / "f.yaml").read_text(encoding="utf-8"), "f")
+    values = configuration.node("motion_controller")
+    assert values["feedforward.type"] == "inverse_dynamics" and values["feedforward.preview"] >= 1
