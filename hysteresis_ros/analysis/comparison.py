@@ -6,6 +6,7 @@ import numpy as np
 
 from hysteresis_ros.analysis.plots import data_uri, envelope, new_figure
 from hysteresis_ros.analysis.report import render_page, write_page
+from hysteresis_ros.analysis.settings import judged_reference
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.loops import loop_opening
 
@@ -21,7 +22,7 @@ def traces_comparison(runs: dict[str, Recording], window: tuple[float, float]):
     Parameters
     ----------
     runs : dict of str to Recording
-        Label and run; the reference is that of the first one.
+        Label and run; the reference is that of the first one, delayed by its preview.
     window : (float, float)
         Beginning and end of the part shown larger [s].
     """
@@ -34,7 +35,7 @@ def traces_comparison(runs: dict[str, Recording], window: tuple[float, float]):
             axis.plot(time, values, color=colour, linewidth=1.3, label=label)
         shown = (first.time >= start) & (first.time <= stop)
         line = dict(color=_REFERENCE, linewidth=1.0, linestyle=(0, (4, 3)), label="reference", drawstyle="steps-post")
-        axis.plot(first.time[shown], first["reference"][shown] * _MICRO, **line)
+        axis.plot(first.time[shown], judged_reference(first)[shown] * _MICRO, **line)
         axis.set(xlabel="time [s]", ylabel="displacement [µm]", xlim=(start, stop))
     figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper left", ncols=4, frameon=False, fontsize=9)
     return figure
@@ -57,6 +58,129 @@ def loops_comparison(loops: dict[str, tuple[np.ndarray, np.ndarray]]):
         width = "no loop" if opening is None else f"{100.0 * opening / np.ptp(reference):.3g} % of stroke"
         axis.set_title(f"{label}: {width}", fontsize=11)
         axis.set(xlabel="reference [µm]", ylabel="displacement [µm]")
+    return figure
+
+
+def loops_overlay(panels: dict[str, dict[str, tuple[np.ndarray, np.ndarray]]]):
+    """Return the figure of loops on top of each other [V, µm], one panel beside the other.
+
+    Parameters
+    ----------
+    panels : dict of str to dict of str to (array, array)
+        Title of a panel → label → voltage [V] and displacement [m], shape (N,) each.
+    """
+    figure, axes = new_figure(4.4, len(panels))
+    for axis, (title, loops) in zip(axes, panels.items(), strict=True):
+        for number, ((label, (voltage, displacement)), colour) in enumerate(
+            zip(loops.items(), _COLOURS[1:], strict=False)
+        ):
+            style = dict(linewidth=2.2 - 1.2 * bool(number), linestyle="--" if number else "-")
+            axis.plot(voltage, displacement * _MICRO, color=colour, label=label, **style)
+        axis.set_title(title, fontsize=11)
+        axis.set(xlabel="voltage [V]", ylabel="displacement [µm]")
+        axis.legend(frameon=False, fontsize=9)
+    return figure
+
+
+def prediction_figure(run: Recording):
+    """Return the figure of a model beside the truth over time, and of its error [µm, s].
+
+    Parameters
+    ----------
+    run : Recording
+        ``displacement`` is the truth, ``estimated`` the model's.
+    """
+    figure, (whole, error) = new_figure(3.6, 2)
+    for name, colour, width in (("displacement", _COLOURS[0], 2.4), ("estimated", _COLOURS[2], 1.0)):
+        label = "truth" if name == "displacement" else "model"
+        whole.plot(*envelope(run.time, run[name] * _MICRO), color=colour, linewidth=width, label=label)
+    left = (run["estimated"] - run["displacement"]) * _MICRO
+    error.plot(*envelope(run.time, left), color=_COLOURS[1], linewidth=0.9)
+    whole.set(xlabel="time [s]", ylabel="displacement [µm]")
+    whole.legend(frameon=False, fontsize=9)
+    error.set(xlabel="time [s]", ylabel="error [µm]")
+    return figure
+
+
+def response_figure(frequency, measured, fitted):
+    """Return the Bode plot of a measured frequency response and a fit [Hz, dB, degrees].
+
+    Parameters
+    ----------
+    frequency : array, shape (F,)
+        [Hz]
+    measured, fitted : complex array, shape (F,)
+        No unit.
+    """
+    figure, (gain, phase) = new_figure(3.6, 2)
+    for label, values, colour, width in (
+        ("measured", measured, _COLOURS[0], 2.4),
+        ("fit", fitted, _COLOURS[1], 1.0),
+    ):
+        gain.plot(frequency, 20.0 * np.log10(np.abs(values)), color=colour, linewidth=width, label=label)
+        angle = np.degrees(np.unwrap(np.angle(values)))
+        phase.plot(frequency, angle, color=colour, linewidth=width)
+    gain.set(xlabel="frequency [Hz]", ylabel="gain [dB]")
+    phase.set(xlabel="frequency [Hz]", ylabel="phase [°]")
+    gain.legend(frameon=False, fontsize=9)
+    return figure
+
+
+def errors_comparison(errors: dict[str, tuple[np.ndarray, np.ndarray]], smaller: tuple[str, ...] = ()):
+    """Return the figure of errors over time [µm, s], all of them and once more without the large ones.
+
+    Parameters
+    ----------
+    errors : dict of str to (array, array)
+        Label; time [s] and error [m], shape (N,) each.
+    smaller : tuple of str
+        Labels of the panel at the right; empty: there is none.
+    """
+    figure, axes = new_figure(3.6, 2 if smaller else 1)
+    for axis, chosen in zip(axes, (tuple(errors), smaller), strict=False):
+        axis.axhline(0.0, color=_REFERENCE, linewidth=0.8)
+        for (label, (time, error)), colour in zip(errors.items(), _COLOURS, strict=False):
+            if label in chosen:
+                axis.plot(*envelope(time, error * _MICRO), color=colour, linewidth=1.2, label=label)
+        axis.set(xlabel="time [s]", ylabel="error [µm]")
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper left", ncols=4, frameon=False, fontsize=9)
+    return figure
+
+
+def responses_comparison(frequency, responses: dict[str, np.ndarray]):
+    """Return the Bode plot of several frequency responses on a logarithmic axis [Hz, dB, degrees].
+
+    Parameters
+    ----------
+    frequency : array, shape (F,)
+        [Hz], above 0.
+    responses : dict of str to complex array, shape (F,)
+        Label and response.
+    """
+    figure, (gain, phase) = new_figure(3.6, 2)
+    for number, ((label, values), colour) in enumerate(zip(responses.items(), _COLOURS, strict=False)):
+        style = dict(color=colour, linewidth=1.2 if number else 3.0)
+        gain.semilogx(frequency, 20.0 * np.log10(np.abs(values)), label=label, **style)
+        phase.semilogx(frequency, np.degrees(np.unwrap(np.angle(values))), **style)
+    gain.set(xlabel="frequency [Hz]", ylabel="gain [dB]")
+    phase.set(xlabel="frequency [Hz]", ylabel="phase [°]")
+    gain.legend(frameon=False, fontsize=9)
+    return figure
+
+
+def history_figure(histories: dict[str, np.ndarray]):
+    """Return the figure of errors over the evaluations of trainings, on a logarithmic axis.
+
+    Parameters
+    ----------
+    histories : dict of str to array, shape (K,)
+        Label; rms error of ±1 at each evaluation.
+    """
+    figure, (axis,) = new_figure(3.0)
+    for (label, values), colour in zip(histories.items(), _COLOURS[1:], strict=False):
+        axis.semilogy(np.arange(1, len(values) + 1), values, color=colour, linewidth=1.3, label=label)
+    axis.set(xlabel="evaluation", ylabel="rms error of ±1")
+    axis.legend(frameon=False, fontsize=9)
     return figure
 
 

@@ -4,11 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from hysteresis_ros.analysis.settings import axis_settings
-from hysteresis_ros.analysis.steps import find_holds, step_responses
+from hysteresis_ros.analysis.settings import axis_settings, judged_reference
+from hysteresis_ros.analysis.steps import HOLD_SAMPLES, find_holds, step_responses
 from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.loops import loop_opening
+
+#: A reference whose movement changes by more than this part of its stroke from one sample to the next jumps.
+JUMP = 0.01
+#: Figures that come from command and voltage alone.
+SMOOTHNESS = {
+    "command": ("chattering_m", "chattering_m_s", "command_reversals_hz"),
+    "voltage": ("voltage_rate_v_s", "voltage_variation_v"),
+}
 
 #: All figures with the unit shown to people, the factor from SI and a label; the order is that of the tables.
 FIGURES = (
@@ -23,6 +31,11 @@ FIGURES = (
     ("residual_m", "Residual at zero command", "µm", 1e6),
     ("loop_width_percent", "Loop width, reference → displacement", "%", 1.0),
     ("voltage_loop_width_percent", "Loop width, voltage → displacement", "%", 1.0),
+    ("chattering_m", "Chattering of the command", "nm rms", 1e9),
+    ("chattering_m_s", "Needless variation of the command", "µm/s", 1e6),
+    ("command_reversals_hz", "Reversals of the command", "1/s", 1.0),
+    ("voltage_rate_v_s", "Control effort, voltage rate", "V/s rms", 1.0),
+    ("voltage_variation_v", "Total variation of the voltage", "V", 1.0),
     ("stroke_m", "Stroke", "µm", 1e6),
     ("steps", "Steps", "", 1.0),
     ("samples", "Samples", "", 1.0),
@@ -38,8 +51,8 @@ def compute_metrics(recording: Recording) -> dict:
     """Return the figures of merit of a run.
 
     The error is e = reference - displacement, the displacement being the true one (the measured one on hardware, which
-    the recording's notes then say) less the preload offset W of the controller's model. Samples where either is
-    missing do not count.
+    the recording's notes then say) less the preload offset W of the controller's model. With ``feedforward.preview``
+    every figure is about the reference so many samples later. Samples where either is missing do not count.
 
     ======================================= ==========================================================================
     ``rms_error_m``                         √(mean e²)
@@ -57,6 +70,16 @@ def compute_metrics(recording: Recording) -> dict:
                                             follows a motion
     ``loop_width_percent``                  largest opening of the loop displacement over reference, in % of the stroke
     ``voltage_loop_width_percent``          the same over voltage
+    ``chattering_m``                        rms of (2 u_k - u_(k-1) - u_(k+1)) / 4 of the command u: a command that goes
+                                            ±a from sample to sample has the chattering a, a smooth one none. The ten
+                                            samples from a jump of the reference on (its movement changes by a hundredth
+                                            of the stroke from one sample to the next) do not count
+    ``chattering_m_s``                      (Σ abs(u_k - u_(k-1)) - Σ abs(r_k - r_(k-1))) / duration, at least 0: the
+                                            variation of the command that the reference does not explain
+    ``command_reversals_hz``                changes of sign of u_k - u_(k-1) per second (rests do not count) less those
+                                            of the reference, at least 0
+    ``voltage_rate_v_s``                    rms of (V_k - V_(k-1)) / sample time
+    ``voltage_variation_v``                 Σ abs(V_k - V_(k-1))
     ``steps``, ``samples``, ``duration_s``  number of steps from hold to hold, number of samples, time of the last
                                             sample less that of the first
     ``missing_samples``                     samples the bag lacks wholly or in a signal
@@ -89,10 +112,14 @@ def compute_metrics(recording: Recording) -> dict:
             raise RecordingError(f"the recording has no values of '{name}': nothing to compare; record the whole axis")
     if actual == "measured":
         notes["recording"] = [*notes["recording"], "no displacement: errors are judged by the measured one"]
-    offset = axis_settings(recording).offset
+    settings = axis_settings(recording)
+    offset = settings.offset
     if offset:
         notes["recording"] = [*notes["recording"], f"preload offset of {offset * 1e6:.6g} µm subtracted"]
-    time, reference, displacement = recording.time, recording["reference"], recording[actual] - offset
+    if settings.preview:
+        late = f"judged against the reference {settings.preview} samples after it was given (feedforward.preview)"
+        notes["recording"] = [*notes["recording"], late]
+    time, reference, displacement = recording.time, judged_reference(recording), recording[actual] - offset
     good = np.isfinite(reference) & np.isfinite(displacement)
     if not np.any(good):
         raise RecordingError("no sample of the recording has both reference and displacement")
@@ -101,7 +128,8 @@ def compute_metrics(recording: Recording) -> dict:
     figures.update(_step_figures(time[good], reference[good], displacement[good], figures["stroke_m"], notes))
     voltage = recording["voltage"][good] if recording.has("voltage") else None
     figures.update(_loop_figures(reference[good], displacement[good], voltage, figures["stroke_m"], notes))
-    figures.update(_sampling_figures(recording, notes))
+    figures.update(chattering_figures(time[good], reference[good], *_signals(recording, good), notes))
+    figures.update(sampling_figures(recording, notes))
     return {**{name: _plain(value) for name, value in figures.items()}, "notes": notes}
 
 
@@ -162,7 +190,76 @@ def _loop_figures(reference, displacement, voltage, stroke, notes) -> dict:
     return figures
 
 
-def _sampling_figures(recording: Recording, notes) -> dict:
+def _signals(recording, good):
+    return [recording[name][good] if recording.has(name) else None for name in ("command", "voltage")]
+
+
+def chattering_figures(time, reference, command, voltage, notes: dict | None = None) -> dict:
+    """Return chattering of the command and effort of the voltage as :func:`compute_metrics` defines them.
+
+    Parameters
+    ----------
+    time, reference : array, shape (N,)
+        [s], [m].
+    command, voltage : array, shape (N,), or None
+        [m], [V]; samples that are not finite are left out.
+    notes : dict, optional
+        Receives figure → why it is missing.
+
+    Returns
+    -------
+    dict of str to float
+    """
+    figures: dict = {}
+    missing = {} if notes is None else notes
+    for name, signal in (("command", command), ("voltage", voltage)):
+        good = np.isfinite(signal) if signal is not None else np.zeros(len(time), dtype=bool)
+        if np.count_nonzero(good) < 3 or not time[good][-1] > time[good][0]:
+            missing.update(dict.fromkeys(SMOOTHNESS[name], f"no {name} in the recording"))
+        elif name == "command":
+            figures.update(_command_figures(time[good], reference[good], signal[good]))
+        else:
+            step = np.diff(signal[good])
+            figures["voltage_rate_v_s"] = float(np.sqrt(np.mean((step / np.diff(time[good])) ** 2)))
+            figures["voltage_variation_v"] = float(np.sum(np.abs(step)))
+    return figures
+
+
+def _command_figures(time, reference, command) -> dict:
+    duration = float(time[-1] - time[0])
+    moved, wanted = np.diff(command), np.diff(reference)
+    uneven = (2.0 * command[1:-1] - command[:-2] - command[2:]) / 4.0
+    counted = np.ones(len(command), dtype=bool)
+    for k in np.flatnonzero(np.abs(np.diff(wanted)) > JUMP * np.ptp(reference)):
+        counted[k : k + 2 + HOLD_SAMPLES] = False
+    uneven = uneven[counted[1:-1]]
+    figures = {
+        "chattering_m_s": max(0.0, float(np.sum(np.abs(moved)) - np.sum(np.abs(wanted))) / duration),
+        "command_reversals_hz": max(0, _reversals(moved) - _reversals(wanted)) / duration,
+    }
+    if uneven.size:
+        figures["chattering_m"] = float(np.sqrt(np.mean(uneven**2)))
+    return figures
+
+
+def _reversals(steps) -> int:
+    signs = np.sign(steps[steps != 0.0])
+    return int(np.count_nonzero(signs[1:] != signs[:-1]))
+
+
+def sampling_figures(recording: Recording, notes: dict) -> dict:
+    """Return samples, duration, rate and jitter as :func:`compute_metrics` defines them.
+
+    Parameters
+    ----------
+    recording : Recording
+    notes : dict
+        Receives figure → why it is missing or how to read it.
+
+    Returns
+    -------
+    dict
+    """
     figures: dict = {
         "samples": len(recording),
         "missing_samples": int(recording.metadata.get("missing_samples", 0)),

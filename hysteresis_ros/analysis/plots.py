@@ -7,7 +7,7 @@ import io
 
 import numpy as np
 
-from hysteresis_ros.analysis.settings import axis_settings
+from hysteresis_ros.analysis.settings import axis_settings, judged_reference
 from hysteresis_ros.errors import HysteresisError
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.loops import loop_opening
@@ -37,8 +37,8 @@ class MissingExtraError(HysteresisError):
         super().__init__(f'{library} is not installed; plots and reports need it: pip install "hysteresis_ros[report]"')
 
 
-def new_figure(height: float, columns: int = 1):
-    """Return a figure of ``height`` inches without a display, and its axes, shape (columns,).
+def new_figure(height: float, columns: int = 1, rows: int = 1):
+    """Return a figure of ``height`` inches without a display, and its axes row by row, shape (rows · columns,).
 
     Raises
     ------
@@ -52,7 +52,7 @@ def new_figure(height: float, columns: int = 1):
         raise MissingExtraError("Matplotlib") from None
     figure = Figure(figsize=(9.0, height), dpi=110, layout="constrained")
     FigureCanvasAgg(figure)
-    axes = figure.subplots(1, columns, squeeze=False)[0]
+    axes = figure.subplots(rows, columns, squeeze=False).ravel()
     for axis in axes:
         axis.grid(True, color="#e2e2e2", linewidth=0.8)
         axis.set_axisbelow(True)
@@ -93,9 +93,10 @@ def envelope(time, values, points: int = LINE_POINTS):
 
 
 def traces_figure(recording: Recording):
-    """Return the figure of setpoint, reference, displacement and estimate over time [µm, s]."""
+    """Return the figure of setpoint, reference (as late as judged), displacement and estimate over time [µm, s]."""
     figure, (axis,) = new_figure(3.6)
-    offset = axis_settings(recording).offset
+    settings = axis_settings(recording)
+    label = f"reference, {settings.preview} samples later" if settings.preview else "reference"
     styles = {
         "setpoint": dict(linestyle=(0, (4, 3)), linewidth=1.1, zorder=2),
         "reference": dict(linewidth=1.4, zorder=4),
@@ -104,9 +105,10 @@ def traces_figure(recording: Recording):
     }
     for name, style in styles.items():
         if recording.has(name):
-            shift = offset if name == "displacement" else 0.0
-            time, values = envelope(recording.time, (recording[name] - shift) * _MICRO)
-            axis.plot(time, values, color=_COLOURS[name], label=name, **style)
+            signal = judged_reference(recording) if name == "reference" else recording[name]
+            shift = settings.offset if name == "displacement" else 0.0
+            time, values = envelope(recording.time, (signal - shift) * _MICRO)
+            axis.plot(time, values, color=_COLOURS[name], label=label if name == "reference" else name, **style)
     axis.set(xlabel="time [s]", ylabel="displacement [µm]")
     add_legend(axis)
     return figure
@@ -115,7 +117,7 @@ def traces_figure(recording: Recording):
 def error_figure(recording: Recording):
     """Return the figure of reference - displacement over time [µm, s]."""
     figure, (axis,) = new_figure(2.6)
-    error = recording["reference"] - (_displacement(recording) - axis_settings(recording).offset)
+    error = judged_reference(recording) - (_displacement(recording) - axis_settings(recording).offset)
     time, values = envelope(recording.time, error * _MICRO)
     axis.axhline(0.0, color=_COLOURS["limit"], linewidth=0.8)
     axis.plot(time, values, color=_COLOURS["error"], linewidth=1.0)
@@ -127,13 +129,14 @@ def loop_figure(recording: Recording):
     """Return the figure of the loop before compensation (over voltage) and after it (over reference) [µm, V]."""
     figure, (before, after) = new_figure(4.2, 2)
     displacement = _displacement(recording) - axis_settings(recording).offset
-    stroke = float(np.nanmax(recording["reference"]) - np.nanmin(recording["reference"]))
+    reference = judged_reference(recording)
+    stroke = float(np.nanmax(reference) - np.nanmin(reference))
     if recording.has("voltage"):
         _loop(before, recording["voltage"], displacement, 1.0, _COLOURS["voltage"])
     _title(before, "before compensation", recording.run_columns()["voltage"], displacement, stroke)
     before.set(xlabel="voltage [V]", ylabel="displacement [µm]")
-    _loop(after, recording["reference"], displacement, _MICRO, _COLOURS["reference"])
-    _title(after, "after compensation", recording["reference"], displacement, stroke)
+    _loop(after, reference, displacement, _MICRO, _COLOURS["reference"])
+    _title(after, "after compensation", reference, displacement, stroke)
     after.set(xlabel="reference [µm]", ylabel="displacement [µm]")
     return figure
 

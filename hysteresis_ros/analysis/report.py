@@ -11,6 +11,9 @@ from hysteresis_ros.analysis.plots import MissingExtraError, data_uri
 from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.recordings.dataset import Recording
 
+#: Endings of the names of pages.
+PAGES = (".html", ".htm")
+
 
 def render_page(template: str, **values) -> str:
     """Return the page that a template of this package gives with ``values``.
@@ -30,14 +33,22 @@ def render_page(template: str, **values) -> str:
     return environment.get_template(template).render(**values)
 
 
+def require_page(path) -> None:
+    """Raise RecordingError for a file whose name is not that of a page."""
+    suffix = pathlib.Path(path).suffix
+    if suffix.lower() not in PAGES:
+        raise RecordingError(f"{path}: unknown kind of report '{suffix}'; give the name of an .html file")
+
+
 def write_page(path, html: str) -> None:
     """Write a page whole or not at all.
 
     Raises
     ------
     RecordingError
-        The file cannot be written.
+        The file cannot be written, or its name is not that of a page.
     """
+    require_page(path)
     path = pathlib.Path(path)
     partial = path.with_name(path.name + ".partial")
     try:

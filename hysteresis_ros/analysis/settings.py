@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from hysteresis_ros.errors import HysteresisError
 from hysteresis_ros.recordings.configured import configured
 from hysteresis_ros.recordings.dataset import Recording
@@ -19,11 +21,14 @@ class AxisSettings:
         Limits of the compensator, or of the plant where those are not given [V].
     offset : float
         Preload offset W of the controller's model, which is not part of the reference [m].
+    preview : int
+        Samples that the recorded reference is ahead of what the controller follows.
     """
 
     voltage_minimum: float | None = None
     voltage_maximum: float | None = None
     offset: float = 0.0
+    preview: int = 0
 
 
 def axis_settings(recording: Recording) -> AxisSettings:
@@ -33,8 +38,35 @@ def axis_settings(recording: Recording) -> AxisSettings:
         **_group(configured(text, "plant_simulator", namespace), "limits."),
         **_group(configured(text, "hysteresis_compensator", namespace), "limits."),
     }
-    preload = _group(configured(text, "motion_controller", namespace), "model.preload.")
-    return AxisSettings(_number(limits.get("minimum")), _number(limits.get("maximum")), _offset(preload))
+    controller = configured(text, "motion_controller", namespace)
+    preview = controller.get("feedforward.preview", 0)
+    return AxisSettings(
+        _number(limits.get("minimum")),
+        _number(limits.get("maximum")),
+        _offset(_group(controller, "model.preload.")),
+        preview if isinstance(preview, int) and not isinstance(preview, bool) and preview > 0 else 0,
+    )
+
+
+def judged_reference(recording: Recording) -> np.ndarray:
+    """Return the reference that the displacement is judged by, shape (N,) [m].
+
+    With a preview of P samples that is the recorded one P samples later. What came before the recording is taken to
+    be its first reference; where the sample to look back to is missing, NaN.
+
+    Parameters
+    ----------
+    recording : Recording
+        Needs ``reference``.
+    """
+    reference, preview = recording["reference"], axis_settings(recording).preview
+    if not preview or len(reference) < 2:
+        return reference
+    # by time and not by place: samples may be missing
+    numbers = np.rint((recording.time - recording.time[0]) / recording.sample_time).astype(np.int64)
+    places = np.minimum(np.searchsorted(numbers, numbers - preview), len(numbers) - 1)
+    found = np.where(numbers[places] == numbers - preview, reference[places], np.nan)
+    return np.where(numbers < preview, reference[0], found)
 
 
 def _offset(values: dict) -> float:

@@ -18,23 +18,29 @@ import click
 def report(recording: pathlib.Path, output: pathlib.Path | None, json_path: str | None, namespace: str | None) -> None:
     """Judge RECORDING (bag folder, .mcap, .db3, .npz or .csv): error, overshoot, settling, loop width, rate, jitter.
 
-    Prints a table; -o adds a self-contained HTML file with plots (needs the extra: pip install
-    "hysteresis_ros[report]").
+    Of an inchworm: each move with its steps, speed, slip and final error. Prints a table; -o adds a self-contained HTML
+    file with plots (needs the extra: pip install "hysteresis_ros[report]").
     """
-    from hysteresis_ros.analysis.metrics import compute_metrics, format_table
+    from hysteresis_ros.analysis.inchworm_moves import is_inchworm
     from hysteresis_ros.recordings.files import load_run
 
     run = load_run(recording, namespace)
-    figures = compute_metrics(run)
+    if is_inchworm(run):
+        from hysteresis_ros.analysis.inchworm import format_inchworm as table
+        from hysteresis_ros.analysis.inchworm import inchworm_figures as judge
+        from hysteresis_ros.analysis.inchworm_report import write_inchworm_report as write
+    else:
+        from hysteresis_ros.analysis.metrics import compute_metrics as judge
+        from hysteresis_ros.analysis.metrics import format_table as table
+        from hysteresis_ros.analysis.report import write_report as write
+    figures = judge(run)
     if output is not None:
-        from hysteresis_ros.analysis.report import write_report
-
-        write_report(run, output, recording.name, figures)
+        write(run, output, recording.name, figures)
     text = json.dumps(figures, indent=2, ensure_ascii=False, allow_nan=False)
     if json_path == "-":
         click.echo(text)
         return
-    click.echo(format_table(figures))
+    click.echo(table(figures))
     if json_path is not None:
         _write(pathlib.Path(json_path), text + "\n")
     if output is not None:

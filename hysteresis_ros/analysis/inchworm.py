@@ -1,0 +1,231 @@
+"""Figures of merit of an inchworm's run: its moves, its steps, and whether a clamp always held. SI units."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hysteresis_ros.analysis.inchworm_moves import InchwormRun, Move, Steps, inchworm_run
+from hysteresis_ros.analysis.metrics import FIGURES, chattering_figures, format_value, sampling_figures
+from hysteresis_ros.recordings.dataset import Recording
+from hysteresis_ros.references import inchworm_layout as at
+
+#: Steps whose extension is at least this part of the move's median are full steps.
+FULL_PART = 0.95
+
+#: Figures of a move: name, label, unit shown to people, factor from SI.
+MOVE_FIGURES = (
+    ("start_s", "given at", "s", 1.0),
+    ("setpoint_m", "setpoint", "mm", 1e3),
+    ("travel_m", "travel", "mm", 1e3),
+    ("time_s", "time", "s", 1.0),
+    ("steps", "steps", "", 1.0),
+    ("missed", "missed", "", 1.0),
+    ("mean_speed_m_s", "mean speed", "µm/s", 1e6),
+    ("walking_speed_m_s", "walking", "µm/s", 1e6),
+    ("walking_speed_percent", "of gait", "%", 1.0),
+    ("final_error_rms_m", "final error", "nm rms", 1e9),
+    ("final_error_mean_m", "mean", "nm", 1e9),
+    ("final_error_max_m", "largest", "nm", 1e9),
+    ("overshoot_m", "overshoot", "µm", 1e6),
+    ("slip_m", "slip", "µm", 1e6),
+    ("slip_percent", "slip", "%", 1.0),
+)
+#: Figures of the whole run, as :data:`MOVE_FIGURES`.
+RUN_FIGURES = (
+    ("steps", "Steps", "", 1.0),
+    ("steps_forward", "Steps forward", "", 1.0),
+    ("steps_backward", "Steps backward", "", 1.0),
+    ("missed", "Missed grips", "", 1.0),
+    ("step_error_mean_m", "Step length, commanded − achieved, mean", "nm", 1e9),
+    ("step_error_std_m", "Step length, commanded − achieved, 1 σ", "nm", 1e9),
+    ("slip_m", "Slip, all steps", "µm", 1e6),
+    ("slip_percent", "Slip", "% of extension", 1.0),
+    ("clamp_voltage_v", "Higher clamp voltage, lowest", "V", 1.0),
+    ("clamp_threshold_v", "Voltage of a closed clamp, least", "V", 1.0),
+    ("clamp_force_n", "Larger clamp force, lowest", "N", 1.0),
+    ("gait_speed_m_s", "Speed of the gait", "µm/s", 1e6),
+    ("stroke_m", "Stroke of the gait", "µm", 1e6),
+    ("period_s", "Period of the gait", "ms", 1e3),
+)
+#: Figures of every report that say something about an inchworm too.
+COMMON = (
+    *("chattering_m", "chattering_m_s", "command_reversals_hz", "voltage_rate_v_s", "voltage_variation_v"),
+    *("samples", "missing_samples", "duration_s", "sample_rate_hz", "rate_hz", "jitter_p99_s"),
+)
+COMMON_FIGURES = tuple(row for row in FIGURES if row[0] in COMMON)
+
+
+def inchworm_figures(recording: Recording) -> dict:
+    """Return the figures of merit of an inchworm's run.
+
+    A *move* lasts from a new setpoint (request, speed) to the next one; q is the slider's true displacement, or the
+    measured one where the recording's notes say so.
+
+    ============================== ===================================================================================
+    ``start_s``, ``setpoint_m``    when it was asked for, and where to (None: no place)
+    ``outcome``                    ``arrived``, ``not arrived``, ``walking``, ``stopped``, ``released``, ``holding``, or
+                                   ``error:`` and its name
+    ``travel_m``                   setpoint - q at the beginning; without a setpoint q at the end - q at the beginning
+    ``time_s``                     until the sequencer says for good (until the next move) that it has arrived
+    ``steps``, ``missed``          steps made, whole and partial; grips that were missed or repeated
+    ``mean_speed_m_s``             abs(q at arrival - q at the beginning) / ``time_s``
+    ``walking_speed_m_s``          abs(q after the last full step - q after the first one) / time between them; full
+                                   steps are those of at least 95 % of the move's median extension
+    ``walking_speed_percent``      the same in % of the gait's: stroke / period
+    ``final_error_rms_m``          √(mean (setpoint - q)²) over the second half of the time from arrival to the end
+    ``final_error_mean_m``         mean of the same
+    ``final_error_max_m``          largest abs of the same
+    ``overshoot_m``                farthest q beyond the setpoint in the direction of the move, at least 0
+    ``slip_m``, ``slip_percent``   Σ (extension - movement of the slider along it) of its steps; in % of Σ extension
+    ============================== ===================================================================================
+
+    Of the whole run: ``steps_forward``, ``steps_backward``, ``step_error_mean_m`` and ``step_error_std_m`` (commanded
+    less achieved length along the step), ``clamp_voltage_v`` (the higher of the two clamp voltages where it is
+    lowest: never below ``clamp_threshold_v``), ``clamp_force_n`` (the same with the normal forces), and
+    ``gait_speed_m_s``, ``stroke_m``, ``period_s`` of the configuration. The rest is as in
+    :func:`hysteresis_ros.analysis.metrics.compute_metrics`; its ``reference`` is the extender's.
+
+    Parameters
+    ----------
+    recording : Recording
+        See :data:`hysteresis_ros.analysis.inchworm_moves.REQUIRED`.
+
+    Returns
+    -------
+    dict
+        ``moves`` (list of dict), ``run`` (dict), the figures of :data:`COMMON`, and ``notes``; what JSON can hold.
+
+    Raises
+    ------
+    RecordingError
+        Signals are missing; the message names them.
+    """
+    run = inchworm_run(recording)
+    notes: dict = {"recording": list(run.notes)}
+    common = {name: None for name in COMMON}
+    reference = run.signals.get("reference", run.setpoint)
+    smooth = chattering_figures(
+        run.time, reference, run.signals.get("command"), run.signals.get("voltage"), notes
+    ) | sampling_figures(recording, notes)
+    common.update({name: smooth[name] for name in COMMON if name in smooth})
+    figures = {"moves": [_move_figures(run, move) for move in run.moves], "run": _run_figures(run), **common}
+    return _plain({**figures, "notes": notes})
+
+
+def format_inchworm(figures: dict) -> str:
+    """Return the figures as aligned lines for a terminal: a column for each move, then those of the run."""
+    moves = figures["moves"]
+    rows = [("Move", [str(i + 1) for i in range(len(moves))], ""), ("outcome", [m["outcome"] for m in moves], "")]
+    for name, label, unit, factor in MOVE_FIGURES:
+        rows.append((label, [format_value(move[name], factor) for move in moves], unit))
+    lines = _aligned(rows) if moves else ["no moves: nothing was asked for"]
+    lines.append("")
+    of_run = [(label, [format_value(figures["run"][name], f)], unit) for name, label, unit, f in RUN_FIGURES]
+    of_all = [(label, [format_value(figures[name], f)], unit) for name, label, unit, f in COMMON_FIGURES]
+    lines += _aligned(of_run + of_all)
+    return "\n".join([*lines, *(f"note: {note}" for note in figures["notes"]["recording"])])
+
+
+def _aligned(rows) -> list[str]:
+    width = max(len(label) for label, *_ in rows)
+    cells = [max(len(row[1][i]) for row in rows) for i in range(len(rows[0][1]))]
+    return [
+        f"{label:<{width}}  "
+        + "  ".join(f"{value:>{size}}" for value, size in zip(values, cells, strict=True))
+        + (f"  {unit}" if unit else "")
+        for label, values, unit in rows
+    ]
+
+
+def _move_figures(run: InchwormRun, move: Move) -> dict:
+    first, end = move.first, move.last - 1
+    steps, begin = run.steps.between(first, move.last), float(run.slider[first])
+    target = begin if move.goal is None else move.goal
+    stop = end if move.arrival is None else move.arrival
+    duration = float(run.time[stop] - run.time[first])
+    missed = run.signals["missed"]
+    figures = {
+        "outcome": _outcome(run, move),
+        "start_s": float(run.time[first] - run.time[0]),
+        "setpoint_m": move.goal,
+        "travel_m": (float(run.slider[end]) if move.goal is None else target) - begin,
+        "time_s": duration if move.arrival is not None else None,
+        "steps": int(steps.index.size),
+        "missed": int(missed[end] - missed[max(first - 1, 0)]),
+        "mean_speed_m_s": abs(float(run.slider[stop]) - begin) / duration if duration > 0.0 else None,
+        **_walking(run, steps),
+        **_slip(steps),
+        **dict.fromkeys(("final_error_rms_m", "final_error_mean_m", "final_error_max_m", "overshoot_m")),
+    }
+    if move.goal is not None:
+        beyond = np.sign(target - begin) * (run.slider[first : move.last] - target)
+        figures["overshoot_m"] = max(0.0, float(np.max(beyond)))
+    if move.arrival is not None:
+        error = target - run.slider[(move.arrival + move.last) // 2 : move.last]
+        figures["final_error_rms_m"] = float(np.sqrt(np.mean(error**2)))
+        figures["final_error_mean_m"] = float(np.mean(error))
+        figures["final_error_max_m"] = float(np.max(np.abs(error)))
+    return figures
+
+
+def _outcome(run: InchwormRun, move: Move) -> str:
+    errors = run.signals.get("error")
+    code = 0 if errors is None or not np.isfinite(errors[move.last - 1]) else int(errors[move.last - 1])
+    if code:
+        return f"error: {at.ERROR_NAMES[code] if 0 < code < len(at.ERROR_NAMES) else code}"
+    if move.kind == "move":
+        return "not arrived" if move.arrival is None else "arrived"
+    return {"walk": "walking", "stop": "stopped", "release": "released", "hold": "holding"}[move.kind]
+
+
+def _walking(run: InchwormRun, steps: Steps) -> dict:
+    found = {"walking_speed_m_s": None, "walking_speed_percent": None}
+    full = steps.index[steps.extension >= FULL_PART * np.median(steps.extension)] if steps.index.size else steps.index
+    if full.size > 1:
+        moved = abs(float(run.slider[full[-1]] - run.slider[full[0]]))
+        found["walking_speed_m_s"] = moved / float(run.time[full[-1]] - run.time[full[0]])
+        if run.gait is not None:
+            found["walking_speed_percent"] = 100.0 * found["walking_speed_m_s"] / run.gait.speed
+    return found
+
+
+def _slip(steps: Steps) -> dict:
+    whole = float(np.sum(steps.extension))
+    total = float(np.sum(steps.slip))
+    return {"slip_m": total, "slip_percent": 100.0 * total / whole if whole > 0.0 else None}
+
+
+def _run_figures(run: InchwormRun) -> dict:
+    steps, signals = run.steps, run.signals
+    error = steps.direction * (steps.commanded - steps.achieved)
+    figures = dict.fromkeys(name for name, *_ in RUN_FIGURES)
+    figures |= {
+        "steps": int(steps.index.size),
+        "steps_forward": int(np.count_nonzero(steps.direction > 0.0)),
+        "steps_backward": int(np.count_nonzero(steps.direction < 0.0)),
+        "missed": int(signals["missed"][-1] - signals["missed"][0]),
+        "clamp_voltage_v": float(np.min(np.maximum(signals["front_voltage"], signals["rear_voltage"]))),
+        **_slip(steps),
+    }
+    if error.size:
+        figures |= {"step_error_mean_m": float(np.mean(error)), "step_error_std_m": float(np.std(error))}
+    if "front_force" in signals and "rear_force" in signals:
+        forces = np.maximum(signals["front_force"], signals["rear_force"])
+        figures["clamp_force_n"] = float(np.min(forces[np.isfinite(forces)], initial=np.inf))
+    if run.gait is not None:
+        figures |= {
+            "gait_speed_m_s": run.gait.speed,
+            "stroke_m": run.gait.stroke,
+            "period_s": run.gait.period,
+            "clamp_threshold_v": run.gait.threshold_voltage,
+        }
+    return figures
+
+
+def _plain(value):
+    """Return the same without numbers that JSON has not."""
+    if isinstance(value, dict):
+        return {name: _plain(entry) for name, entry in value.items()}
+    if isinstance(value, list):
+        return [_plain(entry) for entry in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value

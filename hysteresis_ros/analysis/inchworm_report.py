@@ -1,0 +1,69 @@
+"""The report of an inchworm's run: one HTML file that needs nothing beside it."""
+
+from __future__ import annotations
+
+from hysteresis_ros.analysis.inchworm import (
+    COMMON_FIGURES,
+    MOVE_FIGURES,
+    RUN_FIGURES,
+    inchworm_figures,
+)
+from hysteresis_ros.analysis.inchworm_moves import inchworm_run
+from hysteresis_ros.analysis.inchworm_plots import INCHWORM_PLOTS
+from hysteresis_ros.analysis.metrics import format_value
+from hysteresis_ros.analysis.plots import data_uri
+from hysteresis_ros.analysis.report import render_page, write_page
+from hysteresis_ros.recordings.dataset import Recording
+
+
+def render_inchworm_report(recording: Recording, title: str, figures: dict | None = None) -> str:
+    """Return the report as HTML: a table of moves, figures of the run, plots, notes and configuration.
+
+    Parameters
+    ----------
+    recording : Recording
+        The run.
+    title : str
+        Heading, such as the name of the bag.
+    figures : dict, optional
+        What :func:`hysteresis_ros.analysis.inchworm.inchworm_figures` gave, when it is known already.
+
+    Raises
+    ------
+    HysteresisError
+        Matplotlib or Jinja2 is missing, or the recording lacks signals; the message says which.
+    """
+    figures = figures or inchworm_figures(recording)
+    run = inchworm_run(recording)
+    moves = [
+        dict(outcome=move["outcome"], cells=[format_value(move[name], factor) for name, _, _, factor in MOVE_FIGURES])
+        for move in figures["moves"]
+    ]
+    remarks = figures["notes"]
+    rows = [
+        dict(label=label, value=format_value(values[name], factor), unit=unit, remark=remarks.get(name, ""))
+        for values, names in ((figures["run"], RUN_FIGURES), (figures, COMMON_FIGURES))
+        for name, label, unit, factor in names
+    ]
+    return render_page(
+        "inchworm.html.j2",
+        title=title,
+        headings=[(label, unit) for _, label, unit, _ in MOVE_FIGURES],
+        moves=moves,
+        rows=rows,
+        plots=[dict(caption=caption, source=data_uri(draw(run))) for caption, draw in INCHWORM_PLOTS],
+        notes=remarks["recording"],
+        configuration=recording.configuration,
+        namespace=recording.metadata.get("namespace") or "/",
+    )
+
+
+def write_inchworm_report(recording: Recording, path, title: str, figures: dict | None = None) -> None:
+    """Write the report; see :func:`render_inchworm_report`.
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be written.
+    """
+    write_page(path, render_inchworm_report(recording, title, figures))

@@ -1,0 +1,88 @@
+"""Page and plots of a comparison: every combination on a logarithmic scale, and errors over time."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hysteresis_ros.analysis.plots import data_uri, new_figure
+from hysteresis_ros.analysis.report import render_page, write_page
+
+_COLOURS = ("#1f6fb2", "#d1495b", "#2a9d8f", "#e09f3e")
+_BACKGROUND = "#b8b8b8"
+_MICRO = 1e6
+_NANO = 1e9
+
+
+def ranking_figure(labels: list[str], values: dict[str, list[np.ndarray]]):
+    """Return the figure of the errors of all combinations [% of stroke], best on top.
+
+    Parameters
+    ----------
+    labels : list of str
+        Combinations, best first.
+    values : dict of str to list of array
+        Reference → for each combination the errors on the plants [%].
+    """
+    figure, axes = new_figure(1.2 + 0.26 * len(labels), len(values))
+    places = np.arange(len(labels))[::-1]
+    for number, (axis, (name, rows)) in enumerate(zip(axes, values.items(), strict=True)):
+        colour = _COLOURS[number % len(_COLOURS)]
+        for place, errors in zip(places, rows, strict=True):
+            axis.plot(
+                errors, np.full(len(errors), place), linestyle="", marker="o", markersize=3.0, mfc="none", mec=colour
+            )
+            axis.plot([np.max(errors)], [place], linestyle="", marker="o", markersize=6.0, color=colour)
+        axis.set_xscale("log")
+        axis.set(xlabel="RMS error [% of stroke]", ylim=(-0.7, len(labels) - 0.3))
+        axis.set_title(name, fontsize=11)
+        axis.set_yticks(places, labels if number == 0 else [""] * len(labels), fontsize=8)
+        axis.grid(True, which="both", axis="x", linewidth=0.4, alpha=0.6)
+        axis.grid(True, axis="y", linewidth=0.4, alpha=0.4)
+    return figure
+
+
+def errors_figure(errors: dict[str, tuple[np.ndarray, np.ndarray]]):
+    """Return the figure of errors over time, each in a panel of its own scale; µm, or nm where all of it is small.
+
+    Parameters
+    ----------
+    errors : dict of str to (array, array)
+        Label → time [s] and error [m], shape (N,) each.
+    """
+    figure, axes = new_figure(1.9 * len(errors), 1, rows=len(errors))
+    for number, (axis, (name, (time, error))) in enumerate(zip(axes, errors.items(), strict=True)):
+        small = np.max(np.abs(error)) < 1e-6
+        axis.axhline(0.0, color=_BACKGROUND, linewidth=0.8)
+        axis.plot(time, error * (_NANO if small else _MICRO), color=_COLOURS[number % len(_COLOURS)], linewidth=1.0)
+        rms = np.sqrt(np.mean(error**2))
+        text = f"{rms * _NANO:.3g} nm" if small else f"{rms * _MICRO:.3g} µm"
+        axis.set_title(f"{name}: RMS {text}", fontsize=10, loc="left")
+        axis.set(ylabel=f"error [{'nm' if small else 'µm'}]")
+    axes[-1].set(xlabel="time [s]")
+    return figure
+
+
+def write_ranking_page(path, title: str, *, plots, **contents) -> None:
+    """Write a page with a table of ranked combinations that needs nothing beside it.
+
+    Parameters
+    ----------
+    path : path-like
+        HTML file.
+    title : str
+        Heading.
+    plots : sequence of (str, figure)
+        Captions and figures.
+    contents
+        ``summary`` (str), ``blocks`` (list of (name, list of (heading, unit))), ``rows`` (list of dict with ``cells``
+        and ``refused``), ``ranking`` (str), ``refused`` and ``conditions`` (lists of str), ``configuration`` (str).
+
+    Raises
+    ------
+    MissingExtraError
+        Matplotlib or Jinja2 is not installed.
+    RecordingError
+        The file cannot be written.
+    """
+    drawn = [dict(caption=caption, source=data_uri(figure)) for caption, figure in plots]
+    write_page(path, render_page("ranking.html.j2", title=title, plots=drawn, **contents))

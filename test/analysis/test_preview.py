@@ -1,0 +1,74 @@
+"""With a preview a run is judged by the reference to be followed at a sample, not the one received then."""
+
+import numpy as np
+import pytest
+
+pytest.importorskip("matplotlib")
+
+from hysteresis_ros.analysis.metrics import compute_metrics  # noqa: E402
+from hysteresis_ros.analysis.plots import error_figure  # noqa: E402
+from hysteresis_ros.analysis.report import render_report  # noqa: E402
+from hysteresis_ros.analysis.settings import axis_settings, judged_reference  # noqa: E402
+from hysteresis_ros.experiments.measurements import loop_width, step_figures  # noqa: E402
+from hysteresis_ros.recordings import Recording  # noqa: E402
+
+PREVIEW = 7
+RATE = 1000.0
+
+
+def recorded(reference, displacement, preview=PREVIEW):
+    text = (
+        f"/**/motion_controller:\n  ros__parameters: {{feedforward: {{type: inverse_dynamics, preview: {preview}}}}}\n"
+    )
+    columns = {"time": np.arange(len(reference)) / RATE, "reference": reference, "displacement": displacement}
+    return Recording.from_columns({**columns, "voltage": displacement}, {"configuration": text})
+
+
+def late(signal, samples=PREVIEW):
+    return np.concatenate([np.full(samples, signal[0]), signal[:-samples]])
+
+
+def steps():
+    return np.repeat([0.0, 2e-6, 0.0, 2e-6, 0.0], 200)
+
+
+def test_a_displacement_that_follows_the_delayed_reference_has_no_error():
+    reference = steps()
+    run = recorded(reference, late(reference))
+    assert axis_settings(run).preview == PREVIEW
+    assert np.array_equal(judged_reference(run), late(reference))
+    figures = compute_metrics(run)
+    assert figures["max_error_m"] == figures["settling_time_s"] == figures["overshoot_percent"] == 0.0
+    assert any(f"{PREVIEW} samples after it was given" in note for note in figures["notes"]["recording"])
+    assert step_figures(run).settling == 0.0
+    assert np.all(error_figure(run).axes[0].lines[1].get_ydata() == 0.0)
+    assert f"{PREVIEW} samples after it was given" in render_report(run, "preview", figures)
+
+
+def test_without_preview_the_received_reference_counts():
+    reference = steps()
+    run = recorded(reference, late(reference), preview=0)
+    assert judged_reference(run) is run["reference"]
+    figures = compute_metrics(run)
+    assert figures["settling_time_s"] == pytest.approx(PREVIEW / RATE) and figures["max_error_m"] == 2e-6
+    assert not any("preview" in note for note in figures["notes"]["recording"])
+
+
+def test_loops_are_closed_when_the_delayed_reference_is_followed():
+    time = np.arange(4000) / RATE
+    reference = 5e-6 * (1.0 - np.cos(2.0 * np.pi * time))
+    run = recorded(reference, late(reference))
+    assert loop_width(run) == pytest.approx(0.0, abs=1e-9)
+    assert compute_metrics(run)["loop_width_percent"] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_missing_samples_do_not_shift_what_comes_after_them():
+    reference = np.linspace(0.0, 1e-5, 500)
+    whole = recorded(reference, late(reference))
+    kept = np.ones(500, dtype=bool)
+    kept[200:203] = False
+    columns = {name: values[kept] for name, values in {"time": whole.time, **whole.signals}.items()}
+    judged = judged_reference(Recording.from_columns(columns, whole.metadata))
+    expected = late(reference)
+    expected[200 + PREVIEW : 203 + PREVIEW] = np.nan
+    np.testing.assert_array_equal(judged, expected[kept])
