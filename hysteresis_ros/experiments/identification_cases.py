@@ -88,6 +88,8 @@ class PaperK:
         W(L0) from noisy points 0 … 6 N.
     preload : float
         What a recording under 5.88 N gives [N].
+    voltage, truth, predicted : ndarray, shape (N,)
+        The decreasing triangle [V], the stack's displacement and the model's [m], at ``SAMPLE_TIME``.
     """
 
     model: PolynomialIdentification
@@ -96,6 +98,9 @@ class PaperK:
     rms: float
     preload_curve: PreloadIdentification
     preload: float
+    voltage: np.ndarray
+    truth: np.ndarray
+    predicted: np.ndarray
 
 
 def paper_k(noise: float = 5e-9, seed: int = 0, **truth) -> PaperK:
@@ -121,7 +126,8 @@ def paper_k(noise: float = 5e-9, seed: int = 0, **truth) -> PaperK:
     model = identify_polynomial(voltage, measured(voltage))
     decreasing = triangles(117.0 * np.linspace(1.0, 0.05, 20))
     truth_there = PrandtlIshlinskiiHysteresis(stack, SAMPLE_TIME).simulate(decreasing)
-    error = PolynomialHysteresis(model.parameters, SAMPLE_TIME).simulate(decreasing) - truth_there
+    predicted = PolynomialHysteresis(model.parameters, SAMPLE_TIME).simulate(decreasing)
+    error = predicted - truth_there
 
     forces = np.linspace(0.0, 6.0, 25)
     points = -forces / STIFFNESS + noise * random.standard_normal(forces.size)
@@ -136,6 +142,9 @@ def paper_k(noise: float = 5e-9, seed: int = 0, **truth) -> PaperK:
         rms=float(np.sqrt(np.mean(error**2))),
         preload_curve=curve,
         preload=preload,
+        voltage=decreasing,
+        truth=truth_there,
+        predicted=predicted,
     )
 
 

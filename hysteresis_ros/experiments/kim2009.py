@@ -1,24 +1,35 @@
 """The experiments of Kim, Kim & Park 2009 on the axis of ``config/kim2009.yaml``, whose assumptions that file names.
 
 The paper's section 4: an open-loop triangle with inverse hysteresis model (fig. 13), steps under sliding mode control
-without (fig. 15) and with the model (fig. 17); before them the uncontrolled steps (fig. 12) and the preload (fig. 10).
-Then the same where the compensator does not know the plant so well, and with an estimated disturbance.
+without (fig. 15) and with the model (fig. 17); before them identification, the uncontrolled steps (fig. 12) and the
+preload (fig. 10). Then the same where the compensator does not know the plant so well, and with an estimated
+disturbance; at last one condition at a time, and other tasks.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
-from hysteresis_ros.analysis.comparison import loops_comparison, traces_comparison
+from hysteresis_ros.analysis.comparison import (
+    loops_comparison,
+    loops_overlay,
+    prediction_figure,
+    response_figure,
+    traces_comparison,
+)
 from hysteresis_ros.configuration import Configuration, load_configuration
 from hysteresis_ros.control import design
 from hysteresis_ros.control.controller import ControllerParameters
 from hysteresis_ros.control.kalman import filter_gain
 from hysteresis_ros.experiments import kim2009_axis as kim
+from hysteresis_ros.experiments import kim2009_honest as honest
+from hysteresis_ros.experiments import kim2009_identification as identification
 from hysteresis_ros.experiments import kim2009_steps as steps
 from hysteresis_ros.experiments import kim2009_triangle as triangle
 from hysteresis_ros.experiments.claims import Claim, Reproduction
+from hysteresis_ros.experiments.identification_cases import paper_k
 from hysteresis_ros.experiments.measurements import loop_width, step_figures
+from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.simulation.axis import AxisParameters
 from hysteresis_ros.simulation.node_parameters import part
 from hysteresis_ros.simulation.run import single_axis
@@ -29,6 +40,8 @@ TITLE = "Kim, Kim & Park 2009, inchworm with piezo stack: hysteresis compensatio
 STEP_RUNS = UNCONTROLLED, CONTROLLED, COMPENSATED = "uncontrolled", "sliding mode", "sliding mode and compensator"
 HONEST_RUNS = TRUSTING, ESTIMATING = "compensator off by 5 %", "the same, disturbance estimated"
 TRIANGLE_RUNS = TRIANGLE, STRAIGHT = "no inverse", "exact inverse"
+PRELOAD_RUNS = FREE, LOADED = "no preload", f"preload {kim.PRELOAD:g} N"
+PREDICTED, EXCITED = "identified model", "multisine"
 
 
 def reproduce(configuration: Configuration | None = None) -> Reproduction:
@@ -59,18 +72,26 @@ def reproduce(configuration: Configuration | None = None) -> Reproduction:
         ESTIMATING: kim.run_steps(kim.estimating(mistaken)),
         TRIANGLE: kim.run_cycles(kim.uncompensated(perfect), "triangle", stroke, kim.TRIANGLE_FREQUENCY),
         STRAIGHT: kim.run_cycles(perfect, "triangle", stroke, kim.TRIANGLE_FREQUENCY),
+        FREE: _small_loop(perfect),
+        LOADED: _small_loop(kim.preloaded(perfect)),
+        EXCITED: identification.run_excitation(configuration),
     }
+    identified = paper_k()
+    runs[PREDICTED] = identification.prediction(identified)
     claims = [
         *_model_claims(axis),
+        *identification.identification_claims(identified, runs[EXCITED]),
         *steps.uncontrolled_claims(perfect, runs[UNCONTROLLED]),
         *triangle.branch_claims(axis.plant_simulator.hysteresis.polynomial, stroke),
         *triangle.element_claims(perfect, stroke),
         *triangle.dynamics_claims(perfect, stroke, loop_width(runs[TRIANGLE]), loop_width(runs[STRAIGHT])),
         *steps.sliding_mode_claims(runs[CONTROLLED], runs[COMPENSATED]),
-        *_preload_claims(perfect),
+        *_preload_claims(perfect, runs[FREE], runs[LOADED]),
         *triangle.honest_claims(configuration, stroke),
         *steps.honest_claims(configuration),
         *steps.estimating_claims(configuration),
+        *honest.condition_claims(configuration),
+        *honest.task_claims(configuration, stroke),
     ]
     return Reproduction("kim2009", TITLE, tuple(claims), runs, configuration.text)
 
@@ -89,7 +110,22 @@ def figures(found: Reproduction) -> list:
     up, back = 0.5 * kim.STEP_TIME, 1.5 * kim.STEP_TIME
     # a reference of sample k first shows at sample k + 1
     loops = {name: (found.runs[name]["reference"][:-1], found.runs[name]["displacement"][1:]) for name in TRIANGLE_RUNS}
+    response, fit = identification.structure(found.runs[EXCITED])
+    fitted = fit.model.frequency_response(response.frequency)[:, 0, 0]
+    preload = {
+        "as measured": {name: _branches(found.runs[name], 0.0) for name in PRELOAD_RUNS},
+        "less the offset at rest": {name: _branches(found.runs[name], 1.0) for name in PRELOAD_RUNS},
+    }
     return [
+        (
+            "Polynomial model from 20 loops on a decreasing triangle that it has not seen",
+            prediction_figure(found.runs[PREDICTED]),
+        ),
+        (
+            f"Frequency response around 635 Hz, and the fit of order {fit.order}",
+            response_figure(response.frequency, response.single, fitted),
+        ),
+        (f"Loop of {kim.PRELOAD_VOLTAGE:g} V with and without preload", loops_overlay(preload)),
         ("Steps of 1 V: whole, and the return to 0 V", traces_comparison(moves, (back - 0.02, back + 0.12))),
         ("Honest conditions: whole, and the first step", traces_comparison(honest, (up - 0.02, up + 0.12))),
         ("Open-loop triangle of 2 Hz, dynamics included, before and after compensation", loops_comparison(loops)),
@@ -174,13 +210,21 @@ def _model_claims(axis: AxisParameters) -> list[Claim]:
     ]
 
 
-def _preload_claims(perfect: Configuration) -> list[Claim]:
+def _small_loop(configuration: Configuration) -> Recording:
+    """Return the paper's sine of 20 V (figure 10)."""
+    amplitude = kim.PRELOAD_VOLTAGE * configuration.node("plant_simulator")["hysteresis.polynomial.virgin"][1]
+    return kim.run_cycles(kim.uncompensated(configuration), "sine", amplitude, kim.TRIANGLE_FREQUENCY)
+
+
+def _branches(run: Recording, part: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return voltage and displacement of a loop, less a ``part`` of the displacement at rest."""
+    # a voltage of sample k first shows at sample k + 1
+    displacement = run["displacement"][1:]
+    return run["voltage"][:-1], displacement - part * run["displacement"][0]
+
+
+def _preload_claims(perfect: Configuration, free: Recording, loaded: Recording) -> list[Claim]:
     group = f"Preload of {kim.PRELOAD:g} N (section 2.3, figure 10)"
-    amplitude = kim.PRELOAD_VOLTAGE * perfect.node("plant_simulator")["hysteresis.polynomial.virgin"][1]
-    free, loaded = (
-        kim.run_cycles(kim.uncompensated(item), "sine", amplitude, kim.TRIANGLE_FREQUENCY)
-        for item in (perfect, kim.preloaded(perfect))
-    )
     offset = -kim.PRELOAD / kim.STIFFNESS
     controlled = step_figures(kim.run_steps(kim.preloaded(perfect)))
     return [

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hysteresis_ros.analysis.settings import axis_settings
+from hysteresis_ros.analysis.settings import axis_settings, judged_reference
 from hysteresis_ros.analysis.steps import find_holds, step_responses
 from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.models.polynomial import PolynomialParameters
@@ -48,8 +48,9 @@ def step_figures(run: Recording) -> StepFigures:
         The reference does not step up and back to zero.
     """
     displacement = run["displacement"] - axis_settings(run).offset
-    responses = step_responses(run.time, run["reference"], displacement)
-    holds = find_holds(run["reference"])[1:]
+    reference = judged_reference(run)
+    responses = step_responses(run.time, reference, displacement)
+    holds = find_holds(reference)[1:]
     back = [abs(answer.final) for answer in responses if answer.size < 0.0]
     up = [abs(answer.steady_state_error) for answer in responses if answer.size > 0.0]
     if not back or not up:
@@ -66,14 +67,16 @@ def step_figures(run: Recording) -> StepFigures:
 def loop_width(run: Recording) -> float:
     """Return the largest opening of the loop displacement over reference, in % of the stroke of the reference.
 
-    A reference of sample k first shows in the displacement of sample k + 1; the two are compared.
+    A reference of sample k first shows in the displacement of sample k + 1; the two are compared. With a preview the
+    delayed reference is, at the same sample.
 
     Raises
     ------
     RecordingError
         The reference does not go to and fro.
     """
-    reference, displacement = run["reference"][:-1], run["displacement"][1:]
+    late = 0 if axis_settings(run).preview else 1
+    reference, displacement = judged_reference(run)[: len(run) - late], run["displacement"][late:]
     opening = loop_opening(reference, displacement)
     if opening is None:
         raise RecordingError("the reference of the run does not go to and fro: it has no loop")

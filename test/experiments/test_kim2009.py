@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import pathlib
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
@@ -12,6 +13,7 @@ from hysteresis_ros.cli.main import main
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.experiments import kim2009
 from hysteresis_ros.experiments import kim2009_axis as kim
+from hysteresis_ros.experiments import kim2009_honest as honest
 from hysteresis_ros.experiments.claims import format_claims
 
 DOCUMENT = pathlib.Path(__file__).resolve().parents[2] / "docs" / "kim2009.md"
@@ -24,6 +26,16 @@ NOT_HOLDING = {
     "estimating.c.settling",
     "honest.estimating.c.settling",
     "honest.estimating.d.settling",
+    "honest.limits_positive.error",
+    "honest.limits_positive.estimated",
+    "honest.limits_low.error",
+    "honest.limits_low.estimated",
+    "honest.limits_low.residual",
+    "honest.off_1.error",
+    "honest.coarse.error",
+    "honest.coarse.estimated",
+    "honest.creep.settling",
+    "honest.creep.error",
 }
 
 
@@ -51,7 +63,8 @@ def test_exactly_the_known_rows_do_not_hold_and_say_why(found):
 
 def test_every_claim_of_the_paper_at_perfect_knowledge_holds(found):
     """What is left out is the 2 Hz triangle with the dynamics' own lag, which no inverse of hysteresis removes."""
-    own = [claim for claim in found.claims if claim.id.split(".")[0] in ("model", "a", "b", "c", "d", "preload")]
+    groups = ("model", "identification", "a", "b", "c", "d", "preload")
+    own = [claim for claim in found.claims if claim.id.split(".")[0] in groups]
     assert [claim.id for claim in own if claim.holds is False] == ["b.dynamics.exact"]
 
 
@@ -87,6 +100,46 @@ def test_only_a_wrong_opening_opens_the_loop_again(measured):
     assert measured["honest.b.opening"] == pytest.approx(kim.MISMATCH * measured["b.none"], rel=0.2)
 
 
+def test_identification_meets_the_papers_error_order_and_resonance(measured):
+    assert measured["identification.model_error"] <= 0.125e-6
+    assert measured["identification.order"] == 3
+    assert measured["identification.resonance"] == pytest.approx(635.0, abs=0.5)
+    assert measured["identification.preload"] == pytest.approx(kim.PRELOAD, rel=1e-3)
+
+
+def test_without_negative_voltage_the_residual_of_the_falling_branch_stays(measured):
+    """The lower corner of the loop to 20 V lies at 20 V · 0.0125 µm/V."""
+    assert measured["honest.limits_positive.error"] == pytest.approx(0.25e-6, rel=1e-3)
+    assert measured["honest.limits_positive.estimated"] == pytest.approx(0.25e-6, rel=1e-3)
+
+
+def test_a_limit_below_the_step_costs_what_it_does_not_reach_and_winds_nothing_up(measured):
+    missing = kim.DC_GAIN * kim.STEP * (1.0 - honest.LOW_LIMIT / (kim.AMPLIFIER * kim.STEP))
+    assert measured["honest.limits_low.error"] == pytest.approx(missing, rel=1e-3)
+    # the compensator believes in a peak of 20 V; the corner of the loop moves by 0.0125 µm a volt of the peak
+    assert measured["honest.limits_low.residual"] == pytest.approx(0.0125e-6 * (20.0 - honest.LOW_LIMIT), rel=0.05)
+    assert measured["honest.limits_low.residual_estimated"] < 1e-9
+
+
+def test_creep_that_nobody_knows_is_left_by_the_law_and_removed_by_estimator_or_inverse(measured):
+    assert measured["honest.creep.error"] > kim.GOOD_RESIDUAL
+    assert max(measured["honest.creep.estimated"], measured["honest.creep_known.error"]) < 1e-9
+
+
+@pytest.mark.parametrize("mismatch", [-0.05, 0.01])
+def test_another_structure_moves_the_resonance_and_keeps_damping_and_real_pole(mismatch):
+    axis = load_configuration("kim2009")
+
+    def modes(configuration):
+        poles = np.linalg.eigvals(np.reshape(configuration.node("plant_simulator")["dynamics.A"], (3, 3)))
+        return np.sort_complex(np.log(poles.astype(complex)))
+
+    before, after = modes(axis), modes(honest.other_structure(axis, mismatch))
+    pair = np.abs(before.imag) < 3.0
+    assert after[pair] == pytest.approx((1.0 + mismatch) * before[pair])
+    assert after[~pair] == pytest.approx(before[~pair])
+
+
 def test_conditions_change_the_compensator_and_never_the_plant():
     """The plant is never the model: a mismatch belongs to one of them alone."""
     axis = load_configuration("kim2009")
@@ -111,7 +164,7 @@ def test_command_prints_the_table_and_writes_json_and_page(found, monkeypatch, t
     claims = json.loads(rows.read_text(encoding="utf-8"))["claims"]
     assert [claim["id"] for claim in claims] == [claim.id for claim in found.claims]
     html = page.read_text(encoding="utf-8")
-    assert html.count("<img ") == html.count("data:image/png;base64,") == 3
+    assert html.count("<img ") == html.count("data:image/png;base64,") == 6
     assert all(f"<td>{claim.id}</td>" in html for claim in found.claims)
     assert html.count('<tr class="fails">') == len(NOT_HOLDING)
 

@@ -1,0 +1,57 @@
+"""``hysteresis compare``: every controller and compensator on one plant, ranked under honest conditions."""
+
+from __future__ import annotations
+
+import json
+import pathlib
+
+import click
+
+
+@click.command()
+@click.argument("config", type=click.Path(path_type=str))
+@click.option("--mismatch", default=0.05, show_default=True, help="Largest relative error of each model parameter.")
+@click.option("--noise", default=5e-9, show_default=True, help="Sensor noise [m rms].")
+@click.option("--bits", default=16, show_default=True, help="Bits of the converters; 0: unlimited.")
+@click.option("--draws", default=20, show_default=True, help="Number of plants drawn.")
+@click.option("--seed", default=1, show_default=True, help="Seed of the first plant.")
+@click.option("--sine", default=1.0, show_default=True, help="Frequency of the sine over 90 % of the stroke [Hz].")
+@click.option("--triangle", default=10.0, show_default=True, help="Frequency of the triangle over 20 % of it [Hz].")
+@click.option("--namespace", help="Which axis of the configuration, when it describes several.")
+@click.option("--json", "json_path", metavar="FILE", help="JSON file; '-' prints it instead of the table.")
+@click.option("-o", "--output", type=click.Path(path_type=pathlib.Path), help="HTML file to write.")
+def compare(config, mismatch, noise, bits, draws, seed, sine, triangle, namespace, json_path, output):
+    """Rank all controllers and compensators on the plant of CONFIG.
+
+    Each is designed on the models in CONFIG, then follows a sine and a triangle on plants drawn around the configured
+    one. -o adds a self-contained HTML file with plots (needs the extra: pip install "hysteresis_ros[report]").
+    """
+    from hysteresis_ros.configuration import load_configuration
+    from hysteresis_ros.errors import RecordingError
+    from hysteresis_ros.experiments import comparison_table as table
+    from hysteresis_ros.experiments.controller_comparison import Conditions
+    from hysteresis_ros.experiments.controller_comparison import compare as run
+
+    conditions = Conditions(mismatch, noise, bits, draws, seed, sine, triangle)
+    configuration = load_configuration(config)
+    quiet = not click.get_text_stream("stderr").isatty()
+
+    def progress(row):
+        if not quiet:
+            click.echo(f"  {table.label(row)}", err=True)
+
+    found = run(configuration, conditions, namespace=namespace, progress=progress)
+    if output is not None:
+        table.write_page(found, output)
+    text = json.dumps(table.to_json(found), indent=2, ensure_ascii=False, allow_nan=False)
+    if json_path == "-":
+        click.echo(text)
+        return
+    click.echo(table.format_comparison(found))
+    if json_path is not None:
+        try:
+            pathlib.Path(json_path).write_text(text + "\n", encoding="utf-8")
+        except OSError as error:
+            raise RecordingError(f"{json_path}: cannot be written: {error.strerror}; choose another place") from None
+    if output is not None:
+        click.echo(f"\nreport: {output}")
