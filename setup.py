@@ -23,6 +23,7 @@ NODES = {
     "hysteresis_compensator": "hysteresis_ros.nodes.hysteresis_compensator:main",
     "motion_controller": "hysteresis_ros.nodes.motion_controller:main",
     "reference_generator": "hysteresis_ros.nodes.reference_generator:main",
+    "inchworm_sequencer": "hysteresis_ros.nodes.inchworm_sequencer:main",
     "recorder": "hysteresis_ros.nodes.recorder:main",
     "hysteresis_axis": "hysteresis_ros.nodes.axis:main",
 }

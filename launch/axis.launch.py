@@ -1,4 +1,4 @@
-"""One axis: plant (or driver), compensator, controller and reference generator, set by one parameter file.
+"""One axis: plant (or driver), compensator, controller and reference generator (or sequencer), set by one file.
 
 ``ros2 launch hysteresis_ros axis.launch.py config:=kim2009 record:=bags/first namespace:=left``
 does what ``hysteresis up`` does; ``ros2 launch hysteresis_ros axis.launch.py -s`` lists the arguments. This file
@@ -12,6 +12,7 @@ import pathlib
 import shutil
 import tempfile
 
+import yaml
 from launch import LaunchDescription
 from launch.actions import (
     DeclareLaunchArgument,
@@ -27,7 +28,7 @@ from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import LifecycleNode, Node
 
 PACKAGE = "hysteresis_ros"
-NODES = ("plant_simulator", "hysteresis_compensator", "motion_controller", "reference_generator")
+NODES = ("plant_simulator", "hysteresis_compensator", "motion_controller")
 CONFIGURATIONS = pathlib.Path(__file__).resolve().parents[1] / "config"
 #: Seconds the others have to leave by themselves after one has left without an error, as at the end of a run.
 PATIENCE = 5.0
@@ -68,7 +69,8 @@ def axis(context):
         raise ValueError(f"samples:={given['samples']}: must be a whole number of at least 1, or left out")
     config = configuration(given["config"])
     composed = given["composed"] == "true"
-    names = ["hysteresis_axis"] if composed else list(NODES)
+    source = "inchworm_sequencer" if describes_inchworm(config, given["namespace"]) else "reference_generator"
+    names = ["hysteresis_axis"] if composed else [*NODES, source]
     if given["record"]:
         names.append("recorder")
     folder = pathlib.Path(tempfile.mkdtemp(prefix="axis_launch_"))
@@ -111,6 +113,26 @@ def override(given: dict, config: str) -> dict:
         recorder = {"path": given["record"], "configuration": config}
     patterns = {"/**": common, "/**/plant_simulator": plant, "/**/recorder": recorder}
     return {pattern: {"ros__parameters": values} for pattern, values in patterns.items() if values}
+
+
+def describes_inchworm(config: str, namespace: str) -> bool:
+    """Tell whether the parameter file has a section of ``inchworm_sequencer`` for this namespace.
+
+    That node takes the place of the reference generator. Sections stand under ``/**/inchworm_sequencer``, or under the
+    full name of the node, also as one mapping within the other.
+    """
+    full = "/".join(["", *namespace.strip("/").split("/"), "inchworm_sequencer"]).replace("//", "/")
+
+    def sections(name, content):
+        for key, value in content.items() if isinstance(content, dict) else ():
+            if key == "ros__parameters":
+                yield name
+            else:
+                yield from sections(f"{name}/{str(key).strip('/')}", value)
+
+    with open(config, encoding="utf-8") as stream:
+        found = list(sections("", yaml.safe_load(stream)))
+    return any(name.rsplit("/", 1)[-1] == "inchworm_sequencer" and (name == full or "*" in name) for name in found)
 
 
 def configuration(text: str) -> str:

@@ -56,7 +56,7 @@ def demo(output, factor):
 def _run(configuration, factor: float, folder: pathlib.Path) -> float:
     """Run the axis while setpoints are published, and return which part of the voltages came late."""
     from hysteresis_ros.errors import HysteresisError
-    from hysteresis_ros.nodes.launcher import Graph
+    from hysteresis_ros.nodes.launcher import Graph, node_environment
     from hysteresis_ros.recordings.files import load_run
     from hysteresis_ros.simulation.axis import axes
 
@@ -64,7 +64,7 @@ def _run(configuration, factor: float, folder: pathlib.Path) -> float:
     rate = axis.plant_simulator.sample_rate
     click.echo(f"running {DURATION:g} s of the axis at {rate:g} Hz, real-time factor {factor:g}, four processes …")
     with Graph([axis], record=folder / "bag", log_level="warn") as graph:
-        publisher = subprocess.Popen(_publisher_command())
+        publisher = subprocess.Popen(_publisher_command(), env=node_environment())
         try:
             graph.wait()
         finally:

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
+import signal
+import sys
+import threading
 
 import click
 
@@ -23,7 +27,9 @@ COMMANDS = {
     "models": ("hysteresis_ros.cli.models:models", "List the models with parameters, units and inverses."),
     "excite": ("hysteresis_ros.cli.excite:excite", "Drive an axis with what an identification needs."),
     "export": ("hysteresis_ros.cli.export:export", "Turn a recording into .npz or .csv."),
+    "design": ("hysteresis_ros.cli.design:design", "Design a controller from the model in a configuration."),
     "report": ("hysteresis_ros.cli.report:report", "Judge a recording: figures, plots, HTML."),
+    "compare": ("hysteresis_ros.cli.compare:compare", "Rank all controllers and compensators for an axis."),
     "reproduce": ("hysteresis_ros.cli.reproduce:reproduce", "Repeat a paper's experiments: paper, here, holds."),
 }
 
@@ -48,12 +54,28 @@ class LazyGroup(click.Group):
             formatter.write_dl([(name, line) for name, (_, line) in COMMANDS.items()])
 
     def invoke(self, ctx):
-        """Run a subcommand and answer wrong input with one line."""
+        """Run a subcommand; answer wrong input with one line, and Ctrl-C and SIGTERM without words."""
         try:
-            return super().invoke(ctx)
+            with _leaving_cleanly():
+                return super().invoke(ctx)
         except HysteresisError as error:
             click.echo("hysteresis: " + " ".join(str(error).split()), err=True)
             ctx.exit(getattr(error, "exit_code", 2))
+        except KeyboardInterrupt:
+            ctx.exit(128 + signal.SIGINT)
+
+
+@contextlib.contextmanager
+def _leaving_cleanly():
+    """Let SIGTERM end the process through its ``finally`` clauses: temporary folders go, child processes too."""
+    if threading.current_thread() is not threading.main_thread() or signal.getsignal(signal.SIGTERM) != signal.SIG_DFL:
+        yield
+        return
+    signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(128 + number))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
 def _show_version(ctx, parameter, value) -> None:

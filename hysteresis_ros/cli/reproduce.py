@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import json
 import pathlib
@@ -9,7 +10,11 @@ import pathlib
 import click
 
 #: Experiments that can be repeated, and the module with their ``reproduce`` and ``figures``.
-EXPERIMENTS = {"kim2009": "hysteresis_ros.experiments.kim2009"}
+EXPERIMENTS = {
+    "kim2009": "hysteresis_ros.experiments.kim2009",
+    "auwal2017": "hysteresis_ros.experiments.auwal2017",
+    "wang2014": "hysteresis_ros.experiments.wang2014",
+}
 
 
 @click.command()
@@ -18,7 +23,15 @@ EXPERIMENTS = {"kim2009": "hysteresis_ros.experiments.kim2009"}
     "--json", "json_path", metavar="FILE", help="JSON file for the rows; '-' prints them instead of the table."
 )
 @click.option("-o", "--output", type=click.Path(path_type=pathlib.Path), help="HTML file to write.")
-def reproduce(experiment: str, json_path: str | None, output: pathlib.Path | None) -> None:
+@click.option(
+    "--through",
+    "way",
+    type=click.Choice(["offline", "ros"]),
+    default="offline",
+    show_default=True,
+    help="Run the axes by simulation, or by their nodes in lockstep: slower, the same rows.",
+)
+def reproduce(experiment: str, json_path: str | None, output: pathlib.Path | None, way: str) -> None:
     """Repeat the experiments of a paper and print a table: paper, here, and whether the claim holds.
 
     Rows that do not hold are part of the result and named with their reason; they do not change the exit code.
@@ -27,8 +40,13 @@ def reproduce(experiment: str, json_path: str | None, output: pathlib.Path | Non
     from hysteresis_ros.errors import RecordingError
     from hysteresis_ros.experiments.claims import HEADINGS, format_claims
 
+    if output is not None:
+        from hysteresis_ros.analysis.report import require_page
+
+        require_page(output)  # now and not after minutes
     module = importlib.import_module(EXPERIMENTS[experiment])
-    found = module.reproduce()
+    with _runner(way):
+        found = module.reproduce()
     if output is not None:
         from hysteresis_ros.analysis.comparison import write_claims_page
 
@@ -45,7 +63,9 @@ def reproduce(experiment: str, json_path: str | None, output: pathlib.Path | Non
             plots=module.figures(found),
             configuration=found.configuration,
         )
-    text = json.dumps(found.to_json(), indent=2, ensure_ascii=False, allow_nan=False)
+    rows = found.to_json()
+    rows = {"experiment": rows.pop("experiment"), "through": way, **rows}
+    text = json.dumps(rows, indent=2, ensure_ascii=False, allow_nan=False)
     if json_path == "-":
         click.echo(text)
         return
@@ -57,3 +77,16 @@ def reproduce(experiment: str, json_path: str | None, output: pathlib.Path | Non
             raise RecordingError(f"{json_path}: cannot be written: {error.strerror}; choose another place") from None
     if output is not None:
         click.echo(f"\nreport: {output}")
+
+
+def _runner(way: str):
+    """Return the context in which an experiment runs its axes that way."""
+    if way == "offline":
+        return contextlib.nullcontext()
+    from hysteresis_ros.experiments.runner import through
+    from hysteresis_ros.nodes.graph_runner import GraphRunner, describe
+
+    def show(number, axis):
+        click.echo(f"run {number}: {describe(axis)}", err=True)
+
+    return through(GraphRunner(show))

@@ -17,18 +17,16 @@ import click
 @click.option("--timeout", type=float, default=30.0, show_default=True, help="Wait so long for the axis [s].")
 def setpoint(value, namespace, timeout):
     """Publish VALUE [m] on the topic setpoint once and wait until it has been received."""
-    import importlib.util
     import subprocess
     import sys
 
     from hysteresis_ros.errors import HysteresisError
+    from hysteresis_ros.nodes.launcher import node_environment, require_ros
 
     if not math.isfinite(value):
         raise HysteresisError(f"setpoint {value} m: must be a finite number of metres")
-
-    if importlib.util.find_spec("rclpy") is None:
-        raise HysteresisError('rclpy is not installed: pip install "hysteresis_ros[ros]" or source /opt/ros/jazzy')
+    require_ros()
     # a process of its own: the pip wheels of ROS restart the interpreter on import
     command = [sys.executable, "-m", "hysteresis_ros.nodes.setpoint_publisher", f"--setpoint={value!r}"]
     command += ["--timeout", repr(timeout)] + (["--namespace", namespace] if namespace else [])
-    raise SystemExit(subprocess.run(command).returncode)
+    raise SystemExit(subprocess.run(command, env=node_environment()).returncode)

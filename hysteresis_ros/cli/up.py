@@ -22,9 +22,13 @@ def up(config, processes, record, duration, rate, factor, namespace, verify, log
 
     Ends with exit code 0 after --duration or Ctrl-C, with 1 when a node dies, with 2 for wrong input.
     """
+    requested = []
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda signum, frame: requested.append(signum))
     from hysteresis_ros.configuration import load_configuration
     from hysteresis_ros.nodes.launcher import Graph
     from hysteresis_ros.simulation.axis import axes
+    from hysteresis_ros.simulation.reach import reach_warnings
 
     configuration = load_configuration(config)
     if rate:
@@ -33,15 +37,20 @@ def up(config, processes, record, duration, rate, factor, namespace, verify, log
         configuration = configuration.override("plant_simulator", real_time_factor=factor)
     configuration = configuration.override("", exit_at_end=True, autostart=True)
     found = axes(configuration, namespace)
+    for axis in found:
+        for warning in reach_warnings(axis):
+            click.echo(f"hysteresis: warning: {warning}", err=True)
     if duration is not None:
         found = [axis.with_duration(duration) for axis in found]
     lockstep = all(axis.plant_simulator.time_mode == "lockstep" for axis in found)
     if verify and not (record and lockstep):
         raise click.UsageError("--verify needs --record DIR and --rate lockstep: only lockstep repeats bit for bit")
 
-    requested = []
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, lambda signum, frame: requested.append(signum))
+    if factor is not None and any(axis.plant_simulator.time_mode == "lockstep" for axis in found):
+        click.echo("hysteresis: warning: --factor has no effect in lockstep, which runs as fast as it can", err=True)
+    if requested:
+        click.echo("stopping")
+        return
     with Graph(found, composed=not processes, record=record, log_level=log_level) as graph:
         if graph.wait(lambda: bool(requested)):
             click.echo("the run ended")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from hysteresis_ros.nodes.hysteresis_compensator import HysteresisCompensatorNode
+from hysteresis_ros.nodes.inchworm_sequencer import InchwormSequencerNode
 from hysteresis_ros.nodes.motion_controller import MotionControllerNode
 from hysteresis_ros.nodes.plant_simulator import PlantSimulatorNode
 from hysteresis_ros.nodes.reference_generator import ReferenceGeneratorNode
@@ -11,7 +12,17 @@ from hysteresis_ros.nodes.spin import run
 
 def main(arguments=None) -> int:
     """Run all nodes; returns the exit code."""
-    return run([PlantSimulatorNode, HysteresisCompensatorNode, MotionControllerNode, ReferenceGeneratorNode], arguments)
+    types = []
+
+    def plant():
+        node = PlantSimulatorNode()
+        types.append(node.get_parameter("type").value)
+        return node
+
+    def reference():
+        return InchwormSequencerNode() if "inchworm" in types else ReferenceGeneratorNode()
+
+    return run([plant, HysteresisCompensatorNode, MotionControllerNode, reference], arguments)
 
 
 if __name__ == "__main__":

@@ -35,6 +35,8 @@ class AxisNode(LockstepProtocol, LifecycleNode):
 
     #: Signals of ``~/state``, in order.
     state_names: tuple[str, ...] = ()
+    #: Services std_srvs/Trigger, each answered by the method of its name with ``_on_`` before it.
+    triggers: tuple[str, ...] = ("start", "stop", "reset")
 
     def __init__(self, name: str, **options):
         super().__init__(name, **options)
@@ -55,7 +57,7 @@ class AxisNode(LockstepProtocol, LifecycleNode):
         self._work_timers: list = []
         self._warned: dict[str, int] = {}
         self._reported: dict[str, int] = {}
-        for service in ("start", "stop", "reset"):
+        for service in self.triggers:
             self.create_service(Trigger, f"~/{service}", getattr(self, f"_on_{service}"))
 
     # -- what subclasses provide -------------------------------------------------------------------------------
@@ -314,7 +316,20 @@ class AxisNode(LockstepProtocol, LifecycleNode):
         before, self._reported[key] = self._reported.get(key, 0), count
         return max(count - before, 0)
 
+    def _warn_of_others(self) -> None:
+        """Real time: say when somebody else publishes what this node publishes. In lockstep that ends the run."""
+        for publisher in () if self.lockstep else self._loop_publishers:
+            count = self.count_publishers(publisher.topic_name)
+            if count > 1:
+                self.warn(
+                    "others",
+                    f"{publisher.topic_name} has {count} publishers: another graph runs in this ROS domain; "
+                    "stop it, or give one of them another namespace or ROS_DOMAIN_ID",
+                    every=10.0,
+                )
+
     def _publish_diagnostics(self) -> None:
+        self._warn_of_others()
         rate, jitter = self.pace.read()
         level, text, values = self.health()
         overruns = self.since_report("overruns", self.pace.overruns)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import ctypes
+import importlib.util
 import os
 import pathlib
 import signal
@@ -14,13 +15,13 @@ import time
 from dataclasses import dataclass, field, replace
 from functools import partial
 
-from hysteresis_ros.configuration import NODE_NAMES
 from hysteresis_ros.errors import ConfigurationError, HysteresisError
-from hysteresis_ros.simulation.axis import AxisParameters
+from hysteresis_ros.simulation.axis import AxisParameters, node_names
 
 #: Order in which nodes are told to leave: the voltage returns to safe while the plant still listens, the recorder last.
 STOP_ORDER = (
     "reference_generator",
+    "inchworm_sequencer",
     "motion_controller",
     "hysteresis_compensator",
     "hysteresis_axis",
@@ -32,6 +33,26 @@ STOP_ORDER = (
 PATIENCE = 10.0
 
 _PR_SET_PDEATHSIG = 1
+
+
+def require_ros() -> None:
+    """Raise HysteresisError when rclpy is not installed; does not import it."""
+    if importlib.util.find_spec("rclpy") is None:
+        raise HysteresisError('rclpy is not installed: pip install "hysteresis_ros[ros]" or source /opt/ros/jazzy')
+
+
+def node_environment() -> dict[str, str]:
+    """Return the environment of processes that are started with ``python -m``: no modules of the current folder.
+
+    Else a file ``yaml.py`` beside a user's recordings would stand in for the library. The folder of this package stays
+    in the path when it is itself the current one, as in a clone that is not installed.
+    """
+    environment = dict(os.environ, PYTHONSAFEPATH="1")
+    home = pathlib.Path(__file__).resolve().parents[2]
+    if home == pathlib.Path.cwd():
+        paths = (str(home), environment.get("PYTHONPATH", ""))
+        environment["PYTHONPATH"] = os.pathsep.join(path for path in paths if path)
+    return environment
 
 
 class GraphError(HysteresisError):
@@ -69,15 +90,26 @@ class Graph:
         Bag folder; with several axes each gets a folder of its namespace's name in it.
     log_level : str
         Log level of the nodes.
+    environment : dict of str to str, optional
+        Environment variables of the nodes beside those of this process.
 
     Raises
     ------
     ConfigurationError
-        The recording exists already.
+        The recording exists already, or its folder cannot be created.
     """
 
-    def __init__(self, axes: list[AxisParameters], *, composed: bool = False, record=None, log_level: str = "warn"):
+    def __init__(
+        self,
+        axes: list[AxisParameters],
+        *,
+        composed: bool = False,
+        record=None,
+        log_level: str = "warn",
+        environment: dict[str, str] | None = None,
+    ):
         self.composed = composed
+        self.environment = node_environment() | (environment or {})
         self.record = pathlib.Path(record) if record is not None else None
         self.bags: list[pathlib.Path] = []
         self.log_level = log_level
@@ -92,6 +124,7 @@ class Graph:
         bag = self.record / (axis.namespace.strip("/").replace("/", "_") or "axis") if several else self.record
         if bag.exists():
             raise ConfigurationError(f"{bag}: exists already; choose another folder for the recording or remove it")
+        _require_creatable(bag)
         self.bags.append(bag)
         return replace(
             axis,
@@ -117,9 +150,8 @@ class Graph:
             path = folder / f"axis{number}.yaml"
             axis = replace(axis, recorder=replace(axis.recorder, configuration=str(path)))
             path.write_text(axis.configuration_text(), encoding="utf-8")
-            names = ["hysteresis_axis"] if self.composed else list(NODE_NAMES)
+            names = ["hysteresis_axis"] if self.composed else list(node_names(axis.inchworm_sequencer is not None))
             if self.record is not None:
-                self.record.parent.mkdir(parents=True, exist_ok=True)
                 names.insert(0, "recorder")
             for name in names:
                 self.processes.append(self._spawn(name, axis.namespace, path))
@@ -131,7 +163,12 @@ class Graph:
         if namespace:
             command += ["-r", f"__ns:={namespace}"]
         # A session of its own: Ctrl-C in a terminal reaches this process only, which then stops the nodes in order.
-        process = subprocess.Popen(command, start_new_session=True, preexec_fn=partial(_die_with_parent, os.getpid()))
+        process = subprocess.Popen(
+            command,
+            env=self.environment,
+            start_new_session=True,
+            preexec_fn=partial(_die_with_parent, os.getpid()),
+        )
         return NodeProcess(name, namespace, process)
 
     def poll(self) -> bool:
@@ -191,6 +228,17 @@ class Graph:
                     node.process.kill()
                     node.process.wait()
         self._stack.close()
+
+
+def _require_creatable(folder: pathlib.Path) -> None:
+    """Raise ConfigurationError when a folder cannot be created; its parents are left where they are."""
+    try:
+        folder.mkdir(parents=True)
+        folder.rmdir()
+    except OSError as error:
+        raise ConfigurationError(
+            f"{folder}: cannot be created: {error.strerror}; choose another folder for the recording"
+        ) from None
 
 
 def _die_with_parent(parent: int) -> None:

@@ -1,23 +1,25 @@
-"""Node ``plant_simulator``: ``voltage`` [V] → ``joint_states``; it owns the time of the axis."""
+"""Node ``plant_simulator``: ``voltage`` [V] → ``joint_states``; it owns the time of the axis.
+
+What it simulates is in :mod:`hysteresis_ros.nodes.plants`: an inchworm has three voltages and four joints.
+"""
 
 from __future__ import annotations
 
-import math
 import threading
 import time
-from array import array
+from functools import partial
 
 from builtin_interfaces.msg import Time
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, UInt64
 
-from hysteresis_ros.models.actuator import Actuator, ActuatorParameters
 from hysteresis_ros.nodes.base import AxisNode
+from hysteresis_ros.nodes.held_voltage import HeldVoltage
 from hysteresis_ros.nodes.lockstep import STARTUP_TIMEOUT, TOGETHER
+from hysteresis_ros.nodes.plants import PLANTS
 from hysteresis_ros.nodes.qos import latched_qos
 from hysteresis_ros.nodes.spin import QUIET, run
-from hysteresis_ros.simulation.node_parameters import part
 
 #: Real time: longer waits can be interrupted, the last bit of a wait is slept because that is more exact [s].
 EXACT_WAIT = 0.02
@@ -30,13 +32,12 @@ FAR_BEHIND = 10.0
 
 
 class PlantSimulatorNode(AxisNode):
-    """Simulates the actuator in the place of real hardware.
+    """Simulates an actuator or an inchworm motor in the place of real hardware.
 
-    ``lockstep``: publishes sample k and steps to k+1 only when voltage k has come. ``realtime``: publishes at its rate
-    from a thread with absolute deadlines and holds the last voltage.
+    ``lockstep``: publishes sample k and steps to k+1 only when voltage k has come, an inchworm when all three have.
+    ``realtime``: publishes at its rate from a thread with absolute deadlines and holds the last voltages.
     """
 
-    state_names = ("displacement", "measured", "voltage")
     share = 0.95
 
     def __init__(self, **options):
@@ -48,22 +49,18 @@ class PlantSimulatorNode(AxisNode):
         self._runs = 0
 
     def build(self, parameters) -> None:
-        """Make the actuator from the parameters."""
-        self.actuator = Actuator(part(parameters, ActuatorParameters), 1.0 / parameters.sample_rate)
-        self.actuator.measure()  # compile now, not at the first sample
-        self.actuator.advance(0.0)
+        """Make the plant from the parameters."""
+        self.plant = PLANTS[parameters.type](parameters)
+        self.state_names = self.plant.state_names
+        self.inputs = [HeldVoltage(topic, partner) for topic, partner in self.plant.inputs]
         self._clear()
 
     def _clear(self) -> None:
-        self.actuator.reset()
-        self.voltage = self.actuator.voltage
-        self.voltages = 0
+        self.plant.reset()
+        for held, voltage in zip(self.inputs, self.plant.resting_voltages, strict=True):
+            held.reset(voltage)
         self.late = 0
-        self.silent = False
-        self._held = self.voltage
-        self._following = True
-        self._voltages_before = 0
-        self._received = 0.0
+        self._awaited = 0
         self._acknowledged = 0
         self._published = False
         self._ended = False
@@ -73,20 +70,17 @@ class PlantSimulatorNode(AxisNode):
 
     def connect(self) -> None:
         """Make the topics."""
-        joint_states = JointState()
-        joint_states.name = [self.parameters.joint]
-        joint_states.position = array("d", [0.0])
-        joint_states.velocity = array("d", [0.0])
-        joint_states.effort = array("d", [self.parameters.preload.force])
-        self._message = joint_states
+        self._message = self.plant.message
         self._joint_states = self.publisher(JointState, "joint_states", self.qos(), loop=True)
         self._end = self.publisher(UInt64, "end_of_run", latched_qos())
         self._clock_publisher = (
             self.publisher(Clock, "/clock", latched_qos()) if self.parameters.publish_clock else None
         )
-        partner = "hysteresis_compensator"
-        voltage = self.subscriber(Float64, "voltage", self._on_voltage, self.qos(), partner=partner)
-        self._voltage_name = voltage.topic_name
+        self._voltage_names = []
+        for held in self.inputs:
+            take = partial(self._on_voltage, held)
+            heard = self.subscriber(Float64, held.topic, take, self.qos(), partner=held.partner)
+            self._voltage_names.append(heard.topic_name)
         if self._waits:
             topic, qos = "recorder/acknowledged", latched_qos()
             self.subscriber(UInt64, topic, self._on_acknowledged, qos, partner="recorder")
@@ -129,9 +123,9 @@ class PlantSimulatorNode(AxisNode):
             self._start_thread()  # it had left at the end of the run before
 
     def retune(self, parameters) -> None:
-        """Take new parameters of the actuator."""
+        """Take new parameters of the plant."""
         with self._lock:
-            self.actuator.retune(part(parameters, ActuatorParameters))
+            self.plant.retune(parameters)
 
     def on_running(self, running: bool) -> None:
         """``~/stop`` holds the time of the axis; ``~/start`` lets it go on."""
@@ -149,48 +143,47 @@ class PlantSimulatorNode(AxisNode):
         stamp = self._start_stamp + self._stamp_of(self.sample)
         message = self._message
         message.header.stamp = Time(sec=stamp // 1_000_000_000, nanosec=stamp % 1_000_000_000)
-        before = message.position[0]
-        measured = self.actuator.measure()
-        message.position[0] = measured
-        message.velocity[0] = (measured - before) * self.parameters.sample_rate if self.sample else 0.0
+        self.plant.measure(first=not self.sample)
         if not self.sample:
             self._first = time.monotonic()
         self._joint_states.publish(message)
         if self._clock_publisher is not None:
             self._clock_publisher.publish(Clock(clock=message.header.stamp))
 
-    def _take(self, voltage: float) -> None:
-        """Advance from sample k to k+1 with the voltage held in between."""
-        displacement = self.actuator.displacement
-        measured = self._message.position[0]
-        really = self.actuator.advance(voltage)
-        self.publish_state(self._message.header.stamp, displacement, measured, really)
+    def _take(self, *voltages: float) -> None:
+        """Advance from sample k to k+1 with the voltages held in between."""
+        self.publish_state(self._message.header.stamp, *self.plant.advance(*voltages))
         self.sample += 1
 
-    def _on_voltage(self, message) -> None:
-        finite = math.isfinite(message.data)
-        if not finite:
-            self.warn("voltage", f"voltage {message.data} V refused, {self.voltage:.6g} V kept")
+    def _on_voltage(self, held, message) -> None:
         if self.lockstep:
-            self._on_voltage_lockstep(message.data if finite else self.voltage)
-        elif finite:
-            self.voltage = message.data
-            self.voltages += 1
-            self._received = time.monotonic()
+            self._on_voltage_lockstep(held, message.data)
+        else:
+            self._receive(held, message.data)
+
+    def _receive(self, held, voltage: float) -> None:
+        if not held.take(voltage):
+            self.warn(held.topic, f"{held.topic} {voltage} V refused, {held.value:.6g} V kept")
+
+    @property
+    def silent(self) -> bool:
+        """Real time: whether a voltage has stopped."""
+        return any(held.silent for held in self.inputs)
 
     def health(self):
         """Report the voltage, late commands and saturation."""
         values = {
-            "voltage_v": f"{self._held:.6g}",
+            **{f"{held.topic.replace('/', '_')}_v": f"{held.held:.6g}" for held in self.inputs},
             "late_commands": self.late,
             "stale": self.silent,
             "real_time_factor": f"{self.parameters.real_time_factor:g}",
-            "saturated_samples": self.actuator.limits.limited_samples,
+            "saturated_samples": self.plant.limited_samples,
         }
         late = self.since_report("late", self.late)
         if self.silent:
-            return 2, "voltage is stale", values
-        if self.actuator.saturated:
+            stale = " and ".join(held.topic for held in self.inputs if held.silent)
+            return 2, f"{stale} {'is' if stale.count(' ') == 0 else 'are'} stale", values
+        if self.plant.saturated:
             return 1, "voltage saturated", values
         return (1, f"{late} commands late", values) if late else (0, "", values)
 
@@ -224,6 +217,9 @@ class PlantSimulatorNode(AxisNode):
             self._finish()
             return
         self._published = True
+        self._awaited = len(self.inputs)
+        for held in self.inputs:
+            held.there = False
         self.reset_pending = False
         self.pace.tick()
         self._publish_sample()
@@ -231,20 +227,24 @@ class PlantSimulatorNode(AxisNode):
     def _recorder_behind(self) -> bool:
         return self._acknowledged < 0 or self.sample - self._acknowledged >= self.parameters.lead
 
-    def _on_voltage_lockstep(self, voltage: float) -> None:
+    def _on_voltage_lockstep(self, held, voltage: float) -> None:
         if self._ended or not self.active or self.failure:
             return
-        if not self._published:
+        if not self._published or held.there:
             # before sample 0, and from a compensator that leaves while the time is held, it is nothing
-            if self.sample and self.running and not self._recorder_behind():
-                text = f"a voltage came that sample {self.sample} did not ask for"
-                self.fail(f"{text}: hysteresis_compensator was restarted, or there are two; {TOGETHER}")
+            if held.there or (self.sample and self.running and not self._recorder_behind()):
+                text = f"a voltage came on {held.topic} that sample {self.sample} did not ask for"
+                self.fail(f"{text}: {held.partner} was restarted, or there are two; {TOGETHER}")
             return
         self.heard()
-        self._published = False
-        self.voltage = self._held = voltage
-        self._take(voltage)
-        self.advance()
+        self._receive(held, voltage)
+        held.held = held.value
+        held.there = True
+        self._awaited -= 1
+        if not self._awaited:
+            self._published = False
+            self._take(*[held.value for held in self.inputs])
+            self.advance()
 
     def _on_acknowledged(self, message) -> None:
         self._acknowledged = message.data
@@ -256,7 +256,9 @@ class PlantSimulatorNode(AxisNode):
         if not self.matched():
             return "every reader of joint_states"
         if self._published:
-            return "hysteresis_compensator (topic voltage)"
+            missing = [held for held in self.inputs if not held.there]
+            # the voltage waits for what others wait for: who owes another one is nearer to the culprit
+            return f"{missing[-1].partner} (topic {missing[-1].topic})"
         return "recorder" if self._waits and self._recorder_behind() else ""
 
     # -- real time ---------------------------------------------------------------------------------------------
@@ -289,10 +291,8 @@ class PlantSimulatorNode(AxisNode):
             with self._lock:
                 if self._runs != published:
                     continue  # a reset came in between: there is no sample to take
-                if self.voltages and self.voltages == self._voltages_before:
-                    self.late += 1
-                self._voltages_before = self.voltages
-                self._take(self._watched_voltage(period))
+                self.late += any([held.late() for held in self.inputs])
+                self._take(*self._watched_voltages(period))
                 if self.parameters.samples and self.sample >= self.parameters.samples:
                     self._finish()
 
@@ -302,7 +302,8 @@ class PlantSimulatorNode(AxisNode):
         patience = time.monotonic() + STARTUP_TIMEOUT
         while time.monotonic() < patience and not self._leaving.wait(0.02):
             complete = self._joint_states.get_subscription_count() >= readers
-            if complete and self.count_publishers(self._voltage_name) and not (self._waits and self._acknowledged < 0):
+            complete = complete and all(self.count_publishers(topic) for topic in self._voltage_names)
+            if complete and not (self._waits and self._acknowledged < 0):
                 break
         with self._lock:
             if not self.sample:
@@ -318,24 +319,18 @@ class PlantSimulatorNode(AxisNode):
             time.sleep(wait)
         return not self._leaving.is_set()
 
-    def _watched_voltage(self, period: float) -> float:
-        """Return the voltage to hold: the last one received; on its way to the safe one when they stopped, and back."""
-        if self.voltages and time.monotonic() - self._received > self.parameters.voltage_timeout:
-            if not self.silent:
-                self.silent, self._following = True, False
-                limit, safe = self.parameters.voltage_timeout, self.parameters.safe_voltage
-                self.warn("silent", f"no voltage for {limit:g} s: going to safe_voltage {safe:g} V")
-        elif self.silent:
-            self.silent = False
-            self.get_logger().info("voltage is back")
-        if self._following:
-            self._held = self.voltage
-            return self._held
-        target = self.parameters.safe_voltage if self.silent else self.voltage
-        step = self.parameters.safe_slew_rate * period
-        self._held += min(max(target - self._held, -step), step)
-        self._following = not self.silent and self._held == target
-        return self._held
+    def _watched_voltages(self, period: float) -> list[float]:
+        """Return the voltages to hold: the last ones received, or on their way to safe ones when they stopped."""
+        timeout = self.parameters.voltage_timeout
+        safe = self.plant.safe_voltages(self.parameters, [held.held for held in self.inputs])
+        for held, voltage in zip(self.inputs, safe, strict=True):
+            silent = held.stopped(timeout)
+            if silent and not held.silent:
+                self.warn(held.topic, f"no {held.topic} for {timeout:g} s: going to {voltage:g} V, which is safe")
+            elif held.silent and not silent:
+                self.get_logger().info(f"{held.topic} is back")
+            held.follow(silent, voltage, self.parameters.safe_slew_rate * period)
+        return [held.held for held in self.inputs]
 
     # -- leaving -----------------------------------------------------------------------------------------------
 
@@ -346,7 +341,7 @@ class PlantSimulatorNode(AxisNode):
 
     def drained(self) -> bool:
         """Tell whether no voltage is under way any more."""
-        return time.monotonic() - self._received > QUIET
+        return all(time.monotonic() - held.received > QUIET for held in self.inputs)
 
     def release(self) -> None:
         """Stop the thread that keeps the time."""

@@ -9,25 +9,13 @@ from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, String, UInt64
 
+from hysteresis_ros.configuration import parse_configuration
 from hysteresis_ros.errors import ConfigurationError, RecordingError
 from hysteresis_ros.nodes.base import AxisNode
 from hysteresis_ros.nodes.qos import diagnostics_qos, latched_qos, setpoint_qos
 from hysteresis_ros.nodes.spin import QUIET, run
 from hysteresis_ros.nodes.timing import STALE
 from hysteresis_ros.recordings.bag_writer import BagWriter
-
-#: Topics with exactly one message a sample, and who publishes them.
-SAMPLED = (
-    ("joint_states", JointState, "plant_simulator"),
-    ("reference", Float64, "reference_generator"),
-    ("command", Float64, "motion_controller"),
-    ("applied", Float64, "hysteresis_compensator"),
-    ("voltage", Float64, "hysteresis_compensator"),
-    ("plant_simulator/state", JointState, ""),
-    ("reference_generator/state", JointState, ""),
-    ("motion_controller/state", JointState, ""),
-    ("hysteresis_compensator/state", JointState, ""),
-)
 
 #: Samples between two acknowledgements to the plant.
 STRIDE = 16
@@ -37,6 +25,24 @@ PATIENCE_AT_START = 20.0
 
 #: Seconds of silence after the end mark that end a real-time recording.
 SILENCE = 0.3
+
+
+def sampled_topics(inchworm: bool):
+    """Return the topics with exactly one message a sample, their types, and who publishes them."""
+    source = "inchworm_sequencer" if inchworm else "reference_generator"
+    more = ("origin", "front_clamp/voltage", "rear_clamp/voltage") if inchworm else ()
+    return (
+        ("joint_states", JointState, "plant_simulator"),
+        ("reference", Float64, source),
+        ("command", Float64, "motion_controller"),
+        ("applied", Float64, "hysteresis_compensator"),
+        ("voltage", Float64, "hysteresis_compensator"),
+        ("plant_simulator/state", JointState, ""),
+        (f"{source}/state", JointState, ""),
+        ("motion_controller/state", JointState, ""),
+        ("hysteresis_compensator/state", JointState, ""),
+        *((topic, Float64, source) for topic in more),
+    )
 
 
 class RecorderNode(AxisNode):
@@ -57,15 +63,24 @@ class RecorderNode(AxisNode):
                 raise ConfigurationError(
                     f"configuration = '{parameters.configuration}' cannot be read: {error}"
                 ) from None
+        self._is_inchworm = parameters.inchworm or self._describes_inchworm(parameters.configuration)
+        self._topics = sampled_topics(self._is_inchworm)
         self._further = [_topic_and_type(entry) for entry in parameters.topics]
         self.bag = BagWriter(parameters.path)
         self._path = parameters.path
         self._flushed = time.monotonic()
         self.reset_blocks()
 
+    def _describes_inchworm(self, source: str) -> bool:
+        try:
+            configuration = parse_configuration(self._configuration, source)
+        except ConfigurationError:
+            return False  # whatever text it is, it is recorded
+        return configuration.describes("inchworm_sequencer", self.get_namespace())
+
     def reset_blocks(self) -> None:
         """Count from sample 0 again; the bag goes on, readers of it show the longest run."""
-        self._counts = [0] * len(SAMPLED)
+        self._counts = [0] * len(self._topics)
         self._acknowledged = 0
         self._last_arrival = time.monotonic()
         self.reset_pending = False
@@ -75,10 +90,12 @@ class RecorderNode(AxisNode):
         qos = self.qos()
         self._sampled: list[str] = []
         durability = "transient_local" if self.lockstep else "volatile"
-        for index, (topic, message_type, partner) in enumerate(SAMPLED):
+        for index, (topic, message_type, partner) in enumerate(self._topics):
             self._record(topic, message_type, qos, durability, index, partner)
         self.subscribe_end()
         self._record("setpoint", Float64, setpoint_qos(), "volatile")
+        if self._is_inchworm:
+            self._record("speed", Float64, setpoint_qos(), "volatile")
         self._record("/diagnostics", DiagnosticArray, diagnostics_qos(), "volatile")
         for topic, message_type in self._further:
             self._record(topic, message_type, setpoint_qos(), "volatile")
@@ -127,7 +144,7 @@ class RecorderNode(AxisNode):
         self._heard_new = self._arrived = True
         if index == 0:
             self.pace.tick()
-            self.sample = counts[0]
+            self.sample = counts[0] - 1  # the one under way: the first may take as long as the others need to start
         if self._began and counts[index] % STRIDE == 0 and min(counts) >= self._acknowledged + STRIDE:
             self._send_acknowledgement()
 
@@ -185,7 +202,7 @@ class RecorderNode(AxisNode):
             bag.close()
         except RecordingError as error:
             self.fail(str(error))
-        pairs = zip(SAMPLED, self._counts, strict=True)
+        pairs = zip(self._topics, self._counts, strict=True)
         missing = [f"{topic} {self.end_of_run - count}" for (topic, *_), count in pairs if count < self.end_of_run]
         if missing:
             self.get_logger().warning(f"messages missing from the recording: {', '.join(missing)}")

@@ -8,6 +8,7 @@ import time
 
 import rclpy
 from rclpy.duration import Duration
+from rclpy.executors import ExternalShutdownException
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
@@ -33,15 +34,18 @@ class SetpointPublisher(Node):
         self.schedule = list(schedule)
         self._first = None
         self._found: float | None = None
+        self._matched = 0
         self._setpoint = self.create_publisher(Float64, "setpoint", setpoint_qos())
         if any(due > 0.0 for due, _ in self.schedule):
             self.create_subscription(JointState, "joint_states", self._on_sample, QoSProfile(depth=100))
 
     @property
     def heard(self) -> bool:
-        """True when a reference generator has been there for a while: it may find us later than we find it."""
-        if self._setpoint.get_subscription_count() == 0:
-            self._found = None
+        """True when everybody who listens has been matched for a while: they may find us later than we find them."""
+        matched, known = self._setpoint.get_subscription_count(), self.count_subscribers("setpoint")
+        if matched == 0 or matched < known or matched != self._matched:
+            # a recorder may be there before the generator that is to move
+            self._matched, self._found = matched, None
         elif self._found is None:
             self._found = time.monotonic()
         return self._found is not None and time.monotonic() - self._found > ACQUAINTANCE
@@ -83,10 +87,13 @@ def main(arguments=None) -> int:
                 node.publish_until(0.0)
                 if node.get_clock().now() > give_up:
                     where = f"{node.get_namespace().rstrip('/')}/setpoint"
-                    print(f"nobody listens on {where}: is a reference_generator running?", file=sys.stderr)
+                    print(
+                        f"nobody listens on {where}: is a reference_generator or inchworm_sequencer running?",
+                        file=sys.stderr,
+                    )
                     return 1
         node.flush()
-    except KeyboardInterrupt:
+    except (KeyboardInterrupt, ExternalShutdownException):
         return 0
     finally:
         node.destroy_node()

@@ -90,12 +90,32 @@ def run(factories, arguments=None) -> int:
         starting = False
         for node in nodes:
             node.release()  # also after an exception: no thread may go on publishing
-        for node in nodes:
-            if executor is not None:
-                executor.remove_node(node)
-            node.destroy_node()
+        _destroy(executor, nodes)
+        node = executor = None
+        _collect()
         if rclpy.ok():
             rclpy.shutdown()
+
+
+def _destroy(executor, nodes: list) -> None:
+    """Let go of all that the nodes hold in DDS, and of the nodes."""
+    for node in nodes:
+        if executor is not None:
+            executor.remove_node(node)
+        node.destroy_node()
+    if executor is not None:
+        executor.shutdown()
+    nodes.clear()
+
+
+def _collect() -> None:
+    """Free the nodes now: lifecycle nodes stand in reference cycles, and hold the DDS participant until collected.
+
+    A participant that is still there when the process ends is taken down by the C library beside the threads that use
+    it, which now and then ended in an abort long after the run was over and its bag was closed.
+    """
+    gc.unfreeze()
+    gc.collect()
 
 
 def _spin(executor, nodes, stop) -> int:

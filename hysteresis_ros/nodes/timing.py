@@ -72,7 +72,8 @@ class Pairing:
     first waits. An answer is ahead of its measurement only by chance and by little; a measurement may wait as long as
     a loaded machine takes. Two things keep a loss from shifting all that follows: what waits for too long is
     forgotten (a watchdog's command answers nothing), and when answers find several measurements waiting time after
-    time, the oldest one was never answered (it was rejected) and is dropped.
+    time, the oldest one was never answered (it was rejected) and is dropped; likewise the answer that every measurement
+    finds waiting, because answers are made after their measurements.
     """
 
     #: Most that may wait, and for how long [s].
@@ -85,9 +86,20 @@ class Pairing:
         self._measurements: deque = deque(maxlen=self.MEASUREMENTS)
         self._answers: deque = deque(maxlen=self.ANSWERS)
         self._crowded = 0
+        self._ahead = 0
+
+    def begin(self) -> None:
+        """Let the next answer belong to the last measurement: those before came while nobody answered."""
+        self._answers.clear()
+        while len(self._measurements) > 1:
+            self._measurements.popleft()
 
     def measurement(self, stamp, now: float):
         """Note a measurement; returns the answer that waited for it, or None and the measurement waits."""
+        self._ahead = self._ahead + 1 if self._answers else 0
+        if self._ahead > self.SUSPICION:
+            self._answers.popleft()
+            self._ahead = 0
         return self._meet(stamp, now, self._measurements, self._answers, self.ANSWER_PATIENCE)
 
     def answer(self, answer, now: float):

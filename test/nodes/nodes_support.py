@@ -67,6 +67,9 @@ def axis_parameters(namespace: str = "", overrides: dict | None = None, **common
 
     configuration = load_configuration(ROOT / "config" / "kim2009.yaml").override("", **common)
     configuration = configuration.override("reference_generator", waveform__type="hold")
+    if "sample_rate" in common:  # what is asked of time and errors does not depend on the dynamics
+        configuration = configuration.override("plant_simulator", dynamics__sample_time=0.0)
+        configuration = configuration.override("motion_controller", model__dynamics__sample_time=0.0)
     for node, values in (overrides or {}).items():
         configuration = configuration.override(node, **values)
     return AxisParameters.from_configuration(configuration, namespace)

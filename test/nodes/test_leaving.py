@@ -15,6 +15,15 @@ pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
 
 from nodes_support import LEAVE, Processes, axis_parameters, new_domain, until, write_axis  # noqa: E402
 
+#: Says which threads are left when a node has left.
+THREADS_LEFT = """
+import pathlib
+from hysteresis_ros.nodes.axis import main
+code = main()
+names = [path.read_text().strip() for path in pathlib.Path("/proc/self/task").glob("*/comm")]
+print("left:", *sorted(name for name in names if name.startswith(("dds.ev", "dds.udp"))), flush=True)
+raise SystemExit(code)
+"""
 NODES = ("plant_simulator", "hysteresis_compensator", "motion_controller", "reference_generator")
 #: The axis holds 8 µm, at about 70 V.
 HELD = {
@@ -266,3 +275,15 @@ def test_lockstep_run_ends_when_its_recorder_is_gone(killed_recorder):
     assert code == 1
     assert "recorder" in output and ("silent" in output or "vanished" in output)
     assert "Traceback" not in output
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="names of threads come from /proc")
+def test_no_participant_is_left_for_the_end_of_the_process(processes, tmp_path):
+    """One that the C library takes down at exit, beside its own threads, aborts the process now and then."""
+    axis = axis_parameters(time_mode="lockstep", exit_at_end=True)
+    axis = replace(axis, plant_simulator=replace(axis.plant_simulator, samples=50))
+    path = write_axis(tmp_path / "axis.yaml", axis)
+    command = [sys.executable, "-c", THREADS_LEFT, "--ros-args", "--params-file", path]
+    process = processes.start(command, "threads_left")
+    assert process.wait() == 0, process.output
+    assert process.output.splitlines()[-1] == "left:"

@@ -61,6 +61,26 @@ def test_recorded_run_equals_offline_twin_bit_for_bit(processes, tmp_path, how, 
         assert np.array_equal(values, offline[signal]), signal
 
 
+def test_inverse_dynamics_with_preview_are_the_same_in_the_nodes(processes, tmp_path):
+    from hysteresis_ros.recordings.files import load_run
+    from hysteresis_ros.simulation.run import differences
+
+    axis = shortened(real_axis(), 300)
+    ahead = replace(axis.motion_controller.feedforward, type="inverse_dynamics", preview=3)
+    axis = replace(axis, motion_controller=replace(axis.motion_controller, type="open_loop", feedforward=ahead))
+    path = write_axis(tmp_path / "axis.yaml", axis)
+    run = processes.command("up", path, "--composed", "--record", str(tmp_path / "bag"), "--verify")
+    assert run.wait() == 0, run.output
+    assert "300 samples equal the offline twin bit for bit" in run.output
+    assert "warning: motion_controller: feedforward.preview = 3" in run.output
+    recorded = load_run(tmp_path / "bag")
+    assert differences(recorded, axis) == {}
+    # the commands are those of the inverse: neither the received nor the delayed reference
+    delayed = np.concatenate([np.full(3, recorded["reference"][0]), recorded["reference"][:-3]])
+    assert np.max(np.abs(recorded["command"] - delayed)) > 1e-8
+    assert np.max(np.abs(recorded["command"] - recorded["reference"])) > 1e-8
+
+
 def compose(inside, axis, **options):
     from hysteresis_ros.nodes.hysteresis_compensator import HysteresisCompensatorNode
     from hysteresis_ros.nodes.motion_controller import MotionControllerNode

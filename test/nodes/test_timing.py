@@ -47,3 +47,20 @@ def test_a_measurement_that_is_never_answered_does_not_shift_what_follows_for_lo
 def test_a_pause_is_forgotten():
     events = [(0.0, "answer", -1), (1.0, "measurement", 0), (1.001, "answer", 0)]
     assert play(events) == [(0, 0)]
+
+
+def test_the_first_answer_belongs_to_the_last_measurement_after_nobody_answered():
+    pairing = Pairing()
+    assert [pairing.measurement(k, k * 1e-3) for k in range(200)] == [None] * 200
+    pairing.begin()
+    assert pairing.answer("a", 0.2) == 199 and pairing.measurement(200, 0.2) is None
+
+
+def test_answers_that_run_ahead_fall_back():
+    """Answer k was taken for that of measurement k + 1: from then on every measurement finds one waiting."""
+    events = [(0.0, "answer", 0)] + [
+        (k * 1e-3 + 1e-4 * late, kind, k) for k in range(1, 300) for late, kind in enumerate(("measurement", "answer"))
+    ]
+    pairs = play(events)
+    assert pairs[:3] == [(1, 0), (2, 1), (3, 2)]
+    assert pairs[-100:] == [(k, k) for k in range(200, 300)]

@@ -1,0 +1,140 @@
+"""Runs axes through their nodes in lockstep and gives what a simulation gives; imports no ROS itself."""
+
+from __future__ import annotations
+
+import os
+import pathlib
+import socket
+import tempfile
+from collections.abc import Callable
+from dataclasses import replace
+
+from hysteresis_ros.errors import HysteresisError, RecordingError
+from hysteresis_ros.nodes.launcher import Graph, GraphError, require_ros
+from hysteresis_ros.recordings.dataset import Recording
+from hysteresis_ros.recordings.files import load_run
+from hysteresis_ros.simulation.axis import AxisParameters
+from hysteresis_ros.simulation.node_parameters import NODE_PARAMETERS
+
+#: Domains whose ports lie below those that Linux hands out by itself.
+DOMAINS = range(101, 0, -1)
+
+#: Participants of a domain whose ports are looked at.
+_PARTICIPANTS = 8
+
+
+class GraphRunner:
+    """Runs an axis composed, beside a recorder, in a ROS domain that nobody else uses.
+
+    A runner for :func:`hysteresis_ros.experiments.runner.through`. An axis that has been run already is not run again:
+    lockstep repeats bit for bit.
+
+    Parameters
+    ----------
+    on_run : callable, optional
+        Called before each run with its number from 1 on, and the axis.
+
+    Raises
+    ------
+    HysteresisError
+        rclpy is not installed.
+    """
+
+    def __init__(self, on_run: Callable[[int, AxisParameters], None] = lambda number, axis: None):
+        require_ros()
+        self.runs = 0
+        self._on_run = on_run
+        self._found: dict[str, Recording] = {}
+
+    def __call__(self, axis: AxisParameters) -> Recording:
+        """Run an axis, whose parameters say how long, from rest.
+
+        Returns
+        -------
+        Recording
+            The time and signals of :func:`hysteresis_ros.simulation.run.simulate`, bit for bit.
+
+        Raises
+        ------
+        GraphError
+            A node died or refused to start; the message names the run.
+        RecordingError
+            The recording is not complete.
+        """
+        text = axis.configuration_text()
+        if text not in self._found:
+            self.runs += 1
+            self._on_run(self.runs, axis)
+            try:
+                run = self._run(axis)
+            except HysteresisError as error:
+                where = f"run {self.runs} ({describe(axis)})"
+                raise GraphError(f"{where}: {error}", getattr(error, "exit_code", 1)) from error
+            metadata = {
+                "configuration": text,
+                "namespace": axis.namespace,
+                "source": "nodes in lockstep",
+                "joint": axis.plant_simulator.joint,
+            }
+            self._found[text] = replace(run, metadata=metadata)
+        return self._found[text]
+
+    def _run(self, axis: AxisParameters) -> Recording:
+        environment = {"ROS_DOMAIN_ID": str(free_domain()), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+        # a namespace of its own as well: another graph may enter the domain while this one runs
+        namespace = f"/reproduce_{os.getpid()}{axis.namespace}"
+        with tempfile.TemporaryDirectory(prefix="hysteresis_") as folder:
+            bag = pathlib.Path(folder) / "bag"
+            with Graph([_in_lockstep(axis, namespace)], composed=True, record=bag, environment=environment) as graph:
+                graph.wait()
+            run = load_run(bag, further=True)
+        wanted, missing = axis.plant_simulator.samples, run.metadata["missing_samples"]
+        if len(run) != wanted or missing:
+            raise RecordingError(f"{len(run)} of {wanted} samples recorded, {missing} missing; run it again")
+        return run
+
+
+def describe(axis: AxisParameters) -> str:
+    """Return in words what an axis does in a run."""
+    generator = axis.reference_generator
+    parts = (
+        f"controller {axis.motion_controller.type}",
+        f"inverse {axis.hysteresis_compensator.inverse.type}",
+        f"waveform {generator.waveform.type}" if generator else "an inchworm",
+        f"{axis.plant_simulator.samples} samples",
+    )
+    return ", ".join(parts)
+
+
+def free_domain() -> int:
+    """Return a ROS domain none of whose participants is on this machine.
+
+    Raises
+    ------
+    HysteresisError
+        All are in use.
+    """
+    domain = next((domain for domain in DOMAINS if _is_free(domain)), None)
+    if domain is None:
+        raise HysteresisError(f"all ROS domains from {DOMAINS[-1]} to {DOMAINS[0]} are in use; stop other graphs")
+    return domain
+
+
+def _is_free(domain: int) -> bool:
+    """Tell whether the ports of discovery are free: of the multicast, and of the first participants (RTPS 9.6.1)."""
+    first = 7400 + 250 * domain
+    for port in (first, *(first + 10 + 2 * participant for participant in range(_PARTICIPANTS))):
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+            try:
+                probe.bind(("", port))
+            except OSError:
+                return False
+    return True
+
+
+def _in_lockstep(axis: AxisParameters, namespace: str) -> AxisParameters:
+    """Return the axis so that its nodes run it once, in lockstep, and leave."""
+    mode = dict(time_mode="lockstep", exit_at_end=True, autostart=True)
+    there = {name: getattr(axis, name, None) for name in NODE_PARAMETERS}
+    nodes = {name: replace(node, **mode) for name, node in there.items() if node is not None}
+    return replace(axis, namespace=namespace, **nodes)

@@ -1,0 +1,40 @@
+"""Tell whether the commands of a controller are carried out, from what comes back as ``applied``."""
+
+from __future__ import annotations
+
+#: A difference counts above this part of the largest command carried out so far: inverses are approximate.
+FRACTION = 0.05
+#: And above this [m]: before anything moved, rounding is no shortfall.
+SMALLEST = 1e-9
+
+
+class Shortfall:
+    """Compares commands with what was carried out, and remembers the worst since the last report."""
+
+    def __init__(self):
+        self.count = 0
+        self._sent = (0.0, 0.0)
+        self._largest = 0.0
+        self._worst = None
+
+    def sent(self, command: float) -> None:
+        """Note a command [m] that was sent."""
+        self._sent = (self._sent[1], command)
+
+    def carried_out(self, applied: float) -> None:
+        """Compare what was carried out [m]; it may belong to the last command or, late, to the one before."""
+        self._largest = max(self._largest, abs(applied))
+        wanted = min(self._sent, key=lambda command: abs(command - applied))
+        difference = abs(wanted - applied)
+        if difference <= max(FRACTION * self._largest, SMALLEST):
+            return
+        self.count += 1
+        if self._worst is None or difference > abs(self._worst[0] - self._worst[1]):
+            self._worst = (wanted, applied)
+
+    def report(self) -> str:
+        """Return a sentence about the worst since the last call, empty when all was carried out."""
+        if self._worst is None:
+            return ""
+        (wanted, applied), self._worst = self._worst, None
+        return f"command saturated: wanted {1e6 * wanted:.4g} µm, carried out {1e6 * applied:.4g} µm"

@@ -1,0 +1,90 @@
+"""How commands refuse what cannot work, and how they leave when told to."""
+
+from __future__ import annotations
+
+import os
+import pathlib
+import signal
+import subprocess
+import sys
+import tempfile
+
+import click
+import pytest
+from click.testing import CliRunner
+
+from hysteresis_ros.cli import main as commands
+from hysteresis_ros.cli.main import main
+from hysteresis_ros.configuration import load_configuration
+from hysteresis_ros.errors import ConfigurationError, RecordingError
+from hysteresis_ros.nodes.launcher import Graph
+from hysteresis_ros.simulation.run import single_axis
+
+ROOT = pathlib.Path(__file__).resolve().parents[2]
+
+
+@pytest.mark.parametrize("name", ["report.pdf", "report"])
+def test_a_report_that_is_no_page_is_refused_by_name(tmp_path, name):
+    pytest.importorskip("matplotlib")
+    result = CliRunner().invoke(main, ["reproduce", "kim2009", "-o", str(tmp_path / name)])
+    assert result.exit_code == 2 and name in result.output and ".html" in result.output
+    from hysteresis_ros.analysis.report import write_page
+
+    with pytest.raises(RecordingError, match=r"\.html"):
+        write_page(tmp_path / name, "")
+
+
+def test_a_recording_that_cannot_be_created_is_refused_before_anything_starts(tmp_path):
+    (tmp_path / "file").write_text("")
+    axis = single_axis(load_configuration("kim2009"))
+    with pytest.raises(ConfigurationError, match="cannot be created.*another folder"):
+        Graph([axis], record=tmp_path / "file" / "bag")
+    Graph([axis], record=tmp_path / "new" / "bag")
+    assert not (tmp_path / "new" / "bag").exists()
+
+
+def test_ctrl_c_ends_a_command_without_words(monkeypatch):
+    @click.command()
+    def interrupted():
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(commands.LazyGroup, "get_command", lambda self, ctx, name: interrupted)
+    result = CliRunner().invoke(main, ["up"])
+    assert (result.exit_code, result.output) == (128 + signal.SIGINT, "")
+
+
+WAITING = """
+import pathlib, sys, tempfile, time
+import click
+from hysteresis_ros.cli import main as commands
+
+@click.command()
+def waiting():
+    with tempfile.TemporaryDirectory(prefix="hysteresis_", dir=sys.argv[2]):
+        print("there", flush=True)
+        while True:
+            time.sleep(0.1)
+
+commands.LazyGroup.get_command = lambda self, ctx, name: waiting
+sys.argv[1:] = ["waiting", sys.argv[1]]
+commands.main(args=["waiting"], prog_name="hysteresis")
+"""
+
+
+def test_sigterm_ends_a_command_and_its_temporary_folders_without_words():
+    paths = os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")])
+    with tempfile.TemporaryDirectory() as folder:
+        command = [sys.executable, "-c", WAITING, folder]
+        process = subprocess.Popen(
+            command,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.PIPE,
+            text=True,
+            env=dict(os.environ, PYTHONPATH=paths),
+        )
+        assert process.stdout.readline() == "there\n"
+        assert len(os.listdir(folder)) == 1
+        process.terminate()
+        output, errors = process.communicate(timeout=60)
+        assert (process.returncode, output, errors) == (128 + signal.SIGTERM, "", "")
+        assert not os.listdir(folder)

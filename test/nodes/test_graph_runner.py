@@ -1,0 +1,104 @@
+"""Experiments through the nodes: the same bits as offline, and errors that name the run."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import socket
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from hysteresis_ros.cli.main import main
+from hysteresis_ros.configuration import load_configuration
+from hysteresis_ros.experiments import kim2009
+from hysteresis_ros.experiments import kim2009_axis as kim
+from hysteresis_ros.experiments.claims import Claim, Reproduction
+from hysteresis_ros.experiments.measurements import step_figures
+from hysteresis_ros.experiments.runner import through
+from hysteresis_ros.nodes import graph_runner
+from hysteresis_ros.nodes.launcher import GraphError, node_environment
+
+HOLD = 0.02  # s
+
+
+def small_axis():
+    return kim.estimating(kim.real(load_configuration("kim2009"), kim.MISMATCH))
+
+
+def small_experiment() -> Reproduction:
+    """Two rows of one short run."""
+    figures = step_figures(kim.run_steps(small_axis(), HOLD))
+    rows = [
+        Claim(name, "g", "q", getattr(figures, name), "m", assumptions=("a",), high=1e-8)
+        for name in ("peak", "residual")
+    ]
+    return Reproduction("small", "t", tuple(rows), {})
+
+
+@pytest.fixture
+def ros():
+    pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
+
+
+def test_a_run_through_the_nodes_has_every_signal_of_a_simulation_bit_for_bit(ros):
+    offline = kim.run_steps(small_axis(), HOLD)
+    seen = []
+    runner = graph_runner.GraphRunner(lambda number, axis: seen.append(number))
+    with through(runner):
+        online = kim.run_steps(small_axis(), HOLD)
+        again = kim.run_steps(small_axis(), HOLD)
+    assert seen == [1] and again is online
+    assert online.signals.keys() == offline.signals.keys()
+    assert np.array_equal(online.time, offline.time)
+    different = [name for name in offline.signals if offline[name].tobytes() != online[name].tobytes()]
+    assert not different
+    assert online.metadata["configuration"] == offline.metadata["configuration"]
+
+
+def test_both_ways_write_the_same_json_but_for_the_way(ros, monkeypatch):
+    monkeypatch.setattr(kim2009, "reproduce", small_experiment)
+    found = {}
+    for way in ("offline", "ros"):
+        result = CliRunner().invoke(main, ["reproduce", "kim2009", "--through", way, "--json", "-"])
+        assert result.exit_code == 0, result.output
+        found[way] = json.loads(result.stdout)
+        assert found[way].pop("through") == way
+    assert found["offline"] == found["ros"]
+
+
+def test_an_error_names_the_run(monkeypatch):
+    class Broken:
+        def __init__(self, *arguments, **options):
+            raise GraphError("/plant_simulator was killed by SIGKILL; the rest was stopped", 1)
+
+    monkeypatch.setattr(graph_runner, "require_ros", lambda: None)
+    monkeypatch.setattr(graph_runner, "Graph", Broken)
+    monkeypatch.setattr(kim2009, "reproduce", small_experiment)
+    result = CliRunner().invoke(main, ["reproduce", "kim2009", "--through", "ros"])
+    assert result.exit_code == 1
+    line = result.output.splitlines()[-1]
+    assert "run 1 (controller sliding_mode, inverse exact, waveform steps, 270 samples)" in line
+    assert "killed by SIGKILL" in line
+
+
+def test_without_ros_one_line_says_what_to_install(monkeypatch):
+    find = importlib.util.find_spec
+    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None if name == "rclpy" else find(name))
+    result = CliRunner().invoke(main, ["reproduce", "kim2009", "--through", "ros"])
+    assert result.exit_code == 2
+    assert 'pip install "hysteresis_ros[ros]"' in result.output and "Traceback" not in result.output
+
+
+def test_a_domain_with_a_participant_is_left_alone():
+    first = graph_runner.free_domain()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as participant:
+        participant.bind(("", 7400 + 250 * first + 10))
+        assert graph_runner.free_domain() != first
+
+
+def test_nodes_import_nothing_from_the_current_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert node_environment()["PYTHONSAFEPATH"] == "1"
+    assert str(tmp_path) not in node_environment().get("PYTHONPATH", "")

@@ -1,0 +1,271 @@
+"""An inchworm's nodes: the offline twin's numbers in lockstep, requests replayed, clamps that hold when it matters."""
+
+from __future__ import annotations
+
+import signal
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
+
+from nodes_support import ROOT, shortened, until, write_axis  # noqa: E402
+
+from hysteresis_ros.references import inchworm_layout as at  # noqa: E402
+
+NODES = ("plant_simulator", "hysteresis_compensator", "motion_controller", "inchworm_sequencer")
+GRIP, THRESHOLD = 100.0, 60.0
+#: A gait of 140 samples a cycle, so that the tests walk further. It is the limit: in 2 ms the slider is thrown.
+QUICK = {f"gait__{name}": 1.0e-3 for name in ("release", "grip", "settle")}
+QUICK |= {f"gait__{name}": 4.0e-3 for name in ("extend", "contract")}
+CYCLE = 140
+
+
+def motor(**common):
+    """Return the walking motor of config/inchworm_travel.yaml with a quick gait, on the way to 0.2 mm."""
+    from hysteresis_ros.configuration import load_configuration
+    from hysteresis_ros.simulation.axis import AxisParameters
+
+    configuration = load_configuration(ROOT / "config" / "inchworm_travel.yaml").override("", **common)
+    schedule = {"setpoints__values": [2.0e-4], "setpoints__times": [2.0e-3]}
+    configuration = configuration.override("inchworm_sequencer", **QUICK, **schedule)
+    return AxisParameters.from_configuration(configuration)
+
+
+def compose(inside, axis, **classes):
+    """Make the nodes of the axis in this process; returns them by name."""
+    from hysteresis_ros.nodes.hysteresis_compensator import HysteresisCompensatorNode
+    from hysteresis_ros.nodes.inchworm_sequencer import InchwormSequencerNode
+    from hysteresis_ros.nodes.motion_controller import MotionControllerNode
+    from hysteresis_ros.nodes.plant_simulator import PlantSimulatorNode
+
+    made = (PlantSimulatorNode, HysteresisCompensatorNode, MotionControllerNode, InchwormSequencerNode)
+    return {name: inside.add(cls, getattr(axis, name)) for name, cls in zip(NODES, made, strict=True)}
+
+
+@pytest.mark.parametrize(("how", "samples"), [("--processes", 300), ("--composed", 2500)])
+def test_recorded_run_equals_offline_twin_bit_for_bit(processes, tmp_path, how, samples):
+    from hysteresis_ros.recordings.dataset import INCHWORM_UNITS
+    from hysteresis_ros.recordings.files import load_run
+
+    axis = shortened(motor(time_mode="lockstep", exit_at_end=True), samples)
+    path = write_axis(tmp_path / "axis.yaml", axis)
+    run = processes.command("up", path, how, "--record", str(tmp_path / "bag"), "--verify")
+    assert run.wait() == 0, run.output
+    assert f"{samples} samples equal the offline twin bit for bit, none missing" in run.output
+    recorded = load_run(tmp_path / "bag")
+    assert set(INCHWORM_UNITS) <= set(recorded.signals)
+    # the run was worth comparing
+    assert recorded["total_steps"][-1] == pytest.approx(samples / CYCLE, abs=1.5)
+    assert recorded["displacement"][-1] == pytest.approx(8.0e-6 * samples / CYCLE, abs=1.2e-5)
+    assert np.min(np.maximum(recorded["front_voltage"], recorded["rear_voltage"])) > THRESHOLD
+
+
+@pytest.fixture
+def recorded_run(inside, observer, tmp_path):
+    """A run in lockstep without end beside a recorder; its sequencer's states, and a function that ends it."""
+    from rclpy.qos import QoSProfile
+    from sensor_msgs.msg import JointState
+
+    from hysteresis_ros.nodes.recorder import RecorderNode
+    from hysteresis_ros.recordings.files import load_run
+
+    axis = motor(time_mode="lockstep")
+    axis = replace(
+        axis,
+        plant_simulator=replace(axis.plant_simulator, wait_for_recorder=True),
+        recorder=replace(axis.recorder, path=str(tmp_path / "bag"), inchworm=True),
+    )
+    recorder = inside.add(RecorderNode, axis.recorder)
+    nodes = compose(inside, axis)
+    heard = observer.listen(JointState, "/inchworm_sequencer/state", QoSProfile(depth=5000))
+    until(lambda: nodes["plant_simulator"].count_subscribers("/inchworm_sequencer/state") == 2)
+    inside.spin()
+
+    def end():
+        plant = nodes["plant_simulator"]
+        plant.running = False
+        until(lambda: not plant._published and min(recorder._counts) == plant.sample, what="the last messages")
+        recorder.release()
+        assert not any(node.failure for node in inside.nodes)
+        return axis, load_run(tmp_path / "bag", further=True)
+
+    return nodes, heard, end
+
+
+def test_what_people_ask_takes_effect_safely_and_is_replayed_bit_for_bit(recorded_run, observer, tmp_path):
+    from std_msgs.msg import Float64
+
+    from hysteresis_ros.simulation.run import differences
+
+    nodes, heard, end = recorded_run
+    sequencer = nodes["inchworm_sequencer"]
+    place = {name: index for index, name in enumerate(sequencer.state_names)}
+
+    def now(name):
+        return heard[-1].position[place[name]]
+
+    setpoint, speed = (observer.talk(Float64, topic) for topic in ("/setpoint", "/speed"))
+    until(lambda: setpoint.get_subscription_count() and speed.get_subscription_count())
+    until(lambda: heard and now("steps") > 2, what="the motor walking")
+    assert observer.trigger("/inchworm_sequencer/stop").success
+    stopped = sequencer.sample
+    until(lambda: sequencer.sample > stopped + 100 and now("phase") == at.HOLDING, what="the motor standing")
+    setpoint.publish(Float64(data=1.0e-2))
+    setpoint.publish(Float64(data=float("nan")))
+    until(lambda: sequencer.refused == 2, what="refusals")
+    assert sequencer.setpoint == 2.0e-4
+    setpoint.publish(Float64(data=-4.0e-5))
+    until(lambda: now("setpoint") == -4.0e-5)
+    assert now("steps") == now("total_steps")  # stopped is stopped
+    assert observer.trigger("/inchworm_sequencer/start").success
+    until(lambda: now("arrived"), what="arrival")
+    speed.publish(Float64(data=1.0))
+    until(lambda: sequencer.refused == 3, what="a speed beyond the gait is refused")
+    speed.publish(Float64(data=5.0e-4))
+    before = now("steps")
+    until(lambda: now("steps") > before + 2, what="continuous walking")
+    setpoint.publish(Float64(data=-4.0e-5))  # the same once more: it counts
+    until(lambda: now("arrived") and now("speed") == 0.0, what="back at the setpoint")
+    assert observer.trigger("/inchworm_sequencer/home").success
+    until(lambda: now("setpoint") == 0.0 and now("arrived"), what="home")
+    assert observer.trigger("/inchworm_sequencer/release").success
+    until(lambda: now("phase") == at.RELEASED, what="the front clamp open")
+    accepted, reason = observer.set_parameters("/inchworm_sequencer", gait__grip=2.0e-3)
+    assert not accepted and "read-only" in reason
+    assert observer.set_parameters("/inchworm_sequencer", measurement_timeout=0.3) == (True, "")
+    axis, run = end()
+
+    assert differences(run, axis) == {}
+    assert list(run["request"][run["request"] > 0.0]) == [
+        at.STOP_REQUEST,
+        at.START_REQUEST,
+        at.HOME_REQUEST,
+        at.RELEASE_REQUEST,
+    ]
+    front, rear = run["front_voltage"], run["rear_voltage"]
+    assert np.min(np.maximum(front, rear)) > THRESHOLD
+    # stop: both clamps closed within one phase, and where the slider was
+    stop = int(np.flatnonzero(run["request"] == at.STOP_REQUEST)[0])
+    start = int(np.flatnonzero(run["request"] == at.START_REQUEST)[0])
+    longest = round(4.0e-3 * axis.plant_simulator.sample_rate)
+    assert np.all(front[stop + longest : start] == GRIP) and np.all(rear[stop + longest : start] == GRIP)
+    held = run["displacement"][stop + longest : start]
+    assert abs(held[0] - run["displacement"][stop]) < 8.0e-6 and np.ptp(held) < 1.0e-9
+    # released: the rear clamp holds alone
+    assert (front[-1], rear[-1]) == (0.0, GRIP)
+    # at home, if only just
+    home = int(np.flatnonzero(run["request"] == at.RELEASE_REQUEST)[0])
+    assert abs(run["displacement"][home]) < 1.0e-7
+    # the same through a file, as `hysteresis simulate --setpoints` takes it
+    from hysteresis_ros.recordings.align import setpoints_per_sample
+    from hysteresis_ros.recordings.files import load_run, save_run
+    from hysteresis_ros.recordings.replay import requests_per_sample
+    from hysteresis_ros.simulation.run import simulate
+
+    save_run(run, tmp_path / "run.npz")
+    table = load_run(tmp_path / "run.npz")
+    twin = simulate(axis, setpoints=setpoints_per_sample(table), **requests_per_sample(table))
+    assert np.array_equal(twin["displacement"], run["displacement"])
+    save_run(twin, tmp_path / "twin.mcap")
+    again = load_run(tmp_path / "twin.mcap", namespace="")
+    assert all(np.array_equal(again[name], twin[name]) for name in ("origin", "phase", "rear_voltage", "extender"))
+
+
+def test_missing_measurement_closes_both_clamps_until_it_is_back(inside, observer):
+    from rclpy.qos import QoSProfile
+    from sensor_msgs.msg import JointState
+
+    nodes = compose(inside, shortened(motor(time_mode="lockstep"), 700))
+    plant = nodes["plant_simulator"]
+    measure = plant.plant.measure
+
+    def lossy(first):
+        measure(first)
+        if 200 <= plant.sample < 400:
+            plant.plant.message.position[0] = float("nan")
+
+    plant.plant.measure = lossy
+    heard = observer.listen(JointState, "/inchworm_sequencer/state", QoSProfile(depth=2000))
+    until(lambda: plant.count_subscribers("/inchworm_sequencer/state"))
+    inside.spin()
+    until(lambda: len(heard) == 700, what="the run")
+    table = np.array([message.position for message in heard])
+    columns = dict(zip(nodes["inchworm_sequencer"].state_names, table.T, strict=True))
+    assert not any(node.failure for node in inside.nodes)
+    assert set(columns["error"][215:400]) == {at.SENSOR_ERROR} and columns["error"][400] == at.NO_ERROR
+    both = np.minimum(columns["front_voltage"], columns["rear_voltage"])
+    assert np.all(both[240:400] == GRIP)
+    assert np.min(np.maximum(columns["front_voltage"], columns["rear_voltage"])) > THRESHOLD
+    assert columns["total_steps"][-1] > columns["total_steps"][400]  # it walks on
+    assert nodes["motion_controller"].rejected == 200
+
+
+def test_plant_that_lacks_one_clamp_voltage_names_the_sequencer(inside):
+    nodes = compose(inside, motor(time_mode="lockstep", partner_timeout=2.0))
+    plant, sequencer = nodes["plant_simulator"], nodes["inchworm_sequencer"]
+    inside.spin()
+    until(lambda: plant.sample > 20)
+    sequencer._outputs = sequencer._outputs[:3]
+    until(lambda: plant.failure)
+    assert "inchworm_sequencer (topic rear_clamp/voltage) has been silent" in plant.failure
+    until(lambda: all(node.failure for node in inside.nodes), what="everybody told")
+
+
+def test_killed_sequencer_is_named_by_everybody(processes, observer, tmp_path):
+    from sensor_msgs.msg import JointState
+
+    path = write_axis(tmp_path / "axis.yaml", motor(time_mode="lockstep", partner_timeout=5.0))
+    heard = observer.listen(JointState, "/joint_states")
+    started = {name: processes.node(name, path) for name in NODES}
+    until(lambda: len(heard) > 50, what="the run to be under way")
+    assert list(heard[-1].name) == ["slider", "extender", "front_clamp", "rear_clamp"]
+    started["inchworm_sequencer"].send(signal.SIGKILL)
+    for name in NODES[:3]:
+        process = started[name]
+        assert process.wait(20.0) == 1, f"{name}: {process.output}"
+        line = next(line for line in process.output.splitlines() if "[ERROR]" in line)
+        assert "inchworm_sequencer" in line.split("]: ", 1)[1], f"{name} says: {line}"
+
+
+def test_realtime_walks_and_closes_the_clamps_whoever_leaves(inside, observer):
+    from rclpy.qos import QoSProfile
+    from std_msgs.msg import Float64
+
+    axis = motor(time_mode="realtime")
+    slow = replace(axis.plant_simulator, real_time_factor=0.03, voltage_timeout=0.3, safe_slew_rate=1.0e5)
+    nodes = compose(inside, replace(axis, plant_simulator=slow))
+    plant, sequencer = nodes["plant_simulator"], nodes["inchworm_sequencer"]
+    voltages = {
+        name: observer.listen(Float64, f"/{name}/voltage", QoSProfile(depth=1000))
+        for name in ("front_clamp", "rear_clamp")
+    }
+    until(lambda: plant.count_subscribers("/front_clamp/voltage") == 2)
+    inside.spin()
+    until(lambda: sequencer.sequencer.x[at.STEPS] >= 2.0, what="two steps")
+    assert plant.plant.motor.displacement > 1.2e-5
+    # the sequencer freezes in the middle of a step: the plant closes what is open, the controller holds
+    until(lambda: sequencer.sequencer.phase == "carrying")
+    sequencer.active = False
+    until(lambda: plant.silent, what="the plant's watchdog")
+    until(lambda: min(plant.plant.motor.voltages[1:]) > GRIP - 0.01, what="both clamps closed")
+    assert plant.health()[0] == 2 and "rear_clamp/voltage" in plant.health()[1]
+    assert nodes["motion_controller"].unpaired
+    where = plant.plant.motor.displacement
+    # it comes back and walks on
+    sequencer.active = True
+    until(lambda: not plant.silent and plant.plant.motor.displacement > where + 8.0e-6, what="walking again")
+    assert not nodes["motion_controller"].unpaired
+    # it leaves by the book: both closed, voltages on
+    until(lambda: sequencer.sequencer.phase == "carrying")
+    assert observer.transition("/inchworm_sequencer", "deactivate")
+    until(lambda: all(heard[-1].data == GRIP for heard in voltages.values()), what="closing voltages")
+    assert sequencer.sequencer.phase == "holding"
+    # and when no measurement comes any more
+    assert observer.transition("/inchworm_sequencer", "activate")
+    until(lambda: sequencer.sequencer.phase == "carrying")
+    assert observer.trigger("/plant_simulator/stop").success
+    until(lambda: sequencer.stale and sequencer.sequencer.phase == "holding", what="the sequencer's watchdog")
+    assert all(heard[-1].data == GRIP for heard in voltages.values())
+    assert "joint_states is stale" in sequencer.health()[1]

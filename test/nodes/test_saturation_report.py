@@ -1,0 +1,50 @@
+"""A controller whose commands the limits cut says so in its diagnostics, and stops saying so."""
+
+from __future__ import annotations
+
+import pytest
+
+pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
+
+from nodes_support import axis_parameters, until  # noqa: E402
+from test_realtime import Driver, diagnostics  # noqa: E402
+
+PID = {"type": "pid", "pid__Kp": 0.1, "pid__Ki": 20.0, "model__dynamics__A": [], "model__dynamics__B": []}
+
+
+@pytest.mark.parametrize("changes", [{"type": "open_loop"}, PID | {"model__dynamics__C": []}])
+def test_commands_that_are_not_carried_out_are_reported(inside, observer, changes):
+    from diagnostic_msgs.msg import DiagnosticArray
+    from std_msgs.msg import Float64
+
+    from hysteresis_ros.nodes.hysteresis_compensator import HysteresisCompensatorNode
+    from hysteresis_ros.nodes.motion_controller import MotionControllerNode
+
+    axis = axis_parameters(
+        overrides={"motion_controller": changes, "hysteresis_compensator": {"limits__maximum": 50.0}}, sample_rate=200.0
+    )
+    node = inside.add(MotionControllerNode, axis.motion_controller)
+    inside.add(HysteresisCompensatorNode, axis.hysteresis_compensator)
+    inside.spin()
+    reports = observer.listen(DiagnosticArray, "/diagnostics")
+    commands = observer.listen(Float64, "/command")
+    applied = observer.listen(Float64, "/applied")
+    reference = observer.talk(Float64, "/reference")
+    driver = Driver(observer)
+
+    def said():
+        return (diagnostics(reports, "/motion_controller") or (0, "", {}))[1]
+
+    def send(wanted):
+        reference.publish(Float64(data=wanted))
+        driver.send(applied[-1].data if applied else 0.0)
+
+    until(lambda: (send(11.0e-6), "command saturated" in said())[1], what="saturation to be reported")
+    words = said().split()
+    wanted, carried_out = float(words[3]), float(words[7])
+    assert wanted > carried_out > 4.0 and carried_out < 6.0, said()
+    assert diagnostics(reports, "/motion_controller")[0] == 1
+    assert int(diagnostics(reports, "/motion_controller")[2]["saturated_commands"]) > 0
+    until(lambda: (send(2.0e-6), commands[-1].data < 4.0e-6)[1], what="the command to come back")
+    until(lambda: (send(2.0e-6), "saturated" not in said())[1], what="the report to end")
+    assert node.shortfall.count > 0
