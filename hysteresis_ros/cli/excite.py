@@ -40,6 +40,11 @@ def excite(config, name, record, frequency, amplitude, duration, rate, processes
         raise ConfigurationError(f"{record}: exists already; choose another folder for the recording or remove it")
     configuration = load_configuration(config)
     given = single_axis(configuration, namespace)
+    if given.inchworm_sequencer is not None:
+        raise ConfigurationError(
+            f"{configuration.source}: an inchworm_sequencer stands in the place of the reference generator, which "
+            "drives the recipes; excite the extender alone: a plant_simulator of type actuator, without sequencer"
+        )
     limits, sample_rate = given.hysteresis_compensator.limits, given.plant_simulator.sample_rate
     excitation = recipe(name, limits.minimum, limits.maximum, sample_rate, frequency, amplitude, duration)
     axis = axes(_driven(configuration, given, excitation, record, rate), given.namespace)[0]

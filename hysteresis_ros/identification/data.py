@@ -190,6 +190,16 @@ def from_recording(
     )
 
 
+def _refuse_inchworm(path, columns, input, output) -> None:
+    """Raise DataError for an inchworm's run of which nobody says what to take: a slider that walks is no actuator."""
+    if "front_voltage" in columns and "rear_voltage" in columns and not (input and output):
+        raise DataError(
+            "inchworm",
+            f"{path}: a run of an inchworm: its displacement is that of the slider, which walks, and no answer to the "
+            "voltage; excite the extender alone, or choose the columns with --input and --output",
+        )
+
+
 def load_data(
     path,
     input: str | None = None,
@@ -222,10 +232,12 @@ def load_data(
     path = pathlib.Path(path)
     if path.suffix.lower() not in (*TEXT_SUFFIXES, ".npz"):
         recording = load_run(path, namespace)
+        _refuse_inchworm(path, recording.signals, input, output)
         names = [choice and _same_unit(recording, choice) for choice in (input, output)]
         return from_recording(recording, names[0], names[1], path.name)
     table = read_table(path)
     declared = table[1]
+    _refuse_inchworm(path, declared, input, output)
     taken = {split_choice(time)[0] if time and time not in declared else time or find_time(declared)}
     taken |= {choice if choice in declared else split_choice(choice)[0] for choice in (input, output) if choice}
     free = {name: unit for name, unit in declared.items() if name not in taken}

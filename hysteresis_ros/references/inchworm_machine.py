@@ -21,6 +21,7 @@ from hysteresis_ros.references.inchworm_steps import (
     highest,
     hold,
     let_go,
+    load_time,
     lowest,
     move,
     moving,
@@ -190,14 +191,18 @@ def open_phase(p, x):
     if must_stop(p, x):
         stop_here(p, x)
     elif phase == at.RELEASING_REAR:
-        pretensioning(p, x)
-        if x[at.TIMER] >= p[at.RELEASE_SAMPLES]:
+        # slowly, so that the extender does not ring, and before the clamp opens
+        pretensioning(x, p[at.RELEASE_SAMPLES])
+        wait = load_time(p, x)
+        if x[at.TIMER] >= wait:
+            drive_rear(x, p[at.RELEASE_VOLTAGE])
+        if x[at.TIMER] >= wait + p[at.RELEASE_SAMPLES]:
             end = x[at.TIP] + x[at.DIRECTION] * x[at.EXTENSION] * (p[at.HIGHEST] - p[at.LOWEST])
             move(p, x, min(max(end, lowest(p, x)), highest(p, x)))
             x[at.GIVEN_WAY] = x[at.FELT] = 0.0
             enter(x, at.CARRYING)
     elif phase == at.RELEASING_FRONT:
-        pretensioning(p, x)
+        pretensioning(x, 0.5 * p[at.RELEASE_SAMPLES])
         if x[at.TIMER] >= p[at.RELEASE_SAMPLES]:
             move(p, x, x[at.MOVE_TO])
             enter(x, at.RETURNING)

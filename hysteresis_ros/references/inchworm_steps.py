@@ -21,6 +21,8 @@ LOAD_PART = 0.8
 #: controller's integral has taken up about half of it meanwhile.
 LOAD_GAIN = 0.5
 FIRST_LOAD_GAIN = 2.0
+#: Mean deflection, as part of the stroke, that may as well be the extender's own lag: nothing is learned from it.
+LAG_PART = 0.02
 #: Extensions are equal within this [m].
 EQUAL = 1.0e-12
 
@@ -150,9 +152,15 @@ def pretension(p, x, target):
 
 
 @kernel
-def pretensioning(p, x):
-    """Advance the pretension: done in the first half of the ramp that opens the clamp, while that still holds."""
-    part = cycloid(2.0 * (x[at.TIMER] + 1.0) / p[at.RELEASE_SAMPLES])
+def load_time(p, x):
+    """Samples for which both clamps stay closed while the extender takes the load over, before the rear one opens."""
+    return p[at.RELEASE_SAMPLES] if x[at.LOAD] != 0.0 else 0.0
+
+
+@kernel
+def pretensioning(x, duration):
+    """Advance the pretension, which takes ``duration`` samples from the beginning of the phase."""
+    part = cycloid((x[at.TIMER] + 1.0) / duration)
     x[at.PRETENSION] = x[at.PRETENSION_FROM] + (x[at.PRETENSION_TO] - x[at.PRETENSION_FROM]) * part
 
 
@@ -167,10 +175,12 @@ def feel(x):
 def weigh(p, x):
     """Correct the learned load by how the extender gave way in the mean when it took over; at first by all of it."""
     if p[at.LEARNING] != 0.0 and x[at.FELT] > 0.0:
-        bound = LOAD_PART * (p[at.HIGHEST] - p[at.LOWEST])
+        stroke = p[at.HIGHEST] - p[at.LOWEST]
+        bound = LOAD_PART * stroke
         part = max(FIRST_LOAD_GAIN / (1.0 + x[at.WEIGHED]), LOAD_GAIN)
-        load = x[at.LOAD] + part * x[at.GIVEN_WAY] / x[at.FELT]
-        x[at.LOAD] = min(max(load, -bound), bound)
+        mean = x[at.GIVEN_WAY] / x[at.FELT]
+        if abs(mean) > LAG_PART * stroke:
+            x[at.LOAD] = min(max(x[at.LOAD] + part * mean, -bound), bound)
         x[at.WEIGHED] += 1.0
 
 
@@ -190,13 +200,14 @@ def account(p, x):
     wanted = max(extension, x[at.STEP_LENGTH])  # a load or a wrong model may want a step without extension
     if wanted < SHORT_STEP * stroke:
         return
-    if moved < p[at.MISSED_PART] * extension:
+    # a step that was to be carried by the load, or by a wrong model's offset, is not missed: it puts the model right
+    missed = x[at.EXTENSION] >= SHORT_STEP and moved <= p[at.MISSED_PART] * extension
+    if missed:
         x[at.MISSED] += 1.0
     x[at.STILL] = x[at.STILL] + 1.0 if moved < STILL_PART * wanted else 0.0
     if x[at.STILL] >= p[at.STILL_STEPS]:
         fail(x, at.NO_MOTION_ERROR)
-    short = x[at.EXTENSION] < SHORT_STEP or moved < p[at.MISSED_PART] * extension
-    if p[at.LEARNING] != 0.0 and not short and moved < 2.0 * extension:
+    if p[at.LEARNING] != 0.0 and not missed and abs(moved) < 2.0 * wanted:
         model = at.FORWARD_MODEL if direction > 0.0 else at.BACKWARD_MODEL
         learn(x, model, p[at.FORGETTING], x[at.EXTENSION], moved / stroke)
 
@@ -212,7 +223,6 @@ def carry_from(p, x, start):
     if abs(start - x[at.TIP]) <= EQUAL:
         x[at.STEP_FROM] = x[at.SLIDER]
         pretension(p, x, x[at.LOAD])
-        drive_rear(x, p[at.RELEASE_VOLTAGE])
         enter(x, at.RELEASING_REAR)
     else:
         x[at.MOVE_TO] = start
@@ -258,14 +268,15 @@ def next_walk(p, x):
     usable = (highest(p, x) - lowest(p, x)) / stroke
     longest = stroke * longest_step(x, model, usable)
     speed = abs(x[at.SPEED])
-    wanted = speed * p[at.SAMPLE_TIME] * p[at.CYCLE_SAMPLES]
+    cycle = p[at.CYCLE_SAMPLES] + load_time(p, x)
+    wanted = speed * p[at.SAMPLE_TIME] * cycle
     x[at.LIMITED_SPEED] = 1.0 if wanted > longest * 1.05 else 0.0
     length = min(max(wanted, SLOW_STEP * stroke), longest)
     aim = x[at.SLIDER] + x[at.DIRECTION] * length
     if aim > p[at.MAXIMUM] or aim < p[at.MINIMUM]:
         x[at.DIRECTION] = 0.0
         return
-    pause = max(length / (speed * p[at.SAMPLE_TIME]) - p[at.CYCLE_SAMPLES], 0.0)
+    pause = max(length / (speed * p[at.SAMPLE_TIME]) - cycle, 0.0)
     if x[at.RETURNS] == 0.0 and x[at.TIMER] < math.floor(pause):
         return
     x[at.EXTENSION] = min(extension_for(x, model, length / stroke), usable)

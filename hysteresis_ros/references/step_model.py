@@ -4,8 +4,7 @@ With u the commanded extension and z the movement of the slider along it, both a
 z = gain u + offset: the offset takes the load (it has another sign in each direction) and what a clamp loses whenever
 it closes, the gain the rest. Reference: Åström & Wittenmark, *Adaptive Control*, 2nd edition 1995, section 2.2.
 Forgetting pauses while a variance is as large as at the start, so that full steps alone, which say nothing about gain
-and offset apart, never make it grow without bound. The gain is an extender's and nearly one, whatever the load: it stays
-within bounds, and the offset takes what is beyond them.
+and offset apart, never make it grow without bound. The gain stays within bounds; the offset takes a load.
 """
 
 from __future__ import annotations
@@ -24,8 +23,8 @@ OFFSET_DEVIATION = 0.5
 STEP_DEVIATION = 2.0e-3
 
 #: Bounds of the gain.
-LOWEST_GAIN = 0.8
-HIGHEST_GAIN = 1.25
+LOWEST_GAIN = 0.5
+HIGHEST_GAIN = 1.5
 
 #: The model never says that the longest step is shorter than this part of its extension, nor longer than the next.
 SHORTEST = 0.1

@@ -100,7 +100,7 @@ class InchwormAxis:
         index = np.arange(self.sample, self.sample + len(setpoints))
         self.sample += len(setpoints)
         # the nodes stamp samples in whole nanoseconds, and time is compared bit for bit
-        time = np.array([round(k * 1e9 / self.sample_rate) for k in index.tolist()], dtype=np.int64) / 1e9
+        time = np.rint(index * 1e9 / self.sample_rate) / 1e9
         signals = {name: table[:, i].copy() for i, name in enumerate(INCHWORM_SIGNALS)}
         return {"time": time, "setpoint": setpoints, **signals}
 

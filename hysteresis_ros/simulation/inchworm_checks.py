@@ -12,6 +12,8 @@ from hysteresis_ros.simulation.reach import reachable_commands
 SAFETY_FACTOR = 2.0
 #: Periods of the slider's swing on the extender below which a motion of the extender is doubtful.
 SWINGS = 2.0
+#: Part of the frequency of that swing up to which a designed loop may have gain.
+CROSSOVER_PART = 0.25
 
 
 def inchworm_problems(plant, parts):
@@ -70,6 +72,31 @@ def inchworm_warnings(plant, sequencer) -> tuple[str, ...]:
     return tuple(_doubts(plant.inchworm, sequencer.gait))
 
 
+def design_warnings(plant, crossovers) -> tuple[str, ...]:
+    """Return a sentence when a designed loop reaches the slider's swing on the extender, which its model has not.
+
+    Parameters
+    ----------
+    plant : PlantNodeParameters
+        Of type inchworm.
+    crossovers : sequence of float
+        Gain crossovers of the designed loop [Hz].
+    """
+    frequency = 1.0 / _swing(plant.inchworm)
+    highest = max(crossovers, default=0.0)
+    if highest <= CROSSOVER_PART * frequency:
+        return ()
+    return (
+        f"the design's gain crosses one at {highest:.4g} Hz, and the model has not the slider on the extender at "
+        f"{frequency:.4g} Hz: it will swing; ask for a --bandwidth below {CROSSOVER_PART * frequency:.3g} Hz",
+    )
+
+
+def _swing(motor) -> float:
+    """Return the period of the slider on the extender [s]."""
+    return 2.0 * math.pi * math.sqrt(motor.slider.mass / motor.extender_stiffness)
+
+
 def _doubts(motor, gait):
     load = abs(motor.slider.force)
     holding = motor.holding_force(gait.grip_voltage, gait.grip_voltage)
@@ -86,11 +113,11 @@ def _doubts(motor, gait):
             f"{LOAD_PART:g} of the gait's stroke of {gait.stroke:.3g} m: steps against it hardly move the slider; "
             f"lower the load to {LOAD_PART * gait.stroke * motor.extender_stiffness:.3g} N or lengthen the stroke"
         )
-    swing = 2.0 * math.pi * math.sqrt(motor.slider.mass / motor.extender_stiffness)
+    swing = _swing(motor)
     for name in ("extend", "contract"):
         value = getattr(gait, name)
         if value < SWINGS * swing:
             yield (
-                f"inchworm_sequencer: gait.{name} = {value:g} s is shorter than {SWINGS:g} periods of the slider on the "
-                f"extender ({1.0 / swing:.4g} Hz), {SWINGS * swing:.3g} s: the slider swings beyond the end of its steps"
+                f"inchworm_sequencer: gait.{name} = {value:g} s is shorter than {SWINGS:g} periods of the slider on "
+                f"the extender ({1.0 / swing:.4g} Hz), {SWINGS * swing:.3g} s: it swings beyond the end of its steps"
             )

@@ -246,6 +246,25 @@ def test_least_squares_find_gain_and_offset_and_stay_bounded():
     assert step_model.extension_for(x, 0, length) == pytest.approx(0.5)
 
 
+def test_full_steps_alone_leave_the_gain_where_it_was():
+    x = np.zeros(step_model.SIZE)
+    step_model.forget_all(x, 0, 1.0, 0.0)
+    for u, z in [(1.0, 0.4), (0.7, 0.45), (0.55, 0.48), *[(0.54, 0.49)] * 2000]:  # a load that is being learned
+        step_model.learn(x, 0, 0.98, u, z)
+    assert 0.5 <= x[step_model.GAIN] <= 1.5
+    assert x[step_model.GAIN] * 0.54 + x[step_model.OFFSET] == pytest.approx(0.49, abs=1e-3)
+    assert step_model.extension_for(x, 0, 0.4) > 0.3
+
+
+def test_a_wrong_model_that_wants_no_extension_gives_up_instead_of_stepping_on_the_spot():
+    motor = Motor()
+    motor.run(0.0, 0.2, lambda: motor.sequencer.arrived)
+    motor.x[at.FORWARD_MODEL + step_model.OFFSET] = 1.0  # as if a load carried the slider by itself
+    motor.x[at.FORWARD_MODEL + step_model.COVARIANCE] = motor.x[at.FORWARD_MODEL + step_model.COVARIANCE + 2] = 0.0
+    motor.run(7e-6, 3.0, lambda: motor.sequencer.error == "no_motion")
+    motor.never_both_open()
+
+
 def test_the_schedule_gives_setpoints_without_hands():
     given = {"setpoints.values": [1e-3, -1e-3], "setpoints.times": [0.001, 0.002], "setpoints.duration": 0.003}
     sequencer = InchwormSequencer(InchwormSequencerParameters.from_mapping(given), 1.0 / RATE)

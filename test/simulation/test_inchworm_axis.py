@@ -8,9 +8,17 @@ import pytest
 from hysteresis_ros.block import COMPILED
 from hysteresis_ros.configuration import load_configuration, parse_configuration
 from hysteresis_ros.errors import ParameterError
-from hysteresis_ros.experiments.inchworm_campaign import LOADED, inchworm, move, sequences, speed, step_errors
+from hysteresis_ros.experiments.inchworm_campaign import (
+    LOADED,
+    honest_moves,
+    inchworm,
+    move,
+    sequences,
+    speed,
+    step_errors,
+)
 from hysteresis_ros.references import inchworm_layout as at
-from hysteresis_ros.simulation.inchworm_checks import inchworm_warnings
+from hysteresis_ros.simulation.inchworm_checks import design_warnings, inchworm_warnings
 from hysteresis_ros.simulation.run import simulate, single_axis
 
 #: Without machine code a simulated second takes a minute.
@@ -133,5 +141,37 @@ def test_clamps_that_hold_with_little_reserve_are_doubted():
     fine = single_axis(configuration)
     assert inchworm_warnings(fine.plant_simulator, fine.inchworm_sequencer) == ()
     near = single_axis(configuration.override("plant_simulator", inchworm__slider__external_force=5.0))
-    first, _ = inchworm_warnings(near.plant_simulator, near.inchworm_sequencer)
+    first, *_ = inchworm_warnings(near.plant_simulator, near.inchworm_sequencer)
     assert "front_clamp holds 7.5 N at 100 V, 1.5 times the load of 5 N" in first
+
+
+@slow
+@pytest.mark.parametrize(("force", "setpoint"), [(2.0, 2e-4), (-2.0, 2e-4), (2.0, 1.7e-5)])
+def test_short_moves_under_a_load_that_nobody_knows_stay_within_a_shortened_step(force, setpoint):
+    axis = inchworm(plant={"inchworm__slider__external_force": force})
+    axis.run(np.zeros(1000))
+    table = axis.run(np.full(32000, setpoint))
+    whole = np.abs(table["step_achieved"][table["total_steps"] > 0])
+    assert table["arrived"][-1] == 1.0
+    assert np.max(table["displacement"]) - setpoint < 0.5 * np.max(whole) < 5e-6
+    assert axis.sequencer.learned["load_deflection"] == pytest.approx(force / 0.41e6, rel=0.2)
+
+
+@slow
+def test_extenders_off_by_five_percent_that_creep_end_within_nanometres():
+    for plant, allowed in ((None, 5e-9), (LOADED, 10e-9)):
+        moves = honest_moves(1, plant, (1e-4, 0.0))
+        assert all(one.arrived for one in moves) and max(one.error for one in moves) < allowed
+
+
+def test_doubts_name_their_numbers():
+    plant = single_axis(
+        load_configuration("inchworm_travel").override("plant_simulator", inchworm__slider__external_force=-5.0)
+    )
+    hasty = single_axis(load_configuration("inchworm_travel").override("inchworm_sequencer", gait__extend=2e-3))
+    text = " ".join(inchworm_warnings(plant.plant_simulator, plant.inchworm_sequencer))
+    assert "1.5 times the load of 5 N" in text and "lower the load to 2.62 N" in text
+    (sentence,) = inchworm_warnings(hasty.plant_simulator, hasty.inchworm_sequencer)
+    assert "gait.extend = 0.002 s" in sentence and "455.8 Hz" in sentence
+    assert design_warnings(hasty.plant_simulator, [100.0]) == ()
+    assert "517 Hz" in design_warnings(hasty.plant_simulator, [50.0, 517.0])[0]
