@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import importlib
 import json
 import pathlib
@@ -31,7 +30,10 @@ EXPERIMENTS = {
     show_default=True,
     help="Run the axes by simulation, or by their nodes in lockstep: slower, the same rows.",
 )
-def reproduce(experiment: str, json_path: str | None, output: pathlib.Path | None, way: str) -> None:
+@click.option(
+    "--jobs", type=click.IntRange(1, 50), help="Graphs of nodes side by side with --through ros; default: cores."
+)
+def reproduce(experiment: str, json_path: str | None, output: pathlib.Path | None, way: str, jobs: int | None) -> None:
     """Repeat the experiments of a paper and print a table: paper, here, and whether the claim holds.
 
     Rows that do not hold are part of the result and named with their reason; they do not change the exit code.
@@ -45,8 +47,7 @@ def reproduce(experiment: str, json_path: str | None, output: pathlib.Path | Non
 
         require_page(output)  # now and not after minutes
     module = importlib.import_module(EXPERIMENTS[experiment])
-    with _runner(way):
-        found = module.reproduce()
+    found = module.reproduce() if way == "offline" else _reproduce_through_nodes(module, jobs)
     if output is not None:
         from hysteresis_ros.analysis.comparison import write_claims_page
 
@@ -79,14 +80,19 @@ def reproduce(experiment: str, json_path: str | None, output: pathlib.Path | Non
         click.echo(f"\nreport: {output}")
 
 
-def _runner(way: str):
-    """Return the context in which an experiment runs its axes that way."""
-    if way == "offline":
-        return contextlib.nullcontext()
-    from hysteresis_ros.experiments.runner import through
+def _reproduce_through_nodes(module, jobs: int | None):
+    """Repeat the experiments in the nodes: simulated first to know all runs, which are then made side by side."""
+    import os
+
+    from hysteresis_ros.experiments.runner import Noting, through
     from hysteresis_ros.nodes.graph_runner import GraphRunner, describe
 
-    def show(number, axis):
-        click.echo(f"run {number}: {describe(axis)}", err=True)
+    def show(number, known, axis):
+        click.echo(f"run {number} of {known}: {describe(axis)}", err=True)
 
-    return through(GraphRunner(show))
+    runner, noting = GraphRunner(show), Noting()
+    with through(noting):
+        module.reproduce()
+    runner.prepare(noting.axes, jobs or os.cpu_count() or 1)
+    with through(runner):
+        return module.reproduce()

@@ -27,6 +27,18 @@ def through(runner: Runner):
         _runner.reset(token)
 
 
+class Noting:
+    """A runner that simulates, and notes the axes it was asked for in :attr:`axes`."""
+
+    def __init__(self):
+        self.axes: list[AxisParameters] = []
+
+    def __call__(self, axis: AxisParameters) -> Recording:
+        """Simulate an axis."""
+        self.axes.append(axis)
+        return simulate(axis)
+
+
 def run(configuration: Configuration, duration: float) -> Recording:
     """Return the run of the only axis of ``configuration``, ``duration`` seconds from rest.
 

@@ -6,7 +6,9 @@ import os
 import pathlib
 import socket
 import tempfile
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 from hysteresis_ros.errors import HysteresisError, RecordingError
@@ -32,7 +34,7 @@ class GraphRunner:
     Parameters
     ----------
     on_run : callable, optional
-        Called before each run with its number from 1 on, and the axis.
+        Called before each run with its number from 1 on, how many are known, and the axis.
 
     Raises
     ------
@@ -40,11 +42,40 @@ class GraphRunner:
         rclpy is not installed.
     """
 
-    def __init__(self, on_run: Callable[[int, AxisParameters], None] = lambda number, axis: None):
+    def __init__(self, on_run: Callable[[int, int, AxisParameters], None] = lambda number, known, axis: None):
         require_ros()
         self.runs = 0
         self._on_run = on_run
+        self._known = 0
         self._found: dict[str, Recording] = {}
+        self._lock = threading.Lock()
+        self._domains: set[int] = set()
+
+    def prepare(self, axes: Iterable[AxisParameters], jobs: int) -> None:
+        """Run axes that will be asked for, several graphs side by side: most of a short run is starting processes.
+
+        Parameters
+        ----------
+        axes : iterable of AxisParameters
+            Equal ones are run once.
+        jobs : int
+            Number of graphs at a time.
+
+        Raises
+        ------
+        GraphError, RecordingError
+            A run failed; those that have begun are finished first.
+        """
+        distinct = list({axis.configuration_text(): axis for axis in axes}.values())
+        self._known = len(distinct)
+        with ThreadPoolExecutor(jobs) as pool:
+            waiting = [pool.submit(self, axis) for axis in distinct]
+            try:
+                for run in waiting:
+                    run.result()
+            except BaseException:
+                pool.shutdown(cancel_futures=True)
+                raise
 
     def __call__(self, axis: AxisParameters) -> Recording:
         """Run an axis, whose parameters say how long, from rest.
@@ -63,12 +94,14 @@ class GraphRunner:
         """
         text = axis.configuration_text()
         if text not in self._found:
-            self.runs += 1
-            self._on_run(self.runs, axis)
+            with self._lock:
+                self.runs += 1
+                number = self.runs
+            self._on_run(number, max(self._known, number), axis)
             try:
-                run = self._run(axis)
+                run = self._run(axis, number)
             except HysteresisError as error:
-                where = f"run {self.runs} ({describe(axis)})"
+                where = f"run {number} ({describe(axis)})"
                 raise GraphError(f"{where}: {error}", getattr(error, "exit_code", 1)) from error
             metadata = {
                 "configuration": text,
@@ -79,10 +112,20 @@ class GraphRunner:
             self._found[text] = replace(run, metadata=metadata)
         return self._found[text]
 
-    def _run(self, axis: AxisParameters) -> Recording:
-        environment = {"ROS_DOMAIN_ID": str(free_domain()), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    def _run(self, axis: AxisParameters, number: int) -> Recording:
+        with self._lock:
+            domain = free_domain(self._domains)
+            self._domains.add(domain)
+        try:
+            return self._run_in(domain, axis, number)
+        finally:
+            with self._lock:
+                self._domains.discard(domain)
+
+    def _run_in(self, domain: int, axis: AxisParameters, number: int) -> Recording:
+        environment = {"ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
         # a namespace of its own as well: another graph may enter the domain while this one runs
-        namespace = f"/reproduce_{os.getpid()}{axis.namespace}"
+        namespace = f"/reproduce_{os.getpid()}_{number}{axis.namespace}"
         with tempfile.TemporaryDirectory(prefix="hysteresis_") as folder:
             bag = pathlib.Path(folder) / "bag"
             with Graph([_in_lockstep(axis, namespace)], composed=True, record=bag, environment=environment) as graph:
@@ -106,15 +149,20 @@ def describe(axis: AxisParameters) -> str:
     return ", ".join(parts)
 
 
-def free_domain() -> int:
+def free_domain(taken: Iterable[int] = ()) -> int:
     """Return a ROS domain none of whose participants is on this machine.
+
+    Parameters
+    ----------
+    taken : iterable of int
+        Domains that are promised to somebody.
 
     Raises
     ------
     HysteresisError
         All are in use.
     """
-    domain = next((domain for domain in DOMAINS if _is_free(domain)), None)
+    domain = next((domain for domain in DOMAINS if domain not in taken and _is_free(domain)), None)
     if domain is None:
         raise HysteresisError(f"all ROS domains from {DOMAINS[-1]} to {DOMAINS[0]} are in use; stop other graphs")
     return domain

@@ -19,6 +19,7 @@ from hysteresis_ros.experiments.measurements import step_figures
 from hysteresis_ros.experiments.runner import through
 from hysteresis_ros.nodes import graph_runner
 from hysteresis_ros.nodes.launcher import GraphError, node_environment
+from hysteresis_ros.simulation.run import simulate, single_axis
 
 HOLD = 0.02  # s
 
@@ -45,16 +46,26 @@ def ros():
 def test_a_run_through_the_nodes_has_every_signal_of_a_simulation_bit_for_bit(ros):
     offline = kim.run_steps(small_axis(), HOLD)
     seen = []
-    runner = graph_runner.GraphRunner(lambda number, axis: seen.append(number))
+    runner = graph_runner.GraphRunner(lambda number, known, axis: seen.append((number, known)))
     with through(runner):
         online = kim.run_steps(small_axis(), HOLD)
         again = kim.run_steps(small_axis(), HOLD)
-    assert seen == [1] and again is online
+    assert seen == [(1, 1)] and again is online
     assert online.signals.keys() == offline.signals.keys()
     assert np.array_equal(online.time, offline.time)
     different = [name for name in offline.signals if offline[name].tobytes() != online[name].tobytes()]
     assert not different
     assert online.metadata["configuration"] == offline.metadata["configuration"]
+
+
+def test_runs_side_by_side_keep_their_own_numbers(ros):
+    axes = [single_axis(kim.open_loop(small_axis())).with_duration(0.01 * count) for count in (1, 2)]
+    runner = graph_runner.GraphRunner()
+    runner.prepare([*axes, axes[0]], jobs=2)
+    assert runner.runs == 2
+    for axis in axes:
+        assert runner(axis)["displacement"].tobytes() == simulate(axis)["displacement"].tobytes()
+    assert runner.runs == 2
 
 
 def test_both_ways_write_the_same_json_but_for_the_way(ros, monkeypatch):
