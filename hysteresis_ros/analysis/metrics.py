@@ -36,6 +36,7 @@ FIGURES = (
     ("command_reversals_hz", "Reversals of the command", "1/s", 1.0),
     ("voltage_rate_v_s", "Control effort, voltage rate", "V/s rms", 1.0),
     ("voltage_variation_v", "Total variation of the voltage", "V", 1.0),
+    ("saturated_percent", "Commands that the limits cut", "% of samples", 1.0),
     ("stroke_m", "Stroke", "µm", 1e6),
     ("steps", "Steps", "", 1.0),
     ("samples", "Samples", "", 1.0),
@@ -80,6 +81,7 @@ def compute_metrics(recording: Recording) -> dict:
                                             of the reference, at least 0
     ``voltage_rate_v_s``                    rms of (V_k - V_(k-1)) / sample time
     ``voltage_variation_v``                 Σ abs(V_k - V_(k-1))
+    ``saturated_percent``                   samples whose command the compensator's range or slew rate cut, in % of all
     ``steps``, ``samples``, ``duration_s``  number of steps from hold to hold, number of samples, time of the last
                                             sample less that of the first
     ``missing_samples``                     samples the bag lacks wholly or in a signal
@@ -129,6 +131,7 @@ def compute_metrics(recording: Recording) -> dict:
     voltage = recording["voltage"][good] if recording.has("voltage") else None
     figures.update(_loop_figures(reference[good], displacement[good], voltage, figures["stroke_m"], notes))
     figures.update(chattering_figures(time[good], reference[good], *_signals(recording, good), notes))
+    figures["saturated_percent"] = _saturated(recording, notes)
     figures.update(sampling_figures(recording, notes))
     return {**{name: _plain(value) for name, value in figures.items()}, "notes": notes}
 
@@ -245,6 +248,15 @@ def _command_figures(time, reference, command) -> dict:
 def _reversals(steps) -> int:
     signs = np.sign(steps[steps != 0.0])
     return int(np.count_nonzero(signs[1:] != signs[:-1]))
+
+
+def _saturated(recording: Recording, notes: dict) -> float | None:
+    flags = recording["saturated"] if recording.has("saturated") else np.zeros(0)
+    flags = flags[np.isfinite(flags)]
+    if not len(flags):
+        notes["saturated_percent"] = "the recording does not say what the compensator's limits cut"
+        return None
+    return 100.0 * float(np.mean(flags > 0.0))
 
 
 def sampling_figures(recording: Recording, notes: dict) -> dict:

@@ -33,12 +33,23 @@ def ranking_figure(labels: list[str], values: dict[str, list[np.ndarray]]):
             )
             axis.plot([np.max(errors)], [place], linestyle="", marker="o", markersize=6.0, color=colour)
         axis.set_xscale("log")
+        _label_decades(axis)
         axis.set(xlabel="RMS error [% of stroke]", ylim=(-0.7, len(labels) - 0.3))
         axis.set_title(name, fontsize=11)
         axis.set_yticks(places, labels if number == 0 else [""] * len(labels), fontsize=8)
         axis.grid(True, which="both", axis="x", linewidth=0.4, alpha=0.6)
         axis.grid(True, axis="y", linewidth=0.4, alpha=0.4)
     return figure
+
+
+def _label_decades(axis) -> None:
+    """Label 1, 2 and 5 of each decade as plain numbers, of many decades 1 alone: all minor labels would overlap."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
+
+    low, high = axis.get_xlim()
+    axis.xaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if high < 100.0 * low else (1.0,)))
+    axis.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.xaxis.set_minor_formatter(NullFormatter())
 
 
 def errors_figure(errors: dict[str, tuple[np.ndarray, np.ndarray]]):

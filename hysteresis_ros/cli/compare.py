@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import pathlib
+import sys
 
 import click
 
@@ -34,7 +35,7 @@ def compare(config, mismatch, noise, bits, draws, seed, sine, triangle, namespac
 
     conditions = Conditions(mismatch, noise, bits, draws, seed, sine, triangle)
     configuration = load_configuration(config)
-    quiet = not click.get_text_stream("stderr").isatty()
+    quiet = not sys.stderr.isatty()
 
     def progress(row):
         if not quiet:

@@ -31,6 +31,7 @@ def design(config, controller, bandwidth, q, criterion, duration, feedforward, p
     from hysteresis_ros.configuration import load_configuration, normalised_namespace
     from hysteresis_ros.identification.parameter_file import write_file
     from hysteresis_ros.simulation.design import DesignRequest, design_axis, design_file, design_lines
+    from hysteresis_ros.simulation.inchworm_checks import design_warnings
     from hysteresis_ros.simulation.run import single_axis
 
     configuration = load_configuration(config)
@@ -48,4 +49,7 @@ def design(config, controller, bandwidth, q, criterion, duration, feedforward, p
     write_file(output, design_file(configuration, result, normalised_namespace(axis.namespace)))
     for line in design_lines(result):
         click.echo(line)
+    if axis.inchworm_sequencer is not None:
+        for warning in design_warnings(axis.plant_simulator, result.margins.gain_crossovers):
+            click.echo(f"hysteresis: warning: {warning}", err=True)
     click.echo(f"{output}: written, type {result.parameters.type}")

@@ -24,7 +24,7 @@ def report(recording: pathlib.Path, output: pathlib.Path | None, json_path: str 
     from hysteresis_ros.analysis.inchworm_moves import is_inchworm
     from hysteresis_ros.recordings.files import load_run
 
-    run = load_run(recording, namespace)
+    run = load_run(recording, namespace, further=True)
     if is_inchworm(run):
         from hysteresis_ros.analysis.inchworm import format_inchworm as table
         from hysteresis_ros.analysis.inchworm import inchworm_figures as judge

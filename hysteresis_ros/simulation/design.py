@@ -208,7 +208,10 @@ def design_lines(result: AxisDesign) -> list[str]:
         ("phase crossover", ", ".join(f"{value:.4g}" for value in found.phase_crossovers) + " Hz"),
         ("sensitivity peak M_s", f"{found.sensitivity_peak:.3f}"),
         ("complementary peak M_t", f"{found.complementary_peak:.3f}"),
-        ("closed-loop poles", ", ".join(_pole(pole) for pole in found.poles if pole.imag >= 0.0 and abs(pole) > AT_ZERO)),
+        (
+            "closed-loop poles",
+            ", ".join(_pole(pole) for pole in found.poles if pole.imag >= 0.0 and abs(pole) > AT_ZERO),
+        ),
     ]
     width = max(len(name) for name, _ in rows)
     lines = [f"{name:<{width}}  {'none' if text == ' Hz' else text}" for name, text in rows]

@@ -178,8 +178,8 @@ def _beyond_stroke(axis, given: ReferenceParameters, generator: ReferenceGenerat
         if not low - slack <= value <= high + slack:
             name = shaping_parameter(given.waveform)
             allowed = (
-                f"the waveform {given.waveform.type} around the setpoint {_micro(around)} goes to {_micro(value)}, out of "
-                f"reach: the compensator's model reaches {reached}; change the waveform or widen the limits"
+                f"the waveform {given.waveform.type} around the setpoint {_micro(around)} goes to {_micro(value)}, out "
+                f"of reach: the compensator's model reaches {reached}; change the waveform or widen the limits"
             )
             yield Problem(f"reference_generator: waveform.{name}", given.waveform.to_mapping()[name], allowed)
             return

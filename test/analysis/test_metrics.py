@@ -40,6 +40,16 @@ def test_second_order_step_overshoots_by_its_damping(damping, height):
     assert figures["steps"] == 1
 
 
+def test_a_run_at_its_limits_says_so():
+    time, reference = step()
+    cut = np.where(time < 0.1, 1.0, 0.0)
+    figures = compute_metrics(run(time, reference, reference, saturated=cut))
+    assert figures["saturated_percent"] == pytest.approx(100.0 * np.mean(cut))
+    assert "Commands that the limits cut" in format_table(figures)
+    silent = compute_metrics(run(time, reference, reference))
+    assert silent["saturated_percent"] is None and "does not say" in silent["notes"]["saturated_percent"]
+
+
 @pytest.mark.parametrize("time_constant", [0.01, 0.05])
 def test_exponential_settles_after_ln_50_time_constants(time_constant):
     time, reference = step()

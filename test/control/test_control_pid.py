@@ -172,8 +172,9 @@ def test_new_gains_do_not_move_the_command(Kp, Ki, weight, offset):
 
 def test_whatever_comes_in_the_command_stays_finite():
     c = block({"Kp": 1e9, "Ki": 1e9, "Kd": 1e9, "derivative_weight": 1.0, "anti_windup": "none"})
-    for r, y in [(1e300, -1e300), (-1e308, 1e308), (np.inf, -np.inf), (0.0, 0.0)] * 5:
+    for r, y in [(1e300, -1e300), (-1e308, 1e308), (np.inf, -np.inf), (np.nan, np.nan), (0.0, 0.0)] * 5:
         assert np.isfinite(c.step(r, y))
+        c.x[open_loop.APPLIED] = r
 
 
 REFUSED = [

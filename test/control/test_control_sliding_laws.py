@@ -282,16 +282,17 @@ def test_a_law_that_the_filter_tells_nothing_of_disturbances_is_doubted(paramete
     st.sampled_from(TYPES),
     st.sampled_from([{}, CONSTANT, {"kalman.disturbance": "ramp"}, {"kalman.disturbance": "periodic"}]),
     st.sampled_from(["none", "inverse_dynamics"]),
-    st.lists(st.tuples(*[st.floats(allow_nan=False, allow_infinity=False)] * 4), min_size=1, max_size=30),
+    st.lists(st.tuples(*[st.floats()] * 4), min_size=1, max_size=30),
 )
-def test_finite_input_gives_finite_signals(parameters, changes, disturbed, feedforward, samples):
+def test_any_input_gives_finite_signals(parameters, changes, disturbed, feedforward, samples):
     ahead = {"feedforward.type": feedforward, "feedforward.preview": 5}
     block = controller_block(parameters(changes | disturbed | ahead), SAMPLE_TIME)
     for reference, measured, applied, ahead in samples:
         block.x[open_loop.FEEDFORWARD] = ahead
         assert np.isfinite(block.step(reference, measured))
         block.x[open_loop.APPLIED] = applied
-        assert np.isfinite(block.x).all()
+        held = np.delete(block.x, [open_loop.APPLIED, open_loop.FEEDFORWARD])
+        assert np.isfinite(held).all()
 
 
 @pytest.mark.parametrize("changes", TYPES[1:])

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from hysteresis_ros.analysis.ranking import ranking_figure
 from hysteresis_ros.cli.main import main
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.errors import ParameterError
@@ -125,6 +126,26 @@ def test_the_page_holds_the_table_and_its_plots(comparison, tmp_path):
     assert page.count("<img") == 3 and BEST[0] in page
 
 
+@pytest.mark.parametrize("most", [3.0, 40.0, 3000.0])
+def test_labels_of_the_error_scale_do_not_overlap(most):
+    pytest.importorskip("matplotlib")
+    errors = [np.array([2.5, 2.6]), np.array([0.9 * most, most])]
+    figure = ranking_figure(["one", "other"], {"sine": errors, "triangle": errors})
+    figure.canvas.draw()
+    for axis in figure.axes:
+        ticks = axis.xaxis.get_ticklabels(which="both")
+        boxes = [tick.get_window_extent() for tick in ticks if tick.get_text()]
+        inside = sorted((box.x0, box.x1) for box in boxes if axis.bbox.x0 <= 0.5 * (box.x0 + box.x1) <= axis.bbox.x1)
+        assert all(one[1] < other[0] for one, other in zip(inside, inside[1:], strict=False))
+
+
+def test_unlimited_converters_are_called_so():
+    found = compare(load_configuration("picma_stage"), Conditions(draws=1, bits=0), only={OPEN})
+    assert "converters without steps" in table.format_comparison(found)
+
+
 def test_the_command_names_what_is_wrong():
+    answer = CliRunner().invoke(main, ["compare", "inchworm_travel", "--draws", "1"])
+    assert answer.exit_code == 2 and "sequencer" in answer.output and "Traceback" not in answer.output
     answer = CliRunner().invoke(main, ["compare", "picma_stage", "--mismatch", "2"])
     assert answer.exit_code == 2 and "mismatch = 2" in answer.output and "Traceback" not in answer.output
