@@ -34,6 +34,9 @@ KINETIC = 6
 DISPLACEMENT = sensing.STATES  # [m]
 NORMAL = sensing.STATES + 1  # normal force [N]
 
+#: Samples of 1 ms in which a hysteresis model with dynamics of its own comes to rest.
+RESTING_SAMPLES = 20000
+
 
 @dataclass(frozen=True)
 class FirstOrderParameters(Parameters):
@@ -142,10 +145,12 @@ class ClampParameters(Parameters):
     def _displacements(self, voltages) -> list[float]:
         """Return the displacement [m] at rest under each of the voltages [V], gone through one after the other."""
         block = hysteresis_block(self.hysteresis, 1e-3)
-        # a model with dynamics of its own is given time to come to rest
-        held = 1 if getattr(block, "rate_independent", False) or self.hysteresis.type == "proportional" else 20000
         low, high = self.limits.minimum, self.limits.maximum
-        return [float(block.simulate(np.full(held, min(max(v, low), high)))[-1]) for v in voltages]
+        limited = [min(max(voltage, low), high) for voltage in voltages]
+        if getattr(block, "rate_independent", False) or self.hysteresis.type == "proportional":
+            return [float(block.step(voltage)) for voltage in limited]
+        # a model with dynamics of its own is given time to come to rest
+        return [float(block.simulate(np.full(RESTING_SAMPLES, voltage))[-1]) for voltage in limited]
 
     def normal_force(self, voltage: float) -> float:
         """Return the normal force [N] at rest at ``voltage`` [V].

@@ -105,10 +105,14 @@ def write_npz(recording: Recording, path) -> None:
     if reserved:
         raise RecordingError(f"a signal may not be called {', '.join(sorted(reserved))} in an NPZ file; rename it")
 
+    arrays = {"time": recording.time, **recording.signals, "units": np.array(units), "metadata": np.array(metadata)}
+
     def write(stream):
-        np.savez_compressed(
-            stream, time=recording.time, **recording.signals, units=np.array(units), metadata=np.array(metadata)
-        )
+        # as numpy.savez_compressed, whose compression takes longer than a simulation and saves little more
+        with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+            for name, array in arrays.items():
+                with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                    np.lib.format.write_array(member, np.asanyarray(array), allow_pickle=False)
 
     _replace(path, "wb", write)
 

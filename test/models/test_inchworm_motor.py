@@ -336,8 +336,9 @@ def test_plant_parameters_choose_the_motor():
     assert PlantNodeParameters.from_mapping(actuator).type == "actuator"
     with pytest.raises(ParameterError, match="inchworm.slider.mass = None: missing"):
         PlantNodeParameters.from_mapping(actuator | {"type": "inchworm"})
-    chosen = PlantNodeParameters.from_mapping(motor().to_mapping() | {"type": "inchworm"})
+    typed = {"type": "inchworm", "joint": "slider"}
+    chosen = PlantNodeParameters.from_mapping(motor().to_mapping() | typed)
     assert chosen.inchworm == motor().inchworm
     with pytest.raises(ParameterError, match="rear_clamp.sensor.seed = 1"):
         noisy = {"sensor.noise": 1e-9, "inchworm.rear_clamp.sensor.noise": 1e-9, "inchworm.rear_clamp.sensor.seed": 1}
-        PlantNodeParameters.from_mapping(motor().to_mapping() | {"type": "inchworm"} | noisy)
+        PlantNodeParameters.from_mapping(motor().to_mapping() | typed | noisy)
