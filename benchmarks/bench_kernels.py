@@ -124,7 +124,9 @@ class Case:
         """Return the largest difference of the two outputs, as a part of the range of the output."""
         self.run(0)
         self.run(1)
-        return float(np.max(np.abs(self.outputs[0] - self.outputs[1])) / np.ptp(self.outputs[1]))
+        difference = float(np.max(np.abs(self.outputs[0] - self.outputs[1])))
+        # NaN and a constant output agree with nothing
+        return difference / float(np.ptp(self.outputs[1])) if np.ptp(self.outputs[1]) > 0.0 else np.inf
 
 
 def cases(library) -> list[Case]:
@@ -156,7 +158,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as folder:
         for case in cases(c_library(pathlib.Path(folder))):
             difference = case.difference()
-            if difference > 1e-12:
+            if not difference <= 1e-12:
                 raise common.BenchmarkError(f"{case.name}: kernel and C differ by {difference:.3g} of full scale")
             ratio, *times = common.interleaved(partial(case.run, 0), partial(case.run, 1), options.repeats)
             ours, theirs = (seconds / SAMPLES * 1e9 for seconds in times)

@@ -279,18 +279,21 @@ void run_limits(Parameters p, State x, const double *restrict u, double *restric
         y[k] = limits(p, x, u[k]);
 }
 
-/* ---- control/kalman.py and control/sliding_mode.py --------------------------------------------------------------- */
+/* ---- control/kalman.py, control/sliding_surface.py and control/sliding_mode.py ------------------------------------ */
 
 #define BOUND 1e60
 
-enum { K_ORDER, K_CURRENT, K_DISTURBED, K_FEEDTHROUGH, K_DISTURBANCE_GAIN, K_REST_INPUT, K_MATRICES };
+enum { K_ORDER, K_CURRENT, K_DISTURBED, K_FEEDTHROUGH, K_REST_INPUT, K_MATRICES };
 enum { K_RUNNING, K_INNOVATION, K_OFFSET, K_ESTIMATE };
-enum { S_N, S_INTEGRATING, S_INPUT_SCALE, S_OUTPUT_SCALE, S_PRELOAD, S_REST_COMMAND, S_INTEGRAL_GAIN };
-enum { S_INTEGRAL_HYPERPLANE = 7, S_SLOPE, S_LEVEL, S_WIDTH, S_THRESHOLD, S_GAINS };
-enum { APPLIED, ESTIMATED, SWITCHING, COMMAND, DISTURBANCE, STARTED, INTEGRAL, LARGEST, OBSERVER };
+enum { S_FED, S_N, S_INTEGRATING, S_INPUT_SCALE, S_OUTPUT_SCALE, S_PRELOAD, S_REST_COMMAND, S_INTEGRAL_GAIN };
+enum { S_INTEGRAL_HYPERPLANE = 8, S_SLOPE, S_LEVEL, S_WIDTH, S_THRESHOLD, S_MOVING, S_GAINS = 19 };
+enum { APPLIED, ESTIMATED, SWITCHING, COMMAND, DISTURBANCE, STARTED, FEEDFORWARD };
+enum { INTEGRAL = 7, LARGEST, LINEAR, TARGET, LAST = 13, BEGUN, OBSERVER };
 
 static inline double bounded(double value)
 {
+    if (value != value)
+        return 0.0;
     if (value > BOUND)
         return BOUND;
     if (value < -BOUND)
@@ -300,15 +303,22 @@ static inline double bounded(double value)
 
 static inline double kalman_step(const double *p, double *x, double applied, double measured)
 {
-    long n = (long)p[K_ORDER];
+    long n = (long)p[K_ORDER], m = (long)p[K_DISTURBED];
     long a = K_MATRICES, b = a + n * n, c = b + n, gain = c + n, rest = gain + n;
-    long now = K_ESTIMATE, following = now + n;
+    long transition = rest + n, shown = transition + m * m, correction = shown + m, through = correction + m;
+    long now = K_ESTIMATE, following = now + n, cause = following + n, coming = cause + m;
     if (x[K_RUNNING] == 0.0) {
         x[K_RUNNING] = 1.0;
         x[K_INNOVATION] = 0.0;
         for (long i = 0; i < n; i++)
             x[now + i] = bounded(p[rest + i] * measured);
-        x[K_OFFSET] = p[K_DISTURBED] * bounded(p[K_REST_INPUT] * measured - applied);
+        for (long i = 0; i < m; i++)
+            x[cause + i] = 0.0;
+        x[K_OFFSET] = 0.0;
+        if (m > 0) {
+            x[cause] = bounded(p[K_REST_INPUT] * measured - applied);
+            x[K_OFFSET] = x[cause];
+        }
         return measured;
     }
     double late = p[K_CURRENT] == 0.0 ? x[K_INNOVATION] : 0.0;
@@ -321,42 +331,78 @@ static inline double kalman_step(const double *p, double *x, double applied, dou
     }
     for (long i = 0; i < n; i++)
         x[now + i] = x[following + i];
-    x[K_OFFSET] = bounded(x[K_OFFSET] + p[K_DISTURBANCE_GAIN] * late);
-    double output = p[K_FEEDTHROUGH] * (applied + x[K_OFFSET]);
+    for (long i = 0; i < m; i++) {
+        double value = p[correction + i] * late;
+        for (long j = 0; j < m; j++)
+            value += p[transition + i * m + j] * x[cause + j];
+        x[coming + i] = bounded(value);
+    }
+    double offset = 0.0, output = p[K_FEEDTHROUGH] * applied;
+    for (long i = 0; i < m; i++) {
+        x[cause + i] = x[coming + i];
+        offset += p[shown + i] * x[cause + i];
+        output += p[through + i] * x[cause + i];
+    }
     for (long i = 0; i < n; i++)
         output += p[c + i] * x[now + i];
     double innovation = bounded(measured - output);
     x[K_INNOVATION] = innovation;
     if (p[K_CURRENT] != 0.0) {
         for (long i = 0; i < n; i++) {
-            double correction = p[gain + i] * innovation;
-            x[now + i] = bounded(x[now + i] + correction);
-            output += p[c + i] * correction;
+            double change = p[gain + i] * innovation;
+            x[now + i] = bounded(x[now + i] + change);
+            output += p[c + i] * change;
         }
-        x[K_OFFSET] = bounded(x[K_OFFSET] + p[K_DISTURBANCE_GAIN] * innovation);
+        offset = 0.0;
+        for (long i = 0; i < m; i++) {
+            x[cause + i] = bounded(x[cause + i] + p[correction + i] * innovation);
+            offset += p[shown + i] * x[cause + i];
+        }
     }
+    x[K_OFFSET] = bounded(offset);
     return output;
 }
 
 static inline double sliding_mode(const double *p, double *x, double reference, double measured)
 {
     long n = (long)p[S_N];
-    long hyperplane = S_GAINS + n, observer = hyperplane + n, rest = observer + K_MATRICES + n * n + 3 * n;
+    long hyperplane = S_GAINS + n, observer = hyperplane + n, b = observer + K_MATRICES + n * n, rest = b + 3 * n;
+    long ahead = OBSERVER + K_ESTIMATE + 2 * (n + (long)p[observer + K_DISTURBED]);
     double applied = bounded(x[APPLIED]);
     if (fabs(applied) > x[LARGEST])
         x[LARGEST] = fabs(applied);
+    double r = bounded(reference) / p[S_OUTPUT_SCALE];
+    double y = (bounded(measured) - p[S_PRELOAD]) / p[S_OUTPUT_SCALE];
     if (x[STARTED] == 0.0) {
         x[STARTED] = 1.0;
         x[OBSERVER + K_RUNNING] = 0.0;
+        for (long i = 0; i < n; i++)
+            x[ahead + i] = bounded(p[rest + i] * r);
     }
-    double r = bounded(reference) / p[S_OUTPUT_SCALE];
-    double y = (bounded(measured) - p[S_PRELOAD]) / p[S_OUTPUT_SCALE];
     double estimated = kalman_step(p + observer, x + OBSERVER, applied / p[S_INPUT_SCALE], y);
     double s = 0.0, linear = 0.0;
-    for (long i = 0; i < n; i++) {
-        double distance = x[OBSERVER + K_ESTIMATE + i] - p[rest + i] * r;
-        s += p[hyperplane + i] * distance;
-        linear += p[S_GAINS + i] * distance;
+    if (p[S_MOVING] != 0.0) {
+        double fed = bounded(x[FEEDFORWARD]) / p[S_INPUT_SCALE];
+        x[TARGET] = fed;
+        for (long i = 0; i < n; i++) {
+            double distance = x[OBSERVER + K_ESTIMATE + i] - x[ahead + i];
+            s += p[hyperplane + i] * distance;
+            linear += p[S_GAINS + i] * distance;
+            double following = p[b + i] * fed;
+            long row = observer + K_MATRICES + i * n;
+            for (long j = 0; j < n; j++)
+                following += p[row + j] * x[ahead + j];
+            x[ahead + n + i] = following;
+        }
+        for (long i = 0; i < n; i++)
+            x[ahead + i] = bounded(x[ahead + n + i]);
+    } else {
+        x[TARGET] = p[S_REST_COMMAND] * r;
+        for (long i = 0; i < n; i++) {
+            double distance = x[OBSERVER + K_ESTIMATE + i] - p[rest + i] * r;
+            s += p[hyperplane + i] * distance;
+            linear += p[S_GAINS + i] * distance;
+        }
     }
     if (p[S_INTEGRATING] != 0.0) {
         double error = r - y;
@@ -367,17 +413,20 @@ static inline double sliding_mode(const double *p, double *x, double reference, 
         s += p[S_INTEGRAL_HYPERPLANE] * x[INTEGRAL];
         linear += p[S_INTEGRAL_GAIN] * x[INTEGRAL];
     }
+    x[LINEAR] = linear;
+    x[ESTIMATED] = bounded(estimated * p[S_OUTPUT_SCALE] + p[S_PRELOAD]);
     s = bounded(s);
     double width = fabs(s) + p[S_WIDTH];
     double nonlinear = 0.0;
     if (width > 0.0)
         nonlinear = (p[S_SLOPE] * fabs(s) + p[S_LEVEL]) * (s / width);
-    double disturbance = x[OBSERVER + K_OFFSET];
-    double command = bounded((p[S_REST_COMMAND] * r - disturbance - linear - nonlinear) * p[S_INPUT_SCALE]);
-    x[ESTIMATED] = bounded(estimated * p[S_OUTPUT_SCALE] + p[S_PRELOAD]);
+    double command = bounded(x[TARGET] - x[OBSERVER + K_OFFSET] - x[LINEAR] - nonlinear);
+    x[LAST] = command;
+    x[BEGUN] = 1.0;
+    command = bounded(command * p[S_INPUT_SCALE]);
     x[SWITCHING] = s;
     x[COMMAND] = command;
-    x[DISTURBANCE] = bounded(disturbance * p[S_INPUT_SCALE]);
+    x[DISTURBANCE] = bounded(x[OBSERVER + K_OFFSET] * p[S_INPUT_SCALE]);
     x[APPLIED] = command;
     return command;
 }
