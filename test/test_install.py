@@ -18,6 +18,7 @@ EXECUTABLES = {
     "hysteresis_compensator",
     "motion_controller",
     "reference_generator",
+    "inchworm_sequencer",
     "recorder",
     "hysteresis_axis",
     "hysteresis",

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from collections import deque
+
 #: A difference counts above this part of the largest command carried out so far: inverses are approximate.
 FRACTION = 0.05
 #: And above this [m]: before anything moved, rounding is no shortfall.
 SMALLEST = 1e-9
+#: Answers may be late by as many samples less one on a busy machine.
+LATENESS = 20
 
 
 class Shortfall:
@@ -13,16 +17,16 @@ class Shortfall:
 
     def __init__(self):
         self.count = 0
-        self._sent = (0.0, 0.0)
+        self._sent = deque([0.0], maxlen=LATENESS)
         self._largest = 0.0
         self._worst = None
 
     def sent(self, command: float) -> None:
         """Note a command [m] that was sent."""
-        self._sent = (self._sent[1], command)
+        self._sent.append(command)
 
     def carried_out(self, applied: float) -> None:
-        """Compare what was carried out [m]; it may belong to the last command or, late, to the one before."""
+        """Compare what was carried out [m] with the nearest of the last commands: an answer may be late."""
         self._largest = max(self._largest, abs(applied))
         wanted = min(self._sent, key=lambda command: abs(command - applied))
         difference = abs(wanted - applied)

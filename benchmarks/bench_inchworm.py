@@ -1,0 +1,34 @@
+"""A whole 5 mm move of the inchworm offline: seconds of the axis for a second of the processor."""
+
+from __future__ import annotations
+
+import pathlib
+import statistics
+
+import common
+
+from hysteresis_ros.block import COMPILED
+from hysteresis_ros.configuration import load_configuration
+from hysteresis_ros.simulation.run import simulate, single_axis
+
+TARGET = 20.0
+CONFIGURATION = pathlib.Path(__file__).resolve().parents[1] / "config" / "inchworm_travel.yaml"
+
+
+def main() -> int:
+    """Run the benchmark; returns the exit code."""
+    options = common.parser(__doc__, repeats=7).parse_args()
+    if not COMPILED:
+        raise common.BenchmarkError("Numba is missing or switched off: there are no compiled kernels to measure")
+    axis = single_axis(load_configuration(str(CONFIGURATION)))
+    run = simulate(axis)  # compiles
+    length = run.time.size * run.sample_time
+    seconds = statistics.median(common.cpu_seconds(lambda: simulate(axis)) for _ in range(options.repeats))
+    detail = f"{length:g} s at {1.0 / run.sample_time:g} Hz in {seconds:.3f} s, the description of the run included"
+    moved = run["displacement"][-1] - run["displacement"][0]
+    detail += f"; {moved * 1e3:.3f} mm"
+    return common.report([common.Result("5 mm move, real time", length / seconds, "at least", TARGET, detail)], options)
+
+
+if __name__ == "__main__":
+    common.run(main)
