@@ -35,3 +35,8 @@ def simulate(config, output, duration, setpoints, namespace):
     save_run(recording, output)
     rate = parameters.plant_simulator.sample_rate
     click.echo(f"{output}: {recording.time.size} samples at {rate:g} Hz ({recording.time.size / rate:g} s)")
+    if recording.has("error") and recording["error"][-1] != 0.0:
+        from hysteresis_ros.references.inchworm_layout import ERROR_NAMES
+
+        name = ERROR_NAMES[int(recording["error"][-1])]
+        click.echo(f"hysteresis: warning: the motor stopped with the error {name}; see hysteresis report", err=True)
