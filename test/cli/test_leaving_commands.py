@@ -54,7 +54,7 @@ def test_ctrl_c_ends_a_command_without_words(monkeypatch):
 
 
 WAITING = """
-import pathlib, sys, tempfile, time
+import signal, sys, tempfile
 import click
 from hysteresis_ros.cli import main as commands
 
@@ -62,8 +62,7 @@ from hysteresis_ros.cli import main as commands
 def waiting():
     with tempfile.TemporaryDirectory(prefix="hysteresis_", dir=sys.argv[2]):
         print("there", flush=True)
-        while True:
-            time.sleep(0.1)
+        signal.pause()
 
 commands.LazyGroup.get_command = lambda self, ctx, name: waiting
 sys.argv[1:] = ["waiting", sys.argv[1]]
