@@ -69,6 +69,21 @@ def judged_reference(recording: Recording) -> np.ndarray:
     return np.where(numbers < preview, reference[0], found)
 
 
+def delayed(reference, preview: int) -> np.ndarray:
+    """Return the reference to be followed at each sample when the one received is ``preview`` samples ahead.
+
+    Parameters
+    ----------
+    reference : array, shape (N,)
+        As received [m], no sample missing; before it, its first value.
+    preview : int
+        Samples.
+    """
+    if preview == 0:
+        return reference
+    return np.concatenate([np.full(preview, reference[0]), reference])[: len(reference)]
+
+
 def _offset(values: dict) -> float:
     if not values:
         return 0.0

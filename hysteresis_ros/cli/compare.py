@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import pathlib
 import sys
 
 import click
+
+from hysteresis_ros.cli.data_options import write_json
 
 
 @click.command()
@@ -28,7 +29,6 @@ def compare(config, mismatch, noise, bits, draws, seed, sine, triangle, namespac
     one. -o adds a self-contained HTML file with plots (needs the extra: pip install "hysteresis_ros[report]").
     """
     from hysteresis_ros.configuration import load_configuration
-    from hysteresis_ros.errors import RecordingError
     from hysteresis_ros.experiments import comparison_table as table
     from hysteresis_ros.experiments.controller_comparison import Conditions
     from hysteresis_ros.experiments.controller_comparison import compare as run
@@ -44,15 +44,6 @@ def compare(config, mismatch, noise, bits, draws, seed, sine, triangle, namespac
     found = run(configuration, conditions, namespace=namespace, progress=progress)
     if output is not None:
         table.write_page(found, output)
-    text = json.dumps(table.to_json(found), indent=2, ensure_ascii=False, allow_nan=False)
-    if json_path == "-":
-        click.echo(text)
-        return
-    click.echo(table.format_comparison(found))
-    if json_path is not None:
-        try:
-            pathlib.Path(json_path).write_text(text + "\n", encoding="utf-8")
-        except OSError as error:
-            raise RecordingError(f"{json_path}: cannot be written: {error.strerror}; choose another place") from None
-    if output is not None:
+    write_json(table.to_json(found), json_path, table.format_comparison(found))
+    if output is not None and json_path != "-":
         click.echo(f"\nreport: {output}")

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import pathlib
 
 import click
+
+from hysteresis_ros.cli.data_options import write_json
 
 
 @click.command()
@@ -36,21 +37,6 @@ def report(recording: pathlib.Path, output: pathlib.Path | None, json_path: str 
     figures = judge(run)
     if output is not None:
         write(run, output, recording.name, figures)
-    text = json.dumps(figures, indent=2, ensure_ascii=False, allow_nan=False)
-    if json_path == "-":
-        click.echo(text)
-        return
-    click.echo(table(figures))
-    if json_path is not None:
-        _write(pathlib.Path(json_path), text + "\n")
-    if output is not None:
+    write_json(figures, json_path, table(figures))
+    if output is not None and json_path != "-":
         click.echo(f"report: {output}")
-
-
-def _write(path: pathlib.Path, text: str) -> None:
-    from hysteresis_ros.errors import RecordingError
-
-    try:
-        path.write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be written: {error.strerror}; choose another place") from None

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import importlib
-import json
 import pathlib
 
 import click
+
+from hysteresis_ros.cli.data_options import write_json
 
 #: Experiments that can be repeated, and the module with their ``reproduce`` and ``figures``.
 EXPERIMENTS = {
@@ -39,7 +40,6 @@ def reproduce(experiment: str, json_path: str | None, output: pathlib.Path | Non
     Rows that do not hold are part of the result and named with their reason; they do not change the exit code.
     -o adds a self-contained HTML file with plots (needs the extra: pip install "hysteresis_ros[report]").
     """
-    from hysteresis_ros.errors import RecordingError
     from hysteresis_ros.experiments.claims import HEADINGS, format_claims
 
     if output is not None:
@@ -66,17 +66,8 @@ def reproduce(experiment: str, json_path: str | None, output: pathlib.Path | Non
         )
     rows = found.to_json()
     rows = {"experiment": rows.pop("experiment"), "through": way, **rows}
-    text = json.dumps(rows, indent=2, ensure_ascii=False, allow_nan=False)
-    if json_path == "-":
-        click.echo(text)
-        return
-    click.echo(format_claims(found))
-    if json_path is not None:
-        try:
-            pathlib.Path(json_path).write_text(text + "\n", encoding="utf-8")
-        except OSError as error:
-            raise RecordingError(f"{json_path}: cannot be written: {error.strerror}; choose another place") from None
-    if output is not None:
+    write_json(rows, json_path, format_claims(found))
+    if output is not None and json_path != "-":
         click.echo(f"\nreport: {output}")
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from hysteresis_ros.analysis.settings import delayed
 from hysteresis_ros.configuration import Configuration
 from hysteresis_ros.experiments.runner import run
 from hysteresis_ros.models.linear import zero_order_hold
@@ -145,9 +146,7 @@ def iae(recording: Recording) -> float:
 def error(recording: Recording) -> np.ndarray:
     """Return reference, delayed by the preview, less true displacement [m], shape (N,)."""
     preview = int(configured(recording.configuration, "motion_controller").get("feedforward.preview", 0))
-    reference = recording["reference"]
-    delayed = np.concatenate([np.full(preview, reference[0]), reference[: reference.size - preview]])
-    return delayed - recording["displacement"]
+    return delayed(recording["reference"], preview) - recording["displacement"]
 
 
 def mean_error(recording: Recording) -> float:

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hysteresis_ros.analysis.ranking import errors_figure, ranking_figure, write_ranking_page
-from hysteresis_ros.experiments.controller_comparison import Comparison, Row, delayed
-from hysteresis_ros.recordings.dataset import Recording
+from hysteresis_ros.experiments.controller_comparison import Comparison, Row
 
 TITLE = "Controllers and compensators on one plant, under honest conditions"
 RANKING = "Ranked by the geometric mean over the references of the RMS error on the worst plant."
@@ -19,7 +18,7 @@ ERRORS = (
 #: Columns of what it costs, the largest over the references: heading, unit, what it is of a Result.
 COSTS = (
     ("effort", "V/s", lambda result: np.max(result.effort)),
-    ("chattering", "µm/s", lambda result: np.max(result.chattering) * 1e6),
+    ("chattering", "nm", lambda result: np.max(result.chattering) * 1e9),
     ("at limits", "% of time", lambda result: 100.0 * result.saturated),
 )
 
@@ -147,7 +146,7 @@ def to_json(comparison: Comparison) -> dict:
                         "max_m": result.maximum.tolist(),
                         "max_worst_percent": comparison.percent(float(np.max(result.maximum))),
                         "effort_v_s": result.effort.tolist(),
-                        "chattering_m_s": result.chattering.tolist(),
+                        "chattering_m": result.chattering.tolist(),
                         "saturated": result.saturated,
                     }
                     for name, result in row.results.items()
@@ -180,7 +179,7 @@ def figures(comparison: Comparison) -> list:
         ("RMS error of every combination: each plant a dot, the worst one filled", ranking_figure(labels, values))
     )
     for task in comparison.tasks:
-        shown = {label(row): _error(row.runs[task.name], row, task) for row in chosen_rows(comparison)}
+        shown = {label(row): _shown(row, task) for row in chosen_rows(comparison)}
         found.append((f"Error on the plant where each does worst, {task.name}", errors_figure(shown)))
     return found
 
@@ -207,9 +206,8 @@ def chosen_rows(comparison: Comparison) -> list[Row]:
     return found
 
 
-def _error(run: Recording, row: Row, task) -> tuple[np.ndarray, np.ndarray]:
-    shown = run.time >= task.settling - 0.5 * run.sample_time
-    shown &= run.time <= task.settling + 2.0 / task.frequency
-    preview = int(row.candidate.motion_controller.get("feedforward.preview", 0))
-    reference = delayed(run["reference"], preview)
-    return run.time[shown], (reference - run["displacement"])[shown]
+def _shown(row: Row, task) -> tuple[np.ndarray, np.ndarray]:
+    """Return time and error of two periods."""
+    time, error = row.errors[task.name]
+    shown = time <= task.settling + 2.0 / task.frequency
+    return time[shown], error[shown]

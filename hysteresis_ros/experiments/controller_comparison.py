@@ -7,9 +7,12 @@ with sensor noise, converters and the limits of the configuration, and is judged
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
+from hysteresis_ros.analysis.metrics import chattering_figures
+from hysteresis_ros.analysis.settings import delayed
 from hysteresis_ros.configuration import Configuration, parse_configuration
 from hysteresis_ros.errors import ConfigurationError, ParameterError, Problem
 from hysteresis_ros.experiments.comparison_candidates import Candidate, candidates
@@ -146,9 +149,9 @@ class Result:
     rms, maximum : array, shape (draws,)
         RMS and largest error of the true displacement [m].
     effort : array, shape (draws,)
-        RMS rate of the voltage [V/s].
+        RMS rate of the voltage [V/s], as in :func:`hysteresis_ros.analysis.metrics.compute_metrics`.
     chattering : array, shape (draws,)
-        RMS of the change of the command from sample to sample that is not a change of the reference [m/s].
+        ``chattering_m`` of the command [m rms], as there.
     saturated : float
         Part of the judged samples at a limit, the largest of the plants.
     """
@@ -172,14 +175,14 @@ class Row:
         By name of the task; empty for a refused candidate.
     refused : str
         Why there are no results.
-    runs : dict of str to Recording
-        The run on the plant on which the candidate did worst, by name of the task.
+    errors : dict of str to (array, array)
+        Time [s] and error [m] on the plant on which the candidate did worst, by name of the task.
     """
 
     candidate: Candidate
     results: dict[str, Result] = field(default_factory=dict)
     refused: str = ""
-    runs: dict[str, Recording] = field(default_factory=dict)
+    errors: dict[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
 
     @property
     def score(self) -> float:
@@ -364,9 +367,9 @@ def compare(
 def _judged(candidate: Candidate, plants: list[Configuration], tasks: tuple[Task, ...]) -> Row:
     if candidate.refused:
         return Row(candidate, refused=candidate.refused)
-    results, runs = {}, {}
+    results, errors = {}, {}
     for task in tasks:
-        found, worst = [], -1.0
+        found = []
         for plant in plants:
             axis = plant.override("motion_controller", **candidate.motion_controller)
             axis = axis.override("hysteresis_compensator", **candidate.hysteresis_compensator)
@@ -375,17 +378,28 @@ def _judged(candidate: Candidate, plants: list[Configuration], tasks: tuple[Task
                 run = simulate(parameters, duration=task.duration, describe=False)
             except ParameterError as error:
                 return Row(candidate, refused=" ".join(str(error).split()))
-            figures = judge(run, parameters, task)
-            found.append(figures)
-            if not figures[0] <= worst:
-                worst, runs[task.name] = figures[0], run
-        rms, maximum, effort, chattering, saturated = (np.array(column) for column in zip(*found, strict=True))
-        results[task.name] = Result(rms, maximum, effort, chattering, float(np.max(saturated)))
-    return Row(candidate, results=results, runs=runs)
+            found.append(judge(run, parameters, task))
+        worst = max(found, key=lambda judged: judged.rms)
+        errors[task.name] = worst.time, worst.error
+        columns = ([getattr(judged, name) for judged in found] for name in ("rms", "maximum", "effort", "chattering"))
+        results[task.name] = Result(*map(np.array, columns), max(judged.saturated for judged in found))
+    return Row(candidate, results=results, errors=errors)
 
 
-def judge(run: Recording, axis: AxisParameters, task: Task) -> tuple[float, float, float, float, float]:
-    """Return RMS and largest error [m], effort [V/s], chattering [m/s] and the part of samples at a limit of a run.
+class Judged(NamedTuple):
+    """One run: time [s] and error [m] of the judged samples, and the figures of :class:`Result`."""
+
+    time: np.ndarray
+    error: np.ndarray
+    rms: float
+    maximum: float
+    effort: float
+    chattering: float
+    saturated: float
+
+
+def judge(run: Recording, axis: AxisParameters, task: Task) -> Judged:
+    """Return what a run is worth.
 
     The error is that of the true displacement against the delayed reference, from ``task.settling`` on.
     """
@@ -393,23 +407,16 @@ def judge(run: Recording, axis: AxisParameters, task: Task) -> tuple[float, floa
     reference = delayed(run["reference"], axis.motion_controller.feedforward.preview)
     displacement = run["displacement"] - axis.plant_simulator.preload.offset
     error = (reference - displacement)[judged]
-    rate = axis.plant_simulator.sample_rate
-    moved = np.diff(run["command"][judged])
-    # jumps of the slope of the command: a smooth command has none, whatever its amplitude
-    chattering = np.sqrt(np.mean(np.diff(moved) ** 2)) * rate
-    effort = np.sqrt(np.mean(np.diff(run["voltage"][judged]) ** 2)) * rate
-    return (
+    smooth = chattering_figures(run.time[judged], reference[judged], run["command"][judged], run["voltage"][judged])
+    return Judged(
+        run.time[judged],
+        error,
         float(np.sqrt(np.mean(error**2))),
         float(np.max(np.abs(error))),
-        float(effort),
-        float(chattering),
+        smooth["voltage_rate_v_s"],
+        smooth.get("chattering_m", 0.0),
         float(np.mean(run["saturated"][judged])),
     )
-
-
-def delayed(reference: np.ndarray, preview: int) -> np.ndarray:
-    """Return the reference that is to be followed at each sample when the one received is ``preview`` samples ahead."""
-    return reference if preview == 0 else np.concatenate([np.full(preview, reference[0]), reference[:-preview]])
 
 
 def _assumptions(axis: AxisParameters, conditions: Conditions) -> tuple[str, ...]:

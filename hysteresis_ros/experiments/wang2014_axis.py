@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from hysteresis_ros.analysis.settings import delayed
 from hysteresis_ros.configuration import Configuration, load_configuration
 from hysteresis_ros.experiments.runner import run
 from hysteresis_ros.recordings.dataset import Recording
@@ -180,8 +181,7 @@ def delayed_reference(configuration: Configuration, recording: Recording) -> np.
     The preview is that of ``configuration``: cheaper than reading the text of it in every recording.
     """
     preview = int(configuration.node("motion_controller").get("feedforward.preview", 0))
-    received = recording["reference"]
-    return np.concatenate([np.full(preview, received[0]), received[: received.size - preview]])
+    return delayed(recording["reference"], preview)
 
 
 def tracking_error(configuration: Configuration, recording: Recording, start: float) -> np.ndarray:

@@ -9,6 +9,7 @@ import pytest
 from click.testing import CliRunner
 
 from hysteresis_ros.analysis.ranking import ranking_figure
+from hysteresis_ros.analysis.settings import delayed
 from hysteresis_ros.cli.main import main
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.errors import ParameterError
@@ -16,7 +17,6 @@ from hysteresis_ros.experiments import comparison_table as table
 from hysteresis_ros.experiments.controller_comparison import (
     Conditions,
     compare,
-    delayed,
     honest,
     judge,
     make_tasks,
@@ -81,7 +81,7 @@ def test_the_error_is_the_true_one_against_the_delayed_reference():
     moved = configuration.override("motion_controller", **values).override("reference_generator", **task.overrides())
     axis = single_axis(moved.override("plant_simulator", sensor__noise=1e-6))
     run = simulate(axis, duration=task.duration)
-    rms = judge(run, axis, task)[0]
+    rms = judge(run, axis, task).rms
     judged = run.time >= task.settling - 1e-4
     wanted = np.concatenate([np.full(3, run["reference"][0]), run["reference"][:-3]])
     assert rms == pytest.approx(np.sqrt(np.mean((wanted - run["displacement"])[judged] ** 2)))
