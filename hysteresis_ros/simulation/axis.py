@@ -24,7 +24,7 @@ from hysteresis_ros.errors import ConfigurationError, ParameterError, Problem
 from hysteresis_ros.models.actuator import Actuator, ActuatorParameters
 from hysteresis_ros.parameters import Parameters
 from hysteresis_ros.references.generator import ReferenceGenerator, ReferenceParameters
-from hysteresis_ros.simulation.closed_loop import SIGNALS, closed_loop
+from hysteresis_ros.simulation.closed_loop import SIGNALS, closed_loop, sample_times
 from hysteresis_ros.simulation.inchworm_checks import inchworm_problems
 from hysteresis_ros.simulation.node_parameters import (
     NODE_PARAMETERS,
@@ -229,10 +229,8 @@ class Axis:
         setpoints = np.ascontiguousarray(setpoints, dtype=np.float64)
         table = np.empty((len(setpoints), len(SIGNALS)))
         compiled(closed_loop)(*self._arguments(), setpoints, table)
-        index = np.arange(self.sample, self.sample + len(setpoints))
+        time = sample_times(self.sample, len(setpoints), self.sample_rate)
         self.sample += len(setpoints)
-        # the nodes stamp samples in whole nanoseconds, and time is compared bit for bit
-        time = np.rint(index * 1e9 / self.sample_rate) / 1e9
         return {"time": time, "setpoint": setpoints, **{name: table[:, i].copy() for i, name in enumerate(SIGNALS)}}
 
     def _arguments(self):

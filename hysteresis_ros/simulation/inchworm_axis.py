@@ -16,6 +16,7 @@ from hysteresis_ros.control.controller import (
 )
 from hysteresis_ros.models.inchworm import Inchworm, InchwormPlantParameters
 from hysteresis_ros.references.inchworm_sequencer import InchwormSequencer, InchwormSequencerParameters
+from hysteresis_ros.simulation.closed_loop import sample_times
 from hysteresis_ros.simulation.inchworm_loop import (
     DROPOUT,
     INCHWORM_SIGNALS,
@@ -97,10 +98,8 @@ class InchwormAxis:
         inputs[:, DROPOUT] = 0.0 if dropouts is None else dropouts
         table = np.empty((len(setpoints), len(INCHWORM_SIGNALS)))
         compiled(inchworm_loop)(*self._arguments(), inputs, table)
-        index = np.arange(self.sample, self.sample + len(setpoints))
+        time = sample_times(self.sample, len(setpoints), self.sample_rate)
         self.sample += len(setpoints)
-        # the nodes stamp samples in whole nanoseconds, and time is compared bit for bit
-        time = np.rint(index * 1e9 / self.sample_rate) / 1e9
         signals = {name: table[:, i].copy() for i, name in enumerate(INCHWORM_SIGNALS)}
         return {"time": time, "setpoint": setpoints, **signals}
 

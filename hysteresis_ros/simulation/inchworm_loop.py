@@ -5,19 +5,11 @@ from __future__ import annotations
 import math
 
 from hysteresis_ros.block import composite
-from hysteresis_ros.compensation.compensator import APPLIED as COMPENSATOR_APPLIED
-from hysteresis_ros.compensation.compensator import LIMITS as COMPENSATOR_LIMITS
-from hysteresis_ros.compensation.compensator import OUT, compensator_step
-from hysteresis_ros.control.feedforward import COMMAND as FEEDFORWARD_COMMAND
-from hysteresis_ros.control.feedforward import feedforward
-from hysteresis_ros.control.handover import handover
-from hysteresis_ros.control.open_loop import APPLIED, COMMAND, DISTURBANCE, ESTIMATED, FEEDFORWARD, SWITCHING
 from hysteresis_ros.models.inchworm import EFFORT, JOINTS, TRUE_POSITION, inchworm_advance, inchworm_measure
-from hysteresis_ros.models.limits import FLAGS
 from hysteresis_ros.recordings.dataset import INCHWORM_UNITS
 from hysteresis_ros.references import inchworm_layout as at
 from hysteresis_ros.references.inchworm_machine import sequence
-from hysteresis_ros.simulation.closed_loop import SIGNALS
+from hysteresis_ros.simulation.closed_loop import SIGNALS, answer
 
 #: Columns of the table that :func:`inchworm_loop` fills.
 INCHWORM_SIGNALS = (*SIGNALS, *INCHWORM_UNITS)
@@ -86,22 +78,25 @@ def inchworm_loop(
         if inputs[k, SPEED] == inputs[k, SPEED]:
             sequencer_x[at.SPEED] = inputs[k, SPEED]
         reference = sequence(sequencer_p, sequencer_x, inputs[k, SETPOINT], seen, extender)
-        y = seen - sequencer_x[at.ORIGIN]
-        command = controller_x[COMMAND]
-        if y == y:
-            delayed = feedforward(feedforward_p, feedforward_x, reference)
-            controller_x[FEEDFORWARD] = feedforward_x[FEEDFORWARD_COMMAND]
-            command = handover(handover_p, handover_x, controller(controller_p, controller_x, delayed, y))
-        voltage = compensator_step(model_hysteresis, inverse, compensator_ps, compensator_xs, command)
-        table[k, 0] = reference
-        table[k, 1] = command
-        table[k, 2] = voltage
+        voltage = answer(
+            feedforward_p,
+            feedforward_x,
+            controller,
+            controller_p,
+            controller_x,
+            handover_p,
+            handover_x,
+            model_hysteresis,
+            inverse,
+            compensator_ps,
+            compensator_xs,
+            reference,
+            seen - sequencer_x[at.ORIGIN],
+            table,
+            k,
+        )
         table[k, 3] = plant_xs[JOINTS][TRUE_POSITION]
         table[k, 4] = measured
-        table[k, 5] = controller_x[ESTIMATED]
-        table[k, 6] = compensator_xs[OUT][COMPENSATOR_APPLIED]
-        table[k, 7] = controller_x[SWITCHING]
-        table[k, 8] = controller_x[DISTURBANCE]
         table[k, 11] = sequencer_x[at.ORIGIN]
         table[k, 12] = extender
         table[k, 13] = plant_xs[JOINTS][TRUE_POSITION + 1]
@@ -119,8 +114,6 @@ def inchworm_loop(
         table[k, 25] = sequencer_x[at.MISSED]
         table[k, 26] = sequencer_x[at.COMMANDED_STEP]
         table[k, 27] = sequencer_x[at.ACHIEVED_STEP]
-        controller_x[COMMAND] = command
-        controller_x[APPLIED] = compensator_xs[OUT][COMPENSATOR_APPLIED]
         table[k, 9] = inchworm_advance(
             extender_hysteresis,
             front_hysteresis,
@@ -131,5 +124,3 @@ def inchworm_loop(
             sequencer_x[at.FRONT_VOLTAGE],
             sequencer_x[at.REAR_VOLTAGE],
         )
-        # the lower two flags are range and slew rate, the next one is quantisation
-        table[k, 10] = 1.0 if compensator_xs[COMPENSATOR_LIMITS][FLAGS] % 4.0 != 0.0 else 0.0
