@@ -5,9 +5,12 @@
 VENV := .venv
 BIN := $(VENV)/bin
 SOURCES := $(shell find hysteresis_ros config launch resource -type f -not -name '*.pyc') setup.py setup.cfg package.xml
+MODULES := $(shell find hysteresis_ros -type f -name '*.py')
 # Nodes of this environment must not inherit the libraries of another one, nor answer to the network around.
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 unexport LD_LIBRARY_PATH _ROS_WHEELS_BOOTSTRAP_COMPLETE
+# Workers of the tests: graphs of nodes run one after the other in one of them, the rest beside.
+WORKERS ?= 2
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
 .PHONY: help setup demo test lint format bench clean
@@ -23,11 +26,14 @@ demo: setup
 	$(BIN)/hysteresis demo -o demo
 
 test: lint
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n $(WORKERS)
 
 lint: setup
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/numpydoc lint --ignore PR01,PR02,PR07,RT01,RT02,RT03,YD01,GL08 $(MODULES)
+	$(BIN)/numpydoc lint $(filter %/api.py %/classes.py hysteresis_ros/__init__.py,$(MODULES))
 
 format: setup
 	$(BIN)/ruff check --fix .
@@ -37,7 +43,7 @@ bench: setup
 	missed=0; for file in benchmarks/bench_*.py; do echo "== $$file"; $(BIN)/python $$file || missed=1; done; exit $$missed
 
 clean:
-	rm -rf $(VENV) demo dist build install log *.egg-info .pytest_cache .ruff_cache .hypothesis
+	rm -rf $(VENV) demo dist build install log *.egg-info .pytest_cache .ruff_cache .mypy_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # What is tested is what a user gets: a true installation, made anew after every change (build/lib would keep files

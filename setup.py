@@ -27,17 +27,21 @@ NODES = {
     "recorder": "hysteresis_ros.nodes.recorder:main",
     "hysteresis_axis": "hysteresis_ros.nodes.axis:main",
 }
-COMMANDS = {"hysteresis": "hysteresis_ros.cli.main:main"}
+COMMANDS = {"hysteresis": "hysteresis_ros.cli.entry:main"}
 
 EXTRAS = {
     # The real rclpy and Fast DDS of Jazzy as wheels, for machines without apt ROS (Linux, CPython 3.11 to 3.13).
     "ros": ["ros-jazzy-rclpy", "ros-jazzy-common-interfaces", "ros-rclpy[fastrtps]==7.1.6"],
     "fast": ["numba"],
     "report": ["matplotlib", "jinja2"],
+    "notebook": ["pandas"],
 }
 EXTRAS["all"] = sorted({requirement for requirements in EXTRAS.values() for requirement in requirements})
 # setuptools below 80 is what colcon needs; both are here because the tests build and install the package.
-EXTRAS["test"] = ["pytest", "hypothesis", "psutil", "ruff", "colcon-common-extensions", "setuptools<80", "wheel"]
+EXTRAS["test"] = [
+    *("pytest", "pytest-xdist", "hypothesis", "psutil", "ruff", "mypy", "numpydoc>=1.8"),
+    *("colcon-common-extensions", "setuptools<80", "wheel"),
+]
 
 #: pip puts executables into bin/, with the Python of the environment in their first line, and never into lib/; only
 #: colcon obeys setup.cfg. This file stands in lib/hysteresis_ros of a wheel under each name and hands over to bin/.
@@ -90,7 +94,7 @@ setup(
     license="Apache-2.0",
     python_requires=">=3.11",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={f"{NAME}.analysis": ["templates/*.j2"]},
+    package_data={NAME: ["py.typed"], f"{NAME}.analysis": ["templates/*.j2"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (SHARE, ["package.xml"]),

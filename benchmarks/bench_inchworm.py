@@ -9,7 +9,8 @@ import common
 
 from hysteresis_ros.block import COMPILED
 from hysteresis_ros.configuration import load_configuration
-from hysteresis_ros.simulation.run import simulate, single_axis
+from hysteresis_ros.simulation.axes import single_axis
+from hysteresis_ros.simulation.run import simulate
 
 TARGET = 20.0
 CONFIGURATION = pathlib.Path(__file__).resolve().parents[1] / "config" / "inchworm_travel.yaml"

@@ -15,11 +15,12 @@ import numpy as np
 
 from hysteresis_ros.block import COMPILED, kernel
 from hysteresis_ros.configuration import load_configuration
-from hysteresis_ros.control.sliding_mode import sliding_mode
+from hysteresis_ros.control.laws.sliding_mode import sliding_mode
+from hysteresis_ros.loop.axis import Axis
+from hysteresis_ros.models.hysteresis.polynomial.law import STATES, polynomial, polynomial_inverse
 from hysteresis_ros.models.limits import Limits, LimitsParameters, limits
 from hysteresis_ros.models.linear import linear
-from hysteresis_ros.models.polynomial import STATES, polynomial, polynomial_inverse
-from hysteresis_ros.simulation.axis import Axis, axes
+from hysteresis_ros.simulation.axes import axes
 
 TARGET = 1.3
 SAMPLES = 100_000
@@ -137,13 +138,20 @@ def cases(library) -> list[Case]:
     reference = np.convolve(steps, np.full(30, 1.0 / 30.0), mode="same")
     signals = axis.run(reference)
     command, voltage, measured = (signals[name] for name in ("command", "voltage", "measured"))
-    hysteresis, dynamics, controller = axis.actuator.hysteresis, axis.actuator.dynamics, axis.controller
+    actuator, controller = axis.plant.actuator, axis.controller.controller
     tight = Limits(LimitsParameters(minimum=-30.0, maximum=80.0, slew_rate=20e3, bits=16), 1.0 / axis.sample_rate)
     scratch = (np.zeros(STATES),)
     return [
-        Case("polynomial hysteresis", hysteresis, run_polynomial, library.run_polynomial, (voltage,)),
-        Case("its exact inverse, and it", hysteresis, run_compensation, library.run_compensation, (command,), scratch),
-        Case("linear state space", dynamics, run_linear, library.run_linear, (command,)),
+        Case("polynomial hysteresis", actuator.hysteresis, run_polynomial, library.run_polynomial, (voltage,)),
+        Case(
+            "its exact inverse, and it",
+            actuator.hysteresis,
+            run_compensation,
+            library.run_compensation,
+            (command,),
+            scratch,
+        ),
+        Case("linear state space", actuator.dynamics, run_linear, library.run_linear, (command,)),
         Case("sliding mode, Kalman", controller, run_sliding_mode, library.run_sliding_mode, (reference, measured)),
         Case("limits and quantiser", tight, run_limits, library.run_limits, (voltage,)),
     ]

@@ -17,7 +17,7 @@ import common
 
 from hysteresis_ros.block import COMPILED
 from hysteresis_ros.configuration import NODE_NAMES, load_configuration
-from hysteresis_ros.simulation.axis import axes
+from hysteresis_ros.simulation.axes import axes
 
 #: Megabytes of a node above a bare one, with compiled kernels and without.
 TARGETS = {"compiled": 90.0, "plain": 30.0}
@@ -35,7 +35,8 @@ UNWANTED = (
     "tqdm",
     "hysteresis_ros.analysis",
     "hysteresis_ros.cli",
-    "hysteresis_ros.experiments",
+    "hysteresis_ros.comparison",
+    "hysteresis_ros.papers",
     "hysteresis_ros.identification",
     "hysteresis_ros.recordings",
 )

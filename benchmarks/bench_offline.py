@@ -13,7 +13,8 @@ import numpy as np
 
 from hysteresis_ros import block
 from hysteresis_ros.configuration import load_configuration
-from hysteresis_ros.simulation.axis import Axis, axes
+from hysteresis_ros.loop.axis import Axis
+from hysteresis_ros.simulation.axes import axes
 
 TARGET = 30.0
 COMPILED_SAMPLES = 60_000

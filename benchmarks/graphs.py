@@ -22,6 +22,7 @@ from std_msgs.msg import Float64, UInt64
 
 from hysteresis_ros.nodes.hysteresis_compensator import HysteresisCompensatorNode
 from hysteresis_ros.nodes.motion_controller import MotionControllerNode
+from hysteresis_ros.nodes.plant_runners import LockstepPlant
 from hysteresis_ros.nodes.plant_simulator import PlantSimulatorNode
 from hysteresis_ros.nodes.qos import latched_qos, loop_qos
 from hysteresis_ros.nodes.reference_generator import ReferenceGeneratorNode
@@ -64,15 +65,24 @@ class Turns:
         return True
 
 
-class TimedPlant(PlantSimulatorNode):
-    """The plant, which advances only in its turn."""
+class TimedRunner(LockstepPlant):
+    """Makes a sample only in its turn."""
 
     turns: Turns
 
     def advance(self) -> None:
         """Publish the present sample when it is this graph's turn, too."""
-        if self.turns.may("nodes", self.sample) or self.sample == self.parameters.samples:
+        node = self.node
+        if self.turns.may("nodes", node.sample) or node.sample == node.parameters.samples:
             super().advance()
+
+
+class TimedPlant(PlantSimulatorNode):
+    """The plant, which advances only in its turn."""
+
+    def make_runner(self) -> TimedRunner:
+        """Return what decides when a sample is made."""
+        return TimedRunner(self)
 
 
 class Relay(Node):
@@ -89,7 +99,7 @@ class Relay(Node):
     def __init__(self, name: str, signals: int, **options):
         super().__init__(name, **options)
         self.ended = False
-        self.qos = loop_qos("lockstep", 1000)
+        self.qos = loop_qos(True, 1000)
         self.state = JointState(name=[f"signal{i}" for i in range(signals)], position=array("d", [0.0] * signals))
         self.signals = range(signals)
         self.state_publisher = self.create_publisher(JointState, "~/state", self.qos)
@@ -133,7 +143,7 @@ class RelayPlant(Relay):
     samples: int
 
     def __init__(self, **options):
-        super().__init__("plant_simulator", 3, **options)
+        super().__init__("plant_simulator", 6, **options)
         self.sample = 0
         self.message = JointState(
             name=["joint"], position=array("d", [0.0]), velocity=array("d", [0.0]), effort=array("d", [0.0])
@@ -174,7 +184,7 @@ class RelayReference(Relay):
     """``joint_states`` → ``reference``."""
 
     def __init__(self, **options):
-        super().__init__("reference_generator", 2, **options)
+        super().__init__("reference_generator", 3, **options)
         self.output = self.talk("reference")
         self.listen(JointState, "joint_states", self.on_sample)
         self.listen_end()
@@ -191,7 +201,7 @@ class RelayController(Relay):
     """``reference`` → ``command``."""
 
     def __init__(self, **options):
-        super().__init__("motion_controller", 6, **options)
+        super().__init__("motion_controller", 7, **options)
         self.output = self.talk("command")
         self.listen(JointState, "joint_states", self.on_sample)
         self.listen(Float64, "applied", self.ignore)
@@ -209,7 +219,7 @@ class RelayCompensator(Relay):
     """``command`` → ``voltage`` and ``applied``."""
 
     def __init__(self, **options):
-        super().__init__("hysteresis_compensator", 4, **options)
+        super().__init__("hysteresis_compensator", 5, **options)
         self.output = self.talk("voltage")
         self.applied = self.talk("applied")
         self.listen(JointState, "joint_states", self.on_sample)
@@ -261,7 +271,7 @@ def main() -> int:
     parser.add_argument("samples", type=int, help="samples of a turn")
     options = parser.parse_args()
     parts = list(PARTS.values()) if options.node == "all" else [PARTS[options.node]]
-    TimedPlant.turns = RelayPlant.turns = turns = Turns(options.samples)
+    TimedRunner.turns = RelayPlant.turns = turns = Turns(options.samples)
     RelayPlant.samples = options.turns * options.samples
 
     def ros(graph):

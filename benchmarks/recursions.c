@@ -14,7 +14,7 @@ static inline double smaller(double a, double b) { return b < a ? b : a; }
 
 static inline double larger(double a, double b) { return b > a ? b : a; }
 
-/* ---- models/polynomial.py ---------------------------------------------------------------------------------------- */
+/* ---- models/hysteresis/polynomial.py ----------------------------------------------------------------------------- */
 
 enum { VIRGIN = 0, RISING_D = 3, RISING_C1 = 6, RISING_C2 = 9, FALLING_D = 12, FALLING_C1 = 15, FALLING_C2 = 18 };
 enum { VOLTAGE_HIGH = 21 };

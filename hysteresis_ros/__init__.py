@@ -3,7 +3,66 @@
 record → identify → simulate → compensate → control → analyse, with the same numbers offline and in the running nodes:
 every model, inverse, controller and observer is a block (:mod:`hysteresis_ros.block`) that the offline simulation and
 the ROS 2 nodes call alike. Only :mod:`hysteresis_ros.nodes` needs ROS.
+
+For scripts and notebooks, ``import hysteresis_ros as hr`` gives ``hr.models``, ``hr.inverses``, ``hr.controllers``,
+``hr.references`` and the functions of :mod:`hysteresis_ros.api`. Each is imported at its first use.
 """
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from hysteresis_ros import models, references
+    from hysteresis_ros.api import Columns, Design, Run, design, identify, load, report, simulate, validate
+    from hysteresis_ros.compensation import classes as inverses
+    from hysteresis_ros.control import classes as controllers
 
 #: The version; setup.py reads it from here, package.xml repeats it.
 __version__ = "0.1.0"
+
+__all__ = [
+    "Columns",
+    "Design",
+    "Run",
+    "controllers",
+    "design",
+    "identify",
+    "inverses",
+    "load",
+    "models",
+    "references",
+    "report",
+    "simulate",
+    "validate",
+]
+
+#: Modules that are known here by another name than their own.
+_MODULES = {
+    "models": "hysteresis_ros.models",
+    "references": "hysteresis_ros.references",
+    "inverses": "hysteresis_ros.compensation.classes",
+    "controllers": "hysteresis_ros.control.classes",
+}
+
+
+def __getattr__(name: str) -> Any:
+    """Return a public name, imported at its first use (PEP 562)."""
+    import importlib
+
+    if name in _MODULES:
+        value: Any = importlib.import_module(_MODULES[name])
+    elif name in __all__:
+        value = getattr(importlib.import_module("hysteresis_ros.api"), name)
+    else:
+        import difflib
+
+        near = difflib.get_close_matches(name, __all__, n=1)
+        hint = f"; did you mean {near[0]}?" if near else ""
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}{hint}")
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted([*__all__, *(name for name in globals() if name.startswith("__"))])

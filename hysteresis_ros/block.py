@@ -20,11 +20,14 @@ import os
 import pathlib
 import shutil
 import time
+from typing import Any
 
 import numpy as np
 
+numba: Any
 try:
     import numba
+    from numba.extending import overload, register_jitable, typeof_impl
 except ImportError:  # the optional extra `fast` is not installed
     numba = None
 
@@ -33,7 +36,9 @@ COMPILED = numba is not None and not numba.config.DISABLE_JIT
 
 # Kernels allocate nothing, so nobody has to count references to their arrays: left on, the counting (atomic) costs a
 # small kernel up to nine tenths of its time. Off (`_nrt`), a kernel that allocates after all does not compile.
-_OPTIONS = {"cache": True, "error_model": "numpy", "_nrt": False}
+_OPTIONS: dict[str, Any] = {"cache": True, "error_model": "numpy", "_nrt": False}
+_NESTED: dict[str, Any] = {"error_model": "numpy", "_nrt": False}
+_BY_PART: Any = {"forceinline": True, **_NESTED}
 
 
 @contextlib.contextmanager
@@ -55,7 +60,7 @@ def _cache_directory():
 
 
 #: Folders of the package whose kernels are compiled; the digest is over their sources.
-KERNEL_FOLDERS = (".", "models", "compensation", "control", "references", "simulation")
+KERNEL_FOLDERS = (".", "models", "compensation", "control", "references", "loop")
 
 #: Days after which the cache of an older source is removed.
 CACHE_DAYS = 30
@@ -69,7 +74,7 @@ def _cache() -> pathlib.Path:
     package = pathlib.Path(__file__).parent
     digest = hashlib.sha1(str(package).encode())
     for folder in KERNEL_FOLDERS:
-        for path in sorted((package / folder).glob("*.py")):
+        for path in sorted((package / folder).glob("*.py" if folder == "." else "**/*.py")):
             digest.update(path.read_bytes())
     chosen = root / digest.hexdigest()[:16]
     # a cache is a convenience: where it cannot be tidied or touched, everything works all the same
@@ -92,25 +97,99 @@ def kernel(function):
         return numba.njit(forceinline=True, **_OPTIONS)(function)
 
 
-def nested(function):
-    """Mark a composite that other composites call: compiled with them, and never cached by itself.
+def called(function):
+    """Mark a kernel that other kernels call rather than copy in: one that is long and seldom does much."""
+    if not COMPILED:
+        return function
+    with _cache_directory():
+        return numba.njit(**_OPTIONS)(function)
 
-    A cache entry for "this function with that kernel as argument" would hold a weak reference to the kernel, which
-    breaks the cache when the kernel is gone. Do not call it from Python with kernels; call ``interpreted(function)``.
+
+def nested(function):
+    """Mark a composite that other composites call: compiled with them, plain Python when Python calls it.
+
+    Called from Python its kernels arrive as compiled functions (0.2-0.3 µs a call), and nothing is compiled for it.
     """
-    return numba.njit(forceinline=True, **{**_OPTIONS, "cache": False})(function) if COMPILED else function
+    return register_jitable(forceinline=True, **_NESTED)(function) if COMPILED else function
+
+
+def by_part(function):
+    """Mark a composite that exists once for each kind of part: which one runs follows from the type of ``part``.
+
+    ``function(laws, part, row)`` gets an attribute ``kinds``, a dict of part classes (named tuples of arrays) to
+    composites of the same arguments; the choice is made when it is compiled, so it costs nothing in a sample.
+    """
+    kinds: dict = {}
+
+    def chosen(laws, part, row):
+        return kinds[type(part)](laws, part, row)
+
+    choose: Any = chosen
+    choose.kinds = kinds
+    choose.__name__ = choose.__qualname__ = function.__name__
+    choose.__doc__, choose.__module__ = function.__doc__, function.__module__
+    if COMPILED:
+
+        @overload(choose, jit_options=_BY_PART)
+        def compiled_form(laws, part, row):
+            form = kinds[part.instance_class]
+            return lambda laws, part, row: form(laws, part, row)
+
+    return choose
 
 
 def interpreted(function):
-    """Return the Python form of a composite, for callers that call it once per sample."""
+    """Return the Python form of a kernel or composite, for callers that want no machine code."""
     return getattr(function, "py_func", function)
 
 
-def signature(*names: str):
+def kernels_of(*names: str):
+    """Mark a named tuple of kernels, in the words of :func:`signature`, so that compiled code takes it as one argument.
+
+    The kernels are first-class functions in it: one machine code serves all of them.
+    """
+
+    def mark(cls):
+        if COMPILED:
+            kind = numba.types.NamedTuple(tuple(signature("void", *names).args), cls)
+            typeof_impl.register(cls)(lambda value, context: kind)
+        return cls
+
+    return mark
+
+
+def specialised(function, *arguments):
+    """Return the machine code of a composite for arguments of these types (the function itself without Numba).
+
+    Parameters
+    ----------
+    function : function
+        Plain function; it is compiled once for each combination of types and cached on disk.
+    *arguments
+        What it will be called with: arrays, named tuples of arrays, named tuples marked by :func:`kernels_of`.
+    """
+    if not COMPILED:
+        return function
+    key = function, _structure(arguments)
+    if key not in _compiled:
+        kinds = numba.void(*map(numba.typeof, arguments))
+        with _cache_directory():
+            _compiled[key] = numba.njit(kinds, **_OPTIONS)(function)
+    return _compiled[key]
+
+
+def _structure(argument):
+    """Return what decides on the type of an argument: classes of tuples and dimensions of arrays."""
+    if isinstance(argument, tuple):
+        return type(argument), tuple(map(_structure, argument))
+    return getattr(argument, "ndim", None) or type(argument)
+
+
+def signature(*names):
     """Return the Numba signature made of words.
 
-    The words: ``void``, ``integer``, ``scalar``, ``array``, ``table``, ``arrays:N`` (a tuple of N), ``kernel``,
-    ``controller`` and ``inverse``.
+    The words: ``void``, ``integer``, ``scalar``, ``array``, ``table``, ``kernel``, ``controller`` and ``inverse``; and
+    named tuples whose fields are all arrays.
     """
     scalar, array = numba.float64, numba.float64[::1]
     kinds = {
@@ -125,15 +204,16 @@ def signature(*names: str):
     kinds["inverse"] = numba.types.FunctionType(scalar(kinds["kernel"], *4 * (array,), scalar))
 
     def kind(name):
-        if name.startswith("arrays:"):
-            return numba.types.UniTuple(array, int(name.split(":")[1]))
+        if isinstance(name, type):
+            fields: Any = name
+            return numba.types.NamedUniTuple(array, len(fields._fields), name)
         return kinds[name]
 
     result, *arguments = names
     return kind(result)(*map(kind, arguments))
 
 
-def composite(*names: str):
+def composite(*names):
     """Mark a function that takes kernels as arguments, with its signature in the words of :func:`signature`.
 
     One machine code serves every combination of kernels, because they arrive as first-class functions. It is compiled
@@ -174,7 +254,8 @@ def run_kernel(step, p, x, u, y):
 class Chain:
     """Several blocks that work as one; ``xs`` holds the state arrays of its parts."""
 
-    xs: tuple[np.ndarray, ...]
+    #: Named tuple of the state arrays of its parts.
+    xs: Any
 
     @property
     def state(self) -> np.ndarray:
@@ -207,7 +288,8 @@ class Block:
         A parameter is missing, out of range or inconsistent.
     """
 
-    kernel = None
+    #: The kernel, a static method of each subclass.
+    kernel: Any = None
 
     def __init__(self, parameters, sample_time: float):
         self.parameters = parameters.validated()

@@ -19,7 +19,23 @@ OPTIONAL_NODE_NAMES = ("recorder", "inchworm_sequencer")
 
 
 class _Loader(yaml.SafeLoader):
-    """YAML as the ROS parameter parser reads it: ``5e-6`` is a number (YAML 1.1 wants ``5.0e-6``)."""
+    """YAML as the ROS parameter parser reads it: ``5e-6`` is a number (YAML 1.1 wants ``5.0e-6``).
+
+    A key that stands twice in a mapping is refused: of two values one would be lost without a word.
+    """
+
+    def construct_mapping(self, node, deep: bool = False) -> dict:
+        """Return the dictionary of a mapping whose keys are all different."""
+        lines: dict[str, int] = {}
+        for key, _ in node.value:
+            line = key.start_mark.line + 1
+            if isinstance(key, yaml.ScalarNode) and lines.setdefault(key.value, line) != line:
+                raise _RepeatedKeyError(key.value, lines[key.value], line)
+        return super().construct_mapping(node, deep)
+
+
+class _RepeatedKeyError(Exception):
+    """A mapping has a key twice: its name and the lines."""
 
 
 _Loader.yaml_implicit_resolvers = {
@@ -122,6 +138,11 @@ def parse_configuration(text: str, source: str) -> Configuration:
     except yaml.YAMLError as error:
         detail = " ".join(str(error).split())
         raise ConfigurationError(f"{source}: not readable as YAML: {detail}") from None
+    except _RepeatedKeyError as error:
+        key, first, second = error.args
+        raise ConfigurationError(
+            f"{source}: line {second}: '{key}' stands in line {first} already; keep one of them"
+        ) from None
     if aliases:
         line = aliases[0].start_mark.line + 1
         raise ConfigurationError(
@@ -158,18 +179,22 @@ def _collect(name: str, content, source: str, entries: list) -> None:
         if key == "ros__parameters":
             if not isinstance(value, dict):
                 raise ConfigurationError(f"{source}: 'ros__parameters' of '{name}' must be a mapping, found {value!r}")
-            entries.append((name, _flatten(value)))
+            entries.append((name, _flatten(value, source)))
         else:
             _collect(f"{name}/{key}", value, source, entries)
 
 
-def _flatten(mapping: dict, prefix: str = "") -> dict:
-    flat = {}
+def _flatten(mapping: dict, source: str, prefix: str = "") -> dict:
+    flat: dict = {}
     for key, value in mapping.items():
-        if isinstance(value, dict):
-            flat.update(_flatten(value, f"{prefix}{key}."))
-        else:
-            flat[f"{prefix}{key}"] = value
+        name = f"{prefix}{key}"
+        found = _flatten(value, source, f"{name}.") if isinstance(value, dict) else {name: value}
+        twice = sorted(flat.keys() & found.keys())
+        if twice:
+            raise ConfigurationError(
+                f"{source}: '{twice[0]}' stands twice in one section, nested and with dots; keep one of them"
+            )
+        flat.update(found)
     return flat
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import difflib
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 
@@ -40,7 +42,7 @@ class ParameterError(HysteresisError):
         Everything that was found, so that a user mends a file in one go.
     """
 
-    def __init__(self, problems):
+    def __init__(self, problems: Iterable[Problem]):
         self.problems = tuple(problems)
         super().__init__("; ".join(str(problem) for problem in self.problems))
 
@@ -55,3 +57,17 @@ class RecordingError(HysteresisError):
 
 class IdentificationError(HysteresisError):
     """A recording does not hold what an identification needs, or no usable model comes out of it."""
+
+
+def did_you_mean(name: object, known: Iterable[str]) -> str:
+    """Return the end of a message, ``; did you mean …?`` with the nearest of the known names; empty when none is near.
+
+    Parameters
+    ----------
+    name : object
+        What was given.
+    known : iterable of str
+        What there is.
+    """
+    close = difflib.get_close_matches(str(name), list(known), n=1)
+    return f"; did you mean {close[0]}?" if close else ""

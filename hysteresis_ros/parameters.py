@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import difflib
 import math
+from collections.abc import Callable
 from dataclasses import MISSING, Field, dataclass, field, fields, replace
 from functools import lru_cache
 from typing import Any, ClassVar, get_type_hints
 
-from hysteresis_ros.errors import ParameterError, Problem
+from hysteresis_ros.errors import ParameterError, Problem, did_you_mean
 
 #: Types a ROS 2 parameter can have and the words users know them by.
 TYPE_NAMES = {
@@ -55,7 +56,7 @@ class ParameterRow:
         unit = f" {self.unit}" if self.unit else ""
         text = self.type_name
         if self.choices:
-            text += ", one of " + ", ".join(self.choices)
+            text += ", one of " + ", ".join(choice or "''" for choice in self.choices)
         elif self.low is not None and self.high is not None:
             text += f" in {self.low:g} … {self.high:g}{unit}"
         elif self.low is not None:
@@ -85,7 +86,8 @@ class ParameterRow:
                 if below or above:
                     raise ParameterError([Problem(self.name, value, f"out of range, allowed: {self.allowed()}")])
             if self.choices and item not in self.choices:
-                raise ParameterError([Problem(self.name, value, f"unknown choice, allowed: {self.allowed()}")])
+                near = did_you_mean(item, self.choices)
+                raise ParameterError([Problem(self.name, value, f"unknown choice, allowed: {self.allowed()}{near}")])
         return converted
 
 
@@ -149,8 +151,30 @@ def group(cls, *, variant_of: str | None = None) -> Any:
     return field(default_factory=cls, metadata=dict(group=cls, variant_of=variant_of))
 
 
+def variants(chooser: str, choices: dict[str, type]):
+    """Return a class decorator that nests one group for each name that the parameter ``chooser`` may have.
+
+    It stands under ``@dataclass(frozen=True)``. So the groups of a class can come from a registry.
+
+    Parameters
+    ----------
+    chooser : str
+        Name of the parameter that chooses.
+    choices : dict of str to type
+        Name of each group → its dataclass.
+    """
+
+    def add(cls):
+        for name, variant in choices.items():
+            cls.__annotations__[name] = variant
+            setattr(cls, name, group(variant, variant_of=chooser))
+        return cls
+
+    return add
+
+
 #: Annotations are strings here, and evaluating them at every look-up is slow.
-_type_hints = lru_cache(maxsize=None)(get_type_hints)
+_type_hints: Callable[[type], dict[str, Any]] = lru_cache(maxsize=None)(get_type_hints)
 
 
 class Parameters:
@@ -253,7 +277,7 @@ class Parameters:
 
     def validated(self, prefix: str = ""):
         """Return self, or raise ParameterError with all problems. For parameters that are built in Python."""
-        problems = []
+        problems: list[Problem] = []
         rows = {row.name: row for row in self.table()}
         for name, value in self.to_mapping().items():
             try:

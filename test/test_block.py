@@ -83,8 +83,8 @@ def test_a_block_that_packs_nothing_says_so():
 def test_every_kernel_stands_in_a_folder_whose_sources_name_the_cache():
     for path in PACKAGE.rglob("*.py"):
         text = path.read_text(encoding="utf-8")
-        if "\n@kernel" in text or "\n@composite" in text:
-            folder = path.parent.relative_to(PACKAGE).as_posix()
+        if any(f"\n@{mark}" in text for mark in ("kernel", "composite", "called", "nested")):
+            folder = next(iter(path.parent.relative_to(PACKAGE).parts), ".")  # sub-folders count with theirs
             assert folder in block.KERNEL_FOLDERS, f"{path}: add its folder to KERNEL_FOLDERS"
 
 
@@ -101,7 +101,8 @@ import sys
 sys.modules["numba"] = None
 from hysteresis_ros import block
 from hysteresis_ros.configuration import load_configuration
-from hysteresis_ros.simulation.run import simulate, single_axis
+from hysteresis_ros.simulation.axes import single_axis
+from hysteresis_ros.simulation.run import simulate
 run = simulate(single_axis(load_configuration("kim2009")), duration=0.02)
 print(block.COMPILED, run.time.size, float(run["displacement"][-1]).hex())
 """

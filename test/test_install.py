@@ -29,9 +29,11 @@ SHARES = {
     "share/hysteresis_ros/launch/axis.launch.py",
     *(f"share/hysteresis_ros/config/{path.name}" for path in (ROOT / "config").glob("*.yaml")),
 }
-#: Modules, and the templates they read.
+#: Modules, the templates they read, and the mark that the package carries types.
 MODULES = {
-    str(path.relative_to(ROOT)) for path in (ROOT / "hysteresis_ros").rglob("*") if path.suffix in (".py", ".j2")
+    str(path.relative_to(ROOT))
+    for path in (ROOT / "hysteresis_ros").rglob("*")
+    if path.suffix in (".py", ".j2", ".typed")
 }
 
 

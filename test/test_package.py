@@ -20,28 +20,39 @@ import hysteresis_ros
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "hysteresis_ros"
 SOURCES = sorted(PACKAGE.rglob("*.py"))
+TESTS = sorted((ROOT / "test").rglob("*.py"))
 
 #: What every folder may use of the package besides itself: imports go one way, in the order in which data flows.
-BASE = {"", "errors", "parameters", "block"}
+BASE = {"", "errors", "parameters", "block", "keywords", "registry", "signals", "linear_algebra", "elementary"}
 FORWARD = BASE | {"configuration", "models", "references", "recordings"}
 METHODS = FORWARD | {"compensation", "control", "identification"}
 MAY_IMPORT = {
-    "": BASE,
+    # at first use only, for those who write `import hysteresis_ros as hr`
+    "": BASE | {"api", "models", "references", "compensation", "control"},
+    "keywords": {"", "errors", "parameters"},
     "errors": {""},
     "configuration": {"", "errors"},
     "parameters": {"", "errors"},
+    "registry": {"", "errors"},
+    "linear_algebra": {""},
+    "elementary": {"", "block"},
     "block": {"", "errors", "parameters"},
+    "signals": set(),
     "models": BASE,
     "references": BASE,
     "recordings": BASE | {"configuration"},
     "compensation": BASE | {"models"},
     "control": BASE | {"models"},
     "identification": BASE | {"configuration", "models", "recordings", "compensation"},
-    "simulation": METHODS,
+    "hardware": BASE | {"models"},
+    "loop": METHODS - {"identification"} | {"hardware"},
+    "simulation": METHODS | {"loop"},
     "analysis": METHODS,
-    "experiments": METHODS | {"simulation", "analysis"},
-    "nodes": METHODS | {"simulation", "analysis"},
-    "cli": METHODS | {"simulation", "analysis", "experiments", "nodes"},
+    "comparison": METHODS | {"loop", "simulation", "analysis"},
+    "papers": METHODS | {"loop", "simulation", "analysis"},
+    "api": METHODS | {"loop", "simulation", "analysis"},
+    "nodes": METHODS | {"loop", "simulation", "analysis"},
+    "cli": METHODS | {"loop", "simulation", "analysis", "comparison", "papers", "nodes"},
 }
 ROS = re.compile(r"^(rclpy|ament_index_python|std_srvs|\w+_(msgs|interfaces))$")
 #: Heavy or special packages, and the only folder that may import them.
@@ -160,11 +171,56 @@ def test_imports_go_one_way(path):
             assert layer == ONLY_IN[top], f"{layer} imports {module}; only {ONLY_IN[top]} may"
 
 
+def module_of(path: pathlib.Path) -> str:
+    parts = path.relative_to(PACKAGE.parent).with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def circles(graph: dict[str, set[str]]) -> list[list[str]]:
+    """Return the groups of modules that import each other, directly or over others (lazily counts too)."""
+    reached: dict[str, set[str]] = {}
+    for start in graph:
+        found, ahead = set(), [start]
+        while ahead:
+            new = graph.get(ahead.pop(), set()) - found
+            found |= new
+            ahead += new
+        reached[start] = found
+    together = {frozenset({a} | {b for b in reached[a] if a in reached.get(b, ())}) for a in graph if a in reached[a]}
+    return sorted(sorted(group) for group in together)
+
+
+def test_no_modules_import_each_other_in_a_circle():
+    sources = {module_of(path): path for path in SOURCES}
+    graph: dict[str, set[str]] = {}
+    for module, path in sources.items():
+        graph[module] = set()
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Import):
+                graph[module] |= {alias.name for alias in node.names if alias.name in sources}
+            elif isinstance(node, ast.ImportFrom):
+                for alias in node.names:
+                    inner = f"{node.module}.{alias.name}"
+                    graph[module] |= {inner if inner in sources else node.module} & set(sources)
+    assert circles(graph) == []
+    assert circles({"a": {"b"}, "b": {"c"}, "c": {"a"}, "d": {"a"}}) == [["a", "b", "c"]]
+
+
 def test_the_rules_see_what_they_forbid(tmp_path):
     source = tmp_path / "lazy.py"
     source.write_text("def f():\n    from rclpy.node import Node\n    import matplotlib.pyplot as p, os\n")
     assert list(imported_modules(source)) == ["rclpy.node", "matplotlib.pyplot", "os"]
     assert ROS.match("std_srvs") and ROS.match("lifecycle_msgs") and not ROS.match("rosbags")
+
+
+@pytest.mark.parametrize("path", TESTS, ids=lambda path: str(path.relative_to(ROOT)))
+def test_tests_import_no_tests(path):
+    """What several tests use stands in a module of its own; scripts of child processes, given as text, import too."""
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    texts = [node.value for node in ast.walk(tree) if isinstance(node, ast.Constant) and isinstance(node.value, str)]
+    scripted = re.findall(r"^\s*(?:from|import) (test_\w+)", "\n".join(texts), re.MULTILINE)
+    names = {part for name in imported_modules(path) for part in name.split(".") if part.startswith("test_")}
+    assert not names | set(scripted), f"move what is shared into a support module: {sorted(names | set(scripted))}"
 
 
 def is_setter(node) -> bool:
@@ -229,7 +285,7 @@ def test_public_things_are_documented_completely(path):
 
 def test_a_node_imports_no_more_than_it_needs():
     """Memory is a promise: SciPy's signal and optimisation, plots and the command line stay out of the loop."""
-    modules = "sys, hysteresis_ros.simulation.closed_loop, hysteresis_ros.simulation.node_parameters"
+    modules = "sys, hysteresis_ros.loop.axis, hysteresis_ros.loop.node_parameters"
     code = f"import {modules}; print(*[name for name in {HEAVY} if name in sys.modules])"
     answer = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
     assert answer.stdout.split() == []

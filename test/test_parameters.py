@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hysteresis_ros.errors import HysteresisError, ParameterError, Problem
-from hysteresis_ros.parameters import Parameters, group, parameter
+from hysteresis_ros.parameters import Parameters, group, parameter, variants
 
 
 @dataclass(frozen=True)
@@ -71,6 +71,7 @@ def test_values_arrive_typed_and_whole_numbers_serve_as_doubles():
         ("other.count", 10, "1 … 9"),
         ("fast", 1, "wrong type, allowed: bool"),
         ("type", "third", "one of inner, other"),
+        ("type", "iner", "one of inner, other; did you mean inner?"),
     ],
 )
 def test_each_wrong_value_is_named_with_what_is_allowed(name, value, said):
@@ -85,6 +86,18 @@ def test_unknown_and_missing_ones_are_named_with_what_to_do():
 
 def test_the_parameters_of_a_variant_that_is_not_chosen_may_be_incomplete():
     assert Outer.from_mapping({"type": "other"}).other.count == 3
+
+
+def test_groups_may_come_from_a_registry():
+    @dataclass(frozen=True)
+    @variants("type", {"inner": Inner, "other": Other})
+    class Chosen(Parameters):
+        type: str = parameter("inner", choices=("inner", "other"), description="which")
+
+    assert [row.name for row in Chosen.table()] == ["type", "inner.gain", "inner.points", "other.count"]
+    assert Chosen.from_mapping({"type": "other", "other.count": 4}).other == Other(4)
+    with pytest.raises(ParameterError, match=r"inner\.gain = None: missing"):
+        Chosen.from_mapping({})
 
 
 def test_inconsistent_parameters_are_refused_with_their_prefix():

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+
 import numpy as np
 
 from hysteresis_ros.analysis.plots import data_uri, envelope, new_figure
@@ -184,15 +187,12 @@ def history_figure(histories: dict[str, np.ndarray]):
     return figure
 
 
-def write_claims_page(
-    path, title: str, *, summary: str, headings, groups, remarks, assumptions, plots, configuration: str = ""
-) -> None:
-    """Write a page with a table of claims, plots, remarks and assumptions that needs nothing beside it.
+@dataclass(frozen=True)
+class ClaimsPage:
+    """What stands on a page of claims.
 
     Parameters
     ----------
-    path : path-like
-        HTML file.
     title, summary : str
         Heading, and the result in one line.
     headings : sequence of str
@@ -201,10 +201,29 @@ def write_claims_page(
         Heading of a group → the cells of its rows, and whether the claim of each row holds.
     remarks, assumptions : sequence of str
         Shown below; assumptions are numbered from 1.
-    plots : sequence of (str, figure)
-        Captions and figures.
     configuration : str
         Text of the configuration, shown at the end.
+    """
+
+    title: str
+    summary: str
+    headings: Sequence[str]
+    groups: dict[str, list[tuple[Sequence[str], bool | None]]]
+    remarks: Sequence[str]
+    assumptions: Sequence[str]
+    configuration: str = ""
+
+
+def write_claims_page(path, page: ClaimsPage, plots) -> None:
+    """Write a page with a table of claims, plots, remarks and assumptions that needs nothing beside it.
+
+    Parameters
+    ----------
+    path : path-like
+        HTML file.
+    page : ClaimsPage
+    plots : sequence of (str, figure)
+        Captions and figures.
 
     Raises
     ------
@@ -213,15 +232,5 @@ def write_claims_page(
     RecordingError
         The file cannot be written.
     """
-    html = render_page(
-        "claims.html.j2",
-        title=title,
-        summary=summary,
-        headings=headings,
-        groups=groups,
-        remarks=remarks,
-        assumptions=assumptions,
-        plots=[dict(caption=caption, source=data_uri(figure)) for caption, figure in plots],
-        configuration=configuration,
-    )
-    write_page(path, html)
+    sources = [dict(caption=caption, source=data_uri(figure)) for caption, figure in plots]
+    write_page(path, render_page("claims.html.j2", **vars(page), plots=sources))

@@ -7,10 +7,10 @@ import numpy as np
 from hysteresis_ros.analysis.plots import add_legend, data_uri, envelope, new_figure
 from hysteresis_ros.analysis.report import render_page, write_page
 from hysteresis_ros.identification.data import IdentificationData
-from hysteresis_ros.identification.identified import Chain, Identification
 from hysteresis_ros.identification.inverse import InverseValidation
 from hysteresis_ros.identification.parameter_file import assumptions
 from hysteresis_ros.identification.validation import CorrelationTest, Validation
+from hysteresis_ros.identification.workflow import Compared, Identified
 
 _MEASURED, _MODEL, _RESIDUAL, _LIMIT = "#1f3b73", "#d1495b", "#2a9d8f", "#444444"
 _MICRO = 1e6
@@ -35,29 +35,14 @@ ROWS = (
 )
 
 
-def write_identification_report(
-    path,
-    data: IdentificationData,
-    result: Identification,
-    predicted,
-    found: Validation,
-    inverse: InverseValidation | None,
-    summary: dict,
-) -> None:
+def write_identification_report(path, found: Identified) -> None:
     """Write the page of an identification: one HTML file that needs nothing beside it.
 
     Parameters
     ----------
     path : path-like
         HTML file.
-    data : IdentificationData
-    result : Identification
-    predicted : ndarray, shape (N,)
-        Of the data it was identified from [m].
-    found : Validation
-    inverse : InverseValidation, optional
-    summary : dict
-        Figures and ``warnings``.
+    found : Identified
 
     Raises
     ------
@@ -66,22 +51,14 @@ def write_identification_report(
     RecordingError
         The file cannot be written.
     """
-    plots = _plots(data, result.chain, predicted, found, inverse)
+    plots, result = _plots(found), found.identification
     if result.trajectory is not None:
         plots.append(("Parameters of the best run, each over its final value", trajectory_figure(*result.trajectory)))
-    title = f"{result.model} identified from {data.source or 'a recording'}"
-    _write(path, title, data, found, summary, plots, assumptions(result))
+    title = f"{result.model} identified from {found.data.source or 'a recording'}"
+    _write(path, title, found, plots, assumptions(result))
 
 
-def write_validation_report(
-    path,
-    data: IdentificationData,
-    chain: Chain,
-    predicted,
-    found: Validation,
-    inverse: InverseValidation | None,
-    summary: dict,
-) -> None:
+def write_validation_report(path, found: Compared) -> None:
     """Write the page of a validation, like :func:`write_identification_report`.
 
     Raises
@@ -91,23 +68,23 @@ def write_validation_report(
     RecordingError
         The file cannot be written.
     """
-    title = f"{chain.hysteresis.type} validated on {data.source or 'a recording'}"
-    _write(path, title, data, found, summary, _plots(data, chain, predicted, found, inverse), ())
+    title = f"{found.plant.hysteresis.type} validated on {found.data.source or 'a recording'}"
+    _write(path, title, found, _plots(found), ())
 
 
-def _write(path, title, data, found, summary, plots, stated) -> None:
-    rows = []
+def _write(path, title: str, found: Compared, plots, stated) -> None:
+    rows, data, errors = [], found.data, found.validation
     for name, label, unit, factor in ROWS:
-        value = summary.get(name)
+        value = found.figures.get(name)
         if value is not None:
             text = str(value) if isinstance(value, int) else f"{value * factor:.4g}"
             rows.append(dict(label=label, value=text, unit=unit))
     html = render_page(
         "identification.html.j2",
         title=title,
-        summary=f"{len(data)} samples at {1.0 / data.sample_time:.6g} Hz; RMS error {1e6 * found.rmse:.4g} µm, "
-        f"{found.rmse_percent_of_stroke:.3g} % of stroke, fit {found.fit_percent:.4g} %",
-        warnings=summary["warnings"],
+        summary=f"{len(data)} samples at {1.0 / data.sample_time:.6g} Hz; RMS error {1e6 * errors.rmse:.4g} µm, "
+        f"{errors.rmse_percent_of_stroke:.3g} % of stroke, fit {errors.fit_percent:.4g} %",
+        warnings=list(found.warnings),
         rows=rows,
         plots=[dict(caption=caption, source=data_uri(figure)) for caption, figure in plots],
         assumptions=stated,
@@ -115,20 +92,20 @@ def _write(path, title, data, found, summary, plots, stated) -> None:
     write_page(path, html)
 
 
-def _plots(data, chain, predicted, found, inverse):
+def _plots(found: Compared) -> list:
+    data, predicted, errors = found.data, found.predicted, found.validation
     plots = [
-        ("Measured and predicted displacement", traces_figure(data, predicted, found)),
-        ("Residual (measured − predicted)", residual_figure(data, found)),
-        ("Loops, and the residual over the voltage", loops_figure(data, predicted, found)),
+        ("Measured and predicted displacement", traces_figure(data, predicted, errors)),
+        ("Residual (measured − predicted)", residual_figure(data, errors)),
+        ("Loops, and the residual over the voltage", loops_figure(data, predicted, errors)),
         (
-            f"Correlations of the residual, with bounds of {100 * found.autocorrelation.confidence:g} % for each lag",
-            correlations_figure(found),
+            f"Correlations of the residual, with bounds of {100 * errors.autocorrelation.confidence:g} % for each lag",
+            correlations_figure(errors),
         ),
     ]
-    if inverse is not None:
-        plots.append(
-            ("Voltage that the inverse finds behind the displacement, less the applied", inverse_figure(data, inverse))
-        )
+    if found.inverse is not None:
+        caption = "Voltage that the inverse finds behind the displacement, less the applied"
+        plots.append((caption, inverse_figure(data, found.inverse)))
     return plots
 
 

@@ -84,7 +84,7 @@ def write_ranking_page(path, title: str, *, plots, **contents) -> None:
         Heading.
     plots : sequence of (str, figure)
         Captions and figures.
-    contents
+    **contents : object
         ``summary`` (str), ``blocks`` (list of (name, list of (heading, unit))), ``rows`` (list of dict with ``cells``
         and ``refused``), ``ranking`` (str), ``refused`` and ``conditions`` (lists of str), ``configuration`` (str).
 

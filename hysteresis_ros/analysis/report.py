@@ -34,10 +34,12 @@ def render_page(template: str, **values) -> str:
 
 
 def require_page(path) -> None:
-    """Raise RecordingError for a file whose name is not that of a page."""
+    """Raise RecordingError for a file whose name is not that of a page, or whose folder is not there."""
     suffix = pathlib.Path(path).suffix
     if suffix.lower() not in PAGES:
         raise RecordingError(f"{path}: unknown kind of report '{suffix}'; give the name of an .html file")
+    if not pathlib.Path(path).absolute().parent.is_dir():
+        raise RecordingError(f"{path}: cannot be written: there is no such folder; choose another place")
 
 
 def write_page(path, html: str) -> None:

@@ -28,11 +28,15 @@ def compare(config, mismatch, noise, bits, draws, seed, sine, triangle, namespac
     Each is designed on the models in CONFIG, then follows a sine and a triangle on plants drawn around the configured
     one. -o adds a self-contained HTML file with plots (needs the extra: pip install "hysteresis_ros[report]").
     """
+    from hysteresis_ros.comparison import table
+    from hysteresis_ros.comparison.compare import Conditions
+    from hysteresis_ros.comparison.compare import compare as run
     from hysteresis_ros.configuration import load_configuration
-    from hysteresis_ros.experiments import comparison_table as table
-    from hysteresis_ros.experiments.controller_comparison import Conditions
-    from hysteresis_ros.experiments.controller_comparison import compare as run
 
+    if output is not None:
+        from hysteresis_ros.analysis.report import require_page
+
+        require_page(output)  # now and not after minutes
     conditions = Conditions(mismatch, noise, bits, draws, seed, sine, triangle)
     configuration = load_configuration(config)
     quiet = not sys.stderr.isatty()

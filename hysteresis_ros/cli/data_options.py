@@ -6,13 +6,6 @@ import pathlib
 
 import click
 
-#: Names under which recordings elsewhere keep the voltage and the displacement, the most telling first.
-INPUT_NAMES = ("voltage", "control", "command", "drive", "input", "excitation", "u", "v", "volt", "amp", "piezo")
-OUTPUT_NAMES = (
-    *("measured", "displacement", "position", "sensor", "cap", "gauge", "interferometer", "output"),
-    *("y", "x", "z", "d", "pos", "disp", "um", "nm"),
-)
-
 
 def data_options(command):
     """Add the options to a command; it gets them as keyword arguments."""
@@ -49,83 +42,32 @@ def data_options(command):
     return command
 
 
-def read_data(path, *, input_, output_, time, sample_time, namespace, range_, resample, negate):
-    """Return the checked data of a command, its report, and tell on stderr what was guessed.
+def read(path, *, input_, output_, time, sample_time, namespace, range_, resample, negate):
+    """Return the checked data of a command, and tell on stderr what was guessed.
 
     Raises
     ------
     HysteresisError
         The file or a choice cannot be used; the message says what is allowed.
     """
-    from dataclasses import replace
+    from hysteresis_ros.identification.reading import Columns, read_data
 
-    from hysteresis_ros.errors import IdentificationError
-    from hysteresis_ros.identification.data import DataError, load_data
-    from hysteresis_ros.identification.data import resample as resampled
-
-    path = pathlib.Path(path)
-    if sample_time is not None and not 0.0 < sample_time < float("inf"):
-        raise IdentificationError(f"--sample-time {sample_time:g}: must be above 0 s")
-    try:
-        data = load_data(path, input_, output_, time, sample_time, namespace)
-    except DataError as error:
-        if error.check != "columns":
-            raise
-        input_, output_ = _guess(path, input_, output_, error)
-        data = load_data(path, input_, output_, time, sample_time, namespace)
-    if data.output_unit != "m":
-        raise IdentificationError(
-            f"output {data.output_name} is in '{data.output_unit}'; it must be a length: give it as "
-            f"{data.output_name}:um or whatever it is in"
-        )
-    if range_ is not None:
-        data = data.part(*_range(range_))
-    if resample is not None:
-        data = resampled(data, _seconds(resample))
-    if negate:
-        data = replace(data, output=-data.output, notes=(*data.notes, "output counted in the other direction"))
-    return data.checked()
-
-
-def _guess(path: pathlib.Path, input_, output_, error):
-    """Choose the columns whose names tell most, or raise ``error``."""
-    from hysteresis_ros.recordings.columns import TEXT_SUFFIXES, UNITS, find_time, read_table, split_choice
-
-    if path.suffix.lower() not in (*TEXT_SUFFIXES, ".npz"):
-        raise error
-    declared = read_table(path)[1]
-    taken = {find_time(declared)}
-    taken |= {choice if choice in declared else split_choice(choice)[0] for choice in (input_, output_) if choice}
-    free = {name: UNITS.get(unit, (unit,))[0] for name, unit in declared.items() if name not in taken}
-    chosen, notes = {}, []
-    for role, given, names, unit in (("input", input_, INPUT_NAMES, "V"), ("output", output_, OUTPUT_NAMES, "m")):
-        if given:
-            chosen[role] = given
-            continue
-        fitting = [name for name in free if free[name] == unit] or [name for name in free if free[name] is None]
-        ranked = sorted(fitting, key=lambda name: _rank(name, names))
-        best = [name for name in ranked if _rank(name, names) == _rank(ranked[0], names)]
-        if len(best) != 1 or _rank(best[0], names) >= len(names):
-            raise error
-        if free[best[0]] is None:
-            raise type(error)(
-                "unit", f"{path}: column '{best[0]}' seems to be the {role} but has no unit; give it as "
-                f"--{role} {best[0]}:{'V' if unit == 'V' else 'um'} or whatever it is in"
-            )  # fmt: skip
-        chosen[role] = best[0]
-        del free[best[0]]
-        notes.append(f"note: {role} is the column '{best[0]}'; choose another with --{role}")
-    click.echo("\n".join(notes), err=True)
-    return chosen["input"], chosen["output"]
-
-
-def _rank(name: str, names) -> int:
-    """Return how early one of the telling names stands in a column's name."""
-    words = name.lower().replace("-", "_").replace(" ", "_").split("_")
-    for place, telling in enumerate(names):
-        if telling in words or (len(telling) > 3 and telling in name.lower()):
-            return place
-    return len(names)
+    reading = read_data(
+        path,
+        Columns(
+            input=input_,
+            output=output_,
+            time=time,
+            sample_time=sample_time,
+            namespace=namespace,
+            range=None if range_ is None else _range(range_),
+            resample=None if resample is None else _seconds(resample),
+            negate=negate,
+        ),
+    )
+    if reading.guessed:
+        click.echo("\n".join(f"note: {note}" for note in reading.guessed), err=True)
+    return reading
 
 
 def _range(text: str):
@@ -144,7 +86,7 @@ def _seconds(text: str):
     from hysteresis_ros.errors import IdentificationError
 
     if text == "auto":
-        return None
+        return text
     try:
         return float(text)
     except ValueError:
@@ -172,16 +114,6 @@ def write_json(figures: dict, path: str | None, table: str) -> None:
             raise RecordingError(f"{path}: cannot be written: {error.strerror}; choose another place") from None
 
 
-def finite(figures: dict) -> dict:
-    """Return figures for JSON: what is not finite becomes null."""
-    import math
-
-    return {
-        name: None if isinstance(value, float) and not math.isfinite(value) else value
-        for name, value in figures.items()
-    }
-
-
 def format_figures(figures: dict, first: tuple[str, ...] = ()) -> str:
     """Return figures as lines ``name value``, those named ``first`` in front; lists of texts come last."""
     order = [*(name for name in first if name in figures), *(name for name in figures if name not in first)]
@@ -197,14 +129,3 @@ def format_figures(figures: dict, first: tuple[str, ...] = ()) -> str:
             shown = {True: "yes", False: "no"}[value] if isinstance(value, bool) else ("-" if value is None else value)
             lines.append(f"{name:<{width}}  {shown}")
     return "\n".join(lines + texts)
-
-
-def inverse_figures(back) -> dict:
-    """Return the figures of an inverse validation; None where there is none."""
-    if back is None:
-        return {"inverse_rmse_v": None, "inverse_rmse_m": None, "inverse_rmse_percent": None}
-    return {
-        "inverse_rmse_v": back.rmse,
-        "inverse_rmse_m": back.rmse_displacement,
-        "inverse_rmse_percent": back.rmse_percent,
-    }

@@ -4,19 +4,23 @@ from __future__ import annotations
 
 import click
 
+from hysteresis_ros.control.registry import DESIGNS
+
 
 @click.command(short_help="Design a controller from the model in a configuration.")
 @click.argument("config", type=click.Path(path_type=str))
 @click.option(
     "--controller",
     required=True,
-    type=click.Choice(["pid", "smc", "integral_smc", "super_twisting", "offset_free"]),
-    help="What to design.",
+    metavar="NAME",
+    help=f"What to design: {', '.join(sorted(DESIGNS))}.",
 )
 @click.option("--bandwidth", type=float, help="-3 dB bandwidth from reference to displacement [Hz].")
 @click.option("--q", type=float, help="Kalman filter: variance of the input's noise over that of the measurement.")
 @click.option(
-    "--criterion", type=click.Choice(["iae", "ise", "itae"]), help="pid: tune it by Nelder-Mead on the waveform."
+    "--criterion",
+    type=click.Choice(["iae", "ise", "itae"]),
+    help="Tune the gains by Nelder-Mead on the waveform (pid).",
 )
 @click.option("--duration", type=float, help="Length of the run that --criterion judges [s].")
 @click.option("--feedforward", is_flag=True, help="Add the inverse of the dynamics as feedforward.")
@@ -30,9 +34,9 @@ def design(config, controller, bandwidth, q, criterion, duration, feedforward, p
     """
     from hysteresis_ros.configuration import load_configuration, normalised_namespace
     from hysteresis_ros.identification.parameter_file import write_file
+    from hysteresis_ros.loop.inchworm_checks import design_warnings
+    from hysteresis_ros.simulation.axes import single_axis
     from hysteresis_ros.simulation.design import DesignRequest, design_axis, design_file, design_lines
-    from hysteresis_ros.simulation.inchworm_checks import design_warnings
-    from hysteresis_ros.simulation.run import single_axis
 
     configuration = load_configuration(config)
     request = DesignRequest(

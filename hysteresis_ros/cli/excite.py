@@ -6,6 +6,8 @@ import pathlib
 
 import click
 
+from hysteresis_ros.references.recipes import RECIPES
+
 
 @click.command(short_help="Drive an axis with what an identification needs.")
 @click.argument("config", type=click.Path(path_type=str))
@@ -13,7 +15,7 @@ import click
     "--recipe",
     "name",
     required=True,
-    type=click.Choice(["triangles", "decaying", "multisine", "chirp", "steps", "creep"]),
+    type=click.Choice(list(RECIPES)),
     help="What to drive it with.",
 )
 @click.option("--record", required=True, metavar="DIR", type=click.Path(path_type=pathlib.Path), help="New bag folder.")
@@ -31,10 +33,10 @@ def excite(config, name, record, frequency, amplitude, duration, rate, processes
     """
     from hysteresis_ros.configuration import load_configuration
     from hysteresis_ros.errors import ConfigurationError
+    from hysteresis_ros.nodes.domain import Domain
     from hysteresis_ros.nodes.launcher import Graph
     from hysteresis_ros.references.recipes import recipe
-    from hysteresis_ros.simulation.axis import axes
-    from hysteresis_ros.simulation.run import single_axis
+    from hysteresis_ros.simulation.axes import axes, single_axis
 
     if record.exists():
         raise ConfigurationError(f"{record}: exists already; choose another folder for the recording or remove it")
@@ -51,7 +53,9 @@ def excite(config, name, record, frequency, amplitude, duration, rate, processes
     length = duration or excitation.duration
     axis = axis.with_duration(length)
     click.echo(f"{name}: {length:.4g} s at {sample_rate:g} Hz, {limits.minimum:g} … {limits.maximum:g} V …")
-    with Graph([axis], composed=not processes, record=record, log_level="warn") as graph:
+    options = {"composed": not processes, "record": record, "log_level": "warn"}
+    # nobody steers this graph: a running axis of the user must not hear its commands
+    with Domain() as domain, Graph([axis], **options, environment=domain.environment) as graph:
         graph.wait()
     click.echo(f"recorded: {record}")
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import pathlib
 import sys
+from typing import Any
 
 import click
 
-from hysteresis_ros.cli.data_options import data_options, finite, format_figures, inverse_figures, read_data, write_json
+from hysteresis_ros.cli.data_options import data_options, format_figures, read, write_json
 
 #: Exit code of a fit that did not converge: the best point was written.
 NOT_CONVERGED = 3
@@ -26,7 +27,8 @@ class Progress:
     """
 
     def __init__(self, model: str):
-        self.label, self.filled, self.bar = f"identifying {model}", 0, None
+        self.label, self.filled = f"identifying {model}", 0
+        self.bar: Any = None
 
     def __enter__(self):
         """Show the bar on a terminal."""
@@ -85,57 +87,23 @@ def identify(
     The file loads unchanged into plant, compensator and controller. Exit code 3: the fit did not converge, the best
     point was written. 2: wrong input.
     """
-    from dataclasses import replace
-
-    from hysteresis_ros.identification.parameter_file import (
-        file_text,
-        identification_section,
-        model_warnings,
-        write_file,
-    )
-    from hysteresis_ros.identification.prediction import judge, predict
-    from hysteresis_ros.identification.procedures import automatic_skip
-    from hysteresis_ros.identification.registry import identify as run
+    from hysteresis_ros.identification import workflow
     from hysteresis_ros.identification.registry import parse_options
 
     chosen = parse_options(model, options)
-    recording, checks = read_data(data, **columns)
+    reading = read(data, **columns)
+    request = dict(linear=linear, options=chosen, inverse=inverse)
+    conditions = dict(skip=skip, offset=offset, intersample=intersample, initial=initial)
     with Progress(model) as progress:
-        result = run(recording, model, linear, chosen, inverse, skip, intersample or "zoh", initial, progress.report)
-    compared = skip
-    if compared is None:
-        compared = 0 if result.chain.mechanical else automatic_skip(recording)
-    if offset == "free":
-        result = replace(
-            result,
-            chain=replace(result.chain, offset=0.0),
-            assumptions=(*result.assumptions, "one constant of the output was removed: the sensor's zero is not kept"),
-        )
-    predicted = predict(result.chain, recording.input, recording.sample_time, measured=recording.output)
-    found, back, reason = judge(
-        result.chain, recording.input, recording.output, predicted, compared, offset == "free", result.fitted
-    )
-    figures = found.to_dict()
-    judged = figures.pop("warnings")
-    figures |= inverse_figures(back)
-    notes = [*checks.warnings, *result.warnings, *model_warnings(result), *judged]
-    if back is None:
-        notes.append(f"no inverse validation: {reason}")
-    if not result.converged:
-        notes.insert(0, "the fit did not converge: this is the best point it found")
-    result = replace(result, warnings=tuple(dict.fromkeys(notes)))
-    section = identification_section(result, recording, figures, compared)
-    write_file(params, file_text(result, section))
-    summary = finite(
-        {"model": model, "linear": result.linear, **figures, **result.numbers, "converged": result.converged}
-    )
-    summary |= {"parameter_file": str(params), "warnings": list(result.warnings)}
+        found = workflow.identify(reading, model, progress=progress.report, **request, **conditions)
+    found.save(params)
+    summary = {**found.figures, "parameter_file": str(params), "warnings": list(found.warnings)}
     if report_path is not None:
         from hysteresis_ros.analysis.identification_report import write_identification_report
 
-        write_identification_report(report_path, recording, result, predicted, found, back, summary)
+        write_identification_report(report_path, found)
         summary["report"] = str(report_path)
     write_json(summary, json_path, format_figures(summary, FIRST))
-    if not result.converged:
+    if not found.converged:
         click.echo(f"hysteresis: the fit did not converge; {params} holds the best point", err=True)
         ctx.exit(NOT_CONVERGED)

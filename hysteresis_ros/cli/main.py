@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import contextlib
+import difflib
 import importlib
+import re
 import signal
 import sys
 import threading
+from collections.abc import Sequence
+from typing import Any, NoReturn
 
 import click
 
+from hysteresis_ros.cli.interrupt import leave_interrupted
 from hysteresis_ros.errors import HysteresisError
 
 #: Subcommands: name → (module:attribute, what it does in one line).
@@ -18,6 +23,7 @@ COMMANDS = {
     "up": ("hysteresis_ros.cli.up:up", "Start the nodes of a configuration, record and report."),
     "setpoint": ("hysteresis_ros.cli.setpoint:setpoint", "Move an axis by hand, like ros2 topic pub --once."),
     "simulate": ("hysteresis_ros.cli.simulate:simulate", "Run a configuration offline, without ROS."),
+    "verify": ("hysteresis_ros.cli.verify:verify", "Compare a recorded run with its offline twin, bit for bit."),
     "parameters": (
         "hysteresis_ros.cli.parameters:parameters",
         "List the parameters of the nodes with type, default, unit and range.",
@@ -53,16 +59,82 @@ class LazyGroup(click.Group):
         with formatter.section("Commands"):
             formatter.write_dl([(name, line) for name, (_, line) in COMMANDS.items()])
 
-    def invoke(self, ctx):
-        """Run a subcommand; answer wrong input with one line, and Ctrl-C and SIGTERM without words."""
+    def resolve_command(self, ctx: click.Context, args: list[str]):
+        """Find the subcommand that the first word names; of a word that names none say what is near."""
+        if args and not args[0].startswith("-") and self.get_command(ctx, args[0]) is None:
+            near = difflib.get_close_matches(args[0], COMMANDS, n=1)
+            hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(COMMANDS)}"
+            ctx.fail(f"no command {args[0]!r}; {hint}")
+        return super().resolve_command(ctx, args)
+
+    def invoke(self, ctx: click.Context):
+        """Run a subcommand; Ctrl-C is answered here, before click writes an empty line of its own."""
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            leave_interrupted()
+
+    def main(self, args: Sequence[str] | None = None, prog_name: str | None = None, **extra: Any) -> NoReturn:
+        """Run the command line and leave: wrong input, Ctrl-C and SIGTERM end in one line at most, with no traceback.
+
+        Parameters
+        ----------
+        args : sequence of str, optional
+            The words; those of the process by default.
+        prog_name : str, optional
+            Name of the command in its help.
+        **extra
+            Further arguments of :meth:`click.Command.main`.
+
+        Raises
+        ------
+        SystemExit
+            Always: 0 at a good end, 2 for wrong input, 130 after Ctrl-C, and what else a subcommand says.
+        """
+        extra["standalone_mode"] = False
         try:
             with _leaving_cleanly():
-                return super().invoke(ctx)
+                code = super().main(args, prog_name, **extra)
+        except click.ClickException as error:
+            if error.exit_code == 2 and not (args or sys.argv[1:]):
+                error.show()  # the help, without a word given
+                sys.exit(error.exit_code)
+            _refuse(_usage(error), error.exit_code)
         except HysteresisError as error:
-            click.echo("hysteresis: " + " ".join(str(error).split()), err=True)
-            ctx.exit(getattr(error, "exit_code", 2))
-        except KeyboardInterrupt:
-            ctx.exit(128 + signal.SIGINT)
+            _refuse(str(error), getattr(error, "exit_code", 2))
+        except MemoryError as error:
+            _refuse(f"not enough memory: {error or 'ask for fewer samples'}; ask for a shorter run", 2)
+        except (click.Abort, KeyboardInterrupt):
+            leave_interrupted()
+        sys.exit(code or 0)
+
+
+def _refuse(text: str, code: int) -> NoReturn:
+    """Say in one line what is wrong, and leave."""
+    click.echo("hysteresis: " + " ".join(text.split()), err=True)
+    sys.exit(code)
+
+
+def _usage(error: click.ClickException) -> str:
+    """Return what is wrong with the words of the command line, and where its help is."""
+    text = error.format_message().rstrip(".")
+    context = getattr(error, "ctx", None)
+    if context is None:
+        return text
+    command = context.command_path.partition(" ")[2]
+    where = f"{command}: " if command else ""
+    text = f"{where}{text[:1].lower()}{text[1:]}{_nearest_choice(error)}"
+    return f"{text}{'' if text.endswith('?') else '.'} Help: {context.command_path} --help"
+
+
+def _nearest_choice(error: click.ClickException) -> str:
+    """Return a question for a value that is none of the choices of an option, where one of them is near."""
+    kind = getattr(getattr(error, "param", None), "type", None)
+    given = re.match(r"'(.*?)' is not one of", error.message)
+    if not isinstance(kind, click.Choice) or given is None:
+        return ""
+    near = difflib.get_close_matches(given[1], [str(choice) for choice in kind.choices], n=1)
+    return f"; did you mean {near[0]}?" if near else ""
 
 
 @contextlib.contextmanager

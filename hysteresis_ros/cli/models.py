@@ -4,32 +4,45 @@ from __future__ import annotations
 
 import click
 
+from hysteresis_ros.errors import ConfigurationError
+
 
 @click.command(short_help="List the models with parameters, units and inverses.")
 @click.argument("name", required=False)
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
-def models(name, as_json):
+@click.option("--yaml", "as_yaml", is_flag=True, help="Print the parameter file of an axis with an example of NAME.")
+def models(name, as_json, as_yaml):
     """Print all models, or all about the model NAME."""
-    from hysteresis_ros.identification.registry import MODELS, find_model
+    from hysteresis_ros.identification.registry import find_model
+    from hysteresis_ros.models.hysteresis import MODELS
 
     chosen = {name: find_model(name)} if name else MODELS
+    if as_yaml:
+        from hysteresis_ros.identification.parameter_file import example_text
+
+        if not name:
+            raise ConfigurationError(f"--yaml: of which model? There are: {', '.join(MODELS)}")
+        click.echo(example_text(chosen[name]), nl=False)
+        return
     if as_json:
         import json
 
-        click.echo(json.dumps({key: _entry(key, model) for key, model in chosen.items()}, indent=2, ensure_ascii=False))
+        click.echo(json.dumps({key: _entry(model) for key, model in chosen.items()}, indent=2, ensure_ascii=False))
         return
     click.echo("\n".join(line for key, model in chosen.items() for line in _lines(key, model, bool(name))))
 
 
-def _entry(name, model) -> dict:
+def _entry(model) -> dict:
+    from hysteresis_ros.identification.registry import linear_words
+
     return {
         "title": model.title,
         "data": model.data,
         "inverses": list(model.inverses),
-        "linear": ["auto", "none", *model.linear],
+        "linear": ["auto", "none", *linear_words(model)],
         "parameters": [
             {"name": row.name, "unit": row.unit, "type": row.type_name, "description": row.description}
-            for row in model.parameters(name)
+            for row in model.rows()
         ],
         "options": {key: option.description for key, option in model.options.items()},
     }
@@ -37,14 +50,16 @@ def _entry(name, model) -> dict:
 
 def _lines(name, model, whole):
     from hysteresis_ros.identification.linear_stage import STAGES
+    from hysteresis_ros.identification.registry import linear_words
 
+    linear = linear_words(model)
     yield f"{name}: {model.title}"
     yield f"  data      {model.data}"
     yield f"  inverse   {', '.join(model.inverses)}"
-    if model.linear:
-        yield f"  linear    {', '.join(('auto', 'none', *model.linear))}"
+    if linear:
+        yield f"  linear    {', '.join(('auto', 'none', *linear))}"
     yield "  parameters"
-    for row in model.parameters(name):
+    for row in model.rows():
         unit = f" [{row.unit}]" if row.unit else ""
         yield f"    {row.name}{unit}: {row.description}"
     if model.options:
@@ -52,7 +67,7 @@ def _lines(name, model, whole):
         for key, option in model.options.items():
             choices = f" ({', '.join(option.choices)})" if option.choices else ""
             yield f"    {key}: {option.description}{choices}"
-    if whole and model.linear:
+    if whole and model.stages:
         yield "  linear stages"
         for key, text in STAGES.items():
             yield f"    {key}: {text}"

@@ -9,17 +9,18 @@ import click
 @click.argument("node", required=False)
 def parameters(node):
     """Print the parameter table of NODE, or of all nodes, in Markdown."""
-    from hysteresis_ros.errors import ConfigurationError
-    from hysteresis_ros.simulation.node_parameters import NODE_PARAMETERS
+    from hysteresis_ros.errors import ConfigurationError, did_you_mean
+    from hysteresis_ros.loop.node_parameters import NODE_PARAMETERS
 
     if node is not None and node not in NODE_PARAMETERS:
-        raise ConfigurationError(f"no node '{node}'; there are: {', '.join(NODE_PARAMETERS)}")
+        near = did_you_mean(node, NODE_PARAMETERS)
+        raise ConfigurationError(f"no node '{node}'; there are: {', '.join(NODE_PARAMETERS)}{near}")
     click.echo("\n".join(lines([node] if node else list(NODE_PARAMETERS))), nl=False)
 
 
 def lines(nodes: list[str]):
     """Yield the lines of the tables: first what all nodes share, then each node's own."""
-    from hysteresis_ros.simulation.node_parameters import NODE_PARAMETERS, NodeParameters
+    from hysteresis_ros.loop.node_parameters import NODE_PARAMETERS, NodeParameters
 
     shared = {row.name for row in NodeParameters.table()}
     yield "## Every node\n"

@@ -11,9 +11,9 @@ from hysteresis_ros.cli.data_options import write_json
 
 #: Experiments that can be repeated, and the module with their ``reproduce`` and ``figures``.
 EXPERIMENTS = {
-    "kim2009": "hysteresis_ros.experiments.kim2009",
-    "auwal2017": "hysteresis_ros.experiments.auwal2017",
-    "wang2014": "hysteresis_ros.experiments.wang2014",
+    "kim2009": "hysteresis_ros.papers.kim2009.reproduction",
+    "auwal2017": "hysteresis_ros.papers.auwal2017.reproduction",
+    "wang2014": "hysteresis_ros.papers.wang2014.reproduction",
 }
 
 
@@ -40,7 +40,7 @@ def reproduce(experiment: str, json_path: str | None, output: pathlib.Path | Non
     Rows that do not hold are part of the result and named with their reason; they do not change the exit code.
     -o adds a self-contained HTML file with plots (needs the extra: pip install "hysteresis_ros[report]").
     """
-    from hysteresis_ros.experiments.claims import HEADINGS, format_claims
+    from hysteresis_ros.papers.claims import format_claims
 
     if output is not None:
         from hysteresis_ros.analysis.report import require_page
@@ -51,19 +51,7 @@ def reproduce(experiment: str, json_path: str | None, output: pathlib.Path | Non
     if output is not None:
         from hysteresis_ros.analysis.comparison import write_claims_page
 
-        write_claims_page(
-            output,
-            found.title,
-            summary=found.summary(),
-            headings=HEADINGS,
-            groups={
-                name: [(found.cells(claim), claim.holds) for claim in claims] for name, claims in found.groups().items()
-            },
-            remarks=found.remarks(),
-            assumptions=found.assumptions,
-            plots=module.figures(found),
-            configuration=found.configuration,
-        )
+        write_claims_page(output, found.page(), module.figures(found))
     rows = found.to_json()
     rows = {"experiment": rows.pop("experiment"), "through": way, **rows}
     write_json(rows, json_path, format_claims(found))
@@ -75,8 +63,8 @@ def _reproduce_through_nodes(module, jobs: int | None):
     """Repeat the experiments in the nodes: simulated first to know all runs, which are then made side by side."""
     import os
 
-    from hysteresis_ros.experiments.runner import Noting, through
     from hysteresis_ros.nodes.graph_runner import GraphRunner, describe
+    from hysteresis_ros.papers.runner import Noting, through
 
     def show(number, known, axis):
         click.echo(f"run {number} of {known}: {describe(axis)}", err=True)

@@ -25,8 +25,11 @@ def setpoint(value, namespace, timeout):
 
     if not math.isfinite(value):
         raise HysteresisError(f"setpoint {value} m: must be a finite number of metres")
+    if not 0.0 < timeout < math.inf:
+        raise HysteresisError(f"--timeout {timeout:g}: must be a positive number of seconds")
     require_ros()
     # a process of its own: the pip wheels of ROS restart the interpreter on import
     command = [sys.executable, "-m", "hysteresis_ros.nodes.setpoint_publisher", f"--setpoint={value!r}"]
     command += ["--timeout", repr(timeout)] + (["--namespace", namespace] if namespace else [])
-    raise SystemExit(subprocess.run(command, env=node_environment()).returncode)
+    # in a session of its own: Ctrl-C in a terminal reaches this process only, which takes the other one along
+    raise SystemExit(subprocess.run(command, env=node_environment(), start_new_session=True).returncode)

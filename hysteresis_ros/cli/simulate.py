@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import click
 
 
@@ -13,26 +15,41 @@ import click
     "--setpoints",
     help="Recording whose setpoints (of an inchworm requests and speeds too) are replayed, sample by sample.",
 )
+@click.option(
+    "--fault",
+    "faults",
+    multiple=True,
+    metavar="NAME:START:DURATION[:VALUE]",
+    help="Make this go wrong; may be repeated.",
+)
 @click.option("--namespace", help="Which axis of the configuration, when it describes several.")
-def simulate(config, output, duration, setpoints, namespace):
+def simulate(config, output, duration, setpoints, faults, namespace):
     """Run the blocks of CONFIG in closed loop, bit for bit what the nodes do in lockstep, and write all signals."""
     from hysteresis_ros.configuration import load_configuration
     from hysteresis_ros.recordings.align import setpoints_per_sample
     from hysteresis_ros.recordings.files import load_run, save_run
     from hysteresis_ros.recordings.replay import requests_per_sample
+    from hysteresis_ros.simulation.axes import single_axis
+    from hysteresis_ros.simulation.modes import mode_lines
     from hysteresis_ros.simulation.reach import reach_warnings
     from hysteresis_ros.simulation.run import simulate as run_offline
-    from hysteresis_ros.simulation.run import single_axis
 
     parameters = single_axis(load_configuration(config), namespace)
     for warning in reach_warnings(parameters):
         click.echo(f"hysteresis: warning: {warning}", err=True)
-    replay = {}
+    if faults:
+        parameters = parameters.with_faults(faults)
+        for line in parameters.timeouts():
+            click.echo(line)
+    replay: dict[str, Any] = {}
     if setpoints is not None:
         recorded = load_run(setpoints, namespace)
         replay = {"setpoints": setpoints_per_sample(recorded), **requests_per_sample(recorded)}
     recording = run_offline(parameters, duration=duration, **replay)
     save_run(recording, output)
+    if faults:
+        for line in mode_lines(recording):
+            click.echo(line)
     rate = parameters.plant_simulator.sample_rate
     click.echo(f"{output}: {recording.time.size} samples at {rate:g} Hz ({recording.time.size / rate:g} s)")
     if recording.has("error") and recording["error"][-1] != 0.0:

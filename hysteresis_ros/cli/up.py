@@ -16,8 +16,21 @@ import click
 @click.option("--factor", type=float, help="Real-time factor; the configuration's by default.")
 @click.option("--namespace", help="Start only the axis in this namespace.")
 @click.option("--verify", is_flag=True, help="Compare the recorded lockstep run with the offline twin, bit for bit.")
-@click.option("--log-level", default="info", help="Log level of the nodes.", show_default=True)
-def up(config, processes, record, duration, rate, factor, namespace, verify, log_level):
+@click.option(
+    "--fault",
+    "faults",
+    multiple=True,
+    metavar="NAME:START:DURATION[:VALUE]",
+    help="Make this go wrong; may be repeated.",
+)
+@click.option(
+    "--log-level",
+    type=click.Choice(["debug", "info", "warn", "error", "fatal"]),
+    default="info",
+    help="Log level of the nodes.",
+    show_default=True,
+)
+def up(config, processes, record, duration, rate, factor, namespace, verify, faults, log_level):
     """Start all nodes of CONFIG and bring them down together.
 
     Ends with exit code 0 after --duration or Ctrl-C, with 1 when a node dies, with 2 for wrong input.
@@ -27,7 +40,7 @@ def up(config, processes, record, duration, rate, factor, namespace, verify, log
         signal.signal(number, lambda signum, frame: requested.append(signum))
     from hysteresis_ros.configuration import load_configuration
     from hysteresis_ros.nodes.launcher import Graph
-    from hysteresis_ros.simulation.axis import axes
+    from hysteresis_ros.simulation.axes import axes
     from hysteresis_ros.simulation.reach import reach_warnings
 
     configuration = load_configuration(config)
@@ -40,6 +53,8 @@ def up(config, processes, record, duration, rate, factor, namespace, verify, log
     for axis in found:
         for warning in reach_warnings(axis):
             click.echo(f"hysteresis: warning: {warning}", err=True)
+    if faults:
+        found = [axis.with_faults(faults) for axis in found]
     if duration is not None:
         found = [axis.with_duration(duration) for axis in found]
     lockstep = all(axis.plant_simulator.time_mode == "lockstep" for axis in found)
@@ -51,7 +66,11 @@ def up(config, processes, record, duration, rate, factor, namespace, verify, log
     if requested:
         click.echo("stopping")
         return
-    with Graph(found, composed=not processes, record=record, log_level=log_level) as graph:
+    graph = Graph(found, composed=not processes, record=record, log_level=log_level)
+    for axis in found:
+        for line in axis.timeouts():
+            click.echo(f"{axis.namespace}{': ' if axis.namespace else ''}{line}")
+    with graph:
         if graph.wait(lambda: bool(requested)):
             click.echo("the run ended")
         else:
@@ -63,17 +82,15 @@ def up(config, processes, record, duration, rate, factor, namespace, verify, log
 
 
 def _verify(graph) -> None:
+    from hysteresis_ros.cli.verify import differing, equal
     from hysteresis_ros.errors import HysteresisError
-    from hysteresis_ros.recordings.files import load_run
+    from hysteresis_ros.recordings.align import read_recording
     from hysteresis_ros.simulation.run import differences
 
     for axis, bag in zip(graph.axes, graph.bags, strict=True):
-        recorded = load_run(bag)
+        recorded = read_recording(bag, axis.namespace, further=True)
         found = differences(recorded, axis)
         missing = recorded.metadata.get("missing_samples", 0)
         if found or missing:
-            wrong = ", ".join(f"{name}: {count} samples" for name, count in found.items())
-            raise HysteresisError(
-                f"{bag} differs from the offline twin ({wrong or 'no signal'}; {missing} samples missing)"
-            )
-        click.echo(f"{bag}: {recorded.time.size} samples equal the offline twin bit for bit, none missing")
+            raise HysteresisError(differing(bag, found, missing))
+        click.echo(equal(bag, recorded.time.size))

@@ -1,8 +1,9 @@
 """Design of sliding mode and Kalman gains from a discrete linear model.
 
 Everything here is in the model's own units (see ``input_scale`` and ``output_scale`` of the linear model), so that
-published matrices give published gains. Shapes: A (n, n), B (n, 1), C (1, n), D scalar. SciPy is imported only when
-a Riccati equation has to be solved.
+published matrices give published gains. Shapes: A (n, n), B (n, 1), C (1, n), D (1, 1). Gains are computed in a fixed
+order (:mod:`hysteresis_ros.linear_algebra`), so that they are the same bits on every processor; only what refuses a
+design (rank, stability) goes through LAPACK.
 
 A measurement is taken just before the input changes: ``y_k = C x_k + D u_(k-1)``.
 
@@ -15,17 +16,19 @@ References
 
 from __future__ import annotations
 
+from typing import NoReturn
+
 import numpy as np
 
 from hysteresis_ros.errors import ParameterError, Problem
+from hysteresis_ros.linear_algebra import polynomial, product, riccati, solve
+from hysteresis_ros.models.state_space import BOUNDARY, StateSpace
 
 #: Relative size below which a singular value counts as zero.
 RANK_TOLERANCE = 1e-10
-#: A design whose slowest eigenvalue is nearer to the unit circle than this is called unstable.
-STABILITY_MARGIN = 1e-9
 
 
-def refuse(name: str, value, allowed: str):
+def refuse(name: str, value, allowed: str) -> NoReturn:
     """Raise the ParameterError of a design that cannot be made.
 
     Raises
@@ -34,24 +37,6 @@ def refuse(name: str, value, allowed: str):
         Always, with the name of the parameter, its value and what is allowed.
     """
     raise ParameterError([Problem(name, value, allowed)])
-
-
-def matrices(dynamics):
-    """Return (A, B, C, D) of a linear model's parameters, B as a column and C as a row.
-
-    Parameters
-    ----------
-    dynamics : LinearParameters
-
-    Returns
-    -------
-    A : ndarray, shape (n, n)
-    B : ndarray, shape (n, 1)
-    C : ndarray, shape (1, n)
-    D : float
-    """
-    A, B, C, D = dynamics.matrices
-    return A, B[:, np.newaxis], C[np.newaxis], D
 
 
 def _equilibrated(matrix):
@@ -74,7 +59,7 @@ def detectable(A, C) -> bool:
     return all(
         full_rank(np.vstack([A - value * identity, C]))
         for value in np.linalg.eigvals(A)
-        if abs(value) >= 1.0 - STABILITY_MARGIN
+        if abs(value) >= 1.0 - BOUNDARY
     )
 
 
@@ -97,14 +82,19 @@ def require_stable(A, name: str, value, what: str) -> None:
         ``name``, when an eigenvalue of ``A`` is on or outside the unit circle.
     """
     radius = spectral_radius(A)
-    if not radius < 1.0 - STABILITY_MARGIN:
+    if not radius < 1.0 - BOUNDARY:
         refuse(
             name, value, f"makes {what} unstable (largest eigenvalue {radius:.6g}); it must be inside the unit circle"
         )
 
 
-def steady_state(A, B, C, D):
+def steady_state(model: StateSpace):
     """Return the rest point of output one: ``x_r = N_x r``, ``u_r = N_u r``.
+
+    Parameters
+    ----------
+    model : StateSpace
+        Of one input and one output.
 
     Returns
     -------
@@ -116,54 +106,61 @@ def steady_state(A, B, C, D):
     ParameterError
         ``model.dynamics.C``: the model's DC gain is zero, so that no input holds a displacement.
     """
-    n = len(A)
-    system = np.block([[A - np.eye(n), B], [C, np.array([[D]])]])
+    n = model.order
+    system = np.block([[model.A - np.eye(n), model.B], [model.C, model.D]])
     if not full_rank(system):
         refuse(
             "model.dynamics.C",
-            tuple(C[0].tolist()),
+            tuple(model.C[0].tolist()),
             "the DC gain of the model is zero, so no command holds a displacement; give a model with DC gain",
         )
-    solution = np.linalg.solve(system, np.append(np.zeros(n), 1.0))
+    solution = solve(system, np.append(np.zeros(n), 1.0))
     return solution[:n], float(solution[n])
 
 
-def integral_system(A, B, C, D):
+def integral_system(model: StateSpace) -> StateSpace:
     """Append the integral z of the tracking error, z_k = z_(k-1) + r_k - y_k, to the model.
 
     With y_k = C x_k + D u_(k-1) the error of the present sample is already in z_k:
     z_(k+1) = z_k - C A x_k - (C B + D) u_k + r. Deviations from the rest point obey the system returned.
 
+    Parameters
+    ----------
+    model : StateSpace
+        Of n states, one input and one output.
+
     Returns
     -------
-    A : ndarray, shape (n + 1, n + 1)
-    B : ndarray, shape (n + 1, 1)
+    StateSpace
+        Of n + 1 states; its output is the model's.
     """
-    n = len(A)
-    return np.block([[A, np.zeros((n, 1))], [-C @ A, np.eye(1)]]), np.vstack([B, -(C @ B + D)])
+    A, B, C, D = model.A, model.B, model.C, model.D
+    whole = np.block([[A, np.zeros((model.order, 1))], [-product(C, A), np.eye(1)]])
+    return StateSpace(whole, np.vstack([B, -(product(C, B) + D)]), np.hstack([C, np.zeros((1, 1))]), D)
 
 
-def disturbance_system(A, B, C, D, A_d=None, c_d=None):
+def disturbance_system(model: StateSpace, A_d=None, c_d=None) -> StateSpace:
     """Append a disturbance d of the input (matched: B (u + d)) with the model w⁺ = A_d w, d = c_d w to the model.
 
     With y_k = C x_k + D (u_(k-1) + d_(k-1)) the feedthrough takes the disturbance of the sample before, c_d A_d⁻¹ w_k.
 
     Parameters
     ----------
-    A, B, C : ndarray, shapes (n, n), (n, 1), (1, n)
-    D : float
+    model : StateSpace
+        Of n states, one input and one output.
     A_d, c_d : ndarray, shapes (m, m) and (m,), optional
         Model of the disturbance, A_d invertible; a constant one by default.
 
     Returns
     -------
-    A : ndarray, shape (n + m, n + m)
-    C : ndarray, shape (1, n + m)
+    StateSpace
+        Of n + m states.
     """
-    n = len(A)
+    A, B, C, D = model.A, model.B, model.C, model.D
     A_d, c_d = (np.eye(1), np.ones(1)) if A_d is None else (A_d, c_d)
-    whole = np.block([[A, B * c_d], [np.zeros((len(A_d), n)), A_d]])
-    return whole, np.hstack([C, D * np.linalg.solve(A_d.T, c_d)[np.newaxis]])
+    none = np.zeros((len(A_d), 1))
+    whole = np.block([[A, B * c_d], [np.zeros((len(A_d), model.order)), A_d]])
+    return StateSpace(whole, np.vstack([B, none]), np.hstack([C, D * solve(A_d.T, c_d)]), D)
 
 
 def sliding_gain(A, B, S, phi: float):
@@ -194,12 +191,12 @@ def sliding_gain(A, B, S, phi: float):
     """
     S = np.asarray(S, dtype=float)
     given = tuple(S.tolist())
-    switching_gain = (S @ B).item()
+    switching_gain = product(S, B).item()
     if not abs(switching_gain) > RANK_TOLERANCE * np.linalg.norm(S) * np.linalg.norm(B):
         refuse(
             "sliding_mode.S", given, "S B is zero, so the input cannot move the switching function; choose another S"
         )
-    K = (S @ A - phi * S) / switching_gain
+    K = (product(S, A) - phi * S) / switching_gain
     require_stable(A - B @ K[np.newaxis], "sliding_mode.S", given, f"the controlled model (phi = {phi:g})")
     return K, switching_gain
 
@@ -227,15 +224,14 @@ def hyperplane_from_poles(A, B, poles):
     n = len(A)
     columns = [B[:, 0]]
     for _ in range(n - 1):
-        columns.append(A @ columns[-1])
+        columns.append(product(A, columns[-1]))
     controllability = np.column_stack(columns)
     if not full_rank(controllability):
         refuse("model.dynamics.B", tuple(B[:, 0].tolist()), "the model is not controllable, so poles cannot be placed")
-    S = np.linalg.solve(controllability.T, np.eye(n)[-1])
-    polynomial = np.real(np.poly(np.asarray(poles, dtype=complex))) if n > 1 else np.ones(1)
+    S = solve(controllability.T, np.eye(n)[-1])
     result = np.zeros(n)
-    for coefficient in polynomial:
-        result = result @ A + coefficient * S
+    for coefficient in polynomial(poles):
+        result = product(result, A) + coefficient * S
     return result
 
 
@@ -270,8 +266,8 @@ def hyperplane_lq(A, B, state_weight, input_weight: float):
     if not detectable(A, state_weight):
         refuse("sliding_mode.lq_state_weight", given, "leaves a mode that does not decay without weight; weigh it")
     P = _riccati(A, B, state_weight, input_weight, "sliding_mode.lq_state_weight", given)
-    S = (B.T @ P)[0]
-    scale = (S @ B).item()
+    S = product(B.T, P)[0]
+    scale = product(S, B).item()
     if not scale > 0.0:
         refuse("sliding_mode.lq_state_weight", given, "gives the input no effect on the cost; weigh the output")
     return S / scale
@@ -308,18 +304,16 @@ def kalman_gain(A, C, process_noise, measurement_noise: float):
         refuse("model.dynamics.C", tuple(C[0].tolist()), "a mode that does not decay cannot be seen in the output")
     given = tuple(np.diag(process_noise).tolist())
     P = _riccati(A.T, C.T, process_noise, measurement_noise, "kalman.q", given)
-    gain = P @ C[0] / (measurement_noise + (C @ P @ C.T).item())
-    require_stable(A - np.outer(A @ gain, C[0]), "kalman.q", given, "the Kalman filter")
+    gain = product(P, C[0]) / (measurement_noise + product(C, P, C.T).item())
+    require_stable(A - np.outer(product(A, gain), C[0]), "kalman.q", given, "the Kalman filter")
     return gain, P
 
 
 def _riccati(A, B, Q, R, name, value):
-    import scipy.linalg  # slow to import and only needed when a gain is designed
-
     try:
         # Dividing by R makes the answer independent of the units of Q and R.
-        P = scipy.linalg.solve_discrete_are(A, B, Q / R, np.eye(1)) * R
-    except (np.linalg.LinAlgError, ValueError) as error:
+        P = riccati(A, B, Q / R, np.eye(1)) * R
+    except np.linalg.LinAlgError as error:
         refuse(name, value, f"the Riccati equation has no stabilising solution ({error}); change the weights")
     return P
 

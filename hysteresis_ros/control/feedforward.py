@@ -11,9 +11,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from hysteresis_ros.block import Block, kernel
+from hysteresis_ros.control.base import bounded
 from hysteresis_ros.control.inversion import InverseFilter, inverse_filter
-from hysteresis_ros.control.open_loop import bounded
 from hysteresis_ros.errors import ParameterError, Problem
+from hysteresis_ros.models.state_space import accumulate, advance
 from hysteresis_ros.parameters import Parameters, parameter
 
 # Parameter array: a head, the weights of the references (preview + 1 places), then of the causal part A (n·n, row by
@@ -64,15 +65,8 @@ def feedforward(p, x, reference):
         place += 1
         if place == length:
             place = 0
-    for i in range(n):
-        command += p[outputs + i] * x[state + i]
-        following = p[inputs + i] * ahead
-        for j in range(n):
-            following += p[matrix + i * n + j] * x[state + j]
-        x[state + n + i] = following
-    for i in range(n):
-        x[state + i] = x[state + n + i]
-    x[COMMAND] = command
+    x[COMMAND] = accumulate(command, p, outputs, x, state, n)
+    advance(p, matrix, inputs, x, state, n, ahead)
     return x[RING + oldest]
 
 

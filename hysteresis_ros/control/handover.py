@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 
+from hysteresis_ros import elementary
 from hysteresis_ros.block import Block, kernel
 from hysteresis_ros.parameters import Parameters, parameter
 
@@ -54,6 +54,13 @@ def handover(p, x, u):
     return y
 
 
+@kernel
+def go_on_from(x, last):
+    """Make the next output equal ``last`` and fade from there to the input."""
+    x[LAST] = last
+    x[ARMED] = 1.0
+
+
 @dataclass(frozen=True)
 class HandoverParameters(Parameters):
     """How a change of controller is smoothed."""
@@ -80,7 +87,7 @@ class Handover(Block):
 
     def pack(self, parameters) -> np.ndarray:
         """Return [decay], decay = exp(-sample time / time), 0 when the time is 0."""
-        return np.array([math.exp(-self.sample_time / parameters.time) if parameters.time > 0.0 else 0.0])
+        return np.array([elementary.exp(-self.sample_time / parameters.time) if parameters.time > 0.0 else 0.0])
 
     def initial_state(self) -> np.ndarray:
         """Return the state without bias."""

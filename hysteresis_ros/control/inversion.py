@@ -13,12 +13,14 @@ weights of what is not known die out as the smallest outside zero to the power o
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
 from hysteresis_ros.errors import ParameterError, Problem
+from hysteresis_ros.linear_algebra import eigenvalues, inverse, power, product, solve
 from hysteresis_ros.models.linear import LinearParameters
 
 #: An answer h below this part of the largest one is rounding: the dynamics do not answer at that sample.
@@ -31,6 +33,9 @@ GOOD_ENOUGH = 1e-3
 DECADES = 18.0
 #: ... or for so many samples: a zero as near to the circle as that is beyond any preview.
 LONGEST = 200_000
+#: Newton steps for the matrix sign function, and the change at which it has settled.
+SIGN_STEPS = 60
+SETTLED = 1e-14
 
 
 @dataclass(frozen=True)
@@ -62,34 +67,19 @@ class InverseFilter:
     zeros: np.ndarray
     error: float
 
-    def simulate(self, reference) -> np.ndarray:
-        """Return the commands u(0) … u(K-1) [m] for a reference known in advance, from rest on its first sample.
-
-        Parameters
-        ----------
-        reference : array_like, shape (K,)
-            r(0) … r(K-1) [m]; it stays at the last one.
-        """
-        reference = np.asarray(reference, dtype=np.float64)
-        last = self.degree + max(len(self.weights), 1) - 1
-        ahead = np.concatenate([reference, np.full(last, reference[-1])])
-        state, commands = self.rest * reference[0], np.empty(len(reference))
-        for k in range(len(reference)):
-            driven = ahead[k + self.degree]
-            commands[k] = self.weights @ ahead[k + self.degree : k + last + 1] + self.C @ state
-            state = self.A @ state + self.B * driven
-        return commands
-
 
 class _Parts(NamedTuple):
-    """The inverse in two parts, in model units: causal (A, B, C), anti-causal (Λ, β, γ), and its feedthrough."""
+    """The inverse in two parts, in model units: causal (A, B, C), anti-causal (Λ⁻¹, β, γ) or None, and its feedthrough.
+
+    The anti-causal part is in the coordinates of the dynamics' state: Λ⁻¹ is zero on the inside modes.
+    """
 
     degree: int
     through: float
     A: np.ndarray
     B: np.ndarray
     C: np.ndarray
-    outside: tuple[np.ndarray, np.ndarray, np.ndarray]
+    anticausal: tuple[np.ndarray, np.ndarray, np.ndarray] | None
     zeros: np.ndarray
 
 
@@ -105,24 +95,30 @@ def relative_degree(dynamics: LinearParameters) -> int:
     ParameterError
         The output never answers.
     """
-    A, B, C, D = dynamics.matrices
+    A, B, C, D = _vectors(dynamics)
     answers, state = [], B
     for i in range(dynamics.order + 1):
-        answers.append(float(C @ state) + (D if i == 0 else 0.0))
-        state = A @ state
+        answers.append(float(product(C, state)) + (D if i == 0 else 0.0))
+        state = product(A, state)
     size = np.abs(answers)
     if not size.max() > 0.0:
         raise ParameterError([Problem("model.dynamics.C", dynamics.C, "the input never reaches the output")])
     return int(np.argmax(size > SMALLEST_ANSWER * size.max())) + 1
 
 
+def _vectors(dynamics: LinearParameters):
+    """Return A, and B, C and D of one input and one output as vectors, shape (n,), and a float."""
+    model = dynamics.state_space
+    return model.A, model.B[:, 0], model.C[0], model.D.item()
+
+
 def _parts(dynamics: LinearParameters) -> _Parts:
-    A, B, C, D = dynamics.matrices
+    A, B, C, D = _vectors(dynamics)
     degree = relative_degree(dynamics)
-    answer = float(C @ np.linalg.matrix_power(A, degree - 1) @ B) + (D if degree == 1 else 0.0)
-    gain = C @ np.linalg.matrix_power(A, degree) / answer
+    answer = float(product(C, power(A, degree - 1), B)) + (D if degree == 1 else 0.0)
+    gain = product(C, power(A, degree)) / answer
     inner, drive = A - np.outer(B, gain), B / answer
-    poles = np.linalg.eigvals(inner)
+    poles = eigenvalues(inner)
     # the inverse has as many poles as the dynamics; those without a zero of the dynamics stand at 0
     finite = dynamics.order - degree + (1 if D else 0)
     zeros = poles[np.argsort(-np.abs(poles))][: max(finite, 0)]
@@ -133,33 +129,54 @@ def _parts(dynamics: LinearParameters) -> _Parts:
             f"model.dynamics has zeros on the unit circle ({found}): no bounded inverse exists; use static or none"
         )
         raise ParameterError([Problem("feedforward.type", "inverse_dynamics", allowed)])
-    nothing = np.zeros((0, 0)), np.zeros(0), np.zeros(0)
     if not np.any(np.abs(poles) > 1.0):
-        return _Parts(degree, 1.0 / answer, inner, drive, -gain, nothing, zeros)
-    from scipy.linalg import schur, solve_sylvester  # imported here because most models need no SciPy
+        return _Parts(degree, 1.0 / answer, inner, drive, -gain, None, zeros)
+    outside = _outside(inner, np.abs(poles))
+    inside = np.eye(dynamics.order) - outside
+    backwards = product(outside, inverse(product(inner, outside) + inside))
+    anticausal = backwards, product(outside, drive), -gain
+    causal = product(inside, inner, inside), product(inside, drive), -product(gain, inside)
+    return _Parts(degree, 1.0 / answer, *causal, anticausal, zeros)
 
-    # inside and outside zeros apart: Schur form with the inside first, and the coupling of the two removed
-    triangle, basis, count = schur(inner, output="complex", sort=lambda pole: abs(pole) < 1.0)
-    coupling = solve_sylvester(triangle[:count, :count], -triangle[count:, count:], -triangle[:count, count:])
-    left = basis[:, count:].conj().T
-    right = basis[:, :count] @ coupling + basis[:, count:]
-    inside = np.eye(dynamics.order) - (right @ left).real
-    outside = triangle[count:, count:], left @ drive, -gain @ right
-    return _Parts(degree, 1.0 / answer, inside @ inner @ inside, inside @ drive, -gain @ inside, outside, zeros)
+
+def _outside(matrix, sizes) -> np.ndarray:
+    """Return the projection on the modes outside the unit circle along those inside, shape (n, n).
+
+    The matrix sign function of (M + ρ)(M - ρ)⁻¹, ρ a radius between both, by Newton's iteration.
+
+    Parameters
+    ----------
+    matrix : ndarray, shape (n, n)
+    sizes : ndarray, shape (n,)
+        Magnitudes of the eigenvalues.
+    """
+    identity = np.eye(len(matrix))
+    if np.all(sizes > 1.0):
+        return identity
+    radius = math.sqrt(np.max(sizes[sizes < 1.0]) * np.min(sizes[sizes > 1.0])) or 0.5 * np.min(sizes[sizes > 1.0])
+    sign = product(matrix + radius * identity, inverse(matrix - radius * identity))
+    for _ in range(SIGN_STEPS):
+        following = 0.5 * (sign + inverse(sign))
+        settled = np.max(np.abs(following - sign)) <= SETTLED * np.max(np.abs(following))
+        sign = following
+        if settled:
+            break
+    return 0.5 * (identity + sign)
 
 
 def _future_weights(parts: _Parts, scale: float) -> np.ndarray:
     """Return the weights w_i of r(k+d+i) that the outside zeros give, as far as they are more than rounding [m/m]."""
-    matrix, drive, out = parts.outside
-    if not len(drive):
+    if parts.anticausal is None:
         return np.zeros(1)
-    slowest = float(np.min(np.abs(np.diag(matrix))))
-    weights = np.zeros(min(int(DECADES / np.log10(slowest)) + 2, LONGEST))
-    inverse = np.linalg.inv(matrix)
-    for i in range(len(weights)):
-        drive = inverse @ drive
-        weights[i] = -scale * (out @ drive).real
-    return weights
+    backwards, drive, out = parts.anticausal
+    sizes = np.abs(parts.zeros)
+    slowest = float(np.min(sizes[sizes > 1.0]))
+    length = min(int(DECADES / math.log10(slowest)) + 2, LONGEST)
+    # rows out N, out N², …: those there are times N to their number are as many more
+    rows, further = product(out, backwards)[np.newaxis], backwards
+    while len(rows) < length:
+        rows, further = np.concatenate([rows, product(rows, further)]), product(further, further)
+    return -scale * product(rows[:length], drive)
 
 
 def _remaining(weights: np.ndarray) -> np.ndarray:
@@ -200,10 +217,10 @@ def inverse_filter(dynamics: LinearParameters, preview: int) -> InverseFilter:
     future = _future_weights(parts, scale)
     count = min(preview - degree + 1, len(future))
     weights = future[:count].copy()
-    weights[-1] += np.sum(future[count:])
+    weights[-1] += math.fsum(future[count:])
     weights[0] += scale * parts.through
     error = float(_remaining(future)[count])
-    rest = np.linalg.solve(np.eye(dynamics.order) - parts.A, parts.B) if dynamics.order else parts.B
+    rest = solve(np.eye(dynamics.order) - parts.A, parts.B) if dynamics.order else parts.B
     return InverseFilter(degree, weights, parts.A, parts.B, parts.C * scale, rest, parts.zeros, error)
 
 

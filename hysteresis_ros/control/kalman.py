@@ -28,7 +28,9 @@ import numpy as np
 
 from hysteresis_ros.block import Block, compiled, kernel
 from hysteresis_ros.control import design
-from hysteresis_ros.control.open_loop import bounded, run_controller
+from hysteresis_ros.control.base import bounded, run_controller
+from hysteresis_ros.linear_algebra import product
+from hysteresis_ros.models.state_space import StateSpace, accumulate
 from hysteresis_ros.parameters import Parameters, parameter
 
 # Parameter array: a head, then A (rows), B, C, L, N_x of the model, then A_d (rows), c_d, gain and feedthrough of the
@@ -45,6 +47,25 @@ RUNNING = 0
 INNOVATION = 1
 OFFSET = 2
 ESTIMATE = 3
+
+
+@kernel
+def input_matrix(p, first):
+    """Return where B of the model stands in ``p`` when the filter's part begins at p[first]; its A ends there."""
+    n = int(p[first + ORDER])
+    return first + MATRICES + n * n
+
+
+@kernel
+def rest_state(p, first):
+    """Return where N_x of the model, its rest state under an output of one, stands in ``p``."""
+    return input_matrix(p, first) + 3 * int(p[first + ORDER])
+
+
+@kernel
+def filter_length(p, first):
+    """Return the number of entries of the filter in the state array."""
+    return ESTIMATE + 2 * (int(p[first + ORDER]) + int(p[first + DISTURBED]))
 
 
 @kernel
@@ -65,10 +86,10 @@ def kalman_step(p, x, first, start, applied, measured):
     n = int(p[first + ORDER])
     m = int(p[first + DISTURBED])
     a = first + MATRICES
-    b = a + n * n
+    b = input_matrix(p, first)
     c = b + n
     gain = c + n
-    rest = gain + n
+    rest = rest_state(p, first)
     transition = rest + n
     shown = transition + m * m
     correction = shown + m
@@ -95,25 +116,17 @@ def kalman_step(p, x, first, start, applied, measured):
         late = x[start + INNOVATION]
     entering = applied + x[start + OFFSET]
     for i in range(n):
-        value = p[b + i] * entering + p[gain + i] * late
-        for j in range(n):
-            value += p[a + i * n + j] * x[now + j]
-        x[following + i] = bounded(value)
+        pushed = p[b + i] * entering + p[gain + i] * late
+        x[following + i] = bounded(accumulate(pushed, p, a + i * n, x, now, n))
     for i in range(n):
         x[now + i] = x[following + i]
     for i in range(m):
-        value = p[correction + i] * late
-        for j in range(m):
-            value += p[transition + i * m + j] * x[cause + j]
-        x[coming + i] = bounded(value)
-    offset = 0.0
-    output = p[first + FEEDTHROUGH] * applied
+        x[coming + i] = bounded(accumulate(p[correction + i] * late, p, transition + i * m, x, cause, m))
     for i in range(m):
         x[cause + i] = x[coming + i]
-        offset += p[shown + i] * x[cause + i]
-        output += p[through + i] * x[cause + i]
-    for i in range(n):
-        output += p[c + i] * x[now + i]
+    offset = accumulate(0.0, p, shown, x, cause, m)
+    output = accumulate(p[first + FEEDTHROUGH] * applied, p, through, x, cause, m)
+    output = accumulate(output, p, c, x, now, n)
     innovation = bounded(measured - output)
     x[start + INNOVATION] = innovation
     if p[first + CURRENT] != 0.0:
@@ -121,10 +134,9 @@ def kalman_step(p, x, first, start, applied, measured):
             change = p[gain + i] * innovation
             x[now + i] = bounded(x[now + i] + change)
             output += p[c + i] * change
-        offset = 0.0
         for i in range(m):
             x[cause + i] = bounded(x[cause + i] + p[correction + i] * innovation)
-            offset += p[shown + i] * x[cause + i]
+        offset = accumulate(0.0, p, shown, x, cause, m)
     x[start + OFFSET] = bounded(offset)
     return output
 
@@ -250,14 +262,14 @@ def disturbance_model(parameters: KalmanParameters, sample_time: float | None):
     return A_d, c_d, variances
 
 
-def filter_gain(parameters: KalmanParameters, A, B, C, D, sample_time: float | None = None):
+def filter_gain(parameters: KalmanParameters, model: StateSpace, sample_time: float | None = None):
     """Return the gain in the chosen form, shape (n + m,) with m states of the disturbance's model.
 
     Parameters
     ----------
     parameters : KalmanParameters
-    A, B, C : ndarray, shapes (n, n), (n, 1), (1, n)
-    D : float
+    model : StateSpace
+        Of one input and one output, in its own units.
     sample_time : float, optional
         Sample time [s]; only a periodic disturbance needs it.
 
@@ -268,11 +280,12 @@ def filter_gain(parameters: KalmanParameters, A, B, C, D, sample_time: float | N
         ``kalman.q_disturbance…``, ``kalman.disturbance_frequency`` or ``model.dynamics.C``: no stable filter follows.
     """
     current = parameters.form == "current"
-    if current and D != 0.0:
+    if current and model.D.item() != 0.0:
         design.refuse("kalman.form", "current", "needs a model with D = 0; choose predictor or give D = 0")
-    n = len(A)
+    n, A, B, C = model.order, model.A, model.B, model.C
     A_d, c_d, variances = disturbance_model(parameters, sample_time)
-    whole, output = design.disturbance_system(A, B, C, D, A_d, c_d)
+    disturbed = design.disturbance_system(model, A_d, c_d)
+    whole, output = disturbed.A, disturbed.C
     if parameters.gain == "given" and len(parameters.L) != len(whole):
         design.refuse("kalman.L", parameters.L, f"must have {len(whole)} entries with this model and disturbance")
     if not design.detectable(whole, output):
@@ -286,27 +299,29 @@ def filter_gain(parameters: KalmanParameters, A, B, C, D, sample_time: float | N
         design.refuse("model.dynamics.C", tuple(C[0].tolist()), "a mode that does not decay cannot be seen in it")
     if parameters.gain == "given":
         L = np.array(parameters.L, dtype=float)
-        late = whole @ L if current else L
+        late = product(whole, L) if current else L
         design.require_stable(whole - np.outer(late, output[0]), "kalman.L", parameters.L, "the Kalman filter")
         return L
     if not parameters.r > 0.0:
         design.refuse("kalman.r", parameters.r, "must be above 0 for the Riccati equation")
     noise = np.diag(np.append(np.zeros(n), variances))
-    noise[:n, :n] = design.square_weight(parameters.Q, n, "kalman.Q") if parameters.Q else parameters.q * B @ B.T
+    noise[:n, :n] = (
+        design.square_weight(parameters.Q, n, "kalman.Q") if parameters.Q else product(parameters.q * B, B.T)
+    )
     gain, _ = design.kalman_gain(whole, output, noise, parameters.r)
-    return gain if current else whole @ gain
+    return gain if current else product(whole, gain)
 
 
-def pack_kalman(parameters: KalmanParameters, A, B, C, D, sample_time: float | None = None) -> np.ndarray:
+def pack_kalman(parameters: KalmanParameters, model: StateSpace, sample_time: float | None = None) -> np.ndarray:
     """Return the filter's parameter array, shape (5 + n² + 4 n + m² + 3 m,)."""
-    n = len(A)
+    n = model.order
     A_d, c_d, _ = disturbance_model(parameters, sample_time)
-    L = filter_gain(parameters, A, B, C, D, sample_time)
-    _, output = design.disturbance_system(A, B, C, D, A_d, c_d)
-    rest_state, rest_input = design.steady_state(A, B, C, D)
-    head = [n, parameters.form == "current", len(A_d), D, rest_input]
-    model = [A.ravel(), B.ravel(), C.ravel(), L[:n], rest_state]
-    return np.concatenate([head, *model, A_d.ravel(), c_d, L[n:], output[0, n:]]).astype(float)
+    L = filter_gain(parameters, model, sample_time)
+    output = design.disturbance_system(model, A_d, c_d).C
+    rest_state, rest_input = design.steady_state(model)
+    head = [n, parameters.form == "current", len(A_d), model.D.item(), rest_input]
+    matrices = [model.A.ravel(), model.B.ravel(), model.C.ravel(), L[:n], rest_state]
+    return np.concatenate([head, *matrices, A_d.ravel(), c_d, L[n:], output[0, n:]]).astype(float)
 
 
 def kalman_state_size(parameters: KalmanParameters, order: int) -> int:
@@ -335,7 +350,7 @@ class KalmanFilter(Block):
 
     def pack(self, parameters) -> np.ndarray:
         """Return the parameter array of :func:`pack_kalman`."""
-        return pack_kalman(parameters, *design.matrices(self.dynamics), self.sample_time)
+        return pack_kalman(parameters, self.dynamics.state_space, self.sample_time)
 
     def initial_state(self) -> np.ndarray:
         """Return the state before the first sample."""

@@ -1,10 +1,8 @@
 """How robust a controller is on its own model: loop transfer, margins, sensitivity, bandwidth, closed-loop poles.
 
-Any controller kernel is linear close to rest (inside the boundary layer, without saturation). Its state space follows
-from the kernel itself: at rest all its values are zero, so the response to one tiny entry at a time *is* the column of
-a matrix, without cancellation. The loop is the one that runs: y_k = C x_k + D u_(k-1) is measured, u_k answers it in
-the same sample and is held until the next one; the controller knows its own command as the one carried out. The
-inverse of the hysteresis is taken to be exact.
+Controllers are linear close to rest (:mod:`hysteresis_ros.control.linearisation`). The loop is the one that runs:
+y_k = C x_k + D u_(k-1) is measured, u_k answers it in the same sample and is held until the next one; the controller
+knows its own command as the one carried out. The inverse of the hysteresis is taken to be exact.
 
 The loop is cut at the command: L(z) = −K_y(z) P(z), sensitivity S = 1/(1 + L), complementary sensitivity T = L/(1 + L).
 
@@ -15,57 +13,22 @@ References
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from hysteresis_ros.control import design
-from hysteresis_ros.control.feedforward import FeedforwardParameters
-from hysteresis_ros.control.open_loop import APPLIED, COMMAND, FEEDFORWARD
-from hysteresis_ros.models.preload import PreloadParameters
+from hysteresis_ros.models.state_space import BOUNDARY, StateSpace
 
-#: Size of the entries at which a kernel is linearised: far below every boundary layer, far above subnormal numbers.
-TINY = 1e-24
-#: Samples at rest before: flags and counters of the start are past then.
-WARM_UP = 3
 #: Frequencies of the grid, and how many are added around each pole.
 GRID = 3000
 AROUND_POLE = 61
 #: Lowest angle of the grid.
 LOWEST = 1e-7
-#: An entry below this part of the largest of its matrix is rounding.
-ROUNDING = 1e-13
-
-
-@dataclass(frozen=True, eq=False)
-class StateSpace:
-    """Discrete state space.
-
-    Parameters
-    ----------
-    A, B, C, D : ndarray, shapes (n, n), (n, m), (1, n), (1, m)
-    """
-
-    A: np.ndarray
-    B: np.ndarray
-    C: np.ndarray
-    D: np.ndarray
-
-    def response(self, z) -> np.ndarray:
-        """Return the transfer at the points ``z``, shape (N,), of each input: complex, shape (N, m)."""
-        z = np.asarray(z, dtype=complex)
-        n = len(self.A)
-        if not n:
-            return np.broadcast_to(self.D, (len(z), self.D.shape[1])).astype(complex)
-        states = np.linalg.solve(
-            z[:, None, None] * np.eye(n) - self.A, np.broadcast_to(self.B, (len(z), *self.B.shape))
-        )
-        return (self.C @ states)[:, 0, :] + self.D[0]
 
 
 @dataclass(frozen=True, eq=False)
 class Margins:
-    """What :func:`margins` finds; infinite where there is no such crossover.
+    """What :func:`margins_of` finds; infinite where there is no such crossover.
 
     Parameters
     ----------
@@ -102,7 +65,7 @@ class Margins:
     @property
     def stable(self) -> bool:
         """Whether all closed-loop poles are inside the unit circle."""
-        return bool(np.all(np.abs(self.poles) < 1.0 - design.STABILITY_MARGIN))
+        return bool(np.all(np.abs(self.poles) < 1.0 - BOUNDARY))
 
 
 def plant_state_space(dynamics, scaled: bool = True) -> StateSpace:
@@ -114,70 +77,8 @@ def plant_state_space(dynamics, scaled: bool = True) -> StateSpace:
     scaled : bool
         In SI units; otherwise in the model's.
     """
-    A, B, C, D = design.matrices(dynamics)
-    n = len(A)
-    gain = dynamics.output_scale / dynamics.resolved_input_scale if scaled else 1.0
-    state = np.block([[A, np.zeros((n, 1))], [np.zeros((1, n + 1))]])
-    return StateSpace(
-        state, np.vstack([B, np.ones((1, 1))]), gain * np.hstack([C.reshape(1, n), [[D]]]), np.zeros((1, 1))
-    )
-
-
-def at_rest(parameters):
-    """Return the controller's parameters without feedforward, preload offset and limits of its own.
-
-    The explicit super-twisting law jumps at zero and has no linear form; it is judged as the implicit one.
-
-    Parameters
-    ----------
-    parameters : ControllerParameters
-    """
-    model = replace(parameters.model, preload=PreloadParameters())
-    pid = replace(parameters.pid, output_minimum=0.0, output_maximum=0.0)
-    twisting = replace(parameters.super_twisting, discretisation="implicit")
-    return replace(parameters, model=model, pid=pid, super_twisting=twisting, feedforward=FeedforwardParameters())
-
-
-def linearise(controller) -> StateSpace:
-    """Return the state space of a controller block close to rest, inputs (reference, measured), output command, SI.
-
-    Parameters
-    ----------
-    controller : Controller
-        Built of parameters like those of :func:`at_rest`; its state is not changed.
-    """
-    kernel, p = controller.kernel, controller.p
-    rest = np.ascontiguousarray(controller.initial_state(), dtype=float)
-    for _ in range(WARM_UP):
-        kernel(p, rest, 0.0, 0.0)
-    # The last command is one state, though it stands in two places; the feedforward is none.
-    groups = [[APPLIED, COMMAND]] + [[i] for i in range(len(rest)) if i not in (APPLIED, COMMAND, FEEDFORWARD)]
-    count = len(groups)
-    A, C = np.zeros((count, count)), np.zeros((1, count))
-    B, D = np.zeros((count, 2)), np.zeros((1, 2))
-
-    def respond(places, reference, measured):
-        x = rest.copy()
-        x[places] += TINY
-        command = kernel(p, x, reference, measured)
-        after = np.array([x[group[0]] - rest[group[0]] for group in groups])
-        return after / TINY, command / TINY
-
-    for j, places in enumerate(groups):
-        A[:, j], C[0, j] = respond(places, 0.0, 0.0)
-    for j, inputs in enumerate(((TINY, 0.0), (0.0, TINY))):
-        B[:, j], D[0, j] = respond([], *inputs)
-    return _connected(StateSpace(A, B, C, D))
-
-
-def _connected(system: StateSpace) -> StateSpace:
-    """Leave out states that no input reaches (flags, constants) or that never reach the output (records)."""
-    reached, seen = (system.B != 0.0).any(axis=1), system.C[0] != 0.0
-    for _ in range(len(system.A)):
-        reached = reached | ((system.A != 0.0) @ reached)
-        seen = seen | (seen @ (system.A != 0.0))
-    kept = np.flatnonzero(reached & seen)
-    return StateSpace(system.A[np.ix_(kept, kept)], system.B[kept], system.C[:, kept], system.D)
+    held = dynamics.state_space.held()
+    return held.scaled(dynamics.output_scale / dynamics.resolved_input_scale) if scaled else held
 
 
 def close(controller: StateSpace, plant: StateSpace) -> StateSpace:
@@ -186,7 +87,7 @@ def close(controller: StateSpace, plant: StateSpace) -> StateSpace:
     Parameters
     ----------
     controller, plant : StateSpace
-        Of :func:`linearise` and :func:`plant_state_space`.
+        Of :func:`~hysteresis_ros.control.linearisation.linear_loop`.
     """
     n, m = len(controller.A), len(plant.A)
     reference, measured = controller.B[:, :1], controller.B[:, 1:]
@@ -206,47 +107,10 @@ def loop_transfer(controller: StateSpace, plant: StateSpace, z) -> np.ndarray:
     Parameters
     ----------
     controller, plant : StateSpace
-        Of :func:`linearise` and :func:`plant_state_space`.
+        Of :func:`~hysteresis_ros.control.linearisation.linear_loop`.
     z : array_like, shape (N,)
     """
-    return -controller.response(z)[:, 1] * plant.response(z)[:, 0]
-
-
-def margins(parameters, sample_time: float) -> Margins:
-    """Return margins, bandwidth and poles of a controller on its own model.
-
-    Parameters
-    ----------
-    parameters : ControllerParameters
-    sample_time : float
-        Sample time [s].
-
-    Raises
-    ------
-    ParameterError
-        No controller can be built of the parameters.
-    """
-    return margins_of(*linear_loop(parameters, sample_time), sample_time)
-
-
-def linear_loop(parameters, sample_time: float) -> tuple[StateSpace, StateSpace]:
-    """Return controller and model of a controller's parameters, both close to rest.
-
-    Parameters
-    ----------
-    parameters : ControllerParameters
-    sample_time : float
-        Sample time [s].
-
-    Raises
-    ------
-    ParameterError
-        No controller can be built of the parameters.
-    """
-    from hysteresis_ros.control.controller import controller_block  # the registry imports every controller
-
-    controller = linearise(controller_block(at_rest(parameters), sample_time))
-    return controller, plant_state_space(parameters.model.dynamics)
+    return -controller.response(z)[:, 0, 1] * plant.response(z)[:, 0, 0]
 
 
 def sensitivity_peak(controller: StateSpace, plant: StateSpace, grid: int = 300) -> float:
@@ -263,10 +127,10 @@ def sensitivity_peak(controller: StateSpace, plant: StateSpace, grid: int = 300)
 
 def _searched(controller: StateSpace, plant: StateSpace, grid: int):
     whole = close(controller, plant)
-    poles = np.linalg.eigvals(whole.A)
-    if np.max(np.abs(poles)) >= 1.0 - design.STABILITY_MARGIN:
+    poles = whole.poles
+    if np.max(np.abs(poles)) >= 1.0 - BOUNDARY:
         return whole, None, np.inf
-    angles = _grid([*poles, *np.linalg.eigvals(plant.A)], grid)
+    angles = _grid([*poles, *plant.poles], grid)
     values = loop_transfer(controller, plant, np.exp(1j * angles))
     return whole, angles, float(np.max(1.0 / np.abs(1.0 + values)))
 
@@ -303,9 +167,9 @@ def margins_of(controller: StateSpace, plant: StateSpace, sample_time: float) ->
         Sample time [s].
     """
     whole = close(controller, plant)
-    poles = np.linalg.eigvals(whole.A)
+    poles = whole.poles
     poles = poles[np.argsort(-np.abs(poles))]
-    angles = _grid([*poles, *np.linalg.eigvals(plant.A), *np.linalg.eigvals(controller.A)], GRID)
+    angles = _grid([*poles, *plant.poles, *controller.poles], GRID)
 
     def loop(angle):
         return loop_transfer(controller, plant, np.exp(1j * np.atleast_1d(angle)))
@@ -374,7 +238,7 @@ def _crossings(function, angles, values) -> np.ndarray:
 
 def _bandwidth(whole: StateSpace, angles) -> float:
     def level(angle):
-        return np.abs(whole.response(np.exp(1j * np.atleast_1d(angle)))[:, 0])
+        return np.abs(whole.response(np.exp(1j * np.atleast_1d(angle)))[:, 0, 0])
 
     values = level(angles)
     wanted = values[0] / np.sqrt(2.0)

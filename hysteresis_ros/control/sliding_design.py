@@ -7,6 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from hysteresis_ros.control import design
+from hysteresis_ros.linear_algebra import product
+from hysteresis_ros.models.state_space import StateSpace
 from hysteresis_ros.parameters import Parameters, parameter
 
 
@@ -88,20 +90,25 @@ class SlidingModeDesign:
     poles: np.ndarray
 
 
-def design_sliding_mode(parameters: SlidingModeParameters, A, B, C, D) -> SlidingModeDesign:
-    """Return hyperplane and linear gain for the model (A, B, C, D).
+def design_sliding_mode(parameters: SlidingModeParameters, model: StateSpace) -> SlidingModeDesign:
+    """Return hyperplane and linear gain for a model.
+
+    Parameters
+    ----------
+    parameters : SlidingModeParameters
+    model : StateSpace
+        Of one input and one output, in its own units.
 
     Raises
     ------
     ParameterError
         Names the parameter of ``sliding_mode`` or ``model.dynamics`` from which no stable controller follows.
     """
-    n = len(A)
-    integral = parameters.tracking == "integral"
-    if integral:
-        design.steady_state(A, B, C, D)  # without DC gain the integral never settles
-        A, B = design.integral_system(A, B, C, D)
-    order = len(A)
+    whole = model
+    if parameters.tracking == "integral":
+        design.steady_state(model)  # without DC gain the integral never settles
+        whole = design.integral_system(model)
+    n, order, A, B = model.order, whole.order, whole.A, whole.B
     if parameters.hyperplane == "given":
         if len(parameters.S) != order:
             design.refuse("sliding_mode.S", parameters.S, f"must have {order} entries with this model and tracking")
@@ -115,7 +122,7 @@ def design_sliding_mode(parameters: SlidingModeParameters, A, B, C, D) -> Slidin
             weight = design.square_weight(parameters.lq_state_weight, order, "sliding_mode.lq_state_weight")
         else:
             weight = np.zeros((order, order))
-            weight[:n, :n] = C.T @ C
+            weight[:n, :n] = product(model.C.T, model.C)
             weight[n:, n:] = 1e-4
         S = design.hyperplane_lq(A, B, weight, parameters.lq_input_weight)
     if not abs(parameters.phi) < 1.0:

@@ -17,17 +17,7 @@ import numpy as np
 
 from hysteresis_ros.block import kernel
 from hysteresis_ros.control import design
-from hysteresis_ros.control.kalman import (
-    DISTURBED,
-    ESTIMATE,
-    MATRICES,
-    OFFSET,
-    RUNNING,
-    kalman_state_size,
-    kalman_step,
-    pack_kalman,
-)
-from hysteresis_ros.control.open_loop import (
+from hysteresis_ros.control.base import (
     APPLIED,
     COMMAND,
     DISTURBANCE,
@@ -40,8 +30,21 @@ from hysteresis_ros.control.open_loop import (
     Controller,
     bounded,
 )
+from hysteresis_ros.control.kalman import (
+    ESTIMATE,
+    MATRICES,
+    OFFSET,
+    RUNNING,
+    filter_length,
+    input_matrix,
+    kalman_state_size,
+    kalman_step,
+    pack_kalman,
+    rest_state,
+)
 from hysteresis_ros.control.sliding_design import design_sliding_mode
 from hysteresis_ros.errors import ParameterError, Problem
+from hysteresis_ros.models.state_space import advance
 
 # Parameter array: a head (FED first), then K and S (n entries each), then the Kalman filter's.
 N = 1
@@ -79,9 +82,8 @@ def switching_function(p, x, reference, measured):
     n = int(p[N])
     hyperplane = GAINS + n
     observer = hyperplane + n
-    b = observer + MATRICES + n * n
-    rest = b + 3 * n
-    ahead = OBSERVER + ESTIMATE + 2 * (n + int(p[observer + DISTURBED]))
+    rest = rest_state(p, observer)
+    ahead = OBSERVER + filter_length(p, observer)
     applied = bounded(x[APPLIED])
     if abs(applied) > x[LARGEST]:
         x[LARGEST] = abs(applied)
@@ -102,13 +104,9 @@ def switching_function(p, x, reference, measured):
             distance = x[OBSERVER + ESTIMATE + i] - x[ahead + i]
             s += p[hyperplane + i] * distance
             linear += p[GAINS + i] * distance
-            following = p[b + i] * fed
-            row = observer + MATRICES + i * n
-            for j in range(n):
-                following += p[row + j] * x[ahead + j]
-            x[ahead + n + i] = following
+        advance(p, observer + MATRICES, input_matrix(p, observer), x, ahead, n, fed)
         for i in range(n):
-            x[ahead + i] = bounded(x[ahead + n + i])
+            x[ahead + i] = bounded(x[ahead + i])
     else:
         x[TARGET] = p[REST_COMMAND] * r
         for i in range(n):
@@ -194,11 +192,11 @@ def pack_surface(parameters, sample_time: float | None):
                 )
             ]
         )
-    A, B, C, D = design.matrices(dynamics)
-    n = len(A)
-    filtering = pack_kalman(kalman, A, B, C, D, sample_time)
-    gains = design_sliding_mode(smc, A, B, C, D)
-    _, rest_input = design.steady_state(A, B, C, D)
+    model = dynamics.state_space
+    n = model.order
+    filtering = pack_kalman(kalman, model, sample_time)
+    gains = design_sliding_mode(smc, model)
+    _, rest_input = design.steady_state(model)
     sign = 1.0 if gains.switching_gain > 0.0 else -1.0
     head = np.zeros(GAINS)
     head[FED] = parameters.feedforward.type != "none"
@@ -238,6 +236,22 @@ def require_target(parameters) -> None:
         )
 
 
+def check_with(packed):
+    """Return the check of a sliding mode controller: it is designed once, with ``packed(parameters, sample_time)``.
+
+    Parameters
+    ----------
+    packed : callable
+        Raises ParameterError where the design fails.
+    """
+
+    def check(parameters, sample_time: float | None) -> None:
+        if sample_time is not None or parameters.kalman.disturbance != "periodic":
+            packed(parameters, sample_time)
+
+    return check
+
+
 class SlidingController(Controller):
     """Base of the sliding mode controllers.
 
@@ -247,6 +261,8 @@ class SlidingController(Controller):
     sample_time : float
         Sample time [s]; the model is discrete at this time.
     """
+
+    runs_beside = True
 
     def initial_state(self) -> np.ndarray:
         """Return the state before the first sample; the observer then starts from rest at the measurement."""
@@ -259,7 +275,15 @@ class SlidingController(Controller):
         first = OBSERVER + ESTIMATE
         return self.x[first : first + self.parameters.model.dynamics.order].copy()
 
-    def continue_from(self, predecessor: SlidingController) -> None:
+    def shares_observer(self, other: Controller) -> bool:
+        """Tell whether both have the same Kalman filter of the same model, and the same kind of target."""
+        if not isinstance(other, SlidingController):
+            return False
+        mine, theirs = self.parameters, other.parameters
+        same = mine.model == theirs.model and mine.kalman == theirs.kalman and self.sample_time == other.sample_time
+        return same and mine.feedforward == theirs.feedforward
+
+    def continue_from(self, predecessor: Controller) -> None:
         """Take over the observer and the trajectory of a controller with the same ones."""
         self.x[OBSERVER:] = predecessor.x[OBSERVER:]
         self.x[LARGEST] = predecessor.x[LARGEST]

@@ -1,18 +1,20 @@
 """Another type of controller takes over while the axis runs, with an observer that already knows the plant's motion.
 
 A controller is taken through the last samples of the run first, as if it had run beside its predecessor all the time:
-an observer that began from rest instead would move the command while it settles. Two sliding mode controllers with one
-model and one Kalman filter share the observer: its state goes on as it is. What a law has integrated is set such that
+an observer that began from rest instead would move the command while it settles. Two controllers with one model and
+one Kalman filter share the observer: its state goes on as it is. What a law has integrated is set such that
 it goes on from the present command, or to zero; the hand-over behind the controller fades the rest.
 """
 
 from __future__ import annotations
 
-from collections import deque
+import math
 
+import numpy as np
+
+from hysteresis_ros.block import called
+from hysteresis_ros.control.base import APPLIED, COMMAND, FEEDFORWARD, HEADER, STARTED, Controller
 from hysteresis_ros.control.controller import ControllerParameters, controller_block
-from hysteresis_ros.control.open_loop import APPLIED, COMMAND, FEEDFORWARD, HEADER, STARTED, Controller, OpenLoop
-from hysteresis_ros.control.sliding_surface import SlidingController
 
 #: Samples that are kept: long enough for an observer to settle.
 SAMPLES = 500
@@ -20,27 +22,59 @@ SAMPLES = 500
 AVERAGED = 50
 
 
+# State of a history: entries so far, then a ring of the last samples, four numbers each.
+ENTRIES = 0
+APPLIED_THEN, REFERENCE_THEN, FED_THEN, MEASURED_THEN = range(4)
+ENTRY = 4
+
+
+@called
+def note(x, applied, reference, fed, measured):
+    """Keep one sample in the history ``x``.
+
+    Parameters
+    ----------
+    x : ndarray
+        State of a :class:`History`.
+    applied : float
+        Command carried out for the sample before [m].
+    reference, fed, measured : float
+        Delayed reference, command of the feedforward and measured displacement of this sample [m].
+    """
+    length = (x.shape[0] - 1) // ENTRY
+    place = 1 + ENTRY * (int(x[ENTRIES]) % length)
+    x[place + APPLIED_THEN] = applied
+    x[place + REFERENCE_THEN] = reference
+    x[place + FED_THEN] = fed
+    x[place + MEASURED_THEN] = measured
+    x[ENTRIES] += 1.0
+
+
 class History:
-    """The last samples of a run: what every controller would have been given."""
+    """The last samples of a run, as many as ``SAMPLES``: what every controller would have been given.
+
+    Attributes
+    ----------
+    p, x : ndarray
+        Empty parameters, and the state for :func:`note`.
+    """
 
     def __init__(self):
-        self.samples: deque = deque(maxlen=SAMPLES)
+        self.p = np.zeros(0)
+        self.x = np.zeros(1 + ENTRY * SAMPLES)
 
-    def note(self, applied: float, reference: float, fed: float, measured: float) -> None:
-        """Keep one sample.
-
-        Parameters
-        ----------
-        applied : float
-            Command carried out for the sample before [m].
-        reference, fed, measured : float
-            Delayed reference, command of the feedforward and measured displacement of this sample [m].
-        """
-        self.samples.append((applied, reference, fed, measured))
-
-    def clear(self) -> None:
+    def reset(self) -> None:
         """Forget everything: the next sample does not follow the last one."""
-        self.samples.clear()
+        self.x[ENTRIES] = 0.0
+
+    @property
+    def samples(self) -> np.ndarray:
+        """The samples in order, shape (n, 4): applied, reference, fed, measured [m]."""
+        count = int(self.x[ENTRIES])
+        ring = self.x[1:].reshape(SAMPLES, ENTRY)
+        if count <= SAMPLES:
+            return ring[:count].copy()
+        return np.roll(ring, -(count % SAMPLES), axis=0)
 
 
 def successor(
@@ -72,15 +106,15 @@ def successor(
     """
     made = controller_block(parameters, sample_time)
     lasting = None
-    if isinstance(made, (SlidingController, OpenLoop)) and history.samples:
+    if made.runs_beside and len(history.samples):
         wanted = _beside(made, history)
         # what was carried out for a sample is known one sample later
-        carried_out = [sample[0] for sample in history.samples][1:] + [predecessor.x[APPLIED]]
+        carried_out = history.samples[1:, APPLIED_THEN].tolist() + [predecessor.x[APPLIED]]
         recent = list(zip(carried_out, wanted, strict=True))[-AVERAGED:]
-        lasting = sum(one - other for one, other in recent) / len(recent)
-    if shares_observer(made, predecessor):
+        lasting = math.fsum(one - other for one, other in recent) / len(recent)
+    if made.shares_observer(predecessor):
         made.continue_from(predecessor)
-    if isinstance(made, SlidingController) and made.x[STARTED] != 0.0 and made.settle(predecessor.x[APPLIED]):
+    if made.x[STARTED] != 0.0 and made.settle(predecessor.x[APPLIED]):
         lasting = None
     started = made.x[STARTED]
     made.x[:HEADER] = predecessor.x[:HEADER]
@@ -91,19 +125,9 @@ def successor(
 def _beside(controller: Controller, history: History) -> list[float]:
     """Take a controller through the last samples and return what it would have wanted."""
     wanted = []
-    for applied, reference, fed, measured in history.samples:
+    for applied, reference, fed, measured in history.samples.tolist():
         controller.x[APPLIED] = controller.x[COMMAND] = applied
         controller.x[FEEDFORWARD] = fed
         wanted.append(controller.kernel(controller.p, controller.x, reference, measured))
-        if isinstance(controller, SlidingController):
-            controller.forget()
+        controller.forget()
     return wanted
-
-
-def shares_observer(one: Controller, other: Controller) -> bool:
-    """Tell whether both have the same Kalman filter of the same model, and the same kind of target."""
-    if not isinstance(one, SlidingController) or not isinstance(other, SlidingController):
-        return False
-    mine, theirs = one.parameters, other.parameters
-    same = mine.model == theirs.model and mine.kalman == theirs.kalman and one.sample_time == other.sample_time
-    return same and mine.feedforward == theirs.feedforward

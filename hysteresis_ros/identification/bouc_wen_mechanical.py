@@ -1,10 +1,10 @@
 """Grey-box fit of the Bouc-Wen oscillator: its physical parameters by output error, any input between the samples.
 
-The oscillator of :mod:`hysteresis_ros.models.bouc_wen_mechanical` is simulated by the very kernel of the nodes, on a
-grid finer than the samples; Levenberg-Marquardt steps with sensitivities by finite differences lower the output error.
-Of β, γ and δ only the products βγ and βδ are in the equations: β is kept at its initial value. Output error has local
-minima when the initial resonance is far off, so the initial values are improved first: trial points around them are
-judged on a short part of the data, and the best few are followed.
+The oscillator of :mod:`hysteresis_ros.models.hysteresis.bouc_wen_mechanical` is simulated by the very kernel of the
+nodes, on a grid finer than the samples; Levenberg-Marquardt steps with sensitivities by finite differences lower the
+output error. Of β, γ and δ only the products βγ and βδ are in the equations: β is kept at its initial value. Output
+error has local minima when the initial resonance is far off, so the initial values are improved first: trial points
+around them are judged on a short part of the data, and the best few are followed.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from hysteresis_ros.block import compiled, run_kernel
 from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.identification.intersample import METHODS, find_period, upsample
-from hysteresis_ros.models.bouc_wen_mechanical import (
+from hysteresis_ros.models.hysteresis.bouc_wen_mechanical import (
     ALPHA,
     BETA_DELTA,
     BETA_GAMMA,
@@ -301,6 +301,14 @@ class _Problem:
             if not deviations[name] < 0.5 * abs(values[name])
         ]
         return BoucWenMechanicalFit(
-            parameters, rmse, deviations, covariance, agreeing, starts, self.intersample, self.initial,
-            tuple(warnings), found.status > 0,
-        )  # fmt: skip
+            parameters=parameters,
+            rmse=rmse,
+            deviations=deviations,
+            covariance=covariance,
+            agreeing=agreeing,
+            starts=starts,
+            intersample=self.intersample,
+            initial=self.initial,
+            warnings=tuple(warnings),
+            converged=found.status > 0,
+        )

@@ -9,8 +9,12 @@ import numpy as np
 from hysteresis_ros.block import compiled, run_kernel
 from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.identification.branches import checked_signals, require_both_directions, split_branches
-from hysteresis_ros.identification.nelder_mead import NelderMeadResult, nelder_mead
-from hysteresis_ros.models.bouc_wen import STATES, BoucWenParameters, bouc_wen
+from hysteresis_ros.identification.restarted_nelder_mead import (
+    SimplexSearch,
+    SimplexSettings,
+    restarted_nelder_mead,
+)
+from hysteresis_ros.models.hysteresis.bouc_wen import STATES, BoucWenParameters, bouc_wen
 
 NAMES = ("d_e", "alpha", "beta", "gamma")
 #: The paper's initial guess (table II), SI units.
@@ -33,7 +37,7 @@ class BoucWenIdentification:
         Of d_e, α, β and γ, for white residuals.
     rms, maximum : float
         Residual [m].
-    search : NelderMeadResult
+    search : SimplexSearch
         Trajectories of the parameters, one run for each start.
     converged : bool
         The simplex converged.
@@ -46,7 +50,7 @@ class BoucWenIdentification:
     covariance: np.ndarray
     rms: float
     maximum: float
-    search: NelderMeadResult
+    search: SimplexSearch
     converged: bool
     warnings: tuple[str, ...]
 
@@ -73,9 +77,7 @@ def identify_bouc_wen_static(
     guess: BoucWenParameters | None = None,
     exponent: float = 1.0,
     free_offset: bool = False,
-    starts: int | None = None,
-    iterations: int = 2000,
-    seed: int = 0,
+    settings: SimplexSettings | None = None,
     progress=None,
 ) -> BoucWenIdentification:
     """Fit d_e, α, β and γ of ``x = d_e V - h`` to slow loops by Nelder-Mead.
@@ -93,14 +95,10 @@ def identify_bouc_wen_static(
         n when there is no guess; it is not fitted.
     free_offset : bool
         Remove the constant that fits best (a sensor has no zero).
-    starts : int, optional
-        Starts of the simplex: 1 with a guess, 4 without.
-    iterations : int
-        Most iterations of a start.
-    seed : int
-        Of the further starts.
+    settings : SimplexSettings, optional
+        Without a number of starts: 1 with a guess, 4 without.
     progress : callable, optional
-        See :func:`~hysteresis_ros.identification.nelder_mead.nelder_mead`.
+        See :func:`~hysteresis_ros.identification.restarted_nelder_mead.restarted_nelder_mead`.
 
     Raises
     ------
@@ -114,54 +112,75 @@ def identify_bouc_wen_static(
         raise IdentificationError(
             "the displacement falls with rising voltage; change the sign of one column (d_e must be above 0)"
         )
-    starts = starts or (1 if guess is not None else 4)
+    settings = settings or SimplexSettings()
+    settings = replace(settings, starts=settings.starts or (1 if guess is not None else 4))
     guess = guess or default_guess(voltage, displacement, exponent)
-    n = guess.exponent
-    x_unit, v_unit = float(np.ptp(displacement)), float(np.ptp(voltage))
-    # normalised: h in x_unit, V in v_unit; β and γ have the unit m^(1-n)/V
-    units = np.array([x_unit / v_unit, x_unit / v_unit, x_unit ** (1.0 - n) / v_unit, x_unit ** (1.0 - n) / v_unit])
-    v, x = voltage / v_unit, displacement / x_unit
-    y, state, p = np.empty_like(v), np.zeros(STATES), np.empty(5)
-    run = compiled(run_kernel)
-
-    def residual(theta):
-        p[:4], p[4], state[:] = theta, n, 0.0
-        run(bouc_wen, p, state, v, y)
-        error = y - x
-        return error - error.mean() if free_offset else error
-
-    def cost(theta):
-        with np.errstate(over="ignore", invalid="ignore"):
-            error = residual(theta)
-            return float(np.dot(error, error)) / v.size
-
+    problem = _Normalised(voltage, displacement, guess.exponent, free_offset)
+    units = problem.units
     start = np.array([getattr(guess, name) for name in NAMES]) / units
     scale = np.where(start != 0.0, np.abs(start), 1.0)
-    search = nelder_mead(cost, start, scale=scale, starts=starts, iterations=iterations, seed=seed, progress=progress)
-    error = residual(search.x).copy()
-    error_with_offset = float(np.mean(y - x)) if free_offset else 0.0
-    covariance = _covariance(residual, search.x, error, free_offset) * np.outer(units, units)
-    found = dict(zip(NAMES, (search.x * units).tolist(), strict=True))
-    parameters = replace(guess, **found)
+    search = restarted_nelder_mead(problem.cost, start, scale=scale, settings=settings, progress=progress)
+    error = problem.residual(search.x).copy()
+    offset = problem.offset * problem.x_unit
+    covariance = _covariance(problem.residual, search.x, error, free_offset) * np.outer(units, units)
+    parameters = replace(guess, **dict(zip(NAMES, (search.x * units).tolist(), strict=True)))
+    return BoucWenIdentification(
+        parameters=parameters,
+        offset=offset,
+        covariance=covariance,
+        rms=problem.x_unit * float(np.sqrt(np.mean(error**2))),
+        maximum=problem.x_unit * float(np.max(np.abs(error))),
+        search=_in_units(search, units),
+        converged=search.converged,
+        warnings=_doubts(parameters, search, np.sqrt(np.diag(covariance))),
+    )
+
+
+class _Normalised:
+    """A recording in parts of its ranges, h in that of the displacement, and the element's error on it."""
+
+    def __init__(self, voltage, displacement, exponent: float, free_offset: bool):
+        n, self.free_offset = exponent, free_offset
+        x_unit, v_unit = float(np.ptp(displacement)), float(np.ptp(voltage))
+        self.x_unit = x_unit
+        # β and γ have the unit m^(1-n)/V
+        bend = x_unit ** (1.0 - n) / v_unit
+        self.units = np.array([x_unit / v_unit, x_unit / v_unit, bend, bend])
+        self.v, self.x = voltage / v_unit, displacement / x_unit
+        self.y, self.state, self.p = np.empty_like(self.v), np.zeros(STATES), np.empty(5)
+        self.p[4] = n
+        self.run = compiled(run_kernel)
+
+    def residual(self, theta):
+        """Return the simulated less the measured displacement, shape (N,)."""
+        self.p[:4], self.state[:] = theta, 0.0
+        self.run(bouc_wen, self.p, self.state, self.v, self.y)
+        error = self.y - self.x
+        return error - error.mean() if self.free_offset else error
+
+    @property
+    def offset(self) -> float:
+        """The constant of the measurement that the last simulation left, 0 when it is not free."""
+        return -(float(np.mean(self.y - self.x)) if self.free_offset else 0.0)
+
+    def cost(self, theta) -> float:
+        """Return the mean square error."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            error = self.residual(theta)
+            return float(np.dot(error, error)) / self.v.size
+
+
+def _doubts(parameters: BoucWenParameters, search: SimplexSearch, deviations) -> tuple[str, ...]:
+    """Return what to doubt: outside the valid class, a search that was cut off, numbers without support."""
     warnings = [problem.allowed for problem in parameters.problems()]
     warnings += parameters.warnings()
     if not search.converged:
         warnings.append(f"not converged after {search.runs[search.best].iterations} iterations: the best point so far")
-    search = _in_units(search, units)
-    spread = np.sqrt(np.diag(covariance))
-    for name, value, deviation in zip(NAMES, found.values(), spread.tolist(), strict=True):
+    for name, deviation in zip(NAMES, deviations.tolist(), strict=True):
+        value = getattr(parameters, name)
         if not deviation < 0.5 * abs(value):
             warnings.append(f"{name} = {value:.4g} ± {deviation:.2g} is hardly determined by this recording")
-    return BoucWenIdentification(
-        parameters=parameters,
-        offset=-error_with_offset * x_unit,
-        covariance=covariance,
-        rms=x_unit * float(np.sqrt(np.mean(error**2))),
-        maximum=x_unit * float(np.max(np.abs(error))),
-        search=search,
-        converged=search.converged,
-        warnings=tuple(warnings),
-    )
+    return tuple(warnings)
 
 
 def _covariance(residual, theta, error, free_offset) -> np.ndarray:
@@ -180,7 +199,7 @@ def _covariance(residual, theta, error, free_offset) -> np.ndarray:
         return np.full((theta.size, theta.size), np.inf)
 
 
-def _in_units(search: NelderMeadResult, units) -> NelderMeadResult:
+def _in_units(search: SimplexSearch, units) -> SimplexSearch:
     """Return the search with trajectories in SI units; costs stay normalised by the range of the displacement."""
     runs = tuple(replace(run, trajectory=run.trajectory * units) for run in search.runs)
     return replace(search, x=search.x * units, runs=runs)

@@ -180,19 +180,19 @@ def check_data(time, input, output, input_unit="V", output_unit="m", minimum_sam
         numbers["drift"], finding = _check_drift(time[finite], u, y, output_unit)
         found += finding
     return DataReport(
-        len(time),
-        sample_time,
-        jitter,
-        missing,
-        float(numbers["stroke"]),
-        float(numbers["low"]),
-        float(numbers["high"]),
-        numbers["clipped_u"],
-        numbers["clipped_y"],
-        numbers["delay"],
-        numbers["drift"],
-        reversals,
-        tuple(found),
+        samples=len(time),
+        sample_time=sample_time,
+        jitter=jitter,
+        missing=missing,
+        stroke=float(numbers["stroke"]),
+        input_minimum=float(numbers["low"]),
+        input_maximum=float(numbers["high"]),
+        clipped_input=numbers["clipped_u"],
+        clipped_output=numbers["clipped_y"],
+        delay=numbers["delay"],
+        drift=numbers["drift"],
+        reversals=reversals,
+        findings=tuple(found),
     )
 
 

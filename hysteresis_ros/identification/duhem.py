@@ -17,7 +17,7 @@ from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.identification.branches import checked_signals, split_branches
 from hysteresis_ros.identification.duhem_loops import NEAR_END, OPEN_END, MajorLoop, major_loop
 from hysteresis_ros.identification.shape_functions import LARGEST_ALPHA, LoopOperator, Shapes, fit_shapes
-from hysteresis_ros.models.duhem import DuhemHysteresis, DuhemParameters
+from hysteresis_ros.models.hysteresis.duhem import DuhemHysteresis, DuhemParameters
 
 #: The paper's α, for a normalised input of -1 … 1.
 PUBLISHED_ALPHA = 80.0
@@ -100,7 +100,8 @@ def identify_duhem(
     IdentificationError
         Unusable data, a single branch, no whole loop, an α out of range.
     """
-    return _identify(voltage, displacement, alpha, minor, shape, size, seed, ("voltage", "displacement"))
+    settings = dict(alpha=alpha, minor=minor, shape=shape, size=size, seed=seed)
+    return _identify(("voltage", "displacement"), (voltage, displacement), **settings)
 
 
 def identify_inverse_duhem(
@@ -124,10 +125,13 @@ def identify_inverse_duhem(
     """
     if minor is not None:
         minor = (minor[1], minor[0])
-    return _identify(displacement, voltage, alpha, minor, shape, size, seed, ("displacement", "voltage"))
+    settings = dict(alpha=alpha, minor=minor, shape=shape, size=size, seed=seed)
+    return _identify(("displacement", "voltage"), (displacement, voltage), **settings)
 
 
-def _identify(inputs, outputs, alpha, minor, shape, size, seed, names) -> DuhemIdentification:
+def _identify(names, signals, *, alpha, minor, shape, size, seed) -> DuhemIdentification:
+    """Identify from ``signals``, input and output called ``names``."""
+    inputs, outputs = signals
     if shape not in ("network", "spline"):
         raise IdentificationError(f"shape = {shape!r}: must be network or spline")
     if alpha is not None and not 0.0 < alpha <= LARGEST_ALPHA:

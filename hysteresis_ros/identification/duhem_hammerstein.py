@@ -14,7 +14,7 @@ from hysteresis_ros.identification.branches import checked_signals, split_branch
 from hysteresis_ros.identification.duhem import DuhemIdentification, identify_duhem
 from hysteresis_ros.identification.duhem_loops import PreparedLoops, prepare_loops
 from hysteresis_ros.identification.least_squares import ArxFit, fit_arx
-from hysteresis_ros.models.duhem import DuhemHysteresis, DuhemParameters
+from hysteresis_ros.models.hysteresis.duhem import DuhemHysteresis, DuhemParameters
 from hysteresis_ros.models.linear import LinearParameters
 
 #: With ``minimum_phase`` the zero is kept within this radius.
@@ -73,13 +73,10 @@ def identify_duhem_hammerstein(
     recordings,
     sample_time: float,
     *,
-    alpha: float | None = None,
     minor=None,
-    shape: str = "network",
-    size: int | None = None,
     minimum_phase: bool = False,
     delays=None,
-    seed: int = 0,
+    **duhem,
 ) -> DuhemHammerstein:
     """Identify v → Duhem → G2 from sines of one amplitude and several frequencies (W2, W3, W5).
 
@@ -91,12 +88,12 @@ def identify_duhem_hammerstein(
         [s]
     minor : (voltage, displacement), optional
         Recording with minor loops; its lag is removed like that of the others.
-    alpha, shape, size, seed
-        As for :func:`~hysteresis_ros.identification.duhem.identify_duhem`.
     minimum_phase : bool
         Keep the zero of the linear part inside the unit circle, as an inversion needs (W6).
     delays : sequence of float, optional
         Lags of the recordings [s].
+    **duhem
+        ``alpha``, ``shape``, ``size`` and ``seed`` of :func:`~hysteresis_ros.identification.duhem.identify_duhem`.
 
     Raises
     ------
@@ -109,9 +106,7 @@ def identify_duhem_hammerstein(
         alone = prepare_loops([minor], sample_time)
         # the first reversals of both are the same large ones: their amplitudes stand for the gain of the linear part
         minor = (alone.voltage[0], alone.displacement[0] * (prepared.gains[0] / alone.gains[0]))
-    hysteresis = identify_duhem(
-        prepared.voltage, prepared.displacement, alpha=alpha, minor=minor, shape=shape, size=size, seed=seed
-    )
+    hysteresis = identify_duhem(prepared.voltage, prepared.displacement, minor=minor, **duhem)
     block = DuhemHysteresis(hysteresis.parameters, sample_time)
     inputs, outputs, raw = [], [], []
     for voltage, displacement in recordings:
@@ -123,7 +118,7 @@ def identify_duhem_hammerstein(
         outputs.append(displacement[settled:])
         raw.append(voltage[settled:])
     radius = LARGEST_ZERO if minimum_phase else None
-    linear = fit_arx(inputs, outputs, sample_time, zero_radius=radius, input_unit="m")
+    linear = fit_arx(inputs, outputs, sample_time, zero_radius=radius, units=("m", "m"))
     linear_only = fit_arx(raw, outputs, sample_time, zero_radius=radius)
     return DuhemHammerstein(
         hysteresis=hysteresis,

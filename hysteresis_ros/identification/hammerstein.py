@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -256,38 +257,73 @@ def fit_linear_part(solve, data: Condensed, extra=(), linear=("lag", "delay", "c
     IdentificationError
         A part of ``linear`` is unknown.
     """
-    from scipy.optimize import least_squares  # imported here because only fits need it
-
     unknown = sorted(set(linear) - {"lag", "delay", "creep"})
     if unknown:
         raise IdentificationError(f"linear part {', '.join(unknown)}: must be of lag, delay, creep, or empty")
-    half_cycle = data.sample_time * len(data.voltage) / max(len(turning_points(data.voltage)) - 1, 1)
-    longest = LONGEST_LAG * half_cycle
+    search = _PartSearch(solve, data, tuple(extra), progress)
     base = LinearPart(longest_time=max(1.0, len(data.voltage) * data.sample_time))
-    ranges = {
-        "lag": ("lag", 0.2 * longest, 0.0, longest),
-        "delay": ("delay", 0.05 * longest, 0.0, longest),
-        "creep": ("creep_rate", 0.01, 0.0, LARGEST_RATE),
-    }
-    calls = [0]
+    kept: list[str] = []
+    found = search.run(kept, {}, base)
+    for part in ("lag", "creep", "delay"):
+        if part not in linear:
+            continue
+        # at rest at 0 V before, as nodes start, unless the data clearly wants rest under its first voltage
+        bases = [base, replace(base, settled=True)] if part == "creep" else [base]
+        trials = [search.run([*kept, part], found.values, start) for start in bases]
+        better = int(len(trials) == 2 and trials[1].spread < (1.0 - SETTLED_WORTH_IT) * trials[0].spread)
+        if trials[better].spread < (1.0 - WORTH_IT) * found.spread:
+            kept.append(part)
+            base, found = bases[better], trials[better]
+    part, shape = _split(base, found.values)
+    return part, shape, found.deviations or {}, tuple(search.at_ends(kept, found.values)), found.converged
 
-    def search(names, start, base):
-        table = {name: row[1:] for name, *row in ([n, n, *r] for n, *r in extra)} | {
-            ranges[part][0]: ranges[part][1:] for part in names
+
+class _Trial(NamedTuple):
+    """What is best with some of the parts: values by name, residual [m], deviations, whether the search converged."""
+
+    values: dict
+    residual: np.ndarray
+    deviations: dict | None
+    converged: bool
+
+    @property
+    def spread(self) -> float:
+        """Standard deviation of the residual [m]."""
+        return np.std(self.residual)
+
+
+class _PartSearch:
+    """Search of the numbers of the linear part and of the shape, each within its range."""
+
+    def __init__(self, solve, data: Condensed, extra: tuple, progress):
+        self.solve, self.data, self.extra, self.progress = solve, data, extra, progress
+        half_cycle = data.sample_time * len(data.voltage) / max(len(turning_points(data.voltage)) - 1, 1)
+        longest = LONGEST_LAG * half_cycle
+        #: For each part the name of its number, its start, and the ends of its range.
+        self.ranges = {
+            "lag": ("lag", 0.2 * longest, 0.0, longest),
+            "delay": ("delay", 0.05 * longest, 0.0, longest),
+            "creep": ("creep_rate", 0.01, 0.0, LARGEST_RATE),
         }
+        self.calls = 0
+
+    def run(self, parts, start: dict, base: LinearPart) -> _Trial:
+        """Return the best values of the shape and of these parts, from ``start`` where it names them."""
+        from scipy.optimize import least_squares  # imported here because only fits need it
+
+        table = {name: row for name, *row in [*self.extra, *(self.ranges[part] for part in parts)]}
         keys = list(table)
         if not keys:
-            return {}, solve(base, {}), None, True
+            return _Trial({}, self.solve(base, {}), None, True)
         scale = np.array([table[key][2] - table[key][1] for key in keys])
         low = np.array([table[key][1] for key in keys]) / scale
         guess = np.array([start.get(key, table[key][0]) for key in keys]) / scale
 
         def residual(z):
-            values = dict(zip(keys, z * scale, strict=True))
-            calls[0] += 1
-            result = solve(*_split(base, values)) / data.stroke
-            if progress is not None:
-                progress(calls[0], float(np.sqrt(np.mean(result**2))) * data.stroke)
+            self.calls += 1
+            result = self.solve(*_split(base, dict(zip(keys, z * scale, strict=True)))) / self.data.stroke
+            if self.progress is not None:
+                self.progress(self.calls, float(np.sqrt(np.mean(result**2))) * self.data.stroke)
             return result
 
         inside = np.clip(guess, low + 1e-3, low + 1.0 - 1e-3)
@@ -295,30 +331,17 @@ def fit_linear_part(solve, data: Condensed, extra=(), linear=("lag", "delay", "c
             residual, inside, bounds=(low, low + 1.0), diff_step=1e-3, xtol=1e-5, ftol=1e-6, max_nfev=MOST_EVALUATIONS
         )
         values = dict(zip(keys, found.x * scale, strict=True))
-        deviation = dict(zip(keys, _deviations(found.jac, found.fun) * scale, strict=True))
-        return values, found.fun * data.stroke, deviation, found.status > 0
+        deviations = dict(zip(keys, _deviations(found.jac, found.fun) * scale, strict=True))
+        return _Trial(values, found.fun * self.data.stroke, deviations, found.status > 0)
 
-    kept: list[str] = []
-    best, rest, deviation, converged = search(kept, {}, base)
-    for part in ("lag", "creep", "delay"):
-        if part not in linear:
-            continue
-        # at rest at 0 V before, as nodes start, unless the data clearly wants rest under its first voltage
-        bases = [base, replace(base, settled=True)] if part == "creep" else [base]
-        trials = [search([*kept, part], best, start) for start in bases]
-        better = int(len(trials) == 2 and np.std(trials[1][1]) < (1.0 - SETTLED_WORTH_IT) * np.std(trials[0][1]))
-        trial, start = trials[better], bases[better]
-        if np.std(trial[1]) < (1.0 - WORTH_IT) * np.std(rest):
-            kept.append(part)
-            base = start
-            best, rest, deviation, converged = trial
-    warnings = [
-        f"{name} = {best[name]:.4g} lies at the end of its range {low:.3g} … {high:.3g}; the data does not settle it"
-        for name, _, low, high in [*extra, *(ranges[part] for part in kept)]
-        if min(best[name] - low, high - best[name]) < 1e-4 * (high - low) and name != "delay"
-    ]
-    part, shape = _split(base, best)
-    return part, shape, deviation or {}, tuple(warnings), converged
+    def at_ends(self, parts, values: dict):
+        """Yield a warning for each number that lies at an end of its range."""
+        for name, _, low, high in [*self.extra, *(self.ranges[part] for part in parts)]:
+            if min(values[name] - low, high - values[name]) < 1e-4 * (high - low) and name != "delay":
+                yield (
+                    f"{name} = {values[name]:.4g} lies at the end of its range {low:.3g} … {high:.3g}; the data does "
+                    "not settle it"
+                )
 
 
 def _split(base: LinearPart, values: dict) -> tuple[LinearPart, dict]:

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from hysteresis_ros.compensation.compensator import InverseParameters
+from hysteresis_ros.compensation.inverses import InverseParameters
 from hysteresis_ros.identification.hammerstein import HammersteinFit
 from hysteresis_ros.identification.linear_part import LinearPart
 from hysteresis_ros.models.creep import CreepParameters
 from hysteresis_ros.models.hysteresis import HysteresisParameters, hysteresis_block
-from hysteresis_ros.models.linear import LinearParameters, dc_gain
+from hysteresis_ros.models.linear import LinearParameters
 
 
 @dataclass(frozen=True, eq=False)
-class Chain:
+class PlantModel:
     """A plant as it is predicted: voltage → hysteresis → creep → linear dynamics → + offset.
 
     Parameters
@@ -59,9 +59,9 @@ class Chain:
     inverse: InverseParameters = field(default_factory=lambda: InverseParameters(type="general"))
 
     @property
-    def mechanical(self) -> bool:
-        """Whether the hysteresis stands inside an equation of motion."""
-        return self.hysteresis.type == "bouc_wen_mechanical"
+    def rate_independent(self) -> bool:
+        """Whether the hysteresis is rate independent; otherwise dynamics are inside of it."""
+        return self.hysteresis.model.block.rate_independent
 
     @property
     def continuous(self) -> LinearPart:
@@ -98,7 +98,7 @@ class Identification:
         Name of the model in the registry.
     linear : str
         What stands behind the hysteresis, in words.
-    chain : Chain
+    chain : PlantModel
         The model; its hysteresis gives zero at rest at 0 V.
     fitted : int
         How many numbers were fitted.
@@ -115,7 +115,7 @@ class Identification:
 
     model: str
     linear: str
-    chain: Chain
+    chain: PlantModel
     fitted: int
     numbers: dict[str, float] = field(default_factory=dict)
     deviations: dict[str, float] = field(default_factory=dict)
@@ -134,9 +134,9 @@ def group_delay(dynamics: LinearParameters) -> float:
     """
     if not dynamics.order:
         return 0.0
-    A, B, C, D = dynamics.matrices
-    rest = np.linalg.inv(np.eye(dynamics.order) - A)
-    return float(C @ rest @ rest @ B) / dc_gain(A, B, C, D)
+    model = dynamics.state_space
+    rest = np.linalg.inv(np.eye(dynamics.order) - model.A)
+    return float(model.C[0] @ rest @ rest @ model.B[:, 0]) / model.dc_gain
 
 
 def at_rest(hysteresis: HysteresisParameters, sample_time: float) -> float:
@@ -151,64 +151,6 @@ def at_rest(hysteresis: HysteresisParameters, sample_time: float) -> float:
     return float(hysteresis_block(hysteresis, sample_time).step(0.0))
 
 
-def shifted(hysteresis: HysteresisParameters, offset: float) -> HysteresisParameters:
-    """Return the hysteresis with ``offset`` [m] added to its displacement, where the model has a constant.
-
-    Parameters
-    ----------
-    hysteresis : HysteresisParameters
-    offset : float
-        [m]
-    """
-    chosen = hysteresis.chosen
-    if hysteresis.type == "polynomial":
-        constant = offset / chosen.scale
-        changed = {
-            name: (getattr(chosen, name)[0] + constant, *getattr(chosen, name)[1:])
-            for name in ("virgin", "rising_D", "falling_D")
-        }
-    elif hysteresis.type == "duhem":
-        changed = {name: getattr(chosen, name) + offset for name in ("output_low", "output_high", "output_start")}
-    elif hysteresis.type in ("prandtl_ishlinskii", "preisach"):
-        changed = {"offset": chosen.offset + offset}
-    else:
-        return hysteresis
-    return replace(hysteresis, **{hysteresis.type: replace(chosen, **changed)})
-
-
-def scaled(hysteresis: HysteresisParameters, factor: float) -> HysteresisParameters:
-    """Return the hysteresis with its displacement multiplied by ``factor``.
-
-    Parameters
-    ----------
-    hysteresis : HysteresisParameters
-        Rate independent.
-    factor : float
-        Above 0.
-    """
-    chosen = hysteresis.chosen
-
-    def times(*names):
-        values = {name: getattr(chosen, name) for name in names}
-        return {
-            name: tuple(item * factor for item in value) if isinstance(value, tuple) else value * factor
-            for name, value in values.items()
-        }
-
-    changed = {
-        "proportional": lambda: times("gain"),
-        "polynomial": lambda: times("scale"),
-        "prandtl_ishlinskii": lambda: times("weights", "thresholds", "offset"),
-        "preisach": lambda: times("everett", "slope", "offset"),
-        "duhem": lambda: times("output_low", "output_high", "output_start"),
-        "bouc_wen": lambda: {
-            **times("d_e", "alpha"),
-            **{name: getattr(chosen, name) * factor ** (1.0 - chosen.exponent) for name in ("beta", "gamma")},
-        },
-    }[hysteresis.type]()
-    return replace(hysteresis, **{hysteresis.type: replace(chosen, **changed)})
-
-
 def grounded(hysteresis: HysteresisParameters, sample_time: float) -> tuple[HysteresisParameters, float]:
     """Return the hysteresis shifted such that it is at zero at rest at 0 V, and the constant [m] taken out.
 
@@ -221,5 +163,5 @@ def grounded(hysteresis: HysteresisParameters, sample_time: float) -> tuple[Hyst
         [s]
     """
     rest = at_rest(hysteresis, sample_time)
-    moved = shifted(hysteresis, -rest)
+    moved = hysteresis.shifted(-rest)
     return (moved, rest) if moved is not hysteresis else (hysteresis, 0.0)

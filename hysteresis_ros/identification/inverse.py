@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.signal
 
-from hysteresis_ros.compensation.compensator import Compensator, CompensatorParameters, InverseParameters
+from hysteresis_ros.compensation.compensator import Compensator, CompensatorParameters
+from hysteresis_ros.compensation.inverses import InverseParameters
 from hysteresis_ros.identification.hammerstein import HammersteinFit
 from hysteresis_ros.models.limits import LimitsParameters
 

@@ -13,6 +13,7 @@ References
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import scipy.linalg
@@ -101,17 +102,31 @@ class ArxFit:
         return LinearModel(A, b[:, None], C, np.zeros((1, 1)), self.sample_time, self.input_unit, self.output_unit)
 
 
+class ArxOrders(NamedTuple):
+    """Orders of an ARX model.
+
+    Parameters
+    ----------
+    na, nb : int
+        Numbers of coefficients a and b; nb ≥ 1.
+    delay : int
+        Of the input [samples], ≥ 1: a sample is taken before the input of its instant acts.
+    """
+
+    na: int = 2
+    nb: int = 2
+    delay: int = 1
+
+
 def fit_arx(
     u,
     y,
     sample_time: float,
-    na: int = 2,
-    nb: int = 2,
-    delay: int = 1,
+    orders: ArxOrders | None = None,
+    *,
     offset: bool = False,
     zero_radius: float | None = None,
-    input_unit: str = "V",
-    output_unit: str = "m",
+    units: tuple[str, str] = ("V", "m"),
 ) -> ArxFit:
     """Fit an ARX model by least squares; W1 is na = nb = 2, delay = 1.
 
@@ -121,16 +136,14 @@ def fit_arx(
         Input and output [SI]; several records are put into one regression without one's end touching another's start.
     sample_time : float
         [s]
-    na, nb : int
-        Numbers of coefficients a and b; nb ≥ 1.
-    delay : int
-        Of the input [samples], ≥ 1: a sample is taken before the input of its instant acts.
+    orders : ArxOrders, optional
+        Those of W1 by default.
     offset : bool
         Whether a constant is fitted too: for data whose zero is anywhere.
     zero_radius : float, optional
         All zeros are kept within this radius (W6: below 1), at the least cost in squares; needs nb ≤ 3.
-    input_unit, output_unit : str
-        SI units.
+    units : (str, str)
+        SI units of input and output.
 
     Raises
     ------
@@ -139,12 +152,52 @@ def fit_arx(
     FitError
         Orders or radius out of range, or the input does not excite the model enough to tell its parameters.
     """
-    _check_orders(na, nb, delay, zero_radius)
+    na, nb, delay = orders = orders or ArxOrders()
+    _check_orders(orders, zero_radius)
     records = _records(u, y)
     scale_u = max(float(np.ptp(inputs)) for inputs, _ in records)
     scale_y = max(float(np.ptp(outputs)) for _, outputs in records)
-    rows = [_regression(inputs / scale_u, outputs / scale_y, na, nb, delay, offset) for inputs, outputs in records]
+    rows = [_regression(inputs / scale_u, outputs / scale_y, orders, offset) for inputs, outputs in records]
     table, right = (np.concatenate(parts) for parts in zip(*rows, strict=True))
+    unknowns = table.shape[1]
+    _require_excitation(table)
+    solution = np.linalg.lstsq(table, right, rcond=None)[0]
+    warnings, constrained = [], False
+    zeros = np.roots(solution[na : na + nb])
+    if zero_radius is not None and np.any(np.abs(zeros) > zero_radius):
+        solution, constrained = _with_zeros_inside(table, right, orders, zero_radius), True
+        largest = np.max(np.abs(zeros))
+        warnings.append(
+            f"without the constraint a zero would lie at radius {largest:.4g}; it was held within {zero_radius:g}"
+        )
+    residual = right - table @ solution
+    variance = float(residual @ residual / (len(right) - unknowns))
+    triangle = scipy.linalg.solve_triangular(np.linalg.qr(table, mode="r"), np.eye(unknowns))
+    scales = np.r_[np.ones(na), np.full(nb, scale_y / scale_u)]
+    mse = float(residual @ residual / len(right)) * scale_y**2
+    denominator, numerator = np.r_[1.0, solution[:na]], solution[na : na + nb] * scale_y / scale_u
+    warnings += pole_zero_warnings(np.roots(denominator), np.roots(numerator))
+    if np.sum(numerator) / np.sum(denominator) <= 0.0:
+        warnings.append("the DC gain is not positive: the output moves against the input")
+    return ArxFit(
+        denominator=denominator,
+        numerator=numerator,
+        delay=delay,
+        offset=float(solution[-1] * scale_y) if offset else 0.0,
+        covariance=(variance * triangle @ triangle.T)[: na + nb, : na + nb] * np.outer(scales, scales),
+        residual_variance=variance * scale_y**2,
+        samples=len(right),
+        fpe=mse * (1 + unknowns / len(right)) / (1 - unknowns / len(right)),
+        sample_time=float(sample_time),
+        constrained=constrained,
+        warnings=tuple(warnings),
+        input_unit=units[0],
+        output_unit=units[1],
+    )
+
+
+def _require_excitation(table) -> None:
+    """Refuse a regression that is too short or does not tell its parameters."""
     unknowns = table.shape[1]
     refuse_short(len(table), 3 * unknowns, f"an ARX model with {unknowns} parameters")
     condition = np.linalg.cond(table / np.linalg.norm(table, axis=0))
@@ -153,48 +206,10 @@ def fit_arx(
             f"the data does not tell {unknowns} parameters (condition {condition:.2g}): "
             "use lower orders or an input with more frequencies"
         )
-    solution = np.linalg.lstsq(table, right, rcond=None)[0]
-    warnings, constrained = [], False
-    if zero_radius is not None:
-        zeros = np.roots(solution[na : na + nb])
-        if np.any(np.abs(zeros) > zero_radius):
-            solution, constrained = _with_zeros_inside(table, right, na, nb, zero_radius), True
-            largest = np.max(np.abs(zeros))
-            warnings.append(
-                f"without the constraint a zero would lie at radius {largest:.4g}; it was held within {zero_radius:g}"
-            )
-    residual = right - table @ solution
-    freedom = len(right) - unknowns
-    variance = float(residual @ residual / freedom)
-    triangle = scipy.linalg.solve_triangular(np.linalg.qr(table, mode="r"), np.eye(unknowns))
-    units = np.r_[np.ones(na), np.full(nb, scale_y / scale_u)]
-    covariance = (variance * triangle @ triangle.T)[: na + nb, : na + nb] * np.outer(units, units)
-    mse = float(residual @ residual / len(right)) * scale_y**2
-    denominator, numerator = np.r_[1.0, solution[:na]], solution[na : na + nb] * scale_y / scale_u
-    warnings += pole_zero_warnings(np.roots(denominator), np.roots(numerator))
-    if np.sum(numerator) / np.sum(denominator) <= 0.0:
-        warnings.append("the DC gain is not positive: the output moves against the input")
-    return ArxFit(
-        denominator,
-        numerator,
-        delay,
-        float(solution[-1] * scale_y) if offset else 0.0,
-        covariance,
-        variance * scale_y**2,
-        len(right),
-        mse * (1 + unknowns / len(right)) / (1 - unknowns / len(right)),
-        float(sample_time),
-        constrained,
-        tuple(warnings),
-        input_unit,
-        output_unit,
-    )
 
 
-def suggest_arx_orders(
-    u, y, sample_time: float, maximum: int = 6, delays=(1, 2, 3), offset: bool = False
-) -> tuple[int, int, int]:
-    """Return na, nb and delay with the lowest Bayesian information criterion.
+def suggest_arx_orders(u, y, sample_time: float, maximum: int = 6, delays=(1, 2, 3), offset: bool = False) -> ArxOrders:
+    """Return the orders with the lowest Bayesian information criterion.
 
     Parameters
     ----------
@@ -218,19 +233,20 @@ def suggest_arx_orders(
         for nb in range(1, na + 1):
             for delay in delays:
                 try:
-                    fit = fit_arx(u, y, sample_time, na, nb, delay, offset)
+                    fit = fit_arx(u, y, sample_time, ArxOrders(na, nb, delay), offset=offset)
                 except FitError:
                     continue
                 floor = np.finfo(float).tiny
                 criterion = fit.samples * np.log(max(fit.residual_variance, floor)) + (na + nb) * np.log(fit.samples)
                 if criterion < best:
-                    best, chosen = criterion, (na, nb, delay)
+                    best, chosen = criterion, ArxOrders(na, nb, delay)
     if chosen is None:
         raise FitError("no ARX model can be fitted: the input excites too few frequencies")
     return chosen
 
 
-def _check_orders(na, nb, delay, zero_radius):
+def _check_orders(orders: ArxOrders, zero_radius: float | None) -> None:
+    na, nb, delay = orders
     if na < 0 or nb < 1 or delay < 1:
         raise FitError(f"na = {na}, nb = {nb}, delay = {delay}: na must be ≥ 0, nb and delay ≥ 1")
     if zero_radius is not None and not 0.0 < zero_radius <= 1.0:
@@ -254,8 +270,9 @@ def _records(u, y):
     return records
 
 
-def _regression(u, y, na, nb, delay, offset):
+def _regression(u, y, orders: ArxOrders, offset: bool):
     """Return the table with the columns -y(t-1) …, u(t-d) …, 1 and the right-hand side y(t)."""
+    na, nb, delay = orders
     first = max(na, nb + delay - 1)
     refuse_short(len(y), first + 1, "an ARX model")
     t = np.arange(first, len(y))
@@ -265,13 +282,14 @@ def _regression(u, y, na, nb, delay, offset):
     return np.column_stack(columns), y[t]
 
 
-def _with_zeros_inside(table, right, na, nb, radius):
+def _with_zeros_inside(table, right, orders: ArxOrders, radius: float):
     """Solve with all zeros of B within ``radius``.
 
     For up to two zeros the polynomials with a positive first coefficient and zeros within the radius are a convex cone
     (for two, the stability triangle), spanned by those with all zeros on its corners; so the problem is linear least
     squares with weights ≥ 0, solved exactly for both signs of the gain.
     """
+    na, nb, _ = orders
     corners = {
         1: [np.array([1.0])],
         2: [np.array([1.0, radius]), np.array([1.0, -radius])],

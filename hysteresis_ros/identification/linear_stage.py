@@ -8,9 +8,9 @@ import numpy as np
 
 from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.identification.frequency_response import welch_response
-from hysteresis_ros.identification.least_squares import fit_arx, suggest_arx_orders
+from hysteresis_ros.identification.least_squares import ArxOrders, fit_arx, suggest_arx_orders
 from hysteresis_ros.identification.matrix_fraction import identify_matrix_fraction
-from hysteresis_ros.identification.output_error import fit_transfer_function
+from hysteresis_ros.identification.output_error import Structure, fit_transfer_function
 from hysteresis_ros.identification.state_space import FitError, LinearModel
 from hysteresis_ros.models.linear import LinearParameters
 
@@ -88,8 +88,8 @@ def fit_stage(
         return _continuous(w, y, sample_time, kind, skip, intersample, initial)
     if kind in ("arx", "arx2"):
         w, y = np.asarray(w, dtype=float)[skip:], np.asarray(y, dtype=float)[skip:]
-        orders = (2, 2, 1) if kind == "arx2" else suggest_arx_orders(w, y, sample_time, offset=True)
-        found = fit_arx(w, y, sample_time, *orders, offset=True)
+        orders = ArxOrders(2, 2, 1) if kind == "arx2" else suggest_arx_orders(w, y, sample_time, offset=True)
+        found = fit_arx(w, y, sample_time, orders, offset=True)
         model, offset = found.model, found.offset / float(np.sum(found.denominator))
         numbers = {**dict(zip(("na", "nb", "delay_samples"), map(float, orders), strict=True)), "fpe_m2": found.fpe}
         return _stage(model, offset, sum(orders[:2]) + 1, numbers, None, found.warnings)
@@ -105,7 +105,9 @@ def fit_stage(
 
 def _continuous(w, y, sample_time, kind, skip, intersample, initial):
     poles, zeros = CONTINUOUS[kind]
-    found = fit_transfer_function(w, y, sample_time, poles, zeros, intersample, initial, offset=True, skip=skip)
+    found = fit_transfer_function(
+        w, y, sample_time, Structure(poles, zeros, intersample, initial, offset=True), skip=skip
+    )
     numbers = {}
     for number, pole in enumerate(sorted(found.poles, key=abs)):
         if pole.imag >= 0.0:

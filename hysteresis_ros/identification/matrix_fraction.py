@@ -23,7 +23,8 @@ import scipy.linalg
 
 from hysteresis_ros.identification.data import refuse_short
 from hysteresis_ros.identification.frequency_response import FrequencyResponse
-from hysteresis_ros.identification.state_space import BOUNDARY, FitError, LinearModel
+from hysteresis_ros.identification.state_space import FitError, LinearModel
+from hysteresis_ros.models.state_space import BOUNDARY
 
 #: Misfits below this share of the response's own size are taken for rounding, not for a lack of order.
 ROUNDING = 1e-7
@@ -202,19 +203,10 @@ def identify_matrix_fraction(
         There are too few lines.
     """
     deviation = _deviation(data)
-    weights = None if deviation is None else 1.0 / np.maximum(deviation.max(axis=(1, 2)), 1e-3 * deviation.max())
-    candidates = []
-    for p in _degrees(data.response.shape, degree, max(maximum_order, order or 0), feedthrough):
-        fraction = fit_matrix_fraction(data, p, feedthrough, iterations, weights)
-        full, dropped = stable_part(fraction.realisation(data.input_unit, data.output_unit))
-        if full.order:
-            balanced, values = balanced_realisation(full)
-            models = [
-                refit_input(truncate(balanced, n), data, deviation, feedthrough)
-                for n in range(1, min(max(maximum_order, order or 0), len(values)) + 1)
-            ]
-            misfits = [response_misfit(model, data, deviation) for model in models]
-            candidates.append(_Candidate(fraction, dropped, values / values[0], models, misfits))
+    most = max(maximum_order, order or 0)
+    candidates = _candidates(
+        data, deviation, _degrees(data.response.shape, degree, most, feedthrough), most, feedthrough, iterations
+    )
     if not candidates:
         raise FitError(
             "no stable part remains of the fit; is the response that of a stable system, and not noise only?"
@@ -231,31 +223,21 @@ def identify_matrix_fraction(
     chosen = suggested if order is None else order
     winner = best[chosen - 1]
     model = winner.models[chosen - 1]
-    warnings = [*data.warnings, *model.warnings]
-    if winner.dropped:
-        # poles of noise outside the circle take nothing with them; those of an unstable system do
-        whole = winner.fraction.realisation(data.input_unit, data.output_unit)
-        if misfit[chosen - 1] > 1.5 * max(response_misfit(whole, data, deviation), ROUNDING * size):
-            poles = ", ".join(f"{pole:.4g}" for pole in winner.dropped)
-            warnings.append(
-                f"unstable linear fit: pole(s) {poles} outside the unit circle were left out and are missed"
-            )
-    if misfit[chosen - 1] > 0.5 * size:
-        warnings.append(f"the model misses the response by {100 * misfit[chosen - 1] / size:.0f} % of it: not usable")
+    warnings = [*data.warnings, *model.warnings, *_missed(winner, misfit[chosen - 1], data, deviation, size)]
     if suggested == maximum_order and order is None:
         warnings.append(f"the suggested order {suggested} is the highest that was tried; the misfit still falls")
     if order is not None and order < suggested:
         warnings.append(f"order {order} was asked for; {suggested} is suggested (misfit {misfit[order - 1]:.3g})")
     return MatrixFractionFit(
-        model,
-        chosen,
-        suggested,
-        winner.values,
-        orders,
-        misfit,
-        winner.fraction,
-        tuple(winner.dropped),
-        tuple(dict.fromkeys(warnings)),
+        model=model,
+        order=chosen,
+        suggested_order=suggested,
+        hankel_values=winner.values,
+        orders=orders,
+        misfit=misfit,
+        fraction=winner.fraction,
+        dropped=tuple(winner.dropped),
+        warnings=tuple(dict.fromkeys(warnings)),
     )
 
 
@@ -267,6 +249,37 @@ class _Candidate(NamedTuple):
     values: np.ndarray
     models: list[LinearModel]
     misfits: list[float]
+
+
+def _candidates(data, deviation, degrees, most: int, feedthrough: bool, iterations: int) -> list[_Candidate]:
+    """Return what each degree gives that leaves a stable part: its models of the orders 1 … ``most``."""
+    weights = None if deviation is None else 1.0 / np.maximum(deviation.max(axis=(1, 2)), 1e-3 * deviation.max())
+    found = []
+    for degree in degrees:
+        fraction = fit_matrix_fraction(data, degree, feedthrough, iterations, weights)
+        full, dropped = stable_part(fraction.realisation(data.input_unit, data.output_unit))
+        if not full.order:
+            continue
+        balanced, values = balanced_realisation(full)
+        models = [
+            refit_input(truncate(balanced, n), data, deviation, feedthrough)
+            for n in range(1, min(most, len(values)) + 1)
+        ]
+        misfits = [response_misfit(model, data, deviation) for model in models]
+        found.append(_Candidate(fraction, dropped, values / values[0], models, misfits))
+    return found
+
+
+def _missed(winner: _Candidate, misfit: float, data, deviation, size: float):
+    """Yield what the model chosen misses of the response, whose size is ``size``."""
+    if winner.dropped:
+        # poles of noise outside the circle take nothing with them; those of an unstable system do
+        whole = winner.fraction.realisation(data.input_unit, data.output_unit)
+        if misfit > 1.5 * max(response_misfit(whole, data, deviation), ROUNDING * size):
+            poles = ", ".join(f"{pole:.4g}" for pole in winner.dropped)
+            yield f"unstable linear fit: pole(s) {poles} outside the unit circle were left out and are missed"
+    if misfit > 0.5 * size:
+        yield f"the model misses the response by {100 * misfit / size:.0f} % of it: not usable"
 
 
 def _degrees(shape, degree, maximum_order, feedthrough):
@@ -343,27 +356,6 @@ def truncate(balanced: LinearModel, order: int) -> LinearModel:
     order : int
     """
     return replace(balanced, A=balanced.A[:order, :order], B=balanced.B[:order], C=balanced.C[:, :order])
-
-
-def minimal_realisation(model: LinearModel, tolerance: float = 1e-6) -> LinearModel:
-    """Cancel what neither input nor output notice: Hankel singular values below ``tolerance`` of the largest.
-
-    A pole that a zero nearly cancels has such a value, and so has one that hardly shows for another reason.
-
-    Parameters
-    ----------
-    model : LinearModel
-        Stable.
-    tolerance : float
-        [1]
-
-    Raises
-    ------
-    FitError
-        The model is unstable.
-    """
-    balanced, values = balanced_realisation(model)
-    return truncate(balanced, max(1, int(np.count_nonzero(values > tolerance * values[0]))))
 
 
 def refit_input(model: LinearModel, data: FrequencyResponse, deviation=None, feedthrough: bool = False) -> LinearModel:

@@ -15,6 +15,7 @@ References
 from __future__ import annotations
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,12 +24,80 @@ import scipy.optimize
 from hysteresis_ros.identification.continuous import INTERSAMPLE, CanonicalSimulation, simulate_transfer_function
 from hysteresis_ros.identification.data import DataError, finite_array, refuse_short
 from hysteresis_ros.identification.data_checks import CONSTANT
-from hysteresis_ros.identification.least_squares import fit_arx
+from hysteresis_ros.identification.least_squares import ArxOrders, fit_arx
 from hysteresis_ros.identification.state_space import FitError, LinearModel
 from hysteresis_ros.identification.validation import final_prediction_error, fit_percent, parameter_covariance
 
 #: Where the state of the model starts.
 INITIAL = ("zero", "rest", "periodic", "estimate")
+
+
+@dataclass(frozen=True)
+class Structure:
+    """What is fitted, and how it is simulated.
+
+    Parameters
+    ----------
+    poles, zeros : int
+        n ≥ 1 and m ≤ n.
+    intersample : str
+        ``zoh``, ``foh`` (or ``linear``) or ``bandlimited``.
+    initial : str
+        ``zero``, ``rest`` (under the first input), ``periodic`` (the data is whole periods) or ``estimate``.
+    offset : bool
+        Whether a constant is fitted too.
+    delay : float
+        Known dead time of the input [s].
+    """
+
+    poles: int = 2
+    zeros: int = 0
+    intersample: str = "zoh"
+    initial: str = "zero"
+    offset: bool = False
+    delay: float = 0.0
+
+    @property
+    def columns(self) -> int:
+        """How many numbers the output is linear in: numerator, offset, initial state."""
+        return self.zeros + 1 + bool(self.offset) + (self.poles if self.initial == "estimate" else 0)
+
+    def check(self) -> None:
+        """Refuse what cannot be fitted.
+
+        Raises
+        ------
+        FitError
+            A choice is out of range.
+        """
+        if self.poles < 1 or not 0 <= self.zeros <= self.poles:
+            raise FitError(
+                f"poles = {self.poles}, zeros = {self.zeros}: there must be at least one pole and no more zeros than "
+                "poles"
+            )
+        if self.intersample not in INTERSAMPLE:
+            raise FitError(f"intersample = {self.intersample!r}: must be one of {', '.join(INTERSAMPLE)}")
+        if self.initial not in INITIAL:
+            raise FitError(f"initial = {self.initial!r}: must be one of {', '.join(INITIAL)}")
+
+
+@dataclass(frozen=True)
+class Search:
+    """From where the poles are searched.
+
+    Parameters
+    ----------
+    starts : int
+        How many starts are followed: an ARX fit, the user's, and frequencies and dampings spread over the data's band.
+    start_poles : array_like of complex, shape (n,), optional
+        A start of the user's [rad/s].
+    seed : int
+        Of the random starts.
+    """
+
+    starts: int = 6
+    start_poles: Sequence[complex] | np.ndarray | None = None
+    seed: int = 0
 
 
 @dataclass(frozen=True)
@@ -162,18 +231,11 @@ def fit_transfer_function(
     u,
     y,
     sample_time: float,
-    poles: int = 2,
-    zeros: int = 0,
-    intersample: str = "zoh",
-    initial: str = "zero",
-    offset: bool = False,
-    delay: float = 0.0,
+    structure: Structure | None = None,
+    *,
     skip: int = 0,
-    starts: int = 6,
-    start_poles=None,
-    seed: int = 0,
-    input_unit: str = "V",
-    output_unit: str = "m",
+    search: Search | None = None,
+    units: tuple[str, str] = ("V", "m"),
 ) -> TransferFunctionFit:
     """Fit a stable continuous transfer function to input and output, from several starts.
 
@@ -183,26 +245,14 @@ def fit_transfer_function(
         Input and output [SI].
     sample_time : float
         [s]
-    poles, zeros : int
-        n ≥ 1 and m ≤ n.
-    intersample : str
-        ``zoh``, ``foh`` (or ``linear``) or ``bandlimited``.
-    initial : str
-        ``zero``, ``rest`` (under the first input), ``periodic`` (the data is whole periods) or ``estimate``.
-    offset : bool
-        Whether a constant is fitted too.
-    delay : float
-        Known dead time [s].
+    structure : Structure, optional
+        Two poles and no zero by default.
     skip : int
         First samples left out of the error; the model still sees them.
-    starts : int
-        How many starts are followed: an ARX fit, the user's, and frequencies and dampings spread over the data's band.
-    start_poles : array_like of complex, shape (n,), optional
-        A start of the user's [rad/s].
-    seed : int
-        Of the random starts.
-    input_unit, output_unit : str
-        SI units.
+    search : Search, optional
+        Six starts by default.
+    units : (str, str)
+        SI units of input and output.
 
     Raises
     ------
@@ -211,20 +261,19 @@ def fit_transfer_function(
     FitError
         A choice is out of range.
     """
+    structure, search = structure or Structure(), search or Search()
     u, y = finite_array("input", u), finite_array("output", y)
-    _check(u, y, poles, zeros, intersample, initial, skip)
-    columns = zeros + 1 + bool(offset) + (poles if initial == "estimate" else 0)
-    refuse_short(len(y) - skip, 3 * (poles + columns), f"a transfer function with {poles} poles and {zeros} zeros")
+    _check(u, y, structure, skip)
     scale_u, scale_y = float(np.ptp(u)), float(np.ptp(y[skip:]))
-    problem = _Problem(u / scale_u, y / scale_y, sample_time, poles, zeros, intersample, initial, offset, delay, skip)
-    candidates = _starts(problem, u, y, sample_time, poles, start_poles, 6 * starts, seed)
-    ranked = sorted(candidates, key=problem.cost)[: max(1, starts)]
-    if start_poles is not None and not any(np.array_equal(candidates[0], item) for item in ranked):
+    problem = _Problem(u / scale_u, y / scale_y, sample_time, structure, skip)
+    candidates = _starts(problem, u, y, search)
+    ranked = sorted(candidates, key=problem.cost)[: max(1, search.starts)]
+    if search.start_poles is not None and not any(np.array_equal(candidates[0], item) for item in ranked):
         ranked[-1] = candidates[0]
     results = [(start, problem.solve(start, 40)) for start in ranked]
     results.sort(key=lambda pair: pair[1].cost)
     best = problem.solve(results[0][1].x, 400)
-    records = tuple(
+    starts = tuple(
         Start(
             tuple(map(complex, np.roots(problem.denominator(start)))),
             problem.rmse(problem.cost(start)) * scale_y,
@@ -233,17 +282,17 @@ def fit_transfer_function(
         )
         for start, result in results
     )
-    return _result(problem, best, records, scale_u, scale_y, input_unit, output_unit)
+    return _result(problem, best, (scale_u, scale_y), starts, units)
 
 
 class _Problem:
     """Residual of the fit in scaled units as a function of the logarithms of the denominator's factors."""
 
-    def __init__(self, u, y, sample_time, poles, zeros, intersample, initial, offset, delay, skip):
-        self.u, self.y, self.sample_time, self.poles, self.zeros = u, y, sample_time, poles, zeros
-        self.intersample, self.initial, self.offset, self.delay, self.skip = intersample, initial, offset, delay, skip
+    def __init__(self, u, y, sample_time: float, structure: Structure, skip: int):
+        self.u, self.y, self.sample_time, self.structure, self.skip = u, y, sample_time, structure, skip
+        self.poles, self.zeros = structure.poles, structure.zeros
         self.slowest, self.fastest = 0.05 / (sample_time * len(y)), 50.0 / sample_time
-        pairs, odd = divmod(poles, 2)
+        pairs, odd = divmod(self.poles, 2)
         low, high = np.log(self.slowest), np.log(self.fastest)
         # s² + α s + β: α from nearly undamped to the sum of two fast real poles
         self.low = np.array([low + np.log(1e-4), 2 * low] * pairs + [low] * odd)
@@ -270,12 +319,13 @@ class _Problem:
 
     def table(self, denominator):
         """Return the columns the output is linear in, shape (N, …): numerator, offset, free response."""
-        simulation = CanonicalSimulation(denominator, self.sample_time, self.intersample)
-        start = "zero" if self.initial == "estimate" else self.initial
-        columns = [simulation.bases(self.u, self.zeros, start, self.delay)]
-        if self.offset:
+        model = self.structure
+        simulation = CanonicalSimulation(denominator, self.sample_time, model.intersample)
+        start = "zero" if model.initial == "estimate" else model.initial
+        columns = [simulation.bases(self.u, self.zeros, start, model.delay)]
+        if model.offset:
             columns.append(np.ones((len(self.y), 1)))
-        if self.initial == "estimate":
+        if model.initial == "estimate":
             columns.append(simulation.free_responses(len(self.y)))
         return np.concatenate(columns, axis=1)
 
@@ -306,26 +356,27 @@ class _Problem:
         )
 
 
-def _starts(problem, u, y, sample_time, poles, start_poles, count, seed):
+def _starts(problem: _Problem, u, y, search: Search) -> list[np.ndarray]:
     """Return starts as logarithms: the user's, that of an ARX fit, a spread over the band, random ones."""
-    found = [] if start_poles is None else [problem.theta(np.asarray(start_poles, dtype=complex))]
-    if start_poles is not None and len(found[0]) != poles:
-        raise FitError(f"start_poles has {len(start_poles)} poles in conjugate pairs or real; {poles} are wanted")
+    poles, sample_time, given = problem.poles, problem.sample_time, search.start_poles
+    found = [] if given is None else [problem.theta(np.asarray(given, dtype=complex))]
+    if given is not None and len(found[0]) != poles:
+        raise FitError(f"start_poles has {len(given)} poles in conjugate pairs or real; {poles} are wanted")
     try:
-        arx = fit_arx(u, y, sample_time, poles, poles, offset=True).poles.astype(complex)
+        arx = fit_arx(u, y, sample_time, ArxOrders(poles, poles), offset=True).poles.astype(complex)
         arx[np.abs(arx) < 1e-6] = 1e-6
         arx[(arx.imag == 0.0) & (arx.real < 0.0)] = 0.05  # no continuous pole gives a negative real one
         found.append(problem.theta(np.log(arx) / sample_time))
     except (FitError, DataError):
         pass  # an ARX fit needs a richer input than output error does; the other starts remain
-    random = np.random.default_rng(seed)
+    random = np.random.default_rng(search.seed)
     # frequencies the data can tell: from one period in it to half the sample rate
     band = np.log([2 * np.pi / (sample_time * len(y)), np.pi / sample_time])
     grid = np.exp(np.linspace(*band, 6))
     for frequency, damping in itertools.product(grid, (0.05, 0.7)):
         pairs = [_pair(min(frequency * 4.0**i, problem.fastest / 4), damping) for i in range(poles // 2)]
         found.append(problem.theta(np.array([*itertools.chain(*pairs), *[-frequency] * (poles % 2)], dtype=complex)))
-    while len(found) < count:
+    while len(found) < 6 * search.starts:
         pairs = [
             _pair(np.exp(random.uniform(*band)), np.exp(random.uniform(np.log(0.01), 0.0))) for _ in range(poles // 2)
         ]
@@ -339,10 +390,37 @@ def _pair(frequency, damping):
     return pole, np.conj(pole)
 
 
-def _result(problem, best, starts, scale_u, scale_y, input_unit, output_unit):
+def _result(problem: _Problem, best, scales: tuple[float, float], starts, units) -> TransferFunctionFit:
+    scale_u, scale_y = scales
     table, solution, residual = problem.fitted(best.x)
     denominator = problem.denominator(best.x)
     numerator = solution[: problem.zeros + 1][::-1] * scale_y / scale_u
+    predicted = table @ solution
+    covariance, doubts = _covariance(problem, denominator, table, solution, residual, scale_y / scale_u)
+    mse = float(np.mean(residual**2)) * scale_y**2
+    structure = problem.structure
+    return TransferFunctionFit(
+        numerator=numerator,
+        denominator=denominator,
+        covariance=covariance,
+        offset=float(solution[problem.zeros + 1] * scale_y) if structure.offset else 0.0,
+        delay=float(structure.delay),
+        predicted=predicted * scale_y,
+        fit_percent=fit_percent(problem.y[problem.skip :], predicted[problem.skip :]),
+        mse=mse,
+        fpe=final_prediction_error(mse, len(residual), table.shape[1] + problem.poles),
+        sample_time=problem.sample_time,
+        intersample=structure.intersample,
+        starts=starts,
+        converged=bool(best.status > 0),
+        warnings=(*doubts, *_warnings(problem, best, numerator, denominator)),
+        input_unit=units[0],
+        output_unit=units[1],
+    )
+
+
+def _covariance(problem: _Problem, denominator, table, solution, residual, gain: float):
+    """Return the covariance of the coefficients, NaN where the data does not tell them apart, and what to doubt."""
     predicted = table @ solution
     # the derivative by each coefficient of the denominator, the linear part kept
     derivatives = []
@@ -351,66 +429,43 @@ def _result(problem, best, starts, scale_u, scale_y, input_unit, output_unit):
         step = 1e-6 * max(abs(moved[j]), 1e-30)
         moved[j] += step
         derivatives.append((problem.table(moved) @ solution - predicted) / step)
-    units = np.r_[np.full(problem.zeros + 1, scale_y / scale_u), np.ones(problem.poles)]
+    units = np.r_[np.full(problem.zeros + 1, gain), np.ones(problem.poles)]
     ordered = np.column_stack([table[:, problem.zeros :: -1], *derivatives, table[:, problem.zeros + 1 :]])
     count = problem.zeros + 1 + problem.poles
-    warnings = []
     try:
         covariance = parameter_covariance(ordered[problem.skip :], residual)[:count, :count] * np.outer(units, units)
-        weak = np.sqrt(np.diag(covariance))[problem.zeros + 1 :] > np.abs(denominator[1:])
-        if weak.any():
-            warnings.append("the denominator is weakly determined (deviations above 100 %): lower the order")
     except DataError:
-        covariance = np.full((count, count), np.nan)
-        warnings.append("the data does not tell all coefficients apart: lower the order")
+        return np.full((count, count), np.nan), ["the data does not tell all coefficients apart: lower the order"]
+    weak = np.sqrt(np.diag(covariance))[problem.zeros + 1 :] > np.abs(denominator[1:])
+    doubts = ["the denominator is weakly determined (deviations above 100 %): lower the order"] if weak.any() else []
+    return covariance, doubts
+
+
+def _warnings(problem: _Problem, best, numerator, denominator):
+    """Yield what to doubt about the search and the transfer function it found."""
     at_bound = (best.x - problem.low < 1e-3) | (problem.high - best.x < 1e-3)
     if at_bound.any():
-        warnings.append("a pole is at its bound, slower or faster than the data can tell: lower the order")
+        yield "a pole is at its bound, slower or faster than the data can tell: lower the order"
     if not best.status > 0:
-        warnings.append("the search did not converge; this is the best point it reached")
-    roots = np.roots(numerator)
-    right = [z for z in roots if z.real >= 0.0]
+        yield "the search did not converge; this is the best point it reached"
+    right = [z for z in np.roots(numerator) if z.real >= 0.0]
     if right:
         listed = ", ".join(f"{z:.4g}" for z in right)
-        warnings.append(f"non-minimum-phase linear fit: zero(s) {listed} rad/s in the right half plane")
+        yield f"non-minimum-phase linear fit: zero(s) {listed} rad/s in the right half plane"
     if numerator[-1] / denominator[-1] <= 0.0:
-        warnings.append("the DC gain is not positive: the output moves against the input")
-    samples = len(residual)
-    mse = float(np.mean(residual**2)) * scale_y**2
-    unknowns = table.shape[1] + problem.poles
-    return TransferFunctionFit(
-        numerator,
-        denominator,
-        covariance,
-        float(solution[problem.zeros + 1] * scale_y) if problem.offset else 0.0,
-        float(problem.delay),
-        predicted * scale_y,
-        fit_percent(problem.y[problem.skip :], predicted[problem.skip :]),
-        mse,
-        final_prediction_error(mse, samples, unknowns),
-        problem.sample_time,
-        problem.intersample,
-        starts,
-        bool(best.status > 0),
-        tuple(warnings),
-        input_unit,
-        output_unit,
-    )
+        yield "the DC gain is not positive: the output moves against the input"
 
 
-def _check(u, y, poles, zeros, intersample, initial, skip):
+def _check(u, y, structure: Structure, skip: int) -> None:
+    """Refuse data and choices that give no fit."""
     if u.shape != y.shape or u.ndim != 1:
         raise DataError("shape", f"input {u.shape} and output {y.shape} must both be (N,)")
-    if poles < 1 or not 0 <= zeros <= poles:
-        raise FitError(
-            f"poles = {poles}, zeros = {zeros}: there must be at least one pole and no more zeros than poles"
-        )
-    if intersample not in INTERSAMPLE:
-        raise FitError(f"intersample = {intersample!r}: must be one of {', '.join(INTERSAMPLE)}")
-    if initial not in INITIAL:
-        raise FitError(f"initial = {initial!r}: must be one of {', '.join(INITIAL)}")
+    structure.check()
     if not 0 <= skip < len(y):
         raise DataError("range", f"skip = {skip}: must be in 0 … {len(y) - 1}")
     for name, values in (("input", u), ("output", y[skip:])):
         if np.ptp(values) <= CONSTANT * np.max(np.abs(values)):
             raise DataError("constant", f"the {name} is constant; excite the actuator and record again")
+    poles, zeros = structure.poles, structure.zeros
+    needed = 3 * (poles + structure.columns)
+    refuse_short(len(y) - skip, needed, f"a transfer function with {poles} poles and {zeros} zeros")

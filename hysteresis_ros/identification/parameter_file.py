@@ -14,31 +14,39 @@ from dataclasses import replace
 
 import numpy as np
 
-from hysteresis_ros.compensation.compensator import CompensatorParameters, InverseParameters
+from hysteresis_ros.compensation.compensator import CompensatorParameters
+from hysteresis_ros.compensation.inverses import InverseParameters
+from hysteresis_ros.compensation.reachable import reachable_commands
 from hysteresis_ros.configuration import Configuration, dump_configuration, load_configuration, parse_configuration
 from hysteresis_ros.errors import ConfigurationError, IdentificationError, ParameterError
 from hysteresis_ros.identification.data import IdentificationData
-from hysteresis_ros.identification.identified import Chain, Identification
+from hysteresis_ros.identification.identified import Identification, PlantModel
 from hysteresis_ros.identification.linear_part import LinearPart
 from hysteresis_ros.identification.prediction import INITIAL
 from hysteresis_ros.models.actuator import ActuatorParameters
-from hysteresis_ros.models.hysteresis import hysteresis_block
+from hysteresis_ros.models.creep import CreepParameters
+from hysteresis_ros.models.declaration import HysteresisModel
+from hysteresis_ros.models.hysteresis import HysteresisParameters, hysteresis_block
+from hysteresis_ros.models.limits import LimitsParameters
+from hysteresis_ros.models.linear import LinearParameters
 from hysteresis_ros.parameters import Parameters
 
 #: The entry that no node reads.
 SECTION = "/identification"
+#: Sample rate [Hz] and highest voltage [V] of the example axis of a model.
+EXAMPLE_RATE, EXAMPLE_VOLTAGE = 1000.0, 100.0
 _HEADER = """\
 # Identified by `hysteresis identify`; a ROS 2 parameter file for the nodes of an axis. SI units.
 # /identification is no node: it says where the numbers come from.
 """
 
 
-def limits_of(chain: Chain) -> tuple[float, float]:
+def limits_of(chain: PlantModel) -> tuple[float, float]:
     """Return the range of the recorded voltage [V], 0 V in it.
 
     Parameters
     ----------
-    chain : Chain
+    chain : PlantModel
     """
     return min(chain.voltage_low, 0.0), max(chain.voltage_high, 0.0)
 
@@ -101,9 +109,9 @@ def rate_of(sample_time: float) -> float:
     return float(f"{1.0 / sample_time:.9g}")
 
 
-def _reach(chain: Chain, low: float, high: float) -> tuple[float, float]:
+def _reach(chain: PlantModel, low: float, high: float) -> tuple[float, float]:
     """Return the displacements [m] at the ends of the voltage range, 0 in it."""
-    if chain.mechanical:
+    if not chain.rate_independent:
         reach = 2.0 * hysteresis_block(chain.hysteresis, chain.sample_time).gain * max(high, -low)
         return (-reach if low < 0.0 else 0.0), reach
     ends = [0.0]
@@ -219,6 +227,39 @@ def file_text(result: Identification, section: dict) -> str:
     return text
 
 
+def example_text(model: HysteresisModel) -> str:
+    """Return the text of a parameter file of an axis with the example of a model: a slow sine in the open loop.
+
+    Parameters
+    ----------
+    model : HysteresisModel
+    """
+    hysteresis = HysteresisParameters(type=model.name, **{model.name: model.example})
+    chain = PlantModel(
+        hysteresis=hysteresis,
+        creep=CreepParameters(),
+        dynamics=LinearParameters(),
+        sample_time=1.0 / EXAMPLE_RATE,
+        voltage_high=EXAMPLE_VOLTAGE,
+        inverse=InverseParameters(type=model.inverses[0]),
+    )
+    nodes = sections(Identification(model=model.name, linear="none", chain=chain, fitted=0))
+    compensator = CompensatorParameters(
+        inverse=chain.inverse, hysteresis=hysteresis, limits=LimitsParameters(minimum=0.0, maximum=EXAMPLE_VOLTAGE)
+    )
+    low, high = reachable_commands(compensator, chain.sample_time)
+    nodes["/**/reference_generator"] = {
+        "minimum": low,
+        "maximum": high,
+        "initial_setpoint": float(f"{0.5 * (low + high):.3g}"),
+        "waveform.type": "sine",
+        "waveform.amplitude": float(f"{0.4 * (high - low):.3g}"),
+        "waveform.frequency": 1.0,
+    }
+    title = f"# An axis with the example of the model {model.name}: {model.title}. SI units.\n"
+    return title + dump_configuration(nodes)
+
+
 def model_warnings(result: Identification) -> tuple[str, ...]:
     """Return the doubts about the parameters themselves (outside the valid class), as their blocks state them.
 
@@ -254,7 +295,7 @@ def _block(configuration: Configuration, node: str, cls, namespace: str = ""):
     return cls.from_mapping(values, prefix=f"{configuration.source}: {node}: ").validated()
 
 
-def load_chain(path, namespace: str = "") -> tuple[Chain, dict]:
+def load_chain(path, namespace: str = "") -> tuple[PlantModel, dict]:
     """Read the plant of a parameter file, identified or written by hand, and its section ``/identification``.
 
     Parameters
@@ -282,7 +323,7 @@ def load_chain(path, namespace: str = "") -> tuple[Chain, dict]:
     rate = configuration.node("plant_simulator", namespace).get("sample_rate", 1000.0)
     low, high = section.get("voltage_range", (plant.limits.minimum, plant.limits.maximum))
     initial = section.get("initial", "zero")
-    chain = Chain(
+    chain = PlantModel(
         hysteresis=plant.hysteresis,
         creep=plant.creep,
         dynamics=plant.dynamics,

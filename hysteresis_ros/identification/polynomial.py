@@ -28,18 +28,16 @@ from hysteresis_ros.identification.branches import (
     require_both_directions,
     split_branches,
 )
-from hysteresis_ros.models.polynomial import (
-    CHECKED_LOOPS,
+from hysteresis_ros.models.hysteresis.polynomial.law import (
     DIRECTION,
-    DISPLACEMENT,
     ON_VIRGIN,
-    SMALLEST_LOOP,
     STATES,
     TURN_DISPLACEMENT,
     VIRGIN,
-    PolynomialParameters,
     polynomial,
 )
+from hysteresis_ros.models.hysteresis.polynomial.parameters import CHECKED_LOOPS, SMALLEST_LOOP, PolynomialParameters
+from hysteresis_ros.models.rate_independent import DISPLACEMENT
 from hysteresis_ros.recordings.loops import REVERSAL
 
 #: The free numbers θ of a fit, in this order; the last three need several peaks.
@@ -221,6 +219,8 @@ def _one_loop(voltage, displacement, v_max, fall, rise) -> LoopCoefficients:
 
 def _through_loops(loops, virgin, basis) -> np.ndarray:
     """Return θ of the quadratics of V_max that run nearest to the loops' own parabolas (K2 as printed)."""
+    if not loops:
+        raise IdentificationError("no loop starts on the virgin curve; use method samples with this recording")
     rows, wanted = [], []
     blocks = basis.reshape(7, 3, -1)
     for loop in loops:
@@ -320,6 +320,50 @@ def identify_polynomial(
         Too short, constant, not finite, a single branch, or mostly negative voltages.
     """
     voltage, displacement = checked_signals(voltage, displacement)
+    _check_request(voltage, method, criterion)
+    path = np.concatenate([np.asarray(history, dtype=float), voltage])
+    v_unit, x_unit = float(path.max()), float(np.ptp(displacement))
+    v, x = path / v_unit, displacement / x_unit
+    recorded = slice(path.size - voltage.size, None)
+    branches = split_branches(voltage / v_unit, reversal)
+    require_both_directions(branches, "loop model")
+
+    loops, virgin = _loop_table(v[recorded], x, branches)
+    count, warnings = _free_numbers(v, voltage, reversal)
+    basis = _basis(count)
+    matrix = np.stack([_simulated(v, column)[recorded] for column in basis.T], axis=1)
+    if method == "loops":
+        theta = _through_loops(loops, virgin, basis)
+        weight, criterion = np.ones(x.size), "rms"
+    else:
+        weight, criterion = _weights(matrix, x, criterion)
+        theta = np.linalg.lstsq(*_with_prior(weight, matrix, x), rcond=None)[0]
+    warnings += _undetermined(matrix)
+    low = min(float(voltage.min()), 0.0)
+    slopes, converged = _slopes(basis, low / v_unit), True
+    worst = float(np.min(slopes @ theta))
+    if not worst > 0.0:
+        mean = np.ptp(x) / np.ptp(v)
+        theta, converged = _monotone(theta, *_with_prior(weight, matrix, x), slopes, SMALLEST_SLOPE * mean)
+        warnings.append(_not_monotone(worst * x_unit / v_unit, converged))
+    residual, scale = matrix @ theta - x, _scale(v_unit, x_unit)
+    parameters = _parameters(scale * (basis @ theta), low, v_unit)
+    if converged:
+        parameters.validated()
+    return PolynomialIdentification(
+        parameters=parameters,
+        loops=tuple(_in_units(loop, v_unit, x_unit) for loop in loops),
+        covariance=_covariance(matrix, basis, residual) * np.outer(scale, scale),
+        rms=x_unit * float(np.sqrt(np.mean(residual**2))),
+        maximum=x_unit * float(np.max(np.abs(residual))),
+        criterion=criterion,
+        converged=converged,
+        warnings=tuple(warnings),
+    )
+
+
+def _check_request(voltage, method: str, criterion: str) -> None:
+    """Refuse unknown choices and voltages that the model has no branches for."""
     for name, value, allowed in (
         ("method", method, ("samples", "loops")),
         ("criterion", criterion, ("automatic", "rms", "maximum")),
@@ -332,16 +376,11 @@ def identify_polynomial(
             f"the voltage runs from {low:g} to {high:g} V; the polynomial model knows loops between 0 V and positive "
             "peaks only: record such loops, or identify another model (prandtl_ishlinskii) for both polarities"
         )
-    path = np.concatenate([np.asarray(history, dtype=float), voltage])
-    skipped = path.size - voltage.size
-    v_unit, x_unit = float(path.max()), float(np.ptp(displacement))
-    v, x = path / v_unit, displacement / x_unit
-    branches = split_branches(voltage / v_unit, reversal)
-    require_both_directions(branches, "loop model")
 
-    loops, virgin = _loop_table(v[skipped:], x, branches)
-    warnings = []
-    count = len(FREE)
+
+def _free_numbers(v, voltage, reversal) -> tuple[int, list[str]]:
+    """Return how many numbers the path (in parts of its peak) lets free, and what to doubt."""
+    count, warnings = len(FREE), []
     peaks = _distinct_peaks(v, reversal)
     if len(peaks) < 3:
         count = SINGLE_PEAK_FREE
@@ -350,63 +389,49 @@ def identify_polynomial(
             "quadratics of V_max; the residual displacement is assumed proportional to V_max and the bends constant: "
             "record triangles of growing peak from 0 V"
         )
+    high, low = float(voltage.max()), float(voltage.min())
     if low > 0.1 * high:
         warnings.append(f"the lowest voltage is {low:g} V; the residual displacement at 0 V is extrapolated")
-    basis = _basis(count)
-    matrix = np.stack([_simulated(v, column)[skipped:] for column in basis.T], axis=1)
-    if method == "loops":
-        if not loops:
-            raise IdentificationError("no loop starts on the virgin curve; use method samples with this recording")
-        theta = _through_loops(loops, virgin, basis)
-        weight, criterion = np.ones(x.size), "rms"
-    else:
-        weight, criterion = _weights(matrix, x, criterion)
-        theta = np.linalg.lstsq(*_with_prior(weight, matrix, x), rcond=None)[0]
-    condition = np.linalg.cond(matrix)
-    if condition > 1e6:
-        warnings.append(
-            f"the recording does not determine all coefficients (condition number {condition:.1e}); the others are "
-            "set so that the virgin curve is straight and nothing depends on V_max"
-        )
+    return count, warnings
 
-    v_low = min(low, 0.0) / v_unit
-    slopes = _slopes(basis, v_low)
-    converged = True
-    worst = float(np.min(slopes @ theta))
-    if not worst > 0.0:
-        mean = np.ptp(x) / np.ptp(v)
-        theta, converged = _monotone(theta, *_with_prior(weight, matrix, x), slopes, SMALLEST_SLOPE * mean)
-        warnings.append(
-            f"the best fit has a branch that is not monotone (smallest slope {worst * x_unit / v_unit:.3g} m/V); "
-            + (
-                "the nearest monotone one was taken"
-                if converged
-                else "no monotone one was found: do not use this model"
-            )
-        )
-    residual = matrix @ theta - x
-    variance = float(residual @ residual) / max(x.size - count, 1)
+
+def _undetermined(matrix) -> list[str]:
+    """Return the warning of a recording that does not determine every number."""
+    condition = np.linalg.cond(matrix)
+    if not condition > 1e6:
+        return []
+    return [
+        f"the recording does not determine all coefficients (condition number {condition:.1e}); the others are "
+        "set so that the virgin curve is straight and nothing depends on V_max"
+    ]
+
+
+def _not_monotone(slope: float, converged: bool) -> str:
+    """Return the warning of a fit with a branch that is not monotone, ``slope`` [m/V] being the smallest."""
+    taken = "the nearest monotone one was taken" if converged else "no monotone one was found: do not use this model"
+    return f"the best fit has a branch that is not monotone (smallest slope {slope:.3g} m/V); {taken}"
+
+
+def _scale(v_unit: float, x_unit: float) -> np.ndarray:
+    """Return the units of the 21 coefficients, shape (21,)."""
     scale = np.array([x_unit / v_unit ** (power + row) for row in (0, 0, 1, 2, 0, 1, 2) for power in range(3)])
     scale[:3] = x_unit / v_unit ** np.arange(3)
+    return scale
+
+
+def _parameters(coefficients, low: float, high: float) -> PolynomialParameters:
+    """Return the model of the 21 coefficients for voltages ``low … high`` [V]."""
+    named = zip(_NAMES, coefficients.reshape(7, 3), strict=True)
+    return PolynomialParameters(
+        **{name: tuple(row.tolist()) for name, row in named}, voltage_low=low, voltage_high=high
+    )
+
+
+def _covariance(matrix, basis, residual) -> np.ndarray:
+    """Return the covariance of the 21 coefficients in normalised units, for white residuals."""
+    variance = float(residual @ residual) / max(residual.size - basis.shape[1], 1)
     spread = basis @ np.linalg.pinv(matrix.T @ matrix, rcond=1e-20) @ basis.T
-    values = (scale * (basis @ theta)).reshape(7, 3)
-    parameters = PolynomialParameters(
-        **{name: tuple(row.tolist()) for name, row in zip(_NAMES, values, strict=True)},
-        voltage_low=min(low, 0.0),
-        voltage_high=v_unit,
-    )
-    if converged:
-        parameters.validated()
-    return PolynomialIdentification(
-        parameters=parameters,
-        loops=tuple(_in_units(loop, v_unit, x_unit) for loop in loops),
-        covariance=variance * spread * np.outer(scale, scale),
-        rms=x_unit * float(np.sqrt(np.mean(residual**2))),
-        maximum=x_unit * float(np.max(np.abs(residual))),
-        criterion=criterion,
-        converged=converged,
-        warnings=tuple(warnings),
-    )
+    return variance * spread
 
 
 def _distinct_peaks(v, reversal) -> list[float]:

@@ -21,7 +21,7 @@ from hysteresis_ros.identification.hammerstein import (
 from hysteresis_ros.identification.linear_part import LinearPart
 from hysteresis_ros.identification.weights import plays, radii, smooth_weights
 from hysteresis_ros.models.hysteresis import HysteresisParameters
-from hysteresis_ros.models.prandtl_ishlinskii import PrandtlIshlinskiiParameters
+from hysteresis_ros.models.hysteresis.prandtl_ishlinskii import PrandtlIshlinskiiParameters
 
 PLAYS = 20
 ZONES = 5

@@ -12,15 +12,16 @@ from dataclasses import replace
 import numpy as np
 
 from hysteresis_ros.errors import IdentificationError, ParameterError
-from hysteresis_ros.identification.bouc_wen_mechanical import simulate_oscillator
 from hysteresis_ros.identification.continuous import CanonicalSimulation, simulate_transfer_function
+from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.hammerstein import simulate_chain
-from hysteresis_ros.identification.identified import Chain
+from hysteresis_ros.identification.identified import PlantModel
 from hysteresis_ros.identification.intersample import METHODS, upsample
 from hysteresis_ros.identification.inverse import InverseValidation, recover_voltage
 from hysteresis_ros.identification.state_space import LinearModel
 from hysteresis_ros.identification.validation import Validation, validate
 from hysteresis_ros.models.hysteresis import hysteresis_block
+from hysteresis_ros.registry import resolved
 
 #: Where the state of a prediction may start.
 INITIAL = ("zero", "periodic", "estimate")
@@ -33,7 +34,7 @@ MOST_FREE = 12
 
 
 def predict(
-    chain: Chain,
+    chain: PlantModel,
     voltage,
     sample_time: float,
     intersample: str | None = None,
@@ -44,7 +45,7 @@ def predict(
 
     Parameters
     ----------
-    chain : Chain
+    chain : PlantModel
     voltage : array_like, shape (N,)
         [V]
     sample_time : float
@@ -70,11 +71,11 @@ def predict(
             f"{', '.join(INITIAL)}"
         )
     voltage = np.ascontiguousarray(voltage, dtype=np.float64)
-    if chain.mechanical:
+    if not chain.rate_independent:
         if initial == "estimate":
             raise IdentificationError("initial = 'estimate': an oscillator starts at zero or periodic; choose one")
-        parameters = chain.hysteresis.bouc_wen_mechanical
-        return simulate_oscillator(parameters, voltage, sample_time, intersample, initial) + chain.offset
+        response = resolved(chain.hysteresis.model.response)
+        return response(chain.hysteresis.chosen, voltage, sample_time, intersample, initial) + chain.offset
     chain = at_rate(chain, sample_time)
     if initial == "periodic":
         twice = np.concatenate([voltage, voltage])
@@ -85,12 +86,12 @@ def predict(
     return forced
 
 
-def at_rate(chain: Chain, sample_time: float) -> Chain:
+def at_rate(chain: PlantModel, sample_time: float) -> PlantModel:
     """Return the chain for another sample time.
 
     Parameters
     ----------
-    chain : Chain
+    chain : PlantModel
     sample_time : float
         [s]
 
@@ -118,7 +119,7 @@ def at_rate(chain: Chain, sample_time: float) -> Chain:
     return replace(chain, dynamics=dynamics, sample_time=sample_time)
 
 
-def _forced(chain: Chain, voltage, intersample, settled) -> np.ndarray:
+def _forced(chain: PlantModel, voltage, intersample, settled) -> np.ndarray:
     if intersample == "zoh":
         return simulate_chain(
             chain.hysteresis, chain.creep, chain.dynamics, voltage, chain.sample_time, settled, chain.synchronous
@@ -138,46 +139,48 @@ def _forced(chain: Chain, voltage, intersample, settled) -> np.ndarray:
     return part.apply(static, step)[::factor][: voltage.size]
 
 
-def _free_response(chain: Chain, residual) -> np.ndarray:
+def _free_response(chain: PlantModel, residual) -> np.ndarray:
     """Return the least-squares sum of the dynamics' free responses, beside a constant that is left out."""
     if chain.synchronous or not 0 < chain.dynamics.order <= MOST_FREE:
         return np.zeros_like(residual)
-    A, _, C, _ = chain.dynamics.matrices
+    model = chain.dynamics.state_space
     table = np.empty((residual.size, chain.dynamics.order + 1))
-    row = np.array(C)
+    row = model.C[0]
     for k in range(residual.size):
         table[k, :-1] = row
-        row = row @ A
+        row = row @ model.A
     table[:, -1] = 1.0
     solution = np.linalg.lstsq(table, residual, rcond=1e-9)[0]
     return table[:, :-1] @ solution[:-1]
 
 
 def judge(
-    chain: Chain,
-    voltage,
-    measured,
+    chain: PlantModel,
+    data: IdentificationData,
     predicted,
+    *,
     skip: int = 0,
     free_offset: bool = False,
     fitted: int = 0,
-    with_inverse: bool = True,
+    inverse: bool = True,
 ) -> tuple[Validation, InverseValidation | None, str]:
     """Compare prediction with measurement, and the voltage the inverse finds behind the measurement with the applied.
 
     Parameters
     ----------
-    chain : Chain
+    chain : PlantModel
         For the sample time of the data.
-    voltage, measured, predicted : array_like, shape (N,)
-        [V], [m], [m].
+    data : IdentificationData
+        Voltage [V] and what was measured [m].
+    predicted : array_like, shape (N,)
+        [m]
     skip : int
         First samples left out of the comparison; the model has seen them.
     free_offset : bool
         Remove one constant.
     fitted : int
         Numbers that were fitted to this data; 0 for other data.
-    with_inverse : bool
+    inverse : bool
         Try the inverse too.
 
     Returns
@@ -190,16 +193,16 @@ def judge(
     DataError
         See :func:`~hysteresis_ros.identification.validation.validate`.
     """
-    found = validate(measured, predicted, voltage, parameters=fitted, skip=skip, free_offset=free_offset)
-    if not with_inverse:
+    found = validate(data.output, predicted, data.input, parameters=fitted, skip=skip, free_offset=free_offset)
+    if not inverse:
         return found, None, "not asked for"
-    if chain.mechanical or chain.hysteresis.type == "duhem" and chain.inverse.type == "none":
+    if not chain.rate_independent:
         return found, None, f"{chain.hysteresis.type} is not rate independent, it has no inverse"
-    displacement = np.asarray(measured, dtype=float) - chain.offset
+    displacement = data.output - chain.offset
     try:
-        inverse = recover_voltage(chain.as_hammerstein(), displacement, voltage, skip, free_offset)
+        back = recover_voltage(chain.as_hammerstein(), displacement, data.input, skip, free_offset)
     except ParameterError as error:
         return found, None, " ".join(str(error).split())
-    if not np.isfinite(inverse.rmse):
+    if not np.isfinite(back.rmse):
         return found, None, "the inverse leaves the range of numbers"
-    return found, inverse, ""
+    return found, back, ""

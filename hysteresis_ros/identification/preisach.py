@@ -15,7 +15,7 @@ from hysteresis_ros.identification.hammerstein import HammersteinFit, condense, 
 from hysteresis_ros.identification.prandtl_ishlinskii import SEARCH_STRENGTH, finished
 from hysteresis_ros.identification.weights import plays, radii, smooth_weights
 from hysteresis_ros.models.hysteresis import HysteresisParameters
-from hysteresis_ros.models.preisach import PreisachParameters
+from hysteresis_ros.models.hysteresis.preisach import PreisachParameters
 
 WIDTHS = 24
 NODES = 33

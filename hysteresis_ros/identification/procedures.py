@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from hysteresis_ros.compensation.compensator import InverseParameters
 from hysteresis_ros.compensation.creep import creep_inverse
+from hysteresis_ros.compensation.inverses import InverseParameters
 from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.identification.bouc_wen_mechanical import FREE, fit_bouc_wen_mechanical
 from hysteresis_ros.identification.bouc_wen_static import NAMES as BOUC_WEN_NAMES
@@ -16,19 +16,20 @@ from hysteresis_ros.identification.bouc_wen_static import default_guess, identif
 from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.duhem import identify_duhem, identify_inverse_duhem
 from hysteresis_ros.identification.hammerstein import HammersteinFit, condense
-from hysteresis_ros.identification.identified import Chain, Identification, at_rest, grounded, scaled
+from hysteresis_ros.identification.identified import Identification, PlantModel, at_rest, grounded
 from hysteresis_ros.identification.inverse import undo_lag
 from hysteresis_ros.identification.linear_part import LinearPart
 from hysteresis_ros.identification.linear_stage import LinearStage, fit_stage
-from hysteresis_ros.identification.output_error import fit_transfer_function
+from hysteresis_ros.identification.output_error import Structure, fit_transfer_function
 from hysteresis_ros.identification.polynomial import identify_polynomial
 from hysteresis_ros.identification.prandtl_ishlinskii import fit_prandtl_ishlinskii
-from hysteresis_ros.identification.preisach import fit_preisach
-from hysteresis_ros.models.bouc_wen_mechanical import BoucWenMechanicalParameters
+from hysteresis_ros.identification.preisach import WIDTHS, fit_preisach
+from hysteresis_ros.identification.restarted_nelder_mead import SimplexSettings
 from hysteresis_ros.models.creep import Creep, CreepParameters, creep
 from hysteresis_ros.models.hysteresis import HysteresisParameters, hysteresis_block
+from hysteresis_ros.models.hysteresis.bouc_wen_mechanical import BoucWenMechanicalParameters
+from hysteresis_ros.models.hysteresis.proportional import ProportionalParameters
 from hysteresis_ros.models.linear import LinearParameters
-from hysteresis_ros.models.proportional import ProportionalParameters
 
 #: Numbers of the polynomial model's corner conditions that are free (K2).
 POLYNOMIAL_FREE = 9
@@ -74,17 +75,39 @@ class Request:
         self.progress(number, f"residual {1e6 * rmse:.4g} µm")
 
 
+@dataclass(frozen=True)
+class FittedHysteresis:
+    """A hysteresis as it was fitted.
+
+    Parameters
+    ----------
+    hysteresis : HysteresisParameters
+    fitted : int
+        How many of its numbers were fitted.
+    deviations : dict of str to float
+        Their standard deviations, where known.
+    warnings : tuple of str
+    converged : bool
+    """
+
+    hysteresis: HysteresisParameters
+    fitted: int
+    deviations: dict[str, float] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+    converged: bool = True
+
+
 def prandtl_ishlinskii(data: IdentificationData, request: Request) -> Identification:
     """Plays (and dead zones) with lag, delay and creep, found together."""
-    return _hammerstein(fit_prandtl_ishlinskii, data, request)
+    return _hammerstein(fit_prandtl_ishlinskii, data, request, lambda p: len(p.weights) + len(p.zone_weights) + 1)
 
 
 def preisach(data: IdentificationData, request: Request) -> Identification:
     """Everett map with lag, delay and creep, found together."""
-    return _hammerstein(fit_preisach, data, request)
+    return _hammerstein(fit_preisach, data, request, lambda _: int(request.options.get("widths", WIDTHS)) + 3)
 
 
-def _hammerstein(fit_function, data, request) -> Identification:
+def _hammerstein(fit_function, data, request, count) -> Identification:
     # a stage holds the lag itself, but the hysteresis must not take it for its own: it is found with one and handed on
     parts = ("lag", "delay") if request.stage else request.parts
     fit: HammersteinFit = fit_function(
@@ -96,68 +119,54 @@ def _hammerstein(fit_function, data, request) -> Identification:
         progress=request.report_residual,
         **request.options,
     )
-    chosen = fit.hysteresis.chosen
-    if fit.hysteresis.type == "prandtl_ishlinskii":
-        fitted = len(chosen.weights) + len(chosen.zone_weights) + 1
-    else:
-        fitted = int(request.options.get("widths", 24)) + 3
+    found = FittedHysteresis(fit.hysteresis, count(fit.hysteresis.chosen), fit.deviations, fit.warnings, fit.converged)
     if request.stage:
-        return _with_stage(fit.hysteresis, data, request, fitted, fit.deviations, fit.warnings, fit.converged)
-    part = fit.linear_part
-    chain = _chain(data, request, fit.hysteresis, part, fit.dynamics, fit.synchronous)
-    return _identified(chain, request, fitted + _count(part), part, fit.deviations, fit.warnings, fit.converged)
+        return _with_stage(data, request, found)
+    chain = _chain(data, request, fit.hysteresis, fit.linear_part, fit.dynamics, fit.synchronous)
+    return _identified(chain, request, found, fit.linear_part)
 
 
 def polynomial(data: IdentificationData, request: Request) -> Identification:
     """Branch polynomials on data whose lag was undone."""
-    data_static, part, notes, constant = _separated(data, request)
+    data_static, part, notes, constant = separated(data, request)
     skip = request.skip or 0
     found = identify_polynomial(
         data_static.input[skip:], data_static.output[skip:], history=data_static.input[:skip], **request.options
     )
     hysteresis = HysteresisParameters(type="polynomial", polynomial=found.parameters)
-    return _static(
-        data, request, hysteresis, part, POLYNOMIAL_FREE, {}, (*notes, *found.warnings), found.converged, constant
-    )
+    warnings = (*notes, *found.warnings)
+    fitted = FittedHysteresis(hysteresis, POLYNOMIAL_FREE, warnings=warnings, converged=found.converged)
+    return static_result(data, request, fitted, part, constant)
 
 
 def bouc_wen(data: IdentificationData, request: Request) -> Identification:
     """Static Bouc-Wen element by Nelder-Mead on data whose lag was undone."""
-    data_static, part, notes, constant = _separated(data, request)
+    data_static, part, notes, constant = separated(data, request)
     skip = request.skip or 0
     v, x = data_static.input[skip:], data_static.output[skip:]
     options = dict(request.options)
     exponent = options.pop("exponent", 1.0)
     given = {name: options.pop(name) for name in BOUC_WEN_NAMES if name in options}
     guess = replace(default_guess(v, x, exponent), **given) if given else None
-    if guess is not None:
-        options.setdefault("starts", 4)
-    iterations = int(options.get("iterations", 2000))
+    settings = SimplexSettings(**{"starts": 4, **options})
 
     def progress(run, iteration, cost):
-        request.progress(run * iterations + iteration, f"start {run + 1}, cost {cost:.3g}")
+        request.progress(run * settings.iterations + iteration, f"start {run + 1}, cost {cost:.3g}")
 
     found = identify_bouc_wen_static(
-        v, x, guess=guess, exponent=exponent, free_offset=True, progress=progress, **options
+        v, x, guess=guess, exponent=exponent, free_offset=True, settings=settings, progress=progress
     )
     hysteresis = HysteresisParameters(type="bouc_wen", bouc_wen=found.parameters)
-    result = _static(
-        data,
-        request,
-        hysteresis,
-        part,
-        len(BOUC_WEN_NAMES) + 1,
-        found.standard_errors,
-        (*notes, *found.warnings),
-        found.converged,
-        offset=found.offset * part.settled_gain + constant,
+    fitted = FittedHysteresis(
+        hysteresis, len(BOUC_WEN_NAMES) + 1, found.standard_errors, (*notes, *found.warnings), found.converged
     )
+    result = static_result(data, request, fitted, part, found.offset * part.settled_gain + constant)
     return replace(result, trajectory=(BOUC_WEN_NAMES, found.search.runs[found.search.best].trajectory))
 
 
 def duhem(data: IdentificationData, request: Request) -> Identification:
     """Duhem equation on data whose lag was undone; with its own inverse on request."""
-    data_static, part, notes, constant = _separated(data, request)
+    data_static, part, notes, constant = separated(data, request)
     skip = request.skip or 0
     v, x = data_static.input[skip:], data_static.output[skip:]
     request.progress(0, "shape functions and alpha")
@@ -174,7 +183,8 @@ def duhem(data: IdentificationData, request: Request) -> Identification:
         inverse = InverseParameters(type="duhem", duhem=backward.parameters)
         converged = converged and backward.converged
         warnings += [f"inverse: {text}" for text in backward.warnings]
-    result = _static(data, request, hysteresis, part, fitted, {}, (*notes, *warnings), converged, constant)
+    fit = FittedHysteresis(hysteresis, fitted, warnings=(*notes, *warnings), converged=converged)
+    result = static_result(data, request, fit, part, constant)
     numbers = {**result.numbers, "alpha_normalised": found.alpha, "opening_percent": 100.0 * found.loop.opening}
     chain = result.chain if inverse is None else replace(result.chain, inverse=inverse)
     return replace(result, chain=chain, numbers=numbers)
@@ -189,13 +199,13 @@ def proportional(data: IdentificationData, request: Request) -> Identification:
         raise IdentificationError(f"the gain is {gain:.3g} m/V; it must be above 0")
     hysteresis = HysteresisParameters(type="proportional", proportional=ProportionalParameters(gain=float(gain)))
     if request.stage:
-        return _with_stage(hysteresis, data, request, 1, {}, (), True)
+        return _with_stage(data, request, FittedHysteresis(hysteresis, 1))
     if not request.parts:
         chain = _chain(data, request, hysteresis, LinearPart(), LinearParameters(), True, float(constant))
-        return _identified(chain, request, 2, LinearPart(), {}, (), True)
+        return _identified(chain, request, FittedHysteresis(hysteresis, 2), LinearPart())
     # a lag where it helps: output error of one pole against none
     best = float(np.std((y - gain * u - constant)[skip:]))
-    found = fit_transfer_function(u, y, data.sample_time, 1, 0, "linear", "rest", offset=True, skip=skip)
+    found = fit_transfer_function(u, y, data.sample_time, Structure(1, 0, "linear", "rest", offset=True), skip=skip)
     if not np.sqrt(found.mse) < (1.0 - WORTH_IT) * best or not found.dc_gain > 0.0:
         return proportional(data, replace(request, parts=()))
     part = LinearPart(lag=float(-1.0 / found.poles[0].real), settled=True)
@@ -204,7 +214,8 @@ def proportional(data: IdentificationData, request: Request) -> Identification:
     )
     dynamics, synchronous = part.dynamics(data.sample_time), part.lag < 0.5 * data.sample_time
     chain = _chain(data, request, hysteresis, part, dynamics, synchronous, found.offset)
-    return _identified(chain, request, 3, part, {}, found.warnings, found.converged)
+    fit = FittedHysteresis(hysteresis, 2, warnings=found.warnings, converged=found.converged)
+    return _identified(chain, request, fit, part)
 
 
 def bouc_wen_mechanical(data: IdentificationData, request: Request) -> Identification:
@@ -232,7 +243,8 @@ def bouc_wen_mechanical(data: IdentificationData, request: Request) -> Identific
     hysteresis = HysteresisParameters(type="bouc_wen_mechanical", bouc_wen_mechanical=fit.parameters)
     offset = float(np.mean(data.output - fit.simulate(data.input, data.sample_time)))
     chain = replace(_chain(data, request, hysteresis, LinearPart(), LinearParameters(), False, offset), initial=initial)
-    result = _identified(chain, request, len(FREE) + 1, LinearPart(), fit.deviations, fit.warnings, fit.converged)
+    found = FittedHysteresis(hysteresis, len(FREE) + 1, fit.deviations, fit.warnings, fit.converged)
+    result = _identified(chain, request, found, LinearPart())
     unit = {} if data.input_unit == "V" else {"assumptions": (f"the input is in {data.input_unit}, written as V",)}
     return replace(result, numbers={"starts_agreeing": float(fit.agreeing)}, linear="inside the equation", **unit)
 
@@ -247,7 +259,8 @@ def _oscillator_guess(data, request) -> BoucWenMechanicalParameters:
         )
     intersample = request.intersample
     initial = "periodic" if request.initial == "periodic" else "zero"
-    found = fit_transfer_function(data.input, data.output, data.sample_time, 2, 0, intersample, initial, offset=True)
+    structure = Structure(2, 0, intersample, initial, offset=True)
+    found = fit_transfer_function(data.input, data.output, data.sample_time, structure)
     # b0/(s² + a1 s + a0) = (1/m)/(s² + c/m s + k/m); near the resonance the hysteretic force is partly saturated
     mass = 1.0 / abs(float(np.ravel(found.numerator)[-1]))
     damping, stiffness = mass * float(found.denominator[1]), mass * float(found.denominator[2])
@@ -262,10 +275,15 @@ def _oscillator_guess(data, request) -> BoucWenMechanicalParameters:
     )
 
 
-def _separated(data: IdentificationData, request: Request):
+def separated(data: IdentificationData, request: Request):
     """Return the data with lag and creep undone, both, and what must be said about them; and the constant taken out.
 
     A Preisach or a Prandtl-Ishlinskii model finds them, whichever leaves less: they leave the shape of the loops free.
+
+    Parameters
+    ----------
+    data : IdentificationData
+    request : Request
     """
     parts = ("lag", "delay") if request.stage else request.parts
     if not parts:
@@ -319,18 +337,32 @@ def undo_creep(y, part: LinearPart, sample_time: float) -> np.ndarray:
     return found
 
 
-def _static(data, request, hysteresis, part, fitted, deviations, warnings, converged, offset) -> Identification:
-    """Finish a hysteresis that was fitted to data without lag and creep."""
+def static_result(
+    data: IdentificationData, request: Request, found: FittedHysteresis, part: LinearPart, offset: float
+) -> Identification:
+    """Finish a hysteresis that was fitted to data without lag and creep.
+
+    Parameters
+    ----------
+    data : IdentificationData
+        The recording itself.
+    request : Request
+    found : FittedHysteresis
+    part : LinearPart
+        What :func:`separated` took out.
+    offset : float
+        Constant of the recording [m] that the hysteresis does not hold.
+    """
     if request.stage:
-        return _with_stage(hysteresis, data, request, fitted, deviations, warnings, converged)
+        return _with_stage(data, request, found)
     synchronous = part.lag + part.delay < 0.5 * data.sample_time
-    chain = _chain(data, request, hysteresis, part, part.dynamics(data.sample_time), synchronous, offset)
-    return _identified(chain, request, fitted + _count(part), part, deviations, warnings, converged)
+    chain = _chain(data, request, found.hysteresis, part, part.dynamics(data.sample_time), synchronous, offset)
+    return _identified(chain, request, found, part)
 
 
-def _with_stage(hysteresis, data, request, fitted, deviations, warnings, converged) -> Identification:
+def _with_stage(data: IdentificationData, request: Request, fit: FittedHysteresis) -> Identification:
     """Fit dynamics of higher order behind the hysteresis; their gain goes to the hysteresis."""
-    hysteresis, _ = grounded(hysteresis, data.sample_time)
+    hysteresis, _ = grounded(fit.hysteresis, data.sample_time)
     skip = request.skip if request.skip is not None else automatic_skip(data)
     request.progress(0, request.stage)
     moved = hysteresis_block(hysteresis, data.sample_time).simulate(data.input)
@@ -338,35 +370,26 @@ def _with_stage(hysteresis, data, request, fitted, deviations, warnings, converg
     found: LinearStage = fit_stage(
         moved, data.output, data.sample_time, request.stage, skip, request.intersample, initial
     )
-    chain = _chain(
-        data,
-        request,
-        scaled(hysteresis, found.gain),
-        None,
-        found.dynamics,
-        False,
-        found.offset,
-        found.transfer_function,
-    )
-    chain = replace(chain, initial=initial)
+    chain = _chain(data, request, hysteresis.scaled(found.gain), None, found.dynamics, False, found.offset)
+    chain = replace(chain, initial=initial, transfer_function=found.transfer_function)
     return Identification(
         model=request.model,
         linear=request.stage,
         chain=chain,
-        fitted=fitted + found.fitted,
+        fitted=fit.fitted + found.fitted,
         numbers=found.numbers,
-        deviations=dict(deviations),
-        warnings=(*warnings, *(f"linear part: {text}" for text in found.warnings)),
-        converged=converged and found.converged,
+        deviations=dict(fit.deviations),
+        warnings=(*fit.warnings, *(f"linear part: {text}" for text in found.warnings)),
+        converged=fit.converged and found.converged,
     )
 
 
-def _chain(data, request, hysteresis, part, dynamics, synchronous, offset=0.0, transfer_function=None) -> Chain:
+def _chain(data, request, hysteresis, part, dynamics, synchronous, offset=0.0) -> PlantModel:
     hysteresis, rest = grounded(hysteresis, data.sample_time)
     settled = part is not None and part.settled
     gain = 1.0 if part is None else part.settled_gain
     low, high = data.input_range
-    return Chain(
+    return PlantModel(
         hysteresis=hysteresis,
         creep=CreepParameters() if part is None else part.creep,
         dynamics=dynamics,
@@ -374,7 +397,6 @@ def _chain(data, request, hysteresis, part, dynamics, synchronous, offset=0.0, t
         # creep never settles within a recording, where the plant starts it settled
         offset=float(offset + rest * gain),
         linear_part=part,
-        transfer_function=transfer_function,
         synchronous=bool(synchronous),
         initial=request.initial or ("estimate" if settled else "zero"),
         intersample=request.intersample,
@@ -384,7 +406,7 @@ def _chain(data, request, hysteresis, part, dynamics, synchronous, offset=0.0, t
     )
 
 
-def _identified(chain, request, fitted, part, deviations, warnings, converged) -> Identification:
+def _identified(chain: PlantModel, request: Request, found: FittedHysteresis, part: LinearPart) -> Identification:
     numbers = {}
     words = []
     if part.lag > 0.0:
@@ -400,16 +422,12 @@ def _identified(chain, request, fitted, part, deviations, warnings, converged) -
         model=request.model,
         linear=", ".join(words) or "none",
         chain=chain,
-        fitted=fitted,
+        fitted=found.fitted + len(words),
         numbers=numbers,
-        deviations=dict(deviations),
-        warnings=tuple(warnings),
-        converged=converged,
+        deviations=dict(found.deviations),
+        warnings=tuple(found.warnings),
+        converged=found.converged,
     )
-
-
-def _count(part: LinearPart) -> int:
-    return (part.lag > 0.0) + (part.delay > 0.0) + (part.creep.type != "none")
 
 
 def automatic_skip(data: IdentificationData) -> int:

@@ -13,7 +13,6 @@ import numpy as np
 import scipy.optimize
 
 from hysteresis_ros.identification.continuous import simulate_transfer_function
-from hysteresis_ros.identification.output_error import TransferFunctionFit, fit_transfer_function
 from hysteresis_ros.identification.state_space import FitError
 
 
@@ -113,41 +112,6 @@ def dominant_second_order(numerator, denominator, horizon: float | None = None, 
     start = np.log(max(-(slow[0] + second).real / (2 * frequency), 1e-6))
     found = scipy.optimize.least_squares(difference, [start], xtol=1e-14, ftol=1e-14)
     return SecondOrder(gain, frequency, float(np.exp(found.x[0])), float(np.sqrt(np.mean(found.fun**2))))
-
-
-def match_time_response(
-    numerator, denominator, poles: int, zeros: int = 0, horizon: float | None = None, samples: int = 2000
-) -> TransferFunctionFit:
-    """Reduce a transfer function to ``poles`` poles by fitting the lower one's whole step response, gain included.
-
-    Parameters
-    ----------
-    numerator, denominator : array_like
-        Highest power first.
-    poles, zeros : int
-        Of the reduced model.
-    horizon : float, optional
-        Of the step response [s]; by default until the slowest pole has decayed to exp(-10).
-    samples : int
-        Of the step response.
-
-    Raises
-    ------
-    FitError
-        The model is unstable or has fewer poles.
-    """
-    full = np.roots(denominator)
-    _refuse_unstable(full)
-    if poles > len(full):
-        raise FitError(f"poles = {poles}: the model has {len(full)}; a reduction cannot add any")
-    duration = horizon or 10.0 / np.min(np.abs(full.real))
-    step = duration / samples
-    u = np.r_[0.0, np.ones(samples)]
-    y = simulate_transfer_function(numerator, denominator, u, step)
-    start = full[np.argsort(-full.real)][:poles]
-    if abs(np.sum(start).imag) > 1e-9 * np.max(np.abs(start)):  # a pair was cut in two
-        start = np.r_[start[:-1], start[-1].real]
-    return fit_transfer_function(u, y, step, poles, zeros, start_poles=start, starts=3)
 
 
 def mass_spring_damper(numerator, denominator) -> MassSpringDamper:

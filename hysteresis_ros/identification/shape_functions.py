@@ -47,7 +47,7 @@ class Shapes:
     kind : str
         ``network`` or ``spline``.
     f, g : ndarray
-        Numbers as in :class:`~hysteresis_ros.models.duhem.DuhemParameters`.
+        Numbers as in :class:`~hysteresis_ros.models.hysteresis.duhem.DuhemParameters`.
     rms, maximum : float
         Residual of the loop that runs with them, in parts of half the range.
     converged : bool

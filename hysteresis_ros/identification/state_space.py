@@ -10,9 +10,7 @@ import scipy.signal
 
 from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.models.linear import LinearParameters
-
-#: A pole or zero nearer to the stability boundary than this counts as on it.
-BOUNDARY = 1e-9
+from hysteresis_ros.models.state_space import BOUNDARY, StateSpace
 
 
 class FitError(IdentificationError):
@@ -87,15 +85,11 @@ def final_state(A, inputs, initial=None) -> np.ndarray:
 
 
 @dataclass(frozen=True, eq=False)
-class LinearModel:
-    """Discrete state space ``x⁺ = A x + B u, y = C x + D u`` in SI units.
+class LinearModel(StateSpace):
+    """Discrete state space of n_u inputs and n_y outputs in SI units, with its sample time.
 
     Parameters
     ----------
-    A : ndarray, shape (n, n)
-    B : ndarray, shape (n, n_u)
-    C : ndarray, shape (n_y, n)
-    D : ndarray, shape (n_y, n_u)
     sample_time : float
         [s]
     input_unit : str
@@ -104,23 +98,9 @@ class LinearModel:
         SI unit of y.
     """
 
-    A: np.ndarray
-    B: np.ndarray
-    C: np.ndarray
-    D: np.ndarray
     sample_time: float
     input_unit: str = "V"
     output_unit: str = "m"
-
-    @property
-    def order(self) -> int:
-        """Number of states."""
-        return len(self.A)
-
-    @property
-    def poles(self) -> np.ndarray:
-        """Poles in the z plane, shape (n,)."""
-        return np.linalg.eigvals(self.A)
 
     @property
     def zeros(self) -> np.ndarray:
@@ -138,20 +118,9 @@ class LinearModel:
         return zeros[np.abs(zeros) < 1e8]
 
     @property
-    def stable(self) -> bool:
-        """Whether all poles are inside the unit circle."""
-        return bool(np.all(np.abs(self.poles) < 1.0 - BOUNDARY))
-
-    @property
     def minimum_phase(self) -> bool:
         """Whether all zeros are inside the unit circle: the inverse is stable then."""
         return bool(np.all(np.abs(self.zeros) < 1.0 - BOUNDARY))
-
-    @property
-    def dc_gain(self):
-        """Gain at frequency zero, a float for one input and output, else shape (n_y, n_u)."""
-        gain = self.C @ np.linalg.solve(np.eye(self.order) - self.A, self.B) + self.D
-        return float(gain[0, 0]) if gain.size == 1 else gain
 
     @property
     def modes(self) -> tuple[Mode, ...]:
@@ -173,9 +142,7 @@ class LinearModel:
 
     def frequency_response(self, frequency) -> np.ndarray:
         """Return the response at ``frequency`` [Hz], shape (F, n_y, n_u), complex."""
-        z = np.exp(2j * np.pi * np.asarray(frequency, dtype=float) * self.sample_time)
-        resolvent = z[:, None, None] * np.eye(self.order) - self.A
-        return self.C @ np.linalg.solve(resolvent, np.broadcast_to(self.B, (len(z), *self.B.shape))) + self.D
+        return self.response(np.exp(2j * np.pi * np.asarray(frequency, dtype=float) * self.sample_time))
 
     def simulate(self, u, initial=None) -> np.ndarray:
         """Return the output for the input ``u`` of shape (N,) or (N, n_u), in the same form.

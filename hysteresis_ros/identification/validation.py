@@ -4,13 +4,11 @@ References
 ----------
 .. [1] Ljung, System Identification, 1999, sections 9.2 (covariance), 16.4 (FPE) and 16.6 (residual tests).
 .. [2] Ljung & Box, Biometrika 65, 1978 (portmanteau test).
-.. [3] Künsch, Ann. Statist. 17, 1989; Politis & Romano, 1992 (block bootstrap, circular).
-.. [4] Auwal et al., figure 5 (residual tests at 99.9 %).
+.. [3] Auwal et al., figure 5 (residual tests at 99.9 %).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +16,10 @@ import scipy.signal
 import scipy.stats
 
 from hysteresis_ros.identification.data import DataError, finite_array, refuse_short
+
+#: Of the correlations [samples], and the probability that each keeps within its bounds (paper B's).
+LAGS = 25
+CONFIDENCE = 0.999
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,24 +68,6 @@ def _correlation_test(lags, correlation, tested, deviation, confidence, probabil
     joint = scipy.stats.norm.isf(0.5 * (1.0 - confidence) / max(size.size, 1)) * deviation
     outside, largest = int(np.count_nonzero(size > bound)), float(np.max(size, initial=0.0))
     return CorrelationTest(lags, correlation, float(bound), confidence, outside, largest, float(joint), probability)
-
-
-@dataclass(frozen=True)
-class Interval:
-    """An estimate with its confidence interval.
-
-    Parameters
-    ----------
-    estimate : float
-    low, high : float
-    confidence : float
-        Probability that the interval covers the true value.
-    """
-
-    estimate: float
-    low: float
-    high: float
-    confidence: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,9 +156,6 @@ def validate(
     parameters: int = 0,
     skip: int = 0,
     free_offset: bool = False,
-    confidence: float = 0.999,
-    lags: int = 25,
-    stroke: float | None = None,
 ) -> Validation:
     """Compare a prediction with a measurement.
 
@@ -192,12 +173,6 @@ def validate(
         First samples left out of the comparison.
     free_offset : bool
         Whether one constant is removed.
-    confidence : float
-        Of the bounds of each lag.
-    lags : int
-        Of the correlations [samples].
-    stroke : float, optional
-        What the error is compared with; the measurement's peak-to-peak by default.
 
     Raises
     ------
@@ -206,7 +181,6 @@ def validate(
     """
     if not unit:
         raise DataError("unit", "unit is empty: an error without a unit says nothing; give m, V …")
-    _check_confidence(confidence)
     y, p = finite_array("measured", measured), finite_array("predicted", predicted)
     if y.shape != p.shape or y.ndim != 1:
         raise DataError("shape", f"measured {y.shape} and predicted {p.shape} must both be (N,)")
@@ -219,37 +193,38 @@ def validate(
     offset = float(np.mean(y - p)) if free_offset else 0.0
     residual = y - p - offset
     mse = float(np.mean(residual**2))
-    N = len(y)
-    lags = min(lags, (N - 1) // 2)
-    auto = residual_autocorrelation(residual, lags, confidence)
-    cross = None
+    lags = min(LAGS, (len(y) - 1) // 2)
+    auto, cross = residual_autocorrelation(residual, lags), None
     if input is not None:
         u = finite_array("input", input)
         if u.shape != np.shape(measured):
             raise DataError("shape", f"the input has shape {u.shape} and the measurement {np.shape(measured)}")
-        cross = input_cross_correlation(u[skip:], residual, lags, confidence)
-    percent = f"{100 * confidence:g} %"
-    warnings = []
-    if not auto.passed:
-        warnings.append(f"the residual is not white: {auto.outside} of {lags} lags outside the {percent} bounds")
-    if cross is not None and not cross.passed:
-        warnings.append(f"the residual depends on the input: {cross.outside} lags outside the {percent} bounds")
+        cross = input_cross_correlation(u[skip:], residual, lags)
     return Validation(
-        N,
-        skip,
-        offset,
-        float(np.sqrt(mse)),
-        float(np.max(np.abs(residual))),
-        float(np.ptp(y)) if stroke is None else float(stroke),
-        fit_percent(y, p + offset),
-        mse,
-        final_prediction_error(mse, N, parameters),
-        auto,
-        cross,
-        unit,
-        residual,
-        tuple(warnings),
+        samples=len(y),
+        skipped=skip,
+        offset=offset,
+        rmse=float(np.sqrt(mse)),
+        maximum_error=float(np.max(np.abs(residual))),
+        stroke=float(np.ptp(y)),
+        fit_percent=fit_percent(y, p + offset),
+        mse=mse,
+        fpe=final_prediction_error(mse, len(y), parameters),
+        autocorrelation=auto,
+        cross_correlation=cross,
+        unit=unit,
+        residual=residual,
+        warnings=tuple(_test_warnings(auto, cross, lags)),
     )
+
+
+def _test_warnings(auto: CorrelationTest, cross: CorrelationTest | None, lags: int):
+    """Yield which of the tests of a residual it does not pass."""
+    percent = f"{100 * auto.confidence:g} %"
+    if not auto.passed:
+        yield f"the residual is not white: {auto.outside} of {lags} lags outside the {percent} bounds"
+    if cross is not None and not cross.passed:
+        yield f"the residual depends on the input: {cross.outside} lags outside the {percent} bounds"
 
 
 def fit_percent(measured, predicted) -> float:
@@ -278,7 +253,7 @@ def final_prediction_error(mse: float, samples: int, parameters: int) -> float:
     return float(mse * (1.0 + share) / (1.0 - share))
 
 
-def residual_autocorrelation(residual, lags: int = 25, confidence: float = 0.999) -> CorrelationTest:
+def residual_autocorrelation(residual, lags: int = LAGS, confidence: float = CONFIDENCE) -> CorrelationTest:
     """Return the autocorrelation of a residual at the lags 0 … ``lags``; ±z/√N bounds it when it is white.
 
     Parameters
@@ -306,7 +281,7 @@ def residual_autocorrelation(residual, lags: int = 25, confidence: float = 0.999
     return _correlation_test(np.arange(lags + 1), correlation, slice(1, None), N**-0.5, confidence, probability)
 
 
-def input_cross_correlation(u, residual, lags: int = 25, confidence: float = 0.999) -> CorrelationTest:
+def input_cross_correlation(u, residual, lags: int = LAGS, confidence: float = CONFIDENCE) -> CorrelationTest:
     """Return the correlation of earlier and later inputs with a residual at the lags -``lags`` … ``lags``.
 
     Its variance for independent signals is Σ r_e(τ) r_u(τ)/N with both autocorrelations, so that coloured signals have
@@ -362,69 +337,6 @@ def parameter_covariance(jacobian, residual) -> np.ndarray:
         raise DataError("rank", f"the {d} parameters cannot be told apart from this data")
     root = Vt.T / values / length[:, None]
     return float(e @ e) / (N - d) * root @ root.T
-
-
-def block_length(residual) -> int:
-    """Return a block length [samples] for the bootstrap: N^⅓ times the residual's correlation time, at most N/4.
-
-    Parameters
-    ----------
-    residual : array_like, shape (N,)
-    """
-    e = np.asarray(residual, dtype=float)
-    e = e - e.mean()
-    N = len(e)
-    if not np.any(e):
-        return 1
-    correlation = scipy.signal.correlate(e, e)[N - 1 :] / (e @ e)
-    chance = np.flatnonzero(np.abs(correlation) < 2.0 / np.sqrt(N))
-    end = int(chance[0]) if chance.size else N // 4
-    time = 1.0 + 2.0 * float(np.sum(np.abs(correlation[1 : max(end, 1)])))
-    return int(np.clip(round(N ** (1 / 3) * time ** (2 / 3)), 1, max(1, N // 4)))
-
-
-def block_bootstrap(
-    residual,
-    statistic: Callable[[np.ndarray], float],
-    samples: int = 500,
-    confidence: float = 0.95,
-    block: int | None = None,
-    seed: int = 0,
-) -> Interval:
-    """Return a percentile interval of a statistic of correlated residuals (circular blocks).
-
-    Resampling blocks keeps the correlation within them, which drawing single samples would destroy: intervals of an
-    RMSE from correlated errors would come out too narrow. For parameters let ``statistic`` fit again to
-    ``prediction + residual``.
-
-    Parameters
-    ----------
-    residual : array_like, shape (N,)
-    statistic : callable
-        Takes an array of shape (N,), returns a float.
-    samples : int
-        Resamplings.
-    confidence : float
-        Of the interval.
-    block : int, optional
-        Samples a block; by default from the residual (:func:`block_length`).
-    seed : int
-        Of the random numbers: equal seeds give equal intervals.
-    """
-    _check_confidence(confidence)
-    e = finite_array("residual", residual)
-    N = len(e)
-    refuse_short(N, 8, "a bootstrap")
-    length = block or block_length(e)
-    random = np.random.default_rng(seed)
-    blocks = -(-N // length)
-    drawn = np.empty(samples)
-    for i in range(samples):
-        starts = random.integers(0, N, blocks)
-        index = (starts[:, None] + np.arange(length)).ravel()[:N] % N
-        drawn[i] = statistic(e[index])
-    low, high = np.quantile(drawn, [0.5 - confidence / 2, 0.5 + confidence / 2])
-    return Interval(float(statistic(e)), float(low), float(high), confidence)
 
 
 def _check_confidence(confidence):

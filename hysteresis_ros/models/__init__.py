@@ -1,1 +1,30 @@
-"""Forward models: from voltage to displacement, as blocks over plain arrays."""
+"""Forward models: from voltage to displacement, as blocks over plain arrays.
+
+The package itself has a class for each hysteresis model, whose constructor takes the parameters as keywords:
+``hysteresis_ros.models.BoucWen(d_e=…, alpha=…, beta=…, gamma=…).simulate(voltage)``. ``dir()`` lists them.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from hysteresis_ros.models.classes import Hysteresis
+
+
+def __getattr__(name: str) -> type[Hysteresis]:
+    """Return the class of a hysteresis model; imported at the first use."""
+    from hysteresis_ros.keywords import find
+
+    # names of modules are asked for while they are imported
+    if not name[:1].isupper():
+        return find({}, name, __name__)
+    from hysteresis_ros.models.classes import CLASSES
+
+    return find(CLASSES, name, __name__)
+
+
+def __dir__() -> list[str]:
+    from hysteresis_ros.models.classes import CLASSES
+
+    return sorted([*CLASSES, *(name for name in globals() if name.startswith("__"))])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -17,10 +18,18 @@ from hysteresis_ros.models.rate_independent import require_structure
 from hysteresis_ros.models.sensor import Sensor, SensorParameters, sensor
 from hysteresis_ros.parameters import Parameters, group
 
-# Places in the tuples ps and xs.
-LIMITS, HYSTERESIS, DYNAMICS, SENSOR, CREEP = 0, 1, 2, 3, 4
-PRELOAD = 3  # ps[SENSOR][PRELOAD]: offset W [m], behind the sensor's own parameters
-DISPLACEMENT = sensing.STATES  # xs[SENSOR][DISPLACEMENT]: true displacement at the last measurement [m]
+PRELOAD = 3  # ps.sensor[PRELOAD]: offset W [m], behind the sensor's own parameters
+DISPLACEMENT = sensing.STATES  # xs.sensor[DISPLACEMENT]: true displacement at the last measurement [m]
+
+
+class ActuatorArrays(NamedTuple):
+    """Parameter arrays, or state arrays, of an actuator."""
+
+    limits: np.ndarray
+    hysteresis: np.ndarray
+    dynamics: np.ndarray
+    sensor: np.ndarray
+    creep: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -37,21 +46,21 @@ class ActuatorParameters(Parameters):
 
 @kernel
 def actuator_measure(ps, xs):
-    """Reading [m] of the sensor at the present sample; the true displacement stays in ``xs[3][9]``.
+    """Reading [m] of the sensor at the present sample; the true displacement stays in the sensor's state.
 
-    ``ps`` and ``xs`` are tuples of the arrays of (limits, hysteresis, dynamics, sensor and preload, creep).
+    ``ps`` and ``xs`` are :class:`ActuatorArrays`.
     """
-    displacement = linear_output(ps[DYNAMICS], xs[DYNAMICS]) + ps[SENSOR][PRELOAD]
-    xs[SENSOR][DISPLACEMENT] = displacement
-    return sensor(ps[SENSOR], xs[SENSOR], displacement)
+    displacement = linear_output(ps.dynamics, xs.dynamics) + ps.sensor[PRELOAD]
+    xs.sensor[DISPLACEMENT] = displacement
+    return sensor(ps.sensor, xs.sensor, displacement)
 
 
 @nested
 def actuator_advance(hysteresis, ps, xs, voltage):
     """Hold ``voltage`` [V] until the next sample; returns the voltage that the amplifier really puts out [V]."""
-    applied = limits(ps[LIMITS], xs[LIMITS], voltage)
-    displacement = hysteresis(ps[HYSTERESIS], xs[HYSTERESIS], applied)
-    linear_advance(ps[DYNAMICS], xs[DYNAMICS], creep(ps[CREEP], xs[CREEP], displacement))
+    applied = limits(ps.limits, xs.limits, voltage)
+    displacement = hysteresis(ps.hysteresis, xs.hysteresis, applied)
+    linear_advance(ps.dynamics, xs.dynamics, creep(ps.creep, xs.creep, displacement))
     return applied
 
 
@@ -85,8 +94,8 @@ class Actuator(Chain):
         p = np.append(self.sensor.p, parameters.preload.offset)
         x = np.append(self.sensor.x, 0.0)
         self.sensor.p, self.sensor.x = p[:PRELOAD], x[:DISPLACEMENT]  # views: the sensor's block stays usable
-        self.ps = (self.limits.p, self.hysteresis.p, self.dynamics.p, p, self.creep.p)
-        self.xs = (self.limits.x, self.hysteresis.x, self.dynamics.x, x, self.creep.x)
+        self.ps = ActuatorArrays(self.limits.p, self.hysteresis.p, self.dynamics.p, p, self.creep.p)
+        self.xs = ActuatorArrays(self.limits.x, self.hysteresis.x, self.dynamics.x, x, self.creep.x)
         self.hysteresis_kernel = self.hysteresis.kernel
         self._settle()
 
@@ -94,8 +103,8 @@ class Actuator(Chain):
         """Put creep and dynamics to rest at the voltage that the limits start from."""
         start = self.hysteresis.step(self.limits.x[OUTPUT])
         self.dynamics.settle(self.creep.settle(start))
-        self.xs[SENSOR][DISPLACEMENT] = self.dynamics.output() + self.ps[SENSOR][PRELOAD]
-        self.xs[SENSOR][sensing.MEASURED] = self.xs[SENSOR][DISPLACEMENT] + self.ps[SENSOR][sensing.OFFSET]
+        self.xs.sensor[DISPLACEMENT] = self.dynamics.output() + self.ps.sensor[PRELOAD]
+        self.xs.sensor[sensing.MEASURED] = self.xs.sensor[DISPLACEMENT] + self.ps.sensor[sensing.OFFSET]
 
     def measure(self) -> float:
         """Return the sensor's reading [m] at the present sample; call it once per sample (it draws the noise)."""
@@ -108,7 +117,7 @@ class Actuator(Chain):
     @property
     def displacement(self) -> float:
         """True displacement [m] at the last measurement."""
-        return float(self.xs[SENSOR][DISPLACEMENT])
+        return float(self.xs.sensor[DISPLACEMENT])
 
     @property
     def voltage(self) -> float:
@@ -142,5 +151,5 @@ class Actuator(Chain):
         self.hysteresis.retune(parameters.hysteresis.chosen)
         self.creep.retune(parameters.creep)
         self.sensor.retune(parameters.sensor)
-        self.ps[SENSOR][PRELOAD] = parameters.preload.offset
+        self.ps.sensor[PRELOAD] = parameters.preload.offset
         self.parameters = parameters

@@ -6,12 +6,13 @@ K of clamp and contact together and the wear factor w; friction holds up to μ_s
 
 from __future__ import annotations
 
-import cmath
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
+from hysteresis_ros import elementary
 from hysteresis_ros.block import Chain, kernel
 from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.models import sensor as sensing
@@ -21,18 +22,25 @@ from hysteresis_ros.models.linear import LinearDynamics, LinearParameters
 from hysteresis_ros.models.sensor import Sensor, SensorParameters, sensor
 from hysteresis_ros.parameters import Parameters, group, parameter
 
-# Places in the tuples ps and xs.
-LIMITS, HYSTERESIS, LAG, CONTACT = 0, 1, 2, 3
-
-# Layout of ps[CONTACT], behind the sensor's own parameters.
+# Layout of ps.contact, behind the sensor's own parameters.
 GAP = 3  # [m]
 STIFFNESS = 4  # [N/m], the wear factor in it
 STATIC = 5  # coefficients of friction
 KINETIC = 6
 
-# Layout of xs[CONTACT], behind the sensor's own state.
+# Layout of xs.contact, behind the sensor's own state.
 DISPLACEMENT = sensing.STATES  # [m]
 NORMAL = sensing.STATES + 1  # normal force [N]
+
+
+class ClampArrays(NamedTuple):
+    """Parameter arrays, or state arrays, of a clamp; the contact's begin with the sensor's."""
+
+    limits: np.ndarray
+    hysteresis: np.ndarray
+    lag: np.ndarray
+    contact: np.ndarray
+
 
 #: Samples of 1 ms in which a hysteresis model with dynamics of its own comes to rest.
 RESTING_SAMPLES = 20000
@@ -66,15 +74,19 @@ class LagParameters(Parameters):
     def discrete(self, sample_time: float) -> LinearParameters:
         """Return the lag in discrete time, input held over ``sample_time`` [s], DC gain one."""
         if self.type == "first_order":
-            decay = math.exp(-sample_time / self.first_order.time_constant)
+            decay = elementary.exp(-sample_time / self.first_order.time_constant)
             return LinearParameters(A=(decay,), B=(1.0 - decay,), C=(1.0,))
         omega, damping = 2.0 * math.pi * self.second_order.frequency, self.second_order.damping
         # states: displacement and velocity/ω; the exponential of a 2 × 2 matrix in closed form
-        spread = cmath.sqrt(damping * damping - 1.0) * omega * sample_time
         decay = damping * omega * sample_time
-        slow, fast = cmath.exp(spread - decay), cmath.exp(-spread - decay)
-        even = 0.5 * (slow + fast).real
-        odd = (0.5 * (slow - fast) / spread if spread else slow).real * omega * sample_time
+        turned = math.sqrt(abs(damping * damping - 1.0)) * omega * sample_time
+        if damping < 1.0:
+            fall, turned_once = elementary.exp(-decay), math.fmod(turned, 2.0 * math.pi)
+            even, over = fall * elementary.cos(turned_once), fall * elementary.sin(turned_once)
+        else:
+            slow, fast = elementary.exp(turned - decay), elementary.exp(-turned - decay)
+            even, over = 0.5 * (slow + fast), 0.5 * (slow - fast)
+        odd = (over / turned if turned else even) * omega * sample_time
         A = (even + damping * odd, odd, -odd, even - damping * odd)
         return LinearParameters(A=A, B=(1.0 - A[0], -A[2]), C=(1.0, 0.0))
 
@@ -84,17 +96,17 @@ class LagParameters(Parameters):
         Exact without overshoot; for a damping below 1 the time at which the envelope is there.
         """
         if self.type == "first_order":
-            return -self.first_order.time_constant * math.log(tolerance)
+            return -self.first_order.time_constant * elementary.log(tolerance)
         omega, damping = 2.0 * math.pi * self.second_order.frequency, self.second_order.damping
         if damping < 1.0:
-            return -math.log(tolerance * math.sqrt(1.0 - damping * damping)) / (damping * omega)
+            return -elementary.log(tolerance * math.sqrt(1.0 - damping * damping)) / (damping * omega)
         root = math.sqrt(damping * damping - 1.0)
         slow, fast = omega / (damping + root), omega * (damping + root)
 
         def remaining(t):
             if fast - slow < 1e-6 * omega:
-                return (1.0 + omega * t) * math.exp(-omega * t)
-            return (fast * math.exp(-slow * t) - slow * math.exp(-fast * t)) / (fast - slow)
+                return (1.0 + omega * t) * elementary.exp(-omega * t)
+            return (fast * elementary.exp(-slow * t) - slow * elementary.exp(-fast * t)) / (fast - slow)
 
         low, high = 0.0, 1.0 / slow
         while remaining(high) > tolerance:
@@ -147,7 +159,7 @@ class ClampParameters(Parameters):
         block = hysteresis_block(self.hysteresis, 1e-3)
         low, high = self.limits.minimum, self.limits.maximum
         limited = [min(max(voltage, low), high) for voltage in voltages]
-        if getattr(block, "rate_independent", False) or self.hysteresis.type == "proportional":
+        if block.rate_independent:
             return [float(block.step(voltage)) for voltage in limited]
         # a model with dynamics of its own is given time to come to rest
         return [float(block.simulate(np.full(RESTING_SAMPLES, voltage))[-1]) for voltage in limited]
@@ -184,7 +196,7 @@ def contact(p, x, displacement):
 
 
 class Clamp(Chain):
-    """A clamp with amplifier and sensor; ``ps`` and ``xs`` are tuples (limits, hysteresis, lag, contact with sensor).
+    """A clamp with amplifier and sensor; ``ps`` and ``xs`` are :class:`ClampArrays`.
 
     Parameters
     ----------
@@ -209,8 +221,8 @@ class Clamp(Chain):
         p = np.concatenate([self.sensor.p, self._contact(parameters)])
         x = np.concatenate([self.sensor.x, np.zeros(2)])
         self.sensor.p, self.sensor.x = p[:GAP], x[:DISPLACEMENT]  # views: the sensor's block stays usable
-        self.ps = (self.limits.p, self.hysteresis.p, self.lag.p, p)
-        self.xs = (self.limits.x, self.hysteresis.x, self.lag.x, x)
+        self.ps = ClampArrays(self.limits.p, self.hysteresis.p, self.lag.p, p)
+        self.xs = ClampArrays(self.limits.x, self.hysteresis.x, self.lag.x, x)
         self.hysteresis_kernel = self.hysteresis.kernel
         self._settle()
 
@@ -225,27 +237,27 @@ class Clamp(Chain):
         start = self.hysteresis.step(self.limits.step(self.parameters.initial_voltage))
         self.limits.x[FLAGS] = 0.0
         self.lag.settle(start)
-        contact(self.ps[CONTACT], self.xs[CONTACT], self.lag.output())
-        self.xs[CONTACT][sensing.MEASURED] = self.displacement + self.ps[CONTACT][sensing.OFFSET]
+        contact(self.ps.contact, self.xs.contact, self.lag.output())
+        self.xs.contact[sensing.MEASURED] = self.displacement + self.ps.contact[sensing.OFFSET]
 
     def measure(self) -> float:
         """Return the sensor's reading [m]; call it once per sample (it draws the noise)."""
-        return sensor(self.ps[CONTACT], self.xs[CONTACT], self.displacement)
+        return sensor(self.ps.contact, self.xs.contact, self.displacement)
 
     def advance(self, voltage: float) -> float:
         """Hold ``voltage`` [V] for one sample and return the normal force [N] at its end."""
         displacement = self.lag.step(self.hysteresis.step(self.limits.step(voltage)))
-        return contact(self.ps[CONTACT], self.xs[CONTACT], displacement)
+        return contact(self.ps.contact, self.xs.contact, displacement)
 
     @property
     def displacement(self) -> float:
         """True displacement [m]."""
-        return float(self.xs[CONTACT][DISPLACEMENT])
+        return float(self.xs.contact[DISPLACEMENT])
 
     @property
     def normal_force(self) -> float:
         """Normal force [N]."""
-        return float(self.xs[CONTACT][NORMAL])
+        return float(self.xs.contact[NORMAL])
 
     @property
     def voltage(self) -> float:
@@ -278,5 +290,5 @@ class Clamp(Chain):
         self.hysteresis.retune(parameters.hysteresis.chosen)
         self.lag.retune(parameters.lag.discrete(self.sample_time))
         self.sensor.retune(parameters.sensor)
-        self.ps[CONTACT][GAP:] = self._contact(parameters)
+        self.ps.contact[GAP:] = self._contact(parameters)
         self.parameters = parameters

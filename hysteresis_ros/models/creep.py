@@ -7,12 +7,15 @@ sequence; d is such that the response to a unit step is exactly 1 at t_0.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
+from hysteresis_ros import elementary
 from hysteresis_ros.block import Block, kernel
 from hysteresis_ros.errors import Problem
+from hysteresis_ros.linear_algebra import product
 from hysteresis_ros.models.rate_independent import require_structure
 from hysteresis_ros.parameters import Parameters, group, parameter
 
@@ -49,11 +52,13 @@ class LogarithmicCreepParameters(Parameters):
     def operators(self) -> tuple[float, np.ndarray, np.ndarray]:
         """Return the feedthrough d, the weights a and the time constants τ [s]."""
         per_decade = self.operators_per_decade
-        decades = np.log10(self.longest_time / self.reference_time) + 2.0 * MARGIN
-        places = np.arange(int(np.ceil(decades * per_decade)) + 1) / per_decade - MARGIN
-        time_constants = self.reference_time * 10.0**places
+        decades = math.log10(self.longest_time / self.reference_time) + 2.0 * MARGIN
+        # rounded, so that the last digit of a logarithm does not decide whether there is one operator more
+        places = [i / per_decade - MARGIN for i in range(math.ceil(round(decades * per_decade, 9)) + 1)]
+        time_constants = np.array([self.reference_time * elementary.pow(10.0, place) for place in places])
         weights = np.full(len(places), self.rate / per_decade)
-        return 1.0 - float(weights @ -np.expm1(-self.reference_time / time_constants)), weights, time_constants
+        risen = [-elementary.expm1(-self.reference_time / time_constant) for time_constant in time_constants]
+        return 1.0 - float(product(weights, risen)), weights, time_constants
 
 
 @dataclass(frozen=True)
@@ -90,7 +95,7 @@ class CreepParameters(Parameters):
         return getattr(self, self.type).operators()
 
     @property
-    def structure(self) -> dict[str, int]:
+    def structure(self) -> dict[str, int | str]:
         """What cannot change while running."""
         return {"creep.type": self.type, "number of creep operators": len(self.resolved()[1])}
 
@@ -143,7 +148,8 @@ class Creep(Block):
     def pack(self, parameters: CreepParameters) -> np.ndarray:
         """Return p, shape (2 + 2 operators,)."""
         feedthrough, weights, time_constants = parameters.resolved()
-        return np.concatenate([[feedthrough, len(weights)], np.exp(-self.sample_time / time_constants), weights])
+        decays = [elementary.exp(-self.sample_time / time_constant) for time_constant in time_constants]
+        return np.concatenate([[feedthrough, len(weights)], decays, weights])
 
     def initial_state(self) -> np.ndarray:
         """Return x, shape (1 + operators,), at rest at zero."""

@@ -26,6 +26,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hysteresis_ros import elementary
 from hysteresis_ros.block import Block, kernel
 from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.models.sensor import SensorParameters
@@ -86,7 +87,7 @@ class SliderParameters(Parameters):
     @property
     def force(self) -> float:
         """External force and the part of the weight along the travel [N]."""
-        return self.external_force - self.mass * self.gravity * math.sin(self.inclination)
+        return self.external_force - self.mass * self.gravity * elementary.sin(self.inclination)
 
     def check(self):
         """Yield a Problem when the travel is empty or does not hold the start."""

@@ -7,16 +7,18 @@ its tip divided by its stiffness, is where the front clamp is. The clamps are th
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields
+from typing import NamedTuple
 
 import numpy as np
 
-from hysteresis_ros.block import Chain, interpreted, kernel, nested
+from hysteresis_ros.block import Chain, interpreted, kernel, kernels_of, nested
 from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.models import actuator as acting
 from hysteresis_ros.models import clamp as clamping
 from hysteresis_ros.models import friction
-from hysteresis_ros.models.actuator import DYNAMICS, HYSTERESIS, LIMITS, PRELOAD, SENSOR, Actuator, ActuatorParameters
+from hysteresis_ros.models.actuator import PRELOAD, Actuator, ActuatorParameters
 from hysteresis_ros.models.clamp import Clamp, ClampParameters, contact
 from hysteresis_ros.models.creep import creep
 from hysteresis_ros.models.friction import Slider, SliderParameters, slide
@@ -25,17 +27,10 @@ from hysteresis_ros.models.linear import linear, linear_advance, linear_output
 from hysteresis_ros.models.sensor import Sensor, sensor
 from hysteresis_ros.parameters import Parameters, group, parameter
 
-# Places in the tuples ps and xs; the first five are those of the actuator: LIMITS, HYSTERESIS, DYNAMICS, SENSOR, CREEP.
-CREEP = acting.CREEP
-FRONT_LIMITS, FRONT_HYSTERESIS, FRONT_LAG, FRONT_CONTACT = 5, 6, 7, 8
-REAR_LIMITS, REAR_HYSTERESIS, REAR_LAG, REAR_CONTACT = 9, 10, 11, 12
-SLIDER, SLIDER_SENSOR, JOINTS = 13, 14, 15
-ARRAYS = 16  # entries of each tuple
-
-#: Names of the joints, in the order in which they stand in ``xs[JOINTS]``.
+#: Names of the joints, in the order in which they stand in ``xs.joints``.
 JOINT_NAMES = ("slider", "extender", "front_clamp", "rear_clamp")
 
-# Layout of xs[JOINTS]: four numbers each, in the order of JOINT_NAMES.
+# Layout of xs.joints: four numbers each, in the order of JOINT_NAMES.
 POSITION = 0  # measured position [m]
 VELOCITY = 4  # difference of the last two measured positions [m/s]; 0 at the first measurement
 EFFORT = 8  # [N]: friction on the slider; force of the extender on the slider; normal forces of the clamps
@@ -45,7 +40,37 @@ JOINT_STATES = 17
 # within each four
 SLIDER_JOINT, EXTENDER_JOINT, FRONT_JOINT, REAR_JOINT = 0, 1, 2, 3
 
-SAMPLE_RATE = 0  # ps[JOINTS][0] [Hz]
+SAMPLE_RATE = 0  # ps.joints[SAMPLE_RATE] [Hz]
+
+
+class InchwormArrays(NamedTuple):
+    """Parameter arrays, or state arrays, of an inchworm motor; the first five are the extender's."""
+
+    limits: np.ndarray
+    hysteresis: np.ndarray
+    dynamics: np.ndarray
+    sensor: np.ndarray
+    creep: np.ndarray
+    front_limits: np.ndarray
+    front_hysteresis: np.ndarray
+    front_lag: np.ndarray
+    front_contact: np.ndarray
+    rear_limits: np.ndarray
+    rear_hysteresis: np.ndarray
+    rear_lag: np.ndarray
+    rear_contact: np.ndarray
+    slider: np.ndarray
+    slider_sensor: np.ndarray
+    joints: np.ndarray
+
+
+@kernels_of("kernel", "kernel", "kernel")
+class InchwormLaws(NamedTuple):
+    """Hysteresis of extender, front clamp and rear clamp."""
+
+    hysteresis: Callable
+    front_hysteresis: Callable
+    rear_hysteresis: Callable
 
 
 @dataclass(frozen=True)
@@ -128,12 +153,12 @@ def seed_problems(parameters):
 
 @kernel
 def inchworm_measure(ps, xs):
-    """Reading [m] of the slider's sensor at the present sample; ``xs[JOINTS]`` is filled for all joints.
+    """Reading [m] of the slider's sensor at the present sample; ``xs.joints`` is filled for all joints.
 
-    ``ps`` and ``xs`` are tuples of 16 arrays, see the indices at the top of this module.
+    ``ps`` and ``xs`` are :class:`InchwormArrays`.
     """
-    joints, x, rate = xs[JOINTS], xs[SLIDER], ps[JOINTS][SAMPLE_RATE]
-    front, rear = xs[FRONT_CONTACT], xs[REAR_CONTACT]
+    joints, x, rate = xs.joints, xs.slider, ps.joints[SAMPLE_RATE]
+    front, rear = xs.front_contact, xs.rear_contact
     tip = x[friction.TIP]
     joints[TRUE_POSITION] = x[friction.POSITION]
     joints[TRUE_POSITION + 1] = tip
@@ -141,10 +166,10 @@ def inchworm_measure(ps, xs):
     joints[TRUE_POSITION + 3] = rear[clamping.DISPLACEMENT]
     for i in range(4):
         joints[VELOCITY + i] = -joints[POSITION + i]
-    joints[POSITION] = sensor(ps[SLIDER_SENSOR], xs[SLIDER_SENSOR], x[friction.POSITION])
-    joints[POSITION + 1] = sensor(ps[SENSOR], xs[SENSOR], tip)
-    joints[POSITION + 2] = sensor(ps[FRONT_CONTACT], front, front[clamping.DISPLACEMENT])
-    joints[POSITION + 3] = sensor(ps[REAR_CONTACT], rear, rear[clamping.DISPLACEMENT])
+    joints[POSITION] = sensor(ps.slider_sensor, xs.slider_sensor, x[friction.POSITION])
+    joints[POSITION + 1] = sensor(ps.sensor, xs.sensor, tip)
+    joints[POSITION + 2] = sensor(ps.front_contact, front, front[clamping.DISPLACEMENT])
+    joints[POSITION + 3] = sensor(ps.rear_contact, rear, rear[clamping.DISPLACEMENT])
     for i in range(4):
         joints[VELOCITY + i] = (joints[POSITION + i] + joints[VELOCITY + i]) * rate * joints[STARTED]
     joints[EFFORT] = x[friction.FRONT_FORCE] + x[friction.REAR_FORCE]
@@ -152,38 +177,37 @@ def inchworm_measure(ps, xs):
     joints[EFFORT + 2] = front[clamping.NORMAL]
     joints[EFFORT + 3] = rear[clamping.NORMAL]
     joints[STARTED] = 1.0
-    xs[SENSOR][acting.DISPLACEMENT] = tip
+    xs.sensor[acting.DISPLACEMENT] = tip
     return joints[POSITION]
 
 
 @nested
-def inchworm_advance(
-    extender_hysteresis, front_hysteresis, rear_hysteresis, ps, xs, voltage, front_voltage, rear_voltage
-):
+def inchworm_advance(laws, ps, xs, voltage, front_voltage, rear_voltage):
     """Hold three voltages [V] until the next sample; returns what the extender's amplifier really puts out [V].
 
-    What the clamps' amplifiers put out is in ``xs[FRONT_LIMITS][0]`` and ``xs[REAR_LIMITS][0]``.
+    ``laws`` has the kernels of :class:`InchwormLaws`. What the clamps' amplifiers put out is in ``xs.front_limits`` and
+    ``xs.rear_limits``.
     """
-    applied = limits(ps[LIMITS], xs[LIMITS], voltage)
-    wanted = creep(ps[CREEP], xs[CREEP], extender_hysteresis(ps[HYSTERESIS], xs[HYSTERESIS], applied))
-    linear_advance(ps[DYNAMICS], xs[DYNAMICS], wanted)
-    free = linear_output(ps[DYNAMICS], xs[DYNAMICS]) + ps[SENSOR][PRELOAD]
+    applied = limits(ps.limits, xs.limits, voltage)
+    wanted = creep(ps.creep, xs.creep, laws.hysteresis(ps.hysteresis, xs.hysteresis, applied))
+    linear_advance(ps.dynamics, xs.dynamics, wanted)
+    free = linear_output(ps.dynamics, xs.dynamics) + ps.sensor[PRELOAD]
 
-    put_out = limits(ps[FRONT_LIMITS], xs[FRONT_LIMITS], front_voltage)
-    wanted = front_hysteresis(ps[FRONT_HYSTERESIS], xs[FRONT_HYSTERESIS], put_out)
-    displacement = linear(ps[FRONT_LAG], xs[FRONT_LAG], wanted)
-    normal = contact(ps[FRONT_CONTACT], xs[FRONT_CONTACT], displacement)
-    xs[SLIDER][friction.FRONT_STATIC] = ps[FRONT_CONTACT][clamping.STATIC] * normal
-    xs[SLIDER][friction.FRONT_KINETIC] = ps[FRONT_CONTACT][clamping.KINETIC] * normal
+    put_out = limits(ps.front_limits, xs.front_limits, front_voltage)
+    wanted = laws.front_hysteresis(ps.front_hysteresis, xs.front_hysteresis, put_out)
+    displacement = linear(ps.front_lag, xs.front_lag, wanted)
+    normal = contact(ps.front_contact, xs.front_contact, displacement)
+    xs.slider[friction.FRONT_STATIC] = ps.front_contact[clamping.STATIC] * normal
+    xs.slider[friction.FRONT_KINETIC] = ps.front_contact[clamping.KINETIC] * normal
 
-    put_out = limits(ps[REAR_LIMITS], xs[REAR_LIMITS], rear_voltage)
-    wanted = rear_hysteresis(ps[REAR_HYSTERESIS], xs[REAR_HYSTERESIS], put_out)
-    displacement = linear(ps[REAR_LAG], xs[REAR_LAG], wanted)
-    normal = contact(ps[REAR_CONTACT], xs[REAR_CONTACT], displacement)
-    xs[SLIDER][friction.REAR_STATIC] = ps[REAR_CONTACT][clamping.STATIC] * normal
-    xs[SLIDER][friction.REAR_KINETIC] = ps[REAR_CONTACT][clamping.KINETIC] * normal
+    put_out = limits(ps.rear_limits, xs.rear_limits, rear_voltage)
+    wanted = laws.rear_hysteresis(ps.rear_hysteresis, xs.rear_hysteresis, put_out)
+    displacement = linear(ps.rear_lag, xs.rear_lag, wanted)
+    normal = contact(ps.rear_contact, xs.rear_contact, displacement)
+    xs.slider[friction.REAR_STATIC] = ps.rear_contact[clamping.STATIC] * normal
+    xs.slider[friction.REAR_KINETIC] = ps.rear_contact[clamping.KINETIC] * normal
 
-    slide(ps[SLIDER], xs[SLIDER], free)
+    slide(ps.slider, xs.slider, free)
     return applied
 
 
@@ -216,11 +240,13 @@ class Inchworm(Chain):
         self.slider = Slider(motor.slider, sample_time, motor.extender_stiffness)
         self.slider_sensor = Sensor(motor.slider.sensor, sample_time)
         own = (self.slider.p, self.slider_sensor.p, np.array([1.0 / self.sample_time]))
-        self.ps = (*self.extender.ps, *self.front_clamp.ps, *self.rear_clamp.ps, *own)
+        clamps = *self.front_clamp.ps, *self.rear_clamp.ps
+        self.ps = InchwormArrays._make((*self.extender.ps, *clamps, *own))
         own = (self.slider.x, self.slider_sensor.x, np.zeros(JOINT_STATES))
-        self.xs = (*self.extender.xs, *self.front_clamp.xs, *self.rear_clamp.xs, *own)
-        self.hysteresis_kernels = tuple(
-            part.hysteresis_kernel for part in (self.extender, self.front_clamp, self.rear_clamp)
+        clamps = *self.front_clamp.xs, *self.rear_clamp.xs
+        self.xs = InchwormArrays._make((*self.extender.xs, *clamps, *own))
+        self.hysteresis_kernels = InchwormLaws(
+            *(part.hysteresis_kernel for part in (self.extender, self.front_clamp, self.rear_clamp))
         )
         self._settle()
 
@@ -231,9 +257,9 @@ class Inchworm(Chain):
             (self.front_clamp, friction.FRONT_STATIC, friction.FRONT_KINETIC),
             (self.rear_clamp, friction.REAR_STATIC, friction.REAR_KINETIC),
         ):
-            x[static] = clamp.ps[clamping.CONTACT][clamping.STATIC] * clamp.normal_force
-            x[kinetic] = clamp.ps[clamping.CONTACT][clamping.KINETIC] * clamp.normal_force
-        self.slider.settle(linear_output(self.ps[DYNAMICS], self.xs[DYNAMICS]) + self.ps[SENSOR][PRELOAD])
+            x[static] = clamp.ps.contact[clamping.STATIC] * clamp.normal_force
+            x[kinetic] = clamp.ps.contact[clamping.KINETIC] * clamp.normal_force
+        self.slider.settle(linear_output(self.ps.dynamics, self.xs.dynamics) + self.ps.sensor[PRELOAD])
 
     def measure(self) -> np.ndarray:
         """Return the measured positions [m] of the joints in the order of JOINT_NAMES, shape (4,).
@@ -246,12 +272,12 @@ class Inchworm(Chain):
     def advance(self, voltage: float, front_voltage: float, rear_voltage: float) -> float:
         """Hold three voltages [V] for one sample and return what the extender's amplifier really put out [V]."""
         voltages = float(voltage), float(front_voltage), float(rear_voltage)
-        return interpreted(inchworm_advance)(*self.hysteresis_kernels, self.ps, self.xs, *voltages)
+        return interpreted(inchworm_advance)(self.hysteresis_kernels, self.ps, self.xs, *voltages)
 
     @property
     def joints(self) -> np.ndarray:
-        """Array ``xs[JOINTS]``, shape (17,): positions, velocities, efforts and true positions at the measurement."""
-        return self.xs[JOINTS]
+        """Array ``xs.joints``, shape (17,): positions, velocities, efforts and true positions at the measurement."""
+        return self.xs.joints
 
     @property
     def displacement(self) -> float:

@@ -83,6 +83,12 @@ def limits(p, x, u):
     return v
 
 
+@kernel
+def is_limited(x):
+    """Return 1.0 when range or slew rate limited the last voltage (the two lower flags; the next is quantisation)."""
+    return 1.0 if x[FLAGS] % 4.0 != 0.0 else 0.0
+
+
 class Limits(Block):
     """Range, slew rate and quantisation of a voltage [V].
 

@@ -12,6 +12,8 @@ import numpy as np
 
 from hysteresis_ros.block import Block, kernel
 from hysteresis_ros.errors import ParameterError, Problem
+from hysteresis_ros.linear_algebra import exponential, solve
+from hysteresis_ros.models.state_space import StateSpace, accumulate, advance
 from hysteresis_ros.parameters import Parameters, parameter
 
 #: Sample times that differ by less than this part are the same one, written with fewer digits.
@@ -42,20 +44,11 @@ def zero_order_hold(A, B, sample_time: float):
     -------
     tuple of ndarray, shapes (n, n) and (n, m)
     """
-    from scipy.linalg import expm  # imported here because nodes that read discrete matrices need no SciPy
-
     A, B = np.atleast_2d(np.asarray(A, dtype=float)), np.asarray(B, dtype=float)
     B = B.reshape(len(A), -1)
     n, m = B.shape
-    both = expm(sample_time * np.block([[A, B], [np.zeros((m, n + m))]]))
+    both = exponential(sample_time * np.block([[A, B], [np.zeros((m, n + m))]]))
     return both[:n, :n], both[:n, n:]
-
-
-def dc_gain(A, B, C, D=0.0) -> float:
-    """Return the DC gain ``C (I - A)⁻¹ B + D`` of a discrete system, shapes (n, n), (n,), (n,) and scalar."""
-    A = np.asarray(A, dtype=float)
-    B, C = np.ravel(np.asarray(B, dtype=float)), np.ravel(np.asarray(C, dtype=float))
-    return float(C @ np.linalg.solve(np.eye(len(A)) - A, B) + D)
 
 
 @dataclass(frozen=True)
@@ -80,16 +73,17 @@ class LinearParameters(Parameters):
         return round(len(self.A) ** 0.5)
 
     @property
-    def matrices(self):
-        """A, B, C and D as arrays of shapes (n, n), (n,), (n,) and a float, in model units."""
+    def state_space(self) -> StateSpace:
+        """The dynamics in model units, one input and one output."""
         n = self.order
-        feedthrough = self.D[0] if self.D else (0.0 if n else 1.0)
-        return np.array(self.A).reshape(n, n), np.array(self.B), np.array(self.C), feedthrough
+        D = self.D[0] if self.D else (0.0 if n else 1.0)
+        A, B, C = (np.array(values, dtype=float) for values in (self.A, self.B, self.C))
+        return StateSpace(A.reshape(n, n), B[:, np.newaxis], C[np.newaxis], np.array([[D]]))
 
     @property
     def resolved_input_scale(self) -> float:
         """``input_scale``, or the one that makes the DC gain in SI one where it is 0."""
-        return self.input_scale or self.output_scale * dc_gain(*self.matrices)
+        return self.input_scale or self.output_scale * self.state_space.dc_gain
 
     def require_sample_time(self, sample_time: float, name: str = "sample_time") -> None:
         """Refuse to run the matrices at another sample time than the one they state.
@@ -129,16 +123,18 @@ class LinearParameters(Parameters):
             yield Problem("D", self.D, "must be one number, or empty for none")
         if sizes or len(self.D) > 1:
             return
-        radius = max(np.abs(np.linalg.eigvals(self.matrices[0])), default=0.0)
+        radius = max(np.abs(self.state_space.poles), default=0.0)
         if radius >= 1.0:
             yield Problem(
                 "A",
                 self.A,
                 f"is unstable: its largest pole has modulus {radius:.6g}; all must be below 1 (discrete time)",
             )
-        elif self.input_scale == 0.0 and not dc_gain(*self.matrices) > 0.0:
+        elif self.input_scale == 0.0 and not self.state_space.dc_gain > 0.0:
             yield Problem(
-                "input_scale", 0.0, f"cannot be derived: the DC gain is {dc_gain(*self.matrices):.3g}; give input_scale"
+                "input_scale",
+                0.0,
+                f"cannot be derived: the DC gain is {self.state_space.dc_gain:.3g}; give input_scale",
             )
 
 
@@ -148,9 +144,7 @@ def linear_output(p, x):
     n = int(p[ORDER])
     c = MATRICES + n * n + n
     y = p[FEEDTHROUGH] * (x[HELD_INPUT] / p[INPUT_SCALE])
-    for i in range(n):
-        y += p[c + i] * x[STATE + i]
-    return y * p[OUTPUT_SCALE]
+    return accumulate(y, p, c, x, STATE, n) * p[OUTPUT_SCALE]
 
 
 @kernel
@@ -159,15 +153,7 @@ def linear_advance(p, x, u):
     n = int(p[ORDER])
     b = MATRICES + n * n
     x[HELD_INPUT] = u
-    u_model = u / p[INPUT_SCALE]
-    for i in range(n):
-        following = p[b + i] * u_model
-        row = MATRICES + i * n
-        for j in range(n):
-            following += p[row + j] * x[STATE + j]
-        x[STATE + n + i] = following
-    for i in range(n):
-        x[STATE + i] = x[STATE + n + i]
+    advance(p, MATRICES, b, x, STATE, n, u / p[INPUT_SCALE])
     return u
 
 
@@ -199,9 +185,9 @@ class LinearDynamics(Block):
     def pack(self, parameters: LinearParameters) -> np.ndarray:
         """Return p, shape (4 + n² + 2 n,)."""
         parameters.require_sample_time(self.sample_time, "dynamics.sample_time")
-        A, B, C, D = parameters.matrices
-        head = [parameters.order, D, parameters.resolved_input_scale, parameters.output_scale]
-        return np.concatenate([head, A.ravel(), B, C])
+        model = parameters.state_space
+        head = [parameters.order, model.D.item(), parameters.resolved_input_scale, parameters.output_scale]
+        return np.concatenate([head, model.A.ravel(), model.B[:, 0], model.C[0]])
 
     def initial_state(self) -> np.ndarray:
         """Return x, shape (1 + 2 n,), at rest with zero input."""
@@ -213,12 +199,11 @@ class LinearDynamics(Block):
 
     def settle(self, u: float) -> None:
         """Put the state to rest under the constant input ``u`` [SI]."""
-        A, B, _, _ = self.parameters.matrices
-        n = self.parameters.order
+        model, n = self.parameters.state_space, self.parameters.order
         self.x[:] = 0.0
         self.x[HELD_INPUT] = u
         if n:
-            self.x[STATE : STATE + n] = np.linalg.solve(np.eye(n) - A, B * (u / self.p[INPUT_SCALE]))
+            self.x[STATE : STATE + n] = solve(np.eye(n) - model.A, model.B[:, 0] * (u / self.p[INPUT_SCALE]))
 
     def retune(self, parameters: LinearParameters) -> None:
         """Take new matrices of the same order while running; the state is kept.

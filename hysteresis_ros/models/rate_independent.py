@@ -6,8 +6,8 @@ of a step along which it moved monotonically and returns the displacement there.
 
 from __future__ import annotations
 
-from hysteresis_ros.block import Block
 from hysteresis_ros.errors import ParameterError, Problem
+from hysteresis_ros.models.declaration import HysteresisBlock
 
 # The first two places of x in every model with memory.
 VOLTAGE = 0  # at the last step [V]
@@ -32,11 +32,8 @@ def require_structure(present, wanted) -> None:
         raise ParameterError(problems)
 
 
-class RateIndependentBlock(Block):
+class RateIndependentBlock(HysteresisBlock):
     """Base of the rate-independent hysteresis models, voltage [V] to displacement [m].
-
-    Subclasses set ``kernel`` and, where there is a closed form, ``inverse``; they implement ``pack``,
-    ``initial_state``, ``gain`` and ``rebase``.
 
     Parameters
     ----------
@@ -46,11 +43,7 @@ class RateIndependentBlock(Block):
         Sample time [s]; not used by the model itself.
     """
 
-    inverse = None
     rate_independent = True
-
-    def rebase(self) -> None:
-        """Make the model go on from the present point with changed parameters; nothing to do by default."""
 
     def retune(self, parameters) -> None:
         """Take new parameters of the same structure while running; the output stays where it is.

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hysteresis_ros import elementary
 from hysteresis_ros.block import Block, kernel
 from hysteresis_ros.parameters import Parameters, parameter
 
@@ -75,11 +76,11 @@ def normal(x):
     if x[HAS_SPARE] > 0.0:
         x[HAS_SPARE] = 0.0
         return x[SPARE]
-    radius = math.sqrt(-2.0 * math.log(uniform(x)))
+    radius = math.sqrt(-2.0 * elementary.log(uniform(x)))
     angle = 2.0 * math.pi * uniform(x)
-    x[SPARE] = radius * math.sin(angle)
+    x[SPARE] = radius * elementary.sin(angle)
     x[HAS_SPARE] = 1.0
-    return radius * math.cos(angle)
+    return radius * elementary.cos(angle)
 
 
 @kernel

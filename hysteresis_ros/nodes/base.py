@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from array import array
 
@@ -10,22 +11,26 @@ from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 from sensor_msgs.msg import JointState
+from std_msgs.msg import String, UInt64
 from std_srvs.srv import Trigger
 
+from hysteresis_ros import signals
 from hysteresis_ros.errors import HysteresisError, ParameterError
-from hysteresis_ros.nodes.lockstep import WATCH_PERIOD, LockstepProtocol, Partners
+from hysteresis_ros.loop.node_parameters import NODE_PARAMETERS
+from hysteresis_ros.nodes.lockstep import Lockstep, Partners
 from hysteresis_ros.nodes.parameters import ParameterInterface
-from hysteresis_ros.nodes.qos import diagnostics_qos, loop_qos
+from hysteresis_ros.nodes.qos import diagnostics_qos, latched_qos, loop_qos
+from hysteresis_ros.nodes.realtime import RealTime
 from hysteresis_ros.nodes.timing import Pace
-from hysteresis_ros.simulation.node_parameters import NODE_PARAMETERS
 
 
-class AxisNode(LockstepProtocol, LifecycleNode):
+class AxisNode(LifecycleNode):
     """Base of the nodes of an axis.
 
     Subclasses implement :meth:`build` (blocks from parameters), :meth:`connect` (publishers and subscriptions),
-    :meth:`reset_blocks`, :meth:`retune`, and what happens on a sample. A mistake of the user or a broken run ends in
-    :attr:`failure`, a sentence; the process that runs the node then leaves with :attr:`exit_code`.
+    :meth:`reset_blocks`, :meth:`retune`, and what happens on a sample. When that happens is decided by :attr:`runner`,
+    lockstep or real time. A mistake of the user or a broken run ends in :attr:`failure`, a sentence; the process that
+    runs the node then leaves with :attr:`exit_code`.
 
     Parameters
     ----------
@@ -33,18 +38,27 @@ class AxisNode(LockstepProtocol, LifecycleNode):
         Node name; also chooses the parameter table.
     """
 
-    #: Signals of ``~/state``, in order.
-    state_names: tuple[str, ...] = ()
+    #: Whether the node has ``~/state``.
+    has_state = True
+    #: Part of partner_timeout after which this node complains in lockstep. Who waits directly for the culprit complains
+    #: first, so that the error names the culprit and not a node that waits itself.
+    share = 1.0
     #: Services std_srvs/Trigger, each answered by the method of its name with ``_on_`` before it.
     triggers: tuple[str, ...] = ("start", "stop", "reset")
 
     def __init__(self, name: str, **options):
         super().__init__(name, **options)
+        self.kind = name
+        self.state_names: tuple[str, ...] = ()
         self.interface = ParameterInterface(self, NODE_PARAMETERS[name], self._retune)
         self.steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.partners = Partners(self)
         self.parameters = None
+        self.runner = None
+        self._changes = None
         self.active = False
+        #: Whether the process is about to end.
+        self.leaving = False
         self.running = True
         self.finished = False
         self.failure = ""
@@ -65,14 +79,32 @@ class AxisNode(LockstepProtocol, LifecycleNode):
     def build(self, parameters) -> None:
         """Make the blocks. Raises HysteresisError when the parameters do not fit together."""
 
+    def unbuild(self) -> None:
+        """Let go of what :meth:`build` has taken from outside; called at cleanup, and when configuring has failed."""
+
     def connect(self) -> None:
         """Make publishers and subscriptions."""
 
     def begin(self) -> None:
         """Go to work after activation."""
 
-    def advance(self) -> None:
-        """Lockstep: answer the present sample if everything it needs has come."""
+    def make_runner(self):
+        """Return what decides when a sample is dealt with."""
+        return Lockstep(self) if self.parameters.time_mode == "lockstep" else RealTime(self)
+
+    @property
+    def is_motor(self) -> bool:
+        """Whether the axis is an inchworm motor's."""
+        return False
+
+    def state_signals(self) -> dict[str, str]:
+        """Return what stands in ``~/state``: name in the message → signal."""
+        return signals.state_signals(self.kind, self.is_motor)
+
+    @property
+    def holds_time(self) -> bool:
+        """Whether this node has stopped the time of the axis itself."""
+        return False
 
     def go_safe(self) -> None:
         """Bring the outputs to their safe values at once; called on deactivation and at exit."""
@@ -99,19 +131,33 @@ class AxisNode(LockstepProtocol, LifecycleNode):
         """``~/start`` (True) or ``~/stop`` (False) was called."""
 
     def missing_partner(self) -> str:
-        """Lockstep: name who has not delivered what the present sample needs; empty when nobody is awaited."""
+        """Name who has not delivered what the present sample needs; empty when nobody is awaited."""
         return ""
+
+    def log_change(self, action: str, parameters: dict | None = None) -> None:
+        """Publish what was changed and from which sample on, so that a recorded run can be repeated.
+
+        Parameters
+        ----------
+        action : str
+            ``start``, ``stop`` or ``retune``.
+        parameters : dict, optional
+            With ``retune``: flat dotted parameters with their new values.
+        """
+        if self._changes is not None:
+            entry = {"sample": self.sample, "node": self.kind, "action": action, **self.change_details()}
+            entry["parameters"] = parameters or {}
+            self._changes.publish(String(data=json.dumps(entry)))
+
+    def change_details(self) -> dict:
+        """Return what else a change's log says: what of the sample has been done before."""
+        return {}
 
     def health(self) -> tuple[int, str, dict]:
         """Return diagnostic level (0 OK, 1 warning, 2 error), message and further values."""
         return 0, "", {}
 
     # -- lifecycle ---------------------------------------------------------------------------------------------
-
-    @property
-    def lockstep(self) -> bool:
-        """True when samples are answered one by one instead of by the clock."""
-        return self.parameters is not None and self.parameters.time_mode == "lockstep"
 
     @property
     def autostart(self) -> bool:
@@ -131,6 +177,7 @@ class AxisNode(LockstepProtocol, LifecycleNode):
         try:
             self.parameters = self.interface.read()
             self.build(self.parameters)
+            self.runner = self.make_runner()
             self._connect()
         except HysteresisError as error:
             problems = error.problems if isinstance(error, ParameterError) else (error,)
@@ -149,15 +196,17 @@ class AxisNode(LockstepProtocol, LifecycleNode):
         return TransitionCallbackReturn.FAILURE
 
     def _connect(self) -> None:
-        rate = self.parameters.sample_rate * getattr(self.parameters, "real_time_factor", 1.0)
-        self.pace = Pace(float("inf") if self.lockstep else 1.0 / rate)
-        self._state = self._make_state()
-        self._state_publisher = self.publisher(JointState, "~/state", self.qos()) if self.state_names else None
+        self.pace = Pace(self.runner.period)
+        names = self.state_names = tuple(self.state_signals()) if self.has_state else ()
+        self._state = self._make_state(names)
+        self._state_publisher = self.publisher(JointState, "~/state", self.qos()) if names else None
         self._diagnostics = self.publisher(DiagnosticArray, "/diagnostics", diagnostics_qos())
-        self.begin_protocol()
+        self._changes = self.publisher(String, "changes", self.changes_qos()) if names else None
+        self.runner.connect()
         self.connect()
 
     def _disconnect(self) -> None:
+        self.unbuild()
         for destroy, handle in self._topic_handles:
             destroy(handle)
         self._topic_handles.clear()
@@ -165,16 +214,15 @@ class AxisNode(LockstepProtocol, LifecycleNode):
         self.partners.clear()
         self.interface.typed = None
         self.parameters = None
+        self._changes = None
 
     def on_activate(self, state):
         """Start working."""
         try:
             self.active = True
-            self._heard_at = self.steady.now().nanoseconds
             self.pace.restart()
             self.timer(1.0, self._publish_diagnostics)
-            if self.lockstep:
-                self.timer(WATCH_PERIOD, self.watch_partners)
+            self.runner.begin()
             self.begin()
         except HysteresisError as error:
             self.get_logger().error(f"not activated: {error}")
@@ -189,11 +237,10 @@ class AxisNode(LockstepProtocol, LifecycleNode):
 
     def on_deactivate(self, state):
         """Stop working; outputs go to their safe values. A lockstep run is over: the next one starts at sample 0."""
+        self.runner.part()
         self.go_safe()
         self._stop_working()
-        if self.lockstep:
-            self.clear_protocol()
-            self.reset_blocks()
+        self.runner.end()
         return super().on_deactivate(state)
 
     def _stop_working(self) -> None:
@@ -212,6 +259,7 @@ class AxisNode(LockstepProtocol, LifecycleNode):
     def on_shutdown(self, state):
         """Leave from any state: outputs go to their safe values first."""
         if self.active:
+            self.runner.part()
             self.go_safe()
         self._stop_working()
         self.finished = True
@@ -221,7 +269,11 @@ class AxisNode(LockstepProtocol, LifecycleNode):
 
     def qos(self):
         """Quality of service of the topics between the nodes."""
-        return loop_qos(self.parameters.time_mode, self.parameters.queue_depth)
+        return loop_qos(self.runner.keeps, self.parameters.queue_depth)
+
+    def changes_qos(self):
+        """Quality of service of what people have changed: kept for a recorder that comes later."""
+        return loop_qos(True, self.parameters.queue_depth)
 
     def publisher(self, message_type, topic: str, qos, loop: bool = False):
         """Make a publisher that goes with cleanup; ``loop``: lockstep needs its partner before the first answer."""
@@ -245,11 +297,16 @@ class AxisNode(LockstepProtocol, LifecycleNode):
         self._work_timers.append(made)
         return made
 
-    def _make_state(self) -> JointState:
+    @staticmethod
+    def _make_state(names: tuple[str, ...]) -> JointState:
         message = JointState()
-        message.name = list(self.state_names)
-        message.position = array("d", bytes(8 * len(self.state_names)))
+        message.name = list(names)
+        message.position = array("d", bytes(8 * len(names)))
         return message
+
+    def all_matched(self) -> bool:
+        """Tell whether every publisher of the loop has a subscription."""
+        return all(publisher.get_subscription_count() > 0 for publisher in self._loop_publishers)
 
     def publish_state(self, stamp, *values: float) -> None:
         """Publish ``~/state`` with the stamp of the measurement it belongs to; the message is reused."""
@@ -296,8 +353,9 @@ class AxisNode(LockstepProtocol, LifecycleNode):
         if self.parameters is not None:
             self.failure, self.exit_code = "", 0
             self.pace.restart()
-            self.clear_protocol()
+            self.runner.clear()
             self.reset_blocks()
+            self.runner.begin_again()
         return self._answer_service(response, "reset")
 
     def _answer_service(self, response, done: str):
@@ -307,7 +365,40 @@ class AxisNode(LockstepProtocol, LifecycleNode):
 
     def _retune(self, parameters) -> None:
         self.retune(parameters)
+        before, after = self.parameters.to_mapping(), parameters.to_mapping()
         self.parameters = parameters
+        self.log_change("retune", {name: value for name, value in after.items() if value != before.get(name)})
+
+    # -- the run -------------------------------------------------------------------------------------------------
+
+    def subscribe_end(self) -> None:
+        """Listen for the end mark of the plant: the number of samples of the run."""
+        self.subscriber(UInt64, "end_of_run", self._on_end, latched_qos())
+
+    def _on_end(self, message) -> None:
+        if self.runner.is_old_end(message.data):
+            return
+        self.end_of_run = message.data
+        if self.active and not self.runner.exact:
+            self.leave_when_done()
+
+    def is_done(self) -> bool:
+        """Tell whether the last sample of the run has been answered."""
+        return self.sample >= self.end_of_run
+
+    def leave_when_done(self) -> None:
+        """Leave, if the run is over and the parameter exit_at_end says so."""
+        if self.parameters.exit_at_end and (self.is_done() or not self.runner.exact):
+            self.finished = True
+
+    def fail(self, text: str, exit_code: int = 1, announce: bool = True) -> None:
+        """End the run with an error; the node answers no more samples, and in lockstep the others are told the same."""
+        if self.failure:
+            return
+        self.failure, self.exit_code = text, exit_code
+        self.get_logger().error(text)
+        if announce and self.runner is not None:
+            self.runner.announce(text)
 
     # -- diagnostics -------------------------------------------------------------------------------------------
 
@@ -318,7 +409,7 @@ class AxisNode(LockstepProtocol, LifecycleNode):
 
     def _warn_of_others(self) -> None:
         """Real time: say when somebody else publishes what this node publishes. In lockstep that ends the run."""
-        for publisher in () if self.lockstep else self._loop_publishers:
+        for publisher in () if self.runner.exact else self._loop_publishers:
             count = self.count_publishers(publisher.topic_name)
             if count > 1:
                 self.warn(

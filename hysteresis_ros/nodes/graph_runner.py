@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import pathlib
-import socket
 import tempfile
 import threading
 from collections.abc import Callable, Iterable
@@ -12,23 +11,18 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 from hysteresis_ros.errors import HysteresisError, RecordingError
+from hysteresis_ros.loop.axis_parameters import AxisParameters
+from hysteresis_ros.loop.node_parameters import NODE_PARAMETERS
+from hysteresis_ros.nodes.domain import Domain
 from hysteresis_ros.nodes.launcher import Graph, GraphError, require_ros
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.files import load_run
-from hysteresis_ros.simulation.axis import AxisParameters
-from hysteresis_ros.simulation.node_parameters import NODE_PARAMETERS
-
-#: Domains whose ports lie below those that Linux hands out by itself.
-DOMAINS = range(101, 0, -1)
-
-#: Participants of a domain whose ports are looked at.
-_PARTICIPANTS = 8
 
 
 class GraphRunner:
     """Runs an axis composed, beside a recorder, in a ROS domain that nobody else uses.
 
-    A runner for :func:`hysteresis_ros.experiments.runner.through`. An axis that has been run already is not run again:
+    A runner for :func:`hysteresis_ros.papers.runner.through`. An axis that has been run already is not run again:
     lockstep repeats bit for bit.
 
     Parameters
@@ -49,7 +43,6 @@ class GraphRunner:
         self._known = 0
         self._found: dict[str, Recording] = {}
         self._lock = threading.Lock()
-        self._domains: set[int] = set()
 
     def prepare(self, axes: Iterable[AxisParameters], jobs: int) -> None:
         """Run axes that will be asked for, several graphs side by side: most of a short run is starting processes.
@@ -113,22 +106,16 @@ class GraphRunner:
         return self._found[text]
 
     def _run(self, axis: AxisParameters, number: int) -> Recording:
-        with self._lock:
-            domain = free_domain(self._domains)
-            self._domains.add(domain)
-        try:
+        with Domain() as domain:
             return self._run_in(domain, axis, number)
-        finally:
-            with self._lock:
-                self._domains.discard(domain)
 
-    def _run_in(self, domain: int, axis: AxisParameters, number: int) -> Recording:
-        environment = {"ROS_DOMAIN_ID": str(domain), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    def _run_in(self, domain: Domain, axis: AxisParameters, number: int) -> Recording:
         # a namespace of its own as well: another graph may enter the domain while this one runs
         namespace = f"/reproduce_{os.getpid()}_{number}{axis.namespace}"
         with tempfile.TemporaryDirectory(prefix="hysteresis_") as folder:
             bag = pathlib.Path(folder) / "bag"
-            with Graph([_in_lockstep(axis, namespace)], composed=True, record=bag, environment=environment) as graph:
+            axes = [_in_lockstep(axis, namespace)]
+            with Graph(axes, composed=True, record=bag, environment=domain.environment) as graph:
                 graph.wait()
             run = load_run(bag, further=True)
         wanted, missing = axis.plant_simulator.samples, run.metadata["missing_samples"]
@@ -147,37 +134,6 @@ def describe(axis: AxisParameters) -> str:
         f"{axis.plant_simulator.samples} samples",
     )
     return ", ".join(parts)
-
-
-def free_domain(taken: Iterable[int] = ()) -> int:
-    """Return a ROS domain none of whose participants is on this machine.
-
-    Parameters
-    ----------
-    taken : iterable of int
-        Domains that are promised to somebody.
-
-    Raises
-    ------
-    HysteresisError
-        All are in use.
-    """
-    domain = next((domain for domain in DOMAINS if domain not in taken and _is_free(domain)), None)
-    if domain is None:
-        raise HysteresisError(f"all ROS domains from {DOMAINS[-1]} to {DOMAINS[0]} are in use; stop other graphs")
-    return domain
-
-
-def _is_free(domain: int) -> bool:
-    """Tell whether the ports of discovery are free: of the multicast, and of the first participants (RTPS 9.6.1)."""
-    first = 7400 + 250 * domain
-    for port in (first, *(first + 10 + 2 * participant for participant in range(_PARTICIPANTS))):
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-            try:
-                probe.bind(("", port))
-            except OSError:
-                return False
-    return True
 
 
 def _in_lockstep(axis: AxisParameters, namespace: str) -> AxisParameters:

@@ -5,31 +5,30 @@ from __future__ import annotations
 import math
 import time
 
-from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64
-
-from hysteresis_ros.compensation.compensator import LIMITS, Compensator, CompensatorParameters
-from hysteresis_ros.models.limits import SLEW
-from hysteresis_ros.nodes.base import AxisNode, sample_index
+from hysteresis_ros import signals
+from hysteresis_ros.block import interpreted
+from hysteresis_ros.loop.compensator import CompensatorPart, compensate
+from hysteresis_ros.loop.tick import Laws
+from hysteresis_ros.loop.watch import MODE_NAMES, RUNNING, STALE, TRIPPED
+from hysteresis_ros.nodes.responder import TRIPPED_FRAME, Input, Responder
 from hysteresis_ros.nodes.spin import run
-from hysteresis_ros.nodes.timing import Pairing
-from hysteresis_ros.simulation.node_parameters import part
-
-#: Seconds between two looks at the watchdog.
-WATCHDOG_PERIOD = 0.01
 
 #: Seconds that the way to the safe voltage may take when the node leaves; what is left then is one step.
 LEAVING_TIME = 0.3
 
 
-class HysteresisCompensatorNode(AxisNode):
+class HysteresisCompensatorNode(Responder):
     """Inverts the hysteresis and keeps the voltage within its limits.
 
-    In real time a ``command`` that stops for ``command_timeout`` makes the voltage slew to ``safe_voltage``; when
-    commands return, the difference to them fades out. At exit the voltage returns to ``safe_voltage`` too.
+    What it does about commands that are missing is its part of the loop (:mod:`hysteresis_ros.loop.compensator`). In
+    real time it answers commands, whoever sends them, and counts samples by the clock while none come. At exit the
+    voltage returns to ``safe_voltage``.
     """
 
-    state_names = ("command", "voltage", "applied", "saturated")
+    inputs = (Input("command", signals.COMMAND, "motion_controller"),)
+    outputs = (("voltage", signals.VOLTAGE), ("applied", signals.APPLIED))
+    trigger = "command"
+    triggered_by_measurement = False
     share = 0.9
 
     def __init__(self, **options):
@@ -37,172 +36,108 @@ class HysteresisCompensatorNode(AxisNode):
 
     def build(self, parameters) -> None:
         """Make the compensator from the parameters."""
-        sample_time = 1.0 / parameters.sample_rate
-        self.compensator = Compensator(part(parameters, CompensatorParameters), sample_time)
-        self.compensator.step(0.0)  # compile now, not at the first sample
-        self._clear()
-
-    def _clear(self) -> None:
-        self.compensator.reset()
-        self.voltage = self.compensator.voltage
+        self.part = CompensatorPart(parameters)
+        compensator = self.part.compensator
+        model = compensator.hysteresis_kernel
+        laws = dict.fromkeys(Laws._fields, model) | {"inverse": compensator.inverse_step}
+        self._laws = Laws(**laws)
         self.refused = 0
-        self.silent = False
-        self._last_command = 0.0
-        self._received = time.monotonic()
-        self._commands = 0
-        self._stamp = None
-        self._pairing = Pairing()
+        self._mode = RUNNING
+        self.compile()
 
-    def connect(self) -> None:
-        """Make the topics."""
-        self._message = Float64()
-        self._applied_message = Float64()
-        self._voltage = self.publisher(Float64, "voltage", self.qos(), loop=True)
-        self._applied = self.publisher(Float64, "applied", self.qos(), loop=True)
-        self.subscriber(JointState, "joint_states", self._on_measurement, self.qos(), partner="plant_simulator")
-        self.subscriber(Float64, "command", self._on_command, self.qos(), partner="motion_controller")
-        self.subscribe_end()
+    def step(self) -> None:
+        """Run the compensator of the loop on the row."""
+        interpreted(compensate)(self._laws, self.part.arrays, self.row)
 
     def begin(self) -> None:
-        """Start the watchdog of the command."""
-        if not self.lockstep:
-            self._received = time.monotonic()
-            self.silent = self.sample > 0  # the first command that comes is where it goes on
-            self.timer(WATCHDOG_PERIOD, self._watchdog)
+        """In real time go on from the voltage that is there."""
+        if not self.runner.exact and self.sample and self.running:
+            self.part.start()
 
     def reset_blocks(self) -> None:
         """Begin again with everything at rest."""
-        self._clear()
+        super().reset_blocks()
+        self.refused = 0
+        self._mode = RUNNING
 
-    def retune(self, parameters) -> None:
-        """Take new model parameters and limits; the voltage does not jump."""
-        self.compensator.retune(part(parameters, CompensatorParameters))
+    @property
+    def compensator(self):
+        """The compensator."""
+        return self.part.compensator
 
-    def on_running(self, running: bool) -> None:
-        """``~/stop`` slews to the safe voltage; after ``~/start`` the difference to the command fades out."""
-        if running:
-            self._rejoin()
+    @property
+    def voltage(self) -> float:
+        """Voltage [V] that was put out last."""
+        return self.part.voltage
 
-    def _on_measurement(self, message) -> None:
-        if not self.lockstep:
-            waiting = self._pairing.measurement(message.header.stamp, time.monotonic())
-            if waiting is not None:
-                self.publish_state(message.header.stamp, *waiting)
-        elif self.expected(sample_index(message.header.stamp, self.parameters.sample_rate)):
-            self.heard()
-            self._stamp = message.header.stamp
-            self.advance()
+    @property
+    def is_stale(self) -> bool:
+        """Whether commands have not come for their time-out."""
+        return self.silent
 
-    def _on_command(self, message) -> None:
-        finite = math.isfinite(message.data)
-        if not finite:
-            self.refused += 1
-            self.warn("command", f"command {message.data} m refused, {self._last_command:.6g} m kept")
-        if self.lockstep:
-            self._commands += 1
-            if not self.surplus(self._commands, self.sample + 1, "command", "motion_controller"):
-                self.heard()
-                self._last_command = message.data if finite else self._last_command
-                self.advance()
-        elif self.active and finite:
-            self._take_command(message.data)
+    @property
+    def silent(self) -> bool:
+        """Whether commands have not come for their time-out."""
+        return self._mode == STALE
 
-    def _take_command(self, command: float) -> None:
-        self.pace.tick()
-        self._last_command = command
-        self._received = time.monotonic()
-        if self.silent:
-            self.silent = False
-            self.get_logger().info("command is back")
-            self._rejoin()
-        self._answer()
-        # one message from the plant and one from the controller: which of them comes first is chance
-        stamp = self._pairing.answer(self._values(), self._received)
-        if stamp is not None:
-            self.publish_state(stamp, *self._values())
+    @property
+    def patience(self) -> float:
+        """Seconds without a command after which samples are counted without it."""
+        return self.parameters.command_timeout
 
-    def advance(self) -> None:
-        """Lockstep: answer when measurement k and command k are there."""
-        if (
-            self._stamp is None
-            or self._commands <= self.sample
-            or not self.active
-            or self.failure
-            or not self.matched()
-        ):
+    def read(self, message, row) -> bool:
+        """Of the measurement only whether the axis is stopped matters."""
+        row[signals.TRIPPED] = 1.0 if message.header.frame_id == TRIPPED_FRAME else 0.0
+        return True
+
+    def refuse_value(self, input_: Input, data: float) -> None:
+        """Say that a command cannot be used."""
+        self.refused += 1
+        self.warn("command", f"command {data} m refused, {self.compensator.command:.6g} m kept")
+        if not self.runner.exact and self.sample:
+            self.publish_outputs()  # one answer to every command: the plant counts them
+
+    def after_step(self) -> None:
+        """Tell what has changed."""
+        self.after_missing()
+
+    def after_missing(self) -> None:
+        """Tell what has changed."""
+        mode = int(self.row[signals.COMPENSATOR_MODE])
+        if mode == self._mode:
             return
-        self.pace.tick()
-        stamp, self._stamp = self._stamp, None
-        self._answer()
-        self.publish_state(stamp, *self._values())
-
-    def missing_partner(self) -> str:
-        """Name who has not delivered what the present sample needs."""
-        if self._stamp is None:
-            return "plant_simulator"
-        return "motion_controller" if self._commands <= self.sample else ""
-
-    def _answer(self) -> None:
-        if self.running:
-            self.voltage = self.compensator.step(self._last_command)
-        else:
-            self._slew_safe(1.0 / self.parameters.sample_rate)
-        self._publish()
-        self.sample += 1
-
-    def _values(self) -> tuple[float, float, float, float]:
-        compensator = self.compensator
-        return self._last_command, self.voltage, compensator.applied, float(compensator.saturated)
-
-    def _publish(self) -> None:
-        self._message.data = self.voltage
-        self._voltage.publish(self._message)
-        self._applied_message.data = self.compensator.applied
-        self._applied.publish(self._applied_message)
-
-    def _rejoin(self) -> None:
-        """Let the next voltage continue from the present one."""
-        self.compensator.resume(self._last_command)
-
-    def _watchdog(self) -> None:
-        """Real time: slew to the safe voltage while no command comes."""
-        quiet = time.monotonic() - self._received
-        if not self.active or self.sample == 0 or quiet < self.parameters.command_timeout:
-            return
-        if not self.silent:
-            self.silent = True
+        before, self._mode = self._mode, mode
+        if mode == STALE:
             limit, safe = self.parameters.command_timeout, self.parameters.safe_voltage
             self.warn("silent", f"no command for {limit:g} s: going to safe_voltage {safe:g} V")
-        self._slew_safe(WATCHDOG_PERIOD)
-        self._publish()
-
-    def _slew_safe(self, duration: float) -> None:
-        step = self.parameters.safe_slew_rate * duration
-        target = self.parameters.safe_voltage
-        self.voltage = self.compensator.hold(self.voltage + min(max(target - self.voltage, -step), step))
+        elif mode == TRIPPED:
+            self.warn("tripped", "the plant has stopped the axis: going to safe_voltage", error=True)
+        elif mode == RUNNING and before == STALE:
+            self.get_logger().info("command is back")
 
     def go_safe(self) -> None:
         """Publish the way to the safe voltage and the safe voltage; in lockstep, which has no time, the latter only."""
         if self.sample == 0:
             return
-        period = max(1.0 / self.parameters.sample_rate, 0.001)
-        step = self.parameters.safe_slew_rate * period
+        self.part.stop()
+        samples = max(round(0.001 * self.parameters.sample_rate), 1)
+        step = samples * self.parameters.safe_slew_rate / self.parameters.sample_rate
         deadline = time.monotonic() + LEAVING_TIME
         while (
-            not self.lockstep
+            not self.runner.exact
             and abs(self.voltage - self.parameters.safe_voltage) > step
             and time.monotonic() < deadline
         ):
-            self._slew_safe(period)
-            self._publish()
-            time.sleep(period)
-        # the limit of the slew rate, of one sample, must not keep the last message from being the safe voltage
-        limits = self.compensator.ps[LIMITS]
-        slew, limits[SLEW] = limits[SLEW], 0.0
-        self.voltage = self.compensator.hold(self.parameters.safe_voltage)
-        limits[SLEW] = slew
-        self._message.data = self.voltage
-        self._voltage.publish(self._message)
+            self.row[signals.COMMAND] = math.nan
+            for _ in range(samples):
+                self.step()
+            self.publish_outputs()
+            time.sleep(samples / self.parameters.sample_rate)
+        # the voltage only: in lockstep anything else would be taken for a sample's
+        self._message.data = self.part.make_safe()
+        self._outputs[0][1].publish(self._message)
+        if self.running:
+            self.part.start()
 
     def health(self):
         """Report saturation, silence and refused commands."""
@@ -211,10 +146,13 @@ class HysteresisCompensatorNode(AxisNode):
             "saturated_samples": self.compensator.limits.limited_samples,
             "refused_commands": self.refused,
             "stale": self.silent,
+            "mode": MODE_NAMES[self._mode],
         }
         refused = self.since_report("refused", self.refused)
         if self.silent:
             return 2, "command is stale", values
+        if self._mode == TRIPPED:
+            return 2, "the plant has stopped the axis", values
         if refused:
             return 1, f"{refused} commands refused", values
         return (1, "voltage saturated", values) if self.compensator.saturated else (0, "", values)

@@ -9,46 +9,20 @@ import math
 import time
 from collections import deque
 
-import numpy as np
-from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
-from hysteresis_ros.nodes.base import AxisNode, sample_index
+from hysteresis_ros import signals
+from hysteresis_ros.block import interpreted
+from hysteresis_ros.loop.source import SequencerSource, sequenced
 from hysteresis_ros.nodes.qos import setpoint_qos
+from hysteresis_ros.nodes.realtime import WATCHDOG_PERIOD
+from hysteresis_ros.nodes.responder import Responder
 from hysteresis_ros.nodes.spin import run
 from hysteresis_ros.nodes.timing import STALE
 from hysteresis_ros.references import inchworm_layout as at
-from hysteresis_ros.references.inchworm_sequencer import InchwormSequencer, InchwormSequencerParameters
-from hysteresis_ros.references.step_model import GAIN, OFFSET
-from hysteresis_ros.simulation.node_parameters import part
-
-#: Seconds between two looks at the watchdog.
-WATCHDOG_PERIOD = 0.01
 
 #: Seconds that closing both clamps may take when the node leaves or no measurement comes.
 CLOSING_TIME = 0.3
-
-#: Signals of ``~/state`` that stand in the sequencer's state as they are, and where.
-SIGNALS = {
-    "reference": at.REFERENCE,
-    "origin": at.ORIGIN,
-    "front_voltage": at.FRONT_VOLTAGE,
-    "rear_voltage": at.REAR_VOLTAGE,
-    "phase": at.PHASE,
-    "steps": at.STEPS,
-    "direction": at.DIRECTION,
-    "slip": at.SLIP,
-    "error": at.ERROR,
-    "arrived": at.ARRIVED,
-    "total_steps": at.TOTAL_STEPS,
-    "missed": at.MISSED,
-    "step_commanded": at.COMMANDED_STEP,
-    "step_achieved": at.ACHIEVED_STEP,
-    "load_deflection": at.LOAD,
-    "forward_gain": at.FORWARD_MODEL + GAIN,
-    "backward_gain": at.BACKWARD_MODEL + GAIN,
-}
-_PLACES = np.array(list(SIGNALS.values()))
 
 #: What each error means.
 ERRORS = {
@@ -62,7 +36,7 @@ ERRORS = {
 }
 
 
-class InchwormSequencerNode(AxisNode):
+class InchwormSequencerNode(Responder):
     """Answers every ``joint_states`` with ``reference``, ``origin`` [m] and the voltages of both clamps [V].
 
     Setpoints [m] and speeds [m/s] are taken at any time; requests (start, stop, home, release) take effect one a
@@ -73,58 +47,64 @@ class InchwormSequencerNode(AxisNode):
     the node closes whatever is open and leaves its voltage on.
     """
 
-    state_names = ("setpoint", "request", "speed", *SIGNALS, "forward_offset", "backward_offset")
+    # in this order: whoever hears a reference has heard its origin
+    outputs = (
+        ("origin", signals.ORIGIN),
+        ("reference", signals.REFERENCE),
+        ("front_clamp/voltage", signals.FRONT_VOLTAGE),
+        ("rear_clamp/voltage", signals.REAR_VOLTAGE),
+    )
     triggers = ("start", "stop", "reset", "home", "release")
 
     def __init__(self, **options):
         super().__init__("inchworm_sequencer", **options)
         self.refused = 0
 
+    @property
+    def is_motor(self) -> bool:
+        """A sequencer's axis is an inchworm motor's."""
+        return True
+
+    @property
+    def sequencer(self):
+        """The sequencer."""
+        return self.part.sequencer
+
     def build(self, parameters) -> None:
         """Make the sequencer from the parameters."""
-        given = part(parameters, InchwormSequencerParameters)
-        self.sequencer = InchwormSequencer(given, 1.0 / parameters.sample_rate)
-        self.sequencer.step(given.initial_setpoint, 0.0, 0.0)  # compile now, not at the first sample
+        self.part = SequencerSource(parameters)
+        self.step()  # compile now, not at the first sample
         self._clear()
 
     def _clear(self) -> None:
-        self.sequencer.reset()
+        self.part.reset()
+        self.row[:] = [0.0] * len(self.row)
         given = self.sequencer.parameters
         self.setpoint = given.initial_setpoint
         first = [round(instant / self.sequencer.sample_time) for instant in given.setpoints.times]
         self._schedule = deque(zip(first, given.setpoints.values, strict=True))
         self._requests: deque = deque()
-        self._awaiting = None
-        self._measured = (math.nan, math.nan)
         self._complete = False
-        self._joints = (-1, -1)
+        self._extender_index = -1
         self._error = 0.0
-        self.stale = False
 
     def connect(self) -> None:
         """Make the topics."""
-        self._message = Float64()
-        qos = self.qos()
-        # in this order: whoever hears a reference has heard its origin
-        self._outputs = [
-            (place, self.publisher(Float64, topic, qos, loop=True))
-            for topic, place in (
-                ("origin", at.ORIGIN),
-                ("reference", at.REFERENCE),
-                ("front_clamp/voltage", at.FRONT_VOLTAGE),
-                ("rear_clamp/voltage", at.REAR_VOLTAGE),
-            )
-        ]
-        self.subscriber(JointState, "joint_states", self._on_measurement, qos, partner="plant_simulator")
+        super().connect()
         self.subscriber(Float64, "setpoint", self._on_setpoint, setpoint_qos())
         self.subscriber(Float64, "speed", self._on_speed, setpoint_qos())
-        self.subscribe_end()
 
     def begin(self) -> None:
-        """Start the watchdog of the measurement."""
+        """In real time begin when the loop is complete."""
         self._complete = False
-        if not self.lockstep:
-            self.timer(WATCHDOG_PERIOD, self._watchdog)
+        if not self.runner.exact:
+            self.timer(WATCHDOG_PERIOD, self._look_for_the_others)
+
+    def _look_for_the_others(self) -> None:
+        if self.active and not self._complete:
+            # steps of an extender that nobody drives yet would be taken for missed ones
+            topics = (self.resolve_topic_name(topic) for topic in ("command", "voltage"))
+            self._complete = self.all_matched() and all(self.count_publishers(topic) for topic in topics)
 
     def reset_blocks(self) -> None:
         """Begin again: both clamps close, steps and learned lengths are forgotten.
@@ -134,13 +114,9 @@ class InchwormSequencerNode(AxisNode):
         x = self.sequencer.x
         front, rear = x[at.FRONT_VOLTAGE], x[at.REAR_VOLTAGE]
         self._clear()
-        if not self.lockstep:
+        if not self.runner.exact:
             x[at.FRONT_VOLTAGE] = x[at.FRONT_FROM] = front
             x[at.REAR_VOLTAGE] = x[at.REAR_FROM] = rear
-
-    def retune(self, parameters) -> None:
-        """Take new timeouts; everything of the gait is refused under a motor that walks."""
-        self.sequencer.retune(part(parameters, InchwormSequencerParameters))
 
     # -- what people ask for -----------------------------------------------------------------------------------
 
@@ -195,116 +171,94 @@ class InchwormSequencerNode(AxisNode):
 
     # -- samples -----------------------------------------------------------------------------------------------
 
-    def _on_measurement(self, message) -> None:
-        if self.lockstep:
-            if self.expected(sample_index(message.header.stamp, self.parameters.sample_rate)):
-                self.heard()
-                self._measured = self._displacements(message)
-                self._awaiting = message.header.stamp
-                self.advance()
-        elif self.active:
-            self.pace.tick()
-            self.stale = False
-            if self._complete:
-                self._answer(message.header.stamp, *self._displacements(message))
-
-    def _displacements(self, message) -> tuple[float, float]:
-        """Return the positions of slider and extender [m], NaN where there is none."""
-        names, (first, second) = message.name, self._joints
-        size = len(names)
-        wanted = self.parameters.joint, self.parameters.extender_joint
-        if not (0 <= first < size and 0 <= second < size and (names[first], names[second]) == wanted):
-            absent = [joint for joint in wanted if joint not in names]
-            if absent:
-                text = f"joint '{absent[0]}' is not in joint_states, which has {list(names)}"
-                if self.lockstep:
+    def read(self, message, row) -> bool:
+        """Put the positions of slider and extender into a row, NaN where there is none."""
+        if not super().read(message, row):
+            return False
+        row[signals.EXTENDER] = math.nan
+        joint, names, index = self.parameters.extender_joint, message.name, self._extender_index
+        if not 0 <= index < len(names) or names[index] != joint:
+            if joint not in names:
+                text = f"joint '{joint}' is not in joint_states, which has {list(names)}"
+                if self.runner.exact:
                     self.fail(text)
-                else:
-                    self.warn("joint", text, error=True)
-                return math.nan, math.nan
-            first, second = self._joints = tuple(names.index(joint) for joint in wanted)
-        position = message.position
-        if max(first, second) >= len(position):
-            return math.nan, math.nan
-        return position[first], position[second]
+                    return False
+                self.warn("joint", text, error=True)
+                return True
+            index = self._extender_index = names.index(joint)
+        if index < len(message.position):
+            row[signals.EXTENDER] = message.position[index]
+        return True
 
-    def advance(self) -> None:
-        """Answer the awaited sample once the partners are there."""
-        if self._awaiting is not None and self.active and not self.failure and self.matched():
-            self.pace.tick()
-            stamp, self._awaiting = self._awaiting, None
-            self._answer(stamp, *self._measured)
-
-    def missing_partner(self) -> str:
-        """Name who has not delivered what the present sample needs."""
-        return "plant_simulator" if self._awaiting is None else ""
-
-    def _answer(self, stamp, slider: float, extender: float) -> None:
+    def before_step(self) -> None:
+        """Put setpoint and request into the row."""
         while self._schedule and self._schedule[0][0] <= self.sample:
             self.setpoint = self._schedule.popleft()[1]
-        x = self.sequencer.x
-        request = self._requests.popleft() if self._requests else at.NO_REQUEST
-        speed = float(x[at.SPEED])
-        x[at.REQUEST] = request
-        self.sequencer.step(self.setpoint, slider, extender)
-        self._publish(self._outputs)
-        stroke = self.parameters.gait.stroke
-        self.publish_state(
-            stamp,
-            *(self.setpoint, float(request), speed, *x[_PLACES].tolist()),
-            *(stroke * x[at.FORWARD_MODEL + OFFSET], stroke * x[at.BACKWARD_MODEL + OFFSET]),
-        )
-        self.sample += 1
-        if x[at.ERROR] != self._error:
-            self._error = x[at.ERROR]
-            if self._error:
-                self.warn("error", self._explanation, error=True, every=0.0)
+        self.row[signals.SETPOINT] = self.setpoint
+        self.row[signals.REQUEST] = float(self._requests.popleft() if self._requests else at.NO_REQUEST)
+        self.row[signals.SPEED] = math.nan
 
-    def _publish(self, outputs) -> None:
-        x, message = self.sequencer.x, self._message
-        for place, publisher in outputs:
-            message.data = float(x[place])
-            publisher.publish(message)
+    def step(self) -> None:
+        """Run the source of the loop on the row."""
+        interpreted(sequenced)(None, self.part.arrays, self.row)
+
+    def answer(self, stamp) -> None:
+        """Answer the sample in the row; in real time once the others are there."""
+        if self.runner.exact or self._complete:
+            super().answer(stamp)
+
+    def after_step(self) -> None:
+        """Say what went wrong."""
+        error = self.row[signals.ERROR]
+        if error != self._error:
+            self._error = error
+            if error:
+                self.warn("error", self._explanation, error=True, every=0.0)
 
     # -- safety ------------------------------------------------------------------------------------------------
 
-    def _watchdog(self) -> None:
-        """Real time: begin when the loop is complete, close both clamps when no measurement comes."""
-        if not self.active:
-            return
-        if not self._complete:
-            # steps of an extender that nobody drives yet would be taken for missed ones
-            topics = (self.resolve_topic_name(topic) for topic in ("command", "voltage"))
-            self._complete = self.matched() and all(self.count_publishers(topic) for topic in topics)
-        if self.sample == 0 or self.stale:
-            return
-        if self.pace.age > self.parameters.measurement_timeout:
-            self.stale = True
-            limit = self.parameters.measurement_timeout
-            self.warn("stale", f"no joint_states for {limit:g} s: both clamps close")
-            self._close_clamps()
+    @property
+    def stale(self) -> bool:
+        """Whether measurements have stopped."""
+        return not self.runner.exact and self.runner.silent
 
-    def _close_clamps(self) -> None:
-        """Let the sequencer close what is open, as it does without a measurement, and publish the voltages only."""
+    #: Both clamps close as soon as measurements have stopped: no samples are made up for.
+    is_stale = True
+
+    def say_silent(self) -> None:
+        """Say that measurements have stopped."""
+        self.warn("stale", f"no joint_states for {self.parameters.measurement_timeout:g} s: both clamps close")
+
+    def miss(self, samples: int) -> None:
+        """Let samples go by without a measurement: what is open closes. Only the voltages are published."""
+        self.row[signals.REQUEST], self.row[signals.SPEED] = 0.0, math.nan
+        for _ in range(samples):
+            self.row[signals.MEASURED] = self.row[signals.EXTENDER] = math.nan
+            self.step()
+        self._publish_voltages()
+
+    def _publish_voltages(self) -> None:
+        for place, publisher in self._outputs:
+            if place in (signals.FRONT_VOLTAGE, signals.REAR_VOLTAGE):
+                self._message.data = float(self.row[place])
+                publisher.publish(self._message)
+
+    def go_safe(self) -> None:
+        """Close what is open and leave the voltages on; in lockstep, where time stands still, nothing."""
+        if self.runner.exact or not self.sample:
+            return
         x = self.sequencer.x
         samples = max(round(0.001 * self.parameters.sample_rate), 1)
         deadline = time.monotonic() + CLOSING_TIME
         while time.monotonic() < deadline:
-            for _ in range(samples):
-                self.sequencer.step(self.setpoint, math.nan, math.nan)
-            self._publish(self._outputs[2:])
+            self.miss(samples)
             if x[at.BAD] > self.sequencer.p[at.SENSOR_SAMPLES] and x[at.PHASE] in (at.HOLDING, at.RELEASED):
                 return
             time.sleep(samples / self.parameters.sample_rate)
         # too slow a gait to wait for
-        for place in (at.FRONT_VOLTAGE, at.REAR_VOLTAGE):
-            x[place] = max(x[place], self.parameters.gait.grip_voltage)
-        self._publish(self._outputs[2:])
-
-    def go_safe(self) -> None:
-        """Close what is open and leave the voltages on; in lockstep, where time stands still, nothing."""
-        if not self.lockstep and self.sample:
-            self._close_clamps()
+        for place, own in ((signals.FRONT_VOLTAGE, at.FRONT_VOLTAGE), (signals.REAR_VOLTAGE, at.REAR_VOLTAGE)):
+            self.row[place] = x[own] = max(x[own], self.parameters.gait.grip_voltage)
+        self._publish_voltages()
 
     # -- diagnostics -------------------------------------------------------------------------------------------
 
@@ -318,7 +272,7 @@ class InchwormSequencerNode(AxisNode):
         """Report errors with what to do, missed steps, refused setpoints, and what the motor does."""
         sequencer, x = self.sequencer, self.sequencer.x
         # in real time a sequencer without measurements has nothing to answer
-        stale = self.stale or (not self.lockstep and self.pace.age > max(STALE, 3.0 / self.parameters.sample_rate))
+        stale = self.stale or (not self.runner.exact and self.pace.age > max(STALE, 3.0 / self.parameters.sample_rate))
         values = {
             "setpoint_m": f"{self.setpoint:.9g}",
             "slider_m": f"{x[at.SLIDER]:.9g}",
@@ -336,8 +290,10 @@ class InchwormSequencerNode(AxisNode):
         missed = self.since_report("missed", int(x[at.MISSED]))
         if stale:
             return 2, "joint_states is stale", values
-        if not self._complete and not self.lockstep:
+        if not self._complete and not self.runner.exact:
             return 1, "waiting for motion_controller, hysteresis_compensator and the clamps' driver", values
+        if self.row[signals.TRIPPED]:
+            return 2, "the plant has stopped the axis: both clamps hold", values
         if x[at.ERROR]:
             return 2, self._explanation, values
         if x[at.MODE] == at.STOP:

@@ -16,7 +16,7 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 
 from hysteresis_ros.errors import ConfigurationError, HysteresisError
-from hysteresis_ros.simulation.axis import AxisParameters, node_names
+from hysteresis_ros.loop.axis_parameters import AxisParameters, node_names
 
 #: Order in which nodes are told to leave: the voltage returns to safe while the plant still listens, the recorder last.
 STOP_ORDER = (

@@ -1,8 +1,10 @@
-"""The lockstep protocol as every node of an axis keeps it: samples in order, partners present, one end for all."""
+"""Lockstep: every sample is answered exactly once, in order; no clock decides anything."""
 
 from __future__ import annotations
 
-from std_msgs.msg import String, UInt64
+import math
+
+from std_msgs.msg import String
 
 from hysteresis_ros.nodes.qos import latched_qos
 
@@ -75,69 +77,94 @@ class Partners:
         return ""
 
 
-class LockstepProtocol:
-    """What the nodes share of the protocol; mixed into AxisNode, whose attributes it uses."""
+class Lockstep:
+    """What a node of a lockstep run keeps to: samples in order, partners present, one end for all.
 
-    #: Part of partner_timeout after which this node complains. Who waits directly for the culprit complains first, so
-    #: that the error names the culprit and not a node that waits itself.
-    share = 1.0
+    Parameters
+    ----------
+    node : AxisNode
+        Its ``sample`` is the number of the sample that comes next.
+    """
 
-    def begin_protocol(self) -> None:
-        """Make the topics of the protocol; called while configuring."""
-        self.clear_protocol()
+    #: Whether every sample is answered exactly once, whatever happens.
+    exact = True
+    #: Period of a sample for the statistics of pace [s]; none here.
+    period = float("inf")
+    #: Whether messages are kept for whoever is matched a little later.
+    keeps = True
+
+    def __init__(self, node):
+        self.node = node
+        self.run_state = None
+        self.clear()
         self.reset_pending = False
-        self._state_of_run = None
-        if self.lockstep:
-            self._state_of_run = self.publisher(String, "run_state", latched_qos())
-            self.subscriber(String, "run_state", self._on_run_state, latched_qos())
 
-    def clear_protocol(self) -> None:
+    def connect(self) -> None:
+        """Make the topics of the protocol; called while configuring."""
+        node = self.node
+        self.run_state = node.publisher(String, "run_state", latched_qos())
+        node.subscriber(String, "run_state", self._on_run_state, latched_qos())
+
+    def begin(self) -> None:
+        """Watch the partners from activation on."""
+        self._heard_at = self.node.steady.now().nanoseconds
+        self.node.timer(WATCH_PERIOD, self.watch_partners)
+
+    def begin_again(self) -> None:
+        """After a reset the others are not told: all are reset together."""
+
+    def part(self) -> None:
+        """A partner that stops is noticed by its silence."""
+
+    def end(self) -> None:
+        """A run is over when its node is deactivated: the next one starts at sample 0."""
+        self.clear()
+        self.node.reset_blocks()
+
+    def clear(self) -> None:
         """Forget the run: the next sample is number 0."""
-        self.sample = 0
-        self.end_of_run = -1
-        self.finished = False
+        self.node.sample = 0
+        self.node.end_of_run = -1
+        self.node.finished = False
         self.paused = False
         self.reset_pending = True
         self._matched = False
         self._heard_new = True
         self._looks = 0
-        self.partners.forget()
-
-    def subscribe_end(self) -> None:
-        """Listen for the end mark of the plant: the number of samples of the run."""
-        self.subscriber(UInt64, "end_of_run", self._on_end, latched_qos())
+        self.node.partners.forget()
 
     # -- samples -----------------------------------------------------------------------------------------------
 
     def expected(self, index: int) -> bool:
         """Tell whether sample ``index`` is the next one; a restart or gap ends the run."""
-        if index == self.sample:
+        node = self.node
+        if index == node.sample:
             self.reset_pending = False
             return True
         if self.reset_pending:
             return False  # was under way at the reset; sample 0 is still to come
         if index == 0:
-            who = f"{self.get_name()} is at {self.sample}"
-            self.fail(f"plant_simulator began again at sample 0 while {who}; {TOGETHER}")
-        elif index < self.sample:
-            self.warn("repeat", f"sample {index} came again and was rejected; sample {self.sample} is awaited")
+            who = f"{node.get_name()} is at {node.sample}"
+            node.fail(f"plant_simulator began again at sample 0 while {who}; {TOGETHER}")
+        elif index < node.sample:
+            node.warn("repeat", f"sample {index} came again and was rejected; sample {node.sample} is awaited")
         else:
-            who = f"{self.get_name()} awaits {self.sample}"
-            self.fail(f"sample {index} came while {who}: it joined late or samples were lost; {TOGETHER}")
+            who = f"{node.get_name()} awaits {node.sample}"
+            node.fail(f"sample {index} came while {who}: it joined late or samples were lost; {TOGETHER}")
         return False
 
     def surplus(self, count: int, allowed: int, topic: str, partner: str) -> bool:
         """Tell whether more messages came than samples ask for, which ends the run: they would be taken for others."""
         if count <= allowed:
             return False
-        what = f"{topic} has {count} messages at sample {self.sample}"
-        self.fail(f"{what}: {partner} was restarted, or there are two; {TOGETHER}")
+        what = f"{topic} has {count} messages at sample {self.node.sample}"
+        self.node.fail(f"{what}: {partner} was restarted, or there are two; {TOGETHER}")
         return True
 
     def matched(self) -> bool:
         """Tell whether every publisher of the loop has found its partner."""
         if not self._matched:
-            self._matched = all(publisher.get_subscription_count() > 0 for publisher in self._loop_publishers)
+            self._matched = self.node.all_matched()
             self._heard_new |= self._matched
         return self._matched
 
@@ -145,69 +172,127 @@ class LockstepProtocol:
         """Note that something awaited has come; the patience with partners starts anew."""
         self._heard_new = True
 
+    def advance(self) -> None:
+        """Do what can be done now: overridden by who answers samples."""
+
+    def missing_partner(self) -> str:
+        """Name who has not delivered what the present sample needs; empty when nobody is awaited."""
+        return self.node.missing_partner()
+
     # -- partners ----------------------------------------------------------------------------------------------
 
     def watch_partners(self) -> None:
         """Timer on the steady clock: answer late, notice partners that are silent or gone, leave at the end."""
-        if not self.active or self.failure or self.finished:
+        node = self.node
+        if not node.active or node.failure or node.finished:
             return
         self.advance()
-        if self.end_of_run >= 0:
-            self.leave_when_done()
+        if node.end_of_run >= 0:
+            node.leave_when_done()
             return
-        now = self.steady.now().nanoseconds
-        if self._heard_new or self.paused or not self.running:
+        now = node.steady.now().nanoseconds
+        if self._heard_new or self.paused or node.holds_time:
             self._heard_new = False
             self._heard_at = now
         self._looks += 1
         if self._looks % round(PARTNER_PERIOD / WATCH_PERIOD) == 0:
-            complaint = self.partners.complaint(self.sample)
+            complaint = node.partners.complaint(node.sample)
             if complaint:
-                self.fail(complaint)
+                node.fail(complaint)
                 return
-        limit = self.parameters.partner_timeout
+        limit = node.parameters.partner_timeout
         waited = (now - self._heard_at) * 1e-9
-        if waited < (limit * self.share if self.sample > 0 else max(limit, STARTUP_TIMEOUT)):
+        if waited < (limit * node.share if node.sample > 0 else max(limit, STARTUP_TIMEOUT)):
             return
         partner = self.missing_partner()
         if partner and (waited > limit or partner != PLANT):
-            where = f"at sample {self.sample} (partner_timeout {limit:g} s)"
-            self.fail(f"{partner} has been silent for {waited:.1f} s {where}")
+            where = f"at sample {node.sample} (partner_timeout {limit:g} s)"
+            node.fail(f"{partner} has been silent for {waited:.1f} s {where}")
 
     def say(self, state: str) -> None:
         """Tell all nodes of the axis about the run: paused, running."""
-        if self._state_of_run is not None:
-            self._state_of_run.publish(String(data=state))
+        if self.run_state is not None:
+            self.run_state.publish(String(data=state))
+
+    def announce(self, failure: str) -> None:
+        """Tell all nodes of the axis that the run is broken."""
+        self.say(_FAILED + failure)
 
     def _on_run_state(self, message) -> None:
         if message.data.startswith(_FAILED):
-            self.fail(message.data[len(_FAILED) :], announce=False)
+            self.node.fail(message.data[len(_FAILED) :], announce=False)
         else:
             self.paused = message.data == "paused"
 
-    # -- end ---------------------------------------------------------------------------------------------------
+    def is_old_end(self, count: int) -> bool:
+        """Tell whether an end mark is that of the run before a reset."""
+        return self.reset_pending and count > 0
 
-    def _on_end(self, message) -> None:
-        if self.reset_pending and self.lockstep and message.data > 0:
-            return  # of the run before the reset
-        self.end_of_run = message.data
-        if self.active and not self.lockstep:
-            self.leave_when_done()
 
-    def is_done(self) -> bool:
-        """Tell whether the last sample of the run has been answered."""
-        return self.sample >= self.end_of_run
+class LockstepResponder(Lockstep):
+    """Answers sample k when its measurement and all other inputs of it are there.
 
-    def leave_when_done(self) -> None:
-        """Leave, if the run is over and the parameter exit_at_end says so."""
-        if self.parameters.exit_at_end and (self.is_done() or not self.lockstep):
-            self.finished = True
+    Parameters
+    ----------
+    node : Responder
+    """
 
-    def fail(self, text: str, exit_code: int = 1, announce: bool = True) -> None:
-        """End the run with an error; the node answers no more samples, and the other nodes are told the same."""
-        if self.failure:
+    def clear(self) -> None:
+        """Forget the run: the next sample is number 0."""
+        super().clear()
+        self._counts = [0] * len(self.node.inputs)
+        self._stamp = None
+
+    def measurement(self, message) -> None:
+        """Take ``joint_states``: its stamp is the key of the sample."""
+        node = self.node
+        if self.expected(node.sample_of(message.header.stamp)):
+            self.heard()
+            if not node.read(message, node.row):
+                return
+            self._stamp = message.header.stamp
+            self.advance()
+
+    def value(self, place: int, data: float) -> None:
+        """Take what came on the input in this place; it belongs to the sample by its count."""
+        node, input_ = self.node, self.node.inputs[place]
+        self._counts[place] += 1
+        allowed = node.sample if input_.previous else node.sample + 1
+        if self.surplus(self._counts[place], allowed, input_.topic, input_.partner):
             return
-        self.failure, self.exit_code = text, exit_code
-        self.get_logger().error(text)
-        if announce:
-            self.say(_FAILED + text)
+        self.heard()
+        if not math.isfinite(data):
+            node.refuse_value(input_, data)
+        node.take(input_, data)
+        self.advance()
+
+    def _lacks(self):
+        """Return the first input that has not delivered what the present sample needs, None when all have."""
+        for count, input_ in zip(self._counts, self.node.inputs, strict=True):
+            if count < (self.node.sample if input_.previous else self.node.sample + 1):
+                return input_
+        return None
+
+    @property
+    def confirmed(self) -> bool:
+        """Whether all has come that belongs to the last sample that was answered."""
+        pairs = zip(self._counts, self.node.inputs, strict=True)
+        return all(count >= self.node.sample for count, input_ in pairs if input_.previous)
+
+    def advance(self) -> None:
+        """Answer the present sample if everything it needs has come."""
+        node = self.node
+        if self._stamp is None or self._lacks() is not None:
+            return
+        if not node.active or node.failure or not self.matched():
+            return
+        node.pace.tick()
+        stamp, self._stamp = self._stamp, None
+        node.answer(stamp)
+
+    def missing_partner(self) -> str:
+        """Name who has not delivered what the present sample needs."""
+        if self._stamp is None:
+            return PLANT
+        lacking = self._lacks()
+        return "" if lacking is None else lacking.partner

@@ -1,12 +1,16 @@
 """Node ``plant_simulator``: ``voltage`` [V] → ``joint_states``; it owns the time of the axis.
 
-What it simulates is in :mod:`hysteresis_ros.nodes.plants`: an inchworm has three voltages and four joints.
+What it simulates is a part of the loop (:mod:`hysteresis_ros.loop.plant`): an inchworm has three voltages and four
+joints. With a driver a device stands there (:mod:`hysteresis_ros.loop.driven`). When samples are made is decided by its
+runner (:mod:`hysteresis_ros.nodes.plant_runners`).
 """
 
 from __future__ import annotations
 
+import math
 import threading
 import time
+from array import array
 from functools import partial
 
 from builtin_interfaces.msg import Time
@@ -14,21 +18,52 @@ from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, UInt64
 
+from hysteresis_ros import signals
+from hysteresis_ros.block import interpreted
+from hysteresis_ros.errors import HysteresisError
+from hysteresis_ros.loop.driven import plant_of
+from hysteresis_ros.loop.plant import actuate, sense
+from hysteresis_ros.loop.tick import MEASURED, Laws
+from hysteresis_ros.models.inchworm import EFFORT, JOINT_NAMES, POSITION, VELOCITY
 from hysteresis_ros.nodes.base import AxisNode
-from hysteresis_ros.nodes.held_voltage import HeldVoltage
-from hysteresis_ros.nodes.lockstep import STARTUP_TIMEOUT, TOGETHER
-from hysteresis_ros.nodes.plants import PLANTS
+from hysteresis_ros.nodes.plant_runners import LockstepPlant, RealTimePlant
 from hysteresis_ros.nodes.qos import latched_qos
-from hysteresis_ros.nodes.spin import QUIET, run
+from hysteresis_ros.nodes.responder import TRIPPED_FRAME
+from hysteresis_ros.nodes.spin import run
 
-#: Real time: longer waits can be interrupted, the last bit of a wait is slept because that is more exact [s].
-EXACT_WAIT = 0.02
 
-#: Nodes of an axis that read joint_states.
-READERS = 3
+class VoltageInput:
+    """One voltage of the plant, as it comes over its topic.
 
-#: Periods behind schedule after which the schedule moves instead of being caught up with.
-FAR_BEHIND = 10.0
+    Parameters
+    ----------
+    topic : str
+    signal : int
+        Place in the row.
+    partner : str
+        Who publishes it.
+    """
+
+    def __init__(self, topic: str, signal: int, partner: str):
+        self.topic, self.signal, self.partner = topic, signal, partner
+        self.clear()
+
+    def clear(self) -> None:
+        """Begin anew."""
+        self.value = math.nan
+        self.received = 0.0
+        self.full_name = self.topic
+
+
+#: Seconds in which the voltage of a device goes to its safe value before the node leaves the device to itself.
+RETURN = 1.0
+
+#: Voltages of an axis, and who publishes them; an actuator has the first only.
+VOLTAGES = (
+    ("voltage", signals.VOLTAGE, "hysteresis_compensator"),
+    ("front_clamp/voltage", signals.FRONT_VOLTAGE, "inchworm_sequencer"),
+    ("rear_clamp/voltage", signals.REAR_VOLTAGE, "inchworm_sequencer"),
+)
 
 
 class PlantSimulatorNode(AxisNode):
@@ -41,154 +76,249 @@ class PlantSimulatorNode(AxisNode):
     share = 0.95
 
     def __init__(self, **options):
+        self.part = None
         super().__init__("plant_simulator", **options)
-        self._thread = None
-        self._leaving = threading.Event()
-        # real time: the thread and the executor both work on the actuator
-        self._lock = threading.Lock()
-        self._runs = 0
+        # real time: the thread and the executor both work on the plant
+        self.lock = threading.Lock()
+
+    def make_runner(self):
+        """Return what decides when a sample is made."""
+        return LockstepPlant(self) if self.parameters.time_mode == "lockstep" else RealTimePlant(self)
+
+    @property
+    def is_motor(self) -> bool:
+        """Whether the plant is an inchworm motor."""
+        return self.parameters.type == "inchworm"
+
+    @property
+    def holds_time(self) -> bool:
+        """``~/stop`` holds the time of the axis."""
+        return not self.running
 
     def build(self, parameters) -> None:
         """Make the plant from the parameters."""
-        self.plant = PLANTS[parameters.type](parameters)
-        self.state_names = self.plant.state_names
-        self.inputs = [HeldVoltage(topic, partner) for topic, partner in self.plant.inputs]
+        self.parameters = parameters
+        self.part = plant_of(parameters)
+        self.inputs = [VoltageInput(*given) for given in VOLTAGES[: 3 if self.is_motor else 1]]
+        self.row = [0.0] * signals.MOTOR_ROW
+        self._laws = Laws(*self.part.kernels, *(self.part.kernels[0],) * (len(Laws._fields) - 3))
+        if parameters.driver:
+            self._tell_device()
+        # the paths through a simulated part: compiled now, not at the first sample
+        for voltage in () if parameters.driver else (0.0, math.nan):
+            self.sense()
+            for input_ in self.inputs:
+                self.row[input_.signal] = voltage
+            self.actuate()
         self._clear()
 
+    def _tell_device(self) -> None:
+        can = self.part.capabilities
+        text = f"driver {self.parameters.driver}: {can.minimum:g} … {can.maximum:g} V, up to {can.highest_rate:g} Hz"
+        if can.watchdog is None:
+            self.get_logger().warning(
+                f"{text}; no watchdog of its own: killed, this node leaves the last voltage on it"
+            )
+        else:
+            self.get_logger().info(f"{text}; its watchdog acts after {can.watchdog:g} s")
+
+    def unbuild(self) -> None:
+        """Let go of the device."""
+        if self.part is not None:
+            self.part.close()
+
     def _clear(self) -> None:
-        self.plant.reset()
-        for held, voltage in zip(self.inputs, self.plant.resting_voltages, strict=True):
-            held.reset(voltage)
-        self.late = 0
-        self._awaited = 0
-        self._acknowledged = 0
-        self._published = False
-        self._ended = False
+        self.part.reset()
+        self.row[:] = [0.0] * len(self.row)
+        for input_ in self.inputs:
+            input_.value, input_.received = math.nan, 0.0
         self._start_stamp = 0
-        self._first = self._last = 0.0
+        self._first = 0.0
         self._told = False
+        self._tripped = False
 
     def connect(self) -> None:
         """Make the topics."""
-        self._message = self.plant.message
+        self._message = self._joint_states_message()
+        self._state_places = [signals.place(name) for name in self.state_signals().values()]
         self._joint_states = self.publisher(JointState, "joint_states", self.qos(), loop=True)
         self._end = self.publisher(UInt64, "end_of_run", latched_qos())
         self._clock_publisher = (
             self.publisher(Clock, "/clock", latched_qos()) if self.parameters.publish_clock else None
         )
-        self._voltage_names = []
-        for held in self.inputs:
-            take = partial(self._on_voltage, held)
-            heard = self.subscriber(Float64, held.topic, take, self.qos(), partner=held.partner)
-            self._voltage_names.append(heard.topic_name)
-        if self._waits:
+        for input_ in self.inputs:
+            take = partial(self.runner.voltage, input_)
+            heard = self.subscriber(Float64, input_.topic, take, self.qos(), partner=input_.partner)
+            input_.full_name = heard.topic_name
+        if self.parameters.wait_for_recorder:
             topic, qos = "recorder/acknowledged", latched_qos()
-            self.subscriber(UInt64, topic, self._on_acknowledged, qos, partner="recorder")
-            self._acknowledged = -1
+            self.subscriber(UInt64, topic, self.runner.acknowledged_by_recorder, qos, partner="recorder")
 
-    @property
-    def _waits(self) -> bool:
-        return self.parameters.wait_for_recorder
+    def state_signals(self) -> dict[str, str]:
+        """Return what stands in ``~/state``; nobody knows the true displacement of a device."""
+        found = super().state_signals()
+        return {
+            name: signal for name, signal in found.items() if not (self.parameters.driver and name == "displacement")
+        }
 
-    def begin(self) -> None:
-        """Start the thread that keeps the time."""
-        self._told = False
-        if self.lockstep:
-            self.say("running" if self.running else "paused")
-        else:
-            self._set_start()
-            self._start_thread()
+    def _joint_states_message(self) -> JointState:
+        names = (self.parameters.joint, *JOINT_NAMES[1:]) if self.is_motor else (self.parameters.joint,)
+        message = JointState()
+        message.name = list(names)
+        message.position, message.velocity, message.effort = (array("d", bytes(8 * len(names))) for _ in range(3))
+        if not self.is_motor:
+            message.effort[0] = self.parameters.preload.force
+        return message
 
-    def _start_thread(self) -> None:
-        self._leaving.clear()
-        self._thread = threading.Thread(target=self._keep_time, name="plant_time", daemon=True)
-        self._thread.start()
+    # -- the part of the loop ------------------------------------------------------------------------------------
 
-    def _set_start(self) -> None:
-        """Real time: let the stamps go on from now, or from zero where they are the source of time themselves."""
-        self._start_stamp = 0 if self.parameters.publish_clock else time.time_ns() - self._stamp_of(self.sample)
+    def sense(self) -> None:
+        """Measure the present sample into the row."""
+        interpreted(sense)(self._laws, self.part.arrays, self.row)
 
-    def _stamp_of(self, sample: int) -> int:
-        return round(sample * 1e9 / self.parameters.sample_rate)
+    def actuate(self) -> None:
+        """Hold the voltages of the row until the next sample."""
+        interpreted(actuate)(self._laws, self.part.arrays, self.row)
 
     def reset_blocks(self) -> None:
         """Begin again at sample 0; in lockstep reset all other nodes first."""
-        with self._lock:
+        with self.lock:
             self._clear()
             self.sample = 0
-            self._runs += 1
-            if not self.lockstep:
-                self._set_start()
-        if self._thread is not None and not self._thread.is_alive():
-            self._start_thread()  # it had left at the end of the run before
+            self.runner.restart()
 
     def retune(self, parameters) -> None:
         """Take new parameters of the plant."""
-        with self._lock:
-            self.plant.retune(parameters)
+        with self.lock:
+            self.part.retune(parameters)
+            self._message.effort[0] = parameters.preload.force if not self.is_motor else self._message.effort[0]
+
+    def change_details(self) -> dict:
+        """Return whether the sample has been measured already: a change concerns what follows then."""
+        return {"after": MEASURED} if self.runner.is_measured else {}
+
+    def _on_start(self, request, response):
+        with self.lock:
+            if self.part is not None and self.parameters is not None and self.part.tripped:
+                self.part.start()
+                self.runner.align()
+                self.log_change("start")
+        return super()._on_start(request, response)
 
     def on_running(self, running: bool) -> None:
-        """``~/stop`` holds the time of the axis; ``~/start`` lets it go on."""
-        if self.lockstep:
-            self.say("running" if running else "paused")
-            self.advance()
-        elif running:
-            with self._lock:
-                self._set_start()
+        """``~/stop`` holds the time of the axis; ``~/start`` lets it go on, also after the plant has stopped it."""
+        self.runner.hold(not running)
 
-    # -- both modes --------------------------------------------------------------------------------------------
+    # -- samples -------------------------------------------------------------------------------------------------
 
-    def _publish_sample(self) -> None:
-        """Measure sample k and publish it."""
-        stamp = self._start_stamp + self._stamp_of(self.sample)
+    def stamp_of(self, sample: int) -> int:
+        """Return the time of a sample [ns] from the beginning of the run."""
+        return round(sample * 1e9 / self.parameters.sample_rate)
+
+    def set_start(self) -> None:
+        """Real time: let the stamps go on from now, or from zero where they are the source of time themselves."""
+        self._start_stamp = 0 if self.parameters.publish_clock else time.time_ns() - self.stamp_of(self.sample)
+
+    def publish_sample(self) -> None:
+        """Measure the present sample and publish it."""
+        stamp = self._start_stamp + self.stamp_of(self.sample)
         message = self._message
         message.header.stamp = Time(sec=stamp // 1_000_000_000, nanosec=stamp % 1_000_000_000)
-        self.plant.measure(first=not self.sample)
+        before = message.position[0]
+        self.sense()
+        row = self.row
+        if self.is_motor:
+            joints = self.part.arrays.x.joints
+            message.position[:] = array("d", joints[POSITION : POSITION + 4].tobytes())
+            message.velocity[:] = array("d", joints[VELOCITY : VELOCITY + 4].tobytes())
+            message.effort[:] = array("d", joints[EFFORT : EFFORT + 4].tobytes())
+        else:
+            message.position[0] = row[signals.MEASURED]
+            moved = row[signals.MEASURED] - before
+            message.velocity[0] = moved * self.parameters.sample_rate if self.sample else 0.0
+        tripped = row[signals.TRIPPED] != 0.0
+        if tripped != self._tripped:
+            self._tripped = tripped
+            message.header.frame_id = TRIPPED_FRAME if tripped else ""
+            if tripped:
+                self.warn("tripped", f"axis stopped: {self.explain_trip()}", error=True, every=0.0)
+            else:
+                self.get_logger().info("the axis goes on")
         if not self.sample:
             self._first = time.monotonic()
         self._joint_states.publish(message)
         if self._clock_publisher is not None:
             self._clock_publisher.publish(Clock(clock=message.header.stamp))
 
-    def _take(self, *voltages: float) -> None:
-        """Advance from sample k to k+1 with the voltages held in between."""
-        self.publish_state(self._message.header.stamp, *self.plant.advance(*voltages))
+    def finish_sample(self) -> None:
+        """Hold the voltages that came, NaN where none did, and go on to the next sample."""
+        for input_ in self.inputs:
+            self.row[input_.signal] = input_.value
+            input_.value = math.nan
+        self.actuate()
+        row = self.row
+        self.publish_state(self._message.header.stamp, *[row[place] for place in self._state_places])
         self.sample += 1
 
-    def _on_voltage(self, held, message) -> None:
-        if self.lockstep:
-            self._on_voltage_lockstep(held, message.data)
+    def receive(self, input_: VoltageInput, voltage: float) -> None:
+        """Keep a voltage for the present sample; what is not finite has not come."""
+        if math.isfinite(voltage):
+            input_.value = voltage
+            input_.received = time.monotonic()
         else:
-            self._receive(held, message.data)
+            self.warn(input_.topic, f"{input_.topic} {voltage} V refused, {self.part.held():.6g} V kept")
 
-    def _receive(self, held, voltage: float) -> None:
-        if not held.take(voltage):
-            self.warn(held.topic, f"{held.topic} {voltage} V refused, {held.value:.6g} V kept")
+    def loop_complete(self) -> bool:
+        """Tell whether somebody publishes every voltage, and the commands they answer."""
+        topics = (self.resolve_topic_name("command"), *(input_.full_name for input_ in self.inputs))
+        return all(self.count_publishers(topic) for topic in topics)
+
+    def explain_trip(self) -> str:
+        """Say why the plant has stopped the axis."""
+        if self.part.failure:
+            return f"{self.part.failure}; ~/start tries the device again, cleanup and configure open it anew"
+        return self.runner.explain_trip()
+
+    def readers(self) -> int:
+        """Return how many hear ``joint_states``."""
+        return self._joint_states.get_subscription_count()
 
     @property
     def silent(self) -> bool:
-        """Real time: whether a voltage has stopped."""
-        return any(held.silent for held in self.inputs)
+        """Whether a voltage has stopped."""
+        return self.part.silent
+
+    @property
+    def late(self) -> int:
+        """Voltages so far that did not come in time."""
+        return self.part.late
 
     def health(self):
         """Report the voltage, late commands and saturation."""
         values = {
-            **{f"{held.topic.replace('/', '_')}_v": f"{held.held:.6g}" for held in self.inputs},
+            **{
+                f"{input_.topic.replace('/', '_')}_v": f"{self.part.held(place):.6g}"
+                for place, input_ in enumerate(self.inputs)
+            },
             "late_commands": self.late,
             "stale": self.silent,
+            "tripped": self.part.tripped,
             "real_time_factor": f"{self.parameters.real_time_factor:g}",
-            "saturated_samples": self.plant.limited_samples,
+            "saturated_samples": self.part.limited_samples,
         }
         late = self.since_report("late", self.late)
+        if self.part.tripped:
+            return 2, f"axis stopped: {self.explain_trip()}", values
         if self.silent:
-            stale = " and ".join(held.topic for held in self.inputs if held.silent)
-            return 2, f"{stale} {'is' if stale.count(' ') == 0 else 'are'} stale", values
-        if self.plant.saturated:
+            return 2, f"{' or '.join(input_.topic for input_ in self.inputs)} is stale", values
+        if self.part.saturated:
             return 1, "voltage saturated", values
         return (1, f"{late} commands late", values) if late else (0, "", values)
 
-    def _finish(self) -> None:
-        self._ended = True
+    # -- the end -------------------------------------------------------------------------------------------------
+
+    def finish(self) -> None:
+        """Publish the end of the run."""
         self._tell()
         self.end_of_run = self.sample
         self._end.publish(UInt64(data=self.sample))
@@ -205,152 +335,45 @@ class PlantSimulatorNode(AxisNode):
         text = f"{self.sample} samples in {wall:.3f} s: {rate:.1f} Hz, real-time factor {factor:.3g}"
         self.get_logger().info(f"{text}, {self.late} late commands, {self.pace.overruns} overruns")
 
-    # -- lockstep ----------------------------------------------------------------------------------------------
-
-    def advance(self) -> None:
-        """Publish the present sample when the partners and the recorder allow it."""
-        if self._published or self._ended or self.failure or not self.running or not self.active or not self.lockstep:
-            return
-        if not self.matched() or (self._waits and self._recorder_behind()):
-            return
-        if self.parameters.samples and self.sample >= self.parameters.samples:
-            self._finish()
-            return
-        self._published = True
-        self._awaited = len(self.inputs)
-        for held in self.inputs:
-            held.there = False
-        self.reset_pending = False
-        self.pace.tick()
-        self._publish_sample()
-
-    def _recorder_behind(self) -> bool:
-        return self._acknowledged < 0 or self.sample - self._acknowledged >= self.parameters.lead
-
-    def _on_voltage_lockstep(self, held, voltage: float) -> None:
-        if self._ended or not self.active or self.failure:
-            return
-        if not self._published or held.there:
-            # before sample 0, and from a compensator that leaves while the time is held, it is nothing
-            if held.there or (self.sample and self.running and not self._recorder_behind()):
-                text = f"a voltage came on {held.topic} that sample {self.sample} did not ask for"
-                self.fail(f"{text}: {held.partner} was restarted, or there are two; {TOGETHER}")
-            return
-        self.heard()
-        self._receive(held, voltage)
-        held.held = held.value
-        held.there = True
-        self._awaited -= 1
-        if not self._awaited:
-            self._published = False
-            self._take(*[held.value for held in self.inputs])
-            self.advance()
-
-    def _on_acknowledged(self, message) -> None:
-        self._acknowledged = message.data
-        self.heard()
-        self.advance()
+    def begin(self) -> None:
+        """Start the time of the axis."""
+        self._told = False
+        self.runner.start_time()
 
     def missing_partner(self) -> str:
         """Name who has not delivered what the present sample needs."""
-        if not self.matched():
-            return "every reader of joint_states"
-        if self._published:
-            missing = [held for held in self.inputs if not held.there]
-            # the voltage waits for what others wait for: who owes another one is nearer to the culprit
-            return f"{missing[-1].partner} (topic {missing[-1].topic})"
-        return "recorder" if self._waits and self._recorder_behind() else ""
-
-    # -- real time ---------------------------------------------------------------------------------------------
-
-    def _keep_time(self) -> None:
-        try:
-            self._keep_time_until_left()
-        except Exception as error:  # a thread would die without a word
-            self.fail(f"the thread that keeps the time broke: {type(error).__name__}: {error}")
-
-    def _keep_time_until_left(self) -> None:
-        period = 1.0 / (self.parameters.sample_rate * self.parameters.real_time_factor)
-        if self.sample == 0 and self.parameters.samples:
-            self._await_partners()
-        deadline = time.monotonic()
-        while not self._leaving.is_set() and not self._ended:
-            if not self.running:
-                self._leaving.wait(0.01)
-                deadline = time.monotonic()
-                continue
-            with self._lock:
-                self.pace.tick()
-                self._publish_sample()
-                published = self._runs
-            deadline += period
-            if not self._wait_until(deadline):
-                return
-            if time.monotonic() - deadline > FAR_BEHIND * period:
-                deadline = time.monotonic()  # the schedule moves; samples are never dropped
-            with self._lock:
-                if self._runs != published:
-                    continue  # a reset came in between: there is no sample to take
-                self.late += any([held.late() for held in self.inputs])
-                self._take(*self._watched_voltages(period))
-                if self.parameters.samples and self.sample >= self.parameters.samples:
-                    self._finish()
-
-    def _await_partners(self) -> None:
-        """Let a run of given length begin when the loop is complete; one without end needs no beginning."""
-        readers = READERS + self._waits
-        patience = time.monotonic() + STARTUP_TIMEOUT
-        while time.monotonic() < patience and not self._leaving.wait(0.02):
-            complete = self._joint_states.get_subscription_count() >= readers
-            complete = complete and all(self.count_publishers(topic) for topic in self._voltage_names)
-            if complete and not (self._waits and self._acknowledged < 0):
-                break
-        with self._lock:
-            if not self.sample:
-                self._set_start()
-
-    def _wait_until(self, deadline: float) -> bool:
-        """Wait; False when the node leaves."""
-        wait = deadline - time.monotonic()
-        if wait > EXACT_WAIT:
-            self._leaving.wait(wait - EXACT_WAIT)
-            wait = deadline - time.monotonic()
-        if wait > 0.0 and not self._leaving.is_set():
-            time.sleep(wait)
-        return not self._leaving.is_set()
-
-    def _watched_voltages(self, period: float) -> list[float]:
-        """Return the voltages to hold: the last ones received, or on their way to safe ones when they stopped."""
-        timeout = self.parameters.voltage_timeout
-        safe = self.plant.safe_voltages(self.parameters, [held.held for held in self.inputs])
-        for held, voltage in zip(self.inputs, safe, strict=True):
-            silent = held.stopped(timeout)
-            if silent and not held.silent:
-                self.warn(held.topic, f"no {held.topic} for {timeout:g} s: going to {voltage:g} V, which is safe")
-            elif held.silent and not silent:
-                self.get_logger().info(f"{held.topic} is back")
-            held.follow(silent, voltage, self.parameters.safe_slew_rate * period)
-        return [held.held for held in self.inputs]
-
-    # -- leaving -----------------------------------------------------------------------------------------------
+        return self.runner.missing_voltage()
 
     @property
     def listens_at_exit(self) -> bool:
         """In real time the voltage's return is still followed."""
-        return not self.lockstep
+        return not self.runner.exact
 
     def drained(self) -> bool:
         """Tell whether no voltage is under way any more."""
-        return all(time.monotonic() - held.received > QUIET for held in self.inputs)
+        return self.runner.is_quiet
 
     def release(self) -> None:
-        """Stop the thread that keeps the time."""
-        self._leaving.set()
-        if self._thread is not None:
-            self._thread.join()
-            self._thread = None
+        """Stop the thread that keeps the time; a device is brought to its safe state."""
+        if self.runner is not None:
+            self.runner.stop_time()
+            self._make_safe()
         if self.parameters is not None:
             self._tell()
+
+    def destroy_node(self) -> None:
+        """Leave the graph, and the device."""
+        self.unbuild()
+        super().destroy_node()
+
+    def _make_safe(self) -> None:
+        patience = time.monotonic() + RETURN
+        while self.part.step_to_safe() and time.monotonic() < patience:
+            time.sleep(self.runner.period)
+        try:
+            self.part.make_safe()
+        except HysteresisError as error:
+            self.warn("safe", str(error), every=60.0, error=True)
 
 
 def main(arguments=None) -> int:

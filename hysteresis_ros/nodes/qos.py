@@ -11,14 +11,13 @@ def _reliable(depth: int, durability: DurabilityPolicy) -> QoSProfile:
     )
 
 
-def loop_qos(time_mode: str, depth: int) -> QoSProfile:
+def loop_qos(keeps: bool, depth: int) -> QoSProfile:
     """Topics between the nodes of an axis.
 
-    Lockstep keeps the last ``depth`` messages for whoever is matched a little later (transient-local): with volatile
-    topics sample 0 can be lost and the loop would wait for ever. In real time old samples are worthless (volatile).
+    Lockstep (``keeps``) keeps the last ``depth`` messages for whoever is matched a little later (transient-local): with
+    volatile topics sample 0 can be lost and the loop would wait for ever. In real time old samples are worthless.
     """
-    lockstep = time_mode == "lockstep"
-    return _reliable(depth, DurabilityPolicy.TRANSIENT_LOCAL if lockstep else DurabilityPolicy.VOLATILE)
+    return _reliable(depth, DurabilityPolicy.TRANSIENT_LOCAL if keeps else DurabilityPolicy.VOLATILE)
 
 
 def setpoint_qos() -> QoSProfile:
@@ -26,9 +25,9 @@ def setpoint_qos() -> QoSProfile:
     return _reliable(10, DurabilityPolicy.VOLATILE)
 
 
-def latched_qos() -> QoSProfile:
+def latched_qos(depth: int = 1) -> QoSProfile:
     """Said once, for whoever comes later: the end of a run, the configuration of a recording."""
-    return _reliable(1, DurabilityPolicy.TRANSIENT_LOCAL)
+    return _reliable(depth, DurabilityPolicy.TRANSIENT_LOCAL)
 
 
 def diagnostics_qos() -> QoSProfile:

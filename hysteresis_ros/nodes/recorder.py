@@ -48,6 +48,8 @@ def sampled_topics(inchworm: bool):
 class RecorderNode(AxisNode):
     """Writes MCAP in chunks; at exit, Ctrl-C or SIGTERM nothing is lost, at SIGKILL at most one open chunk."""
 
+    has_state = False
+
     def __init__(self, **options):
         super().__init__("recorder", **options)
         self.bag = None
@@ -83,17 +85,17 @@ class RecorderNode(AxisNode):
         self._counts = [0] * len(self._topics)
         self._acknowledged = 0
         self._last_arrival = time.monotonic()
-        self.reset_pending = False
 
     def connect(self) -> None:
         """Subscribe to everything, as raw CDR."""
         qos = self.qos()
         self._sampled: list[str] = []
-        durability = "transient_local" if self.lockstep else "volatile"
+        durability = "transient_local" if self.runner.exact else "volatile"
         for index, (topic, message_type, partner) in enumerate(self._topics):
             self._record(topic, message_type, qos, durability, index, partner)
         self.subscribe_end()
         self._record("setpoint", Float64, setpoint_qos(), "volatile")
+        self._record("changes", String, self.changes_qos(), "transient_local")
         if self._is_inchworm:
             self._record("speed", Float64, setpoint_qos(), "volatile")
         self._record("/diagnostics", DiagnosticArray, diagnostics_qos(), "volatile")
@@ -112,7 +114,7 @@ class RecorderNode(AxisNode):
             self.bag.add_topic(self._announce.topic_name, "std_msgs/msg/String", "transient_local")
             self.bag.write_string(self._announce.topic_name, self._configuration, time.time_ns())
             self.bag.flush()
-        self._began = self.lockstep
+        self._began = self.runner.exact
         self._patience = time.monotonic() + PATIENCE_AT_START
         if self._began:
             self._send_acknowledgement()
@@ -141,7 +143,9 @@ class RecorderNode(AxisNode):
     def _note(self, index: int) -> None:
         counts = self._counts
         counts[index] += 1
-        self._heard_new = self._arrived = True
+        self._arrived = True
+        if self.runner.exact:
+            self.runner.heard()
         if index == 0:
             self.pace.tick()
             self.sample = counts[0] - 1  # the one under way: the first may take as long as the others need to start
@@ -167,7 +171,7 @@ class RecorderNode(AxisNode):
             self._began = now > self._patience or all(self.count_publishers(topic) for topic in self._sampled)
             if self._began:
                 self._send_acknowledgement()
-        if self.end_of_run >= 0 and not self.lockstep and now - self._last_arrival > SILENCE:
+        if self.end_of_run >= 0 and not self.runner.exact and now - self._last_arrival > SILENCE:
             self.leave_when_done()
 
     def _on_end(self, message) -> None:

@@ -142,6 +142,10 @@ def _spin(executor, nodes, stop) -> int:
 def _leave(executor, nodes, regular: bool) -> None:
     """Bring outputs to their safe values and wait until they have arrived, then let go of threads and files."""
     deadline = time.monotonic() + PATIENCE_AT_END
+    for node in nodes:
+        node.leaving = True
+        if node.active:
+            node.runner.part()
     if regular:
         for node in nodes:
             node.wait_acknowledged(deadline)
@@ -151,7 +155,7 @@ def _leave(executor, nodes, regular: bool) -> None:
         if not node.active:
             continue
         # A lockstep run that ended regularly has exactly one voltage a sample, and its plant is gone.
-        if not (regular and node.lockstep):
+        if not (regular and node.runner.exact):
             node.go_safe()
         if node.listens_at_exit and not regular:
             listening.append(node)

@@ -2,28 +2,25 @@
 
 from __future__ import annotations
 
+import contextlib
+import json
+
 import numpy as np
 
 from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.recordings import cdr
 from hysteresis_ros.recordings.bag_reader import Bag, Topic, read_bag
 from hysteresis_ros.recordings.configured import configured
-from hysteresis_ros.recordings.dataset import COLUMNS, INCHWORM_UNITS, REQUESTS, Recording
-from hysteresis_ros.recordings.run_bag import STATE_SIGNALS
-
-#: ``~/state`` topics in which a column is looked for, best first: (node, name in its message).
-STATE_SOURCES = {
-    "setpoint": (("reference_generator", "setpoint"), ("inchworm_sequencer", "setpoint")),
-    "reference": (
-        *(("reference_generator", "reference"), ("inchworm_sequencer", "reference")),
-        ("motion_controller", "reference"),
-    ),
-    "command": (("motion_controller", "command"), ("hysteresis_compensator", "command")),
-    "voltage": (("hysteresis_compensator", "voltage"), ("plant_simulator", "voltage")),
-    "displacement": (("plant_simulator", "displacement"),),
-    "measured": (("plant_simulator", "measured"), ("motion_controller", "measured")),
-    "estimated": (("motion_controller", "estimated"),),
-}
+from hysteresis_ros.recordings.dataset import Recording
+from hysteresis_ros.signals import (
+    COLUMNS,
+    MOTOR_COLUMNS,
+    MOTOR_SOURCE,
+    REQUESTS,
+    WRITERS,
+    sources,
+    state_signals,
+)
 
 #: Samples at the end of which the last messages may not have reached the recorder when it was stopped.
 TAIL = 100
@@ -36,7 +33,7 @@ def read_recording(path, namespace: str | None = None, *, further: bool = False)
 
 def namespaces(bag: Bag) -> tuple[str, ...]:
     """Return the namespaces in which the bag holds an axis, sorted; the root namespace is the empty string."""
-    endings = ["/joint_states", *(f"/{node}/state" for node in STATE_SIGNALS)]
+    endings = ["/joint_states", *(f"/{node}/state" for node in WRITERS)]
     found = set()
     for name in bag.topics:
         if bag.of_type(name, cdr.JOINT_STATE) is None:
@@ -106,17 +103,11 @@ def align(bag: Bag, namespace: str | None = None, *, further: bool = False) -> R
     notes = list(bag.notes)
     configuration = _configuration(bag, prefix)
     joints, rows = _one_run(bag, f"{prefix}/joint_states", notes)
-    states = {node: _one_run(bag, f"{prefix}/{node}/state", [])[0] for node in STATE_SIGNALS}
+    states = {node: _one_run(bag, f"{prefix}/{node}/state", [])[0] for node in WRITERS}
     key = joints or next(state for state in states.values() if state is not None)
     stamps = np.unique(key.stamps)
 
-    columns = {}
-    for name in COLUMNS:
-        for node, signal in STATE_SOURCES[name]:
-            values = states[node].signal(signal) if states[node] is not None else None
-            if values is not None:
-                columns[name] = _by_stamp(stamps, states[node].stamps, values)
-                break
+    columns = _state_columns(states, stamps)
     if joints is not None:
         joint = configured(configuration, "plant_simulator", prefix).get("joint")
         measured = _joint(bag, joints, joint)
@@ -124,18 +115,8 @@ def align(bag: Bag, namespace: str | None = None, *, further: bool = False) -> R
             columns["measured"] = _by_stamp(stamps, joints.stamps, measured)
         _add_float_topics(bag, prefix, columns, joints, rows)
     motor = _motor_columns(states, joints, stamps)
-    if "displacement" not in columns and "measured" in columns:
-        columns["displacement"] = columns["measured"].copy()
-        notes.append("no true displacement in the bag: the column displacement is the measured one")
-    absent = [name for name in COLUMNS if name not in columns]
-    if absent:
-        notes.append(f"not in the bag: {', '.join(absent)}")
-    for name in absent:
-        columns[name] = np.full(stamps.size, np.nan)
-
-    present = [name for name in COLUMNS if name not in absent]
+    present = [*_completed(columns, stamps.size, notes), *motor]
     columns |= motor
-    present += motor
     recorded = stamps.size
     stamps, columns = _without_tail(stamps, columns, present, notes)
     missing, per_signal = _missing(stamps, columns, present, notes)
@@ -153,6 +134,7 @@ def align(bag: Bag, namespace: str | None = None, *, further: bool = False) -> R
         "namespace": prefix,
         "configuration": configuration,
         "complete": bag.complete,
+        "changes": _changes(bag, prefix),
         "start_time_ns": int(stamps[0]) if stamps.size else 0,
         "missing_samples": missing,
         "missing": per_signal,
@@ -165,6 +147,31 @@ def align(bag: Bag, namespace: str | None = None, *, further: bool = False) -> R
     if further:
         signals |= {name: values for name, values in _further(states, stamps).items() if name not in signals}
     return Recording(time, signals, {}, metadata)
+
+
+def _state_columns(states: dict, stamps) -> dict[str, np.ndarray]:
+    """Return the columns of a run that ``~/state`` messages hold, each from the first node that has it."""
+    columns = {}
+    for name in COLUMNS:
+        for node, signal in sources(name):
+            values = states[node].signal(signal) if states[node] is not None else None
+            if values is not None:
+                columns[name] = _by_stamp(stamps, states[node].stamps, values)
+                break
+    return columns
+
+
+def _completed(columns: dict, samples: int, notes: list[str]) -> list[str]:
+    """Fill in the columns that nobody recorded, note them, and return the names of those that are there."""
+    if "displacement" not in columns and "measured" in columns:
+        columns["displacement"] = columns["measured"].copy()
+        notes.append("no true displacement in the bag: the column displacement is the measured one")
+    absent = [name for name in COLUMNS if name not in columns]
+    if absent:
+        notes.append(f"not in the bag: {', '.join(absent)}")
+    for name in absent:
+        columns[name] = np.full(samples, np.nan)
+    return [name for name in COLUMNS if name not in absent]
 
 
 def setpoints_per_sample(recording: Recording) -> np.ndarray:
@@ -192,22 +199,34 @@ def setpoints_per_sample(recording: Recording) -> np.ndarray:
 
 def _motor_columns(states: dict, joints, stamps) -> dict[str, np.ndarray]:
     """Return the further columns of an inchworm's run; of real hardware those that are known."""
-    if states["inchworm_sequencer"] is None:
+    if states[MOTOR_SOURCE] is None:
         return {}
     found = _further(states, stamps)
     if "extender" not in found and joints is not None and "extender" in joints.names:
         found["extender"] = _by_stamp(stamps, joints.stamps, joints.signal("extender"))
-    return {name: found[name] for name in (*INCHWORM_UNITS, *REQUESTS) if name in found}
+    return {name: found[name] for name in (*MOTOR_COLUMNS, *REQUESTS) if name in found}
 
 
 def _further(states: dict, stamps) -> dict[str, np.ndarray]:
     """Return the signals of ``~/state`` messages that are no columns of every run."""
     found = {}
-    for node, names in STATE_SIGNALS.items():
-        for name, signal in names.items():
+    for node in WRITERS:
+        for name, signal in state_signals(node).items():
             values = states[node].signal(name) if states[node] is not None else None
             if signal not in COLUMNS and values is not None:
                 found[signal] = _by_stamp(stamps, states[node].stamps, values)
+    return found
+
+
+def _changes(bag: Bag, prefix: str) -> list[dict]:
+    """Return what people changed while the axis ran, in the order of the bag; what cannot be read is left out."""
+    topic = bag.of_type(f"{prefix}/changes", cdr.STRING)
+    found = []
+    for text in cdr.decode_strings(topic.data, f"{prefix}/changes") if topic else ():
+        with contextlib.suppress(ValueError):
+            entry = json.loads(text)
+            if isinstance(entry, dict):
+                found.append(entry)
     return found
 
 
@@ -240,7 +259,7 @@ def _by_stamp(stamps, source_stamps, values) -> np.ndarray:
     return found
 
 
-def _joint(bag: Bag, joints: cdr.JointStates, joint) -> np.ndarray:
+def _joint(bag: Bag, joints: cdr.JointStates, joint) -> np.ndarray | None:
     if not joints.names:
         raise RecordingError(f"{bag.path}: joint_states holds no joint; the driver must fill name and position")
     if joint is not None and joint not in joints.names:

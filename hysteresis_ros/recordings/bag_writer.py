@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pathlib
+from typing import Any
 
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.rosbag2 import StoragePlugin, Writer
@@ -66,11 +67,11 @@ class BagWriter:
         self.path = pathlib.Path(path)
         self.chunk_bytes = int(chunk_bytes)
         self.message_count = 0
-        self._connections: dict[str, tuple[str, object]] = {}
+        self._connections: dict[str, tuple[str, Any]] = {}
         self._encoders: dict[tuple[str, tuple[str, ...]], cdr.JointStateEncoder] = {}
         self._open_bytes = 0
         try:
-            self._writer = Writer(self.path, version=9, storage_plugin=StoragePlugin.MCAP)
+            self._writer: Writer | None = Writer(self.path, version=9, storage_plugin=StoragePlugin.MCAP)
             self._writer.open()
         except WriterError:
             raise RecordingError(f"{self.path}: exists already; choose another name or remove it") from None
@@ -169,7 +170,7 @@ class BagWriter:
         RecordingError
             The bag is closed or the disk is full.
         """
-        storage = self._alive().storage
+        storage: Any = self._alive().storage
         try:
             # an empty chunk would carry no times and confuse readers
             if self._open_bytes:

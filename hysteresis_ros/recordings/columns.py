@@ -13,8 +13,9 @@ import zipfile
 import numpy as np
 
 from hysteresis_ros.errors import RecordingError
-from hysteresis_ros.recordings.dataset import SIGNAL_UNITS, Recording
+from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.tables import SUBUNITS
+from hysteresis_ros.signals import UNITS as SIGNAL_UNITS
 
 #: Units a column may have: name → (SI unit, number of them in one SI unit); ``1`` is dimensionless.
 UNITS = {
@@ -177,7 +178,7 @@ def choose_columns(path, choices, time: str | None = None, sample_time: float | 
         if time is None:
             there = ", ".join(columns)
             raise RecordingError(f"{path}: no time among {there}; name it like 'time_s:s' or give the sample time")
-    if time is None:
+    if time is None and sample_time is not None:
         size = len(next(iter(columns.values())))
         return Recording(np.arange(size) * float(sample_time), signals, units, metadata)
     # a column called time or t without a unit is in seconds, as everywhere in this package

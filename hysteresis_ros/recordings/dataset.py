@@ -7,60 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hysteresis_ros.errors import RecordingError
-
-#: Signals of a closed-loop run beside ``time``, in the order in which files hold them.
-COLUMNS = ("setpoint", "reference", "command", "voltage", "displacement", "measured", "estimated")
-
-#: Signals of an inchworm's run besides, and their units.
-INCHWORM_UNITS = {
-    "origin": "m",
-    "extender": "m",
-    "extender_displacement": "m",
-    "front_voltage": "V",
-    "rear_voltage": "V",
-    "front_force": "N",
-    "rear_force": "N",
-    "phase": "1",
-    "steps": "1",
-    "direction": "1",
-    "slip": "m",
-    "error": "1",
-    "arrived": "1",
-    "total_steps": "1",
-    "missed": "1",
-    "step_commanded": "m",
-    "step_achieved": "m",
-}
-
-#: What people asked of an inchworm beside the setpoint: inputs of its replay.
-REQUESTS = ("request", "speed")
-
-#: SI units of the signals this package knows; ``1`` means dimensionless or in the model's own units.
-SIGNAL_UNITS = {
-    "time": "s",
-    "setpoint": "m",
-    "reference": "m",
-    "command": "m",
-    "voltage": "V",
-    "displacement": "m",
-    "measured": "m",
-    "estimated": "m",
-    "applied": "m",
-    "plant_voltage": "V",
-    "saturated": "1",
-    "switching": "1",
-    "disturbance": "1",
-    **INCHWORM_UNITS,
-    "request": "1",
-    "speed": "m/s",
-    "front_plant_voltage": "V",
-    "rear_plant_voltage": "V",
-    "load_deflection": "m",
-    "forward_gain": "1",
-    "forward_offset": "m",
-    "backward_gain": "1",
-    "backward_offset": "m",
-}
+from hysteresis_ros.signals import COLUMNS, UNITS
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +21,7 @@ class Recording:
     signals : dict of str to array_like, shape (N,)
         Named signals in SI units; NaN where a sample of a signal is missing.
     units : dict of str to str, optional
-        Unit of each signal; those of :data:`SIGNAL_UNITS` need not be given.
+        Unit of each signal; those of :data:`hysteresis_ros.signals.UNITS` need not be given.
     metadata : dict, optional
         Whatever JSON can hold. Known keys: ``configuration`` (YAML text of the axis), ``notes`` (list of str),
         ``missing_samples`` (int), ``timing`` (dict with ``rate_hz`` and ``jitter_p99_s``), ``namespace``, ``source``.
@@ -113,10 +60,10 @@ class Recording:
                 raise RecordingError(
                     f"signal '{name}' has {column.size} samples and time has {time.size}; both must agree"
                 )
-            unit = self.units.get(name, SIGNAL_UNITS.get(name))
+            unit = self.units.get(name, UNITS.get(name))
             if unit is None:
                 raise RecordingError(f"signal '{name}' has no unit; give units={{'{name}': 'm'}} or whatever it is in")
-            known = SIGNAL_UNITS.get(name, unit)
+            known = UNITS.get(name, unit)
             if unit != known:
                 raise RecordingError(f"signal '{name}' is given in '{unit}'; it must be in '{known}' (SI)")
             signals[name], units[name] = column, unit

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import pathlib
 import struct
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from mcap.data_stream import ReadDataStream
@@ -48,7 +49,7 @@ class StreamResult:
 class _Records:
     """Follows schemas and channels and hands every message on."""
 
-    sink: object
+    sink: Callable[..., object]
     schemas: dict = field(default_factory=dict)
     channels: dict = field(default_factory=dict)
     count: int = 0

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from hysteresis_ros.recordings.dataset import REQUESTS, Recording
+from hysteresis_ros.recordings.dataset import Recording
+from hysteresis_ros.signals import REQUESTS
 
 
 def requests_per_sample(recording: Recording) -> dict[str, np.ndarray]:

@@ -5,59 +5,15 @@ from __future__ import annotations
 import pathlib
 import shutil
 import tempfile
+from typing import Any
 
 import numpy as np
 
 from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.recordings.bag_writer import BagWriter
 from hysteresis_ros.recordings.configured import configured
-from hysteresis_ros.recordings.dataset import REQUESTS, Recording
-
-#: ``~/state`` of each node: name in the message → signal of the run.
-STATE_SIGNALS = {
-    "plant_simulator": {
-        "displacement": "displacement",
-        "measured": "measured",
-        "voltage": "plant_voltage",
-        **{name: name for name in ("extender_displacement", "extender", "front_force", "rear_force")},
-        "front_voltage": "front_plant_voltage",
-        "rear_voltage": "rear_plant_voltage",
-    },
-    "reference_generator": {"setpoint": "setpoint", "reference": "reference"},
-    "inchworm_sequencer": {
-        name: name
-        for name in (
-            *("setpoint", *REQUESTS, "reference", "origin", "front_voltage", "rear_voltage", "phase", "steps"),
-            *("direction", "slip", "error", "arrived", "total_steps", "missed", "step_commanded", "step_achieved"),
-            *("load_deflection", "forward_gain", "backward_gain", "forward_offset", "backward_offset"),
-        )
-    },
-    "motion_controller": {
-        "reference": "reference",
-        "measured": "measured",
-        "estimated": "estimated",
-        "command": "command",
-        "switching": "switching",
-        "disturbance": "disturbance",
-    },
-    "hysteresis_compensator": {
-        "command": "command",
-        "voltage": "voltage",
-        "applied": "applied",
-        "saturated": "saturated",
-    },
-}
-
-#: Float64 topics and their signals, in the order in which a sample's messages follow each other.
-FLOAT_TOPICS = {
-    "origin": "origin",
-    "reference": "reference",
-    "front_clamp/voltage": "front_voltage",
-    "rear_clamp/voltage": "rear_voltage",
-    "command": "command",
-    "applied": "applied",
-    "voltage": "voltage",
-}
+from hysteresis_ros.recordings.dataset import Recording
+from hysteresis_ros.signals import MOTOR_SOURCE, SOURCE, WRITERS, float_topics, state_signals
 
 
 def write_recording(
@@ -125,16 +81,18 @@ def _write_topics(bag, recording, configuration, prefix, joint, start_time_ns) -
     values = {name: column.tolist() for name, column in recording.signals.items()}
     values.setdefault("plant_voltage", values.get("voltage"))
     states = []
-    absent = "reference_generator" if "phase" in values else "inchworm_sequencer"
-    for node, names in STATE_SIGNALS.items():
+    absent = SOURCE if "phase" in values else MOTOR_SOURCE
+    for node in WRITERS:
         if node == absent:
             continue
+        names = state_signals(node)
         there = {name: values[signal] for name, signal in names.items() if values.get(signal) is not None}
         if there:
             columns = list(zip(*there.values(), strict=True))
             states.append((f"{prefix}/{node}/state", tuple(there), columns))
-    floats = [(f"{prefix}/{name}", values[signal]) for name, signal in FLOAT_TOPICS.items() if signal in values]
+    floats = [(f"{prefix}/{name}", values[signal]) for name, signal in float_topics().items() if signal in values]
     measured = values.get("measured", values.get("displacement"))
+    positions: list[Any]
     joints, positions = [joint], [measured]
     if "extender" in values:
         joints, positions = [joint, "extender"], [measured, values["extender"]]
@@ -147,5 +105,5 @@ def _write_topics(bag, recording, configuration, prefix, joint, start_time_ns) -
             bag.write_joint_state(f"{prefix}/joint_states", stamp, joints, [column[k] for column in positions])
         for topic, column in floats:
             bag.write_float64(topic, column[k], stamp)
-        for topic, names, columns in states:
-            bag.write_joint_state(topic, stamp, names, columns[k])
+        for topic, written, columns in states:
+            bag.write_joint_state(topic, stamp, written, columns[k])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import pathlib
@@ -11,7 +12,8 @@ import zipfile
 import numpy as np
 
 from hysteresis_ros.errors import RecordingError
-from hysteresis_ros.recordings.dataset import SIGNAL_UNITS, Recording
+from hysteresis_ros.recordings.dataset import Recording
+from hysteresis_ros.signals import UNITS as SIGNAL_UNITS
 
 #: Units read beside the SI ones: name → (SI unit, number of them in one SI unit).
 SUBUNITS = {
@@ -173,7 +175,8 @@ def _replace(path, mode, write) -> None:
             write(stream)
         os.replace(partial, path)
     except OSError as error:
-        partial.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):
+            partial.unlink(missing_ok=True)
         raise RecordingError(f"{path}: cannot be written: {_reason(error)}; choose another place") from None
 
 

@@ -1,10 +1,19 @@
-"""References: waveforms, the jerk-limited approach to setpoints, and the generator that adds them."""
+"""References: waveforms, the jerk-limited approach to setpoints, and the generator that adds them.
+
+The package itself has a class for each waveform, whose constructor takes the parameters as keywords:
+``hysteresis_ros.references.Sine(amplitude=1e-6, frequency=10.0).samples(1000)``. ``dir()`` lists them.
+"""
 
 from __future__ import annotations
+
+from typing import TYPE_CHECKING
 
 from hysteresis_ros.references.approach import Approach, ApproachParameters
 from hysteresis_ros.references.generator import ReferenceGenerator, ReferenceParameters, reference_step
 from hysteresis_ros.references.waveforms import Waveform, WaveformParameters
+
+if TYPE_CHECKING:
+    from hysteresis_ros.references.classes import Reference
 
 __all__ = [
     "Approach",
@@ -15,3 +24,21 @@ __all__ = [
     "WaveformParameters",
     "reference_step",
 ]
+
+
+def __getattr__(name: str) -> type[Reference]:
+    """Return the class of a waveform; imported at the first use."""
+    from hysteresis_ros.keywords import find
+
+    # names of modules are asked for while they are imported
+    if not name[:1].isupper():
+        return find({}, name, __name__)
+    from hysteresis_ros.references.classes import CLASSES
+
+    return find(CLASSES, name, __name__)
+
+
+def __dir__() -> list[str]:
+    from hysteresis_ros.references.classes import CLASSES
+
+    return sorted([*CLASSES, *(name for name in globals() if name.startswith("__"))])

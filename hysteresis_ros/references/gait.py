@@ -15,6 +15,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from hysteresis_ros import elementary
 from hysteresis_ros.block import kernel
 from hysteresis_ros.errors import Problem
 from hysteresis_ros.parameters import Parameters, parameter
@@ -27,7 +28,7 @@ def cycloid(s):
         return 0.0
     if s >= 1.0:
         return 1.0
-    return s - math.sin(2.0 * math.pi * s) / (2.0 * math.pi)
+    return s - elementary.sin(2.0 * math.pi * s) / (2.0 * math.pi)
 
 
 @kernel
@@ -197,5 +198,5 @@ class GaitParameters(Parameters):
         if not self.lowest_extension < self.highest_extension:
             allowed = f"must be above lowest_extension = {self.lowest_extension:g} m"
             yield Problem("highest_extension", self.highest_extension, allowed)
-        elif self.refuse_speed(self.walking_speed):
-            yield Problem("walking_speed", self.walking_speed, self.refuse_speed(self.walking_speed))
+        elif refused := self.refuse_speed(self.walking_speed):
+            yield Problem("walking_speed", self.walking_speed, refused)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -40,27 +41,25 @@ class ReferenceParameters(Parameters):
             yield Problem("initial_setpoint", self.initial_setpoint, allowed)
 
 
-def shaping_parameter(waveform: WaveformParameters) -> str:
-    """Return the name of the parameter that says how far a waveform goes.
+class GeneratorArrays(NamedTuple):
+    """Parameter arrays, or state arrays, of a reference generator."""
 
-    Parameters
-    ----------
-    waveform : WaveformParameters
-    """
-    return {"hold": "offset", "steps": "steps.values", "file": "file.path"}.get(waveform.type, "amplitude")
+    approach: np.ndarray
+    waveform: np.ndarray
+    range: np.ndarray
 
 
 @nested
 def reference_step(waveform, ps, xs, setpoint):
     """Return the reference [m] of this sample: approach(setpoint) + waveform, clipped to minimum … maximum.
 
-    ``ps``, ``xs`` are the arrays of (approach, waveform, range). While stopped the reference does not change and
+    ``ps``, ``xs`` are :class:`GeneratorArrays`. While stopped the reference does not change and
     nothing advances.
     """
-    p, x = ps[2], xs[2]
+    p, x = ps.range, xs.range
     if x[RUNNING] == 0.0:
         return x[OUTPUT]
-    reference = approach(ps[0], xs[0], setpoint) + waveform(ps[1], xs[1], 0.0)
+    reference = approach(ps.approach, xs.approach, setpoint) + waveform(ps.waveform, xs.waveform, 0.0)
     if x[FADE_COUNT] < p[FADE_SAMPLES]:
         # Minimum-jerk blend 1 → 0.
         s = x[FADE_COUNT] / p[FADE_SAMPLES]
@@ -71,7 +70,7 @@ def reference_step(waveform, ps, xs, setpoint):
     return reference
 
 
-@composite("void", "kernel", "arrays:3", "arrays:3", "array", "array")
+@composite("void", "kernel", GeneratorArrays, GeneratorArrays, "array", "array")
 def run_reference(waveform, ps, xs, setpoints, references):
     """Fill ``references[k]`` for all ``setpoints[k]``."""
     for k in range(setpoints.shape[0]):
@@ -90,7 +89,7 @@ class ReferenceGenerator(Chain):
 
     Attributes
     ----------
-    ps, xs : tuple of three arrays
+    ps, xs : GeneratorArrays
         Parameters and states of approach, waveform and range, for :func:`reference_step`.
     waveform : Waveform
         The waveform, with ``crest_factor``, ``period``, ``lowest`` and ``highest``.
@@ -120,7 +119,7 @@ class ReferenceGenerator(Chain):
         tolerance = 1e-12 * (high - low)
         for value in (waveform.lowest + setpoint, waveform.highest + setpoint):
             if not low - tolerance <= value <= high + tolerance:
-                kind, name = parameters.waveform.type, shaping_parameter(parameters.waveform)
+                kind, name = parameters.waveform.type, parameters.waveform.shape.extent
                 given = parameters.waveform.to_mapping()[name]
                 text = (
                     f"the waveform {kind} around the setpoint {setpoint:g} m reaches {value:g} m, allowed: "
@@ -135,8 +134,8 @@ class ReferenceGenerator(Chain):
         # With the waveform on top the sum stays inside.
         self.approach.p[LOW] = low - self.waveform.lowest
         self.approach.p[HIGH] = high - self.waveform.highest
-        self.ps = (self.approach.p, self.waveform.p, self._range[0])
-        self.xs = (self.approach.x, self.waveform.x, self._range[1])
+        self.ps = GeneratorArrays(self.approach.p, self.waveform.p, self._range[0])
+        self.xs = GeneratorArrays(self.approach.x, self.waveform.x, self._range[1])
 
     @property
     def waveform_kernel(self):

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hysteresis_ros import elementary
 from hysteresis_ros.block import Block
 from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.parameters import Parameters, group, parameter
@@ -230,7 +231,7 @@ class InchwormSequencer(Block):
         p[at.FINE_TIME] = max(fine.time, 2.0 * self.sample_time)
         p[at.FINE_TIMEOUT] = samples(fine.timeout, 1)
         smooth = fine.smoothing_time
-        p[at.SMOOTHING] = 1.0 - math.exp(-self.sample_time / smooth) if smooth > 0.0 else 1.0
+        p[at.SMOOTHING] = 1.0 - elementary.exp(-self.sample_time / smooth) if smooth > 0.0 else 1.0
         p[at.LEARNING] = parameters.learning.enabled
         p[at.FORGETTING] = parameters.learning.forgetting
         p[at.STILL_STEPS] = guard.still_steps

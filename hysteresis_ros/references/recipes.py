@@ -6,21 +6,14 @@ Amplitudes and offsets are voltages here: an axis in open loop without inverse p
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from hysteresis_ros.errors import ConfigurationError
+from hysteresis_ros.errors import ConfigurationError, did_you_mean
+from hysteresis_ros.references.waveforms import WaveformParameters
 
-#: Recipes, and which identification each serves.
-RECIPES = {
-    "triangles": "triangles whose peak grows in equal steps up to the end of the range (6 … 120 V): loop models",
-    "decaying": "two whole cycles, then an amplitude that dies out: minor loops, alpha of Duhem",
-    "multisine": "many frequencies at once, small, around the middle of the range: linear dynamics",
-    "chirp": "sine of rising frequency, small, around the middle of the range: linear dynamics",
-    "steps": "steps up and down to several levels: lag, overshoot",
-    "creep": "one large step that is held, and back: creep",
-}
 #: Peaks of the triangles, levels of the steps.
 PEAKS = 20
 #: Cycles of the decaying recipe: over the whole range, decaying, and those in which the amplitude falls to 1/e.
@@ -30,8 +23,6 @@ LEVELS = (0.25, 0.75, 0.5, 1.0, 0.0)
 SMALL = 0.1
 #: Frequencies stay below this part of the sample rate.
 HIGHEST = 0.2
-#: Names of waveform parameters that are displacements.
-LENGTHS = ("amplitude", "offset", "steps.values")
 
 
 @dataclass(frozen=True)
@@ -51,6 +42,131 @@ class Excitation:
     waveform: dict
     duration: float
     samples: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """What a recipe is given: the range [V] of the amplifier and how much of it, sample rate [Hz], and the options."""
+
+    low: float
+    high: float
+    amplitude: float
+    sample_rate: float
+    frequency: float | None
+    duration: float | None
+
+    @property
+    def middle(self) -> float:
+        return 0.5 * (self.low + self.high)
+
+    @property
+    def half(self) -> float:
+        return 0.5 * (self.high - self.low)
+
+    @property
+    def small(self) -> float:
+        """Amplitude of a small excitation."""
+        return 2.0 * self.half * SMALL * self.amplitude
+
+
+def _triangles(asked: _Asked) -> Excitation:
+    frequency = asked.frequency or asked.sample_rate / 500.0
+    branch = max(round(0.5 * asked.sample_rate / frequency), 2)
+    rise = np.arange(1, branch + 1) / branch
+    highest = asked.high * asked.amplitude
+    peaks = highest * np.arange(1, PEAKS + 1) / PEAKS
+    one = np.concatenate([rise, 1.0 - rise])
+    # the largest loop twice: once on the virgin curve, once closed
+    volts = np.concatenate([[0.0], *(peak * one for peak in (*peaks, highest))])
+    return Excitation({"type": "file", "cycles": 1}, volts.size / asked.sample_rate, volts)
+
+
+def _decaying(asked: _Asked) -> Excitation:
+    cycle = max(round(asked.sample_rate / (asked.frequency or asked.sample_rate / 500.0)), 8)
+    index = np.arange(WHOLE_CYCLES * cycle + DECAYING_CYCLES * cycle + 1)
+    # at rest at 0 V first, then from the low end
+    fall = np.exp(-np.maximum(index - WHOLE_CYCLES * cycle, 0) / (DECAY_CYCLES * cycle))
+    volts = asked.middle - asked.half * asked.amplitude * fall * np.cos(2.0 * np.pi * index / cycle)
+    return Excitation({"type": "file", "cycles": 1}, volts.size / asked.sample_rate, volts)
+
+
+def _multisine(asked: _Asked) -> Excitation:
+    line = asked.frequency or asked.sample_rate / 2000.0
+    waveform = {
+        "type": "multisine",
+        "offset": asked.middle,
+        "amplitude": asked.small,
+        "frequency": line,
+        "multisine.last_harmonic": max(int(2.0 * HIGHEST * asked.sample_rate / line), 1),
+    }
+    return Excitation(waveform, asked.duration or 6.0 / line)
+
+
+def _chirp(asked: _Asked) -> Excitation:
+    length = asked.duration or 10000.0 / asked.sample_rate
+    waveform = {
+        "type": "chirp",
+        "offset": asked.middle,
+        "amplitude": asked.small,
+        "frequency": asked.frequency or 4.0 / length,
+        "chirp.final_frequency": 2.0 * HIGHEST * asked.sample_rate,
+        "chirp.duration": length,
+        "chirp.sweep": "logarithmic",
+    }
+    return Excitation(waveform, length)
+
+
+def _steps(asked: _Asked) -> Excitation:
+    length = asked.duration or 5000.0 / asked.sample_rate
+    times = length * (np.arange(len(LEVELS)) + 0.2) / (len(LEVELS) + 0.2)
+    values = [asked.high * asked.amplitude * level for level in LEVELS]
+    return Excitation({"type": "steps", "steps.values": values, "steps.times": times.tolist()}, length)
+
+
+def _creep(asked: _Asked) -> Excitation:
+    length = asked.duration or 60.0
+    waveform = {
+        "type": "steps",
+        "steps.values": [0.8 * asked.high * asked.amplitude, 0.0],
+        "steps.times": [0.02 * length, 0.5 * length],
+    }
+    return Excitation(waveform, length)
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """A recipe, and which identification it serves.
+
+    Parameters
+    ----------
+    words : str
+        What it is and what it is for.
+    make : callable
+        Returns its :class:`Excitation`.
+    small : bool
+        Whether it takes a small part of the range by default.
+    """
+
+    words: str
+    make: Callable[[_Asked], Excitation]
+    small: bool = False
+
+
+#: The recipes by name.
+RECIPES = {
+    "triangles": Recipe(
+        "triangles whose peak grows in equal steps up to the end of the range: loop models", _triangles
+    ),
+    "decaying": Recipe("two whole cycles, then an amplitude that dies out: minor loops, alpha of Duhem", _decaying),
+    "multisine": Recipe(
+        "many frequencies at once, small, around the middle of the range: linear dynamics", _multisine, small=True
+    ),
+    "chirp": Recipe(
+        "sine of rising frequency, small, around the middle of the range: linear dynamics", _chirp, small=True
+    ),
+    "steps": Recipe("steps up and down to several levels: lag, overshoot", _steps),
+    "creep": Recipe("one large step that is held, and back: creep", _creep),
+}
 
 
 def recipe(
@@ -85,9 +201,10 @@ def recipe(
         The recipe is unknown, or a number is out of range.
     """
     if name not in RECIPES:
-        raise ConfigurationError(f"recipe {name!r}: must be one of {', '.join(RECIPES)}")
-    small = name in ("multisine", "chirp")
-    largest = 0.5 / SMALL if small else 1.0
+        near = did_you_mean(name, RECIPES)
+        raise ConfigurationError(f"recipe {name!r}: must be one of {', '.join(RECIPES)}{near}")
+    chosen = RECIPES[name]
+    largest = 0.5 / SMALL if chosen.small else 1.0
     if not 0.0 < amplitude <= largest:
         raise ConfigurationError(f"amplitude {amplitude:g}: must be above 0 and at most {largest:g} for {name}")
     if frequency is not None and not 0.0 < frequency <= HIGHEST * sample_rate:
@@ -96,64 +213,7 @@ def recipe(
         )
     if duration is not None and not 4.0 / sample_rate < duration < float("inf"):
         raise ConfigurationError(f"duration {duration:g} s: must be above {4.0 / sample_rate:g} s")
-    middle, half = 0.5 * (low + high), 0.5 * (high - low)
-    if name == "triangles":
-        return _triangles(high * amplitude, sample_rate, frequency or sample_rate / 500.0)
-    if name == "decaying":
-        return _decaying(middle, half * amplitude, sample_rate, frequency or sample_rate / 500.0)
-    if name == "multisine":
-        line = frequency or sample_rate / 2000.0
-        waveform = {
-            "type": "multisine",
-            "offset": middle,
-            "amplitude": 2.0 * half * SMALL * amplitude,
-            "frequency": line,
-            "multisine.last_harmonic": max(int(2.0 * HIGHEST * sample_rate / line), 1),
-        }
-        return Excitation(waveform, duration or 6.0 / line)
-    if name == "chirp":
-        length = duration or 10000.0 / sample_rate
-        waveform = {
-            "type": "chirp",
-            "offset": middle,
-            "amplitude": 2.0 * half * SMALL * amplitude,
-            "frequency": frequency or 4.0 / length,
-            "chirp.final_frequency": 2.0 * HIGHEST * sample_rate,
-            "chirp.duration": length,
-            "chirp.sweep": "logarithmic",
-        }
-        return Excitation(waveform, length)
-    if name == "steps":
-        length = duration or 5000.0 / sample_rate
-        times = length * (np.arange(len(LEVELS)) + 0.2) / (len(LEVELS) + 0.2)
-        values = [high * amplitude * level for level in LEVELS]
-        return Excitation({"type": "steps", "steps.values": values, "steps.times": times.tolist()}, length)
-    length = duration or 60.0
-    waveform = {
-        "type": "steps",
-        "steps.values": [0.8 * high * amplitude, 0.0],
-        "steps.times": [0.02 * length, 0.5 * length],
-    }
-    return Excitation(waveform, length)
-
-
-def _triangles(highest: float, sample_rate: float, frequency: float) -> Excitation:
-    branch = max(round(0.5 * sample_rate / frequency), 2)
-    rise = np.arange(1, branch + 1) / branch
-    peaks = highest * np.arange(1, PEAKS + 1) / PEAKS
-    one = np.concatenate([rise, 1.0 - rise])
-    # the largest loop twice: once on the virgin curve, once closed
-    volts = np.concatenate([[0.0], *(peak * one for peak in (*peaks, highest))])
-    return Excitation({"type": "file", "cycles": 1}, volts.size / sample_rate, volts)
-
-
-def _decaying(middle: float, half: float, sample_rate: float, frequency: float) -> Excitation:
-    cycle = max(round(sample_rate / frequency), 8)
-    index = np.arange(WHOLE_CYCLES * cycle + DECAYING_CYCLES * cycle + 1)
-    # at rest at 0 V first, then from the low end
-    fall = np.exp(-np.maximum(index - WHOLE_CYCLES * cycle, 0) / (DECAY_CYCLES * cycle))
-    volts = middle - half * fall * np.cos(2.0 * np.pi * index / cycle)
-    return Excitation({"type": "file", "cycles": 1}, volts.size / sample_rate, volts)
+    return chosen.make(_Asked(low, high, amplitude, sample_rate, frequency, duration))
 
 
 def in_metres(excitation: Excitation, gain: float) -> dict:
@@ -165,9 +225,10 @@ def in_metres(excitation: Excitation, gain: float) -> dict:
     gain : float
         Of the compensator without inverse [m/V].
     """
+    lengths = {row.name for row in WaveformParameters.table() if row.unit == "m"}
     scaled = {}
     for name, value in excitation.waveform.items():
-        if name in LENGTHS:
+        if name in lengths:
             value = [item * gain for item in value] if isinstance(value, list) else value * gain
         scaled[name] = value
     return scaled

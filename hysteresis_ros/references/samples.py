@@ -129,7 +129,7 @@ def _read_csv(source: pathlib.Path, column: str):
             if unit not in TIME_UNITS:
                 raise ValueError("the header of column time must name its unit: time [s] or time [ms]")
             wanted.append((names.index("time"), TIME_UNITS[unit]))
-        data = [[] for _ in wanted]
+        data: list[list[float]] = [[] for _ in wanted]
         for number, row in enumerate(rows):
             if len(row) != len(header):
                 raise ValueError(f"data row {number} has {len(row)} fields, the header {len(header)}")

@@ -7,24 +7,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hysteresis_ros.configuration import Configuration, parse_configuration
-from hysteresis_ros.control import design
 from hysteresis_ros.control.controller import ControllerParameters
 from hysteresis_ros.control.feedforward import FeedforwardParameters
 from hysteresis_ros.control.gain_design import Designed, design_gains
 from hysteresis_ros.control.inversion import sufficient_preview
-from hysteresis_ros.control.margins import Margins, margins
-from hysteresis_ros.control.pid_design import slowest_poles
-from hysteresis_ros.control.sliding_design import design_sliding_mode
-from hysteresis_ros.control.super_twisting import twisting_gains
+from hysteresis_ros.control.linearisation import margins
+from hysteresis_ros.control.margins import Margins
+from hysteresis_ros.control.registry import DESIGNS, design_of
 from hysteresis_ros.errors import ConfigurationError
-from hysteresis_ros.simulation.axis import AxisParameters
+from hysteresis_ros.loop.axis import Axis
+from hysteresis_ros.loop.axis_parameters import AxisParameters
+from hysteresis_ros.loop.node_parameters import part
+from hysteresis_ros.simulation.axes import single_axis
 from hysteresis_ros.simulation.design_file import design_text
-from hysteresis_ros.simulation.node_parameters import part
-from hysteresis_ros.simulation.run import build_axis, single_axis
-from hysteresis_ros.simulation.tuning import Tuned, tune_pid
+from hysteresis_ros.simulation.tuning import Tuned, tune
 
-#: A cancelled pole pair with less damping than this goes on ringing when something else than the reference excites it.
-LITTLE_DAMPING = 0.1
 #: Poles below this, delays, are not printed; several of them at 0 are computed no closer.
 AT_ZERO = 1e-3
 #: Sensitivity peak above which a design is doubted.
@@ -38,13 +35,13 @@ class DesignRequest:
     Parameters
     ----------
     controller : str
-        ``pid``, ``smc``, ``integral_smc``, ``super_twisting`` or ``offset_free``.
+        Name of a design, see :data:`hysteresis_ros.control.registry.DESIGNS`.
     bandwidth : float, optional
         [Hz]
     q : float, optional
         Variance of the input's noise over that of the measurement in the Kalman filter.
     criterion : str, optional
-        ``iae``, ``ise`` or ``itae``: tune the PID on the waveform.
+        ``iae``, ``ise`` or ``itae``: tune the gains on the waveform, where the law has some for that.
     duration : float, optional
         Length of the run for that [s].
     feedforward : bool
@@ -95,21 +92,22 @@ def design_axis(axis: AxisParameters, request: DesignRequest) -> AxisDesign:
     Raises
     ------
     ConfigurationError
-        Requests that exclude each other.
+        There is no such controller, or requests exclude each other.
     ParameterError
         No design follows from the model; names what keeps it.
     """
-    pid = request.controller == "pid"
-    if request.criterion and not pid:
-        raise ConfigurationError(f"--criterion tunes a pid, not {request.controller}; leave it out")
+    law, _ = design_of(request.controller)
+    if request.criterion and law.tuning is None:
+        tunable = " or ".join(sorted(name for name, (law, _) in DESIGNS.items() if law.tuning is not None))
+        raise ConfigurationError(f"--criterion tunes a {tunable}, not {request.controller}; leave it out")
     if request.criterion and request.bandwidth is not None:
         raise ConfigurationError("--criterion and --bandwidth exclude each other; give one of them")
     if request.criterion and axis.reference_generator is None:
         raise ConfigurationError(
             "--criterion tunes on the waveform of a reference generator, and a sequencer is in its place; leave it out"
         )
-    if pid and request.q is not None:
-        raise ConfigurationError("--q is of the Kalman filter, which pid has not; leave it out")
+    if "kalman" not in law.groups and request.q is not None:
+        raise ConfigurationError(f"--q is of the Kalman filter, which {request.controller} has not; leave it out")
     if request.q is not None and not request.q > 0.0:
         raise ConfigurationError(f"--q {request.q:g}: must be above 0")
     if request.preview is not None and not request.feedforward:
@@ -120,14 +118,11 @@ def design_axis(axis: AxisParameters, request: DesignRequest) -> AxisDesign:
     found = design_gains(control, request.controller, sample_time, request.bandwidth, request.q)
     if not request.criterion:
         return AxisDesign(request, found.parameters, found.margins, sample_time)
-    node = replace(axis.motion_controller, feedforward=control.feedforward, type="pid", pid=found.parameters.pid)
-    tuned = tune_pid(
-        replace(axis, motion_controller=node),
-        request.criterion,
-        start=found.parameters.pid,
-        duration=request.duration,
-    )
-    final = replace(found.parameters, pid=tuned.gains)
+    start = getattr(found.parameters, law.name)
+    node = replace(axis.motion_controller, feedforward=control.feedforward, type=law.name, **{law.name: start})
+    fed = replace(axis, motion_controller=node)
+    tuned = tune(fed, law.name, request.criterion, start=start, duration=request.duration)
+    final = replace(found.parameters, **{law.name: tuned.gains})
     found = Designed(final, margins(final, sample_time))
     return AxisDesign(request, found.parameters, found.margins, sample_time, tuned)
 
@@ -176,7 +171,7 @@ def design_file(configuration: Configuration, result: AxisDesign, namespace: str
         f"on the model in motion_controller: bandwidth {reached}, M_s {result.margins.sensitivity_peak:.3g}."
     )
     text = design_text(configuration, result.parameters, namespace, header)
-    build_axis(single_axis(parse_configuration(text, "the designed file"), namespace or None))
+    Axis(single_axis(parse_configuration(text, "the designed file"), namespace or None))
     return text
 
 
@@ -191,7 +186,7 @@ def design_lines(result: AxisDesign) -> list[str]:
     ----------
     result : AxisDesign
     """
-    found, rows = result.margins, list(_gains(result))
+    found, rows = result.margins, list(result.parameters.law.rows(result.parameters, result.sample_time))
     if result.tuned is not None:
         tuned = result.tuned
         state = "converged" if tuned.converged else "not converged, the best found"
@@ -226,29 +221,6 @@ def _pole(value: complex) -> str:
     return f"{value.real:.4f}" if value.imag == 0.0 else f"{value.real:.4f}±{value.imag:.4f}i"
 
 
-def _gains(result: AxisDesign):
-    parameters = result.parameters
-    if parameters.type == "pid":
-        gains = parameters.pid
-        yield "Kp, Ki, Kd", f"{gains.Kp:.6g}, {gains.Ki:.6g} 1/s, {gains.Kd:.6g} s"
-        if gains.Kd:
-            yield "derivative filter", f"{gains.derivative_filter:.6g} rad/s"
-        return
-    smc = parameters.sliding_mode
-    found = design_sliding_mode(smc, *design.matrices(parameters.model.dynamics))
-    yield "hyperplane S", ", ".join(f"{value:.6g}" for value in found.S)
-    if parameters.type == "super_twisting":
-        k1, k2 = twisting_gains(parameters.super_twisting, result.sample_time)
-        yield "k1, k2", f"{k1:.6g}, {k2:.6g} 1/s"
-    else:
-        yield "linear gain K", ", ".join(f"{value:.6g}" for value in found.K)
-        yield "phi", f"{smc.phi:.6g}"
-    yield (
-        "Kalman filter",
-        f"q/r {parameters.kalman.q / parameters.kalman.r:.4g}" if not parameters.kalman.L else "given L",
-    )
-
-
 def doubts(result: AxisDesign) -> list[str]:
     """Return sentences about what a user should know of a design.
 
@@ -266,18 +238,5 @@ def doubts(result: AxisDesign) -> list[str]:
             f"sensitivity peak {peak:.2f} above {DOUBTED_SENSITIVITY:g}: little room for a wrong model; "
             "ask for another bandwidth or q"
         )
-    if parameters.type == "pid":
-        pole = slowest_poles(design.matrices(parameters.model.dynamics)[0])[0]
-        logarithm = np.log(pole) if abs(pole) > 0.0 else -np.inf
-        damping = -np.real(logarithm) / abs(logarithm) if np.isfinite(logarithm) else 1.0
-        if damping < LITTLE_DAMPING and result.tuned is None:
-            hertz = abs(logarithm) / (2.0 * np.pi * result.sample_time)
-            found.append(
-                f"the pid cancels poles at {hertz:.4g} Hz with damping {damping:.2g}: the reference does not excite "
-                "them, but nothing damps them; offset_free does"
-            )
-    if parameters.type == "super_twisting":
-        found.append("super_twisting is judged for small signals, where the switching function is below k2 T")
-    elif parameters.type == "sliding_mode" and parameters.kalman.disturbance == "none":
-        found.append("without an estimated disturbance errors of the model leave an offset; offset_free leaves none")
+    found += parameters.law.doubts(parameters, result.sample_time, result.tuned is not None)
     return found

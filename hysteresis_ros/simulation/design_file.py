@@ -10,13 +10,6 @@ from hysteresis_ros.control.controller import ControllerParameters
 NODE = "motion_controller"
 #: How the comment of an earlier design begins, which does not describe the file any more.
 HEADERS = ("# Controller designed by `hysteresis design", "# on the model in motion_controller:")
-#: Groups of the controller's parameters that belong to each type.
-GROUPS = {
-    "pid": ("pid",),
-    "sliding_mode": ("sliding_mode", "kalman"),
-    "integral_sliding_mode": ("sliding_mode", "kalman"),
-    "super_twisting": ("sliding_mode", "super_twisting", "kalman"),
-}
 
 
 def designed_values(before: dict, parameters: ControllerParameters) -> dict:
@@ -29,8 +22,7 @@ def designed_values(before: dict, parameters: ControllerParameters) -> dict:
     parameters : ControllerParameters
         Of the design.
     """
-    names = GROUPS[parameters.type]
-    replaced = tuple(f"{name}." for name in (*names, "feedforward"))
+    replaced = tuple(f"{name}." for name in (*parameters.law.groups, "feedforward"))
     kept = {name: value for name, value in before.items() if not name.startswith(replaced) and name != "type"}
     chosen = {"type": parameters.type}
     flat = parameters.to_mapping()

@@ -21,66 +21,21 @@ from __future__ import annotations
 import cmath
 import math
 from dataclasses import fields
-from functools import lru_cache
-from typing import TYPE_CHECKING
 
-import numpy as np
-
+from hysteresis_ros.compensation.reachable import reachable_commands
 from hysteresis_ros.control.inversion import relative_degree
 from hysteresis_ros.errors import ParameterError, Problem
-from hysteresis_ros.models.hysteresis import HysteresisParameters, hysteresis_block
-from hysteresis_ros.models.linear import LinearParameters, dc_gain
+from hysteresis_ros.loop.axis_parameters import AxisParameters
+from hysteresis_ros.loop.inchworm_checks import inchworm_warnings
+from hysteresis_ros.loop.node_parameters import part
+from hysteresis_ros.models.linear import LinearParameters
 from hysteresis_ros.parameters import Parameters
-from hysteresis_ros.references.generator import ReferenceGenerator, ReferenceParameters, shaping_parameter
-from hysteresis_ros.simulation.node_parameters import CompensatorNodeParameters, part
+from hysteresis_ros.references.generator import ReferenceGenerator, ReferenceParameters
 
-if TYPE_CHECKING:
-    from hysteresis_ros.simulation.axis import AxisParameters
-
-#: Samples of one sweep of the voltage.
-SWEEP = 257
 #: Part of the stroke by which a reference may lie beyond it: rounding, and sweeps that are integrated.
 TOLERANCE = 1e-4
 #: Part of the stroke by which the command of a fundamental may lie beyond it: the peaks of the waveform are cut then.
 CUT_PEAKS = 0.1
-#: Amplitude of the fundamental of the waveforms that have one, as a part of half their height.
-FUNDAMENTALS = {
-    "sine": 1.0,
-    "decaying_sine": 1.0,
-    "triangle": 8.0 / math.pi**2,
-    "decreasing_triangle": 8.0 / math.pi**2,
-    "staircase": 8.0 / math.pi**2,
-}
-#: Periodic waveforms: those, and the one with jumps.
-PERIODIC = (*FUNDAMENTALS, "square")
-
-
-@lru_cache(maxsize=64)
-def _sweep(hysteresis: HysteresisParameters, low: float, high: float, sample_time: float) -> tuple[float, float]:
-    start = min(max(0.0, low), high)
-    reached = []
-    for ends in ((start, high, low, high), (start, low, high, low)):
-        voltages = np.concatenate([np.linspace(a, b, SWEEP) for a, b in zip(ends, ends[1:], strict=False)])
-        reached.append(hysteresis_block(hysteresis, sample_time).simulate(voltages))
-    return float(np.min(reached)), float(np.max(reached))
-
-
-def reachable_commands(compensator: CompensatorNodeParameters, sample_time: float) -> tuple[float, float]:
-    """Return the smallest and largest displacement [m] that the compensator can carry out at rest.
-
-    Parameters
-    ----------
-    compensator : CompensatorParameters
-        Model, inverse and limits.
-    sample_time : float
-        Sample time [s].
-    """
-    limits = compensator.limits
-    block = hysteresis_block(compensator.hysteresis, sample_time)
-    if compensator.inverse.type == "none" or not getattr(block, "rate_independent", True):
-        ends = block.gain * limits.minimum, block.gain * limits.maximum
-        return min(ends), max(ends)
-    return _sweep(compensator.hysteresis, limits.minimum, limits.maximum, sample_time)
 
 
 def reachable_displacements(axis: AxisParameters) -> tuple[float, float]:
@@ -97,13 +52,11 @@ def reachable_displacements(axis: AxisParameters) -> tuple[float, float]:
 
 def _gain(dynamics: LinearParameters, turns: float = 0.0) -> float:
     """Return |G| in SI at ``turns`` cycles a sample; with its sign at 0."""
-    A, B, C, D = dynamics.matrices
+    model = dynamics.state_space
     scale = dynamics.output_scale / dynamics.resolved_input_scale
     if turns == 0.0:
-        return dc_gain(A, B, C, D) * scale
-    z = cmath.exp(2j * math.pi * turns)
-    answer = C @ np.linalg.solve(z * np.eye(len(A)) - A, B.astype(complex)) + D / z
-    return float(abs(answer)) * scale
+        return model.dc_gain * scale
+    return float(abs(model.held().response([cmath.exp(2j * math.pi * turns)]).item())) * scale
 
 
 def check_reach(axis: AxisParameters) -> None:
@@ -127,7 +80,7 @@ def check_reach(axis: AxisParameters) -> None:
         named = [Problem(f"reference_generator: {p.name}", p.value, p.allowed) for p in error.problems]
         raise ParameterError(named) from None
     problems = [*_beyond_stroke(axis, given, generator)]
-    if not problems and axis.motion_controller.type != "open_loop" and given.waveform.type in PERIODIC:
+    if not problems and axis.motion_controller.law.feedback and given.waveform.shape.periodic:
         problems = [*_too_late(axis, given), *_too_fast(axis, given, generator, CUT_PEAKS)]
     if problems:
         raise ParameterError(problems)
@@ -145,9 +98,6 @@ def reach_warnings(axis: AxisParameters) -> tuple[str, ...]:
         text for name, node in parts.items() if isinstance(node, Parameters) for text in node.warnings(f"{name}: ")
     ]
     if axis.inchworm_sequencer is not None:
-        # here, because those checks use this module
-        from hysteresis_ros.simulation.inchworm_checks import inchworm_warnings
-
         return (*found, *inchworm_warnings(axis.plant_simulator, axis.inchworm_sequencer))
     given = part(axis.reference_generator, ReferenceParameters)
     low, high = reachable_displacements(axis)
@@ -158,7 +108,7 @@ def reach_warnings(axis: AxisParameters) -> tuple[str, ...]:
                 f"reference_generator: {name} = {_micro(getattr(given, name))} lies beyond what the compensator's "
                 f"model reaches, {_range(low, high)}: setpoints out there saturate"
             )
-    if axis.motion_controller.type != "open_loop" and given.waveform.type in PERIODIC:
+    if axis.motion_controller.law.feedback and given.waveform.shape.periodic:
         generator = ReferenceGenerator(given, 1.0 / axis.plant_simulator.sample_rate)
         found += [f"{p.name} = {p.value}: {p.allowed}" for p in _too_fast(axis, given, generator, TOLERANCE)]
     return tuple(found)
@@ -176,7 +126,7 @@ def _beyond_stroke(axis, given: ReferenceParameters, generator: ReferenceGenerat
     waveform = generator.waveform
     for value in (around + waveform.lowest, around + waveform.highest):
         if not low - slack <= value <= high + slack:
-            name = shaping_parameter(given.waveform)
+            name = given.waveform.shape.extent
             allowed = (
                 f"the waveform {given.waveform.type} around the setpoint {_micro(around)} goes to {_micro(value)}, out "
                 f"of reach: the compensator's model reaches {reached}; change the waveform or widen the limits"
@@ -202,13 +152,13 @@ def _too_late(axis, given: ReferenceParameters):
 
 def _too_fast(axis, given: ReferenceParameters, generator: ReferenceGenerator, margin: float):
     waveform, dynamics = given.waveform, axis.motion_controller.model.dynamics
-    if waveform.type not in FUNDAMENTALS:
+    if waveform.shape.fundamental is None:
         return
     passed = _gain(dynamics, waveform.frequency / axis.plant_simulator.sample_rate)
     low, high = reachable_commands(axis.hysteresis_compensator, 1.0 / axis.plant_simulator.sample_rate)
     lowest, highest = generator.waveform.lowest, generator.waveform.highest
     middle = (given.initial_setpoint + 0.5 * (lowest + highest)) / _gain(dynamics)
-    half = FUNDAMENTALS[waveform.type] * 0.5 * (highest - lowest)
+    half = waveform.shape.fundamental(waveform) * 0.5 * (highest - lowest)
     slack = margin * (high - low)
     room = min(middle - low, high - middle) + slack
     if half > passed * room:

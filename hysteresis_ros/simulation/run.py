@@ -2,39 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from hysteresis_ros.configuration import Configuration
-from hysteresis_ros.errors import ConfigurationError
-from hysteresis_ros.recordings.dataset import INCHWORM_UNITS, Recording
+from hysteresis_ros.errors import ConfigurationError, RecordingError
+from hysteresis_ros.loop.axis import STEPS, Axis, Change
+from hysteresis_ros.loop.axis_parameters import AxisParameters
+from hysteresis_ros.loop.tick import BEFORE
+from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.replay import requests_per_sample
-from hysteresis_ros.simulation.axis import Axis, AxisParameters, axes
-from hysteresis_ros.simulation.inchworm_axis import InchwormAxis
-
-#: Signals that must agree bit for bit between a lockstep run of the nodes and its offline twin.
-VERIFIED = ("setpoint", "reference", "command", "voltage", "displacement", "measured", "estimated")
-
-
-def single_axis(configuration: Configuration, namespace: str | None = None) -> AxisParameters:
-    """Return the only axis of a configuration, or the one in ``namespace``.
-
-    Raises
-    ------
-    ConfigurationError
-        There are several and none was chosen.
-    ParameterError
-        A parameter is wrong.
-    """
-    found = axes(configuration, namespace)
-    if len(found) > 1:
-        names = ", ".join(axis.namespace for axis in found)
-        raise ConfigurationError(f"{configuration.source}: holds several axes ({names}); choose one with --namespace")
-    return found[0]
-
-
-def build_axis(parameters: AxisParameters) -> Axis | InchwormAxis:
-    """Return the blocks of an axis: those of an inchworm where it has a sequencer."""
-    return Axis(parameters) if parameters.inchworm_sequencer is None else InchwormAxis(parameters)
 
 
 def simulate(
@@ -44,6 +21,7 @@ def simulate(
     setpoints=None,
     requests=None,
     speeds=None,
+    changes: Sequence[Change] = (),
     describe: bool = True,
 ) -> Recording:
     """Run an axis offline from rest.
@@ -57,7 +35,9 @@ def simulate(
     setpoints : array_like, shape (N,), optional
         Setpoint in force at each sample [m]; the last one holds. ``initial_setpoint`` by default.
     requests, speeds : array_like, shape (N,), optional
-        What was asked of an inchworm at each sample, see :meth:`InchwormAxis.run`; nothing after the last one.
+        What was asked of an inchworm at each sample, see :meth:`Axis.run`; nothing after the last one.
+    changes : sequence of Change, optional
+        What changes while the axis runs.
     describe : bool
         Put the text of the configuration into the metadata; writing it takes longer than a short run.
 
@@ -68,7 +48,7 @@ def simulate(
     """
     if duration is not None:
         parameters = parameters.with_duration(duration)
-    axis = build_axis(parameters)
+    axis = Axis(parameters)
     if duration is not None:
         samples = parameters.plant_simulator.samples
     else:
@@ -78,21 +58,60 @@ def simulate(
     setpoints = axis.default_setpoints(samples) if setpoints is None else _padded(setpoints, samples, setpoints[-1])
     asked = {"requests": (requests, 0.0), "speeds": (speeds, np.nan)}
     given = {name: _padded(values, samples, rest) for name, (values, rest) in asked.items() if values is not None}
-    signals = axis.run(setpoints, **given)
+    signals = axis.run(setpoints, changes=changes, **given)
     metadata = {
         "configuration": parameters.configuration_text() if describe else "",
         "namespace": parameters.namespace,
         "source": "offline simulation",
         "joint": parameters.plant_simulator.joint,
     }
-    units = {name: unit for name, unit in INCHWORM_UNITS.items() if name in signals}
-    return Recording(signals.pop("time"), signals, units, metadata)
+    return Recording(signals.pop("time"), signals, {}, metadata)
 
 
 def _padded(values, samples: int, rest: float) -> np.ndarray:
     """Return the first values, followed by ``rest`` up to the number of samples."""
     values = np.asarray(values, dtype=float)[:samples]
     return np.concatenate([values, np.full(samples - len(values), rest)])
+
+
+#: What the log of a run may say of each node.
+LOGGED = {
+    "plant_simulator": ("start", "retune"),
+    "reference_generator": ("start", "stop", "retune"),
+    "inchworm_sequencer": ("retune",),
+    "motion_controller": ("start", "stop", "retune"),
+    "hysteresis_compensator": ("start", "stop", "retune"),
+}
+
+
+def changes_of(recorded: Recording) -> list[Change]:
+    """Return what people changed while a recorded run was made.
+
+    Parameters
+    ----------
+    recorded : Recording
+        Of any axis.
+
+    Raises
+    ------
+    RecordingError
+        An entry of the log is not one of a change.
+    """
+    found = []
+    for entry in recorded.metadata.get("changes", ()):
+        try:
+            changed = {name: _value(value) for name, value in entry["parameters"].items()}
+            after = entry.get("after", BEFORE)
+            found.append(Change(int(entry["sample"]), entry["node"], entry["action"], changed, after))
+            if after not in STEPS or entry["action"] not in LOGGED.get(entry["node"], ()):
+                raise ValueError(entry)
+        except (AttributeError, KeyError, TypeError, ValueError):
+            raise RecordingError(f"changes: {entry!r} is no entry of a log of changes") from None
+    return found
+
+
+def _value(value):
+    return tuple(value) if isinstance(value, list) else value
 
 
 def differences(recorded: Recording, parameters: AxisParameters) -> dict[str, int]:
@@ -103,10 +122,12 @@ def differences(recorded: Recording, parameters: AxisParameters) -> dict[str, in
     dict of str to int
         Number of differing samples of each signal that differs; empty when all agree.
     """
-    twin = simulate(parameters, setpoints=recorded.signals["setpoint"], **requests_per_sample(recorded))
+    changes = changes_of(recorded)
+    twin = simulate(
+        parameters, setpoints=recorded.signals["setpoint"], changes=changes, **requests_per_sample(recorded)
+    )
     columns = {"time": (recorded.time, twin.time)}
-    names = VERIFIED if parameters.inchworm_sequencer is None else (*VERIFIED, *INCHWORM_UNITS)
-    columns |= {name: (recorded.signals[name], twin.signals[name]) for name in names}
+    columns |= {name: (values, twin.signals[name]) for name, values in recorded.signals.items() if name in twin}
     found = {}
     for name, (ours, theirs) in columns.items():
         count = int(np.count_nonzero(np.asarray(ours).view(np.int64) != np.asarray(theirs).view(np.int64)))

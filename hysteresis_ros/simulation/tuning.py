@@ -1,4 +1,4 @@
-"""PID gains by Nelder-Mead on a criterion of the simulated closed loop, limits and compensator in it.
+"""Gains by Nelder-Mead on a criterion of the simulated closed loop, limits and compensator in it.
 
 What is tuned on is never the plant, at which a design may not look: the plant of the simulation is made of what the
 controller side believes, the compensator's hysteresis, creep and limits and the dynamics and preload of the
@@ -14,14 +14,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hysteresis_ros.control.controller import ControllerParameters, controller_block
-from hysteresis_ros.control.margins import plant_state_space, sensitivity_peak
-from hysteresis_ros.control.pid import PidParameters
-from hysteresis_ros.control.pid_design import LARGEST_SENSITIVITY, design_pid, error_state_space
+from hysteresis_ros.control.margins import sensitivity_peak
+from hysteresis_ros.control.registry import LAWS
 from hysteresis_ros.errors import ConfigurationError, ParameterError
-from hysteresis_ros.identification.nelder_mead import nelder_mead
+from hysteresis_ros.identification.restarted_nelder_mead import SimplexSettings, restarted_nelder_mead
+from hysteresis_ros.loop.axis import Axis
+from hysteresis_ros.loop.axis_parameters import AxisParameters
+from hysteresis_ros.loop.node_parameters import part
 from hysteresis_ros.models.sensor import SensorParameters
-from hysteresis_ros.simulation.axis import Axis, AxisParameters
-from hysteresis_ros.simulation.node_parameters import part
+from hysteresis_ros.parameters import Parameters
 
 #: Criteria: integral of absolute, squared, and time-weighted absolute error; time counts from the start of the run.
 CRITERIA = ("iae", "ise", "itae")
@@ -32,23 +33,23 @@ TOLERANCE = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Tuned:
-    """Result of :func:`tune_pid`.
+    """Result of :func:`tune`.
 
     Parameters
     ----------
-    gains : PidParameters
-        The best found.
+    gains : Parameters
+        The best found, of the law's group.
     criterion : str
         ``iae``, ``ise`` or ``itae``.
     before, after : float
         Criterion at the start and at the end [m s, m² s or m s²].
-    history : ndarray, shape (iterations + 1, 4)
-        K_p, K_i, K_d and the criterion after each iteration.
+    history : ndarray, shape (iterations + 1, n + 1)
+        The n gains that the law declares and the criterion after each iteration.
     converged : bool
         Without it the iterations ran out, and the gains are still the best found.
     """
 
-    gains: PidParameters
+    gains: Parameters
     criterion: str
     before: float
     after: float
@@ -97,31 +98,34 @@ def criterion_of(name: str, error, sample_time: float) -> float:
     return float(np.sum(size) * sample_time)
 
 
-def tune_pid(
+def tune(
     parameters: AxisParameters,
+    kind: str = "pid",
     criterion: str = "iae",
     *,
-    start: PidParameters | None = None,
+    start: Parameters | None = None,
     duration: float | None = None,
     iterations: int = ITERATIONS,
-    largest_sensitivity: float = LARGEST_SENSITIVITY,
+    largest_sensitivity: float | None = None,
 ) -> Tuned:
-    """Tune the PID of an axis on its own waveform.
+    """Tune the controller of an axis on its own waveform.
 
     Parameters
     ----------
     parameters : AxisParameters
         The axis; its plant is replaced by :func:`believed_axis`.
+    kind : str
+        Type of the controller, one that declares a :class:`~hysteresis_ros.control.law.Tuning`.
     criterion : str
         One of :data:`CRITERIA`, of delayed reference minus true displacement.
-    start : PidParameters, optional
-        Initial gains; by default those of lambda tuning (:func:`hysteresis_ros.control.pid_design.design_pid`).
+    start : Parameters, optional
+        Initial gains, of the law's own group; by default those with which the law declares to begin.
     duration : float, optional
         Length of the run [s]; by default the configuration's own.
     iterations : int
         Most iterations.
-    largest_sensitivity : float
-        Gains with a higher sensitivity peak on the model are refused.
+    largest_sensitivity : float, optional
+        Gains with a higher sensitivity peak on the model are refused; by default what the law declares.
 
     Raises
     ------
@@ -134,31 +138,36 @@ def tune_pid(
         raise ConfigurationError(f"criterion = {criterion!r}: must be one of {', '.join(CRITERIA)}")
     control = part(parameters.motion_controller, ControllerParameters)
     sample_time = 1.0 / parameters.plant_simulator.sample_rate
-    dynamics = control.model.dynamics
     if duration is not None:
         parameters = parameters.with_duration(duration)
-    first = start or design_pid(control.pid, dynamics, sample_time)
-    node = replace(parameters.motion_controller, type="pid", pid=first)
+    tuning = LAWS[kind].tuning
+    if largest_sensitivity is None:
+        largest_sensitivity = tuning.largest_sensitivity
+    first = start or getattr(tuning.start(control, sample_time), kind)
+
+    def with_gains(all_parameters, gains):
+        return replace(all_parameters, **{"type": kind, kind: gains})
+
+    node = with_gains(parameters.motion_controller, first)
     axis = Axis(believed_axis(replace(parameters, motion_controller=node)))
     samples = axis.default_samples() if duration is None else parameters.plant_simulator.samples
     if samples < 2:
         raise ConfigurationError("the waveform has no end (samples: 0): say how long to simulate with --duration S")
     setpoints = np.full(samples, parameters.reference_generator.initial_setpoint)
     offset, preview = control.model.preload.offset, control.feedforward.preview
-    plant = plant_state_space(dynamics, scaled=False)
-    tuned = [i for i, gain in enumerate((first.Kp, first.Ki, first.Kd)) if gain != 0.0]
-    names = [("Kp", "Ki", "Kd")[i] for i in tuned]
+    initial = [getattr(first, name) for name in tuning.gains]
+    tuned = [i for i, gain in enumerate(initial) if gain != 0.0]
+    names = [tuning.gains[i] for i in tuned]
 
-    def gains(values) -> PidParameters:
+    def gains(values) -> Parameters:
         return replace(first, **{name: float(value) for name, value in zip(names, values, strict=True)})
 
     def cost(values) -> float:
-        candidate = gains(values)
-        linear = error_state_space(candidate, sample_time)
-        if sensitivity_peak(linear, plant) > largest_sensitivity:
+        candidate = with_gains(control, gains(values))
+        if sensitivity_peak(*tuning.loop(candidate, sample_time)) > largest_sensitivity:
             return np.inf
         try:
-            axis.controller = controller_block(replace(control, type="pid", pid=candidate), sample_time)
+            axis.controller.install(controller_block(candidate, sample_time))
         except ParameterError:
             return np.inf
         axis.reset()
@@ -169,13 +178,13 @@ def tune_pid(
     begin = np.array([getattr(first, name) for name in names])
     before = cost(begin)
     if not np.isfinite(before):
-        controller_block(replace(control, type="pid", pid=first), sample_time)  # names what is wrong with them
+        controller_block(with_gains(control, first), sample_time)  # names what is wrong with them
         raise ConfigurationError(
             f"the initial gains have a sensitivity peak above {largest_sensitivity:g}; start from lower ones"
         )
-    result = nelder_mead(cost, begin, iterations=iterations, tolerance=TOLERANCE)
+    result = restarted_nelder_mead(cost, begin, settings=SimplexSettings(iterations=iterations, tolerance=TOLERANCE))
     run = result.runs[result.best]
-    history = np.tile([first.Kp, first.Ki, first.Kd, 0.0], (len(run.costs), 1))
+    history = np.tile([*initial, 0.0], (len(run.costs), 1))
     history[:, tuned] = run.trajectory
-    history[:, 3] = run.costs
+    history[:, -1] = run.costs
     return Tuned(gains(result.x), criterion, before, result.cost, history, result.converged)

@@ -15,7 +15,8 @@ from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.recordings import Recording
 from hysteresis_ros.recordings.files import save_run
 from hysteresis_ros.references import inchworm_layout as at
-from hysteresis_ros.simulation.run import simulate, single_axis
+from hysteresis_ros.simulation.axes import single_axis
+from hysteresis_ros.simulation.run import simulate
 
 CYCLE = 20  # samples of a step
 RATE = 1000.0

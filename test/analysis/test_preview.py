@@ -9,7 +9,7 @@ from hysteresis_ros.analysis.metrics import compute_metrics  # noqa: E402
 from hysteresis_ros.analysis.plots import error_figure  # noqa: E402
 from hysteresis_ros.analysis.report import render_report  # noqa: E402
 from hysteresis_ros.analysis.settings import axis_settings, judged_reference  # noqa: E402
-from hysteresis_ros.experiments.measurements import loop_width, step_figures  # noqa: E402
+from hysteresis_ros.papers.measurements import loop_width, step_figures  # noqa: E402
 from hysteresis_ros.recordings import Recording  # noqa: E402
 
 PREVIEW = 7

@@ -15,15 +15,16 @@ from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.identification.parameter_file import load_chain
 from hysteresis_ros.identification.prediction import predict
 from hysteresis_ros.identification.registry import MODELS
+from hysteresis_ros.loop.axis import Axis
+from hysteresis_ros.loop.node_parameters import PlantNodeParameters, part
 from hysteresis_ros.models.actuator import Actuator, ActuatorParameters
-from hysteresis_ros.models.bouc_wen_mechanical import BoucWenMechanicalParameters, BoucWenOscillator
 from hysteresis_ros.models.creep import CreepParameters
 from hysteresis_ros.models.hysteresis import HysteresisParameters
+from hysteresis_ros.models.hysteresis.bouc_wen_mechanical import BoucWenMechanicalParameters, BoucWenOscillator
+from hysteresis_ros.models.hysteresis.prandtl_ishlinskii import PrandtlIshlinskiiHysteresis, PrandtlIshlinskiiParameters
 from hysteresis_ros.models.limits import LimitsParameters
 from hysteresis_ros.models.linear import LinearParameters
-from hysteresis_ros.models.prandtl_ishlinskii import PrandtlIshlinskiiHysteresis, PrandtlIshlinskiiParameters
-from hysteresis_ros.simulation.axis import Axis, axes
-from hysteresis_ros.simulation.node_parameters import PlantNodeParameters, part
+from hysteresis_ros.simulation.axes import axes
 
 REPOSITORY = pathlib.Path(__file__).resolve().parents[2]
 DATA = pathlib.Path(os.environ.get("HYSTERESIS_DATA", REPOSITORY.parent / "shared" / "data"))
@@ -181,7 +182,7 @@ def test_resonance_comes_back_behind_a_gain(linear, tmp_path):
     assert result.exit_code == 0, result.output
     assert json.loads(result.stdout)["fit_percent"] > (75.0 if linear == "second_order" else 97.0)
     plant = PlantNodeParameters.from_mapping(load_configuration(tmp_path / "p.yaml").node("plant_simulator"))
-    found = np.linalg.eigvals(plant.dynamics.matrices[0])
+    found = plant.dynamics.state_space.poles
     fastest = found[np.argmax(np.abs(found.imag))]
     assert abs(np.angle(fastest)) * rate / (2.0 * np.pi) == pytest.approx(60.0, rel=0.05)
 

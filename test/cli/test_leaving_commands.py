@@ -9,16 +9,14 @@ import subprocess
 import sys
 import tempfile
 
-import click
 import pytest
 from click.testing import CliRunner
 
-from hysteresis_ros.cli import main as commands
 from hysteresis_ros.cli.main import main
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.errors import ConfigurationError, RecordingError
 from hysteresis_ros.nodes.launcher import Graph
-from hysteresis_ros.simulation.run import single_axis
+from hysteresis_ros.simulation.axes import single_axis
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 
@@ -41,16 +39,6 @@ def test_a_recording_that_cannot_be_created_is_refused_before_anything_starts(tm
         Graph([axis], record=tmp_path / "file" / "bag")
     Graph([axis], record=tmp_path / "new" / "bag")
     assert not (tmp_path / "new" / "bag").exists()
-
-
-def test_ctrl_c_ends_a_command_without_words(monkeypatch):
-    @click.command()
-    def interrupted():
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr(commands.LazyGroup, "get_command", lambda self, ctx, name: interrupted)
-    result = CliRunner().invoke(main, ["up"])
-    assert (result.exit_code, result.output) == (128 + signal.SIGINT, "")
 
 
 WAITING = """

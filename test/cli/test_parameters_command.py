@@ -5,7 +5,7 @@ import subprocess
 import sys
 
 from hysteresis_ros.cli.parameters import lines
-from hysteresis_ros.simulation.node_parameters import NODE_PARAMETERS
+from hysteresis_ros.loop.node_parameters import NODE_PARAMETERS
 
 DOCUMENT = pathlib.Path(__file__).resolve().parents[2] / "docs" / "parameters.md"
 

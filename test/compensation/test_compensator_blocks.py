@@ -2,51 +2,26 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from compensator_support import GAIN, KINDS, SAMPLE_TIME, STROKE, compensator, offline, parameters, triangle
 from hypothesis import given
 from hypothesis import strategies as st
+from interpreted import interpreted
 
-from hysteresis_ros.block import COMPILED, compiled, composite
+from hysteresis_ros.block import COMPILED
 from hysteresis_ros.compensation.compensator import (
+    BIAS,
     Compensator,
-    CompensatorParameters,
-    InverseParameters,
-    compensator_step,
 )
 from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.models.hysteresis import HysteresisParameters
-from hysteresis_ros.models.limits import LimitsParameters
-from hysteresis_ros.models.polynomial import PolynomialHysteresis, assumed_stack
-from hysteresis_ros.models.proportional import ProportionalParameters
+from hysteresis_ros.models.hysteresis.polynomial import PolynomialHysteresis, assumed_stack
+from hysteresis_ros.models.hysteresis.proportional import ProportionalParameters
 
-GAIN = 0.1025e-6
-STROKE = 120.0 * GAIN
-SAMPLE_TIME = 1.0 / 3000.0
-KINDS = ("none", "picard_steps", "exact")
 commands = st.lists(st.floats(-2e-6, 15e-6), min_size=1, max_size=15)
-
-
-def parameters(kind="exact", scale=1.0, handover_time=0.002, **limits):
-    return CompensatorParameters(
-        inverse=InverseParameters(type=kind),
-        hysteresis=HysteresisParameters(type="polynomial", polynomial=assumed_stack(scale=scale)),
-        limits=LimitsParameters(**{"minimum": -30.0, "maximum": 120.0, **limits}),
-        handover_time=handover_time,
-    )
-
-
-def compensator(*arguments, **keywords):
-    return Compensator(parameters(*arguments, **keywords), SAMPLE_TIME)
-
-
-def triangle(count=600):
-    return STROKE * np.abs((np.arange(count) / 150.0 + 1.0) % 2.0 - 1.0)
 
 
 def steps(block, inputs):
@@ -120,7 +95,7 @@ def test_retune_is_bumpless_and_gives_way_to_the_new_model(kind, wanted, scale):
     block.retune(parameters(kind, scale=scale))
     assert block.step(wanted[-1]) == pytest.approx(before, abs=1e-6)
     steps(block, np.full(200, wanted[-1]))
-    assert block.xs[3][1] == 0.0
+    assert block.xs.out[BIAS] == 0.0
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -172,36 +147,12 @@ def test_proportional_model():
     assert block.applied == pytest.approx(1e-6)
 
 
-@composite("void", "kernel", "inverse", "arrays:5", "arrays:5", "array", "array")
-def run_compensator(hysteresis, inverse, ps, xs, commands, voltages):
-    for k in range(commands.shape[0]):
-        voltages[k] = compensator_step(hysteresis, inverse, ps, xs, commands[k])
-
-
-def offline(kind):
-    block = compensator(kind, bits=16, slew_rate=3e4)
-    voltages = np.zeros(600)
-    compiled(run_compensator)(block.hysteresis_kernel, block.inverse_kernel, block.ps, block.xs, triangle(), voltages)
-    return voltages
-
-
 @pytest.mark.parametrize("kind", KINDS)
 def test_compiled_loop_equals_calls_of_step_bit_for_bit(kind):
     np.testing.assert_array_equal(offline(kind), steps(compensator(kind, bits=16, slew_rate=3e4), triangle()))
 
 
-SCRIPT = """
-import sys
-import numpy as np
-sys.path[:0] = {path!r}
-from test_compensator_blocks import KINDS, offline
-np.save(sys.argv[1], [offline(kind) for kind in KINDS])
-"""
-
-
 @pytest.mark.skipif(not COMPILED, reason="kernels are interpreted already")
 def test_compiled_equals_interpreted(tmp_path):
-    environment = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
-    script = SCRIPT.format(path=[os.path.dirname(__file__), *sys.path])
-    subprocess.run([sys.executable, "-c", script, tmp_path / "v.npy"], check=True, env=environment, timeout=120)
-    np.testing.assert_allclose([offline(kind) for kind in KINDS], np.load(tmp_path / "v.npy"), rtol=0, atol=1.2e-10)
+    others = interpreted("compensator_support", "[offline(kind) for kind in KINDS]", tmp_path)
+    np.testing.assert_allclose([offline(kind) for kind in KINDS], others, rtol=0, atol=1.2e-10)

@@ -10,20 +10,20 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hysteresis_ros.block import kernel
-from hysteresis_ros.compensation.compensator import Compensator, CompensatorParameters, InverseParameters
+from hysteresis_ros.compensation.compensator import Compensator, CompensatorParameters
 from hysteresis_ros.compensation.general import general
-from hysteresis_ros.compensation.multiplicative import multiplicative
+from hysteresis_ros.compensation.inverses import InverseParameters
 from hysteresis_ros.errors import ParameterError
-from hysteresis_ros.models.bouc_wen import BoucWenHysteresis, BoucWenParameters
-from hysteresis_ros.models.bouc_wen_mechanical import BoucWenMechanicalParameters
 from hysteresis_ros.models.creep import Creep, CreepOperatorsParameters, CreepParameters
-from hysteresis_ros.models.duhem import DuhemParameters
 from hysteresis_ros.models.hysteresis import HysteresisParameters, hysteresis_block
+from hysteresis_ros.models.hysteresis.bouc_wen import BoucWenHysteresis, BoucWenParameters, multiplicative
+from hysteresis_ros.models.hysteresis.bouc_wen_mechanical import BoucWenMechanicalParameters
+from hysteresis_ros.models.hysteresis.duhem import DuhemParameters
+from hysteresis_ros.models.hysteresis.polynomial import assumed_stack
+from hysteresis_ros.models.hysteresis.prandtl_ishlinskii import PrandtlIshlinskiiParameters
+from hysteresis_ros.models.hysteresis.preisach import PreisachParameters, everett_of
+from hysteresis_ros.models.hysteresis.proportional import ProportionalParameters
 from hysteresis_ros.models.limits import LimitsParameters
-from hysteresis_ros.models.polynomial import assumed_stack
-from hysteresis_ros.models.prandtl_ishlinskii import PrandtlIshlinskiiParameters
-from hysteresis_ros.models.preisach import PreisachParameters, everett_of
-from hysteresis_ros.models.proportional import ProportionalParameters
 
 STROKE = 12e-6
 KNOTS = np.linspace(-1.0, 1.0, 9)

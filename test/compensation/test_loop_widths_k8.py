@@ -12,11 +12,13 @@ import numpy as np
 import pytest
 
 from hysteresis_ros.block import interpreted
-from hysteresis_ros.compensation.compensator import Compensator, CompensatorParameters, InverseParameters
+from hysteresis_ros.compensation.compensator import Compensator, CompensatorParameters
+from hysteresis_ros.compensation.inverses import InverseParameters
 from hysteresis_ros.compensation.picard import picard
 from hysteresis_ros.models.hysteresis import HysteresisParameters
+from hysteresis_ros.models.hysteresis.polynomial import PolynomialHysteresis, assumed_stack
+from hysteresis_ros.models.hysteresis.polynomial.law import falling_curve, rising_curve
 from hysteresis_ros.models.limits import LimitsParameters
-from hysteresis_ros.models.polynomial import PolynomialHysteresis, assumed_stack, falling_curve, rising_curve
 
 GAIN = 0.1025e-6
 STROKE = 120.0 * GAIN

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hysteresis_ros.control import open_loop
+from hysteresis_ros.control import base
 from hysteresis_ros.control.controller import ControllerParameters, controller_block
 from hysteresis_ros.models.linear import LinearDynamics, LinearParameters
 
@@ -51,7 +51,7 @@ class Loop:
                 y += self.noise[k]
             u = self.controller.step(r, y)
             applied = u if self.carry is None else self.carry(u)
-            self.controller.x[open_loop.APPLIED] = applied
+            self.controller.x[base.APPLIED] = applied
             self.plant.step(applied + self.disturbance)
             commands[k], measured[k] = u, y
         return commands, measured
@@ -87,10 +87,9 @@ def loop(controller, plant):
 
 
 @pytest.fixture(scope="session")
-def matrices():
-    """Return A, B (column), C (row), D of the published realisation."""
-    A = np.array(DYNAMICS["A"]).reshape(3, 3)
-    return A, np.array(DYNAMICS["B"])[:, None], np.array(DYNAMICS["C"])[None, :], 0.0
+def model():
+    """Return the published realisation."""
+    return LinearParameters(**DYNAMICS).state_space
 
 
 @pytest.fixture(scope="session")

@@ -15,6 +15,7 @@ from hysteresis_ros.control import design
 from hysteresis_ros.control.kalman import filter_gain
 from hysteresis_ros.control.sliding_design import design_sliding_mode
 from hysteresis_ros.errors import ParameterError
+from hysteresis_ros.models.state_space import StateSpace
 
 PUBLISHED_S = np.array([-1.0744, -0.0904, 0.0781])
 
@@ -41,8 +42,8 @@ def stable_systems(order=3):
     return st.lists(entry, min_size=size, max_size=size).map(build).filter(well_posed)
 
 
-def test_published_linear_gain_follows_from_S_and_phi(matrices):
-    A, B, _, _ = matrices
+def test_published_linear_gain_follows_from_S_and_phi(model):
+    A, B = model.A, model.B
     K, switching_gain = design.sliding_gain(A, B, PUBLISHED_S, 0.93)
     assert pytest.approx([0.5130, -1.6069, 1.1001], abs=2e-4) == K
     assert switching_gain == pytest.approx(0.836, abs=1e-3)
@@ -50,14 +51,14 @@ def test_published_linear_gain_follows_from_S_and_phi(matrices):
     assert poles == pytest.approx([-0.700, -0.122, 0.930], abs=1e-3)
 
 
-def test_published_observer_gain_follows_from_q_over_r(matrices, parameters):
-    L = filter_gain(parameters().kalman, *matrices)
+def test_published_observer_gain_follows_from_q_over_r(model, parameters):
+    L = filter_gain(parameters().kalman, model)
     assert pytest.approx([0.0040, 0.5771, 0.3558], abs=2e-4) == L
 
 
-def test_dc_gain_of_published_model(matrices):
-    state, command = design.steady_state(*matrices)
-    A, B, C, _ = matrices
+def test_dc_gain_of_published_model(model):
+    state, command = design.steady_state(model)
+    A, B, C = model.A, model.B, model.C
     assert 1.0 / command == pytest.approx(2.05, abs=1e-4)
     assert A @ state + B[:, 0] * command == pytest.approx(state, abs=1e-14)
     assert (C @ state).item() == pytest.approx(1.0, abs=1e-13)
@@ -87,7 +88,7 @@ def test_placed_poles_and_phi_are_the_poles_of_the_loop(system, poles, phi):
     assert np.poly(A - B @ K[None]) == pytest.approx(np.poly([*poles, phi]), abs=1e-5)
 
 
-def test_complex_poles(parameters, matrices):
+def test_complex_poles(parameters, model):
     chosen = parameters(
         {
             "sliding_mode.hyperplane": "poles",
@@ -95,7 +96,7 @@ def test_complex_poles(parameters, matrices):
             "sliding_mode.poles_imaginary": (0.4, -0.4),
         }
     ).sliding_mode
-    poles = design_sliding_mode(chosen, *matrices).poles
+    poles = design_sliding_mode(chosen, model).poles
     assert sorted(poles, key=lambda z: (z.real, z.imag)) == pytest.approx([0.3 - 0.4j, 0.3 + 0.4j, 0.93])
 
 
@@ -108,10 +109,10 @@ def test_lq_hyperplane_slides_stably_whatever_the_input_weight(system, input_wei
     assert design.spectral_radius((np.eye(3) - B @ S[None]) @ A) < 1.0
 
 
-def test_lq_hyperplane_with_cheap_control_and_phi_zero_is_the_lq_gain(matrices):
+def test_lq_hyperplane_with_cheap_control_and_phi_zero_is_the_lq_gain(model):
     import scipy.linalg
 
-    A, B, C, _ = matrices
+    A, B, C = model.A, model.B, model.C
     Q, R = C.T @ C, 1e-9
     P = scipy.linalg.solve_discrete_are(A, B, Q, [[R]])
     regulator = (B.T @ P @ A)[0] / (R + (B.T @ P @ B).item())
@@ -119,27 +120,26 @@ def test_lq_hyperplane_with_cheap_control_and_phi_zero_is_the_lq_gain(matrices):
     assert pytest.approx(regulator, rel=1e-6) == K
 
 
-def test_lq_weight_as_diagonal_or_as_matrix_is_the_same(parameters, matrices):
+def test_lq_weight_as_diagonal_or_as_matrix_is_the_same(parameters, model):
     def hyperplane(weight):
         chosen = parameters({"sliding_mode.hyperplane": "lq", "sliding_mode.lq_state_weight": weight}).sliding_mode
-        return design_sliding_mode(chosen, *matrices).S
+        return design_sliding_mode(chosen, model).S
 
     assert hyperplane((1.0, 2.0, 3.0)) == pytest.approx(hyperplane((1.0, 0, 0, 0, 2.0, 0, 0, 0, 3.0)))
 
 
-def test_full_process_noise_equals_its_scalar_form(parameters, matrices):
-    B = matrices[1]
+def test_full_process_noise_equals_its_scalar_form(parameters, model):
+    B = model.B
     full = parameters({"kalman.Q": tuple((0.685 * B @ B.T).ravel())})
-    assert filter_gain(full.kalman, *matrices) == pytest.approx(filter_gain(parameters().kalman, *matrices))
+    assert filter_gain(full.kalman, model) == pytest.approx(filter_gain(parameters().kalman, model))
 
 
 @pytest.mark.parametrize("form", ["predictor", "current"])
 @pytest.mark.parametrize("disturbance", ["none", "constant"])
-def test_predictor_gain_is_A_times_current_gain(parameters, matrices, form, disturbance):
-    A, B, C, D = matrices
-    whole = design.disturbance_system(A, B, C, D)[0] if disturbance == "constant" else A
+def test_predictor_gain_is_A_times_current_gain(parameters, model, form, disturbance):
+    whole = design.disturbance_system(model).A if disturbance == "constant" else model.A
     gains = {
-        form: filter_gain(parameters({"kalman.form": form, "kalman.disturbance": disturbance}).kalman, *matrices)
+        form: filter_gain(parameters({"kalman.form": form, "kalman.disturbance": disturbance}).kalman, model)
         for form in ("predictor", "current")
     }
     assert gains["predictor"] == pytest.approx(whole @ gains["current"], rel=1e-12)
@@ -223,26 +223,26 @@ def test_modes_that_cannot_be_seen_or_moved_are_refused():
 
 @given(st.floats(1e-9, 1e9), st.floats(1e-9, 1e9))
 @settings(max_examples=25, deadline=None)
-def test_rank_decisions_do_not_depend_on_units(matrices, input_unit, output_unit):
-    A, B, C, D = matrices
-    state, command = design.steady_state(A, B * input_unit, C * output_unit, D)
+def test_rank_decisions_do_not_depend_on_units(model, input_unit, output_unit):
+    A, B, C, D = model.A, model.B, model.C, model.D
+    changed = StateSpace(A, B * input_unit, C * output_unit, D)
+    state, command = design.steady_state(changed)
     assert command * input_unit * output_unit * 2.05 == pytest.approx(1.0, rel=1e-4)
-    whole, output = design.disturbance_system(A, B * input_unit, C * output_unit, D)
-    assert design.detectable(whole, output)
+    whole = design.disturbance_system(changed)
+    assert design.detectable(whole.A, whole.C)
 
 
 def test_other_types_do_not_check_the_sliding_mode_design(parameters):
     assert parameters({"type": "open_loop", "sliding_mode.S": None}).type == "open_loop"
 
 
-def test_given_gains_need_no_scipy(tmp_path):
+def test_designed_gains_need_no_scipy(tmp_path):
     script = (
         "import sys\n"
         "from hysteresis_ros.control.controller import ControllerParameters, controller_block\n"
         "block = controller_block(ControllerParameters.from_mapping({'type': 'sliding_mode',\n"
         "    'model.dynamics.A': [0.9], 'model.dynamics.B': [0.1], 'model.dynamics.C': [1.0],\n"
-        "    'sliding_mode.hyperplane': 'given', 'sliding_mode.S': [1.0],\n"
-        "    'kalman.gain': 'given', 'kalman.L': [0.5]}), 1e-3)\n"
+        "    'sliding_mode.hyperplane': 'lq', 'kalman.gain': 'riccati'}), 1e-3)\n"
         "block.step(1.0, 0.0)\n"
         "sys.exit('scipy.linalg' in sys.modules)\n"
     )

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hysteresis_ros.control import design, kalman, open_loop
+from hysteresis_ros.control import base, design, kalman
 from hysteresis_ros.control.kalman import KalmanFilter, disturbance_model, filter_gain
 from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.models.linear import LinearParameters
+from hysteresis_ros.models.state_space import StateSpace
 
 SAMPLE_TIME = 1.0 / 3000.0
 STEP = 2.05e-6
@@ -40,17 +41,18 @@ def test_disturbances_obey_their_models(parameters):
 
 @pytest.mark.parametrize(("form", "feedthrough"), [("predictor", 0.0), ("predictor", 0.3), ("current", 0.0)], ids=str)
 @pytest.mark.parametrize("changes", [CONSTANT, RAMP, PERIODIC], ids=lambda c: c["kalman.disturbance"])
-def test_filter_is_the_textbook_recursion_of_the_whole_system(parameters, matrices, form, feedthrough, changes):
-    A, B, C, _ = matrices
+def test_filter_is_the_textbook_recursion_of_the_whole_system(parameters, model, form, feedthrough, changes):
+    A, B, C = model.A, model.B, model.C
     chosen = parameters(changes | {"kalman.form": form}).kalman
     dynamics = LinearParameters(tuple(A.ravel()), tuple(B.ravel()), tuple(C.ravel()), (feedthrough,))
     observer = KalmanFilter(chosen, SAMPLE_TIME, dynamics)
-    L = filter_gain(chosen, A, B, C, feedthrough, SAMPLE_TIME)
+    L = filter_gain(chosen, dynamics.state_space, SAMPLE_TIME)
     A_d, c_d, _ = disturbance_model(chosen, SAMPLE_TIME)
-    whole, output = design.disturbance_system(A, B, C, feedthrough, A_d, c_d)
+    disturbed = design.disturbance_system(dynamics.state_space, A_d, c_d)
+    whole, output = disturbed.A, disturbed.C
     known = np.append(B[:, 0], np.zeros(len(A_d)))
     applied, measured = np.random.default_rng(1).normal(size=(2, 150))
-    rest, rest_input = design.steady_state(A, B, C, feedthrough)
+    rest, rest_input = design.steady_state(dynamics.state_space)
     state = np.concatenate([rest * measured[0], [rest_input * measured[0] - applied[0]], np.zeros(len(A_d) - 1)])
     late, expected, disturbances = 0.0, [measured[0]], []
     for k in range(1, len(applied)):
@@ -81,7 +83,7 @@ def test_a_ramp_of_disturbance_is_compensated_in_the_sample_in_which_it_acts(loo
         errors[name] = abs(y[-1] - STEP)
     assert errors["ramp"] < 1e-12
     assert errors["constant"] > 1e-9
-    assert axis.controller.x[open_loop.DISTURBANCE] == pytest.approx(rate * (samples - 1), rel=1e-6)
+    assert axis.controller.x[base.DISTURBANCE] == pytest.approx(rate * (samples - 1), rel=1e-6)
 
 
 @pytest.mark.parametrize("form", ["predictor", "current"])
@@ -140,8 +142,8 @@ def test_a_disturbance_at_a_zero_of_the_model_is_refused():
     from hysteresis_ros.control.kalman import KalmanParameters
 
     A = np.array([[0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, 0.0]])
-    B, C = np.array([[0.0], [0.0], [1.0]]), np.array([[0.5, 0.0, 0.5]])
+    blind = StateSpace(A, np.array([[0.0], [0.0], [1.0]]), np.array([[0.5, 0.0, 0.5]]), np.zeros((1, 1)))
     chosen = KalmanParameters(disturbance="periodic", disturbance_frequency=25.0)
     with pytest.raises(ParameterError, match="kalman.disturbance"):
-        filter_gain(chosen, A, B, C, 0.0, 0.01)
-    assert np.isfinite(filter_gain(chosen, A, B, C, 0.0, 0.011)).all()
+        filter_gain(chosen, blind, 0.01)
+    assert np.isfinite(filter_gain(chosen, blind, 0.011)).all()

@@ -25,17 +25,18 @@ def build(parameters, changes=None, dynamics=None):
 
 @pytest.mark.parametrize("form", ["predictor", "current"])
 @pytest.mark.parametrize("disturbance", ["none", "constant"])
-def test_filter_is_its_textbook_recursion(parameters, matrices, signals, form, disturbance):
+def test_filter_is_its_textbook_recursion(parameters, model, signals, form, disturbance):
     applied, measured = signals
     changes = {"kalman.form": form, "kalman.disturbance": disturbance}
     observer = build(parameters, changes)
-    A, B, C, D = matrices
+    A, B, C = model.A, model.B, model.C
     B_known = B[:, 0]
     if disturbance == "constant":
-        A, C = design.disturbance_system(A, B, C, D)
+        whole = design.disturbance_system(model)
+        A, C = whole.A, whole.C
         B_known = np.append(B_known, 0.0)
-    L = filter_gain(observer.parameters, *matrices)
-    rest, rest_input = design.steady_state(*matrices)
+    L = filter_gain(observer.parameters, model)
+    rest, rest_input = design.steady_state(model)
     state = rest * measured[0]
     if disturbance == "constant":
         state = np.append(state, rest_input * measured[0] - applied[0])
@@ -50,10 +51,10 @@ def test_filter_is_its_textbook_recursion(parameters, matrices, signals, form, d
     assert observer.estimate == pytest.approx(state[:3], abs=1e-12)
 
 
-def test_current_estimate_is_the_prediction_corrected_by_the_newest_innovation(parameters, matrices, signals):
+def test_current_estimate_is_the_prediction_corrected_by_the_newest_innovation(parameters, model, signals):
     applied, measured = signals
     predictor, current = build(parameters), build(parameters, {"kalman.form": "current"})
-    gain = filter_gain(current.parameters, *matrices)
+    gain = filter_gain(current.parameters, model)
     predictor.step(applied[0], measured[0])
     current.step(applied[0], measured[0])
     for u, y in zip(applied[1:], measured[1:], strict=True):
@@ -65,11 +66,11 @@ def test_current_estimate_is_the_prediction_corrected_by_the_newest_innovation(p
 
 
 @pytest.mark.parametrize("feedthrough", [0.0, 0.3])
-def test_error_decays_with_the_poles_of_the_filter(parameters, matrices, signals, feedthrough):
-    A, B, C, _ = matrices
+def test_error_decays_with_the_poles_of_the_filter(parameters, model, signals, feedthrough):
+    A, B, C = model.A, model.B, model.C
     dynamics = LinearParameters(tuple(A.ravel()), tuple(B.ravel()), tuple(C.ravel()), (feedthrough,))
     observer = build(parameters, dynamics=dynamics)
-    L = filter_gain(observer.parameters, A, B, C, feedthrough)
+    L = filter_gain(observer.parameters, dynamics.state_space)
     applied, _ = signals
     state = np.array([1.0, -2.0, 0.5])
     observer.step(0.0, 0.0)
@@ -85,8 +86,8 @@ def test_error_decays_with_the_poles_of_the_filter(parameters, matrices, signals
 
 
 @pytest.mark.parametrize("form", ["predictor", "current"])
-def test_constant_disturbance_is_found(parameters, matrices, form):
-    A, B, C, _ = matrices
+def test_constant_disturbance_is_found(parameters, model, form):
+    A, B, C = model.A, model.B, model.C
     observer = build(parameters, {"kalman.form": form, "kalman.disturbance": "constant", "kalman.q_disturbance": 0.01})
     state = np.zeros(3)
     for k in range(600):
@@ -104,6 +105,6 @@ def test_filter_starts_from_rest_at_the_first_measurement(parameters):
     assert observer.x[kalman.OFFSET] == pytest.approx(1.5 / 2.05 - 0.4, abs=1e-5)
 
 
-def test_more_measurement_noise_means_less_gain(matrices):
-    sizes = [np.linalg.norm(filter_gain(KalmanParameters(q=1.0, r=r), *matrices)) for r in (0.01, 1.0, 100.0)]
+def test_more_measurement_noise_means_less_gain(model):
+    sizes = [np.linalg.norm(filter_gain(KalmanParameters(q=1.0, r=r), model)) for r in (0.01, 1.0, 100.0)]
     assert sizes[0] > sizes[1] > sizes[2]

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hysteresis_ros.control import open_loop
-from hysteresis_ros.control import pid as module
+from hysteresis_ros.control import base
 from hysteresis_ros.control.controller import ControllerParameters, controller_block
-from hysteresis_ros.control.pid import PidParameters, pid_state_space
+from hysteresis_ros.control.laws.pid import law as module
+from hysteresis_ros.control.laws.pid.law import PidParameters, pid_state_space
 from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.models.linear import LinearDynamics, LinearParameters
 
@@ -41,7 +41,7 @@ def run(controller, reference, least=-np.inf, most=np.inf):
         y = plant.output()
         u = controller.step(r, y)
         applied = min(max(u, least), most)
-        controller.x[open_loop.APPLIED] = applied
+        controller.x[base.APPLIED] = applied
         plant.step(applied)
         commands.append(u)
         displacements.append(y)
@@ -55,7 +55,7 @@ def test_hand_computed_samples():
     assert c.step(4e-6, 1e-6) == pytest.approx((2.0 * (2.0 - 1.0) + 0.35 - 50.0) * 1e-6)
     # k = 2: r = 8, y = 2: I += 0.1·(6 + 3)/2, D = 0.5·(0.25·4 - 1)/0.01 = 0
     assert c.step(8e-6, 2e-6) == pytest.approx((2.0 * (4.0 - 2.0) + 0.35 + 0.45) * 1e-6)
-    assert c.x[open_loop.ESTIMATED] == 2e-6
+    assert c.x[base.ESTIMATED] == 2e-6
 
 
 def test_derivative_filter_by_hand():
@@ -78,13 +78,13 @@ def test_a_ramp_of_the_error_gives_the_continuous_controllers_command(Kp, Ki, Kd
 
 def test_state_space_is_the_kernel():
     gains = PidParameters(Kp=1.3, Ki=20.0, Kd=0.03, derivative_filter=80.0, derivative_weight=1.0)
-    A, B, C, D = pid_state_space(gains, T)
+    found = pid_state_space(gains, T)
     error = np.sin(np.arange(50.0))
     error[0] = 0.0
     x, expected = np.zeros(2), []
     for e in error:
-        expected.append((C @ x).item() + D * e)
-        x = A @ x + B[:, 0] * e
+        expected.append((found.C @ x).item() + found.D[0, 0] * e)
+        x = found.A @ x + found.B[:, 0] * e
     c = block({"Kp": 1.3, "Ki": 20.0, "Kd": 0.03, "derivative_filter": 80.0, "derivative_weight": 1.0})
     assert c.simulate(1e-6 * error, np.zeros(50)) * 1e6 == pytest.approx(expected, rel=1e-9, abs=1e-12)
 
@@ -130,7 +130,7 @@ def test_small_differences_of_an_approximate_inverse_do_not_stop_the_integral():
     for _ in range(400):
         y = plant.output()
         applied = 0.95 * c.step(3e-6, y)
-        c.x[open_loop.APPLIED] = applied
+        c.x[base.APPLIED] = applied
         plant.step(applied)
     assert plant.output() == pytest.approx(3e-6, rel=1e-9)
 
@@ -139,7 +139,7 @@ def test_small_differences_of_an_approximate_inverse_do_not_stop_the_integral():
 @given(st.floats(-5e-6, 5e-6).filter(lambda v: abs(v) > 1e-12), st.floats(-5e-6, 5e-6), st.floats(0.0, 1.0))
 def test_first_command_is_the_last_one_where_the_reference_is_where_the_axis_stands(applied, measured, weight):
     c = block({"Kp": 3.0, "Ki": 10.0, "Kd": 0.1, "setpoint_weight": weight, "model.preload.A1": 1e-6})
-    c.x[open_loop.APPLIED] = applied
+    c.x[base.APPLIED] = applied
     assert c.step(measured - 1e-6, measured) == pytest.approx(applied, rel=1e-9, abs=1e-18)
 
 
@@ -150,9 +150,9 @@ def test_without_a_last_command_it_starts_from_the_measured_displacement():
 
 def test_feedforward_is_added_and_the_integral_leaves_it_alone():
     c = block({"Kp": 2.0, "Ki": 10.0, "feedforward.type": "static"}, MODEL)
-    c.x[open_loop.FEEDFORWARD] = 3e-6
+    c.x[base.FEEDFORWARD] = 3e-6
     assert c.step(3e-6, 3e-6) == pytest.approx(3e-6)
-    c.x[open_loop.FEEDFORWARD] = 4e-6
+    c.x[base.FEEDFORWARD] = 4e-6
     assert c.step(4e-6, 3e-6) == pytest.approx(4e-6 + 2.0 * 1e-6 + 10.0 * T / 2 * 1e-6)
 
 
@@ -174,7 +174,7 @@ def test_whatever_comes_in_the_command_stays_finite():
     c = block({"Kp": 1e9, "Ki": 1e9, "Kd": 1e9, "derivative_weight": 1.0, "anti_windup": "none"})
     for r, y in [(1e300, -1e300), (-1e308, 1e308), (np.inf, -np.inf), (np.nan, np.nan), (0.0, 0.0)] * 5:
         assert np.isfinite(c.step(r, y))
-        c.x[open_loop.APPLIED] = r
+        c.x[base.APPLIED] = r
 
 
 REFUSED = [

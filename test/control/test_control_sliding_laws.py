@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hysteresis_ros.control import design, integral_sliding_mode, kalman, open_loop, sliding_surface, super_twisting
+from hysteresis_ros.control import base, design, kalman, sliding_surface
 from hysteresis_ros.control.controller import ControllerParameters, controller_block, feedforward_block
+from hysteresis_ros.control.laws import integral_sliding_mode, super_twisting
 from hysteresis_ros.errors import ParameterError
 
 SAMPLE_TIME = 1.0 / 3000.0
@@ -46,9 +47,9 @@ class Known:
         rows = []
         for r, d in zip(reference, disturbance, strict=True):
             u = self.controller.step(r, self.place)
-            rows.append((self.controller.x[open_loop.SWITCHING] / 0.1, u, self.place))
+            rows.append((self.controller.x[base.SWITCHING] / 0.1, u, self.place))
             applied = min(max(u, -self.limit), self.limit)
-            self.controller.x[open_loop.APPLIED] = applied
+            self.controller.x[base.APPLIED] = applied
             self.place = 0.9 * self.place + 0.1 * (applied + d)
         return np.array(rows)
 
@@ -77,25 +78,25 @@ def test_a_step_of_the_reference_never_leaves_the_integral_surface(loop, form):
     s = []
     for k in range(300):
         axis.run([STEP if k > 5 else 0.0])
-        s.append(axis.controller.x[open_loop.SWITCHING])
+        s.append(axis.controller.x[base.SWITCHING])
     assert np.max(np.abs(s)) < 1e-13
     assert axis.plant.output() == pytest.approx(STEP, rel=1e-6)
 
 
 @pytest.mark.parametrize("form", ["predictor", "current"])
-def test_integral_switching_function_is_driven_by_the_innovation_alone(loop, matrices, form):
+def test_integral_switching_function_is_driven_by_the_innovation_alone(loop, model, form):
     """s_(k+1) = ρ s_k + S L ε, with noise, moving reference, limits and a disturbance that is estimated."""
     changes = INTEGRAL | LINEAR_ONLY | CONSTANT | {"kalman.form": form, "sliding_mode.rejection_pole": 0.6}
     noise = np.random.default_rng(3).normal(scale=5e-9, size=400)
     axis = loop(changes, disturbance=0.2e-6, noise=noise, carry=lambda u: min(max(u, -1.2e-6), 1.2e-6))
-    gain = kalman.filter_gain(axis.controller.parameters.kalman, *matrices)[:3]
+    gain = kalman.filter_gain(axis.controller.parameters.kalman, model)[:3]
     driven = float(np.dot((-1.0744, -0.0904, 0.0781), gain))
     s, innovations = [], []
     axis.noise = None
     for k in range(400):
         axis.offset = noise[k]
         axis.run([STEP * np.sin(0.02 * k)])
-        s.append(axis.controller.x[open_loop.SWITCHING])
+        s.append(axis.controller.x[base.SWITCHING])
         innovations.append(axis.controller.x[sliding_surface.OBSERVER + kalman.INNOVATION])
     s, innovations = np.array(s), np.array(innovations)
     late = innovations[:-1] if form == "predictor" else innovations[1:]
@@ -203,7 +204,7 @@ def fed(parameters):
         for k, r in enumerate(reference):
             y[k] = plant.output()
             delayed[k] = ahead.step(r)
-            controller.x[open_loop.FEEDFORWARD] = ahead.command
+            controller.x[base.FEEDFORWARD] = ahead.command
             plant.step(controller.step(delayed[k], y[k]))
         return y, delayed
 
@@ -288,10 +289,10 @@ def test_any_input_gives_finite_signals(parameters, changes, disturbed, feedforw
     ahead = {"feedforward.type": feedforward, "feedforward.preview": 5}
     block = controller_block(parameters(changes | disturbed | ahead), SAMPLE_TIME)
     for reference, measured, applied, ahead in samples:
-        block.x[open_loop.FEEDFORWARD] = ahead
+        block.x[base.FEEDFORWARD] = ahead
         assert np.isfinite(block.step(reference, measured))
-        block.x[open_loop.APPLIED] = applied
-        held = np.delete(block.x, [open_loop.APPLIED, open_loop.FEEDFORWARD])
+        block.x[base.APPLIED] = applied
+        held = np.delete(block.x, [base.APPLIED, base.FEEDFORWARD])
         assert np.isfinite(held).all()
 
 
@@ -304,12 +305,12 @@ def test_restored_state_goes_on_identically(controller, changes):
     assert (other.simulate(reference, measured) == one.simulate(reference, measured)).all()
 
 
-def test_nominal_state_feedback_is_the_published_gain(parameters, matrices):
+def test_nominal_state_feedback_is_the_published_gain(parameters, model):
     packed = integral_sliding_mode.packed_integral_sliding_mode(parameters(INTEGRAL))
     first = sliding_surface.GAINS
     assert packed[first : first + 3] == pytest.approx([0.5130, -1.6069, 1.1001], abs=2e-4)
     equivalent = super_twisting.packed_super_twisting(parameters(TWISTING), SAMPLE_TIME)[first : first + 3]
-    A, B, _, _ = matrices
+    A, B = model.A, model.B
     poles = np.sort(np.linalg.eigvals(A - B @ equivalent[None]).real)
     assert poles == pytest.approx([-0.700, -0.122, 1.0], abs=1e-3)
     assert design.spectral_radius(A - B @ packed[first : first + 3][None]) < 1.0

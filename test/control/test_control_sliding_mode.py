@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hysteresis_ros.control import open_loop, sliding_surface
+from hysteresis_ros.control import base, sliding_surface
 from hysteresis_ros.control.controller import controller_block, handover_block
 from hysteresis_ros.control.handover import arm
 from hysteresis_ros.control.kalman import filter_gain
@@ -46,7 +46,7 @@ def test_switching_function_decays_by_phi_without_the_nonlinear_part(loop):
     s = []
     for _ in range(60):
         axis.run([STEP])
-        s.append(axis.controller.x[open_loop.SWITCHING])
+        s.append(axis.controller.x[base.SWITCHING])
     assert abs(s[0]) > 0.1
     assert np.array(s[1:]) == pytest.approx(0.93 * np.array(s[:-1]), abs=1e-13)
 
@@ -56,7 +56,7 @@ def test_boundary_layer_adds_its_own_decay(loop):
     s = []
     for _ in range(60):
         axis.run([STEP])
-        s.append(axis.controller.x[open_loop.SWITCHING])
+        s.append(axis.controller.x[base.SWITCHING])
     s = np.array(s)
     switching_gain = float(np.dot((-1.0744, -0.0904, 0.0781), (-0.7318, -0.3533, 0.2288)))
     nonlinear = (0.002 / switching_gain * np.abs(s) + 0.0002) * s / (np.abs(s) + 0.01)
@@ -73,7 +73,7 @@ def test_mirrored_hyperplane_is_the_same_controller(loop):
 def test_zero_boundary_layer_stays_in_its_band(loop):
     axis = loop({"sliding_mode.delta": 0.0})
     _, y = axis.run(np.full(900, STEP))
-    assert abs(axis.controller.x[open_loop.SWITCHING]) < 0.0002
+    assert abs(axis.controller.x[base.SWITCHING]) < 0.0002
     assert y[-1] == pytest.approx(STEP, abs=2e-9)
 
 
@@ -84,7 +84,7 @@ def test_constant_disturbance_leaves_no_offset(loop, variant, disturbance):
     _, y = axis.run(np.full(3000, STEP))
     assert y[-1] == pytest.approx(STEP, abs=1e-15)
     if variant is not INTEGRAL:
-        assert axis.controller.x[open_loop.DISTURBANCE] == pytest.approx(disturbance, abs=1e-15)
+        assert axis.controller.x[base.DISTURBANCE] == pytest.approx(disturbance, abs=1e-15)
 
 
 def test_without_either_the_disturbance_stays(loop):
@@ -107,7 +107,7 @@ def test_preload_offset_belongs_to_the_measurement_not_to_the_reference(loop, va
     axis = loop(variant | preload, offset=-5.88e-6 / 0.41)
     shifted, y = axis.run(np.full(300, STEP))
     assert shifted == pytest.approx(commands, abs=1e-15)
-    assert axis.controller.x[open_loop.ESTIMATED] == pytest.approx(y[-1], abs=1e-15)
+    assert axis.controller.x[base.ESTIMATED] == pytest.approx(y[-1], abs=1e-15)
 
 
 def limited(u):
@@ -171,9 +171,9 @@ def test_stale_measurement_restarts_from_rest_at_the_new_one(controller):
     block = controller()
     for _ in range(10):
         block.step(STEP, 0.0)
-    block.x[open_loop.STARTED] = 0.0
+    block.x[base.STARTED] = 0.0
     assert block.step(STEP, STEP) == pytest.approx(STEP, rel=1e-9)
-    assert block.x[open_loop.ESTIMATED] == pytest.approx(STEP)
+    assert block.x[base.ESTIMATED] == pytest.approx(STEP)
 
 
 @pytest.mark.parametrize("variant", [{}, DISTURBED | {"kalman.form": "current"}, INTEGRAL])
@@ -201,9 +201,9 @@ def test_retune_is_atomic_and_keeps_the_structure(controller, parameters):
     estimate = block.step(STEP, 0.0), block.estimate
     block.retune(parameters({"sliding_mode.phi": 0.5}))
     assert (block.estimate == estimate[1]).all()
-    assert block.x[open_loop.STARTED] == 1.0
+    assert block.x[base.STARTED] == 1.0
     block.retune(parameters({"model.preload.A1": 1e-6}))
-    assert block.x[open_loop.STARTED] == 0.0
+    assert block.x[base.STARTED] == 0.0
 
 
 @settings(max_examples=100, deadline=None)
@@ -215,7 +215,7 @@ def test_finite_input_gives_finite_signals(parameters, variant, samples):
     block = controller_block(parameters(variant), 1 / 3000)
     for reference, measured, applied in samples:
         assert np.isfinite(block.step(reference, measured))
-        block.x[open_loop.APPLIED] = applied
+        block.x[base.APPLIED] = applied
         assert np.isfinite(block.x).all()
 
 
@@ -223,7 +223,7 @@ def test_open_loop_passes_the_reference_through(controller):
     block = controller({"type": "open_loop"})
     reference = np.linspace(-1e-5, 1e-5, 20)
     assert (block.simulate(reference, np.zeros(20)) == reference).all()
-    assert block.x[open_loop.APPLIED] == block.x[open_loop.COMMAND] == reference[-1]
+    assert block.x[base.APPLIED] == block.x[base.COMMAND] == reference[-1]
 
 
 SCRIPT = """
@@ -238,13 +238,13 @@ for entries in json.load(sys.stdin):
 """
 
 
-def test_compiled_and_interpreted_controllers_give_the_same_bits(parameters, matrices, tmp_path):
+def test_compiled_and_interpreted_controllers_give_the_same_bits(parameters, model, tmp_path):
     import json
 
     import hysteresis_ros.block
 
     ramp = parameters({"kalman.disturbance": "ramp"}).kalman
-    ramp_gain = tuple(filter_gain(ramp, *matrices).tolist())
+    ramp_gain = tuple(filter_gain(ramp, model).tolist())
     # Given gains, because two processes need not get the same bits from LAPACK.
     gains = {"kalman.gain": "given", "sliding_mode.hyperplane": "given"}
     whole = {**gains, "sliding_mode.tracking": "integral", "sliding_mode.S": (-1.2725, -0.1099, 0.0923, -0.0199)}

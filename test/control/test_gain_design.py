@@ -6,19 +6,20 @@ import numpy as np
 import pytest
 
 from hysteresis_ros.control.controller import ControllerParameters
-from hysteresis_ros.control.gain_design import TYPES, design_gains
-from hysteresis_ros.control.pid import PidParameters, pid_state_space
-from hysteresis_ros.control.pid_design import design_pid, pid_with_zeros
+from hysteresis_ros.control.gain_design import design_gains
+from hysteresis_ros.control.laws.pid.design import design_pid, pid_with_zeros
+from hysteresis_ros.control.laws.pid.law import PidParameters, pid_state_space
+from hysteresis_ros.control.registry import DESIGNS
 from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.models.linear import LinearParameters
 
 T = 1.0 / 3000.0
 
 
-@pytest.mark.parametrize("controller", TYPES)
+@pytest.mark.parametrize("controller", DESIGNS)
 def test_bandwidth_is_met_on_the_published_axis(parameters, controller):
     found = design_gains(parameters({"super_twisting.bound": 10.0}), controller, T, bandwidth=100.0)
-    assert found.parameters.type == TYPES[controller]
+    assert found.parameters.type == DESIGNS[controller][0].name
     assert found.margins.bandwidth == pytest.approx(100.0, rel=1e-3)
     assert found.margins.stable
 
@@ -38,8 +39,9 @@ def test_order_one_pi_has_the_closed_form():
 def test_zeros_stand_where_they_are_wanted():
     zeros = [0.3 + 0.9j, 0.3 - 0.9j]
     Kp, Ki, Kd = pid_with_zeros(zeros, 0.2, T, 3000.0)
-    A, B, C, D = pid_state_space(PidParameters(Kp=Kp, Ki=Ki, Kd=Kd, derivative_filter=3000.0), T)
-    assert sorted(np.linalg.eigvals(A - B @ C / D), key=np.imag) == pytest.approx(sorted(zeros, key=np.imag))
+    found = pid_state_space(PidParameters(Kp=Kp, Ki=Ki, Kd=Kd, derivative_filter=3000.0), T)
+    D, of_zeros = found.D[0, 0], found.A - found.B[:, :1] @ found.C / found.D[0, 0]
+    assert sorted(np.linalg.eigvals(of_zeros), key=np.imag) == pytest.approx(sorted(zeros, key=np.imag))
     assert pytest.approx(0.2) == D
 
 

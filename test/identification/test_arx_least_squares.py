@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hysteresis_ros.identification.data import DataError
-from hysteresis_ros.identification.least_squares import fit_arx, suggest_arx_orders
+from hysteresis_ros.identification.least_squares import ArxOrders, fit_arx, suggest_arx_orders
 from hysteresis_ros.identification.state_space import FitError
 
 A, B = np.array([1.0, -1.5, 0.7]), np.array([0.5, 0.2])
@@ -50,7 +50,7 @@ def test_records_of_several_frequencies_make_one_regression():
 
 def test_offset_and_delay():
     y = response(np.r_[np.zeros(2), INPUT[:-2]])
-    fit = fit_arx(INPUT, y + 30.0, 0.01, delay=3, offset=True)
+    fit = fit_arx(INPUT, y + 30.0, 0.01, ArxOrders(delay=3), offset=True)
     np.testing.assert_allclose(fit.numerator, B, atol=1e-8)
     assert fit.offset == pytest.approx(30.0 * A.sum())
     assert fit.model.order == 4
@@ -63,8 +63,8 @@ def test_offset_and_delay():
 def test_constrained_zeros_are_inside_and_the_cost_is_the_least_there(zeros, gain):
     b = gain * np.poly(zeros)
     y = response(INPUT, b, noise=0.01)
-    fit = fit_arx(INPUT, y, 0.01, nb=len(b), zero_radius=0.95)
-    free = fit_arx(INPUT, y, 0.01, nb=len(b))
+    fit = fit_arx(INPUT, y, 0.01, ArxOrders(nb=len(b)), zero_radius=0.95)
+    free = fit_arx(INPUT, y, 0.01, ArxOrders(nb=len(b)))
     assert np.all(np.abs(fit.zeros) <= 0.95 + 1e-5)
     assert fit.residual_variance >= free.residual_variance * (1 - 1e-9)
     if not fit.constrained:
@@ -85,7 +85,7 @@ def test_constrained_solution_is_the_best_on_the_boundary():
 def test_unstable_and_non_minimum_phase_fits_say_so():
     u = INPUT[:60]
     growing = scipy.signal.lfilter([0.0, 1.0], [1.0, -1.2], u)
-    assert "unstable" in fit_arx(u, growing, 0.01, na=1, nb=1).warnings[0]
+    assert "unstable" in fit_arx(u, growing, 0.01, ArxOrders(1, 1)).warnings[0]
     assert any("non-minimum-phase" in t for t in fit_arx(INPUT, response(INPUT, [0.5, 0.8]), 0.01).warnings)
     assert any("DC gain" in t for t in fit_arx(INPUT, response(INPUT, [-0.5, -0.2]), 0.01).warnings)
 
@@ -99,8 +99,8 @@ def test_bad_input_is_named():
         fit_arx(INPUT, np.where(INPUT > 2, np.nan, INPUT), 0.01)
     with pytest.raises(FitError, match="more frequencies"):
         t = np.arange(500) * 0.01
-        fit_arx(np.sin(t), np.cos(t), 0.01, na=3, nb=3)
+        fit_arx(np.sin(t), np.cos(t), 0.01, ArxOrders(3, 3))
     with pytest.raises(FitError, match="nb ≤ 3"):
-        fit_arx(INPUT, response(INPUT), 0.01, nb=4, zero_radius=0.9)
+        fit_arx(INPUT, response(INPUT), 0.01, ArxOrders(nb=4), zero_radius=0.9)
     with pytest.raises(FitError, match="delay ≥ 1"):
-        fit_arx(INPUT, response(INPUT), 0.01, delay=0)
+        fit_arx(INPUT, response(INPUT), 0.01, ArxOrders(delay=0))

@@ -6,7 +6,7 @@ import pytest
 from hysteresis_ros.block import COMPILED
 from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.identification.bouc_wen_mechanical import fit_bouc_wen_mechanical, simulate_oscillator
-from hysteresis_ros.models.bouc_wen_mechanical import BoucWenMechanicalParameters
+from hysteresis_ros.models.hysteresis.bouc_wen_mechanical import BoucWenMechanicalParameters
 
 SAMPLE_TIME = 1.0 / 750.0
 TRUTH = dict(mass=2.0, damping=10.0, stiffness=5e4, alpha=5e4, beta=1e3, gamma=0.8, delta=-1.1)

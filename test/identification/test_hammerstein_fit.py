@@ -11,8 +11,7 @@ from hysteresis_ros.identification.prandtl_ishlinskii import fit_prandtl_ishlins
 from hysteresis_ros.identification.preisach import fit_preisach
 from hysteresis_ros.identification.weights import plays, radii, smooth_weights
 from hysteresis_ros.models.hysteresis import HysteresisParameters
-from hysteresis_ros.models.linear import dc_gain
-from hysteresis_ros.models.prandtl_ishlinskii import PrandtlIshlinskiiHysteresis, PrandtlIshlinskiiParameters
+from hysteresis_ros.models.hysteresis.prandtl_ishlinskii import PrandtlIshlinskiiHysteresis, PrandtlIshlinskiiParameters
 
 SAMPLE_TIME = 0.005
 RADII = (0.0, 10.0, 20.0, 30.0, 40.0)
@@ -67,13 +66,13 @@ def test_weights_come_back_and_are_never_negative():
 @pytest.mark.parametrize("delay", [0.0, 0.002, 0.005, 0.0125])
 def test_discrete_lag_and_delay_keep_unit_gain_and_total_delay(delay):
     part = LinearPart(lag=0.02, delay=delay)
-    A, B, C, D = part.dynamics(SAMPLE_TIME).matrices
-    assert dc_gain(A, B, C, D) == pytest.approx(1.0, abs=1e-12)
+    model = part.dynamics(SAMPLE_TIME).state_space
+    assert model.dc_gain == pytest.approx(1.0, abs=1e-12)
     # the centroid of the impulse response is the sum of lag and delay; holding is half a sample of it
-    x, response = B.copy(), []
+    x, response = model.B[:, 0], []
     for _ in range(400):
-        response.append(C @ x)
-        x = A @ x
+        response.append(model.C[0] @ x)
+        x = model.A @ x
     centroid = np.sum(np.arange(400) * response) * SAMPLE_TIME
     held = part.lag if delay >= 0.5 * SAMPLE_TIME else part.lag + delay - 0.5 * SAMPLE_TIME
     expected = np.exp(-SAMPLE_TIME / held) / (1.0 - np.exp(-SAMPLE_TIME / held)) * SAMPLE_TIME

@@ -15,7 +15,7 @@ from hysteresis_ros.identification.bouc_wen_mechanical import fit_bouc_wen_mecha
 from hysteresis_ros.identification.inverse import recover_voltage
 from hysteresis_ros.identification.prandtl_ishlinskii import fit_prandtl_ishlinskii
 from hysteresis_ros.identification.preisach import fit_preisach
-from hysteresis_ros.models.bouc_wen_mechanical import BoucWenMechanicalParameters
+from hysteresis_ros.models.hysteresis.bouc_wen_mechanical import BoucWenMechanicalParameters
 
 REPOSITORY = pathlib.Path(__file__).resolve().parents[2]
 DATA = pathlib.Path(os.environ.get("HYSTERESIS_DATA", REPOSITORY.parent / "shared" / "data"))

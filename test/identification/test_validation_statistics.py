@@ -8,8 +8,6 @@ import scipy.signal
 
 from hysteresis_ros.identification.data import DataError
 from hysteresis_ros.identification.validation import (
-    block_bootstrap,
-    block_length,
     input_cross_correlation,
     parameter_covariance,
     residual_autocorrelation,
@@ -94,25 +92,6 @@ def test_covariance_is_that_of_a_straight_line():
         parameter_covariance(np.column_stack([t, 0 * t]), e)
 
 
-def test_block_bootstrap_covers_the_truth_where_single_samples_do_not():
-    truth = 1 / np.sqrt(1 - 0.9**2)
-    covered = {None: 0, 1: 0}
-    for seed in range(80):
-        e = coloured(RANDOM(seed), 0.9, 2000)
-        for block in covered:
-            interval = block_bootstrap(e, lambda x: np.sqrt(np.mean(x**2)), 100, 0.9, block, seed)
-            covered[block] += interval.low <= truth <= interval.high
-    assert covered[None] / 80 > 0.75
-    assert covered[1] / 80 < 0.6
-    assert block_length(RANDOM(0).standard_normal(1000)) <= 15
-
-
-def test_bootstrap_repeats_with_its_seed():
-    e = RANDOM(1).standard_normal(200)
-    first, again = (block_bootstrap(e, np.std, 50, seed=3) for _ in range(2))
-    assert first == again and first.low < first.estimate < first.high
-
-
 @pytest.mark.parametrize(
     ("arguments", "word"),
     [
@@ -122,9 +101,13 @@ def test_bootstrap_repeats_with_its_seed():
         ({"measured": np.arange(50.0), "predicted": np.arange(50.0), "skip": 49}, "too few"),
         ({"measured": np.arange(50.0), "predicted": np.arange(50.0), "skip": -1}, "skip = -1"),
         ({"measured": np.arange(50.0), "predicted": np.arange(50.0), "unit": ""}, "unit is empty"),
-        ({"measured": np.arange(50.0), "predicted": np.arange(50.0), "confidence": 99.9}, "between 0 and 1"),
     ],
 )
 def test_bad_input_is_named(arguments, word):
     with pytest.raises(DataError, match=word):
         validate(**arguments)
+
+
+def test_a_confidence_is_a_probability():
+    with pytest.raises(DataError, match="between 0 and 1"):
+        residual_autocorrelation(np.arange(50.0), 5, 99.9)

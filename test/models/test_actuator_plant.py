@@ -2,43 +2,22 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from actuator_support import PARAMETERS, SAMPLE_TIME, drive, outputs, run
+from interpreted import interpreted
 
 from hysteresis_ros.block import COMPILED
 from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.models.actuator import Actuator, ActuatorParameters
 from hysteresis_ros.models.hysteresis import HysteresisParameters
+from hysteresis_ros.models.hysteresis.polynomial import PolynomialHysteresis, assumed_stack
+from hysteresis_ros.models.hysteresis.proportional import ProportionalParameters
 from hysteresis_ros.models.limits import LimitsParameters
-from hysteresis_ros.models.linear import LinearParameters
-from hysteresis_ros.models.polynomial import PolynomialHysteresis, assumed_stack
 from hysteresis_ros.models.preload import PreloadParameters
-from hysteresis_ros.models.proportional import ProportionalParameters
 from hysteresis_ros.models.sensor import SensorParameters
-
-SAMPLE_TIME = 1.0 / 3000.0
-LAG = LinearParameters(A=(0.8,), B=(0.2,), C=(1.0,))
-PARAMETERS = ActuatorParameters(
-    limits=LimitsParameters(minimum=-30.0, maximum=120.0, slew_rate=2e4, bits=16),
-    hysteresis=HysteresisParameters(type="polynomial", polynomial=assumed_stack()),
-    dynamics=LAG,
-    preload=PreloadParameters(force=5.88, B1=-1e-6 / 0.41),
-    sensor=SensorParameters(noise=5e-9, resolution=1e-9, seed=4),
-)
-
-
-def run(actuator, voltages):
-    """Measured displacement and applied voltage of each sample."""
-    return np.array([(actuator.measure(), actuator.advance(v)) for v in voltages])
-
-
-def drive(count=400):
-    return 60.0 + 80.0 * np.sin(2 * np.pi * np.arange(count) / 150.0)
 
 
 def test_preload_offset_is_the_stated_stiffness():
@@ -110,22 +89,7 @@ def test_every_wrong_parameter_is_named_with_its_place():
     assert "sensor.noise" in str(caught.value)
 
 
-SCRIPT = """
-import sys
-import numpy as np
-sys.path[:0] = {path!r}
-from test_actuator_plant import PARAMETERS, SAMPLE_TIME, Actuator, drive, run
-np.save(sys.argv[1], run(Actuator(PARAMETERS, SAMPLE_TIME), drive()))
-"""
-
-
 @pytest.mark.skipif(not COMPILED, reason="kernels are interpreted already")
 def test_compiled_equals_interpreted(tmp_path):
-    here = os.path.dirname(__file__)
-    environment = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
-    script = SCRIPT.format(path=[here, *sys.path])
-    subprocess.run([sys.executable, "-c", script, tmp_path / "y.npy"], check=True, env=environment, timeout=120)
-    interpreted = np.load(tmp_path / "y.npy")
-    np.testing.assert_allclose(
-        run(Actuator(PARAMETERS, SAMPLE_TIME), drive()), interpreted, rtol=0, atol=1e-12 * 12.3e-6
-    )
+    other = interpreted("actuator_support", "outputs()", tmp_path)
+    np.testing.assert_allclose(outputs(), other, rtol=0, atol=1e-12 * 12.3e-6)

@@ -7,9 +7,9 @@ import pytest
 
 from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.models.actuator import Actuator, ActuatorParameters
-from hysteresis_ros.models.bouc_wen import BoucWenHysteresis, BoucWenParameters, H
-from hysteresis_ros.models.bouc_wen_mechanical import BoucWenMechanicalParameters, BoucWenOscillator
 from hysteresis_ros.models.hysteresis import HysteresisParameters
+from hysteresis_ros.models.hysteresis.bouc_wen import BoucWenHysteresis, BoucWenParameters, H
+from hysteresis_ros.models.hysteresis.bouc_wen_mechanical import BoucWenMechanicalParameters, BoucWenOscillator
 from hysteresis_ros.models.limits import LimitsParameters
 from hysteresis_ros.models.linear import zero_order_hold
 

@@ -18,10 +18,10 @@ from hysteresis_ros.models.clamp import (
     SecondOrderParameters,
 )
 from hysteresis_ros.models.hysteresis import HysteresisParameters
+from hysteresis_ros.models.hysteresis.polynomial import assumed_stack
+from hysteresis_ros.models.hysteresis.proportional import ProportionalParameters
 from hysteresis_ros.models.limits import LimitsParameters
 from hysteresis_ros.models.linear import zero_order_hold
-from hysteresis_ros.models.polynomial import assumed_stack
-from hysteresis_ros.models.proportional import ProportionalParameters
 from hysteresis_ros.models.sensor import SensorParameters
 
 STEP = 1e-4

@@ -13,8 +13,8 @@ from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.models.actuator import Actuator, ActuatorParameters
 from hysteresis_ros.models.creep import Creep, CreepOperatorsParameters, CreepParameters, LogarithmicCreepParameters
 from hysteresis_ros.models.hysteresis import HysteresisParameters
+from hysteresis_ros.models.hysteresis.polynomial import assumed_stack
 from hysteresis_ros.models.limits import LimitsParameters
-from hysteresis_ros.models.polynomial import assumed_stack
 
 LOGARITHMIC = CreepParameters(
     type="logarithmic", logarithmic=LogarithmicCreepParameters(rate=0.015, longest_time=1000.0)

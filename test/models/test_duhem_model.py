@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hysteresis_ros.errors import ParameterError
-from hysteresis_ros.models.duhem import DuhemHysteresis, DuhemParameters, shape_functions, spline_slopes
+from hysteresis_ros.models.hysteresis.duhem import DuhemHysteresis, DuhemParameters, shape_functions, spline_slopes
 
 V = np.linspace(-1.0, 1.0, 41)
 OPENING = 0.12

@@ -10,19 +10,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hysteresis_ros.block import compiled, composite
+from hysteresis_ros.block import specialised
 from hysteresis_ros.errors import ParameterError
+from hysteresis_ros.loop.node_parameters import PlantNodeParameters
 from hysteresis_ros.models import friction
 from hysteresis_ros.models.clamp import ClampParameters, FirstOrderParameters, LagParameters
 from hysteresis_ros.models.creep import CreepParameters
 from hysteresis_ros.models.friction import SliderParameters
 from hysteresis_ros.models.hysteresis import HysteresisParameters
+from hysteresis_ros.models.hysteresis.polynomial import assumed_stack
+from hysteresis_ros.models.hysteresis.proportional import ProportionalParameters
 from hysteresis_ros.models.inchworm import (
     EFFORT,
     JOINT_NAMES,
-    JOINTS,
     POSITION,
-    SLIDER,
     TRUE_POSITION,
     VELOCITY,
     Inchworm,
@@ -33,11 +34,8 @@ from hysteresis_ros.models.inchworm import (
 )
 from hysteresis_ros.models.limits import LimitsParameters
 from hysteresis_ros.models.linear import LinearParameters
-from hysteresis_ros.models.polynomial import assumed_stack
 from hysteresis_ros.models.preload import PreloadParameters
-from hysteresis_ros.models.proportional import ProportionalParameters
 from hysteresis_ros.models.sensor import SensorParameters
-from hysteresis_ros.simulation.node_parameters import PlantNodeParameters
 
 STEP = 1e-4
 STIFFNESS = 0.41e6
@@ -100,22 +98,22 @@ def cycle(forward=True):
     return np.vstack(processes)
 
 
-@composite("void", *3 * ("kernel",), "arrays:16", "arrays:16", "table", "table")
-def drive(extender, front, rear, ps, xs, voltages, table):
+def drive(laws, ps, xs, voltages, table):
     """Drive the motor and note position, tip, measured position, dissipated energy."""
     for k in range(voltages.shape[0]):
         inchworm_measure(ps, xs)
-        inchworm_advance(extender, front, rear, ps, xs, voltages[k, 0], voltages[k, 1], voltages[k, 2])
-        table[k, 0] = xs[SLIDER][friction.POSITION]
-        table[k, 1] = xs[SLIDER][friction.TIP]
-        table[k, 2] = xs[JOINTS][POSITION]
-        table[k, 3] = xs[SLIDER][friction.DISSIPATED]
+        inchworm_advance(laws, ps, xs, voltages[k, 0], voltages[k, 1], voltages[k, 2])
+        table[k, 0] = xs.slider[friction.POSITION]
+        table[k, 1] = xs.slider[friction.TIP]
+        table[k, 2] = xs.joints[POSITION]
+        table[k, 3] = xs.slider[friction.DISSIPATED]
 
 
 def run(made, voltages):
     """Return the table of :func:`drive`."""
     table = np.empty((len(voltages), 4))
-    compiled(drive)(*made.hysteresis_kernels, made.ps, made.xs, np.ascontiguousarray(voltages), table)
+    arguments = made.hysteresis_kernels, made.ps, made.xs, np.ascontiguousarray(voltages), table
+    specialised(drive, *arguments)(*arguments)
     return table
 
 

@@ -7,7 +7,7 @@ import pytest
 from scipy.signal import cont2discrete, dlsim
 
 from hysteresis_ros.errors import ParameterError
-from hysteresis_ros.models.linear import LinearDynamics, LinearParameters, dc_gain, linear_output, zero_order_hold
+from hysteresis_ros.models.linear import LinearDynamics, LinearParameters, linear_output, zero_order_hold
 
 A = (0.5856, 1.3305, -0.9172, -1.3085, 0.0475, -0.1471, -0.7609, 0.0803, -0.0809)
 B = (-0.7318, -0.3533, 0.2288)
@@ -17,7 +17,7 @@ SAMPLE_TIME = 1.0 / 3000.0
 
 
 def test_kim_has_2_05_micrometres_a_volt_and_unit_gain_in_si():
-    assert dc_gain(*KIM.matrices) == pytest.approx(2.05, abs=0.005)
+    assert KIM.state_space.dc_gain == pytest.approx(2.05, abs=0.005)
     assert KIM.resolved_input_scale == pytest.approx(2.05e-6, abs=0.005e-6)
     block = LinearDynamics(KIM, SAMPLE_TIME)
     assert block.simulate(np.full(20000, 3e-6))[-1] == pytest.approx(3e-6, rel=1e-9)
@@ -33,7 +33,7 @@ def test_kim_uncontrolled_step_peaks_and_settles_as_published():
 
 
 def test_kim_resonates_at_635_hz():
-    poles = np.linalg.eigvals(KIM.matrices[0])
+    poles = KIM.state_space.poles
     frequencies = np.abs(np.angle(poles)) / (2 * np.pi * SAMPLE_TIME)
     assert np.min(np.abs(frequencies - 635.0)) < 2.0
 
@@ -41,8 +41,8 @@ def test_kim_resonates_at_635_hz():
 def test_agrees_with_scipy_and_delays_by_one_sample():
     block = LinearDynamics(KIM, SAMPLE_TIME)
     u = np.random.default_rng(0).standard_normal(200)
-    a, b, c, _ = KIM.matrices
-    _, expected, _ = dlsim((a, b[:, None], c[None, :], np.zeros((1, 1)), 1.0), np.append(u, 0.0))
+    model = KIM.state_space
+    _, expected, _ = dlsim((model.A, model.B, model.C, model.D, 1.0), np.append(u, 0.0))
     scale = KIM.output_scale / KIM.resolved_input_scale
     np.testing.assert_allclose(block.simulate(u), scale * expected[1:, 0], atol=1e-12)
 

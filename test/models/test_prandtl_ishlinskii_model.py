@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hysteresis_ros.errors import ParameterError
-from hysteresis_ros.models.prandtl_ishlinskii import (
+from hysteresis_ros.models.hysteresis.prandtl_ishlinskii import (
     PrandtlIshlinskiiHysteresis,
     PrandtlIshlinskiiParameters,
     dead_zones,

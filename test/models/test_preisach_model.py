@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hysteresis_ros.errors import ParameterError
-from hysteresis_ros.models.prandtl_ishlinskii import PrandtlIshlinskiiHysteresis, PrandtlIshlinskiiParameters
-from hysteresis_ros.models.preisach import DEPTH, PreisachHysteresis, PreisachParameters, everett, everett_of
+from hysteresis_ros.models.hysteresis.prandtl_ishlinskii import PrandtlIshlinskiiHysteresis, PrandtlIshlinskiiParameters
+from hysteresis_ros.models.hysteresis.preisach import DEPTH, PreisachHysteresis, PreisachParameters, everett, everett_of
 
 #: Its corners lie on the nodes of a grid of 5 V, where interpolation is exact.
 PLAYS = PrandtlIshlinskiiParameters(radii=(0.0, 5.0, 15.0, 30.0), weights=(60e-9, 20e-9, 15e-9, 10e-9))

@@ -3,90 +3,31 @@
 from __future__ import annotations
 
 import dataclasses
-import os
-import subprocess
-import sys
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from interpreted import interpreted
+from rate_independent_support import (
+    MODELS,
+    STROKE,
+    bouc_wen,
+    built,
+    duhem,
+    outputs,
+    prandtl_ishlinskii,
+    preisach,
+    ramps,
+)
 
 from hysteresis_ros.block import COMPILED
 from hysteresis_ros.errors import ParameterError
-from hysteresis_ros.models.bouc_wen import BoucWenHysteresis, BoucWenParameters
-from hysteresis_ros.models.duhem import DuhemHysteresis, DuhemParameters
-from hysteresis_ros.models.hysteresis import HYSTERESIS_BLOCKS, HysteresisParameters, hysteresis_block
-from hysteresis_ros.models.prandtl_ishlinskii import PrandtlIshlinskiiHysteresis, PrandtlIshlinskiiParameters
-from hysteresis_ros.models.preisach import PreisachHysteresis, PreisachParameters, everett_of
+from hysteresis_ros.models.hysteresis import HysteresisParameters, hysteresis_block
 
-STROKE = 12e-6
-KNOTS = np.linspace(-1.0, 1.0, 9)
-
-
-def bouc_wen(scale=1.0, exponent=1.0):
-    size = (8e-6 * scale) ** (exponent - 1.0)
-    return BoucWenParameters(
-        d_e=0.16e-6 * scale, alpha=0.05e-6 * scale, beta=6e-3 / size, gamma=4e-3 / size, exponent=exponent
-    )
-
-
-def duhem(scale=1.0, shape="network"):
-    weights = (1.5, 1.2, 0.3, -0.4, 0.5, 0.4, 0.02), (1.0, -1.0, 0.9, 0.9, 0.05, 0.05, 0.8)
-    splines = tuple(0.95 * KNOTS + 0.03 * KNOTS**3), tuple(0.85 + 0.1 * KNOTS**2)
-    return DuhemParameters(
-        alpha=0.04,
-        input_low=0.0,
-        input_high=120.0,
-        output_low=0.0,
-        output_high=STROKE * scale,
-        output_start=0.1e-6 * scale,
-        shape=shape,
-        f_network=weights[0],
-        g_network=weights[1],
-        f_spline=splines[0],
-        g_spline=splines[1],
-    )
-
-
-def prandtl_ishlinskii(scale=1.0):
-    return PrandtlIshlinskiiParameters(
-        radii=tuple(6.0 * np.arange(8)),
-        weights=tuple(scale * np.array([60e-9, 9e-9, 7e-9, 6e-9, 5e-9, 4e-9, 3e-9, 2e-9])),
-        thresholds=tuple(scale * np.array([2e-6, 6e-6, -1e-6])),
-        zone_weights=(0.1, -0.3, 0.2),
-        offset=0.2e-6 * scale,
-    )
-
-
-def preisach(scale=1.0):
-    block = PrandtlIshlinskiiHysteresis(prandtl_ishlinskii(scale), 1e-3)
-    return PreisachParameters(
-        voltage_low=-40.0, voltage_high=160.0, everett=tuple(everett_of(block, -40.0, 160.0, 21)), offset=-3e-6 * scale
-    )
-
-
-MODELS = {
-    "bouc_wen": (BoucWenHysteresis, bouc_wen),
-    "bouc_wen_squared": (BoucWenHysteresis, lambda scale=1.0: bouc_wen(scale, exponent=2.0)),
-    "duhem_network": (DuhemHysteresis, duhem),
-    "duhem_spline": (DuhemHysteresis, lambda scale=1.0: duhem(scale, "spline")),
-    "prandtl_ishlinskii": (PrandtlIshlinskiiHysteresis, prandtl_ishlinskii),
-    "preisach": (PreisachHysteresis, preisach),
-}
 WITH_RETURN_POINTS = ("prandtl_ishlinskii", "preisach")
 voltages = st.lists(st.floats(-40.0, 160.0), min_size=1, max_size=10)
 names = pytest.mark.parametrize("name", MODELS)
-
-
-def built(name, scale=1.0):
-    cls, parameters = MODELS[name]
-    return cls(parameters(scale), 1e-3)
-
-
-def ramps(turns, points):
-    turns = [0.0, *turns]
-    return np.concatenate([np.linspace(a, b, points + 1)[1:] for a, b in zip(turns, turns[1:], strict=False)])
 
 
 def walked(name, turns, points=1):
@@ -197,7 +138,7 @@ def test_every_type_is_built_by_name_and_refuses_another_structure():
     for kind, given_parameters in groups.items():
         parameters = HysteresisParameters(type=kind, **{kind: given_parameters})
         block = hysteresis_block(parameters, 1e-3)
-        assert type(block) is HYSTERESIS_BLOCKS[kind]
+        assert type(block) is parameters.model.block
         again = HysteresisParameters.from_mapping(parameters.to_mapping())
         assert again == parameters
         assert 0.5e-7 < block.gain < 2e-7
@@ -207,24 +148,7 @@ def test_every_type_is_built_by_name_and_refuses_another_structure():
         block.retune(fewer)
 
 
-SCRIPT = """
-import sys
-import numpy as np
-sys.path[:0] = {path!r}
-from test_rate_independent_models import outputs
-np.save(sys.argv[1], outputs())
-"""
-
-
-def outputs():
-    rng = np.random.default_rng(5)
-    wave = ramps(rng.uniform(-40.0, 160.0, 12), 9)
-    return np.array([built(name).simulate(wave) for name in MODELS])
-
-
 @pytest.mark.skipif(not COMPILED, reason="kernels are interpreted already")
 def test_compiled_models_equal_interpreted_ones(tmp_path):
-    environment = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
-    script = SCRIPT.format(path=[os.path.dirname(__file__), *sys.path])
-    subprocess.run([sys.executable, "-c", script, tmp_path / "y.npy"], check=True, env=environment, timeout=120)
-    np.testing.assert_allclose(outputs(), np.load(tmp_path / "y.npy"), rtol=0.0, atol=1e-12 * STROKE)
+    other = interpreted("rate_independent_support", "outputs()", tmp_path)
+    np.testing.assert_allclose(outputs(), other, rtol=0.0, atol=1e-12 * STROKE)

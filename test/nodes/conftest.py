@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import pytest
-from nodes_support import InProcess, Observer, Processes, new_domain
+from nodes_support import InProcess, Observer, Processes
+
+from hysteresis_ros.nodes.domain import Domain
 
 
 @pytest.fixture(scope="module")
@@ -12,8 +14,15 @@ def folder(tmp_path_factory):
 
 
 @pytest.fixture
-def domain() -> int:
-    return new_domain()
+def domain():
+    with Domain() as claimed:
+        yield claimed.number
+
+
+@pytest.fixture(scope="module")
+def domain_of_module():
+    with Domain() as claimed:
+        yield claimed.number
 
 
 @pytest.fixture

@@ -23,13 +23,7 @@ PATIENCE = 60.0
 #: Seconds in which a node has to leave, with slack for a machine whose cores are taken.
 LEAVE = 3.0
 
-# Domains 0 … 99 in ten blocks, so that two runs of the tests on one machine seldom meet.
-_BLOCK = int(os.environ.get("HYSTERESIS_ROS_TEST_BLOCK", os.getpid() % 10))
 _counter = itertools.count()
-
-
-def new_domain() -> int:
-    return _BLOCK * 10 + next(_counter) % 10
 
 
 def until(condition, timeout: float = PATIENCE, what: str = ""):
@@ -63,7 +57,7 @@ SINE = {"waveform__frequency": 20.0, "waveform__offset": 5.0e-6}
 def axis_parameters(namespace: str = "", overrides: dict | None = None, **common):
     """Return the parameters of Kim's axis with overrides: node → {parameter with double underscores: value}."""
     from hysteresis_ros.configuration import load_configuration
-    from hysteresis_ros.simulation.axis import AxisParameters
+    from hysteresis_ros.loop.axis_parameters import AxisParameters
 
     configuration = load_configuration(ROOT / "config" / "kim2009.yaml").override("", **common)
     configuration = configuration.override("reference_generator", waveform__type="hold")
@@ -148,8 +142,10 @@ class Processes:
 
     def busy(self, number: int = 2) -> None:
         """Keep the cores busy."""
+        # a test run that is killed must not leave them behind
+        loop = f"import os\nwhile os.getppid() == {os.getpid()}: sum(range(100000))"
         for _ in range(number):
-            self.start([sys.executable, "-c", "while True: sum(range(1000))"], "busy")
+            self.start([sys.executable, "-c", loop], "busy")
 
     def close(self) -> None:
         for process in self.started:
@@ -287,3 +283,72 @@ class InProcess:
 def shortened(axis, samples: int, **plant):
     """Return the axis with a run of ``samples`` samples."""
     return replace(axis, plant_simulator=replace(axis.plant_simulator, samples=samples, **plant))
+
+
+def compose(inside, axis, **options):
+    from hysteresis_ros.nodes.hysteresis_compensator import HysteresisCompensatorNode
+    from hysteresis_ros.nodes.motion_controller import MotionControllerNode
+    from hysteresis_ros.nodes.plant_simulator import PlantSimulatorNode
+    from hysteresis_ros.nodes.reference_generator import ReferenceGeneratorNode
+
+    classes = (PlantSimulatorNode, HysteresisCompensatorNode, MotionControllerNode, ReferenceGeneratorNode)
+    names = ("plant_simulator", "hysteresis_compensator", "motion_controller", "reference_generator")
+    return [
+        inside.add(cls, getattr(axis, name), namespace=axis.namespace, **options)
+        for cls, name in zip(classes, names, strict=True)
+    ]
+
+
+class RecordedRun:
+    """An axis composed in the test's process beside a recorder; the plant begins when the recorder is there."""
+
+    def __init__(self, inside, axis, bag):
+        from hysteresis_ros.nodes.recorder import RecorderNode
+
+        self.axis = replace(
+            axis,
+            plant_simulator=replace(axis.plant_simulator, wait_for_recorder=True),
+            recorder=replace(axis.recorder, path=str(bag)),
+        )
+        self._inside, self._bag = inside, bag
+        self._recorder = inside.add(RecorderNode, self.axis.recorder)
+        self.plant, self.compensator, self.controller, self.source = compose(inside, self.axis)
+
+    def result(self):
+        """Wait for the end of the run and return its recording, with all that stands in ``~/state``."""
+        from hysteresis_ros.recordings.files import load_run
+
+        until(lambda: self.plant.end_of_run > 0 or self._failed(), what="the end of the run")
+        assert not self._failed()
+        until(lambda: min(self._recorder._counts) == self.plant.sample, what="the last messages")
+        self._recorder.release()
+        return load_run(self._bag, further=True)
+
+    def _failed(self) -> list[str]:
+        return [node.failure for node in self._inside.nodes if node.failure]
+
+
+def diagnostics(heard, node: str):
+    """Return the last status of a node as (level, message, values), or None."""
+    for array in reversed(heard):
+        status = array.status[0]
+        if status.name == f"{node}: axis":
+            return int.from_bytes(status.level, "big"), status.message, {v.key: v.value for v in status.values}
+    return None
+
+
+class Driver:
+    """A driver of real hardware: publishes joint_states when the test says so."""
+
+    def __init__(self, observer, joint: str = "extender"):
+        from sensor_msgs.msg import JointState
+
+        self.message = JointState(name=["another", joint], position=[7.0, 0.0])
+        self.publisher = observer.talk(JointState, "/joint_states")
+        self.stamp = 1_000_000_000
+
+    def send(self, position: float = 0.0, step: int = 5_000_000) -> None:
+        self.stamp += step
+        self.message.header.stamp.sec, self.message.header.stamp.nanosec = divmod(self.stamp, 1_000_000_000)
+        self.message.position[1] = position
+        self.publisher.publish(self.message)

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
 import json
+import os
 import socket
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -12,14 +16,16 @@ from click.testing import CliRunner
 
 from hysteresis_ros.cli.main import main
 from hysteresis_ros.configuration import load_configuration
-from hysteresis_ros.experiments import kim2009
-from hysteresis_ros.experiments import kim2009_axis as kim
-from hysteresis_ros.experiments.claims import Claim, Reproduction
-from hysteresis_ros.experiments.measurements import step_figures
-from hysteresis_ros.experiments.runner import through
 from hysteresis_ros.nodes import graph_runner
+from hysteresis_ros.nodes.domain import Domain, entered
 from hysteresis_ros.nodes.launcher import GraphError, node_environment
-from hysteresis_ros.simulation.run import simulate, single_axis
+from hysteresis_ros.papers.claims import Claim, Reproduction
+from hysteresis_ros.papers.kim2009 import axis as kim
+from hysteresis_ros.papers.kim2009 import reproduction as kim2009
+from hysteresis_ros.papers.measurements import step_figures
+from hysteresis_ros.papers.runner import through
+from hysteresis_ros.simulation.axes import single_axis
+from hysteresis_ros.simulation.run import simulate
 
 HOLD = 0.02  # s
 
@@ -103,10 +109,38 @@ def test_without_ros_one_line_says_what_to_install(monkeypatch):
 
 
 def test_a_domain_with_a_participant_is_left_alone():
-    first = graph_runner.free_domain()
+    with Domain() as claimed:
+        first = claimed.number
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as participant:
         participant.bind(("", 7400 + 250 * first + 10))
-        assert graph_runner.free_domain() != first
+        with Domain() as claimed:
+            assert claimed.number != first
+
+
+def test_no_two_claim_a_domain_and_nobody_that_of_the_caller(monkeypatch):
+    script = "from hysteresis_ros.nodes.domain import Domain; made = Domain(); print(made.number, flush=True); input()"
+    with contextlib.ExitStack() as stack:
+        others = []
+        for _ in range(3):
+            command = [sys.executable, "-c", script]
+            pipes = dict(stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+            others.append(stack.enter_context(subprocess.Popen(command, env=node_environment(), **pipes)))
+        found = [int(other.stdout.readline()) for other in others]
+        found += [stack.enter_context(Domain()).number for _ in range(3)]
+        assert len(set(found)) == 6 and 0 not in found
+        with Domain() as free:
+            monkeypatch.setenv("ROS_DOMAIN_ID", str(free.number))
+        assert Domain().number != free.number
+        for other in others:
+            other.communicate("")
+
+
+def test_a_graph_of_its_own_has_its_domain_only_as_long_as_it_runs(monkeypatch):
+    monkeypatch.setenv("ROS_DOMAIN_ID", "7")
+    monkeypatch.delenv("ROS_AUTOMATIC_DISCOVERY_RANGE", raising=False)
+    with entered() as domain:
+        assert os.environ["ROS_DOMAIN_ID"] == str(domain.number) != "7"
+    assert os.environ["ROS_DOMAIN_ID"] == "7" and "ROS_AUTOMATIC_DISCOVERY_RANGE" not in os.environ
 
 
 def test_nodes_import_nothing_from_the_current_folder(tmp_path, monkeypatch):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import signal
 from dataclasses import replace
 
@@ -12,7 +13,9 @@ pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
 
 from nodes_support import ROOT, shortened, until, write_axis  # noqa: E402
 
+from hysteresis_ros.models.inchworm import POSITION  # noqa: E402
 from hysteresis_ros.references import inchworm_layout as at  # noqa: E402
+from hysteresis_ros.signals import MOTOR_COLUMNS  # noqa: E402
 
 NODES = ("plant_simulator", "hysteresis_compensator", "motion_controller", "inchworm_sequencer")
 GRIP, THRESHOLD = 100.0, 60.0
@@ -25,7 +28,7 @@ CYCLE = 140
 def motor(**common):
     """Return the walking motor of config/inchworm_travel.yaml with a quick gait, on the way to 0.2 mm."""
     from hysteresis_ros.configuration import load_configuration
-    from hysteresis_ros.simulation.axis import AxisParameters
+    from hysteresis_ros.loop.axis_parameters import AxisParameters
 
     configuration = load_configuration(ROOT / "config" / "inchworm_travel.yaml").override("", **common)
     schedule = {"setpoints__values": [2.0e-4], "setpoints__times": [2.0e-3]}
@@ -46,7 +49,6 @@ def compose(inside, axis, **classes):
 
 @pytest.mark.parametrize(("how", "samples"), [("--processes", 300), ("--composed", 2500)])
 def test_recorded_run_equals_offline_twin_bit_for_bit(processes, tmp_path, how, samples):
-    from hysteresis_ros.recordings.dataset import INCHWORM_UNITS
     from hysteresis_ros.recordings.files import load_run
 
     axis = shortened(motor(time_mode="lockstep", exit_at_end=True), samples)
@@ -55,7 +57,7 @@ def test_recorded_run_equals_offline_twin_bit_for_bit(processes, tmp_path, how, 
     assert run.wait() == 0, run.output
     assert f"{samples} samples equal the offline twin bit for bit, none missing" in run.output
     recorded = load_run(tmp_path / "bag")
-    assert set(INCHWORM_UNITS) <= set(recorded.signals)
+    assert set(MOTOR_COLUMNS) <= set(recorded.signals)
     # the run was worth comparing
     assert recorded["total_steps"][-1] == pytest.approx(samples / CYCLE, abs=1.5)
     assert recorded["displacement"][-1] == pytest.approx(8.0e-6 * samples / CYCLE, abs=1.2e-5)
@@ -86,7 +88,7 @@ def recorded_run(inside, observer, tmp_path):
     def end():
         plant = nodes["plant_simulator"]
         plant.running = False
-        until(lambda: not plant._published and min(recorder._counts) == plant.sample, what="the last messages")
+        until(lambda: not plant.runner.is_measured and min(recorder._counts) == plant.sample, what="the last messages")
         recorder.release()
         assert not any(node.failure for node in inside.nodes)
         return axis, load_run(tmp_path / "bag", further=True)
@@ -179,14 +181,14 @@ def test_missing_measurement_closes_both_clamps_until_it_is_back(inside, observe
 
     nodes = compose(inside, shortened(motor(time_mode="lockstep"), 700))
     plant = nodes["plant_simulator"]
-    measure = plant.plant.measure
+    sense = plant.sense
 
-    def lossy(first):
-        measure(first)
+    def lossy():
+        sense()
         if 200 <= plant.sample < 400:
-            plant.plant.message.position[0] = float("nan")
+            plant.part.arrays.x.joints[POSITION] = math.nan
 
-    plant.plant.measure = lossy
+    plant.sense = lossy
     heard = observer.listen(JointState, "/inchworm_sequencer/state", QoSProfile(depth=2000))
     until(lambda: plant.count_subscribers("/inchworm_sequencer/state"))
     inside.spin()
@@ -234,7 +236,8 @@ def test_realtime_walks_and_closes_the_clamps_whoever_leaves(inside, observer):
     from std_msgs.msg import Float64
 
     axis = motor(time_mode="realtime")
-    slow = replace(axis.plant_simulator, real_time_factor=0.03, voltage_timeout=0.3, safe_slew_rate=1.0e5)
+    slow = replace(axis.plant_simulator, real_time_factor=0.03, voltage_timeout=0.01, safe_slew_rate=1.0e5)
+    slow = replace(slow, late_limit=-1)
     nodes = compose(inside, replace(axis, plant_simulator=slow))
     plant, sequencer = nodes["plant_simulator"], nodes["inchworm_sequencer"]
     voltages = {
@@ -244,18 +247,18 @@ def test_realtime_walks_and_closes_the_clamps_whoever_leaves(inside, observer):
     until(lambda: plant.count_subscribers("/front_clamp/voltage") == 2)
     inside.spin()
     until(lambda: sequencer.sequencer.x[at.STEPS] >= 2.0, what="two steps")
-    assert plant.plant.motor.displacement > 1.2e-5
+    assert plant.part.motor.displacement > 1.2e-5
     # the sequencer freezes in the middle of a step: the plant closes what is open, the controller holds
     until(lambda: sequencer.sequencer.phase == "carrying")
     sequencer.active = False
     until(lambda: plant.silent, what="the plant's watchdog")
-    until(lambda: min(plant.plant.motor.voltages[1:]) > GRIP - 0.01, what="both clamps closed")
+    until(lambda: min(plant.part.motor.voltages[1:]) > GRIP - 0.01, what="both clamps closed")
     assert plant.health()[0] == 2 and "rear_clamp/voltage" in plant.health()[1]
     assert nodes["motion_controller"].unpaired
-    where = plant.plant.motor.displacement
+    where = plant.part.motor.displacement
     # it comes back and walks on
     sequencer.active = True
-    until(lambda: not plant.silent and plant.plant.motor.displacement > where + 8.0e-6, what="walking again")
+    until(lambda: not plant.silent and plant.part.motor.displacement > where + 8.0e-6, what="walking again")
     assert not nodes["motion_controller"].unpaired
     # it leaves by the book: both closed, voltages on
     until(lambda: sequencer.sequencer.phase == "carrying")

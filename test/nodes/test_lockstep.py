@@ -10,7 +10,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
 
-from nodes_support import REAL, SINE, axis_parameters, shortened, until, write_axis  # noqa: E402
+from nodes_support import REAL, SINE, axis_parameters, compose, shortened, until, write_axis  # noqa: E402
 
 SAMPLES = 900
 PER_SAMPLE = (
@@ -54,7 +54,7 @@ def test_recorded_run_equals_offline_twin_bit_for_bit(processes, tmp_path, how, 
         from hysteresis_ros.recordings.cdr import decode_float64s
 
         table[signal] = decode_float64s(bag.topics[topic].data, topic)
-    from hysteresis_ros.simulation.axis import Axis
+    from hysteresis_ros.loop.axis import Axis
 
     offline = Axis(axis).run(np.zeros(SAMPLES))
     for signal, values in table.items():
@@ -79,20 +79,6 @@ def test_inverse_dynamics_with_preview_are_the_same_in_the_nodes(processes, tmp_
     delayed = np.concatenate([np.full(3, recorded["reference"][0]), recorded["reference"][:-3]])
     assert np.max(np.abs(recorded["command"] - delayed)) > 1e-8
     assert np.max(np.abs(recorded["command"] - recorded["reference"])) > 1e-8
-
-
-def compose(inside, axis, **options):
-    from hysteresis_ros.nodes.hysteresis_compensator import HysteresisCompensatorNode
-    from hysteresis_ros.nodes.motion_controller import MotionControllerNode
-    from hysteresis_ros.nodes.plant_simulator import PlantSimulatorNode
-    from hysteresis_ros.nodes.reference_generator import ReferenceGeneratorNode
-
-    classes = (PlantSimulatorNode, HysteresisCompensatorNode, MotionControllerNode, ReferenceGeneratorNode)
-    names = ("plant_simulator", "hysteresis_compensator", "motion_controller", "reference_generator")
-    return [
-        inside.add(cls, getattr(axis, name), namespace=axis.namespace, **options)
-        for cls, name in zip(classes, names, strict=True)
-    ]
 
 
 def states(heard):

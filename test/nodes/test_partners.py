@@ -78,7 +78,9 @@ def test_remapping_and_simulated_time(processes, observer, tmp_path):
     from sensor_msgs.msg import JointState
     from std_msgs.msg import Float64
 
-    axis = axis_parameters(overrides={"plant_simulator": {"publish_clock": True}}, sample_rate=200.0, use_sim_time=True)
+    axis = axis_parameters(
+        overrides={"plant_simulator": {"publish_clock": True, "late_limit": -1}}, sample_rate=200.0, use_sim_time=True
+    )
     clock = observer.listen(Clock, "/clock", qos_profile_sensor_data)
     joints = observer.listen(JointState, "/stage/joint_states")
     reports = observer.listen(DiagnosticArray, "/diagnostics")

@@ -9,39 +9,13 @@ import pytest
 
 pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
 
-from nodes_support import axis_parameters, until, write_axis  # noqa: E402
+from nodes_support import Driver, axis_parameters, diagnostics, until, write_axis  # noqa: E402
 
 RATE = 200.0
 
 
 def parameters(node: str, **values):
     return getattr(axis_parameters(overrides={node: values}, sample_rate=RATE), node)
-
-
-def diagnostics(heard, node: str):
-    """Return the last status of a node as (level, message, values), or None."""
-    for array in reversed(heard):
-        status = array.status[0]
-        if status.name == f"{node}: axis":
-            return int.from_bytes(status.level, "big"), status.message, {v.key: v.value for v in status.values}
-    return None
-
-
-class Driver:
-    """A driver of real hardware: publishes joint_states when the test says so."""
-
-    def __init__(self, observer, joint: str = "extender"):
-        from sensor_msgs.msg import JointState
-
-        self.message = JointState(name=["another", joint], position=[7.0, 0.0])
-        self.publisher = observer.talk(JointState, "/joint_states")
-        self.stamp = 1_000_000_000
-
-    def send(self, position: float = 0.0, step: int = 5_000_000) -> None:
-        self.stamp += step
-        self.message.header.stamp.sec, self.message.header.stamp.nanosec = divmod(self.stamp, 1_000_000_000)
-        self.message.position[1] = position
-        self.publisher.publish(self.message)
 
 
 @pytest.fixture
@@ -87,7 +61,7 @@ def test_setpoint_of_a_default_publisher_moves_the_axis_and_bad_ones_are_refused
     from sensor_msgs.msg import JointState
     from std_msgs.msg import Float64
 
-    axis = axis_parameters(sample_rate=RATE)
+    axis = axis_parameters(overrides={"plant_simulator": {"late_limit": -1}}, sample_rate=RATE)
     node = processes.node("hysteresis_axis", write_axis(tmp_path / "axis.yaml", axis))
     joints = observer.listen(JointState, "/joint_states")
     references = observer.listen(JointState, "/reference_generator/state")
@@ -184,7 +158,7 @@ def test_voltage_that_stops_lets_the_plant_go_safe_and_follow_again_without_a_ju
 
     from hysteresis_ros.nodes.plant_simulator import PlantSimulatorNode
 
-    plant = inside.add(PlantSimulatorNode, parameters("plant_simulator", voltage_timeout=0.2))
+    plant = inside.add(PlantSimulatorNode, parameters("plant_simulator", voltage_timeout=0.2, late_limit=-1))
     inside.spin()
     state = observer.listen(JointState, "/plant_simulator/state")
     voltage = observer.talk(Float64, "/voltage")
@@ -326,7 +300,7 @@ def test_services_answer_in_every_state(inside, observer):
         until(lambda: compensator.sample > 20 and plant.sample > 20, what="the loop to run again")
         for name in names:
             assert observer.transition(name, "deactivate")
-        assert plant._thread is None  # nothing publishes on what cleanup destroys
+        assert plant.runner.thread is None  # nothing publishes on what cleanup destroys
         before = plant.sample
         for name in names:
             assert observer.transition(name, "activate")

@@ -6,8 +6,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
 
-from nodes_support import axis_parameters, until  # noqa: E402
-from test_realtime import Driver, diagnostics  # noqa: E402
+from nodes_support import Driver, axis_parameters, diagnostics, until  # noqa: E402
 
 PID = {"type": "pid", "pid__Kp": 0.1, "pid__Ki": 20.0, "model__dynamics__A": [], "model__dynamics__B": []}
 

@@ -7,8 +7,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
 
-from nodes_support import axis_parameters, until  # noqa: E402
-from test_lockstep import compose  # noqa: E402
+from nodes_support import axis_parameters, compose, until  # noqa: E402
 
 STEP = 2.05e-6
 DEPTH = 40000
@@ -56,7 +55,7 @@ def test_types_change_live_without_a_jump_and_an_impossible_one_changes_nothing(
         assert not success and "super_twisting.k1" in reason and "above 0" in reason
         assert controller.controller is running and controller.controller_type == kind
         assert controller.get_parameter("type").value == kind
-        assert controller.handover.parameters.time == 0.05
+        assert controller.part.handover.parameters.time == 0.05
         since = controller.sample
         until(lambda since=since: controller.sample > since + 600, what=f"the axis under {kind}")
     assert observer.trigger("/plant_simulator/stop").success

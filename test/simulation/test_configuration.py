@@ -12,7 +12,8 @@ from hysteresis_ros.configuration import (
     parse_configuration,
 )
 from hysteresis_ros.errors import ConfigurationError, ParameterError
-from hysteresis_ros.simulation.axis import AxisParameters, axes
+from hysteresis_ros.loop.axis_parameters import AxisParameters
+from hysteresis_ros.simulation.axes import axes
 
 
 @pytest.mark.parametrize(

@@ -7,8 +7,10 @@ import pytest
 
 from hysteresis_ros.block import COMPILED
 from hysteresis_ros.configuration import load_configuration, parse_configuration
+from hysteresis_ros.control.base import APPLIED, COMMAND, FEEDFORWARD
 from hysteresis_ros.errors import ParameterError
-from hysteresis_ros.experiments.inchworm_campaign import (
+from hysteresis_ros.loop.inchworm_checks import design_warnings, inchworm_warnings
+from hysteresis_ros.papers.kim2009.inchworm import (
     LOADED,
     honest_moves,
     inchworm,
@@ -18,8 +20,8 @@ from hysteresis_ros.experiments.inchworm_campaign import (
     step_errors,
 )
 from hysteresis_ros.references import inchworm_layout as at
-from hysteresis_ros.simulation.inchworm_checks import design_warnings, inchworm_warnings
-from hysteresis_ros.simulation.run import simulate, single_axis
+from hysteresis_ros.simulation.axes import single_axis
+from hysteresis_ros.simulation.run import simulate
 
 #: Without machine code a simulated second takes a minute.
 slow = pytest.mark.skipif(not COMPILED, reason="takes minutes without Numba")
@@ -39,28 +41,29 @@ def test_blocks_called_one_by_one_as_nodes_do_give_the_same_bits():
     setpoint = 2e-5
     table = inchworm().run(np.full(700, setpoint))
     axis = inchworm()
+    motor, sequencer, part = axis.plant.motor, axis.source.sequencer, axis.controller
+    controller, compensator = part.controller, axis.compensator.compensator
     for k in range(700):
-        slider, extender = axis.motor.measure()[:2]
-        reference = axis.sequencer.step(setpoint, slider, extender)
-        origin = axis.sequencer.origin
-        axis.controller.x[6] = 0.0
-        delayed = axis.feedforward.step(reference)
-        axis.controller.x[6] = axis.feedforward.command
-        command = axis.handover.step(axis.controller.step(delayed, slider - origin))
-        voltage = axis.compensator.step(command)
-        axis.controller.x[3] = command
-        axis.controller.x[0] = axis.compensator.applied
-        front, rear = axis.sequencer.front_voltage, axis.sequencer.rear_voltage
+        slider, extender = motor.measure()[:2]
+        reference = sequencer.step(setpoint, slider, extender)
+        origin = sequencer.origin
+        delayed = part.feedforward.step(reference)
+        controller.x[FEEDFORWARD] = part.feedforward.command
+        command = part.handover.step(controller.step(delayed, slider - origin))
+        voltage = compensator.step(command)
+        controller.x[COMMAND] = command
+        controller.x[APPLIED] = compensator.applied
+        front, rear = sequencer.front_voltage, sequencer.rear_voltage
         names = ("measured", "reference", "origin", "command", "voltage", "front_voltage", "rear_voltage")
         assert (slider, reference, origin, command, voltage, front, rear) == tuple(table[name][k] for name in names), k
-        axis.motor.advance(voltage, front, rear)
+        motor.advance(voltage, front, rear)
 
 
 @slow
 @pytest.mark.parametrize(("plant", "allowed"), [(None, 5e-9), (LOADED, 10e-9)])
 def test_moves_there_and_back_end_within_nanometres_and_without_overshoot_beyond_a_step(plant, allowed):
     axis = inchworm(plant=plant)
-    stroke = axis.sequencer.parameters.gait.stroke
+    stroke = axis.source.sequencer.parameters.gait.stroke
     moves = [move(axis, setpoint, hold=0.1) for setpoint in (1e-4, -1e-4, -0.5e-4, 1e-6, 6.5e-6)]
     assert all(one.arrived for one in moves)
     assert max(one.error for one in moves) < allowed
@@ -69,14 +72,14 @@ def test_moves_there_and_back_end_within_nanometres_and_without_overshoot_beyond
         assert moves[1].steps == pytest.approx(2e-4 / stroke, abs=2)
     else:
         # the load bends the extender by 4.9 um, which the steps leave room for
-        assert axis.sequencer.learned["load_deflection"] < -3e-6
+        assert axis.source.sequencer.learned["load_deflection"] < -3e-6
         assert 2e-4 / stroke < moves[1].steps < 3 * 2e-4 / stroke
 
 
 @slow
 def test_walking_is_as_fast_as_stroke_times_frequency():
     axis = inchworm()
-    assert speed(axis, 6000) == pytest.approx(axis.sequencer.parameters.gait.speed, rel=0.05)
+    assert speed(axis, 6000) == pytest.approx(axis.source.sequencer.parameters.gait.speed, rel=0.05)
 
 
 @slow
@@ -93,7 +96,7 @@ def test_no_random_sequence_opens_both_clamps_breaks_limits_or_runs_away(plant):
     assert found.both_open == found.beyond_limits == found.unsafe_stops == found.errors == 0
     # one clamp always presses with four fifths of what a closed clamp presses with
     assert found.least_force > 15.0
-    assert found.farthest < inchworm().sequencer.parameters.gait.stroke * 2.0
+    assert found.farthest < inchworm().source.sequencer.parameters.gait.stroke * 2.0
 
 
 @slow
@@ -102,7 +105,7 @@ def test_a_slider_that_cannot_move_stops_the_motor_with_an_error():
         plant={"inchworm__front_clamp__static_friction": 1e-6, "inchworm__front_clamp__kinetic_friction": 1e-6}
     )
     table = axis.run(np.full(5000, 1e-4))
-    assert axis.sequencer.error == "no_motion" and table["total_steps"][-1] == 5.0
+    assert axis.source.sequencer.error == "no_motion" and table["total_steps"][-1] == 5.0
     assert table["phase"][-1] == at.HOLDING and table["front_voltage"][-1] == table["rear_voltage"][-1] == 100.0
 
 
@@ -154,7 +157,7 @@ def test_short_moves_under_a_load_that_nobody_knows_stay_within_a_shortened_step
     whole = np.abs(table["step_achieved"][table["total_steps"] > 0])
     assert table["arrived"][-1] == 1.0
     assert np.max(table["displacement"]) - setpoint < 0.5 * np.max(whole) < 5e-6
-    assert axis.sequencer.learned["load_deflection"] == pytest.approx(force / 0.41e6, rel=0.2)
+    assert axis.source.sequencer.learned["load_deflection"] == pytest.approx(force / 0.41e6, rel=0.2)
 
 
 @slow

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.models.hysteresis import hysteresis_block
-from hysteresis_ros.models.linear import LinearParameters, dc_gain
+from hysteresis_ros.models.linear import LinearParameters
+from hysteresis_ros.simulation.axes import single_axis
 from hysteresis_ros.simulation.mismatch import mismatched, slowed
-from hysteresis_ros.simulation.run import single_axis
 
 
 def plant_of(name: str, mismatch: float, seed: int):
@@ -68,12 +68,11 @@ def test_branches_of_a_drawn_polynomial_plant_still_meet_at_their_corners(seed):
 
 def test_slower_dynamics_have_the_same_gain_and_longer_times():
     dynamics = single_axis(load_configuration("kim2009")).plant_simulator.dynamics
-    A, B, C, D = dynamics.matrices
     changed = slowed(dynamics, 1.1)
     slow = LinearParameters(A=tuple(changed["A"]), B=tuple(changed["B"]), C=dynamics.C)
-    assert dc_gain(*slow.matrices) == pytest.approx(dc_gain(A, B, C, D), rel=1e-12)
-    before = np.sort_complex(np.log(np.linalg.eigvals(A).astype(complex)))
-    after = np.sort_complex(np.log(np.linalg.eigvals(slow.matrices[0]).astype(complex)))
+    assert slow.state_space.dc_gain == pytest.approx(dynamics.state_space.dc_gain, rel=1e-12)
+    before = np.sort_complex(np.log(dynamics.state_space.poles.astype(complex)))
+    after = np.sort_complex(np.log(slow.state_space.poles.astype(complex)))
     assert after * 1.1 == pytest.approx(before, rel=1e-9)
     assert slowed(LinearParameters(), 1.1) == {}
 

@@ -12,13 +12,14 @@ from click.testing import CliRunner
 from hysteresis_ros.cli.main import main
 from hysteresis_ros.configuration import load_configuration, parse_configuration
 from hysteresis_ros.control.controller import ControllerParameters
-from hysteresis_ros.control.margins import margins
-from hysteresis_ros.control.pid import PidParameters
+from hysteresis_ros.control.laws.pid import PidParameters
+from hysteresis_ros.control.linearisation import margins
 from hysteresis_ros.errors import ConfigurationError
-from hysteresis_ros.simulation.axis import Axis
-from hysteresis_ros.simulation.node_parameters import part
-from hysteresis_ros.simulation.run import simulate, single_axis
-from hysteresis_ros.simulation.tuning import believed_axis, criterion_of, tune_pid
+from hysteresis_ros.loop.axis import Axis
+from hysteresis_ros.loop.node_parameters import part
+from hysteresis_ros.simulation.axes import single_axis
+from hysteresis_ros.simulation.run import simulate
+from hysteresis_ros.simulation.tuning import believed_axis, criterion_of, tune
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 PICMA = ROOT / "config" / "picma_stage.yaml"
@@ -38,7 +39,7 @@ def test_criteria_by_hand():
 
 def test_tuning_lowers_the_criterion_within_the_sensitivity():
     axis = picma()
-    result = tune_pid(axis, "iae", duration=1.0, iterations=15, start=PidParameters(Kp=0.3, Ki=20.0))
+    result = tune(axis, "pid", "iae", duration=1.0, iterations=15, start=PidParameters(Kp=0.3, Ki=20.0))
     assert result.after < 0.8 * result.before
     assert result.history[0, :3] == pytest.approx([0.3, 20.0, 0.0])
     assert result.history[0, 3] == result.before and result.history[-1, 3] == result.after
@@ -50,9 +51,9 @@ def test_tuning_lowers_the_criterion_within_the_sensitivity():
 
 def test_tuning_never_looks_at_the_plant():
     options = {"duration": 0.5, "iterations": 4, "start": PidParameters(Kp=0.3, Ki=20.0)}
-    one = tune_pid(picma(), "ise", **options)
+    one = tune(picma(), "pid", "ise", **options)
     other = picma(sensor__noise=1e-7, creep__type="none", dynamics__A=[0.9], limits__maximum=3.0)
-    same = tune_pid(other, "ise", **options)
+    same = tune(other, "pid", "ise", **options)
     assert same.gains == one.gains and same.after == one.after
 
 
@@ -70,11 +71,11 @@ def test_believed_axis_has_the_compensators_model_as_plant():
 
 def test_tuning_refuses_a_run_without_end_and_gains_without_margins():
     with pytest.raises(ConfigurationError, match="--duration"):
-        tune_pid(picma(), "iae")
+        tune(picma(), "pid", "iae")
     with pytest.raises(ConfigurationError, match="sensitivity"):
-        tune_pid(picma(), "iae", duration=0.5, start=PidParameters(Kp=0.5, Ki=300.0))
+        tune(picma(), "pid", "iae", duration=0.5, start=PidParameters(Kp=0.5, Ki=300.0))
     with pytest.raises(ConfigurationError, match="criterion"):
-        tune_pid(picma(), "best", duration=0.5)
+        tune(picma(), "pid", "best", duration=0.5)
 
 
 def run(*words):

@@ -1,0 +1,543 @@
+"""The workflow for scripts and notebooks: ``import hysteresis_ros as hr``, then a few lines. SI units everywhere.
+
+``hr.load``, ``hr.simulate``, ``hr.identify``, ``hr.validate``, ``hr.design`` and ``hr.report`` are what the commands of
+the same names do; ``docs/api.md`` shows them at work.
+"""
+
+from __future__ import annotations
+
+import os
+import pathlib
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, TypeAlias, Unpack
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hysteresis_ros.configuration import Configuration, load_configuration, normalised_namespace, parse_configuration
+from hysteresis_ros.control.controller import ControllerParameters
+from hysteresis_ros.control.margins import Margins
+from hysteresis_ros.errors import ConfigurationError, HysteresisError
+from hysteresis_ros.identification import workflow
+from hysteresis_ros.identification.data import IdentificationData
+from hysteresis_ros.identification.parameter_file import write_file
+from hysteresis_ros.identification.reading import Columns, Reading, read_data
+from hysteresis_ros.identification.workflow import Compared, Conditions, Identified
+from hysteresis_ros.recordings.dataset import Recording
+from hysteresis_ros.recordings.files import load_run, save_run
+from hysteresis_ros.simulation.axes import single_axis
+from hysteresis_ros.simulation.design import DesignRequest, design_axis, design_file, design_lines, doubts
+from hysteresis_ros.simulation.reach import reach_warnings
+from hysteresis_ros.simulation.run import simulate as simulate_axis
+
+if TYPE_CHECKING:
+    import pandas
+
+__all__ = ["Columns", "Design", "Run", "design", "identify", "load", "report", "simulate", "validate"]
+
+#: Endings of configuration files.
+CONFIGURATIONS = (".yaml", ".yml")
+#: Endings of recordings; a bag is a folder.
+RECORDINGS = (".npz", ".csv", ".mcap", ".db3")
+
+
+class Run(Recording):  # numpydoc ignore=PR02
+    """Signals of a run or of any recording, by name: ``run.displacement`` or ``run["displacement"]``.
+
+    Parameters
+    ----------
+    time : array_like, shape (N,)
+        Instants [s], finite and strictly increasing.
+    signals : dict of str to array_like, shape (N,)
+        Named signals in SI units; NaN where a sample of a signal is missing.
+    units : dict of str to str, optional
+        Unit of each signal; those that the package knows (``voltage``, ``displacement`` …) need not be given.
+    metadata : dict, optional
+        Whatever JSON can hold, such as ``configuration`` (YAML text of the axis) and ``notes``.
+
+    Raises
+    ------
+    RecordingError
+        A shape, a unit or the time axis is wrong; the message names the signal.
+
+    Examples
+    --------
+    >>> import hysteresis_ros as hr
+    >>> run = hr.Run([0.0, 0.1, 0.2], {"voltage": [0.0, 5.0, 10.0], "measured": [0.0, 0.4e-6, 0.9e-6]})
+    >>> run.voltage
+    array([ 0.,  5., 10.])
+    >>> run.units["measured"]
+    'm'
+    """
+
+    @classmethod
+    def of(cls, recording: Recording) -> Run:
+        """Return a recording as a run; its arrays are shared.
+
+        Parameters
+        ----------
+        recording : Recording
+            Whatever the package reads or makes.
+
+        Returns
+        -------
+        Run
+            The same signals.
+        """
+        return cls(recording.time, recording.signals, recording.units, recording.metadata)
+
+    def __getattr__(self, name: str) -> np.ndarray:
+        # asked for only what is no attribute; before the fields are there (copying, unpickling), nothing is a signal
+        signals = self.__dict__.get("signals", {})
+        if name in signals:
+            return signals[name]
+        there = f"; the signals are {', '.join(signals)}" if not name.startswith("_") else ""
+        raise AttributeError(f"the run has no signal or attribute {name!r}{there}")
+
+    def __dir__(self) -> list[str]:
+        return [*super().__dir__(), *self.signals]
+
+    def __repr__(self) -> str:
+        columns = ", ".join(f"{name} [{unit}]" for name, unit in self.units.items())
+        return f"Run of {len(self)} samples, {self.sample_time:.6g} s apart: {columns}"
+
+    def to_dataframe(self) -> pandas.DataFrame:
+        """Return the signals as a table of pandas, the time [s] as its index.
+
+        Returns
+        -------
+        pandas.DataFrame
+            One column a signal; the units are in ``attrs["units"]``.
+
+        Raises
+        ------
+        HysteresisError
+            Pandas is not installed; the message says how to.
+
+        Examples
+        --------
+        >>> import hysteresis_ros as hr
+        >>> table = hr.simulate("kim2009", duration=0.01).to_dataframe()  # doctest: +SKIP
+        """
+        try:
+            import pandas
+        except ImportError:
+            raise HysteresisError(
+                'pandas is not installed: pip install pandas, or "hysteresis_ros[notebook]"'
+            ) from None
+        table = pandas.DataFrame(self.signals, index=pandas.Index(self.time, name="time"))
+        table.attrs["units"] = {"time": "s", **self.units}
+        return table
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the run as ``.npz``, ``.csv`` or ``.mcap``; the ending decides.
+
+        Parameters
+        ----------
+        path : path-like
+            Where to; an existing table is replaced, an existing bag is not.
+
+        Raises
+        ------
+        RecordingError
+            The ending is another, or the file cannot be written.
+        """
+        save_run(self, path)
+
+
+@dataclass(frozen=True, eq=False)
+class Design:  # numpydoc ignore=PR02
+    """A designed controller, and the configuration that holds it.
+
+    Parameters
+    ----------
+    parameters : ControllerParameters
+        Type, gains and model of the controller.
+    margins : Margins
+        Bandwidth [Hz], margins and poles of the loop with the controller's model.
+    warnings : tuple of str
+        What is to be doubted, in sentences.
+    lines : tuple of str
+        The table that ``hysteresis design`` prints.
+    text : str
+        The parameter file: that of the design's source with the new controller.
+    """
+
+    parameters: ControllerParameters
+    margins: Margins
+    warnings: tuple[str, ...]
+    lines: tuple[str, ...]
+    text: str
+
+    def __str__(self) -> str:
+        return "\n".join(self.lines)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the parameter file whole or not at all.
+
+        Parameters
+        ----------
+        path : path-like
+            A ``.yaml`` file.
+
+        Raises
+        ------
+        HysteresisError
+            It cannot be written.
+        """
+        write_file(path, self.text)
+
+
+#: What describes an axis: a file, the name of one that comes with the package, or what this module returned.
+Source: TypeAlias = "str | os.PathLike[str] | Configuration | Identified | Design | Recording"
+#: What was measured: a file, or what was read already.
+Measured: TypeAlias = "str | os.PathLike[str] | Recording | IdentificationData | Reading"
+
+
+def load(path: str | os.PathLike[str], *, namespace: str | None = None) -> Configuration | Run:
+    """Read a configuration or a recording, by what the file is.
+
+    Parameters
+    ----------
+    path : path-like
+        A parameter file (``.yaml``) or the bare name of one that comes with the package (``kim2009``); or a recording:
+        a bag (folder, ``.mcap``, ``.db3``) or a table (``.npz``, ``.csv`` with units in its header).
+    namespace : str, optional
+        Which axis of a bag that holds several.
+
+    Returns
+    -------
+    Configuration or Run
+        A configuration goes into :func:`simulate` and :func:`design`, also with changes:
+        ``load("kim2009").override("motion_controller", type="open_loop")``.
+
+    Raises
+    ------
+    ConfigurationError
+        It is neither, or the parameter file cannot be read.
+    RecordingError
+        The recording cannot be read.
+
+    Examples
+    --------
+    >>> import hysteresis_ros as hr
+    >>> hr.load("kim2009").node("motion_controller")["type"]
+    'sliding_mode'
+    """
+    path = pathlib.Path(path)
+    if path.suffix.lower() in RECORDINGS or path.is_dir():
+        return Run.of(load_run(path, namespace, further=True))
+    if path.suffix.lower() in CONFIGURATIONS or (not path.exists() and path.name == path.stem == str(path)):
+        return load_configuration(path)
+    if not path.exists():
+        raise ConfigurationError(f"{path}: no such file or folder; give a configuration or a recording")
+    endings = ", ".join((*CONFIGURATIONS, *RECORDINGS))
+    raise ConfigurationError(f"{path}: neither a configuration nor a recording; it must be a bag or end in {endings}")
+
+
+def simulate(
+    config: Source,
+    *,
+    duration: float | None = None,
+    setpoints: ArrayLike | None = None,
+    requests: ArrayLike | None = None,
+    speeds: ArrayLike | None = None,
+    faults: Sequence[str] = (),
+    namespace: str | None = None,
+) -> Run:
+    """Run an axis offline from rest: bit for bit what its nodes do in lockstep.
+
+    Doubts about whether the axis can follow its reference are given as Python warnings.
+
+    Parameters
+    ----------
+    config : path-like, Configuration, Identified, Design or Recording
+        The axis: a parameter file, the name of one that comes with the package, what :func:`load`, :func:`identify` or
+        :func:`design` returned, or a run whose axis is to run again.
+    duration : float, optional
+        Length [s]; by default that of ``setpoints``, of the parameter ``samples`` or of the waveform.
+    setpoints : array_like, shape (N,), optional
+        Setpoint in force at each sample [m]; the last one holds.
+    requests : array_like, shape (N,), optional
+        Of an inchworm: what was asked of it at each sample.
+    speeds : array_like, shape (N,), optional
+        Of an inchworm: speed at which it is to walk at each sample [m/s]; NaN asks nothing.
+    faults : sequence of str
+        What is to go wrong, each ``NAME:START:DURATION[:VALUE]`` with times in seconds, for instance
+        ``"stale:0.1:0.3"``; ``docs/topics.md`` lists them.
+    namespace : str, optional
+        Which axis of a configuration with several.
+
+    Returns
+    -------
+    Run
+        ``time``, ``setpoint``, ``reference``, ``command``, ``voltage``, ``displacement``, ``measured``, ``estimated``
+        and what else the axis has.
+
+    Raises
+    ------
+    ConfigurationError
+        The configuration cannot be read, nothing says how long the run is, or a fault is unknown.
+    ParameterError
+        A parameter is wrong; the message says what is allowed.
+
+    Examples
+    --------
+    >>> import hysteresis_ros as hr
+    >>> run = hr.simulate("kim2009", duration=0.01)
+    >>> run.displacement.shape, run.units["displacement"]
+    ((30,), 'm')
+    """
+    axis = single_axis(_configuration(config), namespace)
+    if faults:
+        axis = axis.with_faults(tuple(faults))
+    for text in reach_warnings(axis):
+        warnings.warn(text, stacklevel=2)
+    return Run.of(simulate_axis(axis, duration=duration, setpoints=setpoints, requests=requests, speeds=speeds))
+
+
+def identify(
+    source: Measured,
+    model: str = "prandtl_ishlinskii",
+    *,
+    columns: Columns | None = None,
+    linear: str | None = None,
+    options: dict[str, Any] | None = None,
+    inverse: str | None = None,
+    progress: Any = None,
+    **conditions: Unpack[Conditions],
+) -> Identified:
+    """Identify a model of hysteresis, and what stands behind it, from a recording.
+
+    Parameters
+    ----------
+    source : path-like, Recording, IdentificationData or Reading
+        A bag, CSV or NPZ whose columns name their units (``control_V``, ``gauge_um``), or data that was read;
+        arrays as ``hr.Run(time, {"voltage": …, "measured": …})``.
+    model : str
+        Name of the model; ``dir(hr.models)`` and ``hysteresis models`` list them.
+    columns : Columns, optional
+        Of a file: which columns in which units, and what is taken of them: ``hr.Columns("ch1:V", "ch2:um")``.
+    linear : str, optional
+        What stands behind the hysteresis: ``auto`` (the default: lag, delay and creep where they lower the residual),
+        ``none``, ``lag,delay,creep``, ``second_order``, ``arx`` …
+    options : dict, optional
+        Of the model, such as ``{"play_count": 20}``.
+    inverse : str, optional
+        Inverse of the compensator; the model's first by default.
+    progress : callable, optional
+        Called as ``progress(number, text)`` while the fit runs.
+    **conditions
+        ``skip``, ``offset``, ``intersample`` and ``initial``, see :class:`.workflow.Conditions`.
+
+    Returns
+    -------
+    Identified
+        With ``parameters``, ``predicted``, ``figures``, ``warnings``, ``converged`` and ``save(path)``; it goes into
+        :func:`simulate`, :func:`design` and :func:`report` as it is.
+
+    Raises
+    ------
+    IdentificationError, DataError, RecordingError
+        The request or the data cannot be used; the message says what is allowed.
+
+    Examples
+    --------
+    >>> import hysteresis_ros as hr
+    >>> found = hr.identify("loops.csv", "preisach", skip=200)  # doctest: +SKIP
+    >>> found.figures["rmse_percent_of_stroke"]  # doctest: +SKIP
+    """
+    reading = read_data(source, columns)
+    return workflow.identify(
+        reading, model, linear=linear, options=options, inverse=inverse, progress=progress, **conditions
+    )
+
+
+def validate(
+    parameters: str | os.PathLike[str],
+    source: Measured,
+    *,
+    columns: Columns | None = None,
+    namespace: str = "",
+    inverse: bool = True,
+    **conditions: Unpack[Conditions],
+) -> Compared:
+    """Simulate the plant of a parameter file under a recorded voltage and compare with what was measured.
+
+    Parameters
+    ----------
+    parameters : path-like
+        Parameter file, identified or written by hand, or the name of one that comes with the package.
+    source : path-like, Recording, IdentificationData or Reading
+        See :func:`identify`; best one that the model has not seen.
+    columns : Columns, optional
+        Of a file, see :func:`identify`.
+    namespace : str
+        Which axis of a file with several.
+    inverse : bool
+        Try the inverse too.
+    **conditions
+        ``skip``, ``offset``, ``intersample`` and ``initial``, see :class:`.workflow.Conditions`.
+
+    Returns
+    -------
+    Compared
+        With ``predicted``, ``figures`` and ``warnings``.
+
+    Raises
+    ------
+    ConfigurationError, ParameterError, IdentificationError, DataError, RecordingError
+        The file, a choice or the data cannot be used; the message says what is allowed.
+
+    Examples
+    --------
+    >>> import hysteresis_ros as hr
+    >>> hr.validate("axis.yaml", "other.csv").figures["rmse_m"]  # doctest: +SKIP
+    """
+    reading = read_data(source, columns)
+    return workflow.validate(parameters, reading, namespace=namespace, inverse=inverse, **conditions)
+
+
+def design(
+    config: Source,
+    controller: str,
+    *,
+    bandwidth: float | None = None,
+    q: float | None = None,
+    criterion: str | None = None,
+    duration: float | None = None,
+    feedforward: bool = False,
+    preview: int | None = None,
+    namespace: str | None = None,
+) -> Design:
+    """Design a controller for the model in a configuration (``motion_controller: model.dynamics``; never the plant's).
+
+    Parameters
+    ----------
+    config : path-like, Configuration, Identified, Design or Recording
+        The axis, see :func:`simulate`.
+    controller : str
+        ``pid``, ``smc``, ``integral_smc``, ``super_twisting`` or ``offset_free``.
+    bandwidth : float, optional
+        -3 dB bandwidth from reference to displacement [Hz].
+    q : float, optional
+        Kalman filter: variance of the input's noise over that of the measurement.
+    criterion : str, optional
+        Of a pid: ``iae``, ``ise`` or ``itae``, tune it on the waveform.
+    duration : float, optional
+        Length of the run that ``criterion`` judges [s].
+    feedforward : bool
+        Add the inverse of the dynamics.
+    preview : int, optional
+        Samples that the reference is ahead, with ``feedforward``; by default what the inverse needs.
+    namespace : str, optional
+        Which axis of a configuration with several.
+
+    Returns
+    -------
+    Design
+        With ``parameters``, ``margins``, ``warnings`` and ``save(path)``; ``print`` shows a table.
+
+    Raises
+    ------
+    ConfigurationError
+        The configuration cannot be read, or requests exclude each other.
+    ParameterError
+        No design follows from the model; the message says what keeps it.
+
+    Examples
+    --------
+    >>> import hysteresis_ros as hr
+    >>> found = hr.design("kim2009", "offset_free", bandwidth=200.0)
+    >>> run = hr.simulate(found, duration=0.01)
+    """
+    configuration = _configuration(config)
+    axis = single_axis(configuration, namespace)
+    request = DesignRequest(controller, bandwidth, q, criterion, duration, feedforward, preview)
+    found = design_axis(axis, request)
+    text = design_file(configuration, found, normalised_namespace(axis.namespace))
+    return Design(found.parameters, found.margins, tuple(doubts(found)), tuple(design_lines(found)), text)
+
+
+def report(
+    source: str | os.PathLike[str] | Recording | Compared,
+    path: str | os.PathLike[str] | None = None,
+    *,
+    title: str | None = None,
+    namespace: str | None = None,
+) -> dict[str, Any]:
+    """Judge a run, an identification or a validation, and write a page of it.
+
+    Parameters
+    ----------
+    source : path-like, Recording, Identified or Compared
+        A recording, or what :func:`simulate`, :func:`identify` or :func:`validate` returned.
+    path : path-like, optional
+        HTML file to write, which needs nothing beside it. Plots need Matplotlib and Jinja2
+        (``pip install "hysteresis_ros[report]"``).
+    title : str, optional
+        Heading of the page of a run; by default the name of the recording.
+    namespace : str, optional
+        Which axis of a bag that holds several.
+
+    Returns
+    -------
+    dict
+        Figures in SI units, by names that hold their unit: ``rms_error_m``, ``settling_time_s`` …; of an inchworm its
+        moves and steps.
+
+    Raises
+    ------
+    RecordingError
+        The recording cannot be read or judged, or the page not be written.
+    HysteresisError
+        Matplotlib or Jinja2 is not installed; the message says how to.
+
+    Examples
+    --------
+    >>> import hysteresis_ros as hr
+    >>> figures = hr.report(hr.simulate("kim2009", duration=0.1))
+    >>> figures["samples"], figures["saturated_percent"]
+    (300, 0.0)
+    """
+    if isinstance(source, Compared):
+        if path is not None:
+            from hysteresis_ros.analysis.identification_report import (
+                write_identification_report,
+                write_validation_report,
+            )
+
+            if isinstance(source, Identified):
+                write_identification_report(path, source)
+            else:
+                write_validation_report(path, source)
+        return source.figures
+    run = source if isinstance(source, Recording) else load_run(source, namespace, further=True)
+    heading = title or ("run" if isinstance(source, Recording) else pathlib.Path(source).name)
+    from hysteresis_ros.analysis.inchworm_moves import is_inchworm
+
+    if is_inchworm(run):
+        from hysteresis_ros.analysis.inchworm import inchworm_figures as judge
+        from hysteresis_ros.analysis.inchworm_report import write_inchworm_report as write
+    else:
+        from hysteresis_ros.analysis.metrics import compute_metrics as judge
+        from hysteresis_ros.analysis.report import write_report as write
+    figures = judge(run)
+    if path is not None:
+        write(run, path, heading, figures)
+    return figures
+
+
+def _configuration(source: Source) -> Configuration:
+    """Return the configuration that describes an axis."""
+    if isinstance(source, Configuration):
+        return source
+    if isinstance(source, (Identified, Design)):
+        return parse_configuration(source.text, f"the {type(source).__name__.lower()} axis")
+    if isinstance(source, Recording):
+        if not source.configuration:
+            raise ConfigurationError("the recording does not hold the configuration of its axis; give the file")
+        return parse_configuration(source.configuration, "the configuration in the recording")
+    return load_configuration(source)

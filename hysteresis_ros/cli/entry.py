@@ -1,0 +1,60 @@
+"""Where the executable ``hysteresis`` begins: Ctrl-C is answered from here on, also while the rest is imported."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+from typing import Any, NoReturn
+
+from hysteresis_ros.cli.interrupt import INTERRUPTED, WORDS
+
+#: Seconds after which an interrupt that was lost is repeated.
+AGAIN = 0.05
+
+
+def main() -> None:
+    """Run the command; it ends in :class:`SystemExit`."""
+    dropped: list[type] = []
+
+    def repeat_interrupt(unraisable: Any) -> None:
+        """Repeat an interrupt that came where Python cannot raise (a callback, a finalizer): it would be lost."""
+        if not issubclass(unraisable.exc_type, KeyboardInterrupt):
+            sys.__unraisablehook__(unraisable)
+            return
+        dropped.append(unraisable.exc_type)
+        repeat = threading.Timer(AGAIN, os.kill, (os.getpid(), signal.SIGINT))
+        repeat.daemon = True
+        repeat.start()
+
+    sys.unraisablehook = repeat_interrupt
+    try:
+        from hysteresis_ros.cli.main import main as command
+
+        command(prog_name="hysteresis")
+    except (KeyboardInterrupt, Exception) as error:
+        # a compiler whose callback was interrupted fails soon after, in words of its own
+        if not dropped and not isinstance(error, KeyboardInterrupt):
+            raise
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+        print(WORDS, file=sys.stderr)
+        _leave_at_once()
+    except SystemExit as end:
+        if end.code == INTERRUPTED:
+            _leave_at_once()
+        raise
+    finally:
+        # what is left is the interpreter's own end: an interrupt there would be a traceback and change nothing
+        signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _leave_at_once() -> NoReturn:
+    """Leave with the exit code of Ctrl-C: Python would end by the signal itself when ``exec`` was interrupted."""
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(INTERRUPTED)
+
+
+if __name__ == "__main__":
+    main()

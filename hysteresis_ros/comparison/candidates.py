@@ -1,0 +1,194 @@
+"""The controllers and compensators that are compared, each designed on the models in the configuration alone."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hysteresis_ros.configuration import Configuration
+from hysteresis_ros.control.inversion import sufficient_preview
+from hysteresis_ros.control.law import UNFED
+from hysteresis_ros.control.registry import entries
+from hysteresis_ros.errors import HysteresisError
+from hysteresis_ros.loop.axis_parameters import AxisParameters
+from hysteresis_ros.simulation.axes import single_axis
+from hysteresis_ros.simulation.tuning import tune
+
+#: A preview is long enough when what the inversion leaves is below this part of the reference, or at its longest.
+INVERSION_ERROR = 1e-4
+LONGEST_PREVIEW = 64
+#: Least measurement noise a design reckons with, as a part of the stroke: a filter needs some.
+LEAST_NOISE = 1e-6
+#: Periods of the reference on which a PID is tuned.
+TUNING_PERIODS = 8
+#: Least mismatch that a design reckons with.
+LEAST_MISMATCH = 1e-3
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One combination of controller and compensator.
+
+    Parameters
+    ----------
+    controller, compensator : str
+        Names in the table.
+    motion_controller, hysteresis_compensator : dict
+        Parameters that differ from the configuration's.
+    refused : str
+        Why it cannot be designed; empty when it can.
+    """
+
+    controller: str
+    compensator: str
+    motion_controller: dict = field(default_factory=dict)
+    hysteresis_compensator: dict = field(default_factory=dict)
+    refused: str = ""
+
+
+def candidates(configuration: Configuration, conditions, tasks, only=None) -> list[Candidate]:
+    """Return every combination, designed or refused by name.
+
+    Parameters
+    ----------
+    configuration : Configuration
+        One axis.
+    conditions : Conditions
+        The noise and the mismatch that the designs reckon with.
+    tasks : sequence of Task
+        The references, for the tuning and for how fast disturbances change.
+    only : collection of (str, str), optional
+        Names of the combinations (controller, compensator) to design; all by default.
+
+    Raises
+    ------
+    ParameterError
+        The configuration is wrong.
+    """
+    axis = single_axis(configuration)
+    found, gains = [], {}
+    for compensator, changed in compensators(axis).items():
+        for controller, design in controllers().items():
+            if only is not None and (controller, compensator) not in only:
+                continue
+            try:
+                values = design(Given(configuration, axis, conditions, tasks, changed, gains))
+            except HysteresisError as error:
+                found.append(Candidate(controller, compensator, refused=" ".join(str(error).split())))
+            else:
+                found.append(Candidate(controller, compensator, values, changed))
+    return found
+
+
+def compensators(axis: AxisParameters) -> dict[str, dict]:
+    """Return the compensators of an axis: none, the best inverse of its model, and that with its creep."""
+    given = axis.hysteresis_compensator
+    block = given.hysteresis.model.block
+    found = {"none": {"inverse.type": "none"}}
+    if not block.rate_independent:
+        return found
+    kind = given.inverse.type
+    if kind == "none":
+        kind = "exact" if block.inverse is not None else "general"
+    name = f"{kind} inverse"
+    found[name] = {"inverse.type": kind, "creep.type": "none"}
+    if given.creep.type != "none":
+        found[f"{name} with creep"] = {"inverse.type": kind}
+    return found
+
+
+@dataclass(frozen=True)
+class Given:
+    """What a design may know.
+
+    Parameters
+    ----------
+    configuration : Configuration
+        One axis.
+    axis : AxisParameters
+    conditions : Conditions
+    tasks : tuple of Task
+        The references.
+    compensator : dict
+        Parameters of the compensator that differ from the configuration's.
+    gains : dict
+        Gains that were tuned already, by law and compensator.
+    """
+
+    configuration: Configuration
+    axis: AxisParameters
+    conditions: object
+    tasks: tuple
+    compensator: dict
+    gains: dict
+
+    @property
+    def dynamics(self):
+        """The linear model that the controller believes."""
+        return self.axis.motion_controller.model.dynamics
+
+    def preview(self) -> dict:
+        """Return the feedforward with the shortest preview that inverts the model well."""
+        preview = min(sufficient_preview(self.dynamics, INVERSION_ERROR), LONGEST_PREVIEW)
+        return {"feedforward.type": "inverse_dynamics", "feedforward.preview": preview}
+
+    def change(self) -> float:
+        """Return how far the mismatch moves the command's disturbance in a sample [model units]."""
+        moved = max((task.high - task.low) * np.pi * task.frequency for task in self.tasks)
+        moved /= self.axis.plant_simulator.sample_rate * self.dynamics.resolved_input_scale
+        return float(max(self.conditions.mismatch, LEAST_MISMATCH) * moved)
+
+    def kalman(self, disturbance: str = "none") -> dict:
+        """Return a filter for the noise, and for disturbances as fast as the mismatch makes them.
+
+        Parameters
+        ----------
+        disturbance : str
+            Model of the disturbance that it estimates.
+        """
+        stroke = max(task.high - task.low for task in self.tasks)
+        noise = max(self.conditions.noise, LEAST_NOISE * stroke) / self.dynamics.output_scale
+        change = self.change()
+        return {
+            "kalman.form": "current",
+            "kalman.gain": "riccati",
+            "kalman.r": float(noise**2),
+            # a filter without a disturbance has to believe the measurement, or nothing of the mismatch is seen
+            "kalman.q": ((10.0 if disturbance == "none" else 0.1) * change) ** 2,
+            "kalman.Q": (),
+            "kalman.disturbance": disturbance,
+            "kalman.q_disturbance": change**2 if disturbance != "ramp" else (0.1 * change) ** 2,
+            "kalman.q_disturbance_rate": (0.3 * change) ** 2,
+        }
+
+    def tuned(self, kind: str) -> dict:
+        """Return gains for the fastest reference, tuned on what compensator and controller believe.
+
+        Without feedforward, also for a controller beside one: with all that is believed true the feedforward leaves it
+        nothing to do, and no gain would be worse than another.
+
+        Parameters
+        ----------
+        kind : str
+            Type of the controller.
+        """
+        key = (kind, *self.compensator.items())
+        if key not in self.gains:
+            task = max(self.tasks, key=lambda task: task.frequency)
+            configuration = self.configuration.override("motion_controller", type="open_loop", **UNFED)
+            configuration = configuration.override("hysteresis_compensator", **self.compensator)
+            axis = single_axis(configuration.override("reference_generator", **task.overrides()))
+            gains = tune(axis, kind, "iae", duration=TUNING_PERIODS / task.frequency).gains
+            self.gains[key] = {f"{kind}.{name}": value for name, value in gains.to_mapping().items()}
+        return self.gains[key]
+
+
+def controllers() -> dict:
+    """Return the controllers of the table, name → design: the configured one and what the laws declare.
+
+    A design takes :class:`Given` and returns the parameters of the motion controller that differ from the
+    configuration's.
+    """
+    declared = {name: design for name, (_, design) in entries("compared").items()}
+    return {"as configured": lambda given: {}, **declared}

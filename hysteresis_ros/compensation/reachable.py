@@ -1,0 +1,41 @@
+"""What a compensator can carry out at rest."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+from hysteresis_ros.compensation.compensator import CompensatorParameters
+from hysteresis_ros.models.hysteresis import HysteresisParameters, hysteresis_block
+
+#: Samples of one sweep of the voltage.
+SWEEP = 257
+
+
+@lru_cache(maxsize=64)
+def _sweep(hysteresis: HysteresisParameters, low: float, high: float, sample_time: float) -> tuple[float, float]:
+    start = min(max(0.0, low), high)
+    reached = []
+    for ends in ((start, high, low, high), (start, low, high, low)):
+        voltages = np.concatenate([np.linspace(a, b, SWEEP) for a, b in zip(ends, ends[1:], strict=False)])
+        reached.append(hysteresis_block(hysteresis, sample_time).simulate(voltages))
+    return float(np.min(reached)), float(np.max(reached))
+
+
+def reachable_commands(compensator: CompensatorParameters, sample_time: float) -> tuple[float, float]:
+    """Return the smallest and largest displacement [m] that the compensator can carry out at rest.
+
+    Parameters
+    ----------
+    compensator : CompensatorParameters
+        Model, inverse and limits.
+    sample_time : float
+        Sample time [s].
+    """
+    limits = compensator.limits
+    block = hysteresis_block(compensator.hysteresis, sample_time)
+    if compensator.inverse.type == "none" or not block.rate_independent:
+        ends = block.gain * limits.minimum, block.gain * limits.maximum
+        return min(ends), max(ends)
+    return _sweep(compensator.hysteresis, limits.minimum, limits.maximum, sample_time)

@@ -1,0 +1,77 @@
+"""The controllers for notebooks: ``hr.controllers.Pid(Kp=…, A=…, B=…, C=…)``, one class for each there is."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hysteresis_ros.control.base import Controller
+from hysteresis_ros.control.controller import ControllerParameters
+from hysteresis_ros.control.registry import LAWS
+from hysteresis_ros.errors import HysteresisError
+from hysteresis_ros.keywords import block_class, class_name, find, samples
+
+
+class MotionController(Controller):  # numpydoc ignore=PR02
+    """A controller from reference and measured displacement [m] to the command [m]; base of ``hr.controllers``.
+
+    Parameters
+    ----------
+    parameters : ControllerParameters
+        Checked on construction.
+    sample_time : float
+        Sample time [s].
+    """
+
+    def simulate(self, reference: ArrayLike, measured: ArrayLike) -> np.ndarray:
+        """Return the commands of the controller fed with recorded signals; the state goes on from where it was.
+
+        Parameters
+        ----------
+        reference : array_like, shape (N,)
+            Reference at each sample [m].
+        measured : array_like, shape (N,)
+            Measured displacement at each sample [m].
+
+        Returns
+        -------
+        ndarray, shape (N,)
+            Command to the compensator [m].
+
+        Raises
+        ------
+        HysteresisError
+            The signals are no arrays of numbers of one length.
+        """
+        wanted, seen = samples("reference", reference), samples("measured", measured)
+        if wanted.shape != seen.shape:
+            raise HysteresisError(f"reference has {wanted.size} samples and measured {seen.size}; both must agree")
+        return super().simulate(wanted, seen)
+
+
+def _made(kind: str) -> type[MotionController]:
+    law = LAWS[kind]
+    others = tuple(f"{name}." for other in LAWS.values() for name in other.groups if name not in law.groups)
+    return block_class(
+        class_name(kind),
+        (MotionController, law.block),
+        ControllerParameters,
+        module=__name__,
+        summary=f"The controller {kind.replace('_', ' ')}: {law.description}. Gains are in the units of its model.",
+        fixed={"type": kind},
+        own=(kind,),
+        hidden=lambda name: name.startswith(others),
+    )
+
+
+#: The classes by name.
+CLASSES: dict[str, type[MotionController]] = {class_name(kind): _made(kind) for kind in LAWS}
+
+
+def __getattr__(name: str) -> type[MotionController]:
+    """Return the class of a controller."""
+    return find(CLASSES, name, "hysteresis_ros.controllers")
+
+
+def __dir__() -> list[str]:
+    return sorted(CLASSES)

@@ -1,0 +1,137 @@
+"""What a controller declares, so that parameters, design, margins, tuning and comparison know all of it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from hysteresis_ros.control.base import Controller
+from hysteresis_ros.models.state_space import StateSpace
+from hysteresis_ros.parameters import Parameters
+
+#: Parameters of the motion controller without feedforward, for a comparison.
+UNFED: Mapping[str, Any] = {"feedforward.type": "none", "feedforward.preview": 0}
+
+
+@dataclass(frozen=True, eq=False)
+class DesignTask:
+    """What a design is asked: gains of a controller for the model in its parameters.
+
+    Parameters
+    ----------
+    parameters : ControllerParameters
+        Of the type that is designed. The model in it is minimal and stable; what the design does not decide is kept.
+    sample_time : float
+        [s]
+    bandwidth : float or None
+        Frequency at which the response to the reference, without feedforward, is to fall by 3 dB [Hz].
+    q : float or None
+        Variance of the input's noise over that of the measurement in the Kalman filter.
+    loop : callable
+        ``loop(parameters)`` returns controller and model, two :class:`StateSpace`, close to rest; for
+        :func:`hysteresis_ros.control.margins.bandwidth_and_sensitivity`.
+    """
+
+    parameters: Any
+    sample_time: float
+    bandwidth: float | None
+    q: float | None
+    loop: Callable[[Any], tuple[StateSpace, StateSpace]]
+
+
+@dataclass(frozen=True, eq=False)
+class Tuning:
+    """Gains that can be tuned on a criterion of the simulated loop.
+
+    Parameters
+    ----------
+    gains : tuple of str
+        Names of the numbers in the controller's own group; those that are 0 at the start stay 0.
+    start : callable
+        ``start(parameters, sample_time)`` returns the parameters to begin with.
+    loop : callable
+        ``loop(parameters, sample_time)`` returns controller and model of whose sensitivity peak candidates are judged.
+    largest_sensitivity : float
+        Gains with a higher peak are refused.
+    """
+
+    gains: tuple[str, ...]
+    start: Callable[[Any, float], Any]
+    loop: Callable[[Any, float], tuple[StateSpace, StateSpace]]
+    largest_sensitivity: float = 2.0
+
+
+def _no_check(parameters, sample_time: float | None) -> None:
+    """Find nothing wrong."""
+
+
+def _as_it_is(parameters):
+    return parameters
+
+
+def _no_rows(parameters, sample_time: float):
+    return ()
+
+
+def _no_doubts(parameters, sample_time: float, tuned: bool):
+    return ()
+
+
+def _no_warnings(parameters, prefix: str):
+    return ()
+
+
+@dataclass(frozen=True, eq=False)
+class ControllerLaw:
+    """A controller: its type, law and parameters, and what the rest of the package asks of it.
+
+    Parameters
+    ----------
+    name : str
+        ``type`` of the motion controller.
+    block : type of Controller
+        Kernel, state and parameter array.
+    description : str
+        A few words for the table of parameters.
+    groups : mapping of str to type, optional
+        Groups of the motion controller's parameters that it uses, by name. A group with the name of the law that no
+        other law uses is checked only while the law is chosen.
+    feedback : bool, optional
+        Whether it uses the measurement: without that, nothing limits the bandwidth of a reference.
+    check : callable, optional
+        ``check(parameters, sample_time)`` raises ParameterError, with names relative to the motion controller's
+        parameters, where no stable controller follows; the sample time is None where it is not known.
+    warnings : callable, optional
+        ``warnings(parameters, prefix)`` returns sentences about doubts; prefix stands before names of parameters.
+    near_rest : callable, optional
+        ``near_rest(parameters)`` returns parameters with which the kernel is linear close to rest; the preload offset
+        and the feedforward are off already.
+    designs : mapping of str to callable, optional
+        Name for ``hysteresis design --controller`` → ``design(task)``, which returns parameters with gains for a
+        :class:`DesignTask`.
+    rows : callable, optional
+        ``rows(parameters, sample_time)`` returns (name, text) of what a design prints of its gains.
+    doubts : callable, optional
+        ``doubts(parameters, sample_time, tuned)`` returns sentences about what a user should know of a design.
+    tuning : Tuning, optional
+        Which gains ``--criterion`` tunes.
+    compared : mapping of str to callable, optional
+        Name in the table of ``hysteresis compare`` → ``compared(given)``, which returns the parameters of the motion
+        controller that differ from the configuration's; given is
+        :class:`hysteresis_ros.comparison.candidates.Given`.
+    """
+
+    name: str
+    block: type[Controller]
+    description: str
+    groups: Mapping[str, type[Parameters]] = field(default_factory=dict)
+    feedback: bool = True
+    check: Callable[[Any, float | None], None] = _no_check
+    warnings: Callable[[Any, str], Collection[str]] = _no_warnings
+    near_rest: Callable[[Any], Any] = _as_it_is
+    designs: Mapping[str, Callable[[DesignTask], Any]] = field(default_factory=dict)
+    rows: Callable[[Any, float], Collection[tuple[str, str]]] = _no_rows
+    doubts: Callable[[Any, float, bool], Collection[str]] = _no_doubts
+    tuning: Tuning | None = None
+    compared: Mapping[str, Callable[[Any], dict]] = field(default_factory=dict)

@@ -1,0 +1,158 @@
+"""Integral sliding mode: a nominal controller, and a sliding mode that begins without a reaching phase.
+
+The switching function is the distance of the state from the one that the nominal dynamics alone would have given it
+since the start (x̄_0 = x̂_0, so s_0 = 0):
+
+s_k      = S (x̂_k − x̄_k)
+x̄_(k+1)  = x̄_k + (A x̂_k + B (u0_k + Δ_k)) − x̂_k
+u_k      = u0_k + u1_k
+u0       = u* − Λ⁻¹ (S A − Φ S) x_e                                        (nominal state feedback)
+u1       = −d̂ − Λ⁻¹ (1 − ρ) s − (η |Λ|⁻¹ |s| + β) sign(Λ) s / (|s| + δ)    (rejection)
+
+so that s⁺ = ρ s (``rejection_pole``) less the nonlinear part, driven only by what the Kalman filter's model does not
+explain: s_(k+1) = ρ s_k − Λ u_n + S L ε. A step of the reference moves nothing of it; with ρ = 0 what is seen in one
+sample is rejected in the next one. Δ is what a hand-over or the limits changed of the last command; being known, it
+belongs to the nominal dynamics, and nothing winds up.
+
+d̂ is the filter's estimate (``kalman.disturbance``). Without one a matched disturbance shows only through the
+innovation, and a part of it stays.
+
+References
+----------
+.. [1] Utkin & Shi, Integral sliding mode in systems operating under uncertainty conditions, CDC 1996.
+.. [2] Abidi, Xu & Yu, On the discrete-time integral sliding-mode control, IEEE TAC 52(4), 2007.
+"""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+
+from hysteresis_ros.block import kernel
+from hysteresis_ros.control import design
+from hysteresis_ros.control.base import APPLIED, STARTED, bounded
+from hysteresis_ros.control.kalman import ESTIMATE, OFFSET, KalmanParameters
+from hysteresis_ros.control.law import ControllerLaw
+from hysteresis_ros.control.sliding_design import SlidingModeParameters
+from hysteresis_ros.control.sliding_gains import (
+    compared_surface,
+    integration_warning,
+    reaching_law,
+    reaching_rows,
+    sliding_gains,
+)
+from hysteresis_ros.control.sliding_surface import (
+    BEGUN,
+    GAINS,
+    INPUT_SCALE,
+    LAMBDA,
+    LAST,
+    LINEAR,
+    MEMORY,
+    OBSERVER,
+    OWN,
+    PHI,
+    TARGET,
+    N,
+    SlidingController,
+    boundary_layer,
+    check_with,
+    leave,
+    pack_surface,
+    require_target,
+    switching_function,
+)
+
+#: p[REJECTION]: (1 − ρ) / Λ.
+REJECTION = OWN
+#: x[SLIDING]: s of the last sample.
+SLIDING = MEMORY
+#: x[FORESEEN]: S (A x̂ + B u0) of the last sample.
+FORESEEN = MEMORY + 1
+
+
+@kernel
+def integral_sliding_mode(p, x, reference, measured):
+    """Return the command [m] for ``reference`` [m, without preload offset] and ``measured`` [m]."""
+    n = int(p[N])
+    fresh = x[STARTED] == 0.0 or x[BEGUN] == 0.0
+    changed = bounded(x[APPLIED]) / p[INPUT_SCALE] - x[LAST]
+    switching_function(p, x, reference, measured)
+    place = 0.0
+    pull = 0.0
+    for i in range(n):
+        place += p[GAINS + n + i] * x[OBSERVER + ESTIMATE + i]
+        pull += p[GAINS + i] * x[OBSERVER + ESTIMATE + i]
+    s = 0.0
+    if not fresh:
+        s = bounded(x[SLIDING] + place - x[FORESEEN] - p[LAMBDA] * changed)
+    nominal = x[TARGET] - x[LINEAR]
+    x[SLIDING] = s
+    # S A = Λ K + Φ S
+    x[FORESEEN] = bounded(p[LAMBDA] * (pull + nominal) + p[PHI] * place)
+    return leave(p, x, s, nominal - x[OBSERVER + OFFSET] - p[REJECTION] * s - boundary_layer(p, s))
+
+
+@lru_cache(maxsize=16)
+def packed_integral_sliding_mode(parameters, sample_time: float | None = None) -> np.ndarray:
+    """Return the whole parameter array of ControllerParameters (read only).
+
+    Raises
+    ------
+    ParameterError
+        The design fails; names are relative to the controller's parameters.
+    """
+    require_target(parameters)
+    gains, packed = pack_surface(parameters, sample_time)
+    pole, eta = parameters.sliding_mode.rejection_pole, parameters.sliding_mode.eta
+    if not abs(pole) < 1.0:
+        design.refuse("sliding_mode.rejection_pole", pole, "must be inside -1 … 1, or nothing is ever rejected")
+    if not pole - eta > -1.0:
+        design.refuse("sliding_mode.eta", eta, f"must be below 1 + rejection_pole = {1.0 + pole:g}")
+    packed = packed.copy()
+    packed[REJECTION] = (1.0 - pole) / gains.switching_gain
+    packed.flags.writeable = False
+    return packed
+
+
+class IntegralSlidingMode(SlidingController):
+    """Integral sliding mode controller with Kalman filter.
+
+    Parameters
+    ----------
+    parameters : ControllerParameters
+        With ``type`` integral_sliding_mode; gains in group ``sliding_mode``.
+    sample_time : float
+        Sample time [s]; the model is discrete at this time.
+    """
+
+    kernel = staticmethod(integral_sliding_mode)
+
+    def pack(self, parameters) -> np.ndarray:
+        """Return the parameter array: head, K, S, Kalman filter."""
+        return packed_integral_sliding_mode(parameters, self.sample_time).copy()
+
+
+def compared(given) -> dict:
+    """Return the parameters of a comparison, with feedforward.
+
+    Parameters
+    ----------
+    given : comparison.candidates.Given
+    """
+    law = {"type": "integral_sliding_mode", **compared_surface(given)}
+    return {**law, **given.kalman("constant"), **given.preview()}
+
+
+CONTROLLER = ControllerLaw(
+    name="integral_sliding_mode",
+    block=IntegralSlidingMode,
+    description="integral sliding mode beside a nominal controller, with Kalman filter",
+    groups={"sliding_mode": SlidingModeParameters, "kalman": KalmanParameters},
+    check=check_with(packed_integral_sliding_mode),
+    warnings=integration_warning,
+    designs={"integral_smc": lambda task: sliding_gains(task, "integral_smc", reaching_law)},
+    rows=reaching_rows,
+    compared={"integral sliding mode + feedforward": compared},
+)

@@ -1,0 +1,47 @@
+"""The simplest controller: pass the reference, or the command of the feedforward, through."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hysteresis_ros.block import kernel
+from hysteresis_ros.control.base import APPLIED, COMMAND, ESTIMATED, FED, FEEDFORWARD, HEADER, STARTED, Controller
+from hysteresis_ros.control.law import UNFED, ControllerLaw
+
+
+@kernel
+def open_loop(p, x, reference, measured):
+    """Return the feedforward's command, or the reference without one; the estimate is the measurement."""
+    command = x[FEEDFORWARD] if p[FED] != 0.0 else reference
+    x[ESTIMATED] = measured
+    x[STARTED] = 1.0
+    x[COMMAND] = command
+    x[APPLIED] = command
+    return command
+
+
+class OpenLoop(Controller):
+    """Passes the reference, or the command of the feedforward, through."""
+
+    kernel = staticmethod(open_loop)
+    runs_beside = True
+
+    def pack(self, parameters) -> np.ndarray:
+        """Return the parameter array: whether there is a feedforward."""
+        return np.array([parameters.feedforward.type != "none"], dtype=float)
+
+    def initial_state(self) -> np.ndarray:
+        """Return the state at rest: the common part only."""
+        return np.zeros(HEADER)
+
+
+CONTROLLER = ControllerLaw(
+    name="open_loop",
+    block=OpenLoop,
+    description="passes the reference, or the feedforward, through",
+    feedback=False,
+    compared={
+        "open loop": lambda given: {"type": "open_loop", **UNFED},
+        "feedforward": lambda given: {"type": "open_loop", **given.preview()},
+    },
+)

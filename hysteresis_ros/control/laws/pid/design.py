@@ -1,0 +1,170 @@
+"""PID gains from a model: the zeros cancel its slowest poles, the gain sets the bandwidth (lambda tuning).
+
+With the zeros of the discrete PID on the slowest poles of the model, the loop transfer is g/(z − 1) times what is
+left of the model, and the response to the reference close to a first-order lag whose bandwidth grows with g:
+
+* no dynamics: the pole is that of the sample of delay, z = 0 (PI),
+* one state: the lag's pole (PI),
+* more: the slowest pair, or the two slowest real poles (PID).
+
+References
+----------
+.. [1] Dahlin, Designing and tuning digital controllers, Instruments and Control Systems 41, 1968 (lambda tuning).
+.. [2] Åström & Hägglund, Advanced PID Control, 2006, section 6.4 and 7.3 (M_s between 1.2 and 2).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from hysteresis_ros import elementary
+from hysteresis_ros.control import design
+from hysteresis_ros.control.laws.pid.law import PidParameters, pid_state_space
+from hysteresis_ros.control.margins import bandwidth_and_sensitivity, plant_state_space
+from hysteresis_ros.linear_algebra import eigenvalues, polynomial, solve
+from hysteresis_ros.models.state_space import StateSpace
+
+#: Largest sensitivity peak of a design.
+LARGEST_SENSITIVITY = 2.0
+#: Sensitivity peak of a design for which no bandwidth is asked.
+USUAL_SENSITIVITY = 1.4
+#: Cut-off of the derivative filter as a part of the sampling angular frequency, when none is given.
+FILTER = 0.2
+#: Steps of the search for the gain.
+STEPS = 60
+
+
+def pid_with_zeros(zeros, gain: float, sample_time: float, derivative_filter: float):
+    """Return (K_p, K_i, K_d) of a discrete PID with numerator g (z − z₁)(z − z₂), or g (z − z₁) for a PI.
+
+    Parameters
+    ----------
+    zeros : sequence of complex
+        One for a PI, two (real or a conjugate pair) for a PID.
+    gain : float
+        g, the leading coefficient.
+    sample_time : float
+        [s]
+    derivative_filter : float
+        N [rad/s].
+    """
+    wanted = gain * polynomial(zeros)
+    half = 0.5 * sample_time
+    if len(zeros) == 1:
+        Kp, Ki = solve(np.array([[1.0, -1.0], [half, half]]).T, wanted)
+        return float(Kp), float(Ki), 0.0
+    a = elementary.exp(-derivative_filter * sample_time) if derivative_filter > 0.0 else 0.0
+    slope = (1.0 - a) / sample_time
+    columns = [polynomial([1.0, a]), half * polynomial([-1.0, a]), slope * polynomial([1.0, 1.0])]
+    Kp, Ki, Kd = solve(np.array(columns).T, wanted)
+    return float(Kp), float(Ki), float(Kd)
+
+
+def slowest_poles(model: StateSpace) -> list[complex]:
+    """Return the poles that a PI or PID cancels: one or two.
+
+    Parameters
+    ----------
+    model : StateSpace
+    """
+    if not model.order:
+        return [0.0]
+    poles = sorted(eigenvalues(model.A), key=_slowness, reverse=True)
+    if model.order == 1:
+        return [complex(poles[0])]
+    first = poles[0]
+    if abs(first.imag) > 0.0:
+        return [complex(first), complex(first.conjugate())]
+    second = next((pole for pole in poles[1:] if pole.imag == 0.0), None)
+    return [complex(first)] + ([] if second is None else [complex(second)])
+
+
+def _slowness(pole: complex) -> float:
+    return pole.real * pole.real + pole.imag * pole.imag  # abs() is hypot of the C library
+
+
+def design_pid(given: PidParameters, dynamics, sample_time: float, bandwidth: float | None = None) -> PidParameters:
+    """Return the gains of a PID for a model.
+
+    Parameters
+    ----------
+    given : PidParameters
+        All but the gains, the setpoint weights and, where it is 0 and needed, the derivative filter is kept.
+    dynamics : LinearParameters
+        The model.
+    sample_time : float
+        [s]
+    bandwidth : float, optional
+        Frequency at which the response to the reference falls by 3 dB [Hz]; by default what M_s = 1.4 allows.
+
+    Raises
+    ------
+    ParameterError
+        ``bandwidth``: more than the model allows with M_s ≤ 2.
+    """
+    zeros = slowest_poles(dynamics.state_space)
+    cut_off = given.derivative_filter
+    if len(zeros) == 2 and cut_off == 0.0:
+        cut_off = FILTER * 2.0 * np.pi / sample_time
+    plant = plant_state_space(dynamics, scaled=False)
+
+    def gains(g):
+        Kp, Ki, Kd = pid_with_zeros(zeros, g, sample_time, cut_off)
+        weights: dict[str, Any] = {"setpoint_weight": 1.0, "derivative_weight": 1.0}
+        return replace(given, Kp=Kp, Ki=Ki, Kd=Kd, derivative_filter=cut_off, **weights)
+
+    def judged(g):
+        return bandwidth_and_sensitivity(pid_state_space(gains(g), sample_time), plant, sample_time)
+
+    wanted = LARGEST_SENSITIVITY if bandwidth is not None else USUAL_SENSITIVITY
+    most = _largest_gain(judged, wanted, sign=1.0 if _leading(plant) > 0.0 else -1.0, start=1.0 / abs(_leading(plant)))
+    if bandwidth is None:
+        return gains(most)
+    reachable = judged(most)[0]
+    if not bandwidth <= reachable:
+        design.refuse(
+            "bandwidth", bandwidth, f"a PID reaches at most {reachable:.4g} Hz on this model with M_s ≤ {wanted:g}"
+        )
+    low, high = 0.0, 1.0
+    for _ in range(STEPS):
+        middle = 0.5 * (low + high)
+        if judged(most * middle)[0] < bandwidth:
+            low = middle
+        else:
+            high = middle
+        if high - low < 1e-6 * high:
+            break
+    return gains(most * high)
+
+
+def _leading(plant: StateSpace) -> float:
+    """Return the gain at low frequency: of the sign, and a size of the size, of what the loop needs."""
+    return plant.dc_gain
+
+
+def _largest_gain(judged, sensitivity: float, sign: float, start: float) -> float:
+    """Return the largest g whose loop is stable with a sensitivity peak up to the given one, all smaller ones too."""
+
+    def good(g):
+        return judged(sign * g)[1] <= sensitivity
+
+    low = start
+    while not good(low):
+        low *= 0.5
+        if low < 1e-9 * start:
+            design.refuse(
+                "model.dynamics.A", None, "no PID with these zeros has the margins; choose another controller"
+            )
+    high = 2.0 * low
+    while good(high) and high < 1e9 * start:
+        low, high = high, 2.0 * high
+    for _ in range(30):
+        middle = 0.5 * (low + high)
+        if good(middle):
+            low = middle
+        else:
+            high = middle
+    return sign * low

@@ -1,0 +1,307 @@
+"""PID controller in parallel form with derivative filter, setpoint weights and anti-windup (B4).
+
+u = u_ff + K_p (b r − y) + K_i ∫ e dt + K_d N d/dt (c r − y) filtered with N/(s + N),   e = r − y
+
+in the model's units (see ``input_scale`` and ``output_scale`` of the linear model), N the derivative filter [rad/s].
+
+Discretisation: exact for signals that are straight lines between the samples (first-order hold). With v = c r − y
+
+I_k = I_(k-1) + K_i T (e_k + e_(k-1)) / 2                            (trapezoidal rule)
+D_k = a D_(k-1) + K_d (1 − a) (v_k − v_(k-1)) / T,   a = exp(−N T)   (N = 0: no filter, a = 0)
+
+Neither sees the first sample as a step: I starts there from a value, D from zero.
+
+Anti-windup rests on what was carried out: the excess is what the limits, one's own or those that the compensator
+reports by ``x[APPLIED]``, cut off the last command. *clamping* stops the integral while it would widen the excess,
+*back_calculation* adds −T/T_t · excess to it. An inverse that is approximate (Picard steps) carries out something else
+than the command without any limit; differences below a threshold therefore do not count.
+
+References
+----------
+.. [1] Åström & Hägglund, Advanced PID Control, 2006, sections 3.2-3.5 (two degrees of freedom, windup) and 13.4.
+.. [2] Auwal et al., equations of section 4 (gains K_P, K_I, K_D).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from hysteresis_ros import elementary
+from hysteresis_ros.block import kernel
+from hysteresis_ros.control import design
+from hysteresis_ros.control.base import (
+    APPLIED,
+    COMMAND,
+    ESTIMATED,
+    FED,
+    FEEDFORWARD,
+    HEADER,
+    STARTED,
+    Controller,
+    bounded,
+)
+from hysteresis_ros.errors import Problem
+from hysteresis_ros.models.state_space import StateSpace
+from hysteresis_ros.parameters import Parameters, parameter
+
+# Parameter array (FED first).
+INPUT_SCALE = 1
+OUTPUT_SCALE = 2
+PRELOAD = 3
+PROPORTIONAL = 4  # K_p
+INTEGRAL_STEP = 5  # K_i T / 2
+DERIVATIVE_STEP = 6  # K_d (1 − a) / T
+DECAY = 7  # a
+SETPOINT_WEIGHT = 8  # b
+DERIVATIVE_WEIGHT = 9  # c
+CLAMPING = 10
+TRACKING = 11  # T / T_t, 0 without back-calculation
+THRESHOLD = 12
+LIMITED = 13
+MINIMUM = 14
+MAXIMUM = 15
+REST_COMMAND = 16  # command that holds an output of one
+PARAMETERS = 17
+
+# State array after the common part, in the model's units.
+INTEGRAL = HEADER  # I, the integral's part of the command
+DERIVATIVE = HEADER + 1  # D, the derivative's part of the command
+LAST_REFERENCE = HEADER + 2  # [m]
+LAST_MEASURED = HEADER + 3  # [m]
+EXCESS = HEADER + 4  # what the controller's own limits cut off the last command
+LARGEST = HEADER + 5  # largest command carried out so far [m]
+PROPORTION = HEADER + 6  # K_p (b r − y) of the last sample
+STATES = HEADER + 7
+
+
+@kernel
+def pid(p, x, reference, measured):
+    """Return the command [m] for ``reference`` [m, without preload offset] and ``measured`` [m]."""
+    applied = bounded(x[APPLIED])
+    if abs(applied) > x[LARGEST]:
+        x[LARGEST] = abs(applied)
+    reference = bounded(reference)
+    measured = bounded(measured)
+    r = reference / p[OUTPUT_SCALE]
+    y = (measured - p[PRELOAD]) / p[OUTPUT_SCALE]
+    fed = 0.0
+    if p[FED] != 0.0:
+        fed = bounded(x[FEEDFORWARD]) / p[INPUT_SCALE]
+    if x[STARTED] == 0.0:
+        # As if the axis had rested where it is measured, without error, under the command that is carried out.
+        x[STARTED] = 1.0
+        holding = p[REST_COMMAND] * y
+        last = applied / p[INPUT_SCALE]
+        if applied == 0.0:
+            last = holding  # nothing is known to be carried out
+        if p[FED] == 0.0:
+            holding = 0.0
+        x[INTEGRAL] = bounded(last - holding - p[PROPORTIONAL] * (p[SETPOINT_WEIGHT] * y - y))
+        x[DERIVATIVE] = 0.0
+    else:
+        r_last = x[LAST_REFERENCE] / p[OUTPUT_SCALE]
+        y_last = (x[LAST_MEASURED] - p[PRELOAD]) / p[OUTPUT_SCALE]
+        step = p[INTEGRAL_STEP] * (r - y + r_last - y_last)
+        excess = x[EXCESS]
+        beyond = x[COMMAND] - applied
+        if abs(beyond) > p[THRESHOLD] * x[LARGEST]:
+            excess += beyond / p[INPUT_SCALE]
+        if p[CLAMPING] != 0.0 and ((excess > 0.0 and step > 0.0) or (excess < 0.0 and step < 0.0)):
+            step = 0.0
+        x[INTEGRAL] = bounded(x[INTEGRAL] + step - p[TRACKING] * excess)
+        change = p[DERIVATIVE_WEIGHT] * (r - r_last) - (y - y_last)
+        x[DERIVATIVE] = bounded(p[DECAY] * x[DERIVATIVE] + p[DERIVATIVE_STEP] * change)
+    x[LAST_REFERENCE] = reference
+    x[LAST_MEASURED] = measured
+    x[PROPORTION] = p[PROPORTIONAL] * (p[SETPOINT_WEIGHT] * r - y)
+    wanted = bounded(fed + x[PROPORTION] + x[INTEGRAL] + x[DERIVATIVE])
+    limited = wanted
+    if p[LIMITED] != 0.0:
+        limited = min(max(wanted, p[MINIMUM]), p[MAXIMUM])
+    x[EXCESS] = wanted - limited
+    command = bounded(limited * p[INPUT_SCALE])
+    x[ESTIMATED] = measured
+    x[COMMAND] = command
+    x[APPLIED] = command
+    return command
+
+
+@dataclass(frozen=True)
+class PidParameters(Parameters):
+    """PID controller; gains are in the model's units."""
+
+    Kp: float = parameter(0.0, description="Proportional gain (input unit over output unit of the model)")
+    Ki: float = parameter(0.0, unit="1/s", description="Integral gain (input unit over output unit and second)")
+    Kd: float = parameter(0.0, unit="s", description="Derivative gain (input unit times second over output unit)")
+    derivative_filter: float = parameter(
+        0.0, unit="rad/s", low=0.0, description="Cut-off N of the derivative's filter N/(s + N); 0: no filter"
+    )
+    setpoint_weight: float = parameter(1.0, low=0.0, high=2.0, description="b: part of the reference in the P part")
+    derivative_weight: float = parameter(
+        0.0, low=0.0, high=2.0, description="c: part of the reference in the D part; 0: no kick at steps"
+    )
+    anti_windup: str = parameter(
+        "back_calculation",
+        choices=("none", "clamping", "back_calculation"),
+        description="What the integral does while commands are not carried out: go on, stop, or be led back",
+    )
+    tracking_time: float = parameter(
+        0.0,
+        unit="s",
+        low=0.0,
+        description="T_t of back-calculation; 0: sqrt(Kd/Ki), without derivative Kp/Ki, without both one sample",
+    )
+    anti_windup_threshold: float = parameter(
+        0.02,
+        low=0.0,
+        description="A difference between command and applied counts as cut off when it is above this fraction of the "
+        "largest applied command so far; raise it where the inverse itself is less exact",
+    )
+    output_minimum: float = parameter(0.0, description="Least command (input unit); both limits 0: none")
+    output_maximum: float = parameter(0.0, description="Largest command (input unit); both limits 0: none")
+
+    def check(self):
+        """Yield what does not fit together: no gain at all, limits the wrong way round."""
+        if self.Kp == 0.0 and self.Ki == 0.0 and self.Kd == 0.0:
+            yield Problem("Kp", self.Kp, "Kp, Ki and Kd are all 0; give gains, or let `hysteresis design` find them")
+        if self.limited and not self.output_minimum < self.output_maximum:
+            allowed = f"must be above output_minimum = {self.output_minimum:g}, or both 0 for no limits"
+            yield Problem("output_maximum", self.output_maximum, allowed)
+
+    @property
+    def limited(self) -> bool:
+        """Whether the controller has limits of its own."""
+        return self.output_minimum != 0.0 or self.output_maximum != 0.0
+
+    def decay(self, sample_time: float) -> float:
+        """Return a = exp(−N T) of the derivative's filter for ``sample_time`` [s], 0 without a filter."""
+        return elementary.exp(-self.derivative_filter * sample_time) if self.derivative_filter > 0.0 else 0.0
+
+    def tracking(self, sample_time: float) -> float:
+        """Return T / T_t of back-calculation for ``sample_time`` [s], at most 1; 0 when it is not chosen."""
+        if self.anti_windup != "back_calculation":
+            return 0.0
+        time = self.tracking_time
+        if time == 0.0 and self.Ki != 0.0:
+            time = math.sqrt(abs(self.Kd / self.Ki)) or abs(self.Kp / self.Ki)
+        return min(sample_time / time, 1.0) if time > 0.0 else 1.0
+
+
+def pid_state_space(parameters: PidParameters, sample_time: float) -> StateSpace:
+    """Return the controller from (reference, measured) to command, in the model's units, both setpoint weights one.
+
+    Parameters
+    ----------
+    parameters : PidParameters
+    sample_time : float
+        Sample time [s].
+
+    Returns
+    -------
+    StateSpace
+        Integral and filtered derivative are its states, without those whose gain is zero.
+    """
+    a = parameters.decay(sample_time)
+    slope = parameters.Kd * (1.0 - a) / sample_time
+    integral = parameters.Ki * sample_time
+    B, D = np.array([[integral], [(a - 1.0) * slope]]), np.array([[parameters.Kp + 0.5 * integral + slope]])
+    whole = StateSpace(np.diag([1.0, a]), np.hstack([B, -B]), np.ones((1, 2)), np.hstack([D, -D]))
+    return whole.part([i for i, gain in enumerate((parameters.Ki, parameters.Kd)) if gain != 0.0])
+
+
+def require_stable_pid(parameters, sample_time: float | None) -> None:
+    """Refuse gains with which the controller's own model would not settle.
+
+    Without a model (no A, and an input scale of its own, so that nobody knows the gain) there is nothing to check.
+
+    Parameters
+    ----------
+    parameters : ControllerParameters
+    sample_time : float or None
+        Sample time [s]; nothing is checked where it is not known.
+
+    Raises
+    ------
+    ParameterError
+        ``pid``: the closed loop has a pole on or outside the unit circle.
+    """
+    dynamics, gains = parameters.model.dynamics, parameters.pid
+    if sample_time is None:
+        return
+    if not dynamics.order and dynamics.input_scale != 0.0:
+        return
+    plant, controller = dynamics.state_space.held(), pid_state_space(gains, sample_time)
+    measured, through = controller.B[:, 1:], controller.D[0, 0]
+    loop = np.block(
+        [[plant.A - through * plant.B @ plant.C, plant.B @ controller.C], [measured @ plant.C, controller.A]]
+    )
+    values = (gains.Kp, gains.Ki, gains.Kd)
+    design.require_stable(loop, "pid.Kp, Ki, Kd", values, "the controlled model")
+
+
+class Pid(Controller):
+    """PID controller.
+
+    Parameters
+    ----------
+    parameters : ControllerParameters
+        With ``type`` pid.
+    sample_time : float
+        Sample time [s].
+    """
+
+    kernel = staticmethod(pid)
+
+    def pack(self, parameters) -> np.ndarray:
+        """Return the parameter array, shape (17,)."""
+        gains, dynamics = parameters.pid, parameters.model.dynamics
+        require_stable_pid(parameters, self.sample_time)
+        a = gains.decay(self.sample_time)
+        gain = dynamics.state_space.dc_gain
+        p = np.zeros(PARAMETERS)
+        p[FED] = parameters.feedforward.type != "none"
+        p[INPUT_SCALE] = dynamics.resolved_input_scale
+        p[OUTPUT_SCALE] = dynamics.output_scale
+        p[PRELOAD] = parameters.model.preload.offset
+        p[PROPORTIONAL] = gains.Kp
+        p[INTEGRAL_STEP] = 0.5 * gains.Ki * self.sample_time
+        p[DERIVATIVE_STEP] = gains.Kd * (1.0 - a) / self.sample_time
+        p[DECAY] = a
+        p[SETPOINT_WEIGHT] = gains.setpoint_weight
+        p[DERIVATIVE_WEIGHT] = gains.derivative_weight
+        p[CLAMPING] = gains.anti_windup == "clamping"
+        p[TRACKING] = gains.tracking(self.sample_time) if gains.Ki != 0.0 else 0.0
+        p[THRESHOLD] = gains.anti_windup_threshold
+        p[LIMITED] = gains.limited
+        p[MINIMUM] = gains.output_minimum
+        p[MAXIMUM] = gains.output_maximum
+        p[REST_COMMAND] = 1.0 / gain if gain != 0.0 else 0.0
+        return p
+
+    def initial_state(self) -> np.ndarray:
+        """Return the state before the first sample."""
+        return np.zeros(STATES)
+
+    def retune(self, parameters) -> None:
+        """Take new gains while running: the integral takes up what the new ones would change in the last command.
+
+        Raises
+        ------
+        ParameterError
+            The parameters are wrong or make the controlled model unstable; the controller is unchanged then.
+        """
+        before = self.p.copy()
+        super().retune(parameters)
+        x, p = self.x, self.p
+        if x[STARTED] == 0.0:
+            return
+        for place in (INTEGRAL, DERIVATIVE, PROPORTION, EXCESS):
+            x[place] *= before[INPUT_SCALE] / p[INPUT_SCALE]
+        r = x[LAST_REFERENCE] / p[OUTPUT_SCALE]
+        y = (x[LAST_MEASURED] - p[PRELOAD]) / p[OUTPUT_SCALE]
+        proportion = p[PROPORTIONAL] * (p[SETPOINT_WEIGHT] * r - y)
+        x[INTEGRAL] += x[PROPORTION] - proportion
+        x[PROPORTION] = proportion

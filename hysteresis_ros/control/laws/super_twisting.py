@@ -1,0 +1,284 @@
+"""Super-twisting controller: a continuous command that holds the switching function at zero against a drifting cause.
+
+With σ = Λ⁻¹ S x_e, the switching function in the unit of the command (see
+:mod:`hysteresis_ros.control.sliding_surface` for the target u*, x_e):
+
+u  = u* − d̂ − Λ⁻¹ (S A − S) x_e + u_st        (equivalent control: σ⁺ = σ + u_st + what the filter does not explain)
+
+explicit   u_st = −k1 |σ|^½ sign σ + w,         w⁺ = w − k2 T sign σ
+implicit   u_st = −k1 |σ̃|^½ sign σ + w⁺,        w⁺ = w − min(max(σ, −k2 T), k2 T),  σ̃ + k1 |σ̃|^½ sign σ̃ = σ
+
+The explicit law is the continuous one sampled: σ circles around zero, and its sign makes the command chatter by about
+k2 T. The implicit one takes the square root part at the end of the sample (backward Euler) and resolves the
+set-valued sign by projection: while |σ| ≤ k2 T the sign is σ/(k2 T), and σ stays at zero under a constant disturbance
+without chattering, w being its opposite.
+
+In continuous time σ̇ = v + a with |ȧ| ≤ L_a ends in finite time for k1 = 1.5 √L_a, k2 = 1.1 L_a [1]_. A sample of the
+command is u = T v, so for a disturbance of the command whose rate is bounded by L per second (L_a = L/T) this becomes
+k1 = 1.5 √(L T), k2 = 1.1 L (``gains: from_bound``).
+
+References
+----------
+.. [1] Levant, Robust exact differentiation via sliding mode technique, Automatica 34(3), 1998.
+.. [2] Acary & Brogliato, Implicit Euler numerical scheme and chattering-free implementation of sliding mode systems,
+   Systems & Control Letters 59(5), 2010 (the projection).
+.. [3] Brogliato, Polyakov & Efimov, The implicit discretization of the super-twisting sliding-mode control algorithm,
+   IEEE TAC 65(8), 2020. Theirs joins both parts in one inclusion, which leaves σ at the disturbance of one sample.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+
+from hysteresis_ros.block import kernel
+from hysteresis_ros.control import design
+from hysteresis_ros.control.base import APPLIED, bounded
+from hysteresis_ros.control.kalman import OFFSET, KalmanParameters
+from hysteresis_ros.control.law import ControllerLaw, DesignTask
+from hysteresis_ros.control.sliding_design import SlidingModeParameters, design_sliding_mode
+from hysteresis_ros.control.sliding_gains import (
+    compared_surface,
+    filter_row,
+    integration_warning,
+    sliding_gains,
+    sliding_pole,
+    surface_row,
+)
+from hysteresis_ros.control.sliding_surface import (
+    GAINS,
+    LAMBDA,
+    LINEAR,
+    MEMORY,
+    OBSERVER,
+    OWN,
+    TARGET,
+    SlidingController,
+    check_with,
+    leave,
+    pack_surface,
+    require_target,
+    switching_function,
+    widens,
+)
+from hysteresis_ros.parameters import Parameters, parameter
+
+# Entries of the law in p.
+ROOT_GAIN = OWN  # k1
+STEP = OWN + 1  # k2 T
+IMPLICIT = OWN + 2
+#: x[TWIST]: w.
+TWIST = MEMORY
+
+
+@kernel
+def super_twisting(p, x, reference, measured):
+    """Return the command [m] for ``reference`` [m, without preload offset] and ``measured`` [m]."""
+    applied = bounded(x[APPLIED])
+    s = switching_function(p, x, reference, measured)
+    sigma = s / p[LAMBDA]
+    size = abs(sigma)
+    sign = 0.0
+    if sigma > 0.0:
+        sign = 1.0
+    elif sigma < 0.0:
+        sign = -1.0
+    before = x[TWIST]
+    if p[IMPLICIT] != 0.0:
+        change = -sign * min(size, p[STEP])
+        # the positive root q of q² + k1 q = |σ| without cancellation; k1 > 0
+        root = 2.0 * size / (p[ROOT_GAIN] + math.sqrt(p[ROOT_GAIN] * p[ROOT_GAIN] + 4.0 * size))
+    else:
+        change = -sign * p[STEP]
+        root = math.sqrt(size)
+    if not widens(p, x, applied, change):
+        x[TWIST] = bounded(before + change)
+    held = before
+    if p[IMPLICIT] != 0.0:
+        held = x[TWIST]
+    twisting = held - sign * p[ROOT_GAIN] * root
+    return leave(p, x, s, x[TARGET] - x[OBSERVER + OFFSET] - x[LINEAR] + twisting)
+
+
+@dataclass(frozen=True)
+class SuperTwistingParameters(Parameters):
+    """Gains of the super-twisting controller, in the model's units; its hyperplane is that of ``sliding_mode``."""
+
+    gains: str = parameter(
+        "from_bound",
+        choices=("given", "from_bound"),
+        read_only=True,
+        description="Whether k1 and k2 are given or follow from the bound of the disturbance's rate",
+    )
+    bound: float = parameter(
+        1.0,
+        unit="1/s",
+        low=0.0,
+        description="from_bound: largest rate of the disturbance (input unit per second), above 0; "
+        "k1 = 1.5 sqrt(bound sample time), k2 = 1.1 bound",
+    )
+    k1: float = parameter(
+        0.0, low=0.0, description="given: gain of the root of the switching function (root of input unit), above 0"
+    )
+    k2: float = parameter(
+        0.0, unit="1/s", low=0.0, description="given: rate of the integral part (input unit per second), above 0"
+    )
+    discretisation: str = parameter(
+        "implicit",
+        choices=("explicit", "implicit"),
+        description="Backward Euler with projection (implicit: no chattering) or the sampled law (explicit)",
+    )
+
+
+def twisting_gains(parameters: SuperTwistingParameters, sample_time: float) -> tuple[float, float]:
+    """Return k1 and k2.
+
+    Raises
+    ------
+    ParameterError
+        ``super_twisting.bound``, ``super_twisting.k1`` or ``super_twisting.k2`` is zero.
+    """
+    for name in ("bound",) if parameters.gains == "from_bound" else ("k1", "k2"):
+        if not getattr(parameters, name) > 0.0:
+            design.refuse(f"super_twisting.{name}", getattr(parameters, name), "must be above 0")
+    if parameters.gains == "given":
+        return parameters.k1, parameters.k2
+    return 1.5 * math.sqrt(parameters.bound * sample_time), 1.1 * parameters.bound
+
+
+@lru_cache(maxsize=16)
+def packed_super_twisting(parameters, sample_time: float | None = None) -> np.ndarray:
+    """Return the whole parameter array of ControllerParameters (read only); without a sample time only a check.
+
+    Raises
+    ------
+    ParameterError
+        The design fails; names are relative to the controller's parameters.
+    """
+    require_target(parameters)
+    gains, packed = pack_surface(parameters, sample_time)
+    seconds = sample_time or 1.0
+    k1, k2 = twisting_gains(parameters.super_twisting, seconds)
+    packed = packed.copy()
+    n = parameters.model.dynamics.order
+    # K of the reaching law is Λ⁻¹ (S A − Φ S); that of the equivalent control has Φ = 1
+    packed[GAINS : GAINS + n] = gains.K - (1.0 - parameters.sliding_mode.phi) * gains.S / gains.switching_gain
+    packed[ROOT_GAIN] = k1
+    packed[STEP] = k2 * seconds
+    packed[IMPLICIT] = parameters.super_twisting.discretisation == "implicit"
+    packed.flags.writeable = False
+    return packed
+
+
+class SuperTwisting(SlidingController):
+    """Super-twisting controller with Kalman filter.
+
+    Parameters
+    ----------
+    parameters : ControllerParameters
+        With ``type`` super_twisting; gains in groups ``super_twisting`` and ``sliding_mode``.
+    sample_time : float
+        Sample time [s]; the model is discrete at this time.
+    """
+
+    kernel = staticmethod(super_twisting)
+
+    def pack(self, parameters) -> np.ndarray:
+        """Return the parameter array: head, K, S, Kalman filter."""
+        return packed_super_twisting(parameters, self.sample_time).copy()
+
+    def forget(self) -> None:
+        """Drop what the law has integrated while another one is in charge, whose errors these are."""
+        self.x[TWIST] = 0.0
+
+
+def near_rest(parameters):
+    """Return the parameters of the implicit law: the explicit one jumps at zero and has no linear form.
+
+    Parameters
+    ----------
+    parameters : ControllerParameters
+    """
+    return replace(parameters, super_twisting=replace(parameters.super_twisting, discretisation="implicit"))
+
+
+def designed(task: DesignTask):
+    """Return the parameters with the slowest pole of the sliding motion for the bandwidth.
+
+    Parameters
+    ----------
+    task : DesignTask
+
+    Raises
+    ------
+    ParameterError
+        A bandwidth is asked and the model has one state, or it cannot be reached.
+    """
+    if task.bandwidth is not None and task.parameters.model.dynamics.order == 1:
+        allowed = (
+            "a model of one state leaves super_twisting no pole to place; leave it out, or take another controller"
+        )
+        design.refuse("bandwidth", task.bandwidth, allowed)
+    return sliding_gains(task, "super_twisting", sliding_pole)
+
+
+def rows(parameters, sample_time: float):
+    """Return (name, text) of what a design prints.
+
+    Parameters
+    ----------
+    parameters : ControllerParameters
+    sample_time : float
+        [s]
+    """
+    found = design_sliding_mode(parameters.sliding_mode, parameters.model.dynamics.state_space)
+    k1, k2 = twisting_gains(parameters.super_twisting, sample_time)
+    return [surface_row(found), ("k1, k2", f"{k1:.6g}, {k2:.6g} 1/s"), filter_row(parameters)]
+
+
+def doubts(parameters, sample_time: float, tuned: bool):
+    """Return what the margins of this law are worth.
+
+    Parameters
+    ----------
+    parameters : ControllerParameters
+    sample_time : float
+        [s]
+    tuned : bool
+        Whether gains were tuned after the design.
+    """
+    return ["super_twisting is judged for small signals, where the switching function is below k2 T"]
+
+
+def compared(given) -> dict:
+    """Return the parameters of a comparison, with feedforward.
+
+    Parameters
+    ----------
+    given : comparison.candidates.Given
+    """
+    law = {"type": "super_twisting", **compared_surface(given), "super_twisting.gains": "from_bound"}
+    law["super_twisting.bound"] = given.change() * given.axis.plant_simulator.sample_rate
+    return {**law, **given.kalman("constant"), **given.preview()}
+
+
+CONTROLLER = ControllerLaw(
+    name="super_twisting",
+    block=SuperTwisting,
+    description="super-twisting, with Kalman filter",
+    groups={
+        "sliding_mode": SlidingModeParameters,
+        "super_twisting": SuperTwistingParameters,
+        "kalman": KalmanParameters,
+    },
+    check=check_with(packed_super_twisting),
+    warnings=integration_warning,
+    near_rest=near_rest,
+    designs={"super_twisting": designed},
+    rows=rows,
+    doubts=doubts,
+    compared={"super-twisting + feedforward": compared},
+)

@@ -1,0 +1,112 @@
+"""Controllers close to rest, as linear systems, and their margins on their own models.
+
+Any controller kernel is linear close to rest (inside the boundary layer, without saturation). Its state space follows
+from the kernel itself: at rest all its values are zero, so the response to one tiny entry at a time *is* the column of
+a matrix, without cancellation.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from hysteresis_ros.control.base import APPLIED, COMMAND, FEEDFORWARD
+from hysteresis_ros.control.controller import controller_block
+from hysteresis_ros.control.feedforward import FeedforwardParameters
+from hysteresis_ros.control.margins import Margins, margins_of, plant_state_space
+from hysteresis_ros.models.preload import PreloadParameters
+from hysteresis_ros.models.state_space import StateSpace
+
+#: Size of the entries at which a kernel is linearised: far below every boundary layer, far above subnormal numbers.
+TINY = 1e-24
+#: Samples at rest before: flags and counters of the start are past then.
+WARM_UP = 3
+
+
+def at_rest(parameters):
+    """Return the controller's parameters as they are linear close to rest: no feedforward, no preload offset.
+
+    Parameters
+    ----------
+    parameters : ControllerParameters
+    """
+    model = replace(parameters.model, preload=PreloadParameters())
+    return parameters.law.near_rest(replace(parameters, model=model, feedforward=FeedforwardParameters()))
+
+
+def linearise(controller) -> StateSpace:
+    """Return the state space of a controller block close to rest, inputs (reference, measured), output command, SI.
+
+    Parameters
+    ----------
+    controller : Controller
+        Built of parameters like those of :func:`at_rest`; its state is not changed.
+    """
+    kernel, p = controller.kernel, controller.p
+    rest = np.ascontiguousarray(controller.initial_state(), dtype=float)
+    for _ in range(WARM_UP):
+        kernel(p, rest, 0.0, 0.0)
+    # The last command is one state, though it stands in two places; the feedforward is none.
+    groups = [[APPLIED, COMMAND]] + [[i] for i in range(len(rest)) if i not in (APPLIED, COMMAND, FEEDFORWARD)]
+    count = len(groups)
+    A, C = np.zeros((count, count)), np.zeros((1, count))
+    B, D = np.zeros((count, 2)), np.zeros((1, 2))
+
+    def respond(places, reference, measured):
+        x = rest.copy()
+        x[places] += TINY
+        command = kernel(p, x, reference, measured)
+        after = np.array([x[group[0]] - rest[group[0]] for group in groups])
+        return after / TINY, command / TINY
+
+    for j, places in enumerate(groups):
+        A[:, j], C[0, j] = respond(places, 0.0, 0.0)
+    for j, inputs in enumerate(((TINY, 0.0), (0.0, TINY))):
+        B[:, j], D[0, j] = respond([], *inputs)
+    return _connected(StateSpace(A, B, C, D))
+
+
+def _connected(system: StateSpace) -> StateSpace:
+    """Leave out states that no input reaches (flags, constants) or that never reach the output (records)."""
+    reached, seen = (system.B != 0.0).any(axis=1), system.C[0] != 0.0
+    for _ in range(len(system.A)):
+        reached = reached | ((system.A != 0.0) @ reached)
+        seen = seen | (seen @ (system.A != 0.0))
+    kept = np.flatnonzero(reached & seen)
+    return system.part(kept)
+
+
+def linear_loop(parameters, sample_time: float) -> tuple[StateSpace, StateSpace]:
+    """Return controller and model of a controller's parameters, both close to rest.
+
+    Parameters
+    ----------
+    parameters : ControllerParameters
+    sample_time : float
+        Sample time [s].
+
+    Raises
+    ------
+    ParameterError
+        No controller can be built of the parameters.
+    """
+    controller = linearise(controller_block(at_rest(parameters), sample_time))
+    return controller, plant_state_space(parameters.model.dynamics)
+
+
+def margins(parameters, sample_time: float) -> Margins:
+    """Return margins, bandwidth and poles of a controller on its own model.
+
+    Parameters
+    ----------
+    parameters : ControllerParameters
+    sample_time : float
+        Sample time [s].
+
+    Raises
+    ------
+    ParameterError
+        No controller can be built of the parameters.
+    """
+    return margins_of(*linear_loop(parameters, sample_time), sample_time)

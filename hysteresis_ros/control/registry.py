@@ -1,0 +1,81 @@
+"""The controllers there are: those of the folder ``laws`` and those that other packages add by an entry point."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import hysteresis_ros.control.laws  # noqa: F401  (its folder is searched)
+from hysteresis_ros.control.law import ControllerLaw
+from hysteresis_ros.errors import ConfigurationError, did_you_mean
+from hysteresis_ros.parameters import Parameters, group
+from hysteresis_ros.registry import discover
+
+#: Group of entry points by which a package adds a controller: ``lead_lag = my_package.lead_lag:CONTROLLER``.
+GROUP = "hysteresis_ros.controllers"
+
+#: What each controller declares, by type.
+LAWS: dict[str, ControllerLaw] = discover("hysteresis_ros.control.laws", "CONTROLLER", ControllerLaw, GROUP)
+
+
+def entries(attribute: str) -> dict[str, tuple[ControllerLaw, Callable]]:
+    """Return the law and the function of each name in a mapping that the laws declare.
+
+    Parameters
+    ----------
+    attribute : str
+        ``designs`` or ``compared``.
+
+    Raises
+    ------
+    TypeError
+        Two laws have the same name in it.
+    """
+    found: dict[str, tuple[ControllerLaw, Callable]] = {}
+    for law in LAWS.values():
+        for name, function in getattr(law, attribute).items():
+            if name in found:
+                raise TypeError(f"controllers {found[name][0].name} and {law.name} both have {name!r} in {attribute}")
+            found[name] = law, function
+    return found
+
+
+#: Law and design of each name that ``hysteresis design --controller`` takes.
+DESIGNS = entries("designs")
+
+
+def with_groups(cls):
+    """Nest the parameter groups of all laws; stands under ``@dataclass(frozen=True)``.
+
+    Those named as laws come first, then what laws share.
+
+    Raises
+    ------
+    TypeError
+        Two laws mean different parameters by one group.
+    """
+    found: dict[str, tuple[type[Parameters], list[str]]] = {}
+    for law in LAWS.values():
+        for name, kind in law.groups.items():
+            known, users = found.setdefault(name, (kind, []))
+            if known is not kind:
+                raise TypeError(f"controllers {users[0]} and {law.name} both have a group {name}, of other parameters")
+            users.append(law.name)
+    for name in sorted(found, key=lambda name: (name not in LAWS, name)):
+        kind, users = found[name]
+        cls.__annotations__[name] = kind
+        setattr(cls, name, group(kind, variant_of="type" if users == [name] else None))
+    return cls
+
+
+def design_of(name: str):
+    """Return law and design of a name that ``hysteresis design --controller`` takes.
+
+    Raises
+    ------
+    ConfigurationError
+        There is none of that name; the message lists what there is.
+    """
+    if name not in DESIGNS:
+        there = ", ".join(sorted(DESIGNS))
+        raise ConfigurationError(f"no controller '{name}' to design; there are: {there}{did_you_mean(name, DESIGNS)}")
+    return DESIGNS[name]

@@ -1,1 +1,0 @@
-"""Published experiments, repeated: each claim of a paper beside what the package finds."""

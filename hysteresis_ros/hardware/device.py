@@ -1,0 +1,128 @@
+"""A device that is open, and the guard around its driver: what the rest of the package deals with."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Callable, Iterator, Sequence
+
+from hysteresis_ros.errors import ParameterError
+from hysteresis_ros.hardware.declaration import HardwareDriver
+from hysteresis_ros.hardware.driver import Capabilities, DriverError
+from hysteresis_ros.parameters import Parameters
+
+
+class Device:
+    """An open device. Whatever its driver raises comes out as a DriverError that names it.
+
+    Parameters
+    ----------
+    declared : HardwareDriver
+    parameters : Parameters
+        Of the class that is declared.
+    sample_rate : float
+        [Hz]
+    suits : callable, optional
+        ``suits(capabilities)`` raises an error when the device is not what is needed; it is let go then.
+
+    Attributes
+    ----------
+    name : str
+        For messages.
+    capabilities : Capabilities
+
+    Raises
+    ------
+    DriverError
+        It cannot be opened, or does not suit.
+    ParameterError
+        The driver refuses its parameters.
+    """
+
+    def __init__(
+        self,
+        declared: HardwareDriver,
+        parameters: Parameters,
+        sample_rate: float,
+        suits: Callable[[Capabilities], None] = lambda capabilities: None,
+    ):
+        self.name = f"driver {declared.name}:"
+        self._driver = declared.driver()
+        self._open = True
+        try:
+            with self._named("cannot be opened", ParameterError):
+                self.capabilities = self._driver.open(parameters, sample_rate)
+            suits(self.capabilities)
+        except Exception:
+            self.close()
+            raise
+
+    @contextlib.contextmanager
+    def _named(self, what: str, *passed: type[Exception]) -> Iterator[None]:
+        if not self._open:
+            raise DriverError(self.name, f"{what}: it is closed", "configure the node again")
+        try:
+            yield
+        except passed:
+            raise
+        except Exception as error:  # whatever a driver does: the axis has to become safe
+            if isinstance(error, DriverError):
+                raise DriverError(self.name, f"{what}: {error.device} {error.problem}", error.remedy) from error
+            text = f"{what}: {type(error).__name__}: {error}"
+            raise DriverError(self.name, text, "look at the device, its connection and its driver") from error
+
+    def read(self) -> tuple[float, ...]:
+        """Return the position of each joint [m], NaN where there is none.
+
+        Raises
+        ------
+        DriverError
+            The device does not answer, or with another number of positions than it said.
+        """
+        with self._named("cannot be read"):
+            positions = tuple(map(float, self._driver.read().positions))
+            if len(positions) != self.capabilities.joints:
+                raise ValueError(f"{len(positions)} positions of {self.capabilities.joints} joints")
+            return positions
+
+    def write(self, voltages: Sequence[float]) -> None:
+        """Put out voltages.
+
+        Parameters
+        ----------
+        voltages : sequence of float
+            [V]
+
+        Raises
+        ------
+        DriverError
+            They are too many, not finite or out of the device's range, and do not reach it; or it does not take them.
+        """
+        with self._named("cannot be written"):
+            low, high = self.capabilities.minimum, self.capabilities.maximum
+            if len(voltages) > self.capabilities.voltages:
+                raise ValueError(f"{len(voltages)} voltages for {self.capabilities.voltages}")
+            for voltage in voltages:
+                if not (math.isfinite(voltage) and low <= voltage <= high):
+                    raise ValueError(f"{voltage:g} V is not within {low:g} … {high:g} V")
+            self._driver.write(voltages)
+
+    def make_safe(self) -> None:
+        """Bring the device to its safe state; once it is closed, nothing.
+
+        Raises
+        ------
+        DriverError
+            It does not answer.
+        """
+        if self._open:
+            with self._named("cannot be made safe"):
+                self._driver.make_safe()
+
+    def close(self) -> None:
+        """Let go of the device; once it is closed, nothing."""
+        if self._open:
+            # there is nobody left who could do anything about it
+            with contextlib.suppress(DriverError), self._named("cannot be closed"):
+                self._driver.close()
+            self._open = False

@@ -1,0 +1,129 @@
+"""What a driver is: five methods between an axis and a device with an amplifier and a sensor.
+
+The package keeps the time. Once a sample it reads the positions and, when the sample is over, writes the voltages that
+are held until the next one. It watches over them (:mod:`hysteresis_ros.loop.driven`) and never calls two methods at a
+time; a method returns within a small part of a sample.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+from hysteresis_ros.errors import HysteresisError
+
+
+class DriverError(HysteresisError):
+    """A device cannot be opened, does not answer, or is not what the axis needs.
+
+    Parameters
+    ----------
+    device : str
+        Which one, for instance driver and address.
+    problem : str
+        What is wrong, following the name.
+    remedy : str
+        What to do.
+    """
+
+    def __init__(self, device: str, problem: str, remedy: str):
+        self.device, self.problem, self.remedy = device, problem, remedy
+        super().__init__(f"{device} {problem}; {remedy}")
+
+
+@dataclass(frozen=True)
+class Capabilities:
+    """What a device is able to do.
+
+    Parameters
+    ----------
+    joints : int
+        Positions that it reads.
+    voltages : int
+        Voltages that it puts out; an axis uses the first ones.
+    minimum, maximum : float
+        Range of the voltages [V].
+    highest_rate : float
+        Samples per second that it can be read and written [Hz].
+    watchdog : float or None
+        Time without :meth:`Driver.write` after which the device goes to its safe state by itself [s], if it does.
+    """
+
+    joints: int
+    voltages: int
+    minimum: float
+    maximum: float
+    highest_rate: float
+    watchdog: float | None = None
+
+
+class Reading(NamedTuple):
+    """What a device measures at a sample."""
+
+    #: Position of each joint [m]; NaN where there is none. What is not finite is not used.
+    positions: tuple[float, ...]
+
+
+class Driver(ABC):
+    """A device in the plant's place. Whatever goes wrong is a :class:`DriverError`.
+
+    An instance is opened once. ``close`` is the last call, also after an ``open`` that failed.
+    """
+
+    @abstractmethod
+    def open(self, parameters: Any, sample_rate: float) -> Capabilities:
+        """Take the device, which nobody else may use from now on, and leave it in its safe state.
+
+        Parameters
+        ----------
+        parameters : Parameters
+            Of the class that is declared.
+        sample_rate : float
+            Rate at which it will be read and written [Hz].
+
+        Raises
+        ------
+        DriverError
+            It is not there, or somebody else uses it.
+        """
+
+    @abstractmethod
+    def read(self) -> Reading:
+        """Return the positions now.
+
+        Raises
+        ------
+        DriverError
+            The device does not answer, or not sensibly.
+        """
+
+    @abstractmethod
+    def write(self, voltages: Sequence[float]) -> None:
+        """Put out the voltages of the axis, and hold them.
+
+        Parameters
+        ----------
+        voltages : sequence of float
+            [V], finite and within the range of the capabilities.
+
+        Raises
+        ------
+        DriverError
+            They cannot be put out.
+        """
+
+    @abstractmethod
+    def make_safe(self) -> None:
+        """Bring the device to its safe state, from any state; doing so twice changes nothing.
+
+        Raises
+        ------
+        DriverError
+            The device does not answer.
+        """
+
+    @abstractmethod
+    def close(self) -> None:
+        """Let go of the device, which is safe by then; doing so twice changes nothing."""

@@ -1,0 +1,73 @@
+"""The simulated actuator behind the door of the drivers, with the parameters of ``plant_simulator``.
+
+It is the model that stands there without a driver, too: what can be tried on it holds for any driver.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Iterator, Sequence
+
+from hysteresis_ros.hardware.declaration import HardwareDriver
+from hysteresis_ros.hardware.driver import Capabilities, Driver, Reading
+from hysteresis_ros.models.actuator import Actuator, ActuatorParameters
+
+
+class SimulatedDriver(Driver):
+    """An actuator that moves by one sample at each :meth:`write`."""
+
+    def open(self, parameters: ActuatorParameters, sample_rate: float) -> Capabilities:
+        """Make the actuator, at rest.
+
+        Parameters
+        ----------
+        parameters : ActuatorParameters
+        sample_rate : float
+            [Hz]
+        """
+        self._actuator = Actuator(parameters, 1.0 / sample_rate)
+        self._actuator.advance(self._actuator.measure())  # what is called is compiled now, not at the first sample
+        self._actuator.reset()
+        self._rest = self._actuator.voltage
+        limits = parameters.limits
+        return Capabilities(1, 1, limits.minimum, limits.maximum, highest_rate=math.inf)
+
+    def read(self) -> Reading:
+        """Return what the sensor reads."""
+        return Reading((self._actuator.measure(),))
+
+    def write(self, voltages: Sequence[float]) -> None:
+        """Hold the voltage for a sample.
+
+        Parameters
+        ----------
+        voltages : sequence of float
+            [V]
+        """
+        self._actuator.advance(voltages[0])
+
+    def make_safe(self) -> None:
+        """Put out the voltage at which the actuator began."""
+        self._actuator.advance(self._rest)
+
+    def close(self) -> None:
+        """Nothing has to be let go."""
+
+
+@contextlib.contextmanager
+def emulator() -> Iterator[ActuatorParameters]:
+    """Give the parameters of an actuator of 0.1 µm/V; it needs nothing outside."""
+    limits = {"limits.minimum": -30.0, "limits.maximum": 120.0}
+    yield ActuatorParameters.from_mapping(
+        {"hysteresis.type": "proportional", "hysteresis.proportional.gain": 1.0e-7, **limits}
+    )
+
+
+DRIVER = HardwareDriver(
+    name="simulated",
+    title="the simulated actuator, behind the door of the drivers",
+    parameters=ActuatorParameters,
+    driver=SimulatedDriver,
+    emulator=emulator,
+)

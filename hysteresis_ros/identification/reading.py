@@ -1,0 +1,170 @@
+"""From a file to checked data: which columns are meant, in which units, and what is taken of them."""
+
+from __future__ import annotations
+
+import pathlib
+from dataclasses import dataclass, replace
+
+from hysteresis_ros.errors import IdentificationError
+from hysteresis_ros.identification.data import (
+    DataError,
+    DataReport,
+    IdentificationData,
+    from_recording,
+    load_data,
+    resample,
+)
+from hysteresis_ros.recordings.columns import TEXT_SUFFIXES, UNITS, find_time, read_table, split_choice
+from hysteresis_ros.recordings.dataset import Recording
+
+#: Names under which recordings elsewhere keep the voltage and the displacement, the most telling first.
+INPUT_NAMES = ("voltage", "control", "command", "drive", "input", "excitation", "u", "v", "volt", "amp", "piezo")
+OUTPUT_NAMES = (
+    *("measured", "displacement", "position", "sensor", "cap", "gauge", "interferometer", "output"),
+    *("y", "x", "z", "d", "pos", "disp", "um", "nm"),
+)
+
+
+@dataclass(frozen=True)
+class Columns:
+    """What is taken of a file.
+
+    Parameters
+    ----------
+    input, output, time : str, optional
+        Columns as ``name`` or ``name:unit`` (``control_V:V``, ``cap_sensor_um:um``); by default what names and units
+        tell.
+    sample_time : float, optional
+        [s], for tables without a time column.
+    namespace : str, optional
+        Which axis of a bag.
+    range : (int, int or None), optional
+        First sample and the one after the last; all by default.
+    resample : float or "auto", optional
+        Sample time [s] of a uniform grid to bring the data to; ``auto``: the median distance of the samples.
+    negate : bool
+        Count the output in the other direction.
+    """
+
+    input: str | None = None
+    output: str | None = None
+    time: str | None = None
+    sample_time: float | None = None
+    namespace: str | None = None
+    range: tuple[int, int | None] | None = None
+    resample: float | str | None = None
+    negate: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class Reading:
+    """Checked data.
+
+    Parameters
+    ----------
+    data : IdentificationData
+    report : DataReport
+        What the checks found.
+    guessed : tuple of str
+        Columns that were chosen by their names, in sentences.
+    """
+
+    data: IdentificationData
+    report: DataReport
+    guessed: tuple[str, ...] = ()
+
+
+def read_data(source, columns: Columns | None = None) -> Reading:
+    """Return checked data in SI units.
+
+    Parameters
+    ----------
+    source : path-like, Recording, IdentificationData or Reading
+        A file (bag, CSV, NPZ), or what was read already.
+    columns : Columns, optional
+        Of a file, and what is taken of it.
+
+    Raises
+    ------
+    HysteresisError
+        The file, the choice or the data cannot be used; the message says what is allowed.
+    """
+    if isinstance(source, Reading):
+        return source
+    columns = columns or Columns()
+    data, guessed = source, ()
+    if isinstance(source, Recording):
+        data = from_recording(source, columns.input, columns.output)
+    elif not isinstance(source, IdentificationData):
+        data, guessed = _load(pathlib.Path(source), columns)
+    if data.output_unit != "m":
+        raise IdentificationError(
+            f"output {data.output_name} is in '{data.output_unit}'; it must be a length: give it as "
+            f"{data.output_name}:um or whatever it is in"
+        )
+    if columns.range is not None:
+        data = data.part(*columns.range)
+    if columns.resample is not None:
+        data = resample(data, None if columns.resample == "auto" else columns.resample)
+    if columns.negate:
+        data = replace(data, output=-data.output, notes=(*data.notes, "output counted in the other direction"))
+    return Reading(*data.checked(), guessed)
+
+
+def _load(path: pathlib.Path, columns: Columns) -> tuple[IdentificationData, tuple[str, ...]]:
+    """Return the data of a file, and what was guessed on the way."""
+    time, sample_time, namespace = columns.time, columns.sample_time, columns.namespace
+    if sample_time is not None and not 0.0 < sample_time < float("inf"):
+        raise IdentificationError(f"--sample-time {sample_time:g}: must be above 0 s")
+    try:
+        return load_data(path, columns.input, columns.output, time, sample_time, namespace), ()
+    except DataError as error:
+        if error.check != "columns":
+            raise
+        chosen, notes = _guess(path, columns, error)
+    return load_data(path, chosen["input"], chosen["output"], time, sample_time, namespace), notes
+
+
+def _guess(path: pathlib.Path, columns: Columns, error: DataError) -> tuple[dict[str, str], tuple[str, ...]]:
+    """Choose the columns whose names tell most, or raise ``error``."""
+    if path.suffix.lower() not in (*TEXT_SUFFIXES, ".npz"):
+        raise error
+    declared = read_table(path)[1]
+    given = {"input": columns.input, "output": columns.output}
+    taken = {find_time(declared)}
+    taken |= {choice if choice in declared else split_choice(choice)[0] for choice in given.values() if choice}
+    free = {name: UNITS.get(unit, (unit,))[0] for name, unit in declared.items() if name not in taken}
+    chosen = {role: choice for role, choice in given.items() if choice}
+    notes = []
+    for role, names, unit in (("input", INPUT_NAMES, "V"), ("output", OUTPUT_NAMES, "m")):
+        if role in chosen:
+            continue
+        best = _most_telling(free, names, unit)
+        if best is None:
+            raise error
+        if free[best] is None:
+            raise DataError(
+                "unit", f"{path}: column '{best}' seems to be the {role} but has no unit; give it as "
+                f"--{role} {best}:{'V' if unit == 'V' else 'um'} or whatever it is in"
+            )  # fmt: skip
+        chosen[role] = best
+        del free[best]
+        notes.append(f"{role} is the column '{best}'; choose another with --{role}")
+    return chosen, tuple(notes)
+
+
+def _most_telling(free: dict[str, str | None], names, unit: str) -> str | None:
+    """Return the one column of that unit, or without any, whose name tells most; None when that is in doubt."""
+    fitting = [name for name in free if free[name] == unit] or [name for name in free if free[name] is None]
+    ranked = sorted(fitting, key=lambda name: _rank(name, names))
+    best = [name for name in ranked if _rank(name, names) == _rank(ranked[0], names)]
+    return best[0] if len(best) == 1 and _rank(best[0], names) < len(names) else None
+
+
+def _rank(name: str, names) -> int:
+    """Return how early one of the telling names stands in a column's name."""
+    words = name.lower().replace("-", "_").replace(" ", "_").split("_")
+    for place, telling in enumerate(names):
+        if telling in words or (len(telling) > 3 and telling in name.lower()):
+            return place
+    return len(names)

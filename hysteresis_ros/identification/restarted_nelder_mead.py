@@ -1,0 +1,206 @@
+"""SciPy's Nelder-Mead, scaled, restarted and from several starts, with recorded trajectories (B3).
+
+Parameters of a model differ by orders of magnitude, so the simplex works on parameters divided by their scales. A
+simplex may collapse before it has reached a minimum: each start is therefore repeated from its best point with a fresh
+simplex until that brings nothing more.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hysteresis_ros.errors import IdentificationError
+
+#: Size of the first simplex and spread of further starts, in scales.
+FIRST_STEP = 0.1
+SPREAD = 0.5
+#: A restart counts as no better when it lowers the cost by less than this part.
+NO_BETTER = 1e-6
+MOST_RESTARTS = 10
+#: A cost that has fallen to this part of the guess's is that of a perfect fit; below there are rounding errors only.
+PERFECT = 1e-18
+
+
+@dataclass(frozen=True)
+class SimplexSettings:
+    """How long and from where is searched.
+
+    Parameters
+    ----------
+    starts : int, optional
+        Starts in all; further ones are spread around the guess by half a scale (normally distributed). By default as
+        many as the problem takes: one, where nothing else is said.
+    iterations : int
+        Most iterations of one start.
+    tolerance : float
+        Size of the simplex, in scales, and relative spread of its costs at which a run ends.
+    seed : int
+        Of the further starts.
+    """
+
+    starts: int | None = None
+    iterations: int = 2000
+    tolerance: float = 1e-8
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class SimplexRun:
+    """Path of one start.
+
+    Parameters
+    ----------
+    trajectory : ndarray, shape (iterations + 1, n)
+        Best vertex after each iteration, the start first (figure 10 of paper B).
+    costs : ndarray, shape (iterations + 1,)
+        Its cost.
+    evaluations : int
+        Calls of the cost function.
+    converged : bool
+        The simplex became smaller than the tolerance, not the budget.
+    """
+
+    trajectory: np.ndarray
+    costs: np.ndarray
+    evaluations: int
+    converged: bool
+
+    @property
+    def iterations(self) -> int:
+        """Number of iterations."""
+        return len(self.costs) - 1
+
+
+@dataclass(frozen=True)
+class SimplexSearch:
+    """Result of :func:`restarted_nelder_mead`.
+
+    Parameters
+    ----------
+    x : ndarray, shape (n,)
+        Best point of all starts.
+    cost : float
+        Its cost.
+    runs : tuple of SimplexRun
+        One for each start, in order.
+    best : int
+        Which run found ``x``.
+    converged : bool
+        That run converged. Without it ``x`` is still the best point found.
+    """
+
+    x: np.ndarray
+    cost: float
+    runs: tuple[SimplexRun, ...]
+    best: int
+    converged: bool
+
+    @property
+    def agreeing(self) -> int:
+        """How many starts came within 1 % of the lowest cost: one of several hints at further local minima."""
+        return sum(run.costs[-1] <= 1.01 * self.cost for run in self.runs)
+
+
+def restarted_nelder_mead(
+    cost,
+    start,
+    *,
+    scale=None,
+    settings: SimplexSettings | None = None,
+    progress=None,
+) -> SimplexSearch:
+    """Minimise ``cost`` with Nelder-Mead simplices, restarted until a fresh one brings nothing more.
+
+    Parameters
+    ----------
+    cost : callable
+        From parameters, shape (n,), to a float; not-a-number counts as infinite.
+    start : array_like, shape (n,)
+        Initial guess, the first start.
+    scale : array_like, shape (n,), optional
+        Scales of the parameters; by default the sizes of the initial guess.
+    settings : SimplexSettings, optional
+        One start by default.
+    progress : callable, optional
+        Called as ``progress(run, iteration, best cost)`` after each iteration.
+
+    Raises
+    ------
+    IdentificationError
+        The guess is not finite or has a zero without a scale, or the cost is not finite at every start.
+    """
+    start = np.atleast_1d(np.asarray(start, dtype=float))
+    scale = np.abs(start) if scale is None else np.broadcast_to(np.asarray(scale, dtype=float), start.shape)
+    if not np.all(np.isfinite(start)) or not np.all(scale > 0.0):
+        raise IdentificationError(f"initial guess {start.tolist()}: must be finite, and zeros need a scale above 0")
+    settings = settings or SimplexSettings()
+    starts = 1 if settings.starts is None else settings.starts
+    if starts < 1 or settings.iterations < 1:
+        raise IdentificationError(f"starts = {starts}, iterations = {settings.iterations}: must be at least 1")
+    random = np.random.default_rng(settings.seed)
+    guesses = [start] + [start + SPREAD * scale * random.standard_normal(start.size) for _ in range(starts - 1)]
+
+    def finite_cost(z):
+        value = float(cost(z * scale))
+        return value if np.isfinite(value) else np.inf
+
+    runs = []
+    for number, guess in enumerate(guesses):
+        note = None if progress is None else lambda i, value, number=number: progress(number, i, value)
+        runs.append(_run(finite_cost, guess / scale, scale, settings, note))
+    best = int(np.argmin([run.costs[-1] for run in runs]))
+    if not np.isfinite(runs[best].costs[-1]):
+        raise IdentificationError("the cost is not finite at any start; change the initial guess")
+    return SimplexSearch(
+        x=runs[best].trajectory[-1].copy(),
+        cost=float(runs[best].costs[-1]),
+        runs=tuple(runs),
+        best=best,
+        converged=runs[best].converged,
+    )
+
+
+def _run(cost, z, scale, settings: SimplexSettings, note) -> SimplexRun:
+    from scipy.optimize import minimize  # imported here because only fits need it
+
+    iterations, tolerance = settings.iterations, settings.tolerance
+    values = [cost(z)]
+    points, evaluations, converged = [z], 1, False
+    nothing = PERFECT * values[0] if np.isfinite(values[0]) else np.finfo(float).tiny
+    for _ in range(MOST_RESTARTS + 1):
+        before = values[-1]
+
+        def record(intermediate_result):
+            points.append(intermediate_result.x.copy())
+            values.append(float(intermediate_result.fun))
+            if note is not None:
+                note(len(values) - 1, values[-1])
+
+        simplex = np.concatenate([[points[-1]], points[-1] + FIRST_STEP * np.eye(z.size)])
+        with np.errstate(invalid="ignore"):  # differences of infinite costs
+            found = minimize(
+                cost,
+                points[-1],
+                method="Nelder-Mead",
+                callback=record,
+                options={
+                    "initial_simplex": simplex,
+                    "maxiter": iterations - len(values) + 2,
+                    "maxfev": 10 * iterations * (z.size + 1),
+                    "xatol": tolerance,
+                    # scipy wants an absolute bound; costs of a perfect fit end at rounding errors
+                    "fatol": max(tolerance * before, nothing) if np.isfinite(before) else tolerance,
+                },
+            )
+        evaluations += found.nfev
+        if found.fun < values[-1]:
+            points.append(found.x)
+            values.append(float(found.fun))
+        if not found.success or len(values) - 1 >= iterations:
+            break
+        if values[-1] <= nothing or not values[-1] < (1.0 - NO_BETTER) * before:
+            converged = True
+            break
+    return SimplexRun(np.array(points) * scale, np.array(values), evaluations, converged)

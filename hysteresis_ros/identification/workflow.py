@@ -1,0 +1,325 @@
+"""Identify and validate in one call each: from a recording to a parameter file, and to what the file is worth.
+
+``hysteresis identify`` and ``hysteresis validate`` are these two functions.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TypedDict, Unpack
+
+import numpy as np
+
+from hysteresis_ros.errors import IdentificationError
+from hysteresis_ros.identification import registry
+from hysteresis_ros.identification.data import IdentificationData
+from hysteresis_ros.identification.identified import Identification, PlantModel
+from hysteresis_ros.identification.inverse import InverseValidation
+from hysteresis_ros.identification.parameter_file import (
+    file_text,
+    identification_section,
+    load_chain,
+    model_warnings,
+    write_file,
+)
+from hysteresis_ros.identification.prediction import at_rate, judge, predict
+from hysteresis_ros.identification.procedures import automatic_skip
+from hysteresis_ros.identification.reading import read_data
+from hysteresis_ros.identification.validation import Validation
+from hysteresis_ros.parameters import Parameters
+
+#: What may be done with the constant of a sensor.
+OFFSETS = ("kept", "free")
+NOT_CONVERGED = "the fit did not converge: this is the best point it found"
+CONSTANT_REMOVED = "one constant of the output was removed: the sensor's zero is not kept"
+
+
+class Conditions(TypedDict, total=False):
+    """How a model is compared with a recording.
+
+    Parameters
+    ----------
+    skip : int or None
+        The first samples left out of the error, the model sees them all the same. By default :func:`identify` leaves
+        out what comes before the voltage has been near both ends of its range, and :func:`validate` nothing.
+    offset : str
+        ``kept``, or ``free``: one constant is removed (a sensor has no zero).
+    intersample : str or None
+        The input between its samples: ``zoh`` (held, as the nodes do), ``linear`` or ``bandlimited``. By default
+        ``zoh`` when a model is identified, and as it was identified when it is validated.
+    initial : str or None
+        The state at the start: ``zero`` (at rest at 0 V), ``periodic`` (the input had repeated before) or
+        ``estimate``. By default what suits the model.
+    """
+
+    skip: int | None
+    offset: str
+    intersample: str | None
+    initial: str | None
+
+
+@dataclass(frozen=True, eq=False)
+class Compared:
+    """A model beside a recording.
+
+    Parameters
+    ----------
+    data : IdentificationData
+        What was measured.
+    plant : PlantModel
+        The model: hysteresis, creep, dynamics, and the inverse a compensator uses.
+    predicted : ndarray, shape (N,)
+        What the model says [m].
+    validation : Validation
+        Errors, and whether what is left is white.
+    inverse : InverseValidation or None
+        The voltage that the inverse finds behind the displacement; None where there is no inverse.
+    figures : dict
+        By names with units: ``rmse_m``, ``rmse_percent_of_stroke``, ``fit_percent``, ``inverse_rmse_v`` and more; None
+        for what is not finite. This is what ``--json`` prints.
+    warnings : tuple of str
+        What is to be doubted, in sentences.
+    """
+
+    data: IdentificationData
+    plant: PlantModel
+    predicted: np.ndarray
+    validation: Validation
+    inverse: InverseValidation | None
+    figures: dict
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Identified(Compared):
+    """What :func:`identify` found: a :class:`Compared` with the parameter file and how it came about.
+
+    Parameters
+    ----------
+    identification : Identification
+        The result with deviations, assumptions and, for searches, the path of the parameters.
+    text : str
+        The parameter file: a whole axis, as plant, compensator and controller load it.
+    """
+
+    identification: Identification
+    text: str
+
+    @property
+    def parameters(self) -> Parameters:
+        """Parameters of the hysteresis."""
+        return self.plant.hysteresis.chosen
+
+    @property
+    def converged(self) -> bool:
+        """Whether the fit converged; if not, this is the best point it found."""
+        return self.identification.converged
+
+    @property
+    def reason(self) -> str:
+        """Why the fit ended without a result to rely on; empty when it converged."""
+        return "" if self.converged else NOT_CONVERGED
+
+    def save(self, path) -> None:
+        """Write the parameter file whole or not at all.
+
+        Parameters
+        ----------
+        path : path-like
+            ``.yaml``
+
+        Raises
+        ------
+        IdentificationError
+            It cannot be written.
+        """
+        write_file(path, self.text)
+
+
+def identify(
+    source,
+    model: str = "prandtl_ishlinskii",
+    *,
+    linear: str | None = None,
+    options: dict | None = None,
+    inverse: str | None = None,
+    progress=None,
+    **conditions: Unpack[Conditions],
+) -> Identified:
+    """Identify a model from a recording.
+
+    Parameters
+    ----------
+    source : path-like, Recording, IdentificationData or Reading
+        A bag, CSV or NPZ whose columns name their units (``control_V``, ``gauge_um``), or data that was read. For other
+        columns: ``read_data("x.csv", Columns("ch1:V", "ch2:um"))``.
+    model : str
+        Name of the model; ``hysteresis models`` lists them.
+    linear : str, optional
+        What stands behind the hysteresis: ``auto`` (the default: lag, delay and creep where they lower the residual),
+        ``none``, ``lag,delay,creep``, ``second_order``, ``arx`` …
+    options : dict, optional
+        Of the model, such as ``{"play_count": 20}``.
+    inverse : str, optional
+        Inverse of the compensator; the model's first by default.
+    progress : callable, optional
+        Called as ``progress(number, text)`` while the fit runs.
+    **conditions
+        ``skip``, ``offset``, ``intersample`` and ``initial``, see :class:`Conditions`.
+
+    Returns
+    -------
+    Identified
+        Also when the fit did not converge: then ``converged`` is False and ``reason`` says so.
+
+    Raises
+    ------
+    IdentificationError, DataError, RecordingError
+        The request or the data cannot be used; the message says what is allowed.
+
+    Examples
+    --------
+    >>> found = identify("loops.csv", "preisach", skip=200)  # doctest: +SKIP
+    >>> found.figures["rmse_percent_of_stroke"], found.warnings  # doctest: +SKIP
+    >>> found.save("axis.yaml")  # doctest: +SKIP
+    """
+    given = _checked(conditions)
+    chosen = registry.parse_options(model, [f"{name}={value}" for name, value in (options or {}).items()])
+    reading = read_data(source)
+    data, skip = reading.data, given.get("skip")
+    intersample, initial = given.get("intersample") or "zoh", given.get("initial")
+    result = registry.identify(
+        data,
+        model,
+        linear=linear,
+        options=chosen,
+        inverse=inverse,
+        skip=skip,
+        intersample=intersample,
+        initial=initial,
+        progress=progress,
+    )
+    if skip is None:
+        skip = automatic_skip(data) if result.chain.rate_independent else 0
+    free = given.get("offset") == "free"
+    if free:
+        plant = replace(result.chain, offset=0.0)
+        result = replace(result, chain=plant, assumptions=(*result.assumptions, CONSTANT_REMOVED))
+    predicted = predict(result.chain, data.input, data.sample_time, measured=data.output)
+    found, back, reason = judge(result.chain, data, predicted, skip=skip, free_offset=free, fitted=result.fitted)
+    figures = found.to_dict()
+    judged = figures.pop("warnings")
+    figures |= inverse_figures(back)
+    notes = [*reading.report.warnings, *result.warnings, *model_warnings(result), *judged]
+    if back is None:
+        notes.append(f"no inverse validation: {reason}")
+    if not result.converged:
+        notes.insert(0, NOT_CONVERGED)
+    result = replace(result, warnings=tuple(dict.fromkeys(notes)))
+    text = file_text(result, identification_section(result, data, figures, skip))
+    named = {"model": model, "linear": result.linear, **figures, **result.numbers, "converged": result.converged}
+    compared = Compared(data, result.chain, predicted, found, back, finite(named), result.warnings)
+    return Identified(**vars(compared), identification=result, text=text)
+
+
+def validate(
+    parameters,
+    source,
+    *,
+    namespace: str = "",
+    inverse: bool = True,
+    **conditions: Unpack[Conditions],
+) -> Compared:
+    """Simulate the plant of a parameter file under a recorded voltage and compare with what was measured.
+
+    Parameters
+    ----------
+    parameters : path-like
+        Parameter file, identified or written by hand, or the name of one that comes with the package.
+    source : path-like, Recording, IdentificationData or Reading
+        See :func:`identify`; best one that the model has not seen.
+    namespace : str
+        Which axis of a file with several.
+    inverse : bool
+        Try the inverse too.
+    **conditions
+        ``skip``, ``offset``, ``intersample`` and ``initial``, see :class:`Conditions`.
+
+    Raises
+    ------
+    ConfigurationError, ParameterError, IdentificationError, DataError, RecordingError
+        The file, a choice or the data cannot be used; the message says what is allowed.
+
+    Examples
+    --------
+    >>> validate("axis.yaml", "other.csv").figures["rmse_m"]  # doctest: +SKIP
+    """
+    given = _checked(conditions)
+    plant, section = load_chain(parameters, namespace)
+    reading = read_data(source)
+    data = reading.data
+    if plant.rate_independent:
+        plant = at_rate(plant, data.sample_time)
+    held, initial = given.get("intersample"), given.get("initial")
+    predicted = predict(plant, data.input, data.sample_time, held, initial, measured=data.output)
+    found, back, reason = judge(
+        plant, data, predicted, skip=given.get("skip") or 0, free_offset=given.get("offset") == "free", inverse=inverse
+    )
+    figures = found.to_dict()
+    judged = figures.pop("warnings")
+    notes = [*reading.report.warnings, *_beyond(plant, data), *judged]
+    if back is None and inverse:
+        notes.append(f"no inverse validation: {reason}")
+    figures = {
+        "model": plant.hysteresis.type,
+        **figures,
+        **inverse_figures(back),
+        "largest_autocorrelation": found.autocorrelation.largest,
+        "autocorrelation_bound": found.autocorrelation.bound,
+        "lags_outside": found.autocorrelation.outside,
+    }
+    figures = {**finite(figures), "identified_from": section.get("source"), "data": data.source}
+    return Compared(data, plant, predicted, found, back, figures, tuple(notes))
+
+
+def _checked(conditions: Conditions) -> Conditions:
+    """Return the conditions, none of which is unknown."""
+    known = Conditions.__annotations__
+    unknown = [name for name in conditions if name not in known]
+    if unknown:
+        raise IdentificationError(f"{', '.join(unknown)}: no such condition; there are {', '.join(known)}")
+    offset = conditions.get("offset", "kept")
+    if offset not in OFFSETS:
+        raise IdentificationError(f"offset = {offset!r}: must be one of {', '.join(OFFSETS)}")
+    return conditions
+
+
+def _beyond(plant: PlantModel, data: IdentificationData):
+    """Yield a warning when the data leaves the range of voltages the model was identified in."""
+    low, high = data.input_range
+    margin = 0.01 * (plant.voltage_high - plant.voltage_low)
+    if low < plant.voltage_low - margin or high > plant.voltage_high + margin:
+        yield (
+            f"the voltage runs from {low:.4g} to {high:.4g} V, beyond the {plant.voltage_low:.4g} … "
+            f"{plant.voltage_high:.4g} V the model was identified in: extrapolated"
+        )
+
+
+def inverse_figures(back: InverseValidation | None) -> dict:
+    """Return the figures of an inverse validation; None where there is none."""
+    if back is None:
+        return {"inverse_rmse_v": None, "inverse_rmse_m": None, "inverse_rmse_percent": None}
+    return {
+        "inverse_rmse_v": back.rmse,
+        "inverse_rmse_m": back.rmse_displacement,
+        "inverse_rmse_percent": back.rmse_percent,
+    }
+
+
+def finite(figures: dict) -> dict:
+    """Return figures for JSON: what is not finite becomes None."""
+    return {
+        name: None if isinstance(value, float) and not math.isfinite(value) else value
+        for name, value in figures.items()
+    }

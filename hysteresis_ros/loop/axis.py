@@ -1,0 +1,234 @@
+"""An axis, an actuator's or an inchworm motor's: its parts built from their parameters, and run without ROS."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from hysteresis_ros import signals
+from hysteresis_ros.block import specialised
+from hysteresis_ros.loop.axis_parameters import AxisParameters
+from hysteresis_ros.loop.compensator import CompensatorPart
+from hysteresis_ros.loop.controller import ControllerPart
+from hysteresis_ros.loop.plant import PLANTS
+from hysteresis_ros.loop.source import GeneratorSource, SequencerSource
+from hysteresis_ros.loop.tick import ANSWER, ANSWERED, BEFORE, CONFIRM, MEASURE, MEASURED, WHOLE, Laws, Parts, ticks
+
+
+def sample_times(first: int, count: int, sample_rate: float) -> np.ndarray:
+    """Return the times [s] of samples ``first`` … ``first + count - 1`` as the nodes stamp them: whole nanoseconds.
+
+    Parameters
+    ----------
+    first, count : int
+        Number of the first sample, and how many there are.
+    sample_rate : float
+        [Hz]
+    """
+    return np.rint(np.arange(first, first + count) * 1e9 / sample_rate) / 1e9
+
+
+#: Order of what of a sample may have been done when something changes.
+STEPS = {BEFORE: 0, MEASURED: 1, ANSWERED: 2}
+
+
+class Change(NamedTuple):
+    """Something that changes between two samples of a run.
+
+    Parameters
+    ----------
+    sample : int
+        Number of the sample from which on it holds, counted from the beginning of the axis.
+    node : str
+        Name of the node whose part it concerns.
+    action : str
+        ``start``, ``stop``, or ``retune``.
+    parameters : dict
+        With ``retune``: flat dotted parameters with their new values.
+    after : str
+        What of the sample was done before, so that only what follows is concerned: ``measured`` of the plant,
+        ``answered`` of a controller that does not know yet what was carried out; empty: nothing.
+    """
+
+    sample: int
+    node: str
+    action: str
+    parameters: dict = {}
+    after: str = BEFORE
+
+
+class Axis:
+    """The parts of one axis in closed loop, without ROS.
+
+    Parameters
+    ----------
+    parameters : AxisParameters
+        Parameters of all nodes.
+
+    Attributes
+    ----------
+    plant, source, controller, compensator
+        The parts; their state goes on from one :meth:`run` to the next.
+    """
+
+    def __init__(self, parameters: AxisParameters):
+        self.parameters = parameters
+        self.motor = parameters.inchworm_sequencer is not None
+        self.plant = PLANTS[parameters.plant_simulator.type](parameters.plant_simulator)
+        if self.motor:
+            self.source = SequencerSource(parameters.inchworm_sequencer)
+        else:
+            self.source = GeneratorSource(parameters.reference_generator)
+        self.controller = ControllerPart(parameters.motion_controller)
+        self.compensator = CompensatorPart(parameters.hysteresis_compensator)
+        self.sample = 0
+
+    @property
+    def sample_rate(self) -> float:
+        """Samples per second [Hz]."""
+        return self.parameters.plant_simulator.sample_rate
+
+    @property
+    def by_node(self) -> dict:
+        """The parts by the names of their nodes."""
+        return {
+            "plant_simulator": self.plant,
+            "inchworm_sequencer" if self.motor else "reference_generator": self.source,
+            "motion_controller": self.controller,
+            "hysteresis_compensator": self.compensator,
+        }
+
+    def default_samples(self) -> int:
+        """Return the length of a run that the configuration itself gives, in samples; 0 when it gives none."""
+        return self.parameters.plant_simulator.samples or self.source.duration_samples
+
+    def default_setpoints(self, samples: int) -> np.ndarray:
+        """Return the setpoint [m] that the configuration has in force at each of the first ``samples`` samples."""
+        return self.source.setpoints(samples)
+
+    @property
+    def laws(self) -> Laws:
+        """The kernels of the present blocks."""
+        compensator = self.compensator.compensator
+        waveform = self.source.waveform or compensator.hysteresis_kernel
+        own = self.controller.kernel, compensator.hysteresis_kernel, compensator.inverse_kernel
+        return Laws(*self.plant.kernels, waveform, *own)
+
+    @property
+    def parts(self) -> Parts:
+        """The arrays of the present blocks."""
+        return Parts(self.plant.arrays, self.source.arrays, self.controller.arrays, self.compensator.arrays)
+
+    def run(self, setpoints, requests=None, speeds=None, changes: Sequence[Change] = ()) -> dict[str, np.ndarray]:
+        """Simulate ``len(setpoints)`` samples.
+
+        Parameters
+        ----------
+        setpoints : array_like, shape (N,)
+            Setpoint in force at each sample [m].
+        requests : array_like, shape (N,), optional
+            Of a motor: request at each sample (:mod:`hysteresis_ros.references.inchworm_layout`), 0 for none.
+        speeds : array_like, shape (N,), optional
+            Of a motor: walking speed asked for at each sample [m/s]; NaN leaves it as it is.
+        changes : sequence of Change
+            What changes between samples, in the order of their samples.
+
+        Returns
+        -------
+        dict of str to array, shape (N,)
+            ``time`` [s] and the signals of :data:`hysteresis_ros.signals.SIGNALS`; of a motor ``displacement`` and
+            ``measured`` are the slider's, ``reference``, ``command`` and ``estimated`` are relative to ``origin``.
+
+        Raises
+        ------
+        ParameterError
+            A change is refused.
+        """
+        setpoints = np.ascontiguousarray(setpoints, dtype=np.float64)
+        row = signals.row_signals(self.motor)
+        count = len(setpoints)
+        columns = np.empty((len(row), count))
+        columns[signals.SETPOINT] = setpoints
+        if self.motor:
+            columns[signals.REQUEST] = 0.0 if requests is None else requests
+            columns[signals.SPEED] = math.nan if speeds is None else speeds
+        begin = self.sample
+        first = 0
+        waiting = sorted(changes, key=lambda change: (change.sample, STEPS[change.after]))
+        while waiting:
+            until = min(max(waiting[0].sample - begin, first), count)
+            self._run(columns[:, first:until])
+            first = until
+            if waiting[0].after and until < count:
+                now = [change for change in waiting if change.sample == waiting[0].sample]
+                self._run_sample(columns[:, until : until + 1], now)
+                first = until + 1
+            else:
+                now = waiting[:1]
+                self.apply(now[0])
+            waiting = waiting[len(now) :]
+        self._run(columns[:, first:])
+        self.sample = begin + count
+        named = {signal.name: columns[index] for index, signal in enumerate(row)}
+        return {"time": sample_times(begin, count, self.sample_rate), **named}
+
+    def _run(self, columns: np.ndarray, what: int = WHOLE, row: np.ndarray | None = None) -> None:
+        """Make the samples of these columns, in which what people ask for stands already."""
+        if not columns.shape[1]:
+            return
+        whole = np.ascontiguousarray(columns)
+        asked = signals.ASKED if self.motor else signals.ASKED[:1]
+        row = np.zeros(len(columns)) if row is None else row
+        arguments = self.laws, self.parts, np.array(asked, dtype=float), whole, row, what
+        specialised(ticks, *arguments)(*arguments)
+        if whole is not columns:
+            columns[:] = whole
+
+    def _run_sample(self, column: np.ndarray, changes: list[Change]) -> None:
+        """Make one sample in steps, with changes between them."""
+        row = np.zeros(len(column))
+        for what, after in ((MEASURE, MEASURED), (ANSWER, ANSWERED), (CONFIRM, None)):
+            self._run(column, what, row)
+            for change in changes:
+                if change.after == after:
+                    self.apply(change)
+
+    def apply(self, change: Change) -> None:
+        """Start, stop or retune a part between two samples.
+
+        Raises
+        ------
+        ParameterError
+            The new parameters are refused; nothing is changed then.
+        """
+        part = self.by_node[change.node]
+        if change.action == "retune":
+            present = part.parameters
+            part.retune(type(present).from_mapping({**present.to_mapping(), **change.parameters}))
+        else:
+            getattr(part, change.action)()
+
+    def inject(self, faults: tuple[str, ...]) -> None:
+        """Let these faults happen, their times counted from the present sample on, and no others.
+
+        Parameters
+        ----------
+        faults : tuple of str
+            Each ``NAME:START:DURATION[:VALUE]``, see :mod:`hysteresis_ros.loop.faults`.
+
+        Raises
+        ------
+        ConfigurationError
+            A fault is unknown or a number wrong.
+        """
+        for part in self.by_node.values():
+            part.inject(faults)
+
+    def reset(self) -> None:
+        """Return all parts to their beginning."""
+        for part in self.by_node.values():
+            part.reset()
+        self.sample = 0

@@ -1,0 +1,200 @@
+"""The parameters of one axis: those of all its nodes, read out of a configuration and checked against each other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from hysteresis_ros.configuration import NODE_NAMES, Configuration, dump_configuration, normalised_namespace
+from hysteresis_ros.errors import ConfigurationError, ParameterError, Problem
+from hysteresis_ros.loop.faults import parse_fault
+from hysteresis_ros.loop.inchworm_checks import inchworm_problems
+from hysteresis_ros.loop.node_parameters import (
+    NODE_PARAMETERS,
+    CompensatorNodeParameters,
+    ControllerNodeParameters,
+    InchwormSequencerNodeParameters,
+    PlantNodeParameters,
+    RecorderNodeParameters,
+    ReferenceNodeParameters,
+)
+from hysteresis_ros.loop.watch import samples_of
+
+#: Samples that a run may have at most: beyond this a counter in double precision skips numbers.
+COUNTABLE = 2.0**53
+
+
+def node_names(inchworm: bool) -> tuple[str, ...]:
+    """Return the names of the nodes every axis has; an inchworm's sequencer stands for the reference generator."""
+    return tuple("inchworm_sequencer" if inchworm and name == "reference_generator" else name for name in NODE_NAMES)
+
+
+def _inchworm_mismatches(plant, parts) -> list[Problem]:
+    """Return what does not fit between the plant's type, the sequencer and the controller."""
+    sequencer = parts["inchworm_sequencer"]
+    if (plant.type == "inchworm") != (sequencer is not None):
+        allowed = "an inchworm needs a section inchworm_sequencer, and only an inchworm may have one"
+        return [Problem("plant_simulator: type", plant.type, allowed)]
+    problems = []
+    if parts["motion_controller"].use_origin != (sequencer is not None):
+        allowed = "must be true with an inchworm_sequencer and false without one"
+        problems.append(Problem("motion_controller: use_origin", not sequencer, allowed))
+    return problems + list(inchworm_problems(plant, parts) if sequencer else ())
+
+
+#: Time-outs of the nodes, what happens after them, and where the output then goes.
+TIMEOUTS = {
+    ("motion_controller", "measurement_timeout"): "no usable measurement: command to safe_command",
+    ("inchworm_sequencer", "measurement_timeout"): "no joint_states: both clamps close",
+    ("hysteresis_compensator", "command_timeout"): "no command: voltage to safe_voltage",
+    ("plant_simulator", "voltage_timeout"): "no voltage: voltage to safe_voltage",
+}
+
+
+def _short_timeouts(parts):
+    """Yield a Problem for each time-out that is shorter than a sample."""
+    for name, timeout in TIMEOUTS:
+        node = parts[name]
+        if node is not None and getattr(node, timeout) * node.sample_rate < 1.0:
+            least = f"shorter than a sample of {1.0 / node.sample_rate:g} s: give at least that"
+            yield Problem(f"{name}: {timeout}", getattr(node, timeout), least)
+
+
+def _fault_problems(plant, inchworm: bool):
+    """Yield a Problem for each fault that there is not, or that this axis cannot have."""
+    for text in plant.faults:
+        try:
+            parse_fault(text, plant.sample_rate, inchworm)
+        except ConfigurationError as error:
+            yield Problem("faults", text, str(error).partition(": ")[2])
+
+
+@dataclass(frozen=True)
+class AxisParameters:
+    """Parameters of all nodes of one axis.
+
+    Parameters
+    ----------
+    namespace : str
+        Namespace with a leading slash; empty for the root.
+    plant_simulator, motion_controller, hysteresis_compensator, recorder : NodeParameters
+        Typed parameters of each node.
+    reference_generator, inchworm_sequencer : NodeParameters or None
+        One of the two: an axis with a section ``inchworm_sequencer`` has no reference generator.
+    """
+
+    namespace: str
+    plant_simulator: PlantNodeParameters
+    reference_generator: ReferenceNodeParameters | None
+    motion_controller: ControllerNodeParameters
+    hysteresis_compensator: CompensatorNodeParameters
+    recorder: RecorderNodeParameters
+    inchworm_sequencer: InchwormSequencerNodeParameters | None = None
+
+    @classmethod
+    def from_configuration(cls, configuration: Configuration, namespace: str = "") -> AxisParameters:
+        """Read one axis out of a configuration.
+
+        Raises
+        ------
+        ParameterError
+            Names every wrong parameter of every node, rates or modes in which the nodes differ, and linear dynamics
+            for another sample time.
+        """
+        namespace = normalised_namespace(namespace)
+        inchworm = configuration.describes("inchworm_sequencer", namespace)
+        if inchworm and configuration.describes("reference_generator", namespace):
+            raise ConfigurationError(
+                f"{configuration.source}: two sources of the reference: reference_generator and inchworm_sequencer; "
+                "keep the sequencer for an inchworm motor, the generator for anything else"
+            )
+        absent = "reference_generator" if inchworm else "inchworm_sequencer"
+        parts, problems = {absent: None}, []
+        for name, parameters_class in NODE_PARAMETERS.items():
+            if name == absent:
+                continue
+            try:
+                values = configuration.node(name, namespace)
+                parts[name] = parameters_class.from_mapping(values, prefix=f"{name}: ")
+            except ParameterError as error:
+                problems += error.problems
+        if problems:
+            raise ParameterError(problems)
+        plant = parts["plant_simulator"]
+        for name in node_names(inchworm):
+            for shared in ("sample_rate", "time_mode", "joint", "faults"):
+                value, awaited = getattr(parts[name], shared), getattr(plant, shared)
+                if value != awaited:
+                    allowed = f"must equal the plant_simulator's {awaited!r}; give it once, under '/**'"
+                    problems.append(Problem(f"{name}: {shared}", value, allowed))
+        sample_time = 1.0 / plant.sample_rate
+        for name, dynamics, place in (
+            ("plant_simulator", plant.dynamics, "dynamics"),
+            ("motion_controller", parts["motion_controller"].model.dynamics, "model.dynamics"),
+        ):
+            try:
+                dynamics.require_sample_time(sample_time, f"{name}: {place}.sample_time")
+            except ParameterError as error:
+                problems += error.problems
+        problems += _fault_problems(plant, inchworm)
+        problems += _short_timeouts(parts)
+        problems += _inchworm_mismatches(plant, parts)
+        if problems:
+            raise ParameterError(problems)
+        return cls(namespace=namespace, **parts)
+
+    def with_duration(self, duration: float) -> AxisParameters:
+        """Return the same axis with a run of ``duration`` seconds of its own time.
+
+        Raises
+        ------
+        ConfigurationError
+            The duration is not a positive number.
+        """
+        if not 0.0 < duration < float("inf"):
+            raise ConfigurationError(f"duration = {duration:g} s: must be a positive number of seconds")
+        if duration * self.plant_simulator.sample_rate >= COUNTABLE:
+            raise ConfigurationError(f"duration = {duration:g} s: more samples than can be counted; ask for less")
+        samples = max(round(duration * self.plant_simulator.sample_rate), 1)
+        return replace(self, plant_simulator=replace(self.plant_simulator, samples=samples))
+
+    def timeouts(self) -> list[str]:
+        """Return a line for each time-out: what it is called, how long in samples and seconds, what follows."""
+        rate = self.plant_simulator.sample_rate
+        lines = []
+        for (name, timeout), what in TIMEOUTS.items():
+            node = getattr(self, name)
+            if node is not None:
+                seconds = getattr(node, timeout)
+                samples = samples_of(seconds, rate)
+                lines.append(f"{name} {timeout} = {seconds:g} s = {samples:.0f} samples: {what}")
+        limit = self.plant_simulator.allowed_late
+        if limit:
+            many = f"more than {limit} late voltages in a row or within {rate:g} samples (1 s)"
+            delayed = self.plant_simulator.allowed_delayed
+            many += f", or {delayed} in a row that answer earlier samples" if delayed < limit else ""
+            lines.append(f"plant_simulator late_limit = {limit}: {many}: axis to safe until ~/start")
+        return lines
+
+    def with_faults(self, faults: tuple[str, ...]) -> AxisParameters:
+        """Return the same axis with these faults, each ``NAME:START:DURATION[:VALUE]``.
+
+        Raises
+        ------
+        ConfigurationError
+            A fault is unknown, a number wrong, or this axis cannot have it.
+        """
+        for text in faults:
+            parse_fault(text, self.plant_simulator.sample_rate, self.inchworm_sequencer is not None)
+        nodes = {name: getattr(self, name) for name in NODE_PARAMETERS if getattr(self, name) is not None}
+        return replace(self, **{name: replace(node, faults=tuple(faults)) for name, node in nodes.items()})
+
+    def configuration_text(self) -> str:
+        """Return the parameter file of exactly this axis, every parameter written out under its full node name."""
+        nodes = {}
+        for name in NODE_PARAMETERS:
+            if getattr(self, name) is None:
+                continue
+            values = getattr(self, name).to_mapping()
+            # ROS has no type for an empty array; every array is empty by default where it may be
+            nodes[f"{self.namespace}/{name}"] = {key: value for key, value in values.items() if value != ()}
+        return dump_configuration(nodes)

@@ -1,0 +1,309 @@
+"""The motion controller as a part of the loop: from reference and measurement to the command."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from hysteresis_ros import signals as at
+from hysteresis_ros.block import kernel, nested
+from hysteresis_ros.control import base as header
+from hysteresis_ros.control import feedforward as feeding
+from hysteresis_ros.control.base import Controller
+from hysteresis_ros.control.controller import (
+    ControllerParameters,
+    controller_block,
+    feedforward_block,
+    handover_block,
+    prepare_controllers,
+)
+from hysteresis_ros.control.feedforward import feedforward
+from hysteresis_ros.control.handover import HandoverParameters, arm, go_on_from, handover
+from hysteresis_ros.control.succession import ENTRIES, History, note, successor
+from hysteresis_ros.errors import ParameterError
+from hysteresis_ros.loop import faults as faulty
+from hysteresis_ros.loop.node_parameters import ControllerNodeParameters, part
+from hysteresis_ros.loop.watch import (
+    FOLLOWING,
+    GUARD_STATES,
+    HOLDING,
+    RUNNING,
+    STALE,
+    STAMP,
+    STOPPED,
+    TRIPPED,
+    WatchArrays,
+    accept,
+    guard_parameters,
+    is_stale,
+    towards,
+)
+
+
+class ControlArrays(NamedTuple):
+    """Parameter arrays, or state arrays, of the blocks of a motion controller."""
+
+    feedforward: np.ndarray
+    controller: np.ndarray
+    handover: np.ndarray
+    return_path: np.ndarray
+    history: np.ndarray
+
+
+class ControllerArrays(NamedTuple):
+    """All arrays of a motion controller in the loop."""
+
+    p: ControlArrays
+    x: ControlArrays
+    watch_p: WatchArrays
+    watch_x: WatchArrays
+
+
+#: Samples without an answer of the compensator after which commands are taken not to be carried out.
+UNFOLLOWED_SAMPLES = 20
+
+#: Faults that act on what the controller is given.
+TARGETS = (faulty.MEASUREMENT, faulty.APPLIED, faulty.STOP)
+
+# Own parameters.
+SAFE_COMMAND = 0  # [m]
+SAFE_STEP = 1  # [m] a sample
+PRELOAD = 2  # offset of the model [m]
+USE_ORIGIN = 3  # 1: the measurement counts from the sequencer's origin
+OWN_PARAMETERS = 4
+
+# Own state.
+STOP = 0  # 1 while told to stop
+RETURNING = 1  # 1: the next command goes on from the last one, with a controller that starts anew
+ON_PATH = 2  # 1 while the reference fades from the displacement to the one that is received
+UNANSWERED = 3  # samples since the compensator said what it carried out
+ANSWERED = 4  # 1 once it did
+REFERENCE = 5  # last finite reference [m]
+OWN_STATES = 6
+
+
+@kernel
+def resume(x, own_p, own, value):
+    """Start the controller anew at the displacement ``value``; the command continues from the last one.
+
+    The reference starts from there too and fades to the one received: a reaching law answers a step of the reference
+    calmly, but a long difference between its command and what is carried out violently (Φ = 0.93 amplifies a constant
+    one by 1/(1 - Φ) = 14).
+    """
+    own[RETURNING] = 0.0
+    own[ON_PATH] = 1.0
+    x.feedforward[feeding.STARTED] = 0.0
+    x.history[ENTRIES] = 0.0
+    go_on_from(x.handover, x.controller[header.COMMAND])
+    go_on_from(x.return_path, value - own_p[PRELOAD])
+    x.controller[header.STARTED] = 0.0
+
+
+@nested
+def answer(laws, arrays, value):
+    """Return the command [m] for the displacement ``value`` [m]."""
+    p, x, own = arrays.p, arrays.x, arrays.watch_x.own
+    if own[RETURNING] != 0.0:
+        resume(x, arrays.watch_p.own, own, value)
+    reference = own[REFERENCE]
+    if own[ON_PATH] != 0.0:
+        reference = handover(p.return_path, x.return_path, own[REFERENCE])
+        if reference == own[REFERENCE]:
+            own[ON_PATH] = 0.0
+    delayed = feedforward(p.feedforward, x.feedforward, reference)
+    fed = x.feedforward[feeding.COMMAND]
+    note(x.history, x.controller[header.APPLIED], delayed, fed, value)
+    x.controller[header.FEEDFORWARD] = fed
+    return handover(p.handover, x.handover, laws.controller(p.controller, x.controller, delayed, value))
+
+
+@nested
+def control(laws, arrays, row):
+    """Take reference and measurement of a sample out of its row and put the command in."""
+    own_p, own = arrays.watch_p.own, arrays.watch_x.own
+    faults_p, faults = arrays.watch_p.faults, arrays.watch_x.faults
+    state = arrays.x.controller
+    faulty.begin_sample(faults)
+    given = faulty.corrupt(faults_p, faults, faulty.MEASUREMENT, row[at.MEASURED])
+    seen = accept(arrays.watch_p.guard, arrays.watch_x.guard, given, faults[faulty.STAMP])
+    command = state[header.COMMAND]
+    value = seen
+    if row[at.REFERENCE] - row[at.REFERENCE] == 0.0:
+        own[REFERENCE] = row[at.REFERENCE]
+    elif own_p[USE_ORIGIN] != 0.0:
+        value = row[at.REFERENCE]  # without reference and origin nobody knows where the extender should go: it stays
+    if own_p[USE_ORIGIN] != 0.0:
+        value -= row[at.ORIGIN]
+    mode = RUNNING
+    if row[at.TRIPPED] != 0.0:
+        mode = TRIPPED
+    elif faulty.corrupt(faults_p, faults, faulty.STOP, own[STOP]) != 0.0:
+        mode = STOPPED
+    elif is_stale(arrays.watch_p.guard, arrays.watch_x.guard):
+        mode = STALE
+    elif value != value:
+        mode = HOLDING
+    elif own[ANSWERED] != 0.0 and own[UNANSWERED] >= UNFOLLOWED_SAMPLES:
+        mode = FOLLOWING
+        # no faster than to safe: where commands are carried out after all, a copy would be a loop of gain one
+        command = towards(command, value - own_p[PRELOAD], own_p[SAFE_STEP])
+        own[RETURNING] = 1.0
+    else:
+        command = answer(laws, arrays, value)
+    if mode in (TRIPPED, STOPPED, STALE):
+        command = towards(command, own_p[SAFE_COMMAND], own_p[SAFE_STEP])
+        own[RETURNING] = 1.0
+    own[UNANSWERED] += 1.0
+    state[header.COMMAND] = command
+    row[at.COMMAND] = command
+    row[at.SEEN] = seen
+    row[at.ESTIMATED] = state[header.ESTIMATED]
+    row[at.SWITCHING] = state[header.SWITCHING]
+    row[at.DISTURBANCE] = state[header.DISTURBANCE]
+    row[at.CONTROLLER_MODE] = mode
+
+
+@nested
+def carried_out(arrays, applied):
+    """Tell the controller what the compensator has carried out [m] of the last command; NaN: it did not say."""
+    own = arrays.watch_x.own
+    heard = faulty.corrupt(arrays.watch_p.faults, arrays.watch_x.faults, faulty.APPLIED, applied)
+    if heard - heard == 0.0:
+        arrays.x.controller[header.APPLIED] = heard
+        own[UNANSWERED] = 0.0
+        own[ANSWERED] = 1.0
+
+
+class ControllerPart:
+    """Feedforward, controller and hand-over of an axis, with what watches over them.
+
+    Parameters
+    ----------
+    parameters : ControllerNodeParameters
+        Checked on construction.
+
+    Raises
+    ------
+    ParameterError
+        Names every wrong parameter.
+    """
+
+    def __init__(self, parameters: ControllerNodeParameters):
+        self.parameters = parameters
+        block = part(parameters, ControllerParameters)
+        sample_time = 1.0 / parameters.sample_rate
+        self.feedforward = feedforward_block(block, sample_time)
+        self.controller = controller_block(block, sample_time)
+        self.handover = handover_block(block, sample_time)
+        self._return_path = handover_block(block, sample_time)
+        self.history = History()
+        faults = faulty.fault_parameters(parameters.faults, TARGETS, parameters.sample_rate)
+        self._watch_p = WatchArrays(self._guard(parameters), faults, np.zeros(OWN_PARAMETERS))
+        self._watch_x = WatchArrays(np.zeros(GUARD_STATES), faulty.fault_state(faults), np.zeros(OWN_STATES))
+        self._pack_own(parameters)
+        self._connect()
+
+    @staticmethod
+    def _guard(parameters) -> np.ndarray:
+        given = parameters.spike_limit, parameters.spike_samples, parameters.frozen_samples
+        return guard_parameters(parameters.measurement_timeout, parameters.sample_rate, *given)
+
+    def _pack_own(self, parameters) -> None:
+        own = self._watch_p.own
+        own[SAFE_COMMAND] = parameters.safe_command
+        own[SAFE_STEP] = parameters.safe_slew_rate / parameters.sample_rate
+        own[PRELOAD] = parameters.model.preload.offset
+        own[USE_ORIGIN] = parameters.use_origin
+
+    def _connect(self) -> None:
+        """Put the arrays of the present blocks together."""
+        blocks = self.feedforward, self.controller, self.handover, self._return_path, self.history
+        self.arrays = ControllerArrays(
+            ControlArrays(*(block.p for block in blocks)),
+            ControlArrays(*(block.x for block in blocks)),
+            self._watch_p,
+            self._watch_x,
+        )
+
+    @property
+    def kernel(self):
+        """Law of the controller, for the loop."""
+        return self.controller.kernel
+
+    @property
+    def command(self) -> float:
+        """Last command [m]."""
+        return float(self.controller.x[header.COMMAND])
+
+    def install(self, controller: Controller) -> None:
+        """Put another controller in the place of the present one, at rest; :meth:`retune` takes one over live."""
+        self.controller = controller
+        self._connect()
+
+    def prepare(self) -> None:
+        """Compile whatever may be needed while running: any controller may take over within a sample."""
+        prepare_controllers()
+
+    def inject(self, faults: tuple[str, ...]) -> None:
+        """Let these faults happen, their times counted from now on, and no others."""
+        p = faulty.fault_parameters(faults, TARGETS, self.parameters.sample_rate)
+        # measurements are numbered from now on, too
+        self._watch_x.guard[STAMP] = -1.0
+        self._watch_p = self._watch_p._replace(faults=p)
+        self._watch_x = self._watch_x._replace(faults=faulty.fault_state(p))
+        self._connect()
+
+    def stop(self) -> None:
+        """Slew to the safe command from the next sample on."""
+        self._watch_x.own[STOP] = 1.0
+
+    def start(self) -> None:
+        """Go on without a jump."""
+        self._watch_x.own[STOP] = 0.0
+        self._watch_x.own[RETURNING] = 1.0
+
+    def reset(self) -> None:
+        """Begin again with everything at rest."""
+        for block in (self.feedforward, self.controller, self.handover, self._return_path, self.history):
+            block.reset()
+        stopped = self._watch_x.own[STOP]
+        self._watch_x.guard[:] = 0.0
+        self._watch_x.faults[:] = faulty.fault_state(self._watch_p.faults)
+        self._watch_x.own[:] = 0.0
+        self._watch_x.own[STOP] = stopped
+
+    def retune(self, parameters: ControllerNodeParameters) -> None:
+        """Take new gains, or another type of controller; the command goes on from where it is.
+
+        Raises
+        ------
+        ParameterError
+            The parameters are wrong or of another structure; nothing is changed then.
+        """
+        block = part(parameters, ControllerParameters)
+        lasting = None
+        if block.type == self.parameters.type:
+            self._retune_controller(block)
+        else:
+            # whatever may be refused is, before anything changes
+            controller, lasting = successor(block, 1.0 / parameters.sample_rate, self.controller, self.history)
+            self.feedforward.retune(block)
+            self.controller = controller
+        self.handover.retune(HandoverParameters(time=block.handover_time))
+        self._return_path.retune(HandoverParameters(time=block.handover_time))
+        arm(self.handover, self.command, lasting)
+        self._watch_p.guard[:] = self._guard(parameters)
+        self._pack_own(parameters)
+        self.parameters = parameters
+        self._connect()
+
+    def _retune_controller(self, block: ControllerParameters) -> None:
+        before, state = self.controller.parameters, self.controller.state
+        self.controller.retune(block)
+        try:
+            self.feedforward.retune(block)
+        except ParameterError:
+            self.controller.retune(before)
+            self.controller.state = state
+            raise

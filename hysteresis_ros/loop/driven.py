@@ -1,0 +1,229 @@
+"""A device in the plant's place: the part of the loop that reads and writes it through its driver.
+
+What watches over the voltages is that of the simulated plant. Limits are the file's, which the device's range contains.
+Besides, a device that fails stops the axis: it is made safe, and left alone until the axis is started again.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+from hysteresis_ros import signals as at
+from hysteresis_ros.block import interpreted
+from hysteresis_ros.errors import ParameterError, Problem
+from hysteresis_ros.hardware.device import Device
+from hysteresis_ros.hardware.driver import Capabilities, DriverError
+from hysteresis_ros.hardware.registry import DRIVERS
+from hysteresis_ros.loop import faults as faulty
+from hysteresis_ros.loop.node_parameters import PlantNodeParameters
+from hysteresis_ros.loop.plant import PLANTS, TRIP, Plant, actuate, sense, watched_voltage
+from hysteresis_ros.loop.watch import FOLLOWS, HELD, hold_state, hold_voltage
+from hysteresis_ros.models.limits import FLAGS, LIMITED_SAMPLES, OUTPUT, UNQUANTISED, Limits, LimitsParameters
+
+
+class DrivenPlant(Plant):
+    """One actuator that is a device. It runs as plain Python only.
+
+    After opening and after :meth:`make_safe` the device is taken to be at ``safe_voltage``.
+
+    Parameters
+    ----------
+    parameters : PlantNodeParameters
+        With a driver.
+
+    Raises
+    ------
+    DriverError
+        The device cannot be opened, or is not what the axis needs.
+    """
+
+    #: Nothing of it is compiled.
+    kernels = (None,) * 3
+
+    def __init__(self, parameters: PlantNodeParameters):
+        self.limits = Limits(_without_grid(parameters.limits), 1.0 / parameters.sample_rate)
+        super().__init__(parameters)
+        self.arrays = self
+        self._device: Device | None = None
+        for voltage in (0.0, math.nan):  # what is called is compiled now, not at the first sample
+            self.limits.step(watched_voltage(self._watch_p, self._watch_x, {at.VOLTAGE: voltage}))
+        self.reset()
+        self._at_rest()
+        self._device = Device(
+            DRIVERS[parameters.driver], parameters.driver_parameters, parameters.sample_rate, self._require
+        )
+
+    def _require(self, can: Capabilities) -> None:
+        """Raise a DriverError unless the device is what the axis needs."""
+        parameters, device = self.parameters, f"driver {self.parameters.driver}:"
+        low, high, rate = parameters.limits.minimum, parameters.limits.maximum, parameters.sample_rate
+        if can.joints != 1:
+            raise DriverError(device, f"the device has {can.joints} joints", "an axis has 1: choose another device")
+        if can.voltages < 1:
+            raise DriverError(device, "the device puts out no voltage", "an axis needs 1: choose another device")
+        if not (can.minimum <= low and high <= can.maximum):
+            problem = f"the device's range of {can.minimum:g} … {can.maximum:g} V does not contain limits.minimum … "
+            problem += f"limits.maximum = {low:g} … {high:g} V"
+            raise DriverError(device, problem, "narrow the limits of plant_simulator and hysteresis_compensator")
+        if not rate <= can.highest_rate:
+            raise DriverError(device, f"the device makes at most {can.highest_rate:g} Hz", "lower sample_rate")
+        if can.watchdog is not None and not can.watchdog * rate > 1.0:
+            problem = f"the device's watchdog of {can.watchdog:g} s is no longer than a sample of {1.0 / rate:g} s"
+            raise DriverError(device, problem, "raise sample_rate, or the watchdog's time")
+
+    @property
+    def capabilities(self) -> Capabilities:
+        """What the device is able to do."""
+        return self._device.capabilities
+
+    @property
+    def resting_voltages(self) -> tuple[float, float, float]:
+        """Voltages [V] before any is received."""
+        return self.parameters.safe_voltage, 0.0, 0.0
+
+    @property
+    def saturated(self) -> bool:
+        """Whether range or slew rate limited the last voltage."""
+        return self.limits.saturated
+
+    @property
+    def limited_samples(self) -> int:
+        """Samples so far that range or slew rate limited."""
+        return self.limits.limited_samples
+
+    # -- samples -------------------------------------------------------------------------------------------------
+
+    def sense(self, row) -> None:
+        """Read the position into the row, NaN when there is none.
+
+        Parameters
+        ----------
+        row : sequence of float
+        """
+        interpreted(faulty.begin_sample)(self._watch_x.faults)
+        row[at.MEASURED] = math.nan
+        if not self.failure:
+            try:
+                row[at.MEASURED] = self._device.read()[0]
+            except DriverError as error:
+                self._fail(error)
+        row[at.DISPLACEMENT] = math.nan
+        row[at.TRIPPED] = self._watch_x.trip[TRIP]
+
+    def actuate(self, row) -> None:
+        """Put out the voltage of the row, or what the watch makes of it.
+
+        Parameters
+        ----------
+        row : sequence of float
+        """
+        self._put_out(watched_voltage(self._watch_p, self._watch_x, row))
+        row[at.PLANT_VOLTAGE] = float(self.limits.x[OUTPUT])
+
+    def _put_out(self, voltage: float) -> None:
+        if not self.failure:
+            try:
+                self._device.write((self.limits.step(voltage),))
+            except DriverError as error:
+                self._fail(error)
+
+    def _fail(self, error: DriverError) -> None:
+        """Stop the axis: the device is made safe, as far as it still listens."""
+        self.failure = str(error)
+        self._watch_x.trip[TRIP] = 1.0
+        try:
+            self._device.make_safe()
+        except DriverError as another:
+            self.failure += f"; and it {another.problem}"
+        self._at_rest()
+
+    def _at_rest(self) -> None:
+        """Go on from the safe voltage."""
+        safe, x = self.parameters.safe_voltage, self.limits.x
+        self._watch_x.hold[:] = hold_state(safe)
+        x[OUTPUT] = x[UNQUANTISED] = safe
+
+    # -- beginning and end ---------------------------------------------------------------------------------------
+
+    def start(self) -> None:
+        """Let the axis go on; a device that has failed is tried again."""
+        super().start()
+        self.failure = ""
+
+    def reset(self) -> None:
+        """Begin again where the device is: its voltage goes to the safe one, and to what comes, without a jump."""
+        held = self.held()
+        super().reset()
+        self._watch_x.hold[HELD], self._watch_x.hold[FOLLOWS] = held, 0.0
+        self.limits.x[FLAGS] = self.limits.x[LIMITED_SAMPLES] = 0.0
+        self.failure = ""
+
+    def retune(self, parameters: PlantNodeParameters) -> None:
+        """Take new limits, time-outs and safe voltages while running."""
+        before, after = self.parameters.driver_parameters, parameters.driver_parameters
+        for name, value in after.to_mapping().items():
+            if not name.startswith("limits.") and value != before.to_mapping().get(name):
+                allowed = f"the driver {parameters.driver} is open: deactivate and clean up the node first"
+                raise ParameterError([Problem(name, value, allowed)])
+        low, high = self.capabilities.minimum, self.capabilities.maximum
+        for name in ("minimum", "maximum"):
+            if not low <= getattr(parameters.limits, name) <= high:
+                allowed = f"must lie within the device's range of {low:g} … {high:g} V"
+                raise ParameterError([Problem(f"limits.{name}", getattr(parameters.limits, name), allowed)])
+        self.limits.retune(_without_grid(parameters.limits))
+        super().retune(parameters)
+
+    def step_to_safe(self) -> bool:
+        """Take the voltage a sample further towards the safe one; False when it is there, or out of reach."""
+        p, x, safe = self._watch_p.hold, self._watch_x.hold, self.parameters.safe_voltage
+        if self.failure or (x[HELD] == safe and self.limits.x[OUTPUT] == safe):
+            return False
+        self._put_out(hold_voltage(p, x, math.nan, 1.0, -math.inf))
+        return True
+
+    def make_safe(self) -> None:
+        """Bring the device to its safe state.
+
+        Raises
+        ------
+        DriverError
+            It does not answer.
+        """
+        self._at_rest()
+        self._device.make_safe()
+
+    def close(self) -> None:
+        """Let go of the device."""
+        self._device.close()
+
+
+def _without_grid(limits: LimitsParameters) -> LimitsParameters:
+    """Return limits that do not round: the converter is the device's."""
+    return replace(limits, bits=0)
+
+
+def _sense_device(laws, plant, row):
+    plant.sense(row)
+
+
+def _actuate_device(laws, plant, row):
+    plant.actuate(row)
+
+
+sense.kinds[DrivenPlant], actuate.kinds[DrivenPlant] = _sense_device, _actuate_device
+
+
+def plant_of(parameters: PlantNodeParameters) -> Plant:
+    """Return the plant of a node: the device of its driver, or the simulated one of its type.
+
+    Parameters
+    ----------
+    parameters : PlantNodeParameters
+
+    Raises
+    ------
+    DriverError
+        The device cannot be opened, or is not what the axis needs.
+    """
+    return DrivenPlant(parameters) if parameters.driver else PLANTS[parameters.type](parameters)

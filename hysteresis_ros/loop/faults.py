@@ -1,0 +1,267 @@
+"""Faults on purpose: what a part of the loop is given instead of what was there.
+
+A fault has a name, a beginning and a duration in seconds of the axis' own time, and a value where it needs one, written
+``NAME:START:DURATION[:VALUE]``. It stands in the parameters of the axis (``faults``, under ``/**``), so nodes, offline
+twin and recording know it: a run with faults is repeated bit for bit like any other.
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from hysteresis_ros.block import called, kernel
+from hysteresis_ros.errors import ConfigurationError
+from hysteresis_ros.models.sensor import generator_state, uniform
+
+# What a fault acts on.
+MEASUREMENT, APPLIED, COMMAND, VOLTAGE, GRIP, STOP = range(6)
+
+# What it does to it.
+LOST, SPIKE, FREEZE, DELAY, DROP, ADD, DISORDER, SCALE, SET = range(9)
+
+#: A spike comes every so many samples.
+SPIKE_PERIOD = 10
+#: Longest delay [samples].
+LONGEST_DELAY = 10000
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One kind of fault.
+
+    Parameters
+    ----------
+    target, action : int
+        What it acts on, and what it does to it.
+    description : str
+    value : float, optional
+        Default of the value; None: it has none.
+    unit : str
+        Unit of the value.
+    low, high : float
+        Range of the value.
+    motor : bool
+        Only an inchworm motor can have it.
+    """
+
+    target: int
+    action: int
+    description: str
+    value: float | None = None
+    unit: str = ""
+    low: float = -math.inf
+    high: float = math.inf
+    motor: bool = False
+
+
+FAULTS = {
+    "stale": Fault(MEASUREMENT, LOST, "no measurement comes"),
+    "nan": Fault(MEASUREMENT, LOST, "the measurement is not a number"),
+    "spike": Fault(MEASUREMENT, SPIKE, f"one measurement in {SPIKE_PERIOD} is off by the value", 1e-6, "m"),
+    "frozen": Fault(MEASUREMENT, FREEZE, "the measurement stays as it is at the beginning"),
+    "late": Fault(
+        MEASUREMENT, DELAY, "the measurement is the one of that many samples before", 1.0, "samples", 1, LONGEST_DELAY
+    ),
+    "drop": Fault(MEASUREMENT, DROP, "that part of the measurements is missing, by chance", 0.3, "1", 0.0, 1.0),
+    "offset": Fault(MEASUREMENT, ADD, "the measurement is off by the value", 1e-6, "m"),
+    "disorder": Fault(MEASUREMENT, DISORDER, "every second measurement is the one before, with its old stamp"),
+    "unanswered": Fault(APPLIED, LOST, "the controller does not hear what was carried out"),
+    "lost_command": Fault(COMMAND, LOST, "no command reaches the compensator"),
+    "lost_voltage": Fault(VOLTAGE, LOST, "no voltage reaches the plant"),
+    "late_voltage": Fault(VOLTAGE, DROP, "that part of the voltages comes too late, by chance", 0.5, "1", 0.0, 1.0),
+    "lost_grip": Fault(
+        GRIP, SCALE, "the front clamp grips with that part of its force", 0.0, "1", 0.0, 1.0, motor=True
+    ),
+    "stop": Fault(STOP, SET, "the controller is stopped, and started again at the end"),
+}
+
+
+@dataclass(frozen=True)
+class FaultEntry:
+    """One fault of a run.
+
+    Parameters
+    ----------
+    name : str
+    start, duration : float
+        [s] of the axis' own time.
+    value : float
+        In the fault's unit; 0 where it has none.
+    """
+
+    name: str
+    start: float
+    duration: float
+    value: float
+
+    @property
+    def kind(self) -> Fault:
+        """What it is."""
+        return FAULTS[self.name]
+
+
+def parse_fault(text: str, sample_rate: float | None = None, motor: bool = True) -> FaultEntry:
+    """Read ``NAME:START:DURATION[:VALUE]``.
+
+    Parameters
+    ----------
+    text : str
+    sample_rate : float, optional
+        [Hz]; with it a duration below one sample is refused.
+    motor : bool
+        Whether the axis is an inchworm motor.
+
+    Raises
+    ------
+    ConfigurationError
+        The fault is unknown (the nearest name is given), a number is missing or out of range.
+    """
+    name, *numbers = text.split(":")
+    form = f"fault '{text}': write NAME:START:DURATION[:VALUE], times in seconds, for instance stale:0.1:0.05"
+    if name not in FAULTS:
+        close = difflib.get_close_matches(name, FAULTS, n=1, cutoff=0.5)
+        hint = f"did you mean {close[0]}? " if close else ""
+        raise ConfigurationError(f"fault '{text}': there is no fault '{name}'; {hint}there are: {', '.join(FAULTS)}")
+    kind = FAULTS[name]
+    try:
+        values = [float(number) for number in numbers]
+    except ValueError:
+        raise ConfigurationError(form) from None
+    if not 2 <= len(values) <= 3 or not all(math.isfinite(value) for value in values):
+        raise ConfigurationError(form)
+    start, duration = values[:2]
+    if start < 0.0 or duration <= 0.0:
+        raise ConfigurationError(f"fault '{text}': START must be ≥ 0 and DURATION > 0 s")
+    if sample_rate is not None and duration * sample_rate < 0.5:
+        raise ConfigurationError(
+            f"fault '{text}': DURATION is shorter than a sample; give at least {1.0 / sample_rate:.6g} s"
+        )
+    if kind.motor and not motor:
+        raise ConfigurationError(f"fault '{text}': only an inchworm motor has it")
+    if kind.value is None:
+        if len(values) == 3:
+            raise ConfigurationError(f"fault '{text}': {name} has no VALUE; write {name}:START:DURATION")
+        return FaultEntry(name, start, duration, 0.0)
+    value = values[2] if len(values) == 3 else kind.value
+    if not kind.low <= value <= kind.high or (kind.action == DELAY and value != int(value)):
+        allowed = f"{kind.low:g} … {kind.high:g} {kind.unit if kind.unit != '1' else ''}".strip()
+        raise ConfigurationError(f"fault '{text}': VALUE must be within {allowed}")
+    return FaultEntry(name, start, duration, value)
+
+
+# Parameter array: how many faults, length of the ring; then five numbers each.
+COUNT, RING_LENGTH = 0, 1
+ENTRIES = 2
+TARGET, KIND, FIRST, BEYOND, VALUE = range(5)  # target, action, first sample, first one after it, value
+ENTRY = 5
+
+# State array: samples so far, the number of the sample of which the measurement claims to be, what freezes, the
+# generator; then a ring of the last measurements.
+SAMPLES, STAMP, FROZEN_AT = range(3)
+GENERATOR = 3
+RING = 9
+
+
+def fault_parameters(faults: tuple[str, ...], targets: tuple[int, ...], sample_rate: float) -> np.ndarray:
+    """Return the parameter array of those faults that act on one of the ``targets``.
+
+    Parameters
+    ----------
+    faults : tuple of str
+        All faults of the axis, as text.
+    targets : tuple of int
+        For instance ``(MEASUREMENT, STOP)``: what a part takes in.
+    sample_rate : float
+        [Hz]
+
+    Raises
+    ------
+    ConfigurationError
+        See :func:`parse_fault`.
+    """
+    chosen = [entry for entry in map(parse_fault, faults) if entry.kind.target in targets]
+    longest = max((entry.value for entry in chosen if entry.kind.action == DELAY), default=1.0)
+    p = [float(len(chosen)), longest + 1.0]
+    for entry in chosen:
+        first = round(entry.start * sample_rate)
+        beyond = first + max(round(entry.duration * sample_rate), 1)
+        p += [float(entry.kind.target), float(entry.kind.action), float(first), float(beyond), entry.value]
+    return np.array(p)
+
+
+def fault_state(p: np.ndarray) -> np.ndarray:
+    """Return the state before the first sample for the parameter array of :func:`fault_parameters`."""
+    x = np.zeros(RING + int(p[RING_LENGTH]))
+    x[GENERATOR : GENERATOR + 6] = generator_state(1)
+    return x
+
+
+@kernel
+def draw(x):
+    """Return the next random number in (0, 1)."""
+    return uniform(x[GENERATOR:RING])
+
+
+@kernel
+def begin_sample(x):
+    """Count a sample; what is given in it is the present one, until a fault says otherwise."""
+    x[STAMP] = x[SAMPLES]
+    x[SAMPLES] += 1.0
+
+
+@called
+def corrupt(p, x, target, value):
+    """Return what the part is given instead of ``value`` in the present sample; for each target once a sample.
+
+    Parameters
+    ----------
+    p, x : ndarray
+        See :func:`fault_parameters` and :func:`fault_state`; ``x[STAMP]`` is the number of the sample of which a
+        measurement claims to be.
+    target : int
+        What the value is.
+    value : float
+    """
+    count = int(p[COUNT])
+    if count == 0:
+        return value
+    k = x[SAMPLES] - 1.0
+    length = p[RING_LENGTH]
+    if target == MEASUREMENT:
+        x[RING + int(k % length)] = value
+    given = value
+    for i in range(count):
+        entry = ENTRIES + ENTRY * i
+        first = p[entry + FIRST]
+        if p[entry + TARGET] != target or k < first or k >= p[entry + BEYOND]:
+            continue
+        action, amount = int(p[entry + KIND]), p[entry + VALUE]
+        if action == LOST:
+            given = math.nan
+        elif action == SPIKE:
+            if (k - first) % SPIKE_PERIOD == 0.0:
+                given += amount
+        elif action == FREEZE:
+            if k == first:
+                x[FROZEN_AT] = value
+            given = x[FROZEN_AT]
+        elif action == DELAY:
+            given = x[RING + int((k - amount) % length)] if k >= amount else math.nan
+        elif action == DROP:
+            if draw(x) < amount:
+                given = math.nan
+        elif action == ADD:
+            given += amount
+        elif action == DISORDER:
+            if (k - first) % 2.0 == 1.0:
+                given = x[RING + int((k - 1.0) % length)]
+                x[STAMP] = k - 1.0
+        elif action == SCALE:
+            given *= amount
+        elif action == SET:
+            given = 1.0
+    return given

@@ -1,0 +1,123 @@
+"""Whether an inchworm's gait fits its motor: what the sequencer alone cannot know."""
+
+from __future__ import annotations
+
+import math
+
+from hysteresis_ros.compensation.reachable import reachable_commands
+from hysteresis_ros.errors import Problem
+from hysteresis_ros.references.inchworm_steps import LOAD_PART
+
+#: Holding force over load below which an axis is doubtful.
+SAFETY_FACTOR = 2.0
+#: Periods of the slider's swing on the extender below which a motion of the extender is doubtful.
+SWINGS = 2.0
+#: Part of the frequency of that swing up to which a designed loop may have gain.
+CROSSOVER_PART = 0.25
+
+
+def inchworm_problems(plant, parts):
+    """Yield a Problem for whatever of the gait does not fit the other nodes.
+
+    That is: clamps too weak for the load or too slow for the gait, voltages beyond the clamps' amplifiers, extensions
+    beyond what the compensator can carry out, travel beyond the end stops.
+
+    Parameters
+    ----------
+    plant : PlantNodeParameters
+        Of type inchworm.
+    parts : dict of str to NodeParameters
+        Parameters of ``inchworm_sequencer`` and ``hysteresis_compensator``.
+    """
+    sequencer = parts["inchworm_sequencer"]
+    gait, motor = sequencer.gait, plant.inchworm
+    lowest, highest = reachable_commands(parts["hysteresis_compensator"], 1.0 / plant.sample_rate)
+    for name, value in (
+        ("lowest_extension", gait.lowest_extension - gait.fine_margin),
+        ("highest_extension", gait.highest_extension + gait.fine_margin),
+    ):
+        if not lowest <= value <= highest:
+            allowed = f"with fine_margin beyond what the compensator can carry out, {lowest:.4g} … {highest:.4g} m"
+            yield Problem(f"inchworm_sequencer: gait.{name}", getattr(gait, name), allowed)
+    yield from motor.holding_problems(gait.grip_voltage, gait.grip_voltage, prefix="plant_simulator: inchworm.")
+    for name in ("front_clamp", "rear_clamp"):
+        clamp = getattr(motor, name)
+        settling = clamp.lag.settling_time()
+        if gait.clamp_settling < settling:
+            allowed = f"shorter than the settling of the plant's {name}: must be ≥ {settling:.3g} s"
+            yield Problem("inchworm_sequencer: gait.clamp_settling", gait.clamp_settling, allowed)
+        low, high = clamp.limits.minimum, clamp.limits.maximum
+        for which in ("grip_voltage", "release_voltage", "initial_voltage"):
+            value = getattr(gait, which)
+            if not low <= value <= high:
+                allowed = f"outside of the limits of the plant's {name}: {low:g} … {high:g} V"
+                yield Problem(f"inchworm_sequencer: gait.{which}", value, allowed)
+    travel = motor.slider.minimum, motor.slider.maximum
+    for which, value in (("minimum", sequencer.minimum), ("maximum", sequencer.maximum)):
+        if not travel[0] <= value <= travel[1]:
+            allowed = f"beyond the end stops of the plant's slider: {travel[0]:g} … {travel[1]:g} m"
+            yield Problem(f"inchworm_sequencer: {which}", value, allowed)
+
+
+def inchworm_warnings(plant, sequencer) -> tuple[str, ...]:
+    """Return a sentence for each doubt: clamps below twice the load, a load too heavy for the stroke, hasty motions.
+
+    Parameters
+    ----------
+    plant : PlantNodeParameters
+        Of type inchworm.
+    sequencer : InchwormSequencerNodeParameters
+        With the gait.
+    """
+    return tuple(_doubts(plant.inchworm, sequencer.gait))
+
+
+def design_warnings(plant, crossovers) -> tuple[str, ...]:
+    """Return a sentence when a designed loop reaches the slider's swing on the extender, which its model has not.
+
+    Parameters
+    ----------
+    plant : PlantNodeParameters
+        Of type inchworm.
+    crossovers : sequence of float
+        Gain crossovers of the designed loop [Hz].
+    """
+    frequency = 1.0 / _swing(plant.inchworm)
+    highest = max(crossovers, default=0.0)
+    if highest <= CROSSOVER_PART * frequency:
+        return ()
+    return (
+        f"the design's gain crosses one at {highest:.4g} Hz, and the model has not the slider on the extender at "
+        f"{frequency:.4g} Hz: it will swing; ask for a --bandwidth below {CROSSOVER_PART * frequency:.3g} Hz",
+    )
+
+
+def _swing(motor) -> float:
+    """Return the period of the slider on the extender [s]."""
+    return 2.0 * math.pi * math.sqrt(motor.slider.mass / motor.extender_stiffness)
+
+
+def _doubts(motor, gait):
+    load = abs(motor.slider.force)
+    holding = motor.holding_force(gait.grip_voltage, gait.grip_voltage)
+    for name, force in zip(("front_clamp", "rear_clamp"), holding, strict=True):
+        if force < SAFETY_FACTOR * load:
+            yield (
+                f"plant_simulator: inchworm.{name} holds {force:.3g} N at {gait.grip_voltage:g} V, "
+                f"{force / load:.3g} times the load of {load:.3g} N; at least {SAFETY_FACTOR:g} times is advisable"
+            )
+    deflection = load / motor.extender_stiffness
+    if deflection > LOAD_PART * gait.stroke:
+        yield (
+            f"plant_simulator: the load of {load:.3g} N bends the extender by {deflection:.3g} m, more than "
+            f"{LOAD_PART:g} of the gait's stroke of {gait.stroke:.3g} m: steps against it hardly move the slider; "
+            f"lower the load to {LOAD_PART * gait.stroke * motor.extender_stiffness:.3g} N or lengthen the stroke"
+        )
+    swing = _swing(motor)
+    for name in ("extend", "contract"):
+        value = getattr(gait, name)
+        if value < SWINGS * swing:
+            yield (
+                f"inchworm_sequencer: gait.{name} = {value:g} s is shorter than {SWINGS:g} periods of the slider on "
+                f"the extender ({1.0 / swing:.4g} Hz), {SWINGS * swing:.3g} s: it swings beyond the end of its steps"
+            )

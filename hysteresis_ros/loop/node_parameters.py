@@ -1,0 +1,261 @@
+"""Parameters of the nodes: the blocks' own parameters and what a running node needs besides.
+
+They live here and not with the nodes because the offline twin reads the same files.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+from hysteresis_ros.compensation.compensator import CompensatorParameters
+from hysteresis_ros.control.controller import ControllerParameters
+from hysteresis_ros.errors import Problem
+from hysteresis_ros.hardware.registry import DRIVERS
+from hysteresis_ros.models.actuator import ActuatorParameters
+from hysteresis_ros.models.inchworm import JOINT_NAMES, InchwormParameters, seed_problems
+from hysteresis_ros.parameters import Parameters, group, parameter, variants
+from hysteresis_ros.references.generator import ReferenceParameters
+from hysteresis_ros.references.inchworm_sequencer import InchwormSequencerParameters
+
+#: Late voltages that are allowed by default: part of the samples of a second, and the least number.
+LATE_PART, LEAST_LATE = 0.05, 20
+#: Voltages that may each be the answer to an earlier sample, by default: in a loop that is fast for its rate a delay of
+#: one sample takes some twenty to run away.
+DELAYED = 10
+
+
+@dataclass(frozen=True)
+class NodeParameters(Parameters):
+    """What every node of an axis needs; normally given once, under ``/**``."""
+
+    sample_rate: float = parameter(
+        1000.0, unit="Hz", low=1.0e-3, high=1.0e6, read_only=True, description="samples per second of the axis"
+    )
+    time_mode: str = parameter(
+        "realtime",
+        choices=("realtime", "lockstep"),
+        read_only=True,
+        description="realtime: the plant keeps the time; lockstep: each sample waits for its answer, as fast as it can",
+    )
+    joint: str = parameter("extender", read_only=True, description="name of the joint in joint_states")
+    autostart: bool = parameter(True, read_only=True, description="configure and activate by itself at start")
+    use_sim_time: bool = parameter(
+        False, description="take the time of log lines and diagnostics from /clock; samples have their own stamps"
+    )
+    exit_at_end: bool = parameter(
+        False, read_only=True, description="leave when the plant has published the end of the run"
+    )
+    partner_timeout: float = parameter(
+        10.0,
+        unit="s",
+        low=0.1,
+        high=3600.0,
+        description="lockstep: silence of a partner that ends the run; DDS may take 3 s to repeat what was lost",
+    )
+    faults: tuple[str, ...] = parameter(
+        (),
+        read_only=True,
+        description="faults on purpose, each 'NAME:START:DURATION[:VALUE]', times in seconds of the axis' own time; "
+        "for all nodes, under '/**'",
+    )
+    queue_depth: int = parameter(
+        1000, low=1, high=100000, read_only=True, description="lockstep: messages each topic keeps for a slow recorder"
+    )
+
+
+#: Drivers that have parameters of their own, and their class.
+_OWN = {name: item.parameters for name, item in DRIVERS.items() if item.parameters is not ActuatorParameters}
+
+
+@dataclass(frozen=True)
+@variants("driver", _OWN)
+class PlantNodeParameters(NodeParameters, ActuatorParameters):
+    """Parameters of ``plant_simulator``; an inchworm's extender is the actuator."""
+
+    type: str = parameter(
+        "actuator", choices=("actuator", "inchworm"), read_only=True, description="one actuator, or an inchworm motor"
+    )
+    inchworm: InchwormParameters = group(InchwormParameters, variant_of="type")
+    driver: str = parameter(
+        "",
+        choices=("", *DRIVERS),
+        read_only=True,
+        description="realtime: driver of the device that stands in the simulated plant's place; '': none",
+    )
+    real_time_factor: float = parameter(
+        1.0, low=1.0e-6, high=1.0e3, read_only=True, description="realtime: simulated seconds per second of wall clock"
+    )
+    samples: int = parameter(
+        0, low=0, high=10**12, read_only=True, description="length of a run in samples; 0 = without end"
+    )
+    safe_voltage: float = parameter(
+        0.0, unit="V", low=-1.0e4, high=1.0e4, description="voltage the plant goes to when commands stop"
+    )
+    safe_slew_rate: float = parameter(
+        1000.0, unit="V/s", low=1.0e-3, high=1.0e9, description="how fast it goes to the safe voltage"
+    )
+    voltage_timeout: float = parameter(
+        0.5, unit="s", low=1.0e-3, high=3600.0, description="realtime: silence of voltage that starts the watchdog"
+    )
+    late_limit: int = parameter(
+        0,
+        low=-1,
+        high=10**9,
+        description="late voltages in a row, or together within a second, above which the axis goes to safe until "
+        "~/start; 0: a twentieth of the samples of a second, at least 20, and 10 in a row that come a whole "
+        "sample late; -1: any number",
+    )
+    publish_clock: bool = parameter(False, read_only=True, description="publish the simulated time on /clock")
+    wait_for_recorder: bool = parameter(
+        False, read_only=True, description="begin when a recorder is there; lockstep: run at most `lead` ahead of it"
+    )
+    lead: int = parameter(
+        100, low=32, high=900, read_only=True, description="lockstep: samples the plant may be ahead of the recorder"
+    )
+
+    @property
+    def allowed_late(self) -> int:
+        """Late voltages that are allowed in a row or within a second; 0: any number."""
+        if self.late_limit == 0:
+            return max(round(LATE_PART * self.sample_rate), LEAST_LATE)
+        return max(self.late_limit, 0)
+
+    @property
+    def allowed_delayed(self) -> int:
+        """Voltages that may in a row each be the answer to an earlier sample; 0: any number."""
+        return DELAYED if self.late_limit == 0 else max(self.late_limit, 0)
+
+    @property
+    def driver_parameters(self) -> Parameters:
+        """What the driver is opened with."""
+        return getattr(self, self.driver) if self.driver in _OWN else part(self, ActuatorParameters)
+
+    def _unfit_for_a_driver(self):
+        if self.time_mode != "realtime":
+            allowed = (
+                "a device does not wait for anybody: give time_mode: realtime, or driver: '' for the simulated plant"
+            )
+            yield Problem("driver", self.driver, allowed)
+        if self.real_time_factor != 1.0:
+            yield Problem(
+                "real_time_factor", self.real_time_factor, "must be 1 with a driver: a device has its own time"
+            )
+        if self.type != "actuator":
+            allowed = "drives one actuator; an inchworm motor needs a node of its own, see docs/hardware.md"
+            yield Problem("driver", self.driver, allowed)
+
+    def check(self):
+        """Yield what does not fit together."""
+        yield from super().check()
+        if not self.limits.minimum <= self.safe_voltage <= self.limits.maximum:
+            allowed = (
+                f"must lie within limits.minimum … limits.maximum = {self.limits.minimum:g} … {self.limits.maximum:g} V"
+            )
+            yield Problem("safe_voltage", self.safe_voltage, allowed)
+        if self.driver:
+            yield from self._unfit_for_a_driver()
+        if self.type == "inchworm":
+            yield from seed_problems(self)
+            others = JOINT_NAMES[1:]
+            if self.joint in others:
+                allowed = f"must be the slider's name, other than {', '.join(others)}; write joint: slider under '/**'"
+                yield Problem("joint", self.joint, allowed)
+
+
+@dataclass(frozen=True)
+class ReferenceNodeParameters(NodeParameters, ReferenceParameters):
+    """Parameters of ``reference_generator``."""
+
+
+@dataclass(frozen=True)
+class InchwormSequencerNodeParameters(NodeParameters, InchwormSequencerParameters):
+    """Parameters of ``inchworm_sequencer``, which takes the place of ``reference_generator``."""
+
+    extender_joint: str = parameter(
+        "extender", read_only=True, description="name of the extender in joint_states; joint is the slider's"
+    )
+    measurement_timeout: float = parameter(
+        0.2, unit="s", low=1.0e-3, high=3600.0, description="realtime: silence of joint_states that closes both clamps"
+    )
+
+
+@dataclass(frozen=True)
+class ControllerNodeParameters(NodeParameters, ControllerParameters):
+    """Parameters of ``motion_controller``."""
+
+    use_origin: bool = parameter(
+        False, read_only=True, description="inchworm: subtract the sequencer's origin from the measurement"
+    )
+
+    measurement_timeout: float = parameter(
+        0.2, unit="s", low=1.0e-3, high=3600.0, description="realtime: silence of joint_states that makes it go safe"
+    )
+    spike_limit: float = parameter(
+        0.0, unit="m", low=0.0, high=1.0, description="largest believable change of the measurement a sample; 0: any"
+    )
+    spike_samples: int = parameter(
+        3, low=2, high=10**6, description="samples in a row after which a larger change is believed"
+    )
+    frozen_samples: int = parameter(
+        0, low=0, high=10**9, description="equal measurements in a row that count as a frozen sensor; 0: never"
+    )
+    safe_command: float = parameter(
+        0.0, unit="m", low=-1.0, high=1.0, description="command while the measurement is stale"
+    )
+    safe_slew_rate: float = parameter(
+        1.0e-4, unit="m/s", low=1.0e-12, high=1.0e3, description="how fast the command goes to safe_command"
+    )
+
+
+@dataclass(frozen=True)
+class CompensatorNodeParameters(NodeParameters, CompensatorParameters):
+    """Parameters of ``hysteresis_compensator``."""
+
+    command_timeout: float = parameter(
+        0.4, unit="s", low=1.0e-3, high=3600.0, description="realtime: silence of command that starts the watchdog"
+    )
+    safe_slew_rate: float = parameter(
+        1000.0, unit="V/s", low=1.0e-3, high=1.0e9, description="how fast the voltage goes to safe_voltage"
+    )
+
+
+@dataclass(frozen=True)
+class RecorderNodeParameters(NodeParameters):
+    """Parameters of ``recorder``."""
+
+    path: str = parameter("recording", read_only=True, description="folder of the bag, made anew")
+    configuration: str = parameter("", read_only=True, description="parameter file whose text goes into the bag")
+    inchworm: bool = parameter(
+        False,
+        read_only=True,
+        description="record an inchworm's topics; a configuration with an inchworm_sequencer says so by itself",
+    )
+    topics: tuple[str, ...] = parameter(
+        (),
+        read_only=True,
+        description="further topics to record (relative or absolute), each as 'name:package/msg/Type'",
+    )
+    chunk_time: float = parameter(
+        0.5,
+        unit="s",
+        low=0.01,
+        high=3600.0,
+        read_only=True,
+        description="a chunk is written to disk at least this often",
+    )
+
+
+#: Parameter class of each node, by node name.
+NODE_PARAMETERS: dict[str, type[NodeParameters]] = {
+    "plant_simulator": PlantNodeParameters,
+    "reference_generator": ReferenceNodeParameters,
+    "motion_controller": ControllerNodeParameters,
+    "hysteresis_compensator": CompensatorNodeParameters,
+    "recorder": RecorderNodeParameters,
+    "inchworm_sequencer": InchwormSequencerNodeParameters,
+}
+
+
+def part(parameters: Parameters, cls):
+    """Return the block's own parameters, an instance of ``cls``, out of the parameters of its node."""
+    return cls(**{item.name: getattr(parameters, item.name) for item in fields(cls)})

@@ -1,0 +1,449 @@
+"""The plant as a part of the loop: an actuator or an inchworm motor, behind what watches over its voltages.
+
+A voltage that does not come in time is late: the last one is held and the miss counted. When none comes for
+``voltage_timeout`` the voltage goes to its safe value, and back without a jump when they return. When more than
+``late_limit`` are late in a row, or come together within a second, the loop is not closed any more: the plant *trips*,
+goes to its safe voltage and stops the axis until it is started again. Voltages that do come, but each the answer to an
+earlier sample, are worse than none: they close the loop with a delay, and it may run away within tens of samples. Of
+these few are allowed.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from hysteresis_ros import signals as at
+from hysteresis_ros.block import by_part, kernel, nested
+from hysteresis_ros.loop import faults as faulty
+from hysteresis_ros.loop.node_parameters import PlantNodeParameters, part
+from hysteresis_ros.loop.watch import (
+    HELD,
+    HELD_AGE,
+    HELD_BEGUN,
+    HOLD_TIMEOUT,
+    HOLDING,
+    RUNNING,
+    STALE,
+    TRIPPED,
+    hold_state,
+    hold_voltage,
+    least_beside,
+    samples_of,
+)
+from hysteresis_ros.models import actuator as acting
+from hysteresis_ros.models import clamp as clamping
+from hysteresis_ros.models import inchworm as motors
+from hysteresis_ros.models import limits as limiting
+from hysteresis_ros.models.actuator import (
+    Actuator,
+    ActuatorArrays,
+    ActuatorParameters,
+    actuator_advance,
+    actuator_measure,
+)
+from hysteresis_ros.models.inchworm import (
+    Inchworm,
+    InchwormArrays,
+    InchwormPlantParameters,
+    inchworm_advance,
+    inchworm_measure,
+)
+
+
+@by_part
+def sense(laws, part, row):
+    """Measure the present sample of a plant of this kind into its row."""
+
+
+@by_part
+def actuate(laws, part, row):
+    """Hold the voltages of a sample until the next one, as far as they came in time."""
+
+
+class PlantWatchArrays(NamedTuple):
+    """Parameter arrays, or state arrays, with which a plant watches its voltages."""
+
+    trip: np.ndarray
+    faults: np.ndarray
+    hold: np.ndarray
+    front_hold: np.ndarray
+    rear_hold: np.ndarray
+
+
+class ActuatorPlantArrays(NamedTuple):
+    """All arrays of an actuator in the loop."""
+
+    p: ActuatorArrays
+    x: ActuatorArrays
+    watch_p: PlantWatchArrays
+    watch_x: PlantWatchArrays
+
+
+class MotorPlantArrays(NamedTuple):
+    """All arrays of an inchworm motor in the loop."""
+
+    p: InchwormArrays
+    x: InchwormArrays
+    watch_p: PlantWatchArrays
+    watch_x: PlantWatchArrays
+
+
+#: Faults that act on a plant.
+TARGETS = (faulty.VOLTAGE, faulty.GRIP)
+
+# Parameters of the trip: late voltages that are allowed (0: any), and how many of them a sample forgives; those of an
+# earlier sample that are allowed; the nominal stiffness of the front clamp, for the fault lost_grip.
+LIMIT, FORGIVEN, DELAYED_LIMIT, STIFFNESS = range(4)
+TRIP_PARAMETERS = 4
+
+# Its state: 1 when it has tripped, late voltages so far, late ones in a row, late ones that are not forgiven yet;
+# written by a runner that knows, 1 when what has come is the answer to an earlier sample; and by how many there were
+# more of those than of voltages in time.
+TRIP, LATE, IN_ROW, LEVEL, BEHIND, DELAYED = range(6)
+TRIP_STATES = 6
+
+
+@kernel
+def watch(p, x, missing):
+    """Count a sample whose voltage was missing (1) or not (0), or of an earlier sample; trip when there are too many.
+
+    Returns
+    -------
+    float
+        1.0 when the voltage was late, whether it was missing or of an earlier sample.
+    """
+    late = max(missing, x[BEHIND])
+    x[LATE] += late
+    x[IN_ROW] = (x[IN_ROW] + 1.0) * late
+    x[LEVEL] = max(x[LEVEL] - p[FORGIVEN], 0.0) + late
+    if missing == 0.0:
+        x[DELAYED] = max(x[DELAYED] + 2.0 * x[BEHIND] - 1.0, 0.0)
+    if p[LIMIT] > 0.0 and (x[IN_ROW] > p[LIMIT] or x[LEVEL] > p[LIMIT] or x[DELAYED] > p[DELAYED_LIMIT]):
+        x[TRIP] = 1.0
+    return late
+
+
+@kernel
+def is_missing(x, voltage):
+    """Return 1.0 when no voltage came, though some did before."""
+    return 1.0 if x[HELD_BEGUN] != 0.0 and voltage - voltage != 0.0 else 0.0
+
+
+@kernel
+def plant_mode(p, x, trip, late):
+    """Return what the plant does with a voltage."""
+    if trip[TRIP] != 0.0:
+        return TRIPPED
+    if x[HELD_AGE] >= p[HOLD_TIMEOUT]:
+        return STALE
+    return HOLDING if late != 0.0 else RUNNING
+
+
+@nested
+def sense_actuator(laws, arrays, row):
+    """Measure an actuator."""
+    faulty.begin_sample(arrays.watch_x.faults)
+    row[at.MEASURED] = actuator_measure(arrays.p, arrays.x)
+    row[at.DISPLACEMENT] = arrays.x.sensor[acting.DISPLACEMENT]
+    row[at.TRIPPED] = arrays.watch_x.trip[TRIP]
+
+
+@nested
+def watched_voltage(p, x, row):
+    """Return the voltage [V] that an amplifier is to put out after this sample, and say in the row why.
+
+    ``p`` and ``x`` are :class:`PlantWatchArrays`.
+    """
+    voltage = faulty.corrupt(p.faults, x.faults, faulty.VOLTAGE, row[at.VOLTAGE])
+    late = watch(p.trip, x.trip, is_missing(x.hold, voltage))
+    held = hold_voltage(p.hold, x.hold, voltage, x.trip[TRIP], -math.inf)
+    row[at.PLANT_MODE] = plant_mode(p.hold, x.hold, x.trip, late)
+    row[at.LATE] = x.trip[LATE]
+    return held
+
+
+@nested
+def actuate_actuator(laws, arrays, row):
+    """Hold the voltage on an actuator."""
+    held = watched_voltage(arrays.watch_p, arrays.watch_x, row)
+    row[at.PLANT_VOLTAGE] = actuator_advance(laws.hysteresis, arrays.p, arrays.x, held)
+
+
+@nested
+def sense_motor(laws, arrays, row):
+    """Measure all joints of a motor."""
+    faulty.begin_sample(arrays.watch_x.faults)
+    row[at.MEASURED] = inchworm_measure(arrays.p, arrays.x)
+    joints = arrays.x.joints
+    row[at.DISPLACEMENT] = joints[motors.TRUE_POSITION + motors.SLIDER_JOINT]
+    row[at.EXTENDER] = joints[motors.POSITION + motors.EXTENDER_JOINT]
+    row[at.EXTENDER_DISPLACEMENT] = joints[motors.TRUE_POSITION + motors.EXTENDER_JOINT]
+    row[at.FRONT_FORCE] = joints[motors.EFFORT + motors.FRONT_JOINT]
+    row[at.REAR_FORCE] = joints[motors.EFFORT + motors.REAR_JOINT]
+    row[at.TRIPPED] = arrays.watch_x.trip[TRIP]
+
+
+@nested
+def actuate_motor(laws, arrays, row):
+    """Hold three voltages on a motor.
+
+    A clamp is never opened for safety: a slider that nobody holds falls. It goes to the voltage at which it stands
+    before the start, or stays where it is when that is higher. The gait keeps one clamp closed at any time; on the way
+    back from safe a clamp opens only when the other one is where the gait has it.
+    """
+    p, x = arrays.watch_p, arrays.watch_x
+    voltage = faulty.corrupt(p.faults, x.faults, faulty.VOLTAGE, row[at.VOLTAGE])
+    missing = max(is_missing(x.hold, voltage), is_missing(x.front_hold, row[at.FRONT_VOLTAGE]))
+    late = watch(p.trip, x.trip, max(missing, is_missing(x.rear_hold, row[at.REAR_VOLTAGE])))
+    tripped = x.trip[TRIP]
+    grip = faulty.corrupt(p.faults, x.faults, faulty.GRIP, 1.0)
+    if p.faults[faulty.COUNT] > 0.0:
+        arrays.p.front_contact[clamping.STIFFNESS] = p.trip[STIFFNESS] * grip
+    front_least, rear_least = least_beside(x.front_hold, x.rear_hold), least_beside(x.rear_hold, x.front_hold)
+    really = inchworm_advance(
+        laws,
+        arrays.p,
+        arrays.x,
+        hold_voltage(p.hold, x.hold, voltage, tripped, -math.inf),
+        hold_voltage(p.front_hold, x.front_hold, row[at.FRONT_VOLTAGE], tripped, front_least),
+        hold_voltage(p.rear_hold, x.rear_hold, row[at.REAR_VOLTAGE], tripped, rear_least),
+    )
+    row[at.PLANT_VOLTAGE] = really
+    row[at.FRONT_PLANT_VOLTAGE] = arrays.x.front_limits[limiting.OUTPUT]
+    row[at.REAR_PLANT_VOLTAGE] = arrays.x.rear_limits[limiting.OUTPUT]
+    row[at.PLANT_MODE] = plant_mode(p.hold, x.hold, x.trip, late)
+    row[at.LATE] = x.trip[LATE]
+
+
+sense.kinds[ActuatorPlantArrays], actuate.kinds[ActuatorPlantArrays] = sense_actuator, actuate_actuator
+sense.kinds[MotorPlantArrays], actuate.kinds[MotorPlantArrays] = sense_motor, actuate_motor
+
+
+class Plant:
+    """What the plants of an axis have in common: the watch over their voltages.
+
+    Parameters
+    ----------
+    parameters : PlantNodeParameters
+        Checked on construction.
+
+    Attributes
+    ----------
+    arrays : named tuple
+        All arrays of the plant in the loop.
+    """
+
+    arrays: ActuatorPlantArrays | MotorPlantArrays
+
+    def __init__(self, parameters: PlantNodeParameters):
+        self.parameters = parameters
+        self._watch_p = PlantWatchArrays(
+            np.zeros(TRIP_PARAMETERS),
+            faulty.fault_parameters(parameters.faults, TARGETS, parameters.sample_rate),
+            *(np.zeros(4) for _ in range(3)),
+        )
+        self._watch_x = PlantWatchArrays(
+            np.zeros(TRIP_STATES), faulty.fault_state(self._watch_p.faults), *map(hold_state, self.resting_voltages)
+        )
+        self._pack(parameters)
+
+    @property
+    def resting_voltages(self) -> tuple[float, float, float]:
+        """Voltages [V] of the three inputs before any is received; what an actuator does not have is 0."""
+        return 0.0, 0.0, 0.0
+
+    @property
+    def safe_voltages(self) -> tuple[float, float, float]:
+        """Voltages [V] to which the three inputs go when theirs do not come."""
+        return self.parameters.safe_voltage, 0.0, 0.0
+
+    def _pack(self, parameters: PlantNodeParameters) -> None:
+        rate = parameters.sample_rate
+        p = self._watch_p
+        limit = float(parameters.allowed_late)
+        p.trip[LIMIT], p.trip[FORGIVEN] = limit, limit / rate
+        p.trip[DELAYED_LIMIT] = parameters.allowed_delayed
+        holds = (p.hold, p.front_hold, p.rear_hold)
+        for hold, safe, keeps in zip(holds, self.safe_voltages, (0.0, 1.0, 1.0), strict=True):
+            timeout = samples_of(parameters.voltage_timeout, rate)
+            hold[:] = safe, parameters.safe_slew_rate / rate, timeout, keeps
+
+    #: Why the plant has stopped the axis, when voltages are not the reason.
+    failure = ""
+
+    @property
+    def tripped(self) -> bool:
+        """Whether the plant has stopped the axis."""
+        return bool(self._watch_x.trip[TRIP])
+
+    @property
+    def late(self) -> int:
+        """Voltages so far that did not come in time."""
+        return int(self._watch_x.trip[LATE])
+
+    @property
+    def silent(self) -> bool:
+        """Whether voltages have not come for their time-out."""
+        holds = zip(self._watch_p[2:], self._watch_x[2:], strict=True)
+        return any(x[HELD_AGE] >= p[HOLD_TIMEOUT] for p, x in holds)
+
+    def set_behind(self, behind: bool) -> None:
+        """Say whether the voltages of this sample are the answer to an earlier one: then they are late."""
+        self._watch_x.trip[BEHIND] = 1.0 if behind else 0.0
+
+    def held(self, input_: int = 0) -> float:
+        """Voltage [V] that is put out on one of the inputs."""
+        return float(self._watch_x[2 + input_][HELD])
+
+    def inject(self, faults: tuple[str, ...]) -> None:
+        """Let these faults happen, their times counted from now on, and no others."""
+        p = faulty.fault_parameters(faults, TARGETS, self.parameters.sample_rate)
+        self._watch_p = self._watch_p._replace(faults=p)
+        self._watch_x = self._watch_x._replace(faults=faulty.fault_state(p))
+        self.arrays = self.arrays._replace(watch_p=self._watch_p, watch_x=self._watch_x)
+
+    def start(self) -> None:
+        """Let the axis go on after the plant has tripped."""
+        self._watch_x.trip[TRIP] = 0.0
+        self.forgive()
+
+    def forgive(self) -> None:
+        """Forget late voltages: only what follows counts."""
+        self._watch_x.trip[[IN_ROW, LEVEL, BEHIND, DELAYED]] = 0.0
+
+    def reset(self) -> None:
+        """Begin again at rest."""
+        x = self._watch_x
+        x.trip[:] = 0.0
+        x.faults[:] = faulty.fault_state(self._watch_p.faults)
+        for hold, voltage in zip(x[2:], self.resting_voltages, strict=True):
+            hold[:] = hold_state(voltage)
+
+    def retune(self, parameters: PlantNodeParameters) -> None:
+        """Take new parameters of the same structure while running.
+
+        Raises
+        ------
+        ParameterError
+            The parameters are wrong or of another structure; nothing is changed then.
+        """
+        self.parameters = parameters
+        self._pack(parameters)
+
+    def step_to_safe(self) -> bool:
+        """Take the voltage of a device a sample further towards its safe one; False when it is there."""
+        return False
+
+    def make_safe(self) -> None:
+        """Bring a device to its safe state."""
+
+    def close(self) -> None:
+        """Let go of a device."""
+
+
+class ActuatorPlant(Plant):
+    """One actuator.
+
+    Parameters
+    ----------
+    parameters : PlantNodeParameters
+        Of type actuator.
+    """
+
+    def __init__(self, parameters: PlantNodeParameters):
+        self.actuator = Actuator(part(parameters, ActuatorParameters), 1.0 / parameters.sample_rate)
+        super().__init__(parameters)
+        self.arrays = ActuatorPlantArrays(self.actuator.ps, self.actuator.xs, self._watch_p, self._watch_x)
+
+    @property
+    def kernels(self):
+        """Hysteresis of the plant for the loop: of the extender and of the clamps, which are not there."""
+        return (self.actuator.hysteresis_kernel,) * 3
+
+    @property
+    def resting_voltages(self) -> tuple[float, float, float]:
+        """Voltages [V] before any is received."""
+        return self.actuator.voltage, 0.0, 0.0
+
+    @property
+    def saturated(self) -> bool:
+        """Whether range or slew rate limited the last voltage."""
+        return self.actuator.saturated
+
+    @property
+    def limited_samples(self) -> int:
+        """Samples so far that range or slew rate limited."""
+        return self.actuator.limits.limited_samples
+
+    def reset(self) -> None:
+        """Begin again at rest."""
+        self.actuator.reset()
+        super().reset()
+
+    def retune(self, parameters: PlantNodeParameters) -> None:
+        """Take new parameters of the same structure while running."""
+        self.actuator.retune(part(parameters, ActuatorParameters))
+        super().retune(parameters)
+
+
+class MotorPlant(Plant):
+    """An inchworm motor: three voltages, four joints.
+
+    Parameters
+    ----------
+    parameters : PlantNodeParameters
+        Of type inchworm.
+    """
+
+    def __init__(self, parameters: PlantNodeParameters):
+        self.motor = Inchworm(part(parameters, InchwormPlantParameters), 1.0 / parameters.sample_rate)
+        super().__init__(parameters)
+        self.arrays = MotorPlantArrays(self.motor.ps, self.motor.xs, self._watch_p, self._watch_x)
+
+    def _pack(self, parameters: PlantNodeParameters) -> None:
+        super()._pack(parameters)
+        self._watch_p.trip[STIFFNESS] = self.motor.ps.front_contact[clamping.STIFFNESS]
+
+    @property
+    def kernels(self):
+        """Hysteresis of extender, front and rear clamp, for the loop."""
+        return self.motor.hysteresis_kernels
+
+    @property
+    def resting_voltages(self) -> tuple[float, float, float]:
+        """Voltages [V] before any is received."""
+        return self.motor.voltages
+
+    @property
+    def safe_voltages(self) -> tuple[float, float, float]:
+        """Voltages [V] without commands; a clamp stays where it is when that is higher."""
+        motor = self.parameters.inchworm
+        return self.parameters.safe_voltage, motor.front_clamp.initial_voltage, motor.rear_clamp.initial_voltage
+
+    @property
+    def saturated(self) -> bool:
+        """Whether range or slew rate limited one of the last voltages."""
+        return self.motor.saturated
+
+    @property
+    def limited_samples(self) -> int:
+        """Samples so far in which range or slew rate limited a voltage, summed over the three amplifiers."""
+        motor = self.motor
+        return sum(item.limits.limited_samples for item in (motor.extender, motor.front_clamp, motor.rear_clamp))
+
+    def reset(self) -> None:
+        """Begin again at rest, the clamps at their initial voltages."""
+        self.motor.reset()
+        super().reset()
+
+    def retune(self, parameters: PlantNodeParameters) -> None:
+        """Take new parameters of the same structure while running."""
+        self.motor.retune(part(parameters, InchwormPlantParameters))
+        super().retune(parameters)
+
+
+#: Plant of each ``type``.
+PLANTS = {"actuator": ActuatorPlant, "inchworm": MotorPlant}

@@ -1,0 +1,85 @@
+"""One sample of an axis, from measurement to voltage: the loop that every runner shares.
+
+plant (measure) → source → controller → compensator → plant (hold the voltage)
+
+Every part reads from the row of the sample what others have written and writes its own signals into it; the row's
+places are those of :mod:`hysteresis_ros.signals`. Offline a row is a line of the table of the run; a node has a row of
+its own, into which its messages are put.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from hysteresis_ros import signals as at
+from hysteresis_ros.block import kernels_of
+from hysteresis_ros.loop.compensator import CompensationArrays, compensate
+from hysteresis_ros.loop.controller import ControllerArrays, carried_out, control
+from hysteresis_ros.loop.plant import ActuatorPlantArrays, MotorPlantArrays, actuate, sense
+from hysteresis_ros.loop.source import GeneratorSourceArrays, SequencerSourceArrays, refer
+
+
+@kernels_of("kernel", "kernel", "kernel", "kernel", "controller", "kernel", "inverse")
+class Laws(NamedTuple):
+    """The kernels that make an axis that axis; where a part has no use for one, another stands in."""
+
+    hysteresis: Callable
+    front_hysteresis: Callable
+    rear_hysteresis: Callable
+    waveform: Callable
+    controller: Callable
+    model: Callable
+    inverse: Callable
+
+
+class Parts(NamedTuple):
+    """The arrays of an axis, part by part."""
+
+    plant: ActuatorPlantArrays | MotorPlantArrays
+    source: GeneratorSourceArrays | SequencerSourceArrays
+    controller: ControllerArrays
+    compensator: CompensationArrays
+
+
+#: Which part of each sample :func:`ticks` makes: all of it, or one step after the other: measuring, answering, and
+#: telling the controller what was carried out.
+WHOLE, MEASURE, ANSWER, CONFIRM = range(4)
+
+#: What of a sample may have been done when something changes: nothing, measuring, answering.
+BEFORE, MEASURED, ANSWERED = "", "measured", "answered"
+
+
+def ticks(laws, parts, asked, columns, row, what):
+    """Make ``columns.shape[1]`` samples; all states go on in place.
+
+    What stands in the loop is one tick. It is no function of its own: compiled, that would be made twice.
+
+    Parameters
+    ----------
+    laws : Laws
+    parts : Parts
+    asked : ndarray, shape (M,)
+        Places of the signals that people ask for, which stand in the columns before.
+    columns : ndarray, shape (row length, N)
+        A column of the run for each signal; what people did not ask for is filled in.
+    row : ndarray, shape (row length,)
+        The row of the present sample.
+    what : int
+        ``WHOLE``; or, of a single sample that is made in steps, ``MEASURE``, ``ANSWER`` and ``CONFIRM``.
+    """
+    for k in range(columns.shape[1]):
+        for i in range(asked.shape[0]):
+            place = int(asked[i])
+            row[place] = columns[place, k]
+        if what in (WHOLE, MEASURE):
+            sense(laws, parts.plant, row)
+        if what in (WHOLE, ANSWER):
+            refer(laws, parts.source, row)
+            control(laws, parts.controller, row)
+            compensate(laws, parts.compensator, row)
+            actuate(laws, parts.plant, row)
+        if what in (WHOLE, CONFIRM):
+            carried_out(parts.controller, row[at.APPLIED])
+        for i in range(row.shape[0]):
+            columns[i, k] = row[i]

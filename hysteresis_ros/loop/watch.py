@@ -1,0 +1,188 @@
+"""What a part of the loop does about inputs that are missing, late or wrong; everything is counted in samples.
+
+An input that is not there is NaN: nothing came, or what came cannot be used. :func:`accept` decides that for
+measurements and commands, :func:`hold_voltage` for the voltage of an amplifier. What a part then does is its *mode*.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from hysteresis_ros.block import called, kernel
+
+#: Modes of a part: as it should be; no usable input in this sample, the last output stays; none for too long, the
+#: output goes to its safe value; told to stop, likewise; the plant has stopped the axis, likewise; nobody carries
+#: commands out, they follow the displacement.
+RUNNING, HOLDING, STALE, STOPPED, TRIPPED, FOLLOWING = range(6)
+MODE_NAMES = ("running", "holding", "stale", "stopped", "tripped", "following")
+
+
+class WatchArrays(NamedTuple):
+    """Parameter arrays, or state arrays, with which a part watches its inputs."""
+
+    guard: np.ndarray
+    faults: np.ndarray
+    own: np.ndarray
+
+
+# Parameters of a guard.
+TIMEOUT = 0  # samples without a good value after which the input is stale
+SPIKE = 1  # largest change from one good value to the next, 0: any
+CONFIRM = 2  # samples in a row that must be beyond it to be believed
+FROZEN = 3  # equal values in a row from which on a sensor is taken to be frozen, 0: never
+GUARD_PARAMETERS = 4
+
+# State of a guard.
+GOOD = 0  # last good value
+AGE = 1  # samples since then
+BEGUN = 2  # 1 after the first good value
+STAMP = 3  # its number
+SUSPECTS = 4  # values in a row that were taken for spikes
+SAME = 5  # equal values in a row
+LAST = 6  # last value, good or not
+REJECTED = 7  # values so far that were not used
+GUARD_STATES = 8
+
+
+def guard_parameters(timeout: float, sample_rate: float, spike: float = 0.0, confirm: int = 3, frozen: int = 0):
+    """Return the parameter array of a guard.
+
+    Parameters
+    ----------
+    timeout : float
+        Time without a good value after which the input is stale [s].
+    sample_rate : float
+        [Hz]
+    spike : float
+        Largest believable change from one value to the next (unit of the input), 0: any.
+    confirm : int
+        Samples in a row after which a larger change is believed.
+    frozen : int
+        Equal values in a row from which on they are not used any more, 0: never.
+    """
+    return np.array([samples_of(timeout, sample_rate), spike, confirm, frozen], dtype=float)
+
+
+def samples_of(duration: float, sample_rate: float) -> float:
+    """Return a duration [s] in whole samples, at least one."""
+    return float(max(round(duration * sample_rate), 1))
+
+
+@called
+def accept(p, x, value, stamp):
+    """Return ``value`` when it can be used, NaN otherwise.
+
+    Not used are values that are not finite, that do not follow the last one (``stamp``, the number of the sample they
+    are of), that jump further than is believed, and those of a sensor that is frozen. After a time-out the next value
+    is taken whatever it is: nothing is known any more that could contradict it.
+
+    Parameters
+    ----------
+    p, x : ndarray
+        Parameters and state of the guard.
+    value : float
+    stamp : float
+        Number of the sample at which the value was taken.
+    """
+    usable = value - value == 0.0
+    stale = x[AGE] >= p[TIMEOUT]
+    if usable and x[BEGUN] != 0.0:
+        if stamp <= x[STAMP] and not stale:
+            usable = False
+        if p[FROZEN] > 0.0:
+            x[SAME] = x[SAME] + 1.0 if value == x[LAST] else 0.0
+            if x[SAME] >= p[FROZEN]:
+                usable = False
+        if p[SPIKE] > 0.0 and usable and not stale and abs(value - x[GOOD]) > p[SPIKE]:
+            x[SUSPECTS] += 1.0
+            if x[SUSPECTS] < p[CONFIRM]:
+                usable = False
+        x[LAST] = value
+    if not usable:
+        x[REJECTED] += 1.0
+        if x[BEGUN] != 0.0:
+            x[AGE] += 1.0
+        return math.nan
+    x[GOOD] = value
+    x[LAST] = value
+    x[AGE] = 0.0
+    x[SUSPECTS] = 0.0
+    x[STAMP] = stamp
+    x[BEGUN] = 1.0
+    return value
+
+
+@kernel
+def is_stale(p, x):
+    """Tell whether a guard has had no good value for its time-out; never before the first one."""
+    return x[AGE] >= p[TIMEOUT]
+
+
+@kernel
+def towards(value, target, step):
+    """Return ``value`` moved towards ``target`` by at most ``step``."""
+    return value + min(max(target - value, -step), step)
+
+
+# Parameters of a held voltage.
+SAFE = 0  # [V]
+SAFE_STEP = 1  # [V] a sample
+HOLD_TIMEOUT = 2  # samples
+KEEP = 3  # 1: the safe voltage is never below what is put out, as with a clamp that must not open
+HOLD_PARAMETERS = 4
+
+# State of a held voltage.
+HELD = 0  # what is put out [V]
+GIVEN = 1  # last voltage that came [V]
+HELD_AGE = 2  # samples since then
+HELD_BEGUN = 3  # 1 once one came
+FOLLOWS = 4  # 1 while the output is what comes
+HOLD_STATES = 5
+
+
+@called
+def hold_voltage(p, x, voltage, stopped, least):
+    """Return the voltage [V] to put out for a sample, given the one that came in time (NaN: none).
+
+    It is the last one that came. After the time-out, and while ``stopped`` is not 0, it goes to the safe voltage by at
+    most a step a sample, and back to what comes in the same way. While what is wanted is below ``least``, it goes there
+    instead.
+    """
+    if voltage - voltage == 0.0:
+        x[GIVEN] = voltage
+        x[HELD_AGE] = 0.0
+        x[HELD_BEGUN] = 1.0
+    elif x[HELD_BEGUN] != 0.0:
+        x[HELD_AGE] += 1.0
+    target = x[GIVEN]
+    silent = stopped != 0.0 or x[HELD_AGE] >= p[HOLD_TIMEOUT]
+    if silent:
+        x[FOLLOWS] = 0.0
+        target = max(p[SAFE], x[HELD]) if p[KEEP] != 0.0 else p[SAFE]
+    if target < least:
+        x[FOLLOWS] = 0.0
+        target = least
+    if x[FOLLOWS] != 0.0:
+        x[HELD] = target
+        return target
+    x[HELD] = towards(x[HELD], target, p[SAFE_STEP])
+    if not silent and x[HELD] == x[GIVEN]:
+        x[FOLLOWS] = 1.0
+    return x[HELD]
+
+
+@kernel
+def least_beside(x, other):
+    """Return the least voltage [V] of a clamp: what it has, while the ``other`` one is below what it was sent to.
+
+    Who sends them opens one when it has sent the other to close; after a stop that one may still be on its way.
+    """
+    return x[HELD] if other[HELD] < other[GIVEN] else -math.inf
+
+
+def hold_state(voltage: float) -> np.ndarray:
+    """Return the state of a held voltage that has put out ``voltage`` [V] before any came."""
+    return np.array([voltage, voltage, 0.0, 0.0, 1.0])

@@ -1,0 +1,79 @@
+"""The hysteresis models for notebooks: ``hr.models.BoucWen(d_e=…, alpha=…)``, a class for each model there is."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from hysteresis_ros.keywords import block_class, class_name, samples
+from hysteresis_ros.models.declaration import HysteresisBlock
+from hysteresis_ros.models.hysteresis import MODELS
+
+
+class Hysteresis(HysteresisBlock):  # numpydoc ignore=PR02
+    """A hysteresis model from voltage [V] to displacement [m]; base of the classes in ``hr.models``.
+
+    Parameters
+    ----------
+    parameters : Parameters
+        Typed parameters, checked on construction.
+    sample_time : float
+        Sample time [s].
+    """
+
+    #: Name of the model in the registry: ``hysteresis.type`` of the parameter files.
+    type = ""
+
+    @classmethod
+    def example(cls, sample_time: float = 1e-3) -> Hysteresis:
+        """Return the model with a working set of parameters for 0 … 100 V.
+
+        Parameters
+        ----------
+        sample_time : float
+            [s]
+
+        Returns
+        -------
+        Hysteresis
+            At rest.
+        """
+        return cls(MODELS[cls.type].example, sample_time=sample_time)
+
+    def simulate(self, u: ArrayLike) -> np.ndarray:
+        """Return the displacement under a voltage; the state goes on from where it was.
+
+        Parameters
+        ----------
+        u : array_like, shape (N,)
+            Voltage at each sample [V].
+
+        Returns
+        -------
+        ndarray, shape (N,)
+            Displacement [m].
+
+        Raises
+        ------
+        HysteresisError
+            The voltage is no one-dimensional array of numbers.
+        """
+        return super().simulate(samples("voltage", u))
+
+
+def _made(name: str) -> type[Hysteresis]:
+    model = MODELS[name]
+    title = model.title[:1].upper() + model.title[1:]
+    made: type[Hysteresis] = block_class(
+        class_name(name),
+        (Hysteresis, model.block),
+        model.parameters,
+        module="hysteresis_ros.models",
+        summary=f"{title}.",
+    )
+    made.type = name
+    return made
+
+
+#: The classes by name.
+CLASSES: dict[str, type[Hysteresis]] = {class_name(name): _made(name) for name in MODELS}

@@ -1,0 +1,257 @@
+"""What a hysteresis model declares, so that the rest of the package needs to know nothing else of it.
+
+A model is one file, or one folder, in ``models/hysteresis``. It holds the parameters, the law and ``MODEL``, a
+:class:`HysteresisModel`; the registry of :mod:`hysteresis_ros.models.hysteresis` finds it.
+``docs/extending.md`` adds one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from hysteresis_ros.block import Block
+from hysteresis_ros.errors import IdentificationError, did_you_mean
+from hysteresis_ros.parameters import ParameterRow, Parameters
+
+#: Parts of the linear model that can be found together with a hysteresis.
+PARTS = ("lag", "delay", "creep")
+#: Fits the parameters a model declares as ``free`` from its ``guess`` on.
+PARAMETRIC = "hysteresis_ros.identification.parametric:identify"
+
+
+class HysteresisBlock(Block):
+    """Base of the blocks of all hysteresis models, voltage [V] to displacement [m].
+
+    Subclasses set ``kernel`` and, where there is a closed form, ``inverse``; they implement ``pack``,
+    ``initial_state``, ``gain`` and, where there is a history to go on from, ``rebase``.
+
+    Parameters
+    ----------
+    parameters : Parameters
+        Typed parameters, checked on construction.
+    sample_time : float
+        Sample time [s].
+    """
+
+    #: Closed-form inverse, a kernel with the arguments of every inverse; None: there is none.
+    inverse = None  # type: Any
+    #: Whether the output depends on the order of the voltages only, not on their speed.
+    rate_independent = False
+
+    @property
+    def gain(self) -> float:
+        """Nominal gain [m/V]."""
+        raise TypeError(f"{type(self).__name__} does not say what its nominal gain is")
+
+    def rebase(self) -> None:
+        """Make the model go on from the present point with changed parameters; nothing to do by default."""
+
+
+@dataclass(frozen=True)
+class Option:
+    """One option of an identification.
+
+    Parameters
+    ----------
+    kind : type
+        int, float or str.
+    description : str
+    choices : tuple of str
+        Of a str.
+    low, high : float, optional
+        Range of a number, both ends allowed.
+    """
+
+    kind: type
+    description: str
+    choices: tuple[str, ...] = ()
+    low: float | None = None
+    high: float | None = None
+
+    def convert(self, name: str, text: str):
+        """Return the value of ``text``.
+
+        Raises
+        ------
+        IdentificationError
+            It is no such value; the message says what is allowed.
+        """
+        try:
+            value = self.kind(text)
+        except ValueError:
+            raise IdentificationError(f"option {name} = {text!r}: must be a {self.kind.__name__}") from None
+        if self.choices and value not in self.choices:
+            near = did_you_mean(value, self.choices)
+            raise IdentificationError(f"option {name} = {text!r}: must be one of {', '.join(self.choices)}{near}")
+        if isinstance(value, float) and not math.isfinite(value):
+            raise IdentificationError(f"option {name} = {text!r}: must be finite")
+        if self.low is not None and value < self.low:
+            raise IdentificationError(f"option {name} = {text!r}: must be {self.low:g} or more")
+        if self.high is not None and value > self.high:
+            raise IdentificationError(f"option {name} = {text!r}: must be {self.high:g} or less")
+        return value
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """How a plant deviates from its model: factors near 1.
+
+    Parameters
+    ----------
+    gain : float
+        On the displacement.
+    opening : float
+        On the opening of the loops.
+    factor : callable
+        ``factor()`` draws one more factor, ``factor(n)`` an array of n.
+    """
+
+    gain: float
+    opening: float
+    factor: Callable[..., Any]
+
+
+@dataclass(frozen=True)
+class OwnInverse:
+    """An inverse that a model brings along besides the closed form of its block; a choice of ``inverse.type``.
+
+    Parameters
+    ----------
+    kernel : kernel
+        ``inverse(hysteresis, p_i, x_i, p_h, x_h, displacement)``; it does not use ``hysteresis``.
+    description : str
+        A few words for the table of parameters.
+    follows_model : bool
+        It works on the state of this model and fits no other one. False: it has an equation of its own, given by
+        ``parameters`` and ``block``, and stands before any model.
+    parameters : type, optional
+        Dataclass of its parameters, ``inverse.<name>.*``.
+    block : type, optional
+        Block of those parameters; its ``p`` and ``x`` are what the kernel gets as ``p_i`` and ``x_i``.
+    """
+
+    kernel: Callable
+    description: str
+    follows_model: bool = True
+    parameters: type[Parameters] | None = None
+    block: type[Block] | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class HysteresisModel:
+    """Declaration of a hysteresis model.
+
+    Parameters
+    ----------
+    name : str
+        ``hysteresis.type`` in the parameter files, and the prefix of its parameters there.
+    title : str
+        What it is, in one line.
+    data : str
+        What data an identification needs.
+    parameters : type
+        Dataclass of its parameters. Where arrays may have any length it has a property ``structure``: a dict of name
+        to size, which is fixed while running.
+    block : type
+        Block with its law, its closed-form inverse if any, and whether it is rate independent.
+    example : Parameters
+        A working set of parameters for 0 … 100 V, of which ``hysteresis models NAME --yaml`` makes an axis.
+    scaled : callable
+        ``scaled(parameters, factor)`` returns the parameters whose displacement is ``factor`` > 0 times as large.
+    shifted : callable, optional
+        ``shifted(parameters, offset)`` returns those whose displacement is larger by ``offset`` [m]; without it the
+        model has no constant.
+    deviated : callable
+        ``deviated(parameters, deviation)`` returns the parameters of a plant that deviates by a :class:`Deviation`.
+    inverses : tuple of str
+        Inverses that fit, the default first.
+    own_inverses : dict of str to OwnInverse
+        Those it brings along.
+    identify : str
+        Dotted path ``package.module:function`` of ``identify(data, request)``, see
+        :mod:`hysteresis_ros.identification.procedures`. By default ``free`` is fitted by least squares.
+    guess : callable, optional
+        ``guess(voltage, displacement)`` returns parameters from which the default fit starts.
+    free : tuple of str
+        Names of the single numbers that the default fit changes.
+    options : dict of str to Option
+        Of the identification. With the default fit: initial values of the free parameters.
+    parts : tuple of str
+        Of :data:`PARTS`: what may be found behind it together with it.
+    stages : bool
+        Linear dynamics of higher order may be identified behind it.
+    response : str
+        Of models that are not rate independent: dotted path of ``response(parameters, voltage, sample_time,
+        intersample, initial)``, which returns the displacement [m] at the samples.
+    """
+
+    name: str
+    title: str
+    data: str
+    parameters: type[Parameters]
+    block: type[HysteresisBlock]
+    example: Parameters
+    scaled: Callable[[Any, float], Parameters]
+    deviated: Callable[[Any, Deviation], Parameters]
+    inverses: tuple[str, ...]
+    shifted: Callable[[Any, float], Parameters] | None = None
+    own_inverses: dict[str, OwnInverse] = field(default_factory=dict)
+    identify: str = PARAMETRIC
+    guess: Callable[[Any, Any], Parameters] | None = None
+    free: tuple[str, ...] = ()
+    options: dict[str, Option] = field(default_factory=dict)
+    parts: tuple[str, ...] = PARTS
+    stages: bool = True
+    response: str = ""
+
+    def __post_init__(self):
+        """Refuse a declaration that lacks what its other parts need."""
+        if self.identify == PARAMETRIC:
+            if self.guess is None or not self.free:
+                raise TypeError(f"{self.name}: declare guess and free, or identify")
+            initial = {row.name: row for row in self.rows() if row.type is float}
+            if not set(self.free) <= set(initial):
+                raise TypeError(f"{self.name}: free = {self.free}: must be of the single numbers {', '.join(initial)}")
+            options = {name: Option(float, f"initial value{_unit(initial[name])}") for name in self.free}
+            object.__setattr__(self, "options", options)
+        if not self.block.rate_independent and not self.response:
+            raise TypeError(f"{self.name} is not rate independent: declare response, which predicts it")
+
+    def rows(self) -> list[ParameterRow]:
+        """Return the rows of the table of its parameters."""
+        return self.parameters.table()
+
+
+def _unit(row: ParameterRow) -> str:
+    return f" [{row.unit}]" if row.unit else ""
+
+
+def times(parameters, factor: float, *names: str):
+    """Return parameters of which those with these names, numbers or tuples of numbers, are multiplied by a factor.
+
+    Parameters
+    ----------
+    parameters : Parameters
+    factor : float
+    *names : str
+    """
+    changed: dict[str, Any] = {}
+    for name in names:
+        value = getattr(parameters, name)
+        changed[name] = tuple(item * factor for item in value) if isinstance(value, tuple) else value * factor
+    return replace(parameters, **changed)
+
+
+def plus(parameters, offset: float, *names: str):
+    """Return parameters of which those with these names are larger by an offset.
+
+    Parameters
+    ----------
+    parameters : Parameters
+    offset : float
+    *names : str
+    """
+    return replace(parameters, **{name: getattr(parameters, name) + offset for name in names})

@@ -1,0 +1,96 @@
+"""The hysteresis models: each in one file or folder here, found by itself; and the choice of one by name, for YAML.
+
+The folder holds nothing else. What a model declares is described in :mod:`hysteresis_ros.models.declaration`.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+from hysteresis_ros.errors import ParameterError, Problem
+from hysteresis_ros.models.declaration import HysteresisBlock, HysteresisModel
+from hysteresis_ros.models.rate_independent import require_structure
+from hysteresis_ros.parameters import Parameters, parameter, variants
+from hysteresis_ros.registry import discover
+
+#: The models by name.
+MODELS: dict[str, HysteresisModel] = discover(__name__, "MODEL", HysteresisModel, "hysteresis_ros.models")
+
+
+@dataclass(frozen=True)
+@variants("type", {name: model.parameters for name, model in MODELS.items()})
+class HysteresisParameters(Parameters):
+    """Type of the hysteresis model and the parameters of each, in a group of the model's name."""
+
+    type: str = parameter(description="hysteresis model", choices=tuple(MODELS), read_only=True)
+
+    if TYPE_CHECKING:
+
+        def __init__(self, type: str = ..., **models: Parameters): ...
+
+        def __getattr__(self, name: str) -> Any: ...
+
+    @property
+    def model(self) -> HysteresisModel:
+        """Declaration of the chosen model."""
+        return MODELS[self.type]
+
+    @property
+    def chosen(self) -> Parameters:
+        """Parameters of the chosen model."""
+        return getattr(self, self.type)
+
+    def changed(self, chosen: Parameters) -> HysteresisParameters:
+        """Return the same with other parameters of the chosen model.
+
+        Parameters
+        ----------
+        chosen : Parameters
+        """
+        values: dict[str, Any] = {self.type: chosen}
+        return replace(self, **values)
+
+    def scaled(self, factor: float) -> HysteresisParameters:
+        """Return the hysteresis with its displacement multiplied by ``factor``.
+
+        Parameters
+        ----------
+        factor : float
+            Above 0.
+        """
+        return self.changed(self.model.scaled(self.chosen, factor))
+
+    def shifted(self, offset: float) -> HysteresisParameters:
+        """Return the hysteresis with ``offset`` [m] added to its displacement; itself where the model has no constant.
+
+        Parameters
+        ----------
+        offset : float
+            [m]
+        """
+        shifted = self.model.shifted
+        return self if shifted is None else self.changed(shifted(self.chosen, offset))
+
+    def require_same(self, present: HysteresisParameters) -> None:
+        """Raise ParameterError when type or sizes are not the ``present`` ones: they cannot change while running."""
+        if self.type != present.type:
+            raise ParameterError(
+                [Problem("hysteresis.type", self.type, f"is fixed while running: keep {present.type}")]
+            )
+        require_structure(present.chosen, self.chosen)
+
+
+def hysteresis_block(parameters: HysteresisParameters, sample_time: float) -> HysteresisBlock:
+    """Return the block of the chosen model.
+
+    It has, beside what every block has, ``gain`` [m/V], ``inverse`` (closed-form inverse or None),
+    ``rate_independent`` and ``rebase()``.
+
+    Raises
+    ------
+    ParameterError
+        The type or the parameters of the chosen model are wrong.
+    """
+    parameters = parameters.validated()
+    return parameters.model.block(parameters.chosen, sample_time)

@@ -1,0 +1,301 @@
+"""Bouc-Wen hysteresis: displacement x = d_e V - h with a hysteretic part h of any exponent n (B3).
+
+``dh/dt = α dV/dt - β |dV/dt| h |h|^(n-1) - γ dV/dt |h|^n`` does not contain time but through V: along a monotone step,
+with σ = |V - V_0| and g = ±h counted positive in the direction of motion,
+
+``dg/dσ = α - (β + γ) g^n`` for g > 0 and ``dg/dσ = α + (β - γ) |g|^n`` for g < 0.
+
+For n = 1 both pieces are exponentials, which are evaluated exactly, including the voltage at which g passes zero. For
+other exponents each piece is integrated by the classical Runge-Kutta method in substeps over which the right-hand side
+changes by at most :data:`CURVATURE` of itself; the zero is located, so that no substep spans the kink there. Against
+a solution of 12 digits the error stays below 1e-6 of the stroke for steps of any size, and below 1e-9 for 300 steps a
+sweep.
+
+The paper prints |dV/dt| V in place of |dV/dt| h; read so, the output runs away.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hysteresis_ros import elementary
+from hysteresis_ros.block import kernel
+from hysteresis_ros.errors import Problem
+from hysteresis_ros.models.declaration import Deviation, HysteresisModel, Option, OwnInverse, times
+from hysteresis_ros.models.rate_independent import DISPLACEMENT, VOLTAGE, RateIndependentBlock
+from hysteresis_ros.parameters import Parameters, parameter
+
+# Layout of p.
+D_E = 0
+ALPHA = 1
+BETA = 2
+GAMMA = 3
+EXPONENT = 4
+
+# Layout of x, after VOLTAGE and DISPLACEMENT.
+H = 2
+STATES = 3
+
+#: Largest change of the right-hand side over one substep, as a part of itself (exponents other than 1).
+CURVATURE = 0.005
+#: Most substeps of one step: a step across more than the whole range saturates anyway.
+MOST_SUBSTEPS = 20000
+#: Outside the bounded class h may grow by a factor of up to e^RUNAWAY in one step and no more, so that it stays finite.
+RUNAWAY = 600.0
+#: Newton's steps; three or four suffice where the loop is monotone.
+MOST_NEWTON_STEPS = 50
+TOLERANCE = 4.0e-16
+
+
+@dataclass(frozen=True)
+class BoucWenParameters(Parameters):
+    """Parameters of the static Bouc-Wen element (B3, eqs 5-8), SI units."""
+
+    d_e: float = parameter(description="elastic gain d_e of x = d_e V - h", unit="m/V", low=1e-15)
+    alpha: float = parameter(description="α: slope of h where it passes zero", unit="m/V", low=0.0)
+    beta: float = parameter(description="β of -β |dV| h |h|^(n-1)", unit="1/V (m^(1-n)/V for exponent n)")
+    gamma: float = parameter(description="γ of -γ dV |h|^n", unit="1/V (m^(1-n)/V for exponent n)")
+    exponent: float = parameter(1.0, description="exponent n; 1 is integrated in closed form", low=1.0, high=20.0)
+
+    def check(self):
+        """Yield a Problem when the displacement would fall with rising voltage from the very start."""
+        if self.alpha >= self.d_e:
+            yield Problem(
+                "alpha", self.alpha, f"must be below d_e = {self.d_e:g} m/V; the virgin curve falls otherwise"
+            )
+
+    def warnings(self, prefix: str = "") -> tuple[str, ...]:
+        """Return a sentence for each doubt: outside the bounded class (β + γ > 0, β - γ >= 0), loops not monotone.
+
+        Parameters
+        ----------
+        prefix : str
+            Put before the names of the parameters.
+        """
+        total = self.beta + self.gamma
+        found = []
+        if total <= 0.0:
+            found.append(
+                f"{prefix}beta + {prefix}gamma = {total:.4g}: not above 0, outside the bounded class of Bouc-Wen "
+                "models; h grows without bound and loops ratchet from cycle to cycle; do not use it beyond the data"
+            )
+        elif self.beta < self.gamma:
+            found.append(
+                f"{prefix}beta - {prefix}gamma = {self.beta - self.gamma:.4g}: below 0, h may leave its bound "
+                "(α/(β + γ))^(1/n) after a reversal"
+            )
+        steepest = 2.0 * self.alpha * self.beta / total if total > 0.0 else 0.0
+        if steepest >= self.d_e:
+            found.append(
+                f"{prefix}d_e = {self.d_e:.4g} m/V: not above 2 α β/(β + γ) = {steepest:.4g}; "
+                "large loops are not monotone at their reversals, where no inverse is unique"
+            )
+        return tuple(found)
+
+
+@kernel
+def exponential_step(g, slope, rate, distance):
+    """Solution of g' = slope - rate g after ``distance``; also for rate 0."""
+    exponent = max(rate * distance, -RUNAWAY)
+    if exponent == 0.0:
+        return g + slope * distance
+    fall = -elementary.expm1(-exponent)
+    return g - g * fall + slope * (fall / rate)
+
+
+@kernel
+def _linear_advance(p, g, distance):
+    """Value of g after ``distance`` [V] for exponent 1, in closed form."""
+    alpha = p[ALPHA]
+    if g < 0.0:
+        rate = p[BETA] - p[GAMMA]
+        if alpha > 0.0:
+            part = -rate * g / alpha  # the zero is at log1p(part)/rate; for part <= -1 g runs away from it
+            if part > -1.0:
+                zero = -g / alpha if part == 0.0 else elementary.log1p(part) / rate
+                if zero < distance:
+                    return exponential_step(0.0, alpha, p[BETA] + p[GAMMA], distance - zero)
+        return exponential_step(g, alpha, rate, distance)
+    return exponential_step(g, alpha, p[BETA] + p[GAMMA], distance)
+
+
+@kernel
+def slope_of_h(p, g):
+    """Slope dg/dσ [m/V] of the hysteretic part, g counted positive in the direction of motion."""
+    n = p[EXPONENT]
+    size = abs(g)
+    power = size if n == 1.0 else elementary.pow(size, n)
+    if g > 0.0:
+        return p[ALPHA] - (p[BETA] + p[GAMMA]) * power
+    return p[ALPHA] + (p[BETA] - p[GAMMA]) * power
+
+
+@kernel
+def _runge_kutta(alpha, rate, n, g, step):
+    """One step of g' = alpha - rate |g|^n."""
+    k1 = alpha - rate * elementary.pow(abs(g), n)
+    k2 = alpha - rate * elementary.pow(abs(g + 0.5 * step * k1), n)
+    k3 = alpha - rate * elementary.pow(abs(g + 0.5 * step * k2), n)
+    k4 = alpha - rate * elementary.pow(abs(g + step * k3), n)
+    return g + step * ((k1 + k4) + 2.0 * (k2 + k3)) / 6.0
+
+
+@kernel
+def _power_advance(p, g, distance):
+    """Value of g after ``distance`` [V] for any exponent, by Runge-Kutta steps on each side of zero."""
+    alpha, n = p[ALPHA], p[EXPONENT]
+    left = distance
+    for _ in range(MOST_SUBSTEPS):
+        negative = g < 0.0
+        rate = p[GAMMA] - p[BETA] if negative else p[BETA] + p[GAMMA]
+        size = abs(g)
+        if not negative:
+            size += alpha * left
+            if rate > 0.0:
+                size = min(size, max(g, elementary.pow(alpha / rate, 1.0 / n)))
+        lipschitz = n * abs(rate) * elementary.pow(size, n - 1.0)
+        step = left if lipschitz * left <= CURVATURE else CURVATURE / lipschitz
+        after = _runge_kutta(alpha, rate, n, g, step)
+        if negative and after > 0.0 and alpha > 0.0:
+            for _ in range(6):  # Newton on the length of the substep that ends at zero, where the slope is alpha
+                step -= _runge_kutta(alpha, rate, n, g, step) / alpha
+            after = 0.0
+        g = after
+        left -= step
+        if left <= 0.0:
+            break
+    return g
+
+
+@kernel
+def hysteretic_part(p, x, u):
+    """Value of h [m] after the voltage has moved monotonically from that in ``x`` to ``u`` [V]; x is left alone."""
+    direction = 1.0 if u > x[VOLTAGE] else -1.0
+    distance = abs(u - x[VOLTAGE])
+    if p[EXPONENT] == 1.0:
+        return direction * _linear_advance(p, direction * x[H], distance)
+    return direction * _power_advance(p, direction * x[H], distance)
+
+
+@kernel
+def bouc_wen(p, x, u):
+    """Displacement [m] after the voltage has moved monotonically to ``u`` [V]; NaN leaves everything as it is."""
+    if not abs(u - x[VOLTAGE]) > 0.0:
+        return x[DISPLACEMENT]
+    x[H] = hysteretic_part(p, x, u)
+    x[VOLTAGE] = u
+    x[DISPLACEMENT] = p[D_E] * u - x[H]
+    return x[DISPLACEMENT]
+
+
+@kernel
+def multiplicative(hysteresis, p_i, x_i, p_h, x_h, displacement):
+    """Voltage [V] that solves V = (ψ + h(V))/d_e, h being the hysteretic part after the step to V itself (B5).
+
+    The inverse multiplicative structure of Auwal et al., solved by Newton's method with the slope of h from the
+    model's own equation. Where the loop is not monotone (see the warnings of the parameters) a step V = (ψ + h)/d_e
+    takes its place. ``x_h`` is left as it is.
+
+    Parameters
+    ----------
+    hysteresis : kernel
+        Not used: the model is :func:`bouc_wen`.
+    p_i, x_i : ndarray
+        Not used.
+    p_h, x_h : ndarray
+        Parameters and state of the Bouc-Wen model.
+    displacement : float
+        Wanted output ψ [m]; NaN gives the last voltage.
+    """
+    start = x_h[VOLTAGE]
+    if not abs(displacement - x_h[DISPLACEMENT]) > 0.0:
+        return start
+    direction = 1.0 if displacement > x_h[DISPLACEMENT] else -1.0
+    d_e = p_h[D_E]
+    voltage, h = start, x_h[H]
+    for _ in range(MOST_NEWTON_STEPS):
+        change = (displacement + h) / d_e - voltage
+        slope = 1.0 - slope_of_h(p_h, direction * h) / d_e
+        if slope > 1e-3:
+            change /= slope
+        following = voltage + change
+        if direction * (following - start) < 0.0:
+            following = start  # the solution lies ahead
+        moved = abs(following - voltage)
+        voltage = following
+        if moved <= TOLERANCE * (abs(voltage) + abs(voltage - start)):
+            break
+        h = hysteretic_part(p_h, x_h, voltage)
+    return voltage
+
+
+class BoucWenHysteresis(RateIndependentBlock):
+    """Static Bouc-Wen element: voltage [V] to displacement [m].
+
+    It has no closed-form inverse; the inverses ``multiplicative`` and ``general`` are exact to rounding.
+
+    Parameters
+    ----------
+    parameters : BoucWenParameters
+        d_e, α, β, γ and n.
+    sample_time : float
+        Sample time [s], not used.
+    """
+
+    kernel = staticmethod(bouc_wen)
+
+    def pack(self, parameters: BoucWenParameters) -> np.ndarray:
+        """Return p, shape (5,)."""
+        return np.array([parameters.d_e, parameters.alpha, parameters.beta, parameters.gamma, parameters.exponent])
+
+    def initial_state(self) -> np.ndarray:
+        """Return x, shape (3,): 0 V, h = 0."""
+        return np.zeros(STATES)
+
+    @property
+    def gain(self) -> float:
+        """Nominal gain [m/V]: slope d_e - α of the virgin curve at its start."""
+        return float(self.p[D_E] - self.p[ALPHA])
+
+    def rebase(self) -> None:
+        """Take up the present point with the hysteretic part, so that changed parameters do not move the output."""
+        self.x[H] = self.p[D_E] * self.x[VOLTAGE] - self.x[DISPLACEMENT]
+
+
+def _scaled(parameters: BoucWenParameters, factor: float) -> BoucWenParameters:
+    rate = factor ** (1.0 - parameters.exponent)
+    return times(times(parameters, factor, "d_e", "alpha"), rate, "beta", "gamma")
+
+
+def _deviated(parameters: BoucWenParameters, deviation: Deviation) -> BoucWenParameters:
+    rates = np.array([parameters.alpha, parameters.beta, parameters.gamma]) * deviation.factor(3)
+    alpha, beta, gamma = rates.tolist()
+    alpha = alpha * deviation.gain * deviation.opening
+    return replace(parameters, d_e=parameters.d_e * deviation.gain, alpha=alpha, beta=beta, gamma=gamma)
+
+
+MODEL = HysteresisModel(
+    name="bouc_wen",
+    title="static Bouc-Wen element by Nelder-Mead with several starts",
+    data="slow loops that start at rest at 0 V",
+    parameters=BoucWenParameters,
+    block=BoucWenHysteresis,
+    example=BoucWenParameters(d_e=0.14e-6, alpha=0.05e-6, beta=0.03, gamma=0.01),
+    scaled=_scaled,
+    deviated=_deviated,
+    inverses=("multiplicative", "general", "picard_steps", "none"),
+    own_inverses={"multiplicative": OwnInverse(multiplicative, "of bouc_wen")},
+    identify="hysteresis_ros.identification.procedures:bouc_wen",
+    options={
+        "d_e": Option(float, "initial guess [m/V]"),
+        "alpha": Option(float, "initial guess [m/V]"),
+        "beta": Option(float, "initial guess [1/V]"),
+        "gamma": Option(float, "initial guess [1/V]"),
+        "exponent": Option(float, "exponent n, not fitted", low=1.0, high=20.0),
+        "starts": Option(int, "starts of the simplex", low=1),
+        "iterations": Option(int, "most iterations of a start", low=1),
+        "seed": Option(int, "seed of the random starts", low=0),
+    },
+)

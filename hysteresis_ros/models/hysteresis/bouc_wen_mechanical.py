@@ -1,0 +1,250 @@
+"""Bouc-Wen oscillator: the hysteretic force stands inside the equation of motion (Noël & Schoukens' benchmark).
+
+``m y'' + c y' + k y + z = u`` and ``z' = α y' - β (γ |y'| |z|^(ν-1) z + δ y' |z|^ν)``; doi 10.4121/12967592. The force
+of the hysteresis depends on the velocity that it brakes, so this is one block with internal feedback, not a hysteresis
+followed by linear dynamics. It is integrated by the classical Runge-Kutta method in equal substeps of the sample time.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hysteresis_ros import elementary
+from hysteresis_ros.block import kernel
+from hysteresis_ros.errors import ParameterError, Problem
+from hysteresis_ros.models.declaration import Deviation, HysteresisBlock, HysteresisModel, Option, times
+from hysteresis_ros.models.rate_independent import DISPLACEMENT, VOLTAGE
+from hysteresis_ros.parameters import Parameters, parameter
+
+# Layout of p.
+INVERSE_MASS = 0
+DAMPING = 1
+STIFFNESS = 2
+ALPHA = 3
+BETA_GAMMA = 4
+BETA_DELTA = 5
+EXPONENT = 6
+FORCE_PER_INPUT = 7
+SUBSTEP = 8  # [s]
+SUBSTEPS = 9
+LINEAR = 10  # 1: the input runs in a straight line between samples; 0: it is held
+
+# Layout of x, after the last input VOLTAGE and DISPLACEMENT.
+VELOCITY = 2
+Z = 3  # hysteretic force [N]
+STARTED = 4
+STATES = 5
+
+#: Largest substep times the highest frequency of the oscillator; the method is stable up to 2.8.
+LARGEST_STEP = 1.5
+
+
+@dataclass(frozen=True)
+class BoucWenMechanicalParameters(Parameters):
+    """Parameters of the Bouc-Wen oscillator; the names are those of the benchmark."""
+
+    mass: float = parameter(description="m", unit="kg", low=1e-15)
+    damping: float = parameter(description="c", unit="N·s/m", low=0.0)
+    stiffness: float = parameter(description="k", unit="N/m", low=1e-15)
+    alpha: float = parameter(description="α: stiffness of the hysteretic force at zero", unit="N/m", low=0.0)
+    beta: float = parameter(description="β: factor on both γ and δ", unit="1/m (N^(1-ν)/m for exponent ν)")
+    gamma: float = parameter(description="γ of |y'| |z|^(ν-1) z")
+    delta: float = parameter(description="δ of y' |z|^ν")
+    exponent: float = parameter(1.0, description="exponent ν", low=1.0, high=20.0)
+    force_per_input: float = parameter(1.0, description="force per unit of input; 1 for an input in N", unit="N/V")
+    intersample: str = parameter(
+        "zoh",
+        choices=("zoh", "linear"),
+        description="input between samples: zoh (held, as a converter does) or linear",
+        read_only=True,
+    )
+    substeps: int = parameter(4, description="integration steps a sample", low=1, high=10000)
+
+    def check(self):
+        """Yield a Problem when the input does nothing."""
+        if self.force_per_input == 0.0:
+            yield Problem("force_per_input", 0.0, "must not be 0")
+
+    def warnings(self, prefix: str = "") -> tuple[str, ...]:
+        """Return a sentence when the hysteretic force is unbounded.
+
+        Parameters
+        ----------
+        prefix : str
+            Put before the names of the parameters.
+        """
+        total = self.beta * (self.gamma + self.delta)
+        steady = self.beta * (self.gamma - self.delta)
+        if total <= 0.0 and steady <= 0.0:
+            return (f"{prefix}beta (gamma + delta) = {total:.4g} and (gamma - delta) = {steady:.4g}: z is unbounded",)
+        return ()
+
+
+@kernel
+def _force_rate(p, velocity, z):
+    """Rate z' [N/s] of the hysteretic force."""
+    n = p[EXPONENT]
+    size = abs(z)
+    power = size if n == 1.0 else elementary.pow(size, n)
+    signed = power if z > 0.0 else -power
+    return p[ALPHA] * velocity - (p[BETA_GAMMA] * abs(velocity) * signed + p[BETA_DELTA] * velocity * power)
+
+
+@kernel
+def _acceleration(p, force, y, velocity, z):
+    return (force - p[DAMPING] * velocity - p[STIFFNESS] * y - z) * p[INVERSE_MASS]
+
+
+@kernel
+def _advance(p, x, start, end):
+    """Integrate over one sample with the input going from ``start`` to ``end``."""
+    step, count = p[SUBSTEP], int(p[SUBSTEPS])
+    force_per_input = p[FORCE_PER_INPUT]
+    rise = (end - start) / count
+    y, v, z = x[DISPLACEMENT], x[VELOCITY], x[Z]
+    half = 0.5 * step
+    for i in range(count):
+        first = force_per_input * (start + rise * i)
+        middle = force_per_input * (start + rise * (i + 0.5))
+        last = force_per_input * (start + rise * (i + 1.0))
+        a1, r1 = _acceleration(p, first, y, v, z), _force_rate(p, v, z)
+        v2, z2 = v + half * a1, z + half * r1
+        a2, r2 = _acceleration(p, middle, y + half * v, v2, z2), _force_rate(p, v2, z2)
+        v3, z3 = v + half * a2, z + half * r2
+        a3, r3 = _acceleration(p, middle, y + half * v2, v3, z3), _force_rate(p, v3, z3)
+        v4, z4 = v + step * a3, z + step * r3
+        a4, r4 = _acceleration(p, last, y + step * v3, v4, z4), _force_rate(p, v4, z4)
+        y += step * ((v + v4) + 2.0 * (v2 + v3)) / 6.0
+        v += step * ((a1 + a4) + 2.0 * (a2 + a3)) / 6.0
+        z += step * ((r1 + r4) + 2.0 * (r2 + r3)) / 6.0
+    x[DISPLACEMENT], x[VELOCITY], x[Z] = y, v, z
+
+
+@kernel
+def bouc_wen_mechanical(p, x, u):
+    """Displacement [m]: with a held input that at the end of the sample, with a linear one that at the time of ``u``.
+
+    A held ``u`` acts over the sample that begins now, as in :func:`hysteresis_ros.models.linear.linear`. In a straight
+    line the input comes from the last value to ``u``; the first call has no last value and returns the start.
+    NaN leaves everything as it is.
+    """
+    if u != u:
+        return x[DISPLACEMENT]
+    if p[LINEAR] == 0.0:
+        _advance(p, x, u, u)
+    elif x[STARTED] != 0.0:
+        _advance(p, x, x[VOLTAGE], u)
+    x[STARTED] = 1.0
+    x[VOLTAGE] = u
+    return x[DISPLACEMENT]
+
+
+class BoucWenOscillator(HysteresisBlock):
+    """Mass on a spring with a hysteretic one: force [N] or voltage [V] to displacement [m].
+
+    In an actuator it is a hysteresis without further dynamics. It is not rate independent, so no inverse but ``none``
+    makes sense before it. New parameters keep position, velocity and force, so nothing jumps.
+
+    Parameters
+    ----------
+    parameters : BoucWenMechanicalParameters
+        Mass, damping, stiffness and the hysteretic force.
+    sample_time : float
+        Sample time [s].
+
+    Raises
+    ------
+    ParameterError
+        A parameter is wrong, or the substeps are too long for the oscillator's frequency.
+    """
+
+    kernel = staticmethod(bouc_wen_mechanical)
+
+    def pack(self, parameters: BoucWenMechanicalParameters) -> np.ndarray:
+        """Return p, shape (11,)."""
+        given = parameters
+        step = self.sample_time / given.substeps
+        frequency = math.sqrt((given.stiffness + given.alpha) / given.mass) + given.damping / given.mass
+        if step * frequency > LARGEST_STEP:
+            needed = math.ceil(self.sample_time * frequency / LARGEST_STEP)
+            raise ParameterError(
+                [Problem("substeps", given.substeps, f"must be at least {needed} at this sample time")]
+            )
+        return np.array(
+            [
+                *(1.0 / given.mass, given.damping, given.stiffness, given.alpha),
+                *(given.beta * given.gamma, given.beta * given.delta, given.exponent, given.force_per_input),
+                *(step, given.substeps, given.intersample == "linear"),
+            ],
+            dtype=np.float64,
+        )
+
+    def initial_state(self) -> np.ndarray:
+        """Return x, shape (5,), at rest."""
+        return np.zeros(STATES)
+
+    def response(self, u) -> np.ndarray:
+        """Return the displacement, shape (N,), *at* the times of the inputs ``u``, shape (N,).
+
+        The first value is that of the present state, whichever way the input runs between the samples.
+        """
+        if self.parameters.intersample == "linear":
+            return self.simulate(u)
+        return np.append(self.x[DISPLACEMENT], self.simulate(np.asarray(u)[:-1]))
+
+    @property
+    def gain(self) -> float:
+        """Nominal gain: static displacement per input where the hysteretic force passes zero [m per input unit]."""
+        return float(self.p[FORCE_PER_INPUT] / (self.p[STIFFNESS] + self.p[ALPHA]))
+
+
+def _scaled(parameters: BoucWenMechanicalParameters, factor: float) -> BoucWenMechanicalParameters:
+    """The same force moves everything further: all that resists it is weaker."""
+    return times(parameters, 1.0 / factor, "mass", "damping", "stiffness", "alpha", "beta")
+
+
+def _deviated(parameters: BoucWenMechanicalParameters, deviation: Deviation) -> BoucWenMechanicalParameters:
+    """Every parameter has a factor of its own; gain and opening follow from them."""
+    names = ("mass", "damping", "stiffness", "alpha", "beta", "gamma", "delta")
+    return replace(parameters, **{name: getattr(parameters, name) * deviation.factor() for name in names})
+
+
+MODEL = HysteresisModel(
+    name="bouc_wen_mechanical",
+    title="Bouc-Wen force inside a mass-damper-spring equation (grey box, by output error)",
+    data="a dynamic excitation that passes the resonance, e.g. a multisine",
+    parameters=BoucWenMechanicalParameters,
+    block=BoucWenOscillator,
+    example=BoucWenMechanicalParameters(
+        mass=0.5,
+        damping=80.0,
+        stiffness=1e6,
+        alpha=0.3e6,
+        beta=0.4e6,
+        gamma=0.8,
+        delta=-0.3,
+        force_per_input=0.12,
+    ),
+    scaled=_scaled,
+    deviated=_deviated,
+    inverses=("none",),
+    identify="hysteresis_ros.identification.procedures:bouc_wen_mechanical",
+    parts=(),
+    stages=False,
+    response="hysteresis_ros.identification.bouc_wen_mechanical:simulate_oscillator",
+    options={
+        "mass": Option(float, "initial value [kg]"),
+        "damping": Option(float, "initial value [N·s/m]"),
+        "stiffness": Option(float, "initial value [N/m]"),
+        "alpha": Option(float, "initial value [N/m]"),
+        "beta": Option(float, "initial value [1/m]; only its products with γ and δ are fitted"),
+        "gamma": Option(float, "initial value"),
+        "delta": Option(float, "initial value"),
+        "exponent": Option(float, "exponent ν, not fitted"),
+        "trials": Option(int, "trial points around the initial values", low=0),
+        "seed": Option(int, "seed of the random starts", low=0),
+    },
+)

@@ -1,0 +1,266 @@
+"""Prandtl-Ishlinskii hysteresis, classical and modified, with its analytic inverse (Kuhnen 2003).
+
+A sum of play (backlash) operators ``z_i = max(V - r_i, min(V + r_i, z_i))``, ``x = Σ w_i z_i`` makes symmetric loops.
+Dead zones after it (the *modified* model) bend both branches alike: ``S(x) = x + Σ s_j d(x, t_j)`` with
+``d = max(x - t, 0)`` for a threshold t >= 0 and ``min(x - t, 0)`` for t < 0; the output is ``S(x) + offset``.
+
+The inverse needs no operators of its own: S is inverted piece by piece, and along a monotone step the sum of plays is a
+piecewise linear function of V whose corners ``z_i ± r_i`` come in the order of the radii.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hysteresis_ros.block import kernel
+from hysteresis_ros.errors import Problem
+from hysteresis_ros.linear_algebra import product
+from hysteresis_ros.models.declaration import Deviation, HysteresisModel, Option, plus, times
+from hysteresis_ros.models.rate_independent import DISPLACEMENT, VOLTAGE, RateIndependentBlock
+from hysteresis_ros.parameters import Parameters, parameter
+
+# Layout of p, followed by radii and weights of the plays, then by thresholds and weights of the dead zones: first
+# those above zero in rising order, then those below in falling order.
+PLAYS = 0
+ABOVE = 1
+BELOW = 2
+OFFSET = 3
+RADII = 4
+
+# Layout of x, after VOLTAGE and DISPLACEMENT, followed by the plays.
+RESIDUE = 2  # what the plays could not take up at a retune [m]
+PLAY = 3
+
+
+@dataclass(frozen=True)
+class PrandtlIshlinskiiParameters(Parameters):
+    """Radii and weights of the plays, thresholds and weights of the dead zones, SI units."""
+
+    radii: tuple[float, ...] = parameter(
+        description="radii r of the plays (half widths), rising from 0", unit="V", low=0.0
+    )
+    weights: tuple[float, ...] = parameter(description="weights w of the plays", unit="m/V", low=0.0)
+    thresholds: tuple[float, ...] = parameter(
+        (), description="thresholds t of the dead zones; below 0: zones for displacements below t", unit="m"
+    )
+    zone_weights: tuple[float, ...] = parameter((), description="slopes s that the dead zones add; may be negative")
+    offset: float = parameter(0.0, description="constant part of the displacement", unit="m")
+
+    @property
+    def structure(self) -> dict[str, int]:
+        """What cannot change while running."""
+        below = sum(threshold < 0.0 for threshold in self.thresholds)
+        return {"radii": len(self.radii), "thresholds": len(self.thresholds), "thresholds below 0": below}
+
+    def check(self):
+        """Yield what is wrong: sizes, order of the radii, branches that are not monotone."""
+        if len(self.radii) != len(self.weights) or not self.radii:
+            yield Problem("weights", self.weights, f"must be as many as radii, {len(self.radii)}, and at least one")
+            return
+        if any(after <= before for before, after in zip(self.radii, self.radii[1:], strict=False)):
+            yield Problem("radii", self.radii, "must rise strictly")
+        elif self.radii[0] != 0.0 or self.weights[0] <= 0.0:
+            allowed = "must start with a play of radius 0 whose weight is above 0; no step has an inverse otherwise"
+            yield Problem("radii" if self.radii[0] != 0.0 else "weights", self.radii[0], allowed)
+        if len(self.thresholds) != len(self.zone_weights):
+            yield Problem("zone_weights", self.zone_weights, f"must be as many as thresholds, {len(self.thresholds)}")
+            return
+        for side, zones in zip(("above", "below"), _zones(self), strict=True):
+            slopes = 1.0 + np.cumsum([weight for _, weight in zones])
+            if np.any(slopes <= 0.0):
+                allowed = f"{side} zero the slope 1 + Σ s falls to {slopes.min():.3g}; it must stay above 0 (monotone)"
+                yield Problem("zone_weights", self.zone_weights, allowed)
+
+
+def _zones(parameters):
+    """Return (threshold, weight) of the dead zones above zero, then below, outwards."""
+    zones = sorted(zip(parameters.thresholds, parameters.zone_weights, strict=True))
+    return [zone for zone in zones if zone[0] >= 0.0], [zone for zone in zones if zone[0] < 0.0][::-1]
+
+
+@kernel
+def dead_zones(p, x):
+    """Superposition S(x) of the dead zones [m]."""
+    first = RADII + 2 * int(p[PLAYS])
+    above, below = int(p[ABOVE]), int(p[BELOW])
+    y = x
+    if x > 0.0:
+        for i in range(above):
+            y += p[first + above + i] * max(x - p[first + i], 0.0)
+    else:
+        first += 2 * above
+        for i in range(below):
+            y += p[first + below + i] * min(x - p[first + i], 0.0)
+    return y
+
+
+@kernel
+def dead_zones_inverse(p, y):
+    """The x at which :func:`dead_zones` is ``y``, piece by piece from zero outwards."""
+    first = RADII + 2 * int(p[PLAYS])
+    count = int(p[ABOVE])
+    sign = 1.0
+    if y < 0.0:
+        first += 2 * count
+        count = int(p[BELOW])
+        sign = -1.0
+    x, value, slope = 0.0, 0.0, 1.0
+    for i in range(count):
+        corner = p[first + i]
+        at_corner = value + slope * (corner - x)
+        if sign * (y - at_corner) <= 0.0:
+            break
+        x, value = corner, at_corner
+        slope += p[first + count + i]
+    return x + (y - value) / slope
+
+
+@kernel
+def prandtl_ishlinskii(p, x, u):
+    """Displacement [m] after the voltage has moved monotonically to ``u`` [V]; NaN leaves everything as it is."""
+    if not abs(u - x[VOLTAGE]) > 0.0:
+        return x[DISPLACEMENT]
+    plays = int(p[PLAYS])
+    total = 0.0
+    for i in range(plays):
+        radius = p[RADII + i]
+        z = max(u - radius, min(u + radius, x[PLAY + i]))
+        x[PLAY + i] = z
+        total += p[RADII + plays + i] * z
+    x[VOLTAGE] = u
+    x[DISPLACEMENT] = dead_zones(p, total) + (p[OFFSET] + x[RESIDUE])
+    return x[DISPLACEMENT]
+
+
+@kernel
+def prandtl_ishlinskii_inverse(hysteresis, p_i, x_i, p_h, x_h, displacement):
+    """Voltage [V] at which the model's next output is ``displacement`` [m], in closed form; ``x_h`` is left as it is.
+
+    Parameters
+    ----------
+    hysteresis : kernel
+        Not used.
+    p_i, x_i : ndarray
+        Not used.
+    p_h, x_h : ndarray
+        Parameters and state of :func:`prandtl_ishlinskii`.
+    displacement : float
+        Wanted output [m]; NaN gives the last voltage.
+    """
+    voltage = x_h[VOLTAGE]
+    if not abs(displacement - x_h[DISPLACEMENT]) > 0.0:
+        return voltage
+    plays = int(p_h[PLAYS])
+    wanted = dead_zones_inverse(p_h, displacement - (p_h[OFFSET] + x_h[RESIDUE]))
+    direction = 1.0 if displacement > x_h[DISPLACEMENT] else -1.0
+    # the output at V: constant + slope V while the first plays move and the others stand
+    constant = 0.0
+    for i in range(plays):
+        constant += p_h[RADII + plays + i] * x_h[PLAY + i]
+    slope = 0.0
+    found = voltage
+    for i in range(plays):
+        weight, radius, z = p_h[RADII + plays + i], p_h[RADII + i], x_h[PLAY + i]
+        corner = z + direction * radius
+        if slope > 0.0:
+            found = (wanted - constant) / slope
+            if direction * (found - corner) <= 0.0:
+                break
+        constant -= weight * (z + direction * radius)
+        slope += weight
+        found = (wanted - constant) / slope
+    return max(found, voltage) if direction > 0.0 else min(found, voltage)
+
+
+class PrandtlIshlinskiiHysteresis(RateIndependentBlock):
+    """Classical or modified Prandtl-Ishlinskii hysteresis: voltage [V] to displacement [m].
+
+    Parameters
+    ----------
+    parameters : PrandtlIshlinskiiParameters
+        Plays, dead zones and offset.
+    sample_time : float
+        Sample time [s], not used.
+    """
+
+    kernel = staticmethod(prandtl_ishlinskii)
+    inverse = staticmethod(prandtl_ishlinskii_inverse)
+
+    def pack(self, parameters: PrandtlIshlinskiiParameters) -> np.ndarray:
+        """Return p, shape (4 + 2 plays + 2 dead zones,)."""
+        above, below = _zones(parameters)
+        head = [len(parameters.radii), len(above), len(below), parameters.offset]
+        zones = [np.array(part).T.ravel() for part in (above, below) if part]
+        return np.concatenate([head, parameters.radii, parameters.weights, *zones])
+
+    def initial_state(self) -> np.ndarray:
+        """Return x, shape (3 + plays,): 0 V, every play in its middle."""
+        x = np.zeros(PLAY + len(self.parameters.radii))
+        x[DISPLACEMENT] = self.parameters.offset
+        return x
+
+    @property
+    def gain(self) -> float:
+        """Nominal gain [m/V]: slope with every play moving, without dead zones."""
+        plays = int(self.p[PLAYS])
+        return float(product(self.p[RADII + plays : RADII + 2 * plays], np.ones(plays)))
+
+    def rebase(self) -> None:
+        """Let the plays take up the change of the output, all by the same part of the room they have.
+
+        So their order is kept. What they have no room for remains as a constant until :meth:`reset`.
+        """
+        x, p, plays = self.x, self.p, int(self.p[PLAYS])
+        voltage, z = x[VOLTAGE], x[PLAY:]
+        radii, weights = p[RADII : RADII + plays], p[RADII + plays : RADII + 2 * plays]
+        z[:] = np.clip(z, voltage - radii, voltage + radii)
+        x[RESIDUE] = 0.0
+        missing = dead_zones_inverse(p, x[DISPLACEMENT] - p[OFFSET]) - product(weights, z)
+        target = voltage + np.sign(missing) * radii
+        room = product(weights, target - z)
+        if missing != 0.0 and room != 0.0:
+            z += min(missing / room, 1.0) * (target - z)
+        x[RESIDUE] = x[DISPLACEMENT] - dead_zones(p, float(product(weights, z))) - p[OFFSET]
+
+
+def _scaled(parameters: PrandtlIshlinskiiParameters, factor: float) -> PrandtlIshlinskiiParameters:
+    return times(parameters, factor, "weights", "thresholds", "offset")
+
+
+def _shifted(parameters: PrandtlIshlinskiiParameters, offset: float) -> PrandtlIshlinskiiParameters:
+    return plus(parameters, offset, "offset")
+
+
+def _deviated(parameters: PrandtlIshlinskiiParameters, deviation: Deviation) -> PrandtlIshlinskiiParameters:
+    """Every play with width has a factor of its own besides the opening's."""
+    weights = np.array(parameters.weights) * deviation.gain
+    plays = np.array(parameters.radii) > 0.0
+    weights[plays] *= deviation.opening * deviation.factor(int(np.sum(plays)))
+    thresholds = np.array(parameters.thresholds) * deviation.gain
+    return replace(parameters, weights=tuple(weights.tolist()), thresholds=tuple(thresholds.tolist()))
+
+
+MODEL = HysteresisModel(
+    name="prandtl_ishlinskii",
+    title="play operators with weights ≥ 0, dead zones where they help (modified model)",
+    data="a voltage that rises and falls; loops of several amplitudes settle the model inside the largest loop",
+    parameters=PrandtlIshlinskiiParameters,
+    block=PrandtlIshlinskiiHysteresis,
+    example=PrandtlIshlinskiiParameters(
+        radii=(0.0, 5.0, 10.0, 20.0, 35.0),
+        weights=(70e-9, 9e-9, 7e-9, 6e-9, 5e-9),
+        thresholds=(3e-6, 7e-6),
+        zone_weights=(0.1, -0.2),
+    ),
+    scaled=_scaled,
+    shifted=_shifted,
+    deviated=_deviated,
+    inverses=("exact", "general", "picard_steps", "none"),
+    identify="hysteresis_ros.identification.procedures:prandtl_ishlinskii",
+    options={
+        "play_count": Option(int, "plays", low=1),
+        "zone_count": Option(int, "dead zones; 0: the classical model", low=0),
+    },
+)

@@ -1,0 +1,323 @@
+"""Preisach hysteresis: a discrete Everett map with interpolation and a bounded memory of turning points.
+
+The Everett function ``E(a, b)`` is the change of the output when, coming from below, the input turns at ``a`` and falls
+to ``b``. Whatever the history, a rise from a minimum m to v adds ``E(v, m)`` and a fall from a maximum M to v takes
+``E(M, v)`` away (congruency); a loop that closes is forgotten (wiping-out). The table gives E at the nodes of a
+triangular grid; between them it is interpolated bilinearly, and linearly in the triangles at the diagonal.
+
+Outside the range of the grid the memory does not change; the output goes on along the end of the major loop.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hysteresis_ros.block import kernel
+from hysteresis_ros.errors import Problem
+from hysteresis_ros.models.declaration import Deviation, HysteresisModel, Option, plus, times
+from hysteresis_ros.models.rate_independent import DISPLACEMENT, VOLTAGE, RateIndependentBlock
+from hysteresis_ros.parameters import Parameters, parameter
+
+# Layout of p, followed by the lower triangle of E row by row: E[i, j], a = node i, b = node j <= i.
+LOW = 0
+HIGH = 1
+SPACING = 2
+NODES = 3
+SLOPE = 4  # reversible part [m/V]
+OFFSET = 5
+CAPACITY = 6
+SLOPE_BELOW = 7  # outside the grid [m/V]
+SLOPE_ABOVE = 8
+TABLE = 9
+
+# Layout of x, after VOLTAGE and DISPLACEMENT, followed by the voltages of the turning points (minimum, maximum,
+# minimum …; the first is the lower end of the range) and by the hysteretic outputs there.
+DEPTH = 2  # number of turning points
+RESIDUE = 3  # what a retune or a forgotten loop left at RESIDUE_LEFT [m]; fades out with the travel of the voltage
+RESIDUE_LEFT = 4  # travel after which nothing is left of it [V]
+RESIDUE_TRAVEL = 5
+STACK = 6
+
+
+@dataclass(frozen=True)
+class PreisachParameters(Parameters):
+    """Everett map on a triangular grid, SI units."""
+
+    voltage_low: float = parameter(description="lower end of the grid", unit="V")
+    voltage_high: float = parameter(description="upper end of the grid", unit="V")
+    everett: tuple[float, ...] = parameter(
+        description="E(a, b) at equidistant nodes, a >= b, row by row of rising a: n (n + 1)/2 numbers", unit="m"
+    )
+    slope: float = parameter(0.0, description="reversible part: slope without hysteresis", unit="m/V", low=0.0)
+    offset: float = parameter(0.0, description="displacement at voltage_low in saturation", unit="m")
+    memory: int = parameter(64, description="turning points kept", low=4, high=10000, read_only=True)
+
+    @property
+    def nodes(self) -> int:
+        """Number of nodes n on each side of the triangle."""
+        return int(((8 * len(self.everett) + 1) ** 0.5 - 1) / 2)
+
+    @property
+    def structure(self) -> dict[str, int]:
+        """What cannot change while running."""
+        return {"everett": len(self.everett), "memory": self.memory}
+
+    @property
+    def table_of_everett(self) -> np.ndarray:
+        """The map as a matrix, shape (n, n), zero above the diagonal."""
+        n = self.nodes
+        table = np.zeros((n, n))
+        table[np.tril_indices(n)] = self.everett
+        return table
+
+    def check(self):
+        """Yield what is wrong: range, size, a diagonal that is not zero, branches that are not monotone."""
+        if not self.voltage_low <= 0.0 < self.voltage_high:
+            allowed = (
+                f"voltage_low … voltage_high must contain 0 V, where the start is; voltage_low = {self.voltage_low:g}"
+            )
+            yield Problem("voltage_high", self.voltage_high, allowed)
+        n = self.nodes
+        if n < 2 or n * (n + 1) // 2 != len(self.everett):
+            allowed = "must be n (n + 1)/2 numbers, n >= 2: rows of 1, 2, 3 … values"
+            yield Problem("everett", f"{len(self.everett)} numbers", allowed)
+            return
+        table = self.table_of_everett
+        if np.any(np.diag(table) != 0.0):
+            yield Problem("everett", "E(a, a)", "must be 0: the last number of each row")
+            return
+        up = min(np.diff(table[:, j])[j:].min() for j in range(n - 1))
+        down = min((-np.diff(table[i, : i + 1])).min() for i in range(1, n))
+        smallest = min(up, down)
+        if smallest < 0.0 or (smallest == 0.0 and self.slope == 0.0):
+            allowed = (
+                f"must rise with a and fall with b everywhere (smallest difference of neighbours {smallest:.3g} m); "
+                "make it monotone, or give slope > 0 where it is level"
+            )
+            yield Problem("everett", f"{n} x {n} nodes", allowed)
+
+
+@kernel
+def everett(p, a, b):
+    """Everett function [m] for a maximum ``a`` and a minimum ``b`` within the grid [V]."""
+    if a <= b:
+        return 0.0
+    spacing = p[SPACING]
+    last = int(p[NODES]) - 2
+    place_a, place_b = (a - p[LOW]) / spacing, (b - p[LOW]) / spacing
+    i, j = min(int(place_a), last), min(int(place_b), last)
+    s, t = place_a - i, place_b - j
+    lower = TABLE + (i * (i + 1)) // 2 + j  # E[i, j]
+    upper = lower + i + 1  # E[i + 1, j]
+    if i == j:
+        return p[upper] * (s - t)
+    left = p[lower] + s * (p[upper] - p[lower])
+    right = p[lower + 1] + s * (p[upper + 1] - p[lower + 1])
+    return left + t * (right - left)
+
+
+@kernel
+def _forget(x, travel, value):
+    """Carry ``value`` [m] on into the output and let it fade out over ``travel`` [V]."""
+    x[RESIDUE] = value
+    x[RESIDUE_LEFT] = x[RESIDUE_TRAVEL] = travel
+
+
+@kernel
+def _residue(x, distance):
+    left = x[RESIDUE_LEFT]
+    if left <= 0.0:
+        return 0.0
+    left = max(left - distance, 0.0)
+    x[RESIDUE_LEFT] = left
+    return x[RESIDUE] * (left / x[RESIDUE_TRAVEL])
+
+
+@kernel
+def _inside(p, voltage):
+    return max(p[LOW], min(p[HIGH], voltage))
+
+
+@kernel
+def _on_branch(p, x, v):
+    """Hysteretic output [m] on the branch from the last turning point to ``v``."""
+    top = int(x[DEPTH]) - 1
+    turn, output = x[STACK + top], x[STACK + int(p[CAPACITY]) + top]
+    if top % 2 == 0:
+        return output + everett(p, v, turn)
+    return output - everett(p, turn, v)
+
+
+@kernel
+def _turn(p, x, v):
+    """Make the hysteretic point at ``v`` a turning point; with a full memory forget the innermost loop instead."""
+    capacity = int(p[CAPACITY])
+    depth = int(x[DEPTH])
+    output = _on_branch(p, x, v)
+    if depth == capacity:
+        x[DEPTH] = depth - 1
+        present = x[RESIDUE] * (x[RESIDUE_LEFT] / x[RESIDUE_TRAVEL]) if x[RESIDUE_LEFT] > 0.0 else 0.0
+        _forget(x, p[HIGH] - p[LOW], present + output - _on_branch(p, x, v))
+        return
+    x[STACK + depth] = v
+    x[STACK + capacity + depth] = output
+    x[DEPTH] = depth + 1
+
+
+@kernel
+def preisach(p, x, u):
+    """Displacement [m] after the voltage has moved monotonically to ``u`` [V]; NaN leaves everything as it is."""
+    distance = abs(u - x[VOLTAGE])
+    if not distance > 0.0:
+        return x[DISPLACEMENT]
+    before, v = _inside(p, x[VOLTAGE]), _inside(p, u)
+    if v > before:
+        if int(x[DEPTH]) % 2 == 0:  # the last turning point is a maximum: this is a reversal
+            _turn(p, x, before)
+        # wiping-out: beyond the last maximum it is forgotten together with the minimum after it
+        while x[DEPTH] >= 3.0 and v >= x[STACK + int(x[DEPTH]) - 2]:
+            x[DEPTH] -= 2.0
+    elif v < before:
+        if int(x[DEPTH]) % 2 == 1:
+            _turn(p, x, before)
+        while x[DEPTH] >= 4.0 and v <= x[STACK + int(x[DEPTH]) - 2]:
+            x[DEPTH] -= 2.0
+        if v <= p[LOW]:
+            x[DEPTH] = 1.0
+    y = p[OFFSET] + _on_branch(p, x, v) + p[SLOPE] * (u - p[LOW])
+    if u > v:
+        y += p[SLOPE_ABOVE] * (u - v)
+    elif u < v:
+        y += p[SLOPE_BELOW] * (u - v)
+    x[VOLTAGE] = u
+    x[DISPLACEMENT] = y + _residue(x, distance)
+    return x[DISPLACEMENT]
+
+
+def everett_of(block, voltage_low: float, voltage_high: float, nodes: int) -> np.ndarray:
+    """Return the Everett map of any hysteresis block, from its first-order reversal curves.
+
+    Parameters
+    ----------
+    block : Block
+        Model or plant without dynamics; it is reset before each curve.
+    voltage_low, voltage_high : float
+        Range [V].
+    nodes : int
+        Nodes n over the range.
+
+    Returns
+    -------
+    ndarray, shape (n (n + 1)/2,)
+        In the order of ``PreisachParameters.everett`` [m].
+    """
+    grid = np.linspace(voltage_low, voltage_high, nodes)
+    rows = []
+    for i in range(nodes):
+        block.reset()
+        block.simulate([voltage_high, voltage_low])
+        y = block.simulate(np.append(grid[: i + 1], grid[:i][::-1]))
+        rows.append(np.append((y[i] - y[i:])[::-1][:-1], 0.0))
+    return np.concatenate(rows)
+
+
+class PreisachHysteresis(RateIndependentBlock):
+    """Preisach hysteresis: voltage [V] to displacement [m]. It starts on the rise from negative saturation, at 0 V.
+
+    The inverse ``general`` is exact to rounding.
+
+    Parameters
+    ----------
+    parameters : PreisachParameters
+        Everett map.
+    sample_time : float
+        Sample time [s], not used.
+    """
+
+    kernel = staticmethod(preisach)
+
+    def pack(self, parameters: PreisachParameters) -> np.ndarray:
+        """Return p, shape (9 + n (n + 1)/2,)."""
+        low, high, n = parameters.voltage_low, parameters.voltage_high, parameters.nodes
+        spacing = (high - low) / (n - 1)
+        table = parameters.table_of_everett
+        head = [low, high, spacing, n, parameters.slope, parameters.offset, parameters.memory]
+        below, above = table[-1, 0] - table[-1, 1], table[-1, 0] - table[-2, 0]
+        return np.concatenate([[*head, below / spacing, above / spacing], parameters.everett])
+
+    def initial_state(self) -> np.ndarray:
+        """Return x, shape (6 + 2 memory,)."""
+        p, capacity = self.p, int(self.p[CAPACITY])
+        x = np.zeros(STACK + 2 * capacity)
+        x[STACK] = p[LOW]
+        x[DEPTH] = 1.0
+        x[DISPLACEMENT] = p[OFFSET] + _on_branch(p, x, 0.0) - p[SLOPE] * p[LOW]
+        return x
+
+    @property
+    def gain(self) -> float:
+        """Nominal gain [m/V]: height of the major loop over its width."""
+        p = self.p
+        return float(p[SLOPE] + everett(p, p[HIGH], p[LOW]) / (p[HIGH] - p[LOW]))
+
+    def rebase(self) -> None:
+        """Put the remembered turning voltages on the changed map; what the output would jump by fades out.
+
+        It fades linearly while the voltage travels once over the range.
+        """
+        x, p, capacity = self.x, self.p, int(self.p[CAPACITY])
+        depth, output = int(x[DEPTH]), x[DISPLACEMENT]
+        x[STACK] = p[LOW]
+        x[STACK + capacity] = 0.0
+        x[STACK + 1 : STACK + depth] = np.clip(x[STACK + 1 : STACK + depth], p[LOW], p[HIGH])
+        for k in range(1, depth):
+            x[DEPTH] = k
+            x[STACK + capacity + k] = _on_branch(p, x, x[STACK + k])
+        x[DEPTH] = depth
+        u = x[VOLTAGE]
+        v = _inside(p, u)
+        outside = (p[SLOPE_ABOVE] if u > v else p[SLOPE_BELOW]) * (u - v)
+        model = p[OFFSET] + _on_branch(p, x, v) + p[SLOPE] * (u - p[LOW]) + outside
+        _forget(x, p[HIGH] - p[LOW], output - model)
+
+
+def _scaled(parameters: PreisachParameters, factor: float) -> PreisachParameters:
+    return times(parameters, factor, "everett", "slope", "offset")
+
+
+def _shifted(parameters: PreisachParameters, offset: float) -> PreisachParameters:
+    return plus(parameters, offset, "offset")
+
+
+def _deviated(parameters: PreisachParameters, deviation: Deviation) -> PreisachParameters:
+    everett = np.array(parameters.everett) * deviation.gain * deviation.opening
+    return replace(parameters, everett=tuple(everett.tolist()), slope=parameters.slope * deviation.gain)
+
+
+def _example(low: float = -40.0, high: float = 120.0, nodes: int = 9) -> PreisachParameters:
+    """Rayleigh's law, a constant density: E(a, b) = c (a - b)²; zero at rest at 0 V."""
+    spacing, slope, density = (high - low) / (nodes - 1), 70e-9, 0.15e-9
+    everett = tuple(density * ((i - j) * spacing) ** 2 for i in range(nodes) for j in range(i + 1))
+    offset = slope * low - density * low**2
+    return PreisachParameters(voltage_low=low, voltage_high=high, everett=everett, slope=slope, offset=offset)
+
+
+MODEL = HysteresisModel(
+    name="preisach",
+    title="discrete Everett map with interpolation, wiping-out and return-point memory",
+    data="a voltage that rises and falls; loops of several amplitudes settle the model inside the largest loop",
+    parameters=PreisachParameters,
+    block=PreisachHysteresis,
+    example=_example(),
+    scaled=_scaled,
+    shifted=_shifted,
+    deviated=_deviated,
+    inverses=("general", "picard_steps", "none"),
+    identify="hysteresis_ros.identification.procedures:preisach",
+    options={
+        "widths": Option(int, "widths of elementary loops at which the density has a weight", low=1),
+        "nodes": Option(int, "nodes of the map on each side", low=2),
+    },
+)

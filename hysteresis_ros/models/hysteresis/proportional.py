@@ -1,0 +1,85 @@
+"""An actuator without hysteresis: displacement proportional to the voltage.
+
+There is no history to go on from with new parameters: the compensator hands over in the voltage instead.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hysteresis_ros.block import kernel
+from hysteresis_ros.models.declaration import Deviation, HysteresisModel, times
+from hysteresis_ros.models.rate_independent import RateIndependentBlock
+from hysteresis_ros.parameters import Parameters, parameter
+
+GAIN = 0  # p
+OUTPUT = 0  # x
+
+
+@dataclass(frozen=True)
+class ProportionalParameters(Parameters):
+    """Gain of an actuator without hysteresis."""
+
+    gain: float = parameter(description="displacement per voltage", unit="m/V", low=1e-15)
+
+
+@kernel
+def proportional(p, x, u):
+    """Displacement [m] at voltage ``u`` [V]."""
+    x[OUTPUT] = p[GAIN] * u
+    return x[OUTPUT]
+
+
+@kernel
+def proportional_inverse(hysteresis, p_i, x_i, p_h, x_h, displacement):
+    """Voltage [V] of :func:`proportional` for ``displacement`` [m]; only the gain ``p_h[0]`` is used."""
+    return displacement / p_h[GAIN]
+
+
+class ProportionalHysteresis(RateIndependentBlock):
+    """Displacement [m] proportional to the voltage [V]: the hysteresis block of an actuator that has none.
+
+    Parameters
+    ----------
+    parameters : ProportionalParameters
+        Gain.
+    sample_time : float
+        Sample time [s], not used.
+    """
+
+    kernel = staticmethod(proportional)
+    inverse = staticmethod(proportional_inverse)
+
+    def pack(self, parameters: ProportionalParameters) -> np.ndarray:
+        """Return p, shape (1,)."""
+        return np.array([parameters.gain])
+
+    @property
+    def gain(self) -> float:
+        """Nominal gain [m/V]."""
+        return float(self.p[GAIN])
+
+
+def _scaled(parameters: ProportionalParameters, factor: float) -> ProportionalParameters:
+    return times(parameters, factor, "gain")
+
+
+def _deviated(parameters: ProportionalParameters, deviation: Deviation) -> ProportionalParameters:
+    return times(parameters, deviation.gain, "gain")
+
+
+MODEL = HysteresisModel(
+    name="proportional",
+    title="no hysteresis: a gain, for linear dynamics alone",
+    data="any excitation; for dynamics a multisine, chirp or steps",
+    parameters=ProportionalParameters,
+    block=ProportionalHysteresis,
+    example=ProportionalParameters(gain=0.1e-6),
+    scaled=_scaled,
+    deviated=_deviated,
+    inverses=("exact", "none"),
+    identify="hysteresis_ros.identification.procedures:proportional",
+    parts=("lag",),
+)

@@ -1,0 +1,100 @@
+"""A ROS domain for a graph that nobody steers from outside; imports no ROS.
+
+A graph that a command or a test makes for itself must never meet an axis of the user: two graphs of one domain and
+namespace hear each other's commands.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import socket
+from collections.abc import Iterator
+
+from hysteresis_ros.errors import HysteresisError
+
+#: Domains whose ports lie below those that Linux hands out by itself; 0 is everybody's.
+DOMAINS = range(101, 0, -1)
+
+#: Participants of a domain whose ports are looked at.
+_PARTICIPANTS = 8
+
+#: Offset of the port that a claim binds: that of the last of 120 participants.
+_CLAIM = 249
+
+
+class Domain:
+    """A ROS domain that nobody on this machine uses, promised to whoever made this until :meth:`close`.
+
+    The promise is a bound port of the domain itself: the operating system gives it to one process of all users, and
+    takes it back however that process ends. The caller's own domain (``ROS_DOMAIN_ID``) is never taken, even while it
+    is empty. Use it in a ``with`` statement, or close it.
+
+    Raises
+    ------
+    HysteresisError
+        All are in use.
+    """
+
+    def __init__(self):
+        own = os.environ.get("ROS_DOMAIN_ID", "0")
+        for number in DOMAINS:
+            claim = _bound(number, _CLAIM, "127.0.0.1") if str(number) != own.strip() else None
+            if claim is not None:
+                if _unused(number):
+                    self.number, self._claim = number, claim
+                    return
+                claim.close()
+        raise HysteresisError(f"all ROS domains from {DOMAINS[-1]} to {DOMAINS[0]} are in use; stop other graphs")
+
+    @property
+    def environment(self) -> dict[str, str]:
+        """Environment variables of the processes of the graph."""
+        return {"ROS_DOMAIN_ID": str(self.number), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+
+    def close(self) -> None:
+        """Give the domain back."""
+        self._claim.close()
+
+    def __enter__(self) -> Domain:
+        return self
+
+    def __exit__(self, *error) -> None:
+        self.close()
+
+
+@contextlib.contextmanager
+def entered() -> Iterator[Domain]:
+    """Claim a domain and make it that of this process and the processes it starts, as long as the block runs."""
+    with Domain() as domain:
+        before = {name: os.environ.get(name) for name in domain.environment}
+        os.environ.update(domain.environment)
+        try:
+            yield domain
+        finally:
+            for name, value in before.items():
+                if value is None:
+                    del os.environ[name]
+                else:
+                    os.environ[name] = value
+
+
+def _bound(domain: int, offset: int, address: str = "") -> socket.socket | None:
+    """Return a socket bound to a port of a domain, None when somebody has it."""
+    made = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    try:
+        made.bind((address, 7400 + 250 * domain + offset))
+    except OSError:
+        made.close()
+        return None
+    return made
+
+
+def _unused(domain: int) -> bool:
+    """Tell whether the ports of discovery are free: of the multicast, and of the first participants (RTPS 9.6.1)."""
+    for offset in (0, *(10 + 2 * participant for participant in range(_PARTICIPANTS))):
+        probe = _bound(domain, offset)
+        if probe is None:
+            return False
+        probe.close()
+    return True

@@ -1,0 +1,373 @@
+"""When the plant makes a sample: when everybody has answered the last one, or when its time has come."""
+
+from __future__ import annotations
+
+import threading
+import time
+from array import array
+
+from std_msgs.msg import String
+
+from hysteresis_ros.nodes.lockstep import STARTUP_TIMEOUT, TOGETHER, Lockstep
+from hysteresis_ros.nodes.qos import latched_qos
+from hysteresis_ros.nodes.realtime import GONE, HERE, RealTime
+from hysteresis_ros.nodes.spin import QUIET
+
+#: Real time: longer waits can be interrupted, the last bit of a wait is slept because that is more exact [s].
+EXACT_WAIT = 0.02
+
+#: Nodes of an axis that read joint_states.
+READERS = 3
+
+#: Periods behind schedule after which the schedule moves instead of being caught up with.
+FAR_BEHIND = 10.0
+
+#: Without a voltage for so many seconds, and so many periods, none is under way any more; and how many times as long
+#: that is waited for.
+ALIGN_QUIET, ALIGN_PERIODS, ALIGN_PATIENCE = 0.03, 3.0, 5.0
+
+#: Whose absence opens the loop.
+CLOSERS = frozenset({"motion_controller", "hysteresis_compensator", "inchworm_sequencer"})
+
+#: Messages kept about who comes and goes.
+PRESENCES = 20
+
+#: Samples whose times of publication are kept.
+PUBLISHED = 1024
+
+#: Answers whose times are kept to say what this machine holds.
+ANSWERS = 256
+
+
+class LockstepPlant(Lockstep):
+    """Publishes sample k and goes on to k+1 when all voltages of k have come.
+
+    Parameters
+    ----------
+    node : PlantSimulatorNode
+    """
+
+    def clear(self) -> None:
+        """Forget the run: the next sample is number 0."""
+        super().clear()
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin at sample 0."""
+        self.is_measured = False
+        self._ended = False
+        self._came: set[str] = set()
+        self._acknowledged = 0
+
+    def connect(self) -> None:
+        """Make the topics of the protocol."""
+        super().connect()
+        if self.node.parameters.wait_for_recorder:
+            self._acknowledged = -1
+
+    def start_time(self) -> None:
+        """Tell the others whether the time goes on."""
+        self.say("running" if self.node.running else "paused")
+
+    def stop_time(self) -> None:
+        """Nothing goes on by itself."""
+
+    def hold(self, held: bool) -> None:
+        """Hold the time of the axis, or let it go on."""
+        self.say("paused" if held else "running")
+        self.advance()
+
+    def align(self) -> None:
+        """In lockstep every voltage is that of the present sample."""
+
+    is_quiet = True
+
+    def advance(self) -> None:
+        """Publish the present sample when the partners and the recorder allow it."""
+        node = self.node
+        if self.is_measured or self._ended or node.failure or not node.running or not node.active:
+            return
+        if not self.matched() or self._recorder_behind():
+            return
+        if node.parameters.samples and node.sample >= node.parameters.samples:
+            self._ended = True
+            node.finish()
+            return
+        self.is_measured = True
+        self._came.clear()
+        self.reset_pending = False
+        node.pace.tick()
+        node.publish_sample()
+
+    def _recorder_behind(self) -> bool:
+        parameters = self.node.parameters
+        if not parameters.wait_for_recorder:
+            return False
+        return self._acknowledged < 0 or self.node.sample - self._acknowledged >= parameters.lead
+
+    def voltage(self, input_, message) -> None:
+        """Take a voltage; it is that of the present sample, or the run is broken."""
+        node = self.node
+        if self._ended or not node.active or node.failure:
+            return
+        again = input_.topic in self._came
+        if not self.is_measured or again:
+            # before sample 0, and from a compensator that leaves while the time is held, it is nothing
+            if (self.is_measured and again) or (node.sample and node.running and not self._recorder_behind()):
+                text = f"a voltage came on {input_.topic} that sample {node.sample} did not ask for"
+                node.fail(f"{text}: {input_.partner} was restarted, or there are two; {TOGETHER}")
+            return
+        self.heard()
+        node.receive(input_, message.data)
+        self._came.add(input_.topic)
+        if len(self._came) == len(node.inputs):
+            self.is_measured = False
+            node.finish_sample()
+            self.advance()
+
+    def acknowledged_by_recorder(self, message) -> None:
+        """Note how far the recorder is."""
+        self._acknowledged = message.data
+        self.heard()
+        self.advance()
+
+    def missing_voltage(self) -> str:
+        """Name who has not delivered what the present sample needs."""
+        if not self.matched():
+            return "every reader of joint_states"
+        if self.is_measured:
+            missing = [input_ for input_ in self.node.inputs if input_.topic not in self._came]
+            # the voltage waits for what others wait for: who owes another one is nearer to the culprit
+            return f"{missing[-1].partner} (topic {missing[-1].topic})"
+        return "recorder" if self._recorder_behind() else ""
+
+    def explain_trip(self) -> str:
+        """Say why the plant has stopped the axis."""
+        limit = self.node.parameters.allowed_late
+        return f"more than {limit} voltages were missing in a row or within a second; ~/start lets it go on"
+
+
+class RealTimePlant(RealTime):
+    """Makes a sample whenever its time has come, in a thread with absolute deadlines.
+
+    A voltage carries no number, so it belongs to a sample by count, and one that answers an earlier sample is late
+    however soon after its own sample it comes. When the first voltages come, and when somebody begins anew, it is not
+    known how many samples will not be answered any more: the next one then waits for a moment, until no voltage is
+    under way, and the count begins there.
+
+    Parameters
+    ----------
+    node : PlantSimulatorNode
+    """
+
+    def __init__(self, node):
+        self._thread = None
+        self._leaving = threading.Event()
+        self._runs = 0
+        self._ended = False
+        self._acknowledged = -1
+        self.is_measured = False
+        self._published = array("d", bytes(8 * PUBLISHED))
+        self._answers = array("d", bytes(8 * ANSWERS))
+        self._answered = 0
+        # one is written by the thread, the other by the executor
+        self._asked = 0
+        self._given: dict[str, int] = {}
+        self._unaligned = False
+        super().__init__(node)
+
+    def connect(self) -> None:
+        """Listen to who comes and goes."""
+        super().connect()
+        self._gone: set[str] = set()
+        self.node.subscriber(String, "run_state", self._on_presence, latched_qos(PRESENCES))
+
+    def _on_presence(self, message) -> None:
+        state, _, who = message.data.partition(" ")
+        if state == GONE and who in CLOSERS:
+            self._gone.add(who)
+        elif state == HERE:
+            self._gone.discard(who)
+            self.align()
+
+    def align(self) -> None:
+        """Begin to count voltages anew before the next sample."""
+        self._unaligned = True
+
+    @property
+    def thread(self):
+        """The thread that keeps the time, while there is one."""
+        return self._thread
+
+    def start_time(self) -> None:
+        """Start the thread that keeps the time."""
+        self.node.set_start()
+        self._start()
+
+    def _start(self) -> None:
+        self._ended = False
+        self._leaving.clear()
+        self._thread = threading.Thread(target=self._keep_time, name="plant_time", daemon=True)
+        self._thread.start()
+
+    def stop_time(self) -> None:
+        """Stop the thread that keeps the time."""
+        self._leaving.set()
+        if self._thread is not None:
+            self._thread.join()
+            self._thread = None
+
+    def restart(self) -> None:
+        """Begin at sample 0; called with the lock held."""
+        self._runs += 1
+        self.align()
+        self._ended = False
+        self.is_measured = False
+        self.node.set_start()
+        if self._thread is not None and not self._thread.is_alive():
+            self._start()  # it had left at the end of the run before
+
+    def hold(self, held: bool) -> None:
+        """Hold the time of the axis, or let it go on."""
+        if not held:
+            with self.node.lock:
+                self.node.set_start()
+
+    def voltage(self, input_, message) -> None:
+        """Take a voltage: the last one before the deadline counts."""
+        node = self.node
+        if node.part.silent or not input_.received:
+            self.align()
+        given = self._given[input_.topic] = min(self._given.get(input_.topic, 0) + 1, self._asked)
+        node.receive(input_, message.data)
+        if input_.received:
+            self._answers[self._answered % ANSWERS] = input_.received - self._published[given % PUBLISHED]
+            self._answered += 1
+
+    def acknowledged_by_recorder(self, message) -> None:
+        """Note that the recorder is there."""
+        self._acknowledged = message.data
+
+    def missing_voltage(self) -> str:
+        """In real time nobody is awaited."""
+        return ""
+
+    @property
+    def is_quiet(self) -> bool:
+        """Whether no voltage is under way any more."""
+        return all(time.monotonic() - input_.received > QUIET for input_ in self.node.inputs)
+
+    def explain_trip(self) -> str:
+        """Say why the plant has stopped the axis, what this machine holds, and what to do."""
+        parameters = self.node.parameters
+        rate = parameters.sample_rate * parameters.real_time_factor
+        late, delayed = parameters.allowed_late, parameters.allowed_delayed
+        text = f"more than {late} voltages came late within a second"
+        text += f", or {delayed} in a row that answered earlier samples, at {rate:.6g} Hz"
+        answers = sorted(self._answers[: min(self._answered, ANSWERS)])
+        if answers:
+            slow = max(answers[int(0.99 * (len(answers) - 1))], 1e-9)
+            text += f"; this graph answers within {1e3 * slow:.3g} ms (99 %), which holds {0.5 / slow:.3g} Hz"
+        return (
+            f"{text}; lower sample_rate or real_time_factor, run it composed, or in lockstep; then call ~/start "
+            "(late_limit says how many may be late)"
+        )
+
+    def _keep_time(self) -> None:
+        try:
+            self._keep_time_until_left()
+        except Exception as error:  # a thread would die without a word
+            self.node.fail(f"the thread that keeps the time broke: {type(error).__name__}: {error}")
+
+    def _keep_time_until_left(self) -> None:
+        node, period = self.node, self.period
+        if node.sample == 0 and node.parameters.samples:
+            self._await_partners()
+        deadline = time.monotonic()
+        while not self._leaving.is_set() and not self._ended:
+            if not node.running:
+                self._leaving.wait(0.01)
+                deadline = time.monotonic()
+                continue
+            if self._unaligned:
+                self._align()
+                deadline = time.monotonic()
+            with node.lock:
+                node.pace.tick()
+                self.is_measured = True
+                self._published[(self._asked + 1) % PUBLISHED] = time.monotonic()
+                self._asked += 1
+                node.publish_sample()
+                published = self._runs
+            deadline += period
+            if not self._wait_until(deadline):
+                return
+            if time.monotonic() - deadline > FAR_BEHIND * period:
+                deadline = time.monotonic()  # the schedule moves; samples are never dropped
+            with node.lock:
+                if self._runs != published:
+                    continue  # a reset came in between: there is no sample to take
+                self.is_measured = False
+                node.part.set_behind(any(self._is_behind(input_) for input_ in node.inputs))
+                self._finish_sample()
+                if node.parameters.samples and node.sample >= node.parameters.samples:
+                    self._ended = True
+                    node.finish()
+
+    def _finish_sample(self) -> None:
+        """Finish a sample; voltages that are missing because somebody has left the loop are not called late."""
+        node = self.node
+        before = node.part.tripped
+        if node.leaving:
+            node.part.forgive()
+        node.finish_sample()
+        late = node.part.tripped and not before and not node.part.failure
+        if late and (self._gone or not node.loop_complete()):
+            node.part.start()
+
+    def _is_behind(self, input_) -> bool:
+        """Tell whether a voltage came, but not yet that of the present sample: Float64 messages belong by count."""
+        return bool(input_.received) and self._given.get(input_.topic, 0) < self._asked
+
+    def _align(self) -> None:
+        """Wait until no voltage is under way, and begin to count there."""
+        node = self.node
+        self._unaligned = False
+        quiet = max(ALIGN_QUIET, ALIGN_PERIODS * self.period)
+        until = time.monotonic() + ALIGN_PATIENCE * quiet
+        while not self._leaving.is_set() and time.monotonic() < until:
+            idle = time.monotonic() - max(
+                self._published[self._asked % PUBLISHED], *(input_.received for input_ in node.inputs)
+            )
+            if idle > quiet:
+                break
+            self._leaving.wait(0.1 * quiet)
+        with node.lock:
+            self._given = dict.fromkeys(self._given, self._asked)
+            node.part.forgive()
+            node.pace.restart()
+            node.set_start()
+
+    def _await_partners(self) -> None:
+        """Let a run of given length begin when the loop is complete; one without end needs no beginning."""
+        node = self.node
+        waits = node.parameters.wait_for_recorder
+        patience = time.monotonic() + STARTUP_TIMEOUT
+        while time.monotonic() < patience and not self._leaving.wait(0.02):
+            complete = node.readers() >= READERS + waits
+            complete = complete and all(node.count_publishers(input_.full_name) for input_ in node.inputs)
+            if complete and not (waits and self._acknowledged < 0):
+                break
+        with node.lock:
+            if not node.sample:
+                node.set_start()
+
+    def _wait_until(self, deadline: float) -> bool:
+        """Wait; False when the node leaves."""
+        wait = deadline - time.monotonic()
+        if wait > EXACT_WAIT:
+            self._leaving.wait(wait - EXACT_WAIT)
+            wait = deadline - time.monotonic()
+        if wait > 0.0 and not self._leaving.is_set():
+            time.sleep(wait)
+        return not self._leaving.is_set()

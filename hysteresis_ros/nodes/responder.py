@@ -1,0 +1,224 @@
+"""What source, controller and compensator have in common: they answer samples with their part of the loop."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64
+
+from hysteresis_ros import signals
+from hysteresis_ros.nodes.base import AxisNode, sample_index
+from hysteresis_ros.nodes.lockstep import LockstepResponder
+from hysteresis_ros.nodes.realtime import RealTimeResponder
+
+#: Frame of ``joint_states`` while the plant has stopped the axis.
+TRIPPED_FRAME = "tripped"
+
+
+@dataclass(frozen=True)
+class Input:
+    """A Float64 topic that carries one signal of the loop.
+
+    Parameters
+    ----------
+    topic : str
+    signal : int
+        Place in the row.
+    partner : str
+        Who publishes it.
+    previous : bool
+        It belongs to the sample before: what was carried out.
+    strict : bool
+        In real time nothing stands in for a message that does not come in time.
+    """
+
+    topic: str
+    signal: int
+    partner: str
+    previous: bool = False
+    strict: bool = False
+
+
+class Responder(AxisNode):
+    """A node that answers each sample with its part of the loop.
+
+    Subclasses set :attr:`part`, and say in :meth:`step` which kernel of the loop they run on the row.
+    """
+
+    #: Name of what triggers an answer in real time.
+    trigger = "joint_states"
+    #: Whether that is the measurement.
+    triggered_by_measurement = True
+    #: Float64 topics that are heard and published, in order.
+    inputs: tuple[Input, ...] = ()
+    outputs: tuple[tuple[str, int], ...] = ()
+
+    def __init__(self, name: str, **options):
+        self.row = [0.0] * signals.MOTOR_ROW
+        self.part = None
+        self._joint_index = -1
+        self.wrong_joint = False
+        super().__init__(name, **options)
+
+    def make_runner(self):
+        """Return what decides when a sample is answered."""
+        return LockstepResponder(self) if self.parameters.time_mode == "lockstep" else RealTimeResponder(self)
+
+    # -- the part of the loop ------------------------------------------------------------------------------------
+
+    def step(self) -> None:
+        """Run this node's part of the loop on the row."""
+        raise TypeError(f"{type(self).__name__} does not say which part of the loop it is")
+
+    def reset_blocks(self) -> None:
+        """Begin again with everything at rest."""
+        self.part.reset()
+        self.row[:] = [0.0] * len(self.row)
+
+    def retune(self, parameters) -> None:
+        """Take new parameters without a jump."""
+        self.part.retune(parameters)
+
+    def on_running(self, running: bool) -> None:
+        """``~/stop`` brings the part to its safe output, ``~/start`` lets it go on without a jump."""
+        if running:
+            self.part.start()
+        else:
+            self.part.stop()
+        self.log_change("start" if running else "stop")
+
+    def compile(self) -> None:
+        """Take the part through everything it can be asked for, so that nothing is compiled later."""
+        for measured in (0.0, math.nan, 0.0):
+            for stopping in (None, self.part.stop, self.part.start):
+                if stopping is not None:
+                    stopping()
+                self.row[:] = [0.0] * len(self.row)
+                self.row[signals.MEASURED] = self.row[signals.COMMAND] = measured
+                self.step()
+        self.part.reset()
+
+    # -- messages ------------------------------------------------------------------------------------------------
+
+    def connect(self) -> None:
+        """Make the topics of the loop."""
+        self._message = Float64()
+        qos = self.qos()
+        state = self.state_signals()
+        self._state_places = [signals.place(signal) for signal in state.values()]
+        self._outputs = [(place, self.publisher(Float64, topic, qos, loop=True)) for topic, place in self.outputs]
+        self.subscriber(JointState, "joint_states", self.runner.measurement, qos, partner="plant_simulator")
+        for place, input_ in enumerate(self.inputs):
+            heard = self._heard(place)
+            self.subscriber(Float64, input_.topic, heard, qos, partner=input_.partner)
+        self.subscribe_end()
+
+    def _heard(self, place: int):
+        def take(message) -> None:
+            self.runner.value(place, message.data)
+
+        return take
+
+    def sample_of(self, stamp) -> int:
+        """Return the number of the sample with this stamp."""
+        return sample_index(stamp, self.parameters.sample_rate)
+
+    def read(self, message, row) -> bool:
+        """Put the measurement of the joint into a row, NaN when there is none; False when the run is broken by it."""
+        joint, names, index = self.parameters.joint, message.name, self._joint_index
+        row[signals.TRIPPED] = 1.0 if message.header.frame_id == TRIPPED_FRAME else 0.0
+        row[signals.MEASURED] = math.nan
+        if not 0 <= index < len(names) or names[index] != joint:
+            self.wrong_joint = joint not in names
+            if self.wrong_joint:
+                text = f"joint '{joint}' is not in joint_states, which has {list(names)}: set the parameter joint"
+                if self.runner.exact:
+                    self.fail(text)
+                    return False
+                self.warn("joint", text, error=True)
+                return True
+            index = self._joint_index = names.index(joint)
+        self.wrong_joint = False
+        if index < len(message.position):
+            row[signals.MEASURED] = message.position[index]
+        return True
+
+    def reject(self, row) -> None:
+        """Take the measurement out of a row."""
+        row[signals.MEASURED] = math.nan
+
+    def take(self, input_: Input, data: float) -> None:
+        """Take a value of an input."""
+        self.row[input_.signal] = data
+
+    def refuse_value(self, input_: Input, data: float) -> None:
+        """Say that a value of an input cannot be used."""
+
+    # -- answers -------------------------------------------------------------------------------------------------
+
+    def respond(self) -> None:
+        """Run the part of the loop and publish what it gives."""
+        self.before_step()
+        self.step()
+        self.publish_outputs()
+        self.sample += 1
+        self.after_step()
+
+    def before_step(self) -> None:
+        """Put what people ask for into the row."""
+
+    def after_step(self) -> None:
+        """Look at what the part has done."""
+
+    def answer(self, stamp) -> None:
+        """Answer the sample in the row."""
+        self.respond()
+        self.report(stamp)
+
+    def report(self, stamp) -> None:
+        """Publish ``~/state`` with the stamp of a measurement."""
+        self.publish_state(stamp, *self.state_values())
+
+    def state_values(self) -> list[float]:
+        """Return what ``~/state`` holds."""
+        row = self.row
+        return [row[place] for place in self._state_places]
+
+    def publish_outputs(self) -> None:
+        """Publish what the part gives."""
+        row, message = self.row, self._message
+        for place, publisher in self._outputs:
+            message.data = float(row[place])
+            publisher.publish(message)
+
+    # -- real time: what is missing ------------------------------------------------------------------------------
+
+    @property
+    def patience(self) -> float:
+        """Seconds without a trigger after which samples are counted without it."""
+        return self.parameters.measurement_timeout
+
+    @property
+    def is_stale(self) -> bool:
+        """Whether the input of the part has not been usable for its time-out."""
+        return False
+
+    def say_silent(self) -> None:
+        """Say that the trigger has stopped."""
+
+    def miss_sample(self) -> None:
+        """Let a sample go by without a trigger."""
+        self.row[signals.MEASURED] = self.row[signals.COMMAND] = math.nan
+        self.step()
+        self.after_missing()
+
+    def miss(self, samples: int) -> None:
+        """Let samples go by without a trigger, and publish where that has led."""
+        for _ in range(samples):
+            self.miss_sample()
+        self.publish_outputs()
+
+    def after_missing(self) -> None:
+        """Look at what the part has done without a trigger."""

@@ -1,0 +1,1 @@
+"""Published experiments, repeated: one folder a paper, each claim beside what the package finds."""

@@ -1,0 +1,1 @@
+"""Auwal et al. 2017: PID and inverse multiplicative compensation of Bouc-Wen hysteresis."""

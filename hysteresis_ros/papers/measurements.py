@@ -1,0 +1,121 @@
+"""Figures that the experiments judge, taken from runs of the axis."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hysteresis_ros.analysis.settings import axis_settings, judged_reference
+from hysteresis_ros.analysis.steps import find_holds, step_responses
+from hysteresis_ros.errors import RecordingError
+from hysteresis_ros.models.hysteresis.polynomial import PolynomialParameters
+from hysteresis_ros.recordings.dataset import Recording
+from hysteresis_ros.recordings.loops import loop_opening
+
+
+@dataclass(frozen=True)
+class StepFigures:
+    """What a run of steps between 0 and one level shows; the worst of its steps.
+
+    Parameters
+    ----------
+    settling : float
+        2 % settling time [s], around the value finally reached; the length of the hold where a step does not settle.
+    peak : float
+        Largest displacement [m].
+    residual : float
+        Largest magnitude finally reached at zero reference after a motion [m].
+    level_error : float
+        Largest magnitude of the error finally left at the upper level [m].
+    late_vibration : float
+        Farthest displacement from the value finally reached, from half the hold on [m].
+    """
+
+    settling: float
+    peak: float
+    residual: float
+    level_error: float
+    late_vibration: float
+
+
+def step_figures(run: Recording) -> StepFigures:
+    """Judge a run of steps by its true displacement less the preload's offset.
+
+    Raises
+    ------
+    RecordingError
+        The reference does not step up and back to zero.
+    """
+    displacement = run["displacement"] - axis_settings(run).offset
+    reference = judged_reference(run)
+    responses = step_responses(run.time, reference, displacement)
+    holds = find_holds(reference)[1:]
+    back = [abs(answer.final) for answer in responses if answer.size < 0.0]
+    up = [abs(answer.steady_state_error) for answer in responses if answer.size > 0.0]
+    if not back or not up:
+        raise RecordingError("the reference of the run does not step up and back to zero: nothing to judge")
+    times, vibrations = [], []
+    for hold, answer in zip(holds, responses, strict=True):
+        length = (hold.stop - hold.start) * run.sample_time
+        times.append(length if answer.settling_time is None else answer.settling_time)
+        late = displacement[(hold.start + hold.stop) // 2 : hold.stop]
+        vibrations.append(float(np.max(np.abs(late - answer.final))))
+    return StepFigures(max(times), float(np.max(displacement)), max(back), max(up), max(vibrations))
+
+
+def loop_width(run: Recording) -> float:
+    """Return the largest opening of the loop displacement over reference, in % of the stroke of the reference.
+
+    A reference of sample k first shows in the displacement of sample k + 1; the two are compared. With a preview the
+    delayed reference is, at the same sample.
+
+    Raises
+    ------
+    RecordingError
+        The reference does not go to and fro.
+    """
+    late = 0 if axis_settings(run).preview else 1
+    reference, displacement = judged_reference(run)[: len(run) - late], run["displacement"][late:]
+    opening = loop_opening(reference, displacement)
+    if opening is None:
+        raise RecordingError("the reference of the run does not go to and fro: it has no loop")
+    return 100.0 * opening / float(np.ptp(reference))
+
+
+def picard_width(stack: PolynomialParameters, v_max: float, stroke: float, steps: int, rate_times_gain: float) -> float:
+    """Return the opening between the branches of one loop after Picard steps (eq. 16) that know nothing of the past.
+
+    Parameters
+    ----------
+    stack : PolynomialParameters
+        The branches, plant and model alike.
+    v_max : float
+        Peak of the loop [V].
+    stroke : float
+        Displacement from 0 to which is wanted [m]; the nominal gain is ``stroke / v_max``.
+    steps : int
+        Number of steps; 0: the voltage is displacement / gain.
+    rate_times_gain : float
+        R g of the steps.
+
+    Returns
+    -------
+    float
+        Largest opening at equal wanted displacement, in % of the stroke.
+    """
+    wanted = np.linspace(0.0, stroke, 1001)
+    reached = []
+    for branch in ("rising", "falling"):
+        coefficients = [np.polyval(getattr(stack, f"{branch}_{name}")[::-1], v_max) for name in ("C2", "C1", "D")]
+        voltage = wanted * (v_max / stroke)
+        for _ in range(steps):
+            output = np.polyval(coefficients, voltage)
+            voltage = voltage + (wanted - rate_times_gain * output) * (v_max / stroke)
+        reached.append(np.polyval(coefficients, voltage))
+    return 100.0 * float(np.max(np.abs(reached[0] - reached[1]))) / stroke
+
+
+def worst(values: list[float]) -> float:
+    """Return the value of largest magnitude."""
+    return max(values, key=abs)

@@ -1,0 +1,67 @@
+"""The waveforms for notebooks: ``hr.references.Sine(amplitude=1e-6, frequency=10.0)``, a class for each there is."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hysteresis_ros.errors import HysteresisError
+from hysteresis_ros.keywords import block_class, class_name
+from hysteresis_ros.references.waveforms import WAVEFORMS, Waveform, WaveformParameters
+
+
+class Reference(Waveform):  # numpydoc ignore=PR02
+    """A waveform that knows its samples; base of the classes in ``hr.references``.
+
+    Parameters
+    ----------
+    parameters : WaveformParameters
+        What to play.
+    sample_time : float
+        Sample time [s].
+    """
+
+    def samples(self, count: int | None = None) -> np.ndarray:
+        """Return the next samples; the waveform goes on from where it was.
+
+        Parameters
+        ----------
+        count : int, optional
+            Number of samples N; by default as many as the waveform has.
+
+        Returns
+        -------
+        ndarray, shape (N,)
+            Displacement [m].
+
+        Raises
+        ------
+        HysteresisError
+            The waveform has no end and no number was given, or the number is negative.
+        """
+        if count is None:
+            count = self.duration_samples
+            if not count:
+                raise HysteresisError("the waveform has no end: say how many samples, or give cycles")
+        if count < 0:
+            raise HysteresisError(f"count = {count}: must be 0 or more samples")
+        return self.simulate(np.zeros(count))
+
+
+def _made(kind: str) -> type[Reference]:
+    shape = WAVEFORMS[kind]
+    others = tuple(f"{other}." for other in WAVEFORMS if other != kind)
+    taken = {"frequency": shape.takes_frequency, "phase": shape.takes_phase, "polarity": shape.takes_polarity}
+    return block_class(
+        class_name(kind),
+        (Reference,),
+        WaveformParameters,
+        module="hysteresis_ros.references",
+        summary=f"The waveform {kind.replace('_', ' ')}.",
+        fixed={"type": kind},
+        own=(kind,),
+        hidden=lambda name: name.startswith(others) or not taken.get(name, True),
+    )
+
+
+#: The classes by name.
+CLASSES: dict[str, type[Reference]] = {class_name(kind): _made(kind) for kind in WAVEFORMS}

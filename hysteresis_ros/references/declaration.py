@@ -1,0 +1,210 @@
+"""What a waveform declares, so that parameters, generator and the check of what an axis reaches know all of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any, NoReturn
+
+import numpy as np
+
+from hysteresis_ros.errors import ParameterError, Problem
+from hysteresis_ros.parameters import Parameters
+from hysteresis_ros.references.cycle import (
+    AMPLITUDE,
+    DENOMINATOR,
+    END,
+    FINAL,
+    NUMERATOR,
+    OFFSET,
+    OWN,
+    PHASE,
+    RESIDUAL,
+    TWO_PI,
+    cycles_per_sample,
+)
+
+#: Prefix of the parameters' names in errors.
+PREFIX = "waveform."
+
+
+@dataclass(frozen=True, eq=False)
+class Packed:
+    """A waveform for one set of parameters.
+
+    Parameters
+    ----------
+    p : ndarray
+        Parameters of the kernel, laid out as :mod:`hysteresis_ros.references.cycle` says.
+    kernel : callable
+        ``y = kernel(p, x, u)``; the state is the sample counter.
+    lowest, highest : float
+        Range [m], offset included.
+    period : int or None
+        Samples after which the output repeats bit for bit; None where it does not.
+    crest_factor : float or None
+        Peak over root mean square, without the offset, where that is known.
+    """
+
+    p: np.ndarray
+    kernel: Callable
+    lowest: float
+    highest: float
+    period: int | None
+    crest_factor: float | None = None
+
+
+def _nothing_wrong(parameters) -> Iterable[Problem]:
+    return ()
+
+
+def _end(p) -> int:
+    return int(p[END])
+
+
+@dataclass(frozen=True, eq=False)
+class WaveformShape:
+    """A waveform: its type and parameters, and what the rest of the package asks of it.
+
+    Parameters
+    ----------
+    name : str
+        ``type`` of the waveform.
+    pack : callable
+        ``pack(parameters, sample_time)`` returns :class:`Packed` for WaveformParameters; :func:`cyclic` makes one of a
+        kernel.
+    parameters : type of Parameters, optional
+        Own parameters, a group of the waveform's name.
+    takes_frequency, takes_phase, takes_polarity : bool, optional
+        Which of the parameters that waveforms share it uses.
+    check : callable, optional
+        ``check(parameters)`` yields a Problem for each inconsistency, names relative to WaveformParameters.
+    extent : str, optional
+        Name of the parameter that says how far it goes.
+    periodic : bool, optional
+        Whether it has one frequency, for which an axis can be too slow; experiments (chirp, multisine) have not.
+    fundamental : callable, optional
+        ``fundamental(parameters)`` returns the amplitude of its fundamental as a part of half its height; None for
+        waveforms with jumps, which are steps and no frequency.
+    duration : callable, optional
+        ``duration(p)`` returns the samples until it has been played, 0 when it has no end.
+    example : Parameters, optional
+        Own parameters of an example, where there are required ones.
+    """
+
+    name: str
+    pack: Callable[[Any, float], Packed]
+    parameters: type[Parameters] | None = None
+    takes_frequency: bool = True
+    takes_phase: bool = True
+    takes_polarity: bool = False
+    check: Callable[[Any], Iterable[Problem]] = _nothing_wrong
+    extent: str = "amplitude"
+    periodic: bool = False
+    fundamental: Callable[[Any], float] | None = None
+    duration: Callable[[np.ndarray], int] = _end
+    example: Parameters | None = None
+
+
+def refuse(name: str, value, allowed: str) -> NoReturn:
+    """Raise the ParameterError of a waveform that cannot be played.
+
+    Raises
+    ------
+    ParameterError
+        Always, with the name of the parameter, its value and what is allowed.
+    """
+    raise ParameterError([Problem(PREFIX + name, value, allowed)])
+
+
+def head(parameters) -> np.ndarray:
+    """Return the parameters that all kernels share, shape (8,), with offset and amplitude.
+
+    Parameters
+    ----------
+    parameters : WaveformParameters
+    """
+    p = np.zeros(OWN)
+    p[[OFFSET, AMPLITUDE, DENOMINATOR]] = parameters.offset, parameters.amplitude, 1.0
+    return p
+
+
+def time_cycles(p, parameters, sample_time: float, rate: Fraction, fastest: tuple[str, float]) -> int | None:
+    """Write how the counter becomes a position, and the end, into ``p``; return the samples after which it repeats.
+
+    Parameters
+    ----------
+    p : ndarray
+        Of :func:`head`.
+    parameters : WaveformParameters
+    sample_time : float
+        [s]
+    rate : Fraction
+        Cycles per second.
+    fastest : (str, float)
+        Name and value of the highest frequency in it [Hz].
+
+    Raises
+    ------
+    ParameterError
+        The highest frequency is above half the sample rate.
+    """
+    name, frequency = fastest
+    if frequency * sample_time > 0.5 or rate * Fraction(sample_time) > Fraction(1, 2):
+        refuse(name, frequency, f"must be ≤ {0.5 / sample_time:g} Hz, half the sample rate")
+    a, b, d = cycles_per_sample(rate, sample_time)
+    p[[NUMERATOR, DENOMINATOR, RESIDUAL]] = a, b, d
+    if parameters.cycles:
+        p[END] = math.ceil(parameters.cycles / (Fraction(a, b) + Fraction(d)))
+    return b if d == 0.0 and not parameters.cycles else None
+
+
+def turns_of(phase: float) -> float:
+    """Return a phase [rad] in turns, in [0, 1)."""
+    turns = phase / TWO_PI
+    return (turns - math.floor(turns)) % 1.0
+
+
+def first_value(kernel, p) -> float:
+    """Return the output of an endless waveform at its first sample [m]."""
+    endless = p.copy()
+    endless[END] = 0.0
+    return kernel(endless, np.zeros(1), 0.0)
+
+
+def cyclic(kernel, own=None, final=None, polarity: bool = False, repeats: bool = True):
+    """Return the ``pack`` of a waveform whose kernel makes one cycle of offset ± amplitude from the position.
+
+    Parameters
+    ----------
+    kernel : callable
+    own : callable, optional
+        ``own(parameters, sample_time)`` returns the numbers of the waveform's own in ``p``, behind that of the polarity
+        where it has one.
+    final : callable, optional
+        ``final(parameters, p)`` returns what is held after the last cycle; by default where a next one would begin.
+    polarity : bool
+        Whether it can stay above the offset.
+    repeats : bool
+        Whether a cycle is like the one before.
+    """
+
+    def pack(parameters, sample_time: float) -> Packed:
+        p = head(parameters)
+        frequency, amplitude, offset = parameters.frequency, parameters.amplitude, parameters.offset
+        period = time_cycles(p, parameters, sample_time, Fraction(frequency), ("frequency", frequency))
+        p[PHASE] = turns_of(parameters.phase)
+        lowest, numbers = offset - amplitude, []
+        if polarity:
+            unipolar = parameters.polarity == "unipolar"
+            numbers.append(1.0 if unipolar else 0.0)
+            lowest = offset if unipolar else lowest
+        if own is not None:
+            numbers += own(parameters, sample_time)
+        p = np.append(p, numbers)
+        p[FINAL] = first_value(kernel, p) if final is None else final(parameters, p)
+        return Packed(p, kernel, lowest, offset + amplitude, period if repeats else None)
+
+    return pack

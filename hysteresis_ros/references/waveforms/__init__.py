@@ -1,0 +1,127 @@
+"""Reference waveforms: each in one file or folder here, found by itself; and the choice of one by name, for YAML.
+
+The folder holds nothing else. What a waveform declares is described in :mod:`hysteresis_ros.references.declaration`.
+
+A waveform is a block whose output depends on the sample counter only (:mod:`hysteresis_ros.references.cycle` states
+how the counter becomes a position within the cycle). After the last of ``cycles`` cycles it holds its final value:
+where it stands at the end of the cycle, which for square is the last level and for staircase the level reached by
+the last step, on which a next cycle would begin.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hysteresis_ros.block import Block
+from hysteresis_ros.errors import ParameterError, Problem
+from hysteresis_ros.parameters import Parameters, parameter, variants
+from hysteresis_ros.references.declaration import PREFIX, WaveformShape
+from hysteresis_ros.registry import discover
+
+#: The waveforms by name. Other packages add theirs by an entry point: ``sinc = my_package.sinc:WAVEFORM``.
+WAVEFORMS: dict[str, WaveformShape] = discover(__name__, "WAVEFORM", WaveformShape, "hysteresis_ros.waveforms")
+
+
+def _names(chosen) -> str:
+    return ", ".join(name for name, shape in WAVEFORMS.items() if chosen(shape))
+
+
+@dataclass(frozen=True)
+@variants("type", {name: shape.parameters for name, shape in WAVEFORMS.items() if shape.parameters is not None})
+class WaveformParameters(Parameters):
+    """The waveform that is added to the setpoint."""
+
+    type: str = parameter("hold", description="shape of the waveform", choices=tuple(WAVEFORMS))
+    amplitude: float = parameter(0.0, description="height above the offset (peak)", unit="m", low=0.0)
+    frequency: float = parameter(1.0, description="cycles per second; chirp: initial frequency", unit="Hz", low=0.0)
+    offset: float = parameter(0.0, description="added to the waveform; the value of hold", unit="m")
+    phase: float = parameter(
+        0.0,
+        description=f"phase at the first sample; not for {_names(lambda shape: not shape.takes_phase)}",
+        unit="rad",
+    )
+    cycles: int = parameter(0, description="cycles after which the final value is held, 0 = endless", low=0)
+    polarity: str = parameter(
+        "unipolar",
+        description=f"{_names(lambda shape: shape.takes_polarity)}: from offset to offset + amplitude, or offset ± "
+        "amplitude",
+        choices=("unipolar", "symmetric"),
+    )
+
+    if TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any: ...
+
+    @property
+    def shape(self) -> WaveformShape:
+        """What the chosen waveform declares."""
+        return WAVEFORMS[self.type]
+
+    def check(self):
+        """Yield entries that exclude each other."""
+        shape = self.shape
+        if shape.takes_frequency and not self.frequency > 0.0:
+            yield Problem("frequency", self.frequency, f"must be > 0 Hz for {self.type}")
+        if not shape.takes_phase and self.phase != 0.0:
+            yield Problem("phase", self.phase, f"must be 0 for {self.type}, which always starts at its beginning")
+        yield from shape.check(self)
+
+
+class Waveform(Block):
+    """One waveform.
+
+    Parameters
+    ----------
+    parameters : WaveformParameters
+        What to play.
+    sample_time : float
+        Sample time [s].
+
+    Attributes
+    ----------
+    lowest, highest : float
+        Range of the waveform [m], offset included (of the continuous shape where it is a formula).
+    crest_factor : float or None
+        Peak over root mean square, without the offset, of a multisine.
+    period : int or None
+        Samples after which the output repeats bit for bit; None where it does not within 2²⁶ samples.
+
+    Raises
+    ------
+    ParameterError
+        Parameters are wrong, a frequency reaches half the sample rate, a multisine's period is not a whole number of
+        samples, or a file is missing or does not fit.
+    """
+
+    def __init__(self, parameters: WaveformParameters, sample_time: float):
+        super().__init__(parameters.validated(PREFIX), sample_time)
+
+    @property
+    def duration_samples(self) -> int:
+        """Samples until the waveform has been played; 0 when it has no end.
+
+        The last of several steps counts as long as the one before it.
+        """
+        return self.parameters.shape.duration(self.p)
+
+    def pack(self, parameters) -> np.ndarray:
+        """Return the kernel's parameters; their layout is in :mod:`~hysteresis_ros.references.cycle`."""
+        packed = parameters.shape.pack(parameters, self.sample_time)
+        self.kernel, self.period, self.crest_factor = packed.kernel, packed.period, packed.crest_factor
+        self.lowest, self.highest = packed.lowest, packed.highest
+        return packed.p
+
+    def retune(self, parameters) -> None:
+        """Refuse: another waveform may have another size; build a new one.
+
+        Raises
+        ------
+        ParameterError
+            Unless the parameters are the present ones.
+        """
+        if parameters != self.parameters:
+            text = "a waveform in use cannot change; stop the generator first"
+            raise ParameterError([Problem(PREFIX + "type", parameters.type, text)])

@@ -1,0 +1,57 @@
+"""Sine whose amplitude decays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from hysteresis_ros import elementary
+from hysteresis_ros.block import kernel
+from hysteresis_ros.parameters import Parameters, parameter
+from hysteresis_ros.references.cycle import AMPLITUDE, COUNTER, END, FINAL, OFFSET, OWN, PHASE, TWO_PI, turns
+from hysteresis_ros.references.declaration import WaveformShape, cyclic
+
+DECAY = OWN  # 1/samples
+
+
+@dataclass(frozen=True)
+class DecayingSineParameters(Parameters):
+    """Amplitude falls as exp(−t/decay_time)."""
+
+    decay_time: float = parameter(description="time constant of the amplitude", unit="s", low=1e-9)
+
+
+@kernel
+def decaying_sine(p, x, u):
+    """Sine around the offset whose amplitude decays as exp(−t/decay_time)."""
+    k = x[COUNTER]
+    x[COUNTER] = k + 1.0
+    if p[END] > 0.0 and k >= p[END]:
+        return p[FINAL]
+    return p[OFFSET] + p[AMPLITUDE] * elementary.exp(-k * p[DECAY]) * elementary.sin(TWO_PI * turns(p, k))
+
+
+def final(parameters, p) -> float:
+    """Return where the last cycle ends [m].
+
+    Parameters
+    ----------
+    parameters : WaveformParameters
+    p : ndarray
+    """
+    decay = elementary.exp(-parameters.cycles / (parameters.frequency * parameters.decaying_sine.decay_time))
+    return parameters.offset + parameters.amplitude * decay * elementary.sin(TWO_PI * p[PHASE])
+
+
+WAVEFORM = WaveformShape(
+    name="decaying_sine",
+    pack=cyclic(
+        decaying_sine,
+        own=lambda parameters, sample_time: [sample_time / parameters.decaying_sine.decay_time],
+        final=final,
+        repeats=False,
+    ),
+    parameters=DecayingSineParameters,
+    periodic=True,
+    fundamental=lambda parameters: 1.0,
+    example=DecayingSineParameters(decay_time=10.0),
+)

@@ -1,0 +1,62 @@
+"""Triangle whose peaks shrink in equal steps to zero: minor loops."""
+
+from __future__ import annotations
+
+import math
+
+from hysteresis_ros.block import kernel
+from hysteresis_ros.errors import Problem
+from hysteresis_ros.references.cycle import (
+    AMPLITUDE,
+    COUNTER,
+    END,
+    FINAL,
+    OFFSET,
+    OWN,
+    UNIPOLAR,
+    triangle_shape,
+    turns,
+    whole_turns,
+)
+from hysteresis_ros.references.declaration import WaveformShape, cyclic
+
+CYCLES = OWN + 1
+
+
+@kernel
+def decreasing_triangle(p, x, u):
+    """Triangle with amplitude A (n − i)/n in cycle i = 0 … n − 1, then the offset."""
+    k = x[COUNTER]
+    x[COUNTER] = k + 1.0
+    if k >= p[END]:
+        return p[FINAL]
+    amplitude = p[AMPLITUDE] * ((p[CYCLES] - whole_turns(p, k)) / p[CYCLES])
+    return p[OFFSET] + amplitude * triangle_shape(turns(p, k), p[UNIPOLAR])
+
+
+def check(parameters):
+    """Yield what keeps it from ending.
+
+    Parameters
+    ----------
+    parameters : WaveformParameters
+    """
+    if parameters.cycles < 1:
+        yield Problem("cycles", parameters.cycles, "must be ≥ 1 for decreasing_triangle: the last cycle ends at zero")
+
+
+WAVEFORM = WaveformShape(
+    name="decreasing_triangle",
+    pack=cyclic(
+        decreasing_triangle,
+        own=lambda parameters, sample_time: [float(parameters.cycles)],
+        final=lambda parameters, p: parameters.offset,
+        polarity=True,
+        repeats=False,
+    ),
+    takes_phase=False,
+    takes_polarity=True,
+    check=check,
+    periodic=True,
+    fundamental=lambda parameters: 8.0 / math.pi**2,
+)

@@ -1,0 +1,36 @@
+"""Hold: a constant."""
+
+from __future__ import annotations
+
+from hysteresis_ros.block import kernel
+from hysteresis_ros.references.cycle import COUNTER, OFFSET
+from hysteresis_ros.references.declaration import Packed, WaveformShape, head
+
+
+@kernel
+def hold(p, x, u):
+    """Constant offset."""
+    x[COUNTER] += 1.0
+    return p[OFFSET]
+
+
+def pack(parameters, sample_time: float) -> Packed:
+    """Return the offset as a waveform.
+
+    Parameters
+    ----------
+    parameters : WaveformParameters
+    sample_time : float
+        [s]
+    """
+    return Packed(head(parameters), hold, parameters.offset, parameters.offset, 1)
+
+
+WAVEFORM = WaveformShape(
+    name="hold",
+    pack=pack,
+    takes_frequency=False,
+    takes_phase=False,
+    extent="offset",
+    duration=lambda p: 0,
+)

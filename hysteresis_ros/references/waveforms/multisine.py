@@ -1,0 +1,135 @@
+"""Multisine: many frequencies at once, of equal amplitude."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+
+from hysteresis_ros import elementary
+from hysteresis_ros.block import kernel
+from hysteresis_ros.errors import Problem
+from hysteresis_ros.linear_algebra import rounded
+from hysteresis_ros.parameters import Parameters, parameter
+from hysteresis_ros.references.cycle import (
+    AMPLITUDE,
+    COUNTER,
+    DENOMINATOR,
+    END,
+    FINAL,
+    NUMERATOR,
+    OFFSET,
+    OWN,
+    PHASE,
+    RESIDUAL,
+    TWO_PI,
+    turns,
+)
+from hysteresis_ros.references.declaration import (
+    Packed,
+    WaveformShape,
+    first_value,
+    head,
+    refuse,
+    time_cycles,
+    turns_of,
+)
+
+COMPONENTS = OWN  # number of components; then pairs (harmonic, phase in turns)
+LONGEST_PERIOD = 10_000_000
+
+
+@dataclass(frozen=True)
+class MultisineParameters(Parameters):
+    """Equal amplitudes on harmonics of ``frequency``; ``amplitude`` is the peak of the whole."""
+
+    first_harmonic: int = parameter(1, description="lowest harmonic of frequency", low=1)
+    last_harmonic: int = parameter(10, description="highest harmonic of frequency", low=1)
+    harmonic_step: int = parameter(1, description="distance of harmonics; 2 from 1 excites odd ones only", low=1)
+    phases: str = parameter("schroeder", description="how phases are chosen", choices=("schroeder", "random"))
+    seed: int = parameter(1, description="seed of the random phases", low=0)
+
+    @property
+    def harmonics(self) -> np.ndarray:
+        """The excited harmonics, shape (M,)."""
+        return np.arange(self.first_harmonic, self.last_harmonic + 1, self.harmonic_step)
+
+    def check(self):
+        """The band is not empty."""
+        if self.last_harmonic < self.first_harmonic:
+            yield Problem("last_harmonic", self.last_harmonic, f"must be ≥ first_harmonic = {self.first_harmonic}")
+
+
+@kernel
+def multisine(p, x, u):
+    """Sum of harmonics of equal amplitude; p[AMPLITUDE] is that of one harmonic."""
+    k = x[COUNTER]
+    x[COUNTER] = k + 1.0
+    if p[END] > 0.0 and k >= p[END]:
+        return p[FINAL]
+    position = turns(p, k)
+    total = 0.0
+    for i in range(int(p[COMPONENTS])):
+        angle = p[COMPONENTS + 1 + 2 * i] * position + p[COMPONENTS + 2 + 2 * i]
+        total += elementary.sin(TWO_PI * (angle - math.floor(angle)))
+    return p[OFFSET] + p[AMPLITUDE] * total
+
+
+def _phases(own: MultisineParameters) -> np.ndarray:
+    """Return the phases of the components in turns, shape (M,)."""
+    count = own.harmonics.size
+    if own.phases == "schroeder":
+        index = np.arange(1, count + 1)
+        # M. R. Schroeder, IEEE Trans. Inf. Theory 16 (1970) 85, flat spectrum: Σ cos(… − π i(i−1)/M), as sines.
+        return 0.25 - 0.5 * ((index * (index - 1)) % (2 * count)) / count
+    # The raw stream of a bit generator is the same in every NumPy (NEP 19); that of distributions need not be.
+    return (np.random.PCG64(own.seed).random_raw(count) >> np.uint64(11)) * 2.0**-53
+
+
+def pack(parameters, sample_time: float) -> Packed:
+    """Return the multisine whose peak is the amplitude.
+
+    Parameters
+    ----------
+    parameters : WaveformParameters
+    sample_time : float
+        [s]
+
+    Raises
+    ------
+    ParameterError
+        The period is no whole number of samples, or a harmonic reaches half the sample rate.
+    """
+    own, frequency, p = parameters.multisine, parameters.frequency, head(parameters)
+    repeat = time_cycles(p, parameters, sample_time, Fraction(frequency), ("frequency", frequency))
+    p[PHASE] = turns_of(parameters.phase)
+    samples, harmonics = int(p[DENOMINATOR]), own.harmonics
+    if p[NUMERATOR] != 1.0 or p[RESIDUAL] != 0.0 or samples > LONGEST_PERIOD:
+        whole = min(max(round(1.0 / (frequency * sample_time)), 2), LONGEST_PERIOD)
+        near = 1.0 / (whole * sample_time)
+        allowed = f"the period of a multisine must be a whole number of samples ≤ {LONGEST_PERIOD}; nearest {near!r} Hz"
+        refuse("frequency", frequency, allowed)
+    if 2 * harmonics[-1] >= samples:
+        allowed = f"must be ≤ {(samples - 1) // 2}, below half the sample rate"
+        refuse("multisine.last_harmonic", own.last_harmonic, allowed)
+    count, phases = harmonics.size, _phases(own)
+    spectrum = np.zeros(samples // 2 + 1, dtype=complex)
+    # One period of the sum of sin(2π (h (k/N + phase) + φ_h)).
+    angles = (TWO_PI * (phases + harmonics * p[PHASE])).tolist()
+    parts = [complex(elementary.sin(angle), -elementary.cos(angle)) for angle in angles]
+    spectrum[harmonics] = 0.5 * samples * np.array(parts)
+    period = np.fft.irfft(spectrum, samples)
+    # A part in 10¹² less, so that the kernel's own rounding cannot exceed the amplitude; 13 digits, because NumPy's
+    # transform is not promised to add in the same order everywhere.
+    scale = float(rounded((1.0 - 1e-12) / np.max(np.abs(period))))
+    lowest = parameters.offset + parameters.amplitude * scale * float(np.min(period))
+    highest = parameters.offset + parameters.amplitude * scale * float(np.max(period))
+    p[AMPLITUDE] = parameters.amplitude * scale
+    p = np.concatenate([p, [count], np.column_stack([harmonics, phases % 1.0]).ravel()])
+    p[FINAL] = first_value(multisine, p)
+    return Packed(p, multisine, lowest, highest, repeat, float(np.max(np.abs(period)) / np.sqrt(0.5 * count)))
+
+
+WAVEFORM = WaveformShape(name="multisine", pack=pack, parameters=MultisineParameters)

@@ -1,0 +1,56 @@
+"""Square: an upper and a lower level."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from hysteresis_ros.block import kernel
+from hysteresis_ros.parameters import Parameters, parameter
+from hysteresis_ros.references.cycle import AMPLITUDE, COUNTER, EDGE, END, FINAL, OFFSET, OWN, PHASE, UNIPOLAR, turns
+from hysteresis_ros.references.declaration import WaveformShape, cyclic, first_value
+
+DUTY = OWN + 1
+
+
+@dataclass(frozen=True)
+class SquareParameters(Parameters):
+    """Upper level first, then lower level."""
+
+    duty: float = parameter(0.5, description="part of the cycle on the upper level", low=0.0, high=1.0)
+
+
+@kernel
+def square(p, x, u):
+    """Upper level for the first ``duty`` of each cycle, lower level for the rest."""
+    k = x[COUNTER]
+    x[COUNTER] = k + 1.0
+    if p[END] > 0.0 and k >= p[END]:
+        return p[FINAL]
+    position = turns(p, k) + EDGE
+    position -= math.floor(position)
+    if position < p[DUTY]:
+        return p[OFFSET] + p[AMPLITUDE]
+    return p[OFFSET] if p[UNIPOLAR] > 0.0 else p[OFFSET] - p[AMPLITUDE]
+
+
+def final(parameters, p) -> float:
+    """Return the level at the end of a cycle [m].
+
+    Parameters
+    ----------
+    parameters : WaveformParameters
+    p : ndarray
+    """
+    before = p.copy()
+    before[PHASE] = (p[PHASE] - 1e-6) % 1.0
+    return first_value(square, before)
+
+
+WAVEFORM = WaveformShape(
+    name="square",
+    pack=cyclic(square, own=lambda parameters, sample_time: [parameters.square.duty], final=final, polarity=True),
+    parameters=SquareParameters,
+    takes_polarity=True,
+    periodic=True,
+)

@@ -1,0 +1,66 @@
+"""Staircase: a triangle held on equidistant levels."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from hysteresis_ros.block import kernel
+from hysteresis_ros.parameters import Parameters, parameter
+from hysteresis_ros.references.cycle import (
+    AMPLITUDE,
+    COUNTER,
+    EDGE,
+    END,
+    FINAL,
+    OFFSET,
+    OWN,
+    UNIPOLAR,
+    triangle_shape,
+    turns,
+)
+from hysteresis_ros.references.declaration import WaveformShape, cyclic
+
+LEVELS = OWN + 1  # levels a cycle
+
+
+@dataclass(frozen=True)
+class StaircaseParameters(Parameters):
+    """Equal steps up and down again."""
+
+    steps: int = parameter(10, description="steps from the offset to the amplitude", low=1, high=100_000)
+
+
+@kernel
+def staircase(p, x, u):
+    """Triangle held on equidistant levels."""
+    k = x[COUNTER]
+    x[COUNTER] = k + 1.0
+    if p[END] > 0.0 and k >= p[END]:
+        return p[FINAL]
+    level = math.floor(turns(p, k) * p[LEVELS] + EDGE * p[LEVELS])
+    if level >= p[LEVELS]:
+        level = 0.0
+    return p[OFFSET] + p[AMPLITUDE] * triangle_shape(level / p[LEVELS], p[UNIPOLAR])
+
+
+def own(parameters, sample_time: float) -> list[float]:
+    """Return the number of levels a cycle.
+
+    Parameters
+    ----------
+    parameters : WaveformParameters
+    sample_time : float
+        [s]
+    """
+    return [parameters.staircase.steps * (2.0 if parameters.polarity == "unipolar" else 4.0)]
+
+
+WAVEFORM = WaveformShape(
+    name="staircase",
+    pack=cyclic(staircase, own=own, polarity=True),
+    parameters=StaircaseParameters,
+    takes_polarity=True,
+    periodic=True,
+    fundamental=lambda parameters: 8.0 / math.pi**2,
+)

@@ -1,0 +1,113 @@
+"""Steps: levels at given times."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hysteresis_ros.block import kernel
+from hysteresis_ros.errors import Problem
+from hysteresis_ros.parameters import Parameters, parameter
+from hysteresis_ros.references.cycle import COUNTER, END, FINAL, OFFSET, OWN
+from hysteresis_ros.references.declaration import Packed, WaveformShape, head, refuse
+
+COUNT, REPEAT, TABLE = OWN, OWN + 1, OWN + 2  # entries, samples after which it repeats (0 = never), starts and levels
+
+
+@dataclass(frozen=True)
+class StepsParameters(Parameters):
+    """Levels at given times; zero before the first, the last one holds."""
+
+    values: tuple[float, ...] = parameter(description="levels, added to the offset", unit="m")
+    times: tuple[float, ...] = parameter(description="growing start times of the levels", unit="s", low=0.0)
+    period: float = parameter(
+        0.0, description="time after which the levels repeat, to the nearest sample; 0 = never", unit="s", low=0.0
+    )
+
+    def check(self):
+        """Values and times belong together, times grow, the period covers them."""
+        if not self.values or len(self.values) != len(self.times):
+            yield Problem("times", self.times, f"must have one time for each of the {len(self.values)} values, ≥ 1")
+        elif any(later <= earlier for earlier, later in zip(self.times, self.times[1:], strict=False)):
+            yield Problem("times", self.times, "must grow strictly")
+        elif self.period and self.period <= self.times[-1]:
+            yield Problem("period", self.period, f"must be 0 (never) or > {self.times[-1]:g} s, the last time")
+
+
+@kernel
+def steps(p, x, u):
+    """Value i from its start sample on, zero before the first; binary search of the start samples."""
+    k = x[COUNTER]
+    x[COUNTER] = k + 1.0
+    if p[END] > 0.0 and k >= p[END]:
+        return p[FINAL]
+    if p[REPEAT] > 0.0:
+        k = k % p[REPEAT]
+    count = int(p[COUNT])
+    low, high = 0, count
+    while low < high:
+        middle = (low + high) // 2
+        if p[TABLE + middle] <= k:
+            low = middle + 1
+        else:
+            high = middle
+    return p[OFFSET] if low == 0 else p[OFFSET] + p[TABLE + count + low - 1]
+
+
+def pack(parameters, sample_time: float) -> Packed:
+    """Return the levels with the samples at which they begin.
+
+    Parameters
+    ----------
+    parameters : WaveformParameters
+    sample_time : float
+        [s]
+
+    Raises
+    ------
+    ParameterError
+        Two times are less than a sample apart.
+    """
+    own, p = parameters.steps, head(parameters)
+    # The first sample at or after each time; rounding of t/Ts must not delay it.
+    starts = np.ceil(np.array(own.times) / sample_time - 1e-6)
+    repeat = round(own.period / sample_time)
+    if np.any(np.diff(starts) <= 0.0) or 0 < repeat <= starts[-1]:
+        refuse("steps.times", own.times, f"must be at least one sample ({sample_time:g} s) apart, also from the period")
+    levels = np.array(own.values)
+    reached = np.append(levels, 0.0) if starts[0] > 0.0 else levels
+    p[END] = parameters.cycles * repeat
+    p[FINAL] = parameters.offset + levels[-1]
+    return Packed(
+        np.concatenate([p, [len(own.values), repeat], starts, levels]),
+        steps,
+        parameters.offset + float(np.min(reached)),
+        parameters.offset + float(np.max(reached)),
+        repeat if repeat and not parameters.cycles else None,
+    )
+
+
+def duration(p) -> int:
+    """Return the samples until all levels have been held; the last as long as the one before it.
+
+    Parameters
+    ----------
+    p : ndarray
+    """
+    if p[REPEAT] != 0.0:
+        return int(p[END])
+    starts = p[TABLE : TABLE + int(p[COUNT])]
+    return int(2 * starts[-1] - starts[-2]) if starts.size > 1 else 0
+
+
+WAVEFORM = WaveformShape(
+    name="steps",
+    pack=pack,
+    parameters=StepsParameters,
+    takes_frequency=False,
+    takes_phase=False,
+    extent="steps.values",
+    duration=duration,
+    example=StepsParameters(values=(1e-6, 3e-6), times=(0.1, 0.2), period=0.5),
+)

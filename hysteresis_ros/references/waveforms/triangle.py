@@ -1,0 +1,28 @@
+"""Triangle of constant amplitude."""
+
+from __future__ import annotations
+
+import math
+
+from hysteresis_ros.block import kernel
+from hysteresis_ros.references.cycle import AMPLITUDE, COUNTER, END, FINAL, OFFSET, UNIPOLAR, triangle_shape, turns
+from hysteresis_ros.references.declaration import WaveformShape, cyclic
+
+
+@kernel
+def triangle(p, x, u):
+    """Triangle of constant amplitude."""
+    k = x[COUNTER]
+    x[COUNTER] = k + 1.0
+    if p[END] > 0.0 and k >= p[END]:
+        return p[FINAL]
+    return p[OFFSET] + p[AMPLITUDE] * triangle_shape(turns(p, k), p[UNIPOLAR])
+
+
+WAVEFORM = WaveformShape(
+    name="triangle",
+    pack=cyclic(triangle, polarity=True),
+    takes_polarity=True,
+    periodic=True,
+    fundamental=lambda parameters: 8.0 / math.pi**2,
+)

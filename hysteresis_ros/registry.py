@@ -1,0 +1,78 @@
+"""Registries: what a folder of the package offers, found by itself, and what other packages add to it.
+
+Every module (or folder) in such a folder declares one thing under one name, for instance ``MODEL``. A file put there is
+found; nothing else has to be told. Packages of others add theirs by an entry point of the registry's group.
+"""
+
+from __future__ import annotations
+
+import importlib
+import importlib.metadata
+import pkgutil
+import sys
+import warnings
+from typing import Any, Protocol, TypeVar
+
+
+class Named(Protocol):
+    """What every declaration has."""
+
+    @property
+    def name(self) -> str:
+        """Name by which it is found."""
+        ...
+
+
+Declaration = TypeVar("Declaration", bound=Named)
+
+
+def discover(package: str, attribute: str, kind: type[Declaration], group: str) -> dict[str, Declaration]:
+    """Return what the modules of a package and the entry points of a group declare, by name, in alphabetical order.
+
+    Parameters
+    ----------
+    package : str
+        Dotted name of the package whose modules declare; it has begun to be imported. Modules whose names begin with
+        an underscore are passed over.
+    attribute : str
+        Name under which each module has its declaration.
+    kind : type
+        Class of the declarations; each has a ``name``.
+    group : str
+        Group of entry points, each naming a declaration: ``dahl = my_package.dahl:MODEL``. One that cannot be loaded,
+        declares something else or has a name that is taken is left out with a warning.
+
+    Raises
+    ------
+    TypeError
+        A module of the package has no such declaration, or two have the same name.
+    """
+    found: dict[str, Declaration] = {}
+    for item in pkgutil.iter_modules(sys.modules[package].__path__):
+        if not item.name.startswith("_"):
+            module = importlib.import_module(f"{package}.{item.name}")
+            _add(found, getattr(module, attribute, None), kind, f"{module.__name__}.{attribute}")
+    for entry in importlib.metadata.entry_points(group=group):
+        try:
+            _add(found, entry.load(), kind, entry.value)
+        except Exception as error:
+            text = f"entry point {entry.name} = {entry.value} of {group} is left out: {type(error).__name__}: {error}"
+            warnings.warn(text, RuntimeWarning, stacklevel=2)
+    return dict(sorted(found.items()))
+
+
+def _add(found: dict[str, Declaration], declared: object, kind: type[Declaration], source: str) -> None:
+    if not isinstance(declared, kind):
+        raise TypeError(f"{source} must be a {kind.__name__}, it is {declared!r}")
+    if declared.name in found:
+        raise TypeError(f"{source}: the name {declared.name!r} is taken")
+    found[declared.name] = declared
+
+
+def resolved(path: str) -> Any:
+    """Return the function that a dotted path ``package.module:function`` names, importing its module.
+
+    So a declaration names a function of a folder that it may not import.
+    """
+    module, _, name = path.partition(":")
+    return getattr(importlib.import_module(module), name)

@@ -1,0 +1,249 @@
+"""The signals of an axis: one table of names, units and writers, from which everything else about them follows.
+
+A sample of an axis is a *row* of numbers, one for each signal, in the order of this table; the parts of the loop read
+and write it by the constants below. Columns of recordings, ``~/state`` messages, Float64 topics, reports and the
+comparison with the offline twin come from the same table.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+SOURCE, MOTOR_SOURCE = "reference_generator", "inchworm_sequencer"
+CONTROLLER, COMPENSATOR, PLANT = "motion_controller", "hysteresis_compensator", "plant_simulator"
+#: Who writes what people ask for.
+USER = "user"
+
+
+@dataclass(frozen=True)
+class Signal:
+    """One signal of an axis.
+
+    Parameters
+    ----------
+    name : str
+        Column of recordings.
+    unit : str
+        SI unit; ``1`` for counts, codes and what is in a model's own units.
+    writer : str
+        Node whose part of the loop writes it, or ``user``. What ``reference_generator`` writes, the
+        ``inchworm_sequencer`` of a motor writes instead.
+    description : str
+        What it is.
+    state : tuple of (str, str)
+        Nodes in whose ``~/state`` it stands, and its name there.
+    topic : str
+        Float64 topic that carries it, if any.
+    motor : bool
+        Only an inchworm motor has it.
+    """
+
+    name: str
+    unit: str
+    writer: str
+    description: str
+    state: tuple[tuple[str, str], ...] = ()
+    topic: str = ""
+    motor: bool = False
+
+
+def _at(*nodes: str, name: str):
+    return tuple((node, name) for node in nodes)
+
+
+def _sequencer(name: str, unit: str, description: str, state: str = "", topic: str = "") -> Signal:
+    return Signal(name, unit, MOTOR_SOURCE, description, _at(MOTOR_SOURCE, name=state or name), topic, motor=True)
+
+
+def _motor(name: str, unit: str, description: str, state: str = "") -> Signal:
+    return Signal(name, unit, PLANT, description, _at(PLANT, name=state or name), motor=True)
+
+
+#: All signals, in the order of a row: what every axis has, then what only an inchworm motor has.
+SIGNALS = (
+    Signal("setpoint", "m", USER, "setpoint in force", _at(SOURCE, MOTOR_SOURCE, name="setpoint"), "setpoint"),
+    Signal(
+        "reference",
+        "m",
+        SOURCE,
+        "wanted displacement",
+        (*_at(SOURCE, MOTOR_SOURCE, CONTROLLER, name="reference"),),
+        "reference",
+    ),
+    Signal(
+        "command",
+        "m",
+        CONTROLLER,
+        "displacement wanted from the hysteresis element",
+        _at(CONTROLLER, COMPENSATOR, name="command"),
+        "command",
+    ),
+    Signal("voltage", "V", COMPENSATOR, "voltage for the amplifier", _at(COMPENSATOR, name="voltage"), "voltage"),
+    Signal("displacement", "m", PLANT, "true displacement of the joint", _at(PLANT, name="displacement")),
+    Signal("measured", "m", PLANT, "measured displacement of the joint", _at(PLANT, name="measured")),
+    Signal("estimated", "m", CONTROLLER, "displacement as the observer has it", _at(CONTROLLER, name="estimated")),
+    Signal(
+        "applied", "m", COMPENSATOR, "command that was carried out", _at(COMPENSATOR, name="applied"), topic="applied"
+    ),
+    Signal("switching", "1", CONTROLLER, "switching function", _at(CONTROLLER, name="switching")),
+    Signal("disturbance", "1", CONTROLLER, "estimated disturbance", _at(CONTROLLER, name="disturbance")),
+    Signal("plant_voltage", "V", PLANT, "voltage that the amplifier puts out", _at(PLANT, name="voltage")),
+    Signal("saturated", "1", COMPENSATOR, "1: range or slew rate cut the voltage", _at(COMPENSATOR, name="saturated")),
+    Signal(
+        "seen", "m", CONTROLLER, "measurement that the controller took, NaN: none", _at(CONTROLLER, name="measured")
+    ),
+    Signal("source_mode", "1", SOURCE, "what the source does (a mode)", _at(SOURCE, MOTOR_SOURCE, name="mode")),
+    Signal("controller_mode", "1", CONTROLLER, "what the controller does (a mode)", _at(CONTROLLER, name="mode")),
+    Signal("compensator_mode", "1", COMPENSATOR, "what the compensator does (a mode)", _at(COMPENSATOR, name="mode")),
+    Signal("plant_mode", "1", PLANT, "what the plant does (a mode)", _at(PLANT, name="mode")),
+    Signal("tripped", "1", PLANT, "1: the plant has stopped the axis until it is started", _at(PLANT, name="tripped")),
+    Signal("late", "1", PLANT, "voltages so far that did not come in time", _at(PLANT, name="late")),
+    _sequencer("origin", "m", "what the controller subtracts from the measurement", topic="origin"),
+    _motor("extender", "m", "measured displacement of the extender"),
+    _motor("extender_displacement", "m", "true displacement of the extender"),
+    _sequencer("front_voltage", "V", "voltage of the front clamp", topic="front_clamp/voltage"),
+    _sequencer("rear_voltage", "V", "voltage of the rear clamp", topic="rear_clamp/voltage"),
+    _motor("front_force", "N", "normal force of the front clamp"),
+    _motor("rear_force", "N", "normal force of the rear clamp"),
+    _sequencer("phase", "1", "phase of the gait"),
+    _sequencer("steps", "1", "steps so far, forward minus backward"),
+    _sequencer("direction", "1", "direction of motion"),
+    _sequencer("slip", "m", "slip of the last step"),
+    _sequencer("error", "1", "error code"),
+    _sequencer("arrived", "1", "1: at the setpoint within the tolerance"),
+    _sequencer("total_steps", "1", "steps so far"),
+    _sequencer("missed", "1", "missed steps so far"),
+    _sequencer("step_commanded", "m", "commanded length of the last step"),
+    _sequencer("step_achieved", "m", "achieved length of the last step"),
+    Signal("request", "1", USER, "request to the sequencer", _at(MOTOR_SOURCE, name="request"), motor=True),
+    Signal("speed", "m/s", USER, "walking speed asked for", _at(MOTOR_SOURCE, name="speed"), motor=True),
+    _motor("front_plant_voltage", "V", "voltage that the front clamp's amplifier puts out", "front_voltage"),
+    _motor("rear_plant_voltage", "V", "voltage that the rear clamp's amplifier puts out", "rear_voltage"),
+    _sequencer("load_deflection", "m", "learned deflection of the extender by the load"),
+    _sequencer("forward_gain", "1", "learned gain of forward steps"),
+    _sequencer("backward_gain", "1", "learned gain of backward steps"),
+    _sequencer("forward_offset", "m", "learned offset of forward steps"),
+    _sequencer("backward_offset", "m", "learned offset of backward steps"),
+)
+
+# Places in a row, written out so that compiled code has them as constants; a test holds them against the table.
+(
+    SETPOINT,
+    REFERENCE,
+    COMMAND,
+    VOLTAGE,
+    DISPLACEMENT,
+    MEASURED,
+    ESTIMATED,
+    APPLIED,
+    SWITCHING,
+    DISTURBANCE,
+    PLANT_VOLTAGE,
+    SATURATED,
+    SEEN,
+    SOURCE_MODE,
+    CONTROLLER_MODE,
+    COMPENSATOR_MODE,
+    PLANT_MODE,
+    TRIPPED,
+    LATE,
+    ORIGIN,
+    EXTENDER,
+    EXTENDER_DISPLACEMENT,
+    FRONT_VOLTAGE,
+    REAR_VOLTAGE,
+    FRONT_FORCE,
+    REAR_FORCE,
+    PHASE,
+    STEPS,
+    DIRECTION,
+    SLIP,
+    ERROR,
+    ARRIVED,
+    TOTAL_STEPS,
+    MISSED,
+    STEP_COMMANDED,
+    STEP_ACHIEVED,
+    REQUEST,
+    SPEED,
+    FRONT_PLANT_VOLTAGE,
+    REAR_PLANT_VOLTAGE,
+    LOAD_DEFLECTION,
+    FORWARD_GAIN,
+    BACKWARD_GAIN,
+    FORWARD_OFFSET,
+    BACKWARD_OFFSET,
+) = range(45)
+
+#: Places of what people ask for: of any axis the first, of a motor all of them.
+ASKED = (SETPOINT, REQUEST, SPEED)
+
+#: Length of a row of an actuator's axis, and of a motor's.
+ACTUATOR_ROW = sum(not signal.motor for signal in SIGNALS)
+MOTOR_ROW = len(SIGNALS)
+
+#: SI units by name, with the time of the samples.
+UNITS = {"time": "s", **{signal.name: signal.unit for signal in SIGNALS}}
+
+#: Columns that every recording of a run has, and those that one of a motor has besides.
+COLUMNS = tuple(signal.name for signal in SIGNALS[: ESTIMATED + 1])
+MOTOR_COLUMNS = tuple(signal.name for signal in SIGNALS[ORIGIN : STEP_ACHIEVED + 1])
+
+#: Signals that stand in for another where a recording lacks it.
+SUBSTITUTES = {"voltage": "plant_voltage", "measured": "seen"}
+
+#: The nodes of an axis that write signals, in the order in which a sample passes through them.
+WRITERS = (PLANT, SOURCE, MOTOR_SOURCE, CONTROLLER, COMPENSATOR)
+
+#: What stands first in ``~/state`` of some nodes; the rest follows in the order of the table.
+STATE_FIRST = {
+    MOTOR_SOURCE: ("setpoint", "request", "speed"),
+    CONTROLLER: ("reference", "measured", "estimated", "command"),
+    PLANT: ("displacement", "measured", "voltage"),
+}
+
+#: What is asked of an axis from outside beside setpoints: inputs of its replay.
+REQUESTS = ("request", "speed")
+
+
+def row_signals(motor: bool) -> tuple[Signal, ...]:
+    """Return the signals of a row of an axis, in order."""
+    return SIGNALS[: MOTOR_ROW if motor else ACTUATOR_ROW]
+
+
+def place(name: str) -> int:
+    """Return the place of a signal in a row.
+
+    Raises
+    ------
+    KeyError
+        There is no such signal.
+    """
+    return _PLACES[name]
+
+
+_PLACES = {signal.name: index for index, signal in enumerate(SIGNALS)}
+
+
+def state_signals(node: str, motor: bool = True) -> dict[str, str]:
+    """Return what stands in ``~/state`` of a node: name in the message → signal, in the order of the message."""
+    found = {name: signal.name for signal in row_signals(motor) for where, name in signal.state if where == node}
+    first = {name: found.pop(name) for name in STATE_FIRST.get(node, ()) if name in found}
+    return first | found
+
+
+def float_topics() -> dict[str, str]:
+    """Return the Float64 topics that carry one number a sample: topic → signal, in the order of a sample.
+
+    Whoever hears a reference has heard its origin.
+    """
+    found = [signal for signal in SIGNALS if signal.topic and signal.writer != USER]
+    found.sort(key=lambda signal: (max(WRITERS.index(signal.writer), 2), signal.topic != "origin"))
+    return {signal.topic: signal.name for signal in found}
+
+
+def sources(name: str) -> tuple[tuple[str, str], ...]:
+    """Return where a recording may have a signal: (node, name in its ``~/state``), best first."""
+    signal = SIGNALS[place(name)]
+    substitute = SUBSTITUTES.get(name)
+    return signal.state + (SIGNALS[place(substitute)].state if substitute else ())

@@ -1,0 +1,145 @@
+"""Ctrl-C anywhere in a command: one line, exit code 130, no traceback. Real processes, stopped at a known place."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pathlib
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+ROOT = pathlib.Path(__file__).resolve().parents[2]
+
+#: What the executable runs; it says so and waits where it is about to import the module that the first word names.
+WAITING_AT_AN_IMPORT = """
+import importlib.abc, signal, sys
+from hysteresis_ros.cli.entry import main
+
+class Wait(importlib.abc.MetaPathFinder):
+    module = sys.argv.pop(1)
+
+    def find_spec(self, name, path=None, target=None):
+        if name == self.module:
+            print("there", flush=True)
+            signal.pause()
+
+sys.meta_path.insert(0, Wait())
+main()
+"""
+
+#: The same, waiting in a finalizer, where Python cannot raise: it drops what is raised there, and says so.
+WAITING_IN_A_FINALIZER = """
+import signal, sys, time
+import click
+from hysteresis_ros.cli import entry, main
+
+class Dropped:
+    def __del__(self):
+        print("there", flush=True)
+        signal.pause()
+
+@click.command()
+@click.argument("afterwards")
+def waiting(afterwards):
+    Dropped()
+    if afterwards == "goes on":
+        signal.pause()
+    raise RuntimeError("what a compiler says of a callback that failed")
+
+main.LazyGroup.get_command = lambda self, ctx, name: waiting
+sys.argv.insert(1, "simulate")
+entry.main()
+"""
+
+
+def start(*arguments) -> subprocess.Popen:
+    paths = os.pathsep.join(filter(None, [str(ROOT), os.environ.get("PYTHONPATH")]))
+    return subprocess.Popen(
+        [sys.executable, *map(str, arguments)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env=dict(os.environ, PYTHONPATH=paths),
+        # a background job of a shell ignores SIGINT, and Python leaves it so
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.default_int_handler),
+    )
+
+
+def interrupted(process: subprocess.Popen) -> tuple[int, str]:
+    """Send Ctrl-C and return exit code and everything that is on stderr.
+
+    Python notes a signal that comes just before a blocking read, and acts on it when that read ends: so it is sent
+    again while nothing happens, as a person does.
+    """
+    for _ in range(60):
+        process.send_signal(signal.SIGINT)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            _, errors = process.communicate(timeout=1.0)
+            return process.returncode, errors
+    raise AssertionError("still running after 60 interrupts")
+
+
+@pytest.mark.parametrize(
+    "module, words",
+    [
+        ("click", ["--help"]),
+        ("yaml", ["simulate", "kim2009", "-o", "{}/a.npz"]),
+        ("numpy", ["simulate", "kim2009", "-o", "{}/a.npz"]),
+        ("scipy", ["identify", "{}/data.csv", "-o", "{}/a.yaml"]),
+        ("hysteresis_ros.analysis.metrics", ["report", "{}/run.csv"]),
+        ("hysteresis_ros.cli.reproduce", ["reproduce", "kim2009"]),
+        ("hysteresis_ros.papers.kim2009.reproduction", ["reproduce", "kim2009"]),
+        ("hysteresis_ros.identification.workflow", ["validate", "{}/a.yaml", "{}/data.csv"]),
+        ("hysteresis_ros.comparison", ["compare", "kim2009"]),
+    ],
+    ids=lambda value: value[0] if isinstance(value, list) else value,
+)
+def test_ctrl_c_during_an_import(tmp_path, module, words):
+    (tmp_path / "run.csv").write_text("time [s],reference [m],displacement [m]\n0,0,0\n1,0,0\n")
+    process = start("-c", WAITING_AT_AN_IMPORT, module, *[word.format(tmp_path) for word in words])
+    assert process.stdout.readline() == "there\n"
+    assert interrupted(process) == (130, "hysteresis: interrupted\n")
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["simulate", "{pipe}", "-o", "{}/a.npz"],
+        ["design", "{pipe}", "--controller", "pid", "-o", "{}/a.yaml"],
+        ["compare", "{pipe}"],
+        ["excite", "{pipe}", "--recipe", "steps", "--record", "{}/bag"],
+    ],
+    ids=lambda words: words[0],
+)
+def test_ctrl_c_while_a_command_works(tmp_path, words):
+    """The command reads a pipe; that it is open says where the command is, and it gets nothing more."""
+    pipe = tmp_path / "pipe.yaml"
+    os.mkfifo(pipe)
+    process = start("-m", "hysteresis_ros.cli.entry", *[word.format(tmp_path, pipe=pipe) for word in words])
+    end = opened_for_writing(pipe, process)
+    try:
+        assert interrupted(process) == (130, "hysteresis: interrupted\n")
+    finally:
+        os.close(end)
+    assert list(tmp_path.iterdir()) == [pipe], "nothing half-made is left"
+
+
+def opened_for_writing(pipe: pathlib.Path, process: subprocess.Popen) -> int:
+    """Open a pipe as soon as the process reads it."""
+    while True:
+        try:
+            return os.open(pipe, os.O_WRONLY | os.O_NONBLOCK)
+        except OSError:  # nobody reads it yet
+            assert process.poll() is None, process.stderr.read()
+            time.sleep(0.01)
+
+
+@pytest.mark.parametrize("afterwards", ["goes on", "fails"])
+def test_ctrl_c_where_python_cannot_raise_is_not_lost(afterwards):
+    process = start("-c", WAITING_IN_A_FINALIZER, afterwards)
+    assert process.stdout.readline() == "there\n"
+    assert interrupted(process) == (130, "hysteresis: interrupted\n")

@@ -1,0 +1,103 @@
+"""The guard around a driver: whatever that raises is an error that names it, and what does not suit is let go."""
+
+from __future__ import annotations
+
+import contextlib
+
+import pytest
+
+from hysteresis_ros.errors import ParameterError, Problem
+from hysteresis_ros.hardware.declaration import HardwareDriver
+from hysteresis_ros.hardware.device import Device
+from hysteresis_ros.hardware.driver import Capabilities, Driver, DriverError, Reading
+from hysteresis_ros.parameters import Parameters
+
+
+class Stage(Driver):
+    """A stage that raises what the test wants, where it wants it."""
+
+    raised: dict[str, Exception] = {}
+    calls: list[str] = []
+    positions = (0.0,)
+
+    def _call(self, name: str) -> None:
+        self.calls.append(name)
+        if name in self.raised:
+            raise self.raised[name]
+
+    def open(self, parameters, sample_rate):
+        self._call("open")
+        return Capabilities(1, 1, -10.0, 100.0, 1000.0)
+
+    def read(self):
+        self._call("read")
+        return Reading(self.positions)
+
+    def write(self, voltages):
+        self._call("write")
+
+    def make_safe(self):
+        self._call("make_safe")
+
+    def close(self):
+        self._call("close")
+
+
+@pytest.fixture
+def declared(monkeypatch):
+    monkeypatch.setattr(Stage, "raised", {})
+    monkeypatch.setattr(Stage, "calls", [])
+    return HardwareDriver("stage", "a stage of a test", Parameters, Stage, contextlib.nullcontext)
+
+
+@pytest.mark.parametrize(
+    ("raised", "said"),
+    [
+        (OSError("no such bus"), "driver stage: cannot be read: OSError: no such bus; look at the device"),
+        (
+            DriverError("stage 7", "is not homed", "home it"),
+            "driver stage: cannot be read: stage 7 is not homed; home it",
+        ),
+        (ParameterError([Problem("a", 1, "no")]), "driver stage: cannot be read: ParameterError: a = 1: no; look at"),
+    ],
+)
+def test_whatever_a_driver_raises_names_it_and_says_what_to_do(declared, raised, said):
+    device = Device(declared, Parameters(), 100.0)
+    assert device.read() == (0.0,)
+    Stage.raised["read"] = raised
+    with pytest.raises(DriverError) as caught:
+        device.read()
+    assert str(caught.value).startswith(said)
+
+
+def test_another_number_of_positions_than_said_is_refused(declared, monkeypatch):
+    device = Device(declared, Parameters(), 100.0)
+    monkeypatch.setattr(Stage, "positions", (0.0, 1.0))
+    with pytest.raises(DriverError, match="driver stage: cannot be read: ValueError: 2 positions of 1 joints"):
+        device.read()
+
+
+@pytest.mark.parametrize("raised", [OSError("not there"), ParameterError([Problem("a", 1, "no")])])
+def test_what_cannot_be_opened_is_closed(declared, raised):
+    Stage.raised["open"] = raised
+    with pytest.raises(ParameterError if isinstance(raised, ParameterError) else DriverError):
+        Device(declared, Parameters(), 100.0)
+    assert Stage.calls == ["open", "close"]
+
+
+def test_what_does_not_suit_is_closed(declared):
+    def refuse(capabilities):
+        assert capabilities.maximum == 100.0
+        raise DriverError("stage", "is too small", "take another one")
+
+    with pytest.raises(DriverError, match="stage is too small; take another one"):
+        Device(declared, Parameters(), 100.0, refuse)
+    assert Stage.calls == ["open", "close"]
+
+
+def test_closing_never_fails_and_happens_once(declared):
+    device = Device(declared, Parameters(), 100.0)
+    Stage.raised["close"] = OSError("it has gone")
+    device.close()
+    device.close()
+    assert Stage.calls == ["open", "close"]

@@ -1,0 +1,85 @@
+"""Identify and validate as functions: from arrays to a parameter file, and what a wrong call gets."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hysteresis_ros.errors import IdentificationError
+from hysteresis_ros.identification.data import IdentificationData
+from hysteresis_ros.identification.reading import Columns, read_data
+from hysteresis_ros.identification.workflow import identify, validate
+from hysteresis_ros.models.hysteresis.prandtl_ishlinskii import PrandtlIshlinskiiHysteresis, PrandtlIshlinskiiParameters
+
+STACK = PrandtlIshlinskiiParameters(radii=(0.0, 10.0, 20.0, 30.0), weights=(8e-8, 1e-8, 6e-9, 4e-9))
+
+
+def loops(peak: float = 100.0, constant: float = 0.0) -> IdentificationData:
+    """Two cycles and a decay, sampled at 200 Hz, each displacement with the voltage of its own sample."""
+    time = np.arange(1600) / 200.0
+    voltage = 0.5 * peak * (1.0 - np.where(time < 2.0, 1.0, np.exp((2.0 - time) / 3.0)) * np.cos(2.0 * np.pi * time))
+    noise = 2e-9 * np.random.default_rng(0).standard_normal(time.size)
+    displacement = PrandtlIshlinskiiHysteresis(STACK, 1.0).simulate(voltage) + noise + constant
+    return IdentificationData(time, voltage, displacement, source="arrays")
+
+
+def test_from_arrays_to_a_file_that_predicts_other_arrays(tmp_path):
+    reports = []
+    found = identify(
+        loops(), options={"zone_count": 0, "play_count": 12}, progress=lambda number, text: reports.append(number)
+    )
+    assert found.converged and found.reason == "" and reports
+    assert found.figures["rmse_m"] == found.validation.rmse < 1e-8
+    assert found.parameters is found.plant.hysteresis.prandtl_ishlinskii and len(found.parameters.radii) <= 12
+    assert found.parameters.thresholds == ()
+    np.testing.assert_allclose(found.predicted, loops().output, atol=5e-8)
+    found.save(tmp_path / "axis.yaml")
+    assert (tmp_path / "axis.yaml").read_text(encoding="utf-8") == found.text
+    other = validate(tmp_path / "axis.yaml", loops(80.0), skip=50)
+    assert other.figures["rmse_m"] < 1.5e-8 and other.figures["inverse_rmse_v"] < 0.2
+    assert other.validation.skipped == 50 and other.figures["identified_from"] == "arrays"
+    assert validate(tmp_path / "axis.yaml", loops(80.0), inverse=False).inverse is None
+    with pytest.raises(IdentificationError, match="cannot be written"):
+        found.save(tmp_path / "nowhere" / "axis.yaml")
+
+
+def test_a_free_constant_is_kept_out_of_the_file():
+    kept, free = (identify(loops(constant=5e-6), offset=offset) for offset in ("kept", "free"))
+    assert "A1:" in kept.text
+    assert "A1:" not in free.text and free.plant.offset == 0.0
+    assert free.validation.offset == pytest.approx(kept.plant.offset, abs=1e-7)
+
+
+def test_a_fit_that_does_not_converge_gives_its_best_point_and_the_reason():
+    found = identify(loops(), "bouc_wen", linear="none", options={"iterations": 4})
+    assert not found.converged and "did not converge" in found.reason and found.warnings[0] == found.reason
+    assert "converged: false" in found.text
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        ({"skipped": 3}, "skipped: no such condition; there are skip, offset"),
+        ({"offset": "fitted"}, "offset = 'fitted': must be one of kept, free"),
+        ({"options": {"plays": 3}}, "options of prandtl_ishlinskii"),
+        ({"model": "preisac"}, "must be one of"),
+        ({"intersample": "cubic"}, "cubic"),
+    ],
+)
+def test_wrong_calls_are_refused_by_name(arguments, said):
+    with pytest.raises(IdentificationError, match=said):
+        identify(loops(), **arguments)
+
+
+def test_columns_are_guessed_by_name_and_it_is_said(tmp_path):
+    data = loops()
+    table = np.column_stack([data.time, data.input, 0.5 * data.input, data.output * 1e6])
+    path = tmp_path / "table.csv"
+    np.savetxt(path, table, delimiter=",", header="t_s,control_V,monitor_V,gauge_um", comments="")
+    reading = read_data(path)
+    assert reading.guessed[0].startswith("input is the column 'control_V'")
+    assert read_data(reading) is reading
+    chosen = read_data(path, Columns(input="monitor_V:V", range=(100, 900), resample=0.01, negate=True))
+    assert len(chosen.data) == 400 and chosen.data.input_name == "monitor_V" and chosen.data.output.max() <= 0.0
+    with pytest.raises(IdentificationError, match="must be a length"):
+        read_data(path, Columns(input="control_V:V", output="monitor_V:V"))

@@ -1,0 +1,19 @@
+"""What compiled kernels are compared with: the same computation in a process without Numba's machine code."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import numpy as np
+
+
+def interpreted(module: str, expression: str, folder) -> np.ndarray:
+    """Return what ``expression`` gives in the namespace of a support module, every kernel interpreted."""
+    path = folder / "interpreted.npy"
+    script = f"import sys\nsys.path[:0] = {sys.path!r}\nimport numpy\nfrom {module} import *\n"
+    script += f"numpy.save({str(path)!r}, {expression})\n"
+    environment = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
+    subprocess.run([sys.executable, "-c", script], check=True, env=environment, timeout=120)
+    return np.load(path)

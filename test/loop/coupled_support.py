@@ -1,0 +1,86 @@
+"""Two axes whose actuators move each other: one tick over the parts of both, from the kernels of one."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from loop_support import HOLD, axis
+
+from hysteresis_ros import signals as at
+from hysteresis_ros.block import specialised
+from hysteresis_ros.loop.compensator import compensate
+from hysteresis_ros.loop.controller import carried_out, control
+from hysteresis_ros.loop.plant import actuate, sense
+from hysteresis_ros.loop.source import refer
+from hysteresis_ros.loop.tick import Parts
+
+#: First axis, second axis.
+SETPOINTS = (4e-6, 7e-6)
+
+
+class Pair(NamedTuple):
+    """The parts of two axes."""
+
+    first: Parts
+    second: Parts
+
+
+def coupled_ticks(laws, pair, coupling, rows, setpoints, found):
+    """Make ``found.shape[1]`` samples of both axes; what each moves, moves the other by a part of it.
+
+    Parameters
+    ----------
+    laws : Laws
+        Of both axes.
+    pair : Pair
+    coupling : ndarray, shape (1,)
+        Part of one's displacement that is added to the other one's measurement.
+    rows : ndarray, shape (2, row length)
+    setpoints : ndarray, shape (2, N)
+        [m]
+    found : ndarray, shape (6, N)
+        Measured displacements, voltages and modes of the controllers.
+    """
+    for k in range(found.shape[1]):
+        first, second = rows[0], rows[1]
+        first[at.SETPOINT] = setpoints[0, k]
+        second[at.SETPOINT] = setpoints[1, k]
+        sense(laws, pair.first.plant, first)
+        sense(laws, pair.second.plant, second)
+        one, other = first[at.MEASURED], second[at.MEASURED]
+        first[at.MEASURED] = one + coupling[0] * other
+        second[at.MEASURED] = other + coupling[0] * one
+        for row, parts in ((first, pair.first), (second, pair.second)):
+            refer(laws, parts.source, row)
+            control(laws, parts.controller, row)
+            compensate(laws, parts.compensator, row)
+            carried_out(parts.controller, row[at.APPLIED])
+            actuate(laws, parts.plant, row)
+        for i in range(2):
+            found[i, k] = rows[i, at.MEASURED]
+            found[2 + i, k] = rows[i, at.VOLTAGE]
+            found[4 + i, k] = rows[i, at.CONTROLLER_MODE]
+
+
+def coupled_run(samples, coupling, faults=((), ())):
+    """Return measured displacements [m], voltages [V] and controllers' modes of two coupled axes, shape (6, samples).
+
+    Parameters
+    ----------
+    samples : int
+    coupling : float
+    faults : tuple of tuple of str
+        Faults of each axis.
+    """
+    # the controllers estimate a constant disturbance, which is what the other axis is to each
+    controller = {"kalman__gain": "riccati", "kalman__L": [], "kalman__disturbance": "constant"}
+    axes = [axis(**HOLD, motion_controller=controller) for _ in range(2)]
+    for one, texts in zip(axes, faults, strict=True):
+        one.inject(texts)
+    pair = Pair(axes[0].parts, axes[1].parts)
+    rows, found = np.zeros((2, at.ACTUATOR_ROW)), np.zeros((6, samples))
+    setpoints = np.repeat(np.array(SETPOINTS)[:, None], samples, axis=1)
+    arguments = axes[0].laws, pair, np.array([coupling]), rows, setpoints, found
+    specialised(coupled_ticks, *arguments)(*arguments)
+    return found

@@ -1,0 +1,116 @@
+"""The table of signals: places, names and units; what stands in states, topics and recordings follows from it."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+import pytest
+from loop_support import assert_same_bits, axis, parameters
+
+from hysteresis_ros import signals
+from hysteresis_ros.recordings import load_run, save_run
+from hysteresis_ros.recordings.run_bag import write_recording
+from hysteresis_ros.simulation.run import simulate
+
+NODES = (*signals.WRITERS,)
+
+
+def test_every_place_has_the_name_of_its_signal():
+    for index, signal in enumerate(signals.SIGNALS):
+        assert getattr(signals, signal.name.upper()) == index == signals.place(signal.name), signal.name
+    with pytest.raises(KeyError):
+        signals.place("voltages")
+
+
+def test_what_only_a_motor_has_stands_behind_what_every_axis_has():
+    motor = [signal.motor for signal in signals.SIGNALS]
+    assert motor == sorted(motor)
+    assert signals.ACTUATOR_ROW == motor.index(True) == len(signals.row_signals(motor=False))
+    assert signals.MOTOR_ROW == len(signals.SIGNALS) == len(signals.row_signals(motor=True))
+    # of an actuator's axis only the first of what people ask for is in the row
+    assert signals.ASKED[0] < signals.ACTUATOR_ROW <= min(signals.ASKED[1:])
+    assert {signals.SIGNALS[place].name for place in signals.ASKED} == {
+        signal.name for signal in signals.SIGNALS if signal.writer == signals.USER
+    }
+
+
+def test_names_topics_and_entries_of_states_are_unique():
+    assert max(Counter(signal.name for signal in signals.SIGNALS).values()) == 1
+    assert max(Counter(signal.topic for signal in signals.SIGNALS if signal.topic).values()) == 1
+    assert max(Counter(entry for signal in signals.SIGNALS for entry in signal.state).values()) == 1
+    assert {node for signal in signals.SIGNALS for node, _ in signal.state} == set(NODES)
+    assert all(signal.unit and signal.description for signal in signals.SIGNALS)
+    assert signals.UNITS["time"] == "s" and signals.UNITS["voltage"] == "V" and signals.UNITS["seen"] == "m"
+
+
+@pytest.mark.parametrize("node", NODES)
+def test_a_state_has_every_signal_that_says_so_once_and_its_first_entries_first(node):
+    for motor in (False, True):
+        state = signals.state_signals(node, motor)
+        expected = {
+            name: signal.name for signal in signals.row_signals(motor) for where, name in signal.state if where == node
+        }
+        assert state == expected
+        first = [name for name in signals.STATE_FIRST.get(node, ()) if name in state]
+        assert list(state)[: len(first)] == first
+        rest = [signals.place(state[name]) for name in list(state)[len(first) :]]
+        assert rest == sorted(rest)
+    assert set(signals.STATE_FIRST.get(node, ())) <= set(signals.state_signals(node))
+
+
+def test_every_signal_of_a_part_stands_in_a_state_or_on_a_topic():
+    for signal in signals.SIGNALS:
+        if signal.writer == signals.USER:
+            continue
+        nodes = {node for node, _ in signal.state}
+        twin = {signals.SOURCE: signals.MOTOR_SOURCE}.get(signal.writer, signal.writer)
+        assert {signal.writer, twin} <= nodes or signal.topic, signal.name
+
+
+def test_topics_come_in_the_order_of_a_sample_and_an_origin_before_its_reference():
+    topics = list(signals.float_topics())
+    assert topics.index("origin") < topics.index("reference") < topics.index("command") < topics.index("voltage")
+    assert set(topics) == {s.topic for s in signals.SIGNALS if s.topic and s.writer != signals.USER}
+    assert "setpoint" not in topics
+
+
+def test_a_signal_is_found_where_it_was_written_and_in_its_substitute_after_that():
+    assert signals.sources("voltage") == (
+        ("hysteresis_compensator", "voltage"),
+        ("plant_simulator", "voltage"),
+    )
+    assert signals.sources("measured")[0] == ("plant_simulator", "measured")
+    assert signals.sources("measured")[-1] == ("motion_controller", "measured")
+    assert signals.sources("phase") == ((signals.MOTOR_SOURCE, "phase"),)
+
+
+@pytest.mark.parametrize(("name", "motor"), [("kim2009", False), ("inchworm_travel", True)])
+@pytest.mark.parametrize("kind", ["bag", "run.mcap", "run.npz"])
+def test_a_recording_that_is_read_back_has_every_signal_bit_for_bit(tmp_path, name, motor, kind):
+    given = parameters(name, every={"faults": ["stale:0.01:0.01", "late_voltage:0.0:1.0:0.3"]})
+    run = simulate(given, duration=300 / given.plant_simulator.sample_rate)
+    assert tuple(run.signals) == tuple(signal.name for signal in signals.row_signals(motor))
+    (write_recording if kind == "bag" else save_run)(run, tmp_path / kind)
+    back = load_run(tmp_path / kind, further=True)
+    assert set(run.signals) <= set(back.signals)
+    assert_same_bits({"time": run.time, **run.signals}, {"time": back.time, **back.signals})
+    assert all(back.units[signal] == signals.UNITS[signal] for signal in run.signals)
+
+
+@pytest.mark.parametrize("name", ["kim2009", "inchworm_travel"])
+def test_a_run_fills_every_place_of_the_row(name):
+    """Whatever stood in a row before, a sample overwrites: nothing depends on what a runner left there."""
+    one, other = axis(name), axis(name)
+    size = len(signals.row_signals(one.motor))
+    columns = np.zeros((size, 1))
+    if one.motor:
+        columns[signals.SPEED] = np.nan
+    dirty = columns.copy()
+    for _ in range(5):
+        one._run(columns, row=np.zeros(size))
+        rubbish = np.full(size, 17.0)
+        other._run(dirty, row=rubbish)
+        np.testing.assert_array_equal(columns, dirty)
+        columns[list(signals.ASKED[: 3 if one.motor else 1])] = 0.0
+        dirty[list(signals.ASKED[: 3 if one.motor else 1])] = 0.0

@@ -1,0 +1,112 @@
+"""Whatever is done to an axis, in whatever order: range, slew, clamps and modes keep their invariants."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
+from tick_support import (
+    ACTUATOR_RETUNES,
+    KINDS,
+    MOTOR_SETPOINTS,
+    REFUSED,
+    REQUESTS,
+    RETUNES,
+    SETPOINTS,
+    SPEEDS,
+    CheckedAxis,
+    sequences,
+    text_of,
+)
+
+from hysteresis_ros.loop.faults import FAULTS
+
+STOPPABLE = ["motion_controller", "hysteresis_compensator", "reference_generator"]
+
+fault = st.tuples(
+    st.sampled_from(sorted(FAULTS)), st.integers(0, 20), st.integers(1, 60), st.floats(0.0, 1.0, exclude_max=True)
+)
+
+
+class Tick(RuleBasedStateMachine):
+    """An axis under anything that people, partners and sensors may do to it."""
+
+    @initialize(kind=st.sampled_from(KINDS))
+    def begin(self, kind):
+        """An axis at rest."""
+        self.checked = CheckedAxis(*kind)
+        self.motor = self.checked.motor
+
+    @rule(count=st.integers(1, 60), setpoint=st.integers(0, len(SETPOINTS) - 1))
+    def run(self, count, setpoint):
+        """Some samples with a setpoint that may make no sense."""
+        self.checked.run(count, (MOTOR_SETPOINTS if self.motor else SETPOINTS)[setpoint])
+
+    @rule(count=st.integers(1, 60), request=st.sampled_from(REQUESTS), speed=st.sampled_from(SPEEDS))
+    def ask(self, count, request, speed):
+        """A request to the sequencer of a motor; nothing to an actuator."""
+        self.checked.run(count, None, request, speed)
+
+    @rule(faults=st.lists(fault, min_size=1, max_size=3))
+    def fail(self, faults):
+        """Faults from now on, and some samples with them."""
+        rate = self.checked.axis.sample_rate
+        texts = [text_of(*given, rate) for given in faults if self.motor or not FAULTS[given[0]].motor]
+        self.checked.axis.inject(tuple(texts))
+        self.checked.run(30)
+
+    @rule(node=st.sampled_from(STOPPABLE))
+    def stop(self, node):
+        """A part is told to stop; a sequencer is asked through its request."""
+        if node in self.checked.axis.by_node:
+            self.checked.apply(node, "stop")
+            self.checked.run(9)
+
+    @rule(
+        node=st.sampled_from(["motion_controller", "hysteresis_compensator", "reference_generator", "plant_simulator"])
+    )
+    def start(self, node):
+        """A part is told to start, which may not have stopped."""
+        if node in self.checked.axis.by_node:
+            self.checked.apply(node, "start")
+            self.checked.run(9)
+
+    @rule(number=st.integers(0, len(RETUNES + ACTUATOR_RETUNES) - 1))
+    def retune(self, number):
+        """New parameters while it runs."""
+        if number < len(RETUNES) or not self.motor:
+            self.checked.apply(*with_action((RETUNES + ACTUATOR_RETUNES)[number]))
+            self.checked.run(9)
+
+    @rule(number=st.integers(0, len(REFUSED) - 1))
+    def retune_wrongly(self, number):
+        """New parameters that make no sense change nothing at all."""
+        self.checked.refuse(*REFUSED[number])
+
+    @rule()
+    def reset(self):
+        """Back to the beginning."""
+        self.checked.reset()
+
+    @invariant()
+    def parts_know_what_they_do(self):
+        """What a part says of itself is what its arrays say."""
+        plant = self.checked.axis.plant
+        assert plant.late >= 0 and np.isfinite([plant.held(number) for number in range(3)]).all()
+
+
+def with_action(retune):
+    """Return the arguments of :meth:`CheckedAxis.apply` for a retune."""
+    node, values = retune
+    return node, "retune", values
+
+
+TestTick = Tick.TestCase
+TestTick.settings = settings(max_examples=60, stateful_step_count=15, deadline=None)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_random_sequences_keep_every_invariant(seed):
+    assert sequences(150, seed, renewed=50) > 20000

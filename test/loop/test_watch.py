@@ -1,0 +1,326 @@
+"""Watching over inputs, sample by sample: guards, held voltages, trips; closed forms, properties, both forms alike."""
+
+from __future__ import annotations
+
+import math
+
+import loop_support
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from interpreted import interpreted
+from watch_support import guard, hold, run_guard, run_hold, run_trip, same_in_both_forms, trip
+
+from hysteresis_ros.loop import plant, watch
+from hysteresis_ros.loop.watch import guard_parameters, samples_of, towards
+
+NAN, INF = math.nan, math.inf
+finite = st.floats(-1e3, 1e3)
+
+
+# ---------------------------------------------------------------------------------------------------------- accept
+
+
+def accepted(values, stamps=None, **parameters):
+    """Return what a guard lets through of these values, and whether the input is stale after each."""
+    return run_guard(guard(**parameters), np.array(values, dtype=float), stamps)
+
+
+def test_good_values_pass_as_they_are_and_what_is_no_number_does_not():
+    got, stale, x = accepted([1.0, NAN, 2.0, INF, 3.0, -INF, 4.0])
+    np.testing.assert_array_equal(got, [1.0, NAN, 2.0, NAN, 3.0, NAN, 4.0])
+    assert not stale.any() and x[watch.REJECTED] == 3.0 and x[watch.GOOD] == 4.0 and x[watch.AGE] == 0.0
+
+
+def test_before_the_first_good_value_nothing_is_stale_however_long_it_takes():
+    got, stale, x = accepted([NAN] * 50 + [7.0] + [NAN] * 3, timeout=3)
+    assert got[50] == 7.0 and x[watch.REJECTED] == 53.0
+    np.testing.assert_array_equal(np.flatnonzero(stale), [53])
+
+
+@pytest.mark.parametrize("timeout", [1, 2, 7])
+def test_an_input_is_stale_after_exactly_its_timeout_in_samples(timeout):
+    got, stale, _ = accepted([1.0, 2.0] + [NAN] * 10 + [3.0, NAN], timeout=timeout)
+    # counted from the first bad sample, which is number 2: that one is the first without a value
+    np.testing.assert_array_equal(np.flatnonzero(stale), [*range(1 + timeout, 12), *([13] if timeout == 1 else [])])
+    assert got[12] == 3.0
+
+
+def test_values_that_do_not_follow_the_last_one_are_not_used_until_the_input_is_stale():
+    # equal and older stamps are refused; a gap ahead is fine
+    got, *_ = accepted([1.0, 2.0, 3.0, 4.0, 5.0], stamps=[0.0, 0.0, 5.0, 4.0, 6.0], timeout=10)
+    np.testing.assert_array_equal(got, [1.0, NAN, 3.0, NAN, 5.0])
+    # a clock that was set back is believed after the time-out, and counts from there on
+    got, stale, _ = accepted(range(1, 8), stamps=[100, 1, 2, 3, 4, 5, 5], timeout=3)
+    np.testing.assert_array_equal(got, [1.0, NAN, NAN, NAN, 5.0, 6.0, NAN])
+    np.testing.assert_array_equal(np.flatnonzero(stale), [3])
+
+
+@pytest.mark.parametrize("confirm", [2, 3, 5])
+def test_a_jump_is_believed_when_it_stays_for_so_many_samples(confirm):
+    values = [0.0] + [9.0] * 6 + [9.5]
+    got, *_ = accepted(values, spike=1.0, confirm=confirm)
+    np.testing.assert_array_equal(got[:confirm], [0.0] + [NAN] * (confirm - 1))
+    np.testing.assert_array_equal(got[confirm:], values[confirm:])
+
+
+def test_spikes_with_good_values_between_them_are_never_believed():
+    got, *_ = accepted([0.0, 9.0, 9.0, 0.5, 9.0, 9.0, 1.0, 9.0, 9.0, 1.5], spike=1.0, confirm=3)
+    np.testing.assert_array_equal(got, [0.0, NAN, NAN, 0.5, NAN, NAN, 1.0, NAN, NAN, 1.5])
+
+
+def test_the_largest_believable_change_itself_is_believed_and_without_a_limit_everything_is():
+    assert not np.isnan(accepted([0.0, 1.0, 2.0, 1.0], spike=1.0)[0]).any()
+    assert np.isnan(accepted([0.0, np.nextafter(1.0, 2.0)], spike=1.0)[0][1])
+    assert not np.isnan(accepted([0.0, 1e6, -1e6], spike=0.0)[0]).any()
+
+
+def test_a_jump_is_measured_from_the_last_good_value_and_taken_at_once_after_the_timeout():
+    got, stale, _ = accepted([0.0, NAN, NAN, 9.0, 9.5], spike=1.0, confirm=3, timeout=2)
+    np.testing.assert_array_equal(got, [0.0, NAN, NAN, 9.0, 9.5])
+    np.testing.assert_array_equal(np.flatnonzero(stale), [2])
+    assert np.isnan(accepted([0.0, NAN, 9.0], spike=1.0, confirm=3, timeout=2)[0][2])
+
+
+@pytest.mark.parametrize("frozen", [1, 3])
+def test_a_sensor_is_frozen_after_so_many_repetitions_and_free_with_the_next_other_value(frozen):
+    values = [1.0] + [2.0] * 6 + [2.5, 2.5]
+    got, *_ = accepted(values, frozen=frozen)
+    good = np.flatnonzero(~np.isnan(got))
+    np.testing.assert_array_equal(good, [*range(1 + frozen), 7, *([8] if frozen > 1 else [])])
+    assert not np.isnan(accepted(values, frozen=0)[0]).any()
+
+
+def test_a_frozen_sensor_goes_stale_and_stays_so_while_it_is_frozen():
+    _, stale, _ = accepted([1.0] * 20 + [1.1], frozen=4, timeout=5)
+    np.testing.assert_array_equal(np.flatnonzero(stale), range(8, 20))
+
+
+@given(
+    st.lists(st.one_of(finite, st.sampled_from([NAN, INF, -INF])), min_size=1, max_size=60),
+    st.integers(1, 8),
+    st.sampled_from([0.0, 0.5, 100.0]),
+    st.integers(2, 5),
+    st.integers(0, 4),
+)
+def test_what_a_guard_lets_through_is_what_came_and_its_age_counts_what_it_did_not(
+    values, timeout, spike, confirm, frozen
+):
+    got, stale, x = accepted(values, timeout=timeout, spike=spike, confirm=confirm, frozen=frozen)
+    good = ~np.isnan(got)
+    np.testing.assert_array_equal(got[good], np.array(values)[good])
+    assert np.all(np.isfinite(got[good])) and x[watch.REJECTED] == np.count_nonzero(~good)
+    age, expected = 0, []
+    for k, used in enumerate(good):
+        age = 0 if used or not good[:k].any() else age + 1
+        expected.append(age >= timeout)
+    np.testing.assert_array_equal(stale, expected)
+    if spike and not frozen:
+        # nobody can keep the guard from a value for longer than it takes to confirm one
+        run = longest = 0
+        for k, used in enumerate(good):
+            run = 0 if used or not np.isfinite(values[k]) or not good[:k].any() else run + 1
+            longest = max(longest, run)
+        assert longest < confirm
+
+
+def test_durations_count_in_whole_samples_at_least_one():
+    assert samples_of(0.2, 3000.0) == 600.0 and samples_of(1e-9, 1000.0) == 1.0
+    assert samples_of(0.0024, 1000.0) == 2.0 and samples_of(0.0026, 1000.0) == 3.0
+    np.testing.assert_array_equal(guard_parameters(0.2, 1000.0, 1e-6, 4, 9), [200.0, 1e-6, 4.0, 9.0])
+    np.testing.assert_array_equal(guard_parameters(0.2, 1000.0), [200.0, 0.0, 3.0, 0.0])
+
+
+# --------------------------------------------------------------------------------------------------------- towards
+
+
+@given(finite, finite, st.floats(1e-6, 1e3))
+def test_towards_goes_no_further_than_a_step_and_never_past_the_target(value, target, step):
+    moved = towards(value, target, step)
+    assert abs(moved - value) <= step * (1 + 1e-9) + 1e-12
+    assert min(value, target) - 1e-12 <= moved <= max(value, target) + 1e-12
+    if abs(target - value) <= step:
+        assert moved == pytest.approx(target, abs=1e-12)
+    else:
+        assert moved == pytest.approx(value + math.copysign(step, target - value))
+
+
+# ---------------------------------------------------------------------------------------------------- hold_voltage
+
+
+def held(voltages, stopped=None, **parameters):
+    """Return what is put out for these voltages."""
+    given = np.array(voltages, dtype=float)
+    stops = np.zeros(len(given)) if stopped is None else np.array(stopped, dtype=float)
+    return run_hold(hold(**parameters), given, stops)
+
+
+def test_a_voltage_that_comes_is_put_out_and_the_last_one_stays():
+    out, _ = held([10.0, 50.0, NAN, NAN, -3.0, INF], timeout=5)
+    np.testing.assert_array_equal(out, [10.0, 50.0, 50.0, 50.0, -3.0, -3.0])
+
+
+def test_before_the_first_voltage_the_resting_one_stays_for_ever():
+    out, _ = held([NAN] * 40 + [5.0], timeout=3, start=8.0)
+    np.testing.assert_array_equal(out, [8.0] * 40 + [5.0])
+
+
+@pytest.mark.parametrize("timeout", [1, 4])
+def test_silence_of_exactly_the_timeout_slews_to_safe_and_back_without_a_jump(timeout):
+    out, _ = held([10.0] + [NAN] * 12 + [9.0] * 12 + [20.0, -20.0], timeout=timeout, safe=2.0, step=1.5)
+    down = np.maximum(10.0 - 1.5 * np.clip(np.arange(13) - timeout + 1, 0, None), 2.0)
+    np.testing.assert_allclose(out[:13], down)
+    np.testing.assert_allclose(out[13:25], np.minimum(out[12] + 1.5 * np.arange(1, 13), 9.0))
+    # once it has caught up it follows whatever comes, at once
+    np.testing.assert_array_equal(out[25:], [20.0, -20.0])
+
+
+def test_stopped_it_goes_to_safe_in_the_same_sample_though_voltages_come():
+    out, _ = held([10.0] * 12, [0, 0, 1, 1, 1, 1, 1, 1, 0, 0, 0, 0], safe=4.0, step=2.0)
+    np.testing.assert_allclose(out, [10, 10, 8, 6, 4, 4, 4, 4, 6, 8, 10, 10])
+
+
+def test_a_clamp_is_never_opened_for_safety_but_follows_what_is_asked():
+    # the safe voltage 5 is below what is put out: it stays; above it, it rises
+    out, _ = held([9.0, NAN, NAN, NAN, NAN, 3.0] + [3.0] * 8, timeout=2, safe=5.0, step=1.0, keep=True)
+    np.testing.assert_allclose(out, [9, 9, 9, 9, 9, 8, 7, 6, 5, 4, 3, 3, 3, 3])
+    out, _ = held([1.0, NAN, NAN, NAN, NAN, NAN, NAN], timeout=2, safe=4.0, step=1.0, keep=True)
+    np.testing.assert_allclose(out, [1, 1, 2, 3, 4, 4, 4])
+
+
+def test_below_the_least_voltage_it_waits_and_slews_down_when_it_may():
+    p, _ = hold(step=2.0)
+    x = watch.hold_state(10.0)
+    out = []
+    for k in range(10):
+        # the other clamp is not closed yet: no lower than what is put out
+        least = x[watch.HELD] if k < 3 else -INF
+        out.append(watch.hold_voltage(p, x, 1.0, 0.0, least))
+    np.testing.assert_allclose(out, [10, 10, 10, 8, 6, 4, 2, 1, 1, 1])
+    assert watch.least_beside(x, watch.hold_state(5.0)) == -INF
+    waiting = watch.hold_state(5.0)
+    waiting[watch.GIVEN] = 6.0
+    assert watch.least_beside(x, waiting) == 1.0
+
+
+voltage = st.one_of(finite, st.just(NAN))
+
+
+@given(
+    st.lists(st.tuples(voltage, st.booleans()), min_size=1, max_size=60),
+    st.integers(1, 6),
+    st.floats(-50.0, 50.0),
+    st.floats(0.5, 500.0),
+    st.booleans(),
+)
+def test_whatever_comes_it_either_follows_or_moves_by_no_more_than_a_step(given_, timeout, safe, step, keep):
+    voltages, stopped = [v for v, _ in given_], [float(s) for _, s in given_]
+    out, follows = held(voltages, stopped, timeout=timeout, safe=safe, step=step, keep=keep)
+    last, age, previous, begun, followed = 0.0, 0, 0.0, False, True
+    for k, value in enumerate(voltages):
+        if math.isfinite(value):
+            last, age, begun = value, 0, True
+        elif begun:
+            age += 1
+        silent = stopped[k] != 0.0 or age >= timeout
+        if followed and not silent:
+            assert out[k] == last, k
+        else:
+            assert abs(out[k] - previous) <= step * (1 + 1e-9) + 1e-9, k
+        if silent and keep:
+            assert out[k] >= previous - 1e-9, k  # a clamp only closes further
+        if silent:
+            assert not follows[k]
+        followed, previous = bool(follows[k]), out[k]
+    assert np.all(np.isfinite(out))
+
+
+# ------------------------------------------------------------------------------------------------------------ trip
+
+
+def tripped(late, limit, rate):
+    """Return after which samples the plant has stopped the axis, and the state in the end."""
+    return run_trip(trip(limit, limit / rate), late)
+
+
+def test_more_than_the_limit_in_a_row_trips_and_the_limit_itself_does_not():
+    assert not tripped([1] * 5, 5, 1e9)[0].any()
+    stopped, x = tripped([1] * 6 + [0] * 20, 5, 1e9)
+    np.testing.assert_array_equal(np.flatnonzero(stopped), range(5, 26))  # latched
+    assert x[plant.LATE] == 6.0 and x[plant.IN_ROW] == 0.0
+
+
+def test_a_trip_lasts_though_everything_is_forgiven_by_then():
+    stopped, x = tripped([1] * 6 + [0] * 500, 5, 50)
+    assert stopped[5:].all() and x[plant.LEVEL] == 0.0
+
+
+def test_late_ones_that_come_together_within_a_second_trip_and_spread_ones_do_not():
+    rate, limit = 1000, 20
+    # one in ten is five times what a second forgives: 100 a second
+    stopped, _ = tripped(([1] + [0] * 9) * 100, limit, rate)
+    first = int(np.argmax(stopped))
+    # level after n of them, one each ten samples: n - (n - 1) · 10 · limit/rate > limit
+    expected = math.floor((limit - 0.2) / 0.8) + 1
+    assert stopped.any() and first == 10 * (expected - 1)
+    # one in fifty is what a second forgives: for ever
+    assert not tripped(([1] + [0] * 49) * 2000, limit, rate)[0].any()
+
+
+def test_what_was_late_is_forgiven_after_a_second():
+    burst, rate = [1] * 15, 1000
+    assert not tripped(burst + [0] * (rate + 1) + burst, 20, rate)[0].any()
+    assert tripped(burst + [0] * 100 + burst, 20, rate)[0].any()
+
+
+def test_without_a_limit_nothing_trips():
+    stopped, x = tripped([1] * 5000, 0.0, 1000)
+    assert not stopped.any() and x[plant.LATE] == 5000.0
+
+
+def test_few_answers_to_earlier_samples_trip_where_many_missing_ones_do_not():
+    p = trip(100, 100 / 3000, 10)
+
+    def first(missing, behind):
+        stopped, _ = run_trip(p, missing, behind)
+        return int(np.argmax(stopped)) if stopped.any() else None
+
+    on_time = [0] * 40
+    assert first([1] * 40, [1] * 40) is None  # nothing came: that these are behind too does not matter
+    assert first(on_time, [1] * 10 + [0] * 30) is None
+    assert first(on_time, [1] * 11 + [0] * 29) == 10
+    # those that are missing in between neither count nor forgive
+    assert first([0, 1] * 20, [1] * 40) == 20
+    # one in time forgives one: of two in three the surplus grows by one in three samples
+    assert first(on_time, [1, 1, 0] * 13 + [1]) == 28
+    assert first(on_time, [1, 0] * 20) is None
+    assert run_trip(p, on_time, [1, 0] * 20)[1][plant.LATE] == 20.0
+
+
+@pytest.mark.parametrize(("late_limit", "delayed"), [(0, 10), (-1, 0), (7, 7)])
+def test_what_late_limit_allows_of_answers_to_earlier_samples(late_limit, delayed):
+    axis = loop_support.parameters(plant_simulator={"late_limit": late_limit})
+    assert axis.plant_simulator.allowed_delayed == delayed
+
+
+@pytest.mark.parametrize(
+    ("late_limit", "rate", "allowed"), [(0, 3000.0, 150), (0, 100.0, 20), (-1, 3000.0, 0), (7, 3000.0, 7)]
+)
+def test_what_late_limit_allows(late_limit, rate, allowed):
+    from hysteresis_ros.loop.node_parameters import PlantNodeParameters
+
+    axis = loop_support.parameters(plant_simulator={"late_limit": late_limit})
+    values = {**axis.plant_simulator.to_mapping(), "late_limit": late_limit, "sample_rate": rate}
+    assert PlantNodeParameters.from_mapping(values).allowed_late == allowed
+
+
+@given(st.lists(st.booleans(), min_size=1, max_size=200), st.integers(1, 10))
+def test_a_trip_is_latched_and_needs_more_than_the_limit(late, limit):
+    stopped, x = tripped(late, limit, 50.0)
+    assert np.all(np.diff(stopped) >= 0) and x[plant.LATE] == sum(late)
+    assert np.count_nonzero(late[: int(np.argmax(stopped)) + 1]) > limit or not stopped.any()
+
+
+def test_compiled_and_interpreted_the_watch_has_the_same_bits(tmp_path):
+    np.testing.assert_array_equal(same_in_both_forms(), interpreted("watch_support", "same_in_both_forms()", tmp_path))

@@ -1,0 +1,76 @@
+"""Runs of the kernels that watch over inputs."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hysteresis_ros.loop import plant
+from hysteresis_ros.loop.watch import FOLLOWS, GUARD_STATES, accept, hold_state, hold_voltage, is_stale
+
+
+def guard(timeout=1000, spike=0.0, confirm=3, frozen=0) -> np.ndarray:
+    """Return parameters of a guard, the time-out in samples."""
+    return np.array([timeout, spike, confirm, frozen], dtype=float)
+
+
+def hold(safe=0.0, step=1.0, timeout=1000, keep=False, start=0.0) -> tuple[np.ndarray, float]:
+    """Return parameters of a held voltage, and what is put out before any comes."""
+    return np.array([safe, step, timeout, keep], dtype=float), start
+
+
+def run_guard(p, values, stamps=None):
+    """Return what a guard lets through, whether the input is stale after each value, and the state in the end."""
+    x = np.zeros(GUARD_STATES)
+    stamps = np.arange(len(values)) if stamps is None else stamps
+    got, stale = np.empty(len(values)), np.empty(len(values), dtype=bool)
+    for k, value in enumerate(values):
+        got[k] = accept(p, x, float(value), float(stamps[k]))
+        stale[k] = is_stale(p, x)
+    return got, stale, x
+
+
+def run_hold(given, voltages, stopped, least=-np.inf):
+    """Return what is put out, and whether it follows what comes after each sample."""
+    p, start = given
+    x = hold_state(start)
+    out, follows = np.empty(len(voltages)), np.empty(len(voltages))
+    for k, voltage in enumerate(voltages):
+        out[k] = hold_voltage(p, x, float(voltage), float(stopped[k]), float(least))
+        follows[k] = x[FOLLOWS]
+    return out, follows
+
+
+def trip(limit, forgiven, delayed=0.0):
+    """Return the parameters of a trip."""
+    p = np.zeros(plant.TRIP_PARAMETERS)
+    p[[plant.LIMIT, plant.FORGIVEN, plant.DELAYED_LIMIT]] = limit, forgiven, delayed
+    return p
+
+
+def run_trip(p, missing, behind=()):
+    """Return whether the plant has stopped the axis after each sample, and the state in the end."""
+    x = np.zeros(plant.TRIP_STATES)
+    stopped = np.empty(len(missing))
+    for k, value in enumerate(missing):
+        x[plant.BEHIND] = float(behind[k]) if len(behind) else 0.0
+        plant.watch(p, x, float(value))
+        stopped[k] = x[plant.TRIP]
+    return stopped, x
+
+
+def same_in_both_forms() -> np.ndarray:
+    """Return everything that guards, held voltages and trips make of random inputs, in one array."""
+    random = np.random.default_rng(5)
+    found = []
+    for _ in range(20):
+        values = random.normal(size=200) + 5.0 * (random.random(200) < 0.1)
+        values[random.random(200) < 0.2] = np.nan
+        values[50:60] = values[49]
+        stamps = np.cumsum(random.integers(0, 3, 200)).astype(float)
+        p = guard(int(random.integers(1, 9)), float(random.choice([0.0, 1.0])), 3, int(random.choice([0, 4])))
+        found += [*run_guard(p, values, stamps)]
+        stops = (random.random(200) < 0.05).astype(float)
+        found += [*run_hold(hold(0.3, 0.2, int(random.integers(1, 5)), random.random() < 0.5), values, stops)]
+        missing, behind = (random.random((2, 200)) < 0.1).astype(float)
+        found += [*run_trip(trip(4.0, 0.04, 2.0), missing, behind)]
+    return np.concatenate([np.asarray(array, dtype=float) for array in found])

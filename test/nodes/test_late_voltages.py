@@ -1,0 +1,161 @@
+"""Voltages that come late stop the axis, latched; who has left, begins again or is reset is not called late."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+
+import pytest
+
+pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
+
+from nodes_support import axis_parameters, compose, diagnostics, until  # noqa: E402
+
+from hysteresis_ros.loop.watch import RUNNING, TRIPPED  # noqa: E402
+from hysteresis_ros.signals import DISPLACEMENT, PLANT_VOLTAGE, SOURCE_MODE  # noqa: E402
+
+SETPOINT = 6.0e-6
+NODES = ("plant_simulator", "hysteresis_compensator", "motion_controller", "reference_generator")
+
+
+def slow_axis(**plant):
+    """Return an axis with 10 ms of the wall clock a sample: what is late is so on purpose."""
+    plant = {"real_time_factor": 0.5, "safe_slew_rate": 2000.0} | plant
+    overrides = {"plant_simulator": plant, "reference_generator": {"initial_setpoint": SETPOINT}}
+    overrides["motion_controller"] = {"type": "open_loop", "safe_slew_rate": 2.0e-4}
+    return axis_parameters(overrides=overrides, sample_rate=200.0)
+
+
+@pytest.fixture
+def late_axis(inside):
+    """Function that composes an axis whose compensator sends its answers ``delay`` samples later."""
+
+    def made(**plant):
+        nodes = compose(inside, slow_axis(**plant))
+        compensator, waiting = nodes[1], deque()
+        usual = compensator.publish_outputs
+        compensator.delay = 0
+
+        def publish_later() -> None:
+            waiting.append(list(compensator.row))
+            now = compensator.row
+            while len(waiting) > compensator.delay:
+                compensator.row = waiting.popleft()
+                usual()
+            compensator.row = now
+
+        compensator.publish_outputs = publish_later
+        inside.spin()
+        return nodes
+
+    return made
+
+
+def settled(plant):
+    until(lambda: abs(plant.row[DISPLACEMENT] - SETPOINT) < 2e-8 and plant.sample > 40, what="the axis at its setpoint")
+
+
+def more(plant, samples: int) -> None:
+    since = plant.sample
+    until(lambda: plant.sample > since + samples, what=f"{samples} more samples")
+
+
+@pytest.mark.parametrize("delay", [1, 3])
+def test_voltages_that_answer_earlier_samples_stop_the_axis_until_it_is_started(late_axis, observer, capfd, delay):
+    from diagnostic_msgs.msg import DiagnosticArray
+    from sensor_msgs.msg import JointState
+
+    plant, compensator, controller, source = late_axis()
+    reports = observer.listen(DiagnosticArray, "/diagnostics")
+    joints = observer.listen(JointState, "/joint_states")
+    states = observer.listen(JointState, "/plant_simulator/state")
+    settled(plant)
+    before = plant.late
+    assert not plant.part.tripped and joints[-1].header.frame_id == ""
+    compensator.delay = delay
+    until(lambda: plant.part.tripped, what="the trip")
+    assert plant.late - before >= 10
+    until(lambda: joints[-1].header.frame_id == "tripped", what="the stamp's frame")
+    until(
+        lambda: abs(plant.row[PLANT_VOLTAGE]) < 0.01 and controller.command == 0.0 and abs(compensator.voltage) < 0.01
+    )
+    modes = [int(controller._mode), int(compensator._mode), int(source.row[SOURCE_MODE])]
+    assert modes == [TRIPPED] * 3
+    until(lambda: all(diagnostics(reports, f"/{name}") for name in NODES), what="diagnostics")
+    until(lambda: all(diagnostics(reports, f"/{name}")[0] == 2 for name in NODES), what="errors of all nodes")
+    text = diagnostics(reports, "/plant_simulator")[1]
+    for words in (
+        "axis stopped",
+        "at 100 Hz",
+        "which holds",
+        "lower sample_rate or real_time_factor",
+        "run it composed",
+    ):
+        assert words in text, text
+    assert "in lockstep" in text and "~/start" in text and "late_limit" in text
+    assert "[ERROR]" in (errors := capfd.readouterr().err) and "axis stopped" in errors
+    # latched, though everything comes in time again
+    compensator.delay = 0
+    more(plant, 30)
+    assert plant.part.tripped
+    since = len(states)
+    assert observer.trigger("/plant_simulator/start").success
+    settled(plant)
+    more(plant, 30)
+    assert not plant.part.tripped and joints[-1].header.frame_id == ""
+    assert [int(controller._mode), int(compensator._mode), int(source.row[SOURCE_MODE])] == [RUNNING] * 3
+    moved = [state.position[2] for state in states[since - 1 :]]
+    # the amplifier goes back to what comes by 2000 V/s, 200 samples a second
+    assert max(abs(b - a) for a, b in zip(moved[:-1], moved[1:], strict=True)) <= 10.01
+
+
+def test_without_a_limit_late_voltages_are_only_counted(late_axis):
+    plant, compensator, *_ = late_axis(late_limit=-1)
+    settled(plant)
+    compensator.delay = 1
+    before = plant.late
+    until(lambda: plant.late > before + 60, what="late voltages")
+    assert not plant.part.tripped
+
+
+def test_lateness_from_the_very_beginning_is_noticed(inside):
+    """The first voltage that comes is late already: without knowing what it answers it would pass for punctual."""
+    axis = slow_axis()
+    plant, compensator, *_ = compose(inside, axis)
+    usual, waiting, period = compensator.publish_outputs, deque(), plant.runner.period
+
+    def publish_due() -> None:
+        now = compensator.row
+        while waiting and time.monotonic() > waiting[0][0]:
+            compensator.row = waiting.popleft()[1]
+            usual()
+        compensator.row = now
+
+    compensator.publish_outputs = lambda: waiting.append((time.monotonic() + 1.5 * period, list(compensator.row)))
+    compensator.create_timer(0.1 * period, publish_due)
+    inside.spin()
+    until(lambda: plant.part.tripped, what="the trip")
+
+
+def test_who_leaves_comes_back_or_is_reset_is_not_called_late(late_axis, observer):
+    # a busy machine may be late now and then; what is asked is that leaving adds nothing to it
+    plant, *_ = late_axis(voltage_timeout=0.05, late_limit=100)
+    settled(plant)
+    for name in NODES[1:]:
+        assert observer.transition(f"/{name}", "deactivate")
+        more(plant, 30)
+        assert not plant.part.tripped, name
+        assert observer.transition(f"/{name}", "activate")
+        settled(plant)
+        more(plant, 30)
+        assert not plant.part.tripped, name
+        for _ in range(3):
+            assert observer.trigger(f"/{name}/reset").success
+        more(plant, 30)
+        settled(plant)
+        assert not plant.part.tripped, name
+    for _ in range(3):
+        assert observer.trigger("/plant_simulator/reset").success
+    settled(plant)
+    more(plant, 30)
+    assert not plant.part.tripped

@@ -1,0 +1,154 @@
+"""Changes while an axis runs in lockstep: logged where they took effect, and repeated bit for bit from the log."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
+
+from nodes_support import (  # noqa: E402
+    REAL,
+    SINE,
+    RecordedRun,
+    axis_parameters,
+    shortened,
+    until,
+    write_axis,
+)
+
+CONTROLLER, COMPENSATOR, PLANT = "motion_controller", "hysteresis_compensator", "plant_simulator"
+SOURCE = "reference_generator"
+#: One of each kind of change; each may come any number of times. False: it is refused.
+RETUNED = (
+    (CONTROLLER, {"type": "pid"}, True),
+    (CONTROLLER, {"pid__Ki": 30.0}, True),
+    (CONTROLLER, {"type": "sliding_mode"}, True),
+    (CONTROLLER, {"sliding_mode__phi": 0.9, "sliding_mode__delta": 0.02}, True),
+    (CONTROLLER, {"type": "open_loop"}, True),
+    (CONTROLLER, {"type": "pid", "handover_time": -1.0}, False),
+    (CONTROLLER, {"safe_slew_rate": 2.0e-4}, True),
+    (COMPENSATOR, {"hysteresis__polynomial__scale": 1.02}, True),
+    (COMPENSATOR, {"hysteresis__polynomial__scale": 0.98}, True),
+    (COMPENSATOR, {"limits__maximum": -40.0}, False),
+    (PLANT, {"preload__force": 0.3}, True),
+    (PLANT, {"sensor__noise": 2.0e-9}, True),
+    (PLANT, {"hysteresis__polynomial__scale": 1.03}, True),
+    (PLANT, {"sample_rate": 100.0}, False),
+    (SOURCE, {"waveform__frequency": 12.0}, False),
+)
+
+
+def walking_axis(samples: int):
+    overrides = {node: dict(values) for node, values in REAL.items()}
+    overrides[SOURCE] |= SINE
+    overrides[CONTROLLER] |= {"pid__Ki": 20.0, "safe_slew_rate": 1.0e-4}
+    return shortened(axis_parameters(overrides=overrides, time_mode="lockstep", exit_at_end=True), samples)
+
+
+def names_of(values: dict) -> set[str]:
+    return {name.replace("__", ".") for name in values}
+
+
+@pytest.mark.parametrize(("how", "samples"), [("--composed", 4000), ("--processes", 2500)])
+def test_changes_at_any_moment_are_repeated_bit_for_bit(processes, observer, tmp_path, how, samples):
+    from sensor_msgs.msg import JointState
+
+    from hysteresis_ros.recordings.files import load_run
+
+    random = np.random.default_rng(3)
+    heard = observer.listen(JointState, "/plant_simulator/state")
+    path = write_axis(tmp_path / "axis.yaml", walking_axis(samples))
+    run = processes.command("up", path, how, "--record", str(tmp_path / "bag"), "--verify")
+    moments = np.sort(random.integers(50, samples // 2, len(RETUNED) + 8))
+    asked = [("set", change) for change in RETUNED]
+    asked += [("call", (node, action)) for node in (CONTROLLER, COMPENSATOR, SOURCE) for action in ("stop", "start")]
+    order = random.permutation(len(RETUNED))
+    sequence = [asked[index] for index in order]
+    for place, step in zip((3, 6, 8, 12, 14, 17), asked[len(RETUNED) :], strict=True):
+        sequence.insert(place, step)
+    wanted = 0
+    for moment, (kind, what) in zip(moments, sequence, strict=False):
+        until(lambda moment=moment: len(heard) >= moment or run.popen.poll() is not None, what="the run")
+        if kind == "set":
+            node, values, accepted = what
+            success, reason = observer.set_parameters(f"/{node}", **values)
+            # a waveform may change while its node is stopped
+            assert success == accepted or node == SOURCE, (values, reason)
+        else:
+            success = observer.trigger(f"/{what[0]}/{what[1]}").success
+        wanted += success
+    assert run.wait() == 0, run.output
+    assert f"{samples} samples equal the offline twin bit for bit, none missing" in run.output
+    recorded = load_run(tmp_path / "bag", further=True)
+    changes = recorded.metadata["changes"]
+    assert len(changes) == wanted
+    assert {change["node"] for change in changes} == {CONTROLLER, COMPENSATOR, PLANT, SOURCE}
+    assert {change["action"] for change in changes} == {"retune", "start", "stop"}
+
+
+def test_a_change_between_any_two_inputs_of_a_sample_is_repeated_bit_for_bit(inside, tmp_path):
+    """Each change falls between two messages of a sample, at a place of its own, in turn."""
+    from rclpy.parameter import Parameter
+
+    from hysteresis_ros.simulation.run import differences
+
+    run = RecordedRun(inside, walking_axis(1500), tmp_path / "bag")
+    nodes = {PLANT: run.plant, COMPENSATOR: run.compensator, CONTROLLER: run.controller, SOURCE: run.source}
+    # before a node answers, after it has answered, and after the plant has taken the voltage
+    places = [
+        *((run.source, "before_step"), (run.source, "after_step"), (run.controller, "before_step")),
+        *((run.controller, "after_step"), (run.compensator, "before_step"), (run.plant, "finish_sample")),
+    ]
+    changes = itertools.cycle(
+        (node, place, values, accepted)
+        for place in range(len(places))
+        for node, values, accepted in RETUNED
+        if node != SOURCE
+    )
+    made, due = [], [next(changes)]
+
+    def change(place: int) -> None:
+        node, where, values, accepted = due[0]
+        if place != where or nodes[PLANT].sample < 20 + 14 * len(made):
+            return
+        due[0] = next(changes)
+        given = [Parameter(name.replace("__", "."), value=value) for name, value in values.items()]
+        result = nodes[node].set_parameters_atomically(given)
+        assert result.successful == accepted, (values, result.reason)
+        made.append((node, values, accepted))
+
+    for place, (node, method) in enumerate(places):
+        usual = getattr(node, method)
+        setattr(node, method, lambda usual=usual, place=place: (usual(), change(place)))
+    inside.spin()
+    recorded = run.result()
+    assert len(made) > len(places) * 14 - 2
+    assert differences(recorded, run.axis) == {}
+    log = recorded.metadata["changes"]
+    assert len(log) == sum(accepted for _, _, accepted in made)
+    # what was logged is what differs from before, and where it took effect
+    assert all(set(entry["parameters"]) <= names_of(dict.fromkeys(k for _, v, _ in made for k in v)) for entry in log)
+    stages = {(entry["node"], entry.get("after", "")) for entry in log}
+    assert {(PLANT, "measured"), (PLANT, ""), (CONTROLLER, "answered"), (CONTROLLER, ""), (COMPENSATOR, "")} == stages
+    late = [entry for entry in log if entry.get("after") == "answered"]
+    assert any("type" in entry["parameters"] for entry in late)
+
+
+def test_a_change_before_activation_is_part_of_the_run(inside, observer, tmp_path):
+    from hysteresis_ros.simulation.run import differences
+
+    axis = walking_axis(200)
+    run = RecordedRun(inside, axis, tmp_path / "bag")
+    assert run.controller.trigger_deactivate() is not None
+    inside.spin()
+    assert observer.set_parameters(f"/{CONTROLLER}", type="pid")[0]
+    assert observer.trigger(f"/{COMPENSATOR}/stop").success
+    assert observer.transition(f"/{CONTROLLER}", "activate")
+    recorded = run.result()
+    log = recorded.metadata["changes"]
+    assert log[0]["sample"] == 0 and log[0]["parameters"] == {"type": "pid"}
+    assert differences(recorded, run.axis) == {}
+    assert np.max(np.abs(recorded["voltage"])) < 0.01

@@ -1,0 +1,150 @@
+"""docs/extending.md, as printed: its files are put where it says, and its commands are run."""
+
+from __future__ import annotations
+
+import os
+import pathlib
+import re
+import shutil
+import subprocess
+import sys
+
+import pytest
+
+import hysteresis_ros
+from hysteresis_ros.configuration import load_configuration
+
+ROOT = pathlib.Path(__file__).resolve().parents[1]
+DOCUMENT = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
+#: What the commands of the document stand for.
+TOOLS = {"hysteresis": "-m hysteresis_ros.cli.main", "pytest": "-m pytest", "ruff": "-m ruff", "python": ""}
+
+CONTRACTS = ("test_registries", "test_registries_control", "test_registries_hardware")
+
+
+def printed(chapter: str, language: str) -> str:
+    """Return the only block of a language in a chapter."""
+    text = re.search(rf"^## {chapter}\n(.*?)(?=^## |\Z)", DOCUMENT, re.MULTILINE | re.DOTALL).group(1)
+    blocks = re.findall(rf"^```{language}\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+    assert len(blocks) == 1, f"{chapter}: {len(blocks)} blocks of {language}"
+    return blocks[0]
+
+
+def run(script: str, folder: pathlib.Path, *places: pathlib.Path, **environment) -> str:
+    """Run a script of the shell in a folder, with packages from these places before all others."""
+    tools = folder / "bin"
+    tools.mkdir(exist_ok=True)
+    for name, arguments in TOOLS.items():
+        (tools / name).write_text(f'#!/bin/sh\nexec "{sys.executable}" {arguments} "$@"\n')
+        (tools / name).chmod(0o755)
+    path = os.pathsep.join([str(tools), os.environ["PATH"]])
+    packages = os.pathsep.join([*map(str, places), *filter(None, sys.path)])
+    environment = {**os.environ, "PATH": path, "PYTHONPATH": packages, "PYTHONSAFEPATH": "1", **environment}
+    done = subprocess.run(
+        ["sh", "-e", "-c", script], cwd=folder, env=environment, capture_output=True, text=True, timeout=600
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
+
+
+@pytest.fixture
+def copy(tmp_path) -> pathlib.Path:
+    """A copy of the package with configurations, contract tests and the tables of parameters."""
+    package = pathlib.Path(hysteresis_ros.__file__).parent
+    shutil.copytree(package, tmp_path / "hysteresis_ros", ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("docs/parameters.md", *(f"test/{contract}.py" for contract in CONTRACTS), "pyproject.toml"):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        shutil.copy(ROOT / name, tmp_path / name)
+    shutil.copytree(ROOT / "config", tmp_path / "config")
+    return tmp_path
+
+
+def document(folder: pathlib.Path) -> None:
+    """Bring the tables of parameters up to date, as their test asks for."""
+    path = folder / "docs" / "parameters.md"
+    head = path.read_text(encoding="utf-8").split("## Every node")[0]
+    path.write_text(head + run("hysteresis parameters", folder, folder, NUMBA_DISABLE_JIT="1"), encoding="utf-8")
+
+
+def test_a_hysteresis_model_is_one_file(copy):
+    (copy / "hysteresis_ros/models/hysteresis/dahl.py").write_text(printed("A hysteresis model", "python"))
+    document(copy)
+    output = run(printed("A hysteresis model", "sh"), copy, copy, NUMBA_DISABLE_JIT="1")
+    assert output.startswith("dahl: Dahl's friction curve") and "width [V]" in output
+    assert re.search(r"^rmse_percent_of_stroke +0\.0\d", output, re.MULTILINE)
+    # what is skipped is the comparison with compiled kernels
+    assert re.search(r"^=+ 16 passed, 1 skipped", output, re.MULTILINE), "the contract test did not walk the new model"
+    found = load_configuration(copy / "found.yaml").node("plant_simulator")
+    given = load_configuration(copy / "dahl.yaml").node("plant_simulator")
+    for name in ("gain", "share"):
+        wanted = given[f"hysteresis.dahl.{name}"]
+        assert found[f"hysteresis.dahl.{name}"] == pytest.approx(wanted, rel=0.03)
+
+
+def outside(folder: pathlib.Path, chapter: str, name: str) -> None:
+    """Put the file of a chapter into a package of its own, with the entry point as printed."""
+    group, entry = re.search(r'entry-points\."(.+)"\]\n(.+)\n', printed(chapter, "toml"), re.MULTILINE).groups()
+    package, information = folder / "my_package", folder / "my_package-1.0.dist-info"
+    package.mkdir()
+    information.mkdir()
+    (package / "__init__.py").touch()
+    (package / f"{name}.py").write_text(printed(chapter, "python"))
+    (information / "METADATA").write_text("Metadata-Version: 2.1\nName: my_package\nVersion: 1.0\n")
+    (information / "entry_points.txt").write_text(f"[{group}]\n{entry}\n".replace('"', ""))
+
+
+def test_a_hysteresis_model_may_be_in_a_package_of_its_own(tmp_path):
+    """Here with compiled kernels."""
+    outside(tmp_path, "A hysteresis model", "dahl")
+    contract = f"pytest -q {ROOT}/test/test_registries.py -k 'dahl and (plain_python or inverses or fitted)'"
+    output = run(f"hysteresis models dahl --yaml\n{contract}", tmp_path, tmp_path)
+    assert "type: dahl" in output and re.search(r"^4 passed", output, re.MULTILINE)
+
+
+def passed(output: str) -> int:
+    """Return the number of tests that passed, none having failed; only the comparison with compiled code is skipped."""
+    found = re.search(r"^=+ (\d+) passed, 1 skipped, \d+ deselected", output, re.MULTILINE)
+    assert found, output
+    return int(found.group(1))
+
+
+def test_a_controller_is_one_file(copy):
+    (copy / "hysteresis_ros/control/laws/leaky_pi.py").write_text(printed("A controller", "python"))
+    document(copy)
+    output = run(printed("A controller", "sh"), copy, copy, NUMBA_DISABLE_JIT="1")
+    assert re.search(r"^bandwidth reached +10 Hz", output, re.MULTILINE) and "type leaky_pi" in output
+    # alone, with every other controller before and after it
+    assert passed(output) >= 16
+    assert load_configuration(copy / "leaky.yaml").node("motion_controller")["type"] == "leaky_pi"
+
+
+def test_a_reference_is_one_file(copy):
+    (copy / "hysteresis_ros/references/waveforms/trapezoid.py").write_text(printed("A reference", "python"))
+    document(copy)
+    output = run(printed("A reference", "sh"), copy, copy, NUMBA_DISABLE_JIT="1")
+    assert "from 0.0 to 2e-05 m" in output
+    assert passed(output) == 7
+
+
+@pytest.mark.parametrize(("chapter", "name"), [("A controller", "leaky_pi"), ("A reference", "trapezoid")])
+def test_a_controller_or_a_reference_may_be_in_a_package_of_its_own(tmp_path, chapter, name):
+    """Here with compiled kernels."""
+    outside(tmp_path, chapter, name)
+    output = run(f"pytest -q {ROOT}/test/test_registries_control.py -k '{name} and plain_python'", tmp_path, tmp_path)
+    assert re.search(r"^1 passed", output, re.MULTILINE)
+
+
+def test_a_driver_is_one_file(copy):
+    """Its emulator is a box with a clock of its own, over TCP."""
+    (copy / "hysteresis_ros/hardware/drivers/tcp_stage.py").write_text(printed("A driver", "python"))
+    (copy / "stage.yaml").write_text(printed("A driver", "yaml"))
+    document(copy)
+    output = run(printed("A driver", "sh"), copy, copy, NUMBA_DISABLE_JIT="1")
+    assert "planned.npz: 50 samples at 100 Hz" in output
+    assert re.search(r"^=+ 8 passed, 8 deselected", output, re.MULTILINE), output
+
+
+def test_a_driver_may_be_in_a_package_of_its_own(tmp_path):
+    outside(tmp_path, "A driver", "tcp_stage")
+    contract = f"pytest -q {ROOT}/test/test_registries_hardware.py -k 'tcp_stage and (moves or master)'"
+    assert re.search(r"^2 passed", run(contract, tmp_path, tmp_path), re.MULTILINE)

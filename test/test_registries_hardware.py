@@ -1,0 +1,164 @@
+"""Contract of the drivers: every one that the registry finds does what it declares, at its emulator."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import pathlib
+import time
+from dataclasses import replace
+
+import pytest
+
+from hysteresis_ros.configuration import dump_configuration, parse_configuration
+from hysteresis_ros.hardware.device import Device
+from hysteresis_ros.hardware.driver import Driver, DriverError
+from hysteresis_ros.hardware.registry import DRIVERS
+from hysteresis_ros.loop.node_parameters import PlantNodeParameters
+from hysteresis_ros.models.actuator import ActuatorParameters
+
+ROOT = pathlib.Path(__file__).resolve().parents[1]
+RATE = 100.0
+drivers = pytest.mark.parametrize("declared", DRIVERS.values(), ids=DRIVERS)
+
+
+@pytest.fixture
+def opened(declared):
+    """The device at the driver's emulator."""
+    with declared.emulator() as parameters:
+        device = Device(declared, parameters, RATE)
+        yield device
+        device.close()
+
+
+def recording(declared, heard: list):
+    """Return the same driver, which notes what reaches it."""
+
+    class Recorded(declared.driver):
+        def write(self, voltages):
+            heard.append(tuple(voltages))
+            super().write(voltages)
+
+    return replace(declared, driver=Recorded)
+
+
+def hold(device, voltage: float, samples: int = 20) -> float:
+    """Hold a voltage for some samples and return the last position of the first joint."""
+    for _ in range(samples):
+        device.write([voltage])
+        time.sleep(1.0 / RATE)
+        position = device.read()[0]
+    return position
+
+
+@drivers
+def test_it_says_what_it_is_and_its_parameters_are_documented_and_come_back_from_yaml(declared):
+    assert declared.name == declared.name.lower() and declared.title and issubclass(declared.driver, Driver)
+    rows = {row.name: row for row in PlantNodeParameters.table()}
+    assert declared.name in rows["driver"].choices
+    own = "" if issubclass(PlantNodeParameters, declared.parameters) else f"{declared.name}."
+    assert {own + row.name for row in declared.parameters.table()} <= set(rows), "another group has this name"
+    assert all(row.description for row in declared.parameters.table())
+    with declared.emulator() as parameters:
+        assert isinstance(parameters, declared.parameters)
+        given = {name: value for name, value in parameters.validated().to_mapping().items() if value != ()}
+        text = dump_configuration({"/**/node": given})
+        assert declared.parameters.from_mapping(parse_configuration(text, "test").node("node")) == parameters
+    if declared.driver.__module__.startswith("hysteresis_ros."):
+        text = (ROOT / "docs" / "parameters.md").read_text(encoding="utf-8")
+        missing = [row for row in declared.parameters.table() if f"`{own}{row.name}`" not in text]
+        assert declared.name in text and not missing, "let `hysteresis parameters` print the tables anew"
+
+
+@drivers
+def test_it_is_opened_by_the_parameters_of_the_plants_node(declared):
+    limits = {"hysteresis.type": "proportional", "hysteresis.proportional.gain": 1e-7}
+    with declared.emulator() as parameters:
+        own = "" if declared.parameters is ActuatorParameters else f"{declared.name}."
+        given = {own + name: value for name, value in parameters.to_mapping().items()}
+        values = {"limits.minimum": 0.0, "limits.maximum": 1.0, **limits, **given, "driver": declared.name}
+        assert PlantNodeParameters.from_mapping(values).driver_parameters == parameters
+
+
+@drivers
+def test_its_capabilities_make_sense(opened):
+    can = opened.capabilities
+    assert can.joints >= 1 and can.voltages >= 1 and can.highest_rate >= RATE
+    assert math.isfinite(can.minimum) and math.isfinite(can.maximum) and can.minimum < can.maximum
+    assert can.watchdog is None or can.watchdog * RATE > 1.0
+
+
+@drivers
+def test_a_voltage_moves_it_and_make_safe_brings_it_back(opened):
+    can = opened.capabilities
+    opened.make_safe()
+    rest = hold(opened, min(max(0.0, can.minimum), can.maximum))
+    moved = hold(opened, 0.5 * (can.minimum + can.maximum) if can.minimum + can.maximum else can.maximum)
+    assert math.isfinite(rest) and abs(moved - rest) > 1e-12
+    opened.make_safe()
+    opened.make_safe()
+    assert len(opened.read()) == can.joints
+
+
+@drivers
+def test_no_voltage_that_is_no_number_or_out_of_range_reaches_it(declared):
+    heard: list = []
+    with declared.emulator() as parameters:
+        device = Device(recording(declared, heard), parameters, RATE)
+        can = device.capabilities
+        for wrong in (math.nan, math.inf, -math.inf, can.maximum + 1e-9 * abs(can.maximum) + 1e-9, can.minimum - 1.0):
+            with pytest.raises(DriverError, match=rf"driver {declared.name}: cannot be written.*V is not within"):
+                device.write([wrong])
+        with pytest.raises(DriverError, match="voltages for"):
+            device.write([can.minimum] * (can.voltages + 1))
+        assert heard == []
+        device.write([can.minimum])
+        device.write([can.maximum])
+        assert heard == [(can.minimum,), (can.maximum,)]
+        device.close()
+
+
+@drivers
+def test_closed_it_does_nothing_more_and_it_can_be_opened_again(declared):
+    with declared.emulator() as parameters:
+        for _ in range(2):
+            device = Device(declared, parameters, RATE)
+            device.make_safe()
+            device.close()
+            device.close()
+            device.make_safe()
+            for call in (device.read, lambda device=device: device.write([0.0])):
+                with pytest.raises(DriverError, match="it is closed"):
+                    call()
+
+
+@drivers
+def test_a_second_master_is_refused_or_has_a_device_of_its_own(declared):
+    with contextlib.ExitStack() as stack:
+        parameters = stack.enter_context(declared.emulator())
+        first = Device(declared, parameters, RATE)
+        stack.callback(first.close)
+        can = first.capabilities
+        try:
+            second = Device(declared, parameters, RATE)
+        except DriverError as error:
+            assert str(error).startswith(f"driver {declared.name}: cannot be opened: ")
+            hold(first, can.minimum, samples=2)  # and the first goes on
+            return
+        stack.callback(second.close)
+        for _ in range(30):
+            low, high = hold(first, can.minimum, samples=1), hold(second, can.maximum, samples=1)
+        assert abs(high - low) > 1e-12, "both work on one device"
+
+
+@drivers
+def test_a_device_that_is_gone_is_a_driver_error_within_moments(declared):
+    with declared.emulator() as parameters:
+        device = Device(declared, parameters, RATE)
+    start = time.monotonic()
+    for call in (device.read, device.make_safe):
+        # nothing outside has gone where there is nothing outside
+        with contextlib.suppress(DriverError):
+            call()
+    device.close()
+    assert time.monotonic() - start < 5.0

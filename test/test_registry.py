@@ -1,0 +1,72 @@
+"""Registries: what is found in a folder and behind entry points, and what is refused or left out."""
+
+from __future__ import annotations
+
+import importlib
+import itertools
+from types import SimpleNamespace
+
+import pytest
+
+from hysteresis_ros.registry import discover, resolved
+
+GROUP = "hysteresis_ros.things_of_a_test"
+numbers = itertools.count()
+
+
+@pytest.fixture
+def found(tmp_path, monkeypatch):
+    """Return a function that writes modules and entry points and returns what is discovered."""
+    monkeypatch.syspath_prepend(tmp_path)
+
+    def discovered(modules: dict[str, str], entries: str = "") -> dict[str, SimpleNamespace]:
+        name = f"things_{next(numbers)}"
+        folder = tmp_path / name
+        folder.mkdir()
+        for module, text in {"__init__": "", **modules}.items():
+            (folder / f"{module}.py").write_text(f"from types import SimpleNamespace as Thing\n{text}\n")
+        information = tmp_path / "others-1.0.dist-info"
+        information.mkdir()
+        (information / "METADATA").write_text("Metadata-Version: 2.1\nName: others\nVersion: 1.0\n")
+        (information / "entry_points.txt").write_text(f"[{GROUP}]\n{entries}".format(name=name))
+        importlib.invalidate_caches()
+        importlib.import_module(name)
+        return discover(name, "THING", SimpleNamespace, GROUP)
+
+    return discovered
+
+
+def test_modules_and_entry_points_are_found_in_alphabetical_order(found):
+    modules = {"b": 'THING = Thing(name="b")', "a": 'THING = Thing(name="z")', "_kept_out": "OTHER = Thing(name='o')"}
+    things = found(modules, "other = {name}._kept_out:OTHER\n")
+    assert list(things) == ["b", "o", "z"] and things["z"].name == "z"
+
+
+@pytest.mark.parametrize(
+    ("modules", "words"),
+    [
+        ({"a": ""}, r"a\.THING must be a SimpleNamespace, it is None"),
+        ({"a": 'THING = Thing(name="x")', "b": 'THING = Thing(name="x")'}, r"b\.THING: the name 'x' is taken"),
+    ],
+)
+def test_a_module_that_declares_nothing_or_the_same_again_is_a_mistake(found, modules, words):
+    with pytest.raises(TypeError, match=words):
+        found(modules)
+
+
+@pytest.mark.parametrize(
+    ("entry", "words"),
+    [
+        ("nowhere_at_all:THING", "ModuleNotFoundError"),
+        ("math:pi", "must be"),
+        ("{name}.a:THING", "is taken"),
+    ],
+)
+def test_an_entry_point_that_does_not_serve_is_left_out_with_a_warning(found, entry, words):
+    with pytest.warns(RuntimeWarning, match=rf"entry point wrong = .*{words}"):
+        things = found({"a": 'THING = Thing(name="a")'}, f"wrong = {entry}\n")
+    assert list(things) == ["a"]
+
+
+def test_a_function_is_found_by_its_dotted_path():
+    assert resolved("hysteresis_ros.registry:discover") is discover
