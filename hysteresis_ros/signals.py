@@ -182,6 +182,9 @@ ASKED = (SETPOINT, REQUEST, SPEED)
 ACTUATOR_ROW = sum(not signal.motor for signal in SIGNALS)
 MOTOR_ROW = len(SIGNALS)
 
+#: Frame of ``joint_states`` while the plant has stopped the axis (``tripped`` is 1).
+TRIPPED_FRAME = "tripped"
+
 #: SI units by name, with the time of the samples.
 UNITS = {"time": "s", **{signal.name: signal.unit for signal in SIGNALS}}
 

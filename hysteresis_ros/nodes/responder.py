@@ -14,7 +14,7 @@ from hysteresis_ros.nodes.lockstep import LockstepResponder
 from hysteresis_ros.nodes.realtime import RealTimeResponder
 
 #: Frame of ``joint_states`` while the plant has stopped the axis.
-TRIPPED_FRAME = "tripped"
+TRIPPED_FRAME = signals.TRIPPED_FRAME
 
 
 @dataclass(frozen=True)

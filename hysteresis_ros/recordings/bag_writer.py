@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import contextlib
 import pathlib
+from collections.abc import Callable
 from typing import Any
 
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
-from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2.errors import WriterError
 
 from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.recordings import cdr
+from hysteresis_ros.recordings.mcap_storage import ChunkedWriter, Frames
 
 #: Bytes of messages after which a chunk is closed and handed to the operating system.
 CHUNK_BYTES = 256 * 1024
@@ -42,7 +45,8 @@ class BagWriter:
     """Writes one bag folder (``NAME/NAME.mcap`` and ``NAME/metadata.yaml``) that ``ros2 bag`` and MCAP tools open.
 
     Messages collect in a chunk; a full chunk goes to the file at once, so a SIGKILL loses at most the open one. Call
-    :meth:`flush` now and then (the recorder does, once a second) so that a slow axis does not fill a chunk for minutes.
+    :meth:`flush` now and then (the recorder does, every ``chunk_time``) so that a slow axis does not fill a chunk for
+    minutes. Once a write has failed (a full disk) nothing more is taken; what was written before stays readable.
 
     Parameters
     ----------
@@ -70,8 +74,10 @@ class BagWriter:
         self._connections: dict[str, tuple[str, Any]] = {}
         self._encoders: dict[tuple[str, tuple[str, ...]], cdr.JointStateEncoder] = {}
         self._open_bytes = 0
+        self._failure = ""
+        self._waiting: list[Callable[[], None]] = []
         try:
-            self._writer: Writer | None = Writer(self.path, version=9, storage_plugin=StoragePlugin.MCAP)
+            self._writer: ChunkedWriter | None = ChunkedWriter(self.path, version=9, storage_plugin=StoragePlugin.MCAP)
             self._writer.open()
         except WriterError:
             raise RecordingError(f"{self.path}: exists already; choose another name or remove it") from None
@@ -139,11 +145,34 @@ class BagWriter:
         try:
             self._alive().write(connection[1], int(time_ns), data)
         except OSError as error:
-            raise RecordingError(f"{self.path}: cannot be written: {error.strerror}") from None
+            raise self._failed(error) from None
         self.message_count += 1
         self._open_bytes += len(data) + 31  # 31 bytes of record header around every message
         if self._open_bytes >= self.chunk_bytes:
             self.flush()
+
+    def channel(self, topic: str) -> int:
+        """Return the channel of a topic that was added."""
+        return self._connections[topic][1].id
+
+    def on_flush(self, write: Callable[[], None]) -> None:
+        """Let ``write`` put what waits elsewhere into the bag at each flush and at the end."""
+        self._waiting.append(write)
+
+    def write_frames(self, frames: Frames) -> None:
+        """Write the messages of many samples, and those that came one by one before, as a chunk of its own.
+
+        Raises
+        ------
+        RecordingError
+            The bag is closed or the disk is full.
+        """
+        try:
+            self._alive().write_frames(frames)
+        except OSError as error:
+            raise self._failed(error) from None
+        self.message_count += frames.count * len(frames.channels)
+        self._open_bytes = 0
 
     def write_float64(self, topic: str, value: float, time_ns: int) -> None:
         """Write a std_msgs/Float64."""
@@ -170,14 +199,15 @@ class BagWriter:
         RecordingError
             The bag is closed or the disk is full.
         """
+        for write in self._waiting:
+            write()
         storage: Any = self._alive().storage
         try:
             # an empty chunk would carry no times and confuse readers
             if self._open_bytes:
                 storage.close_chunk()
-            storage.bio.flush()
         except OSError as error:
-            raise RecordingError(f"{self.path}: cannot be written: {error.strerror}") from None
+            raise self._failed(error) from None
         self._open_bytes = 0
 
     def close(self) -> None:
@@ -190,13 +220,27 @@ class BagWriter:
         """
         if self._writer is None:
             return
-        writer, self._writer = self._writer, None
         try:
-            writer.close()
-        except OSError as error:
-            raise RecordingError(f"{self.path}: cannot be finished: {error.strerror}") from None
+            if not self._failure:
+                for write in self._waiting:
+                    write()
+        finally:
+            writer, self._writer = self._writer, None
+            try:
+                writer.close()
+            except OSError as error:
+                with contextlib.suppress(OSError):
+                    writer.abort()
+                raise RecordingError(f"{self.path}: cannot be finished: {error.strerror}") from None
 
-    def _alive(self) -> Writer:
+    def _failed(self, error: OSError) -> RecordingError:
+        """Return the error that says so, now and at every later write."""
+        self._failure = f"{self.path}: cannot be written: {error.strerror}"
+        return RecordingError(self._failure)
+
+    def _alive(self) -> ChunkedWriter:
+        if self._failure:
+            raise RecordingError(self._failure)
         if self._writer is None:
             raise RecordingError(f"{self.path}: the bag is closed already; open a new one")
         return self._writer

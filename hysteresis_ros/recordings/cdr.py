@@ -43,6 +43,63 @@ def encode_string(text: str) -> bytes:
     return bytes(types.serialize_cdr(types.types[STRING](data=text), STRING))
 
 
+@dataclass(frozen=True)
+class MessageForm:
+    """A message of fixed size as the form for others that differ in stamp and numbers only.
+
+    Parameters
+    ----------
+    data : bytes
+        CDR with its four-byte header; stamp and numbers are zero.
+    stamp : int
+        Where the header's stamp begins (int32 seconds, uint32 nanoseconds); -1 where there is none.
+    values : tuple of (int, int)
+        Where each group of float64 numbers begins, and how many it has.
+    """
+
+    data: bytes
+    stamp: int
+    values: tuple[tuple[int, int], ...]
+
+
+def float64_form() -> MessageForm:
+    """Return the form of std_msgs/Float64."""
+    return MessageForm(encode_float64(0.0), -1, ((4, 1),))
+
+
+def joint_state_form(names, frame_id: str = "", *, moving: bool = False) -> MessageForm:
+    """Return the form of sensor_msgs/JointState.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Names of the joints, or of the signals held in ``position``.
+    frame_id : str
+        Frame of the header.
+    moving : bool
+        Each name has a velocity and an effort besides its position; otherwise those are empty.
+    """
+    types = typestore()
+    kinds = types.types
+    count = len(names)
+    further = np.zeros(count if moving else 0)
+    stamp = kinds["builtin_interfaces/msg/Time"](sec=0, nanosec=0)
+    message = kinds[JOINT_STATE](
+        header=kinds["std_msgs/msg/Header"](stamp=stamp, frame_id=frame_id),
+        name=list(names),
+        position=np.zeros(count),
+        velocity=further,
+        effort=further,
+    )
+    data = bytes(types.serialize_cdr(message, JOINT_STATE))
+    places = [_joint_state_layout(data).offset]
+    while moving and len(places) < 3:
+        # behind the numbers before stands the length; eight-byte numbers are aligned from the end of the header on
+        place = places[-1] + 8 * count + 4
+        places.append(place + (4 - place) % 8)
+    return MessageForm(data, 4, tuple((place, count) for place in places))
+
+
 class JointStateEncoder:
     """Writes JointState messages of fixed names and varying stamp and positions.
 
@@ -56,24 +113,15 @@ class JointStateEncoder:
 
     def __init__(self, names, frame_id: str = ""):
         """Serialise one message as the form for all."""
-        types = typestore()
-        kinds = types.types
-        empty = np.zeros(0)
-        stamp = kinds["builtin_interfaces/msg/Time"](sec=0, nanosec=0)
-        message = kinds[JOINT_STATE](
-            header=kinds["std_msgs/msg/Header"](stamp=stamp, frame_id=frame_id),
-            name=list(names),
-            position=np.zeros(len(names)),
-            velocity=empty,
-            effort=empty,
-        )
-        self._buffer = bytearray(types.serialize_cdr(message, JOINT_STATE))
-        self._offset = _joint_state_layout(bytes(self._buffer)).offset
-        self._positions = struct.Struct(f"<{len(names)}d")
+        form = joint_state_form(names, frame_id)
+        self._buffer = bytearray(form.data)
+        self._stamp = form.stamp
+        ((self._offset, count),) = form.values
+        self._positions = struct.Struct(f"<{count}d")
 
     def encode(self, stamp_ns: int, positions) -> bytes:
         """Return the message of one sample."""
-        _STAMP.pack_into(self._buffer, 4, *divmod(int(stamp_ns), 1_000_000_000))
+        _STAMP.pack_into(self._buffer, self._stamp, *divmod(int(stamp_ns), 1_000_000_000))
         self._positions.pack_into(self._buffer, self._offset, *positions)
         return bytes(self._buffer)
 

@@ -1,0 +1,416 @@
+"""Samples written in batches: the messages the nodes would publish one by one, whatever the batches and the end."""
+
+from __future__ import annotations
+
+import errno
+import itertools
+import os
+import pathlib
+import signal
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.reader import make_reader
+from rosbags.rosbag2 import Reader
+
+from hysteresis_ros import signals
+from hysteresis_ros.errors import RecordingError
+from hysteresis_ros.recordings import cdr
+from hysteresis_ros.recordings.align import align, read_recording
+from hysteresis_ros.recordings.bag_reader import read_bag
+from hysteresis_ros.recordings.bag_writer import BagWriter
+from hysteresis_ros.recordings.batch_writer import AxisTopics, SampleWriter
+
+RATE = 10_000.0
+BEGIN = 1_700_000_000_123_456_789
+ACTUATOR = AxisTopics(namespace="left", joints=("extender",), sample_rate=RATE, force=5.88)
+MOTOR = AxisTopics(joints=("slider", "extender", "front_clamp", "rear_clamp"), sample_rate=RATE, motor=True)
+AXES = [pytest.param(ACTUATOR, id="actuator"), pytest.param(MOTOR, id="motor")]
+
+
+def make_samples(axis, count, seed=1):
+    """Return stamps, table and joints of some samples; the plant stops the axis now and then."""
+    random = np.random.default_rng(seed)
+    table = random.normal(size=(len(signals.row_signals(axis.motor)), count)) * 1e-6
+    table[random.integers(len(table), size=count // 7), random.integers(count, size=count // 7)] = np.nan
+    table[signals.TRIPPED] = np.cumsum(random.random(count) < 0.02) % 2
+    stamps = BEGIN + np.rint(np.arange(count) * 1e9 / RATE).astype(np.int64)
+    return stamps, table, random.normal(size=(12, count)) if axis.motor else None
+
+
+def write_batches(writer, samples, cuts=(), **further):
+    stamps, table, joints = samples
+    for begin, end in itertools.pairwise((0, *sorted(cuts), len(stamps))):
+        own = {} if joints is None else {"joints": joints[:, begin:end]}
+        own |= {name: values[begin:end] for name, values in further.items()}
+        writer.write(stamps[begin:end], table[:, begin:end], **own)
+
+
+def topics_of(path):
+    return {name: (topic.type_name, topic.data) for name, topic in read_bag(path).topics.items()}
+
+
+def decoded(path, topic):
+    type_name, messages = topics_of(path)[topic]
+    return [cdr.typestore().deserialize_cdr(data, type_name) for data in messages]
+
+
+@pytest.mark.parametrize("axis", AXES)
+def test_every_topic_has_the_signals_of_the_table(tmp_path, axis):
+    stamps, table, joints = samples = make_samples(axis, 60)
+    with BagWriter(tmp_path / "bag") as bag:
+        writer = SampleWriter(bag, axis)
+        write_batches(writer, samples)
+    assert set(topics_of(tmp_path / "bag")) == set(writer.topics)
+    for topic, name in signals.float_topics().items():
+        if name in {signal.name for signal in signals.row_signals(axis.motor)}:
+            values = [message.data for message in decoded(tmp_path / "bag", f"{axis.prefix}/{topic}")]
+            np.testing.assert_array_equal(values, table[signals.place(name)], err_msg=topic)
+    for node in signals.WRITERS:
+        topic = f"{axis.prefix}/{node}/state"
+        if topic not in writer.topics:
+            assert node == (signals.SOURCE if axis.motor else signals.MOTOR_SOURCE)
+            continue
+        names = signals.state_signals(node, axis.motor)
+        for k, message in enumerate(decoded(tmp_path / "bag", topic)):
+            assert message.header.stamp.sec * 10**9 + message.header.stamp.nanosec == stamps[k]
+            assert message.name == list(names) and not message.velocity.size and not message.effort.size
+            np.testing.assert_array_equal(message.position, [table[signals.place(n), k] for n in names.values()])
+
+
+@pytest.mark.parametrize("axis", AXES)
+def test_joint_states_have_position_velocity_and_effort(tmp_path, axis):
+    _, table, joints = samples = make_samples(axis, 200)
+    with BagWriter(tmp_path / "bag") as bag:
+        writer = SampleWriter(bag, axis)
+        write_batches(writer, samples, cuts=(1, 77, 78))
+    before = 0.0
+    for k, message in enumerate(decoded(tmp_path / "bag", f"{axis.prefix}/joint_states")):
+        assert message.name == list(axis.joints)
+        assert message.header.frame_id == ("tripped" if table[signals.TRIPPED, k] else "")
+        if axis.motor:
+            found = np.concatenate([message.position, message.velocity, message.effort])
+            np.testing.assert_array_equal(found, joints[:, k])
+        else:
+            measured = table[signals.MEASURED, k]
+            velocity = (measured - before) * RATE if k else 0.0
+            np.testing.assert_array_equal(
+                [*message.position, *message.velocity, *message.effort], [measured, velocity, 5.88]
+            )
+            before = measured
+
+
+def test_a_run_that_begins_anew_has_no_velocity_first_and_a_preload_may_change(tmp_path):
+    stamps, table, _ = make_samples(ACTUATOR, 4)
+    with BagWriter(tmp_path / "bag") as bag:
+        writer = SampleWriter(bag, ACTUATOR)
+        writer.write(stamps[:2], table[:, :2])
+        writer.restart()
+        writer.force = 2.0
+        writer.write(stamps[2:], table[:, 2:])
+    messages = decoded(tmp_path / "bag", "/left/joint_states")
+    assert [message.velocity[0] == 0.0 for message in messages] == [True, False, True, False]
+    assert [message.effort[0] for message in messages] == [5.88, 5.88, 2.0, 2.0]
+
+
+def test_nobody_knows_the_true_displacement_of_a_device(tmp_path):
+    axis = AxisTopics(simulated=False)
+    with BagWriter(tmp_path / "bag") as bag:
+        write_batches(SampleWriter(bag, axis), make_samples(axis, 3))
+    names = decoded(tmp_path / "bag", "/plant_simulator/state")[0].name
+    assert names == [name for name in signals.state_signals(signals.PLANT, False) if name != "displacement"]
+
+
+@settings(max_examples=40)
+@given(axis=st.sampled_from([ACTUATOR, MOTOR]), cuts=st.sets(st.integers(0, 300)), block=st.integers(1, 60_000))
+def test_batches_and_chunks_change_nothing(tmp_path_factory, axis, cuts, block):
+    folder = tmp_path_factory.mktemp("batches")
+    samples = make_samples(axis, 300)
+    with BagWriter(folder / "whole") as bag:
+        write_batches(SampleWriter(bag, axis), samples)
+    with BagWriter(folder / "cut") as bag:
+        write_batches(SampleWriter(bag, axis, block_bytes=block), samples, cuts)
+    assert topics_of(folder / "whole") == topics_of(folder / "cut")
+
+
+@pytest.mark.parametrize("axis", AXES)
+def test_the_index_leads_to_every_message(tmp_path, axis):
+    """What reads by the index, by time and topic, finds what reading the file in its order finds."""
+    samples = make_samples(axis, 500)
+    times = samples[0] + np.random.default_rng(2).integers(0, 90_000, 500)
+    with BagWriter(tmp_path / "bag") as bag:
+        writer = SampleWriter(bag, axis, block_bytes=100_000)
+        bag.write_string("/note", "before", BEGIN)
+        write_batches(writer, samples, cuts=range(0, 500, 30), times=times)
+        bag.write_string("/note", "after", int(times[-1]))
+    path = tmp_path / "bag" / "bag.mcap"
+    in_order = read_bag(path).topics
+    with open(path, "rb") as stream:
+        reader = make_reader(stream, validate_crcs=True)
+        summary = reader.get_summary()
+        assert summary.statistics.message_count == 500 * len(writer.topics) + 2
+        assert summary.statistics.message_start_time == min(BEGIN, times[0])
+        assert summary.statistics.message_end_time == times[-1]
+        assert len(summary.chunk_indexes) == summary.statistics.chunk_count > 5
+        for topic in writer.topics:
+            some = [(m.log_time, m.data) for _, _, m in reader.iter_messages([topic], ending_before=int(times[250]))]
+            expected = list(zip(in_order[topic].times, in_order[topic].data, strict=True))[:250]
+            assert some == expected
+        # every entry of every message index, by hand
+        for chunk in summary.chunk_indexes:
+            check_chunk(path.read_bytes(), chunk)
+    with Reader(tmp_path / "bag") as bag:
+        assert bag.message_count == summary.statistics.message_count
+        assert {c.topic: c.msgcount for c in bag.connections} == {**dict.fromkeys(writer.topics, 500), "/note": 2}
+        for connection, time_ns, data in bag.messages():
+            if connection.topic == "/note":
+                text = cdr.decode_strings([data], "/note")[0]
+                assert time_ns == (BEGIN if text == "before" else times[-1])
+
+
+def check_chunk(content: bytes, chunk):
+    """Follow the message indices of a chunk to its messages."""
+
+    def number(place, size):
+        return int.from_bytes(content[place : place + size], "little")
+
+    data = chunk.chunk_start_offset + 9 + 8 + 8 + 8 + 4 + 4 + 8
+    end = chunk.chunk_start_offset + chunk.chunk_length
+    found = 0
+    for channel, place in chunk.message_index_offsets.items():
+        assert content[place] == 0x07 and number(place + 9, 2) == channel
+        size = number(place + 11, 4)
+        for entry in range(place + 15, place + 15 + size, 16):
+            log_time, message = number(entry, 8), data + number(entry + 8, 8)
+            assert content[message] == 0x05 and number(message + 9, 2) == channel
+            assert number(message + 15, 8) == log_time
+            assert chunk.message_start_time <= log_time <= chunk.message_end_time
+            found += 1
+        end += 15 + size
+    assert end == chunk.chunk_start_offset + chunk.chunk_length + chunk.message_index_length
+    messages, place = 0, data
+    while place < data + chunk.uncompressed_size:
+        messages += content[place] == 0x05
+        place += 9 + number(place + 1, 8)
+    assert place == data + chunk.uncompressed_size and messages == found
+
+
+def test_a_run_is_read_back_and_its_timing_comes_from_the_times(tmp_path):
+    stamps, table, _ = make_samples(ACTUATOR, 3000)
+    table[np.isnan(table)] = 0.0
+    with BagWriter(tmp_path / "bag") as bag:
+        SampleWriter(bag, ACTUATOR).write(stamps, table, times=stamps + 40_000 * (np.arange(3000) % 2))
+    back = read_recording(tmp_path / "bag", further=True)
+    for place, one in enumerate(signals.row_signals(motor=False)):
+        np.testing.assert_array_equal(back[one.name], table[place], err_msg=one.name)
+    assert back.metadata["missing_samples"] == 0 and back.metadata["complete"]
+    assert back.metadata["timing"]["rate_hz"] == pytest.approx(RATE, rel=1e-3)
+    assert back.metadata["timing"]["jitter_p99_s"] == pytest.approx(80e-6, abs=41e-6)
+
+
+def test_samples_wait_no_longer_than_told(tmp_path):
+    stamps, table, _ = make_samples(ACTUATOR, 10)
+    table[signals.TRIPPED] = 0.0
+    bag = BagWriter(tmp_path / "bag")
+    patient = SampleWriter(bag, ACTUATOR, chunk_time=1e9)
+    patient.write(stamps[:5], table[:, :5])
+    assert bag.message_count == 0
+    bag.flush()
+    assert bag.message_count == 5 * len(patient.topics)
+    hasty = SampleWriter(bag, AxisTopics(namespace="right"), chunk_time=-1.0)
+    hasty.write(stamps[:5], table[:, :5])
+    assert bag.message_count == 10 * len(patient.topics)
+    assert len(read_bag(tmp_path / "bag" / "bag.mcap")) == 10 * len(patient.topics)
+    bag.close()
+
+
+# -- the end ---------------------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=60)
+@given(data=st.data())
+def test_a_file_cut_anywhere_gives_all_whole_messages(cut_source, tmp_path_factory, data):
+    content, whole = cut_source
+    size = data.draw(st.integers(0, len(content) - 1))
+    path = tmp_path_factory.mktemp("cut") / "cut.mcap"
+    path.write_bytes(content[:size])
+    bag = read_bag(path)
+    counts = [len(topic.data) for topic in bag.topics.values()]
+    for name, topic in bag.topics.items():
+        assert topic.data == whole[name][1][: len(topic.data)]
+    if counts:
+        assert max(counts) - min(counts) <= 1
+        align(bag)
+
+
+@pytest.fixture(scope="module")
+def cut_source(tmp_path_factory):
+    """The bytes of a file of several chunks, and its topics."""
+    path = tmp_path_factory.mktemp("source") / "bag"
+    with BagWriter(path) as bag:
+        write_batches(SampleWriter(bag, ACTUATOR, block_bytes=30_000), make_samples(ACTUATOR, 120))
+    return (path / "bag.mcap").read_bytes(), topics_of(path)
+
+
+@settings(max_examples=60)
+@given(room=st.integers(0, 400_000))
+def test_a_full_disk_is_named_and_what_is_written_stays_readable(tmp_path_factory, room):
+    """The file takes ``room`` bytes; a record that did not fit is taken back."""
+    folder = tmp_path_factory.mktemp("full")
+    stamps, table, joints = make_samples(MOTOR, 150)
+    failed = None
+    with pytest.MonkeyPatch.context() as patch:
+        bag = BagWriter(folder / "bag")
+        writer = SampleWriter(bag, MOTOR, block_bytes=25_000)
+        patch.setattr(os, "writev", limited(os.writev, room))
+        try:
+            for k in range(0, 150, 10):
+                bag.write_float64("/note", float(k), int(stamps[k]))
+                writer.write(stamps[k : k + 10], table[:, k : k + 10], joints=joints[:, k : k + 10])
+        except RecordingError as error:
+            failed = str(error)
+            with pytest.raises(RecordingError) as again:
+                bag.write_float64("/note", 0.0, BEGIN)
+            assert str(again.value) == failed
+        try:
+            bag.close()
+        except RecordingError as error:
+            failed = failed or str(error)
+    assert bag.closed
+    if failed:
+        assert str(folder / "bag") in failed and os.strerror(errno.ENOSPC) in failed
+    else:
+        assert len(read_bag(folder / "bag")) == 150 * len(writer.topics) + 15
+    back = read_bag(folder / "bag")
+    counts = {name: len(topic.data) for name, topic in back.topics.items() if name != "/note"}
+    assert len(set(counts.values())) <= 1
+    if room > 100_000:
+        recorded = align(back)
+        np.testing.assert_array_equal(recorded["command"], table[signals.COMMAND, : len(recorded)])
+        assert (folder / "bag" / "bag.mcap").stat().st_size <= 200 + room
+
+
+def limited(writev, room):
+    """Return a writev of a disk with so much room."""
+
+    def write(file, pieces):
+        left = room - os.fstat(file).st_size
+        if left <= 0:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        return writev(file, [b"".join(bytes(piece) for piece in pieces)[:left]])
+
+    return write
+
+
+FULL = """
+import resource, sys
+import numpy as np
+from hysteresis_ros.errors import RecordingError
+from hysteresis_ros.recordings.bag_writer import BagWriter
+from hysteresis_ros.recordings.batch_writer import AxisTopics, SampleWriter
+resource.setrlimit(resource.RLIMIT_FSIZE, (3_000_000, 3_000_000))
+bag = BagWriter(sys.argv[1])
+writer = SampleWriter(bag, AxisTopics())
+table = np.zeros((19, 500))
+try:
+    for k in range(1000):
+        writer.write(np.arange(500 * k, 500 * (k + 1)) * 1_000_000, table)
+except RecordingError as error:
+    print(error)
+bag.close()
+"""
+
+
+def test_a_file_that_may_not_grow_is_closed_with_what_it_has(tmp_path):
+    answer = run_child(FULL, tmp_path / "bag")
+    assert answer.stdout.strip() == f"{tmp_path / 'bag'}: cannot be written: {os.strerror(errno.EFBIG)}"
+    back = read_recording(tmp_path / "bag")
+    assert back.metadata["complete"] and back.metadata["missing_samples"] == 0
+    assert (tmp_path / "bag" / "bag.mcap").stat().st_size > 2_000_000
+
+
+KILLED = """
+import sys, time
+import numpy as np
+from hysteresis_ros.recordings.bag_writer import BagWriter
+from hysteresis_ros.recordings.batch_writer import AxisTopics, SampleWriter
+bag = BagWriter(sys.argv[1])
+writer = SampleWriter(bag, AxisTopics(sample_rate=1000.0), block_bytes=10**9)
+begin, count = time.monotonic(), 0
+while True:
+    until = int((time.monotonic() - begin) * 1000.0) + 1
+    writer.write(np.arange(count, until) * 1_000_000, np.zeros((19, until - count)))
+    count = until
+    print(count, time.monotonic(), flush=True)
+    time.sleep(0.02)
+"""
+
+
+def test_a_kill_loses_at_most_the_last_half_second(tmp_path):
+    child = subprocess.Popen(
+        [sys.executable, "-c", KILLED, str(tmp_path / "bag")], env=environment(), stdout=subprocess.PIPE, text=True
+    )
+    with child:
+        reports = [child.stdout.readline().split() for _ in range(60)]
+        child.send_signal(signal.SIGKILL)
+        reports += [line.split() for line in child.stdout]
+    reports = [(int(report[0]), float(report[1])) for report in reports if len(report) == 2]
+    assert reports[-1][1] - reports[0][1] > 1.0
+    back = read_recording(tmp_path / "bag")
+    assert not back.metadata["complete"] and back.metadata["missing_samples"] == 0
+    assert len(back) >= max(count for count, when in reports if when <= reports[-1][1] - 0.5)
+
+
+def run_child(program, *arguments):
+    command = [sys.executable, "-c", program, *map(str, arguments)]
+    return subprocess.run(command, env=environment(), capture_output=True, text=True, check=True)
+
+
+def environment():
+    root = str(pathlib.Path(signals.__file__).parents[1])
+    return os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, (root, os.environ.get("PYTHONPATH"))))}
+
+
+# -- wrong input -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("axis", "change", "says"),
+    [
+        (ACTUATOR, {"table": np.zeros((18, 5))}, r"table: shape \(18, 5\): must be \(19, 5\)"),
+        (ACTUATOR, {"table": np.zeros((19, 4))}, r"table: shape \(19, 4\): must be \(19, 5\)"),
+        (ACTUATOR, {"stamps": np.zeros(5)}, r"stamps: shape \(5,\), float64: must be one whole number of nanoseconds"),
+        (ACTUATOR, {"times": np.zeros(4, int)}, r"times: shape \(4,\), int64: must be one whole number"),
+        (ACTUATOR, {"joints": np.zeros((12, 5))}, "joints: given for an actuator"),
+        (MOTOR, {"joints": None}, "joints: missing"),
+        (MOTOR, {"joints": np.zeros((4, 5))}, r"joints: shape \(4, 5\): must be \(12, 5\)"),
+    ],
+)
+def test_wrong_samples_are_named(tmp_path, axis, change, says):
+    stamps, table, joints = make_samples(axis, 5)
+    with BagWriter(tmp_path / "bag") as bag:
+        writer = SampleWriter(bag, axis)
+        with pytest.raises(RecordingError, match=says):
+            writer.write(**({"stamps": stamps, "table": table, "joints": joints} | change))
+        writer.write([], np.zeros((len(table), 0)), joints=None if joints is None else np.zeros((12, 0)))
+    assert writer.sample_count == 0
+
+
+def test_an_actuator_has_one_joint(tmp_path):
+    with BagWriter(tmp_path / "bag") as bag, pytest.raises(RecordingError, match="an actuator has one joint"):
+        SampleWriter(bag, AxisTopics(joints=("one", "two")))
+
+
+def test_a_closed_bag_takes_no_samples(tmp_path):
+    stamps, table, _ = make_samples(ACTUATOR, 5)
+    bag = BagWriter(tmp_path / "bag")
+    writer = SampleWriter(bag, ACTUATOR, block_bytes=1)
+    bag.close()
+    with pytest.raises(RecordingError, match="closed already"):
+        writer.write(stamps, table)
+    with pytest.raises(RecordingError, match="closed already"):
+        SampleWriter(bag, AxisTopics(namespace="other"))
