@@ -170,8 +170,6 @@ class AxisParameters:
         limit = self.plant_simulator.allowed_late
         if limit:
             many = f"more than {limit} late voltages in a row or within {rate:g} samples (1 s)"
-            delayed = self.plant_simulator.allowed_delayed
-            many += f", or {delayed} in a row that answer earlier samples" if delayed < limit else ""
             lines.append(f"plant_simulator late_limit = {limit}: {many}: axis to safe until ~/start")
         return lines
 

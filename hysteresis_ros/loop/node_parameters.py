@@ -19,9 +19,6 @@ from hysteresis_ros.references.inchworm_sequencer import InchwormSequencerParame
 
 #: Late voltages that are allowed by default: part of the samples of a second, and the least number.
 LATE_PART, LEAST_LATE = 0.05, 20
-#: Voltages that may each be the answer to an earlier sample, by default: in a loop that is fast for its rate a delay of
-#: one sample takes some twenty to run away.
-DELAYED = 10
 
 
 @dataclass(frozen=True)
@@ -102,8 +99,8 @@ class PlantNodeParameters(NodeParameters, ActuatorParameters):
         low=-1,
         high=10**9,
         description="late voltages in a row, or together within a second, above which the axis goes to safe until "
-        "~/start; 0: a twentieth of the samples of a second, at least 20, and 10 in a row that come a whole "
-        "sample late; -1: any number",
+        "~/start; 0: a twentieth of the samples of a second, at least 20; -1: any number, and those that answer an "
+        "earlier sample are put out",
     )
     publish_clock: bool = parameter(False, read_only=True, description="publish the simulated time on /clock")
     wait_for_recorder: bool = parameter(
@@ -119,11 +116,6 @@ class PlantNodeParameters(NodeParameters, ActuatorParameters):
         if self.late_limit == 0:
             return max(round(LATE_PART * self.sample_rate), LEAST_LATE)
         return max(self.late_limit, 0)
-
-    @property
-    def allowed_delayed(self) -> int:
-        """Voltages that may in a row each be the answer to an earlier sample; 0: any number."""
-        return DELAYED if self.late_limit == 0 else max(self.late_limit, 0)
 
     @property
     def driver_parameters(self) -> Parameters:

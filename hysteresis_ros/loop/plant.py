@@ -94,36 +94,24 @@ class MotorPlantArrays(NamedTuple):
 #: Faults that act on a plant.
 TARGETS = (faulty.VOLTAGE, faulty.GRIP)
 
-# Parameters of the trip: late voltages that are allowed (0: any), and how many of them a sample forgives; those of an
-# earlier sample that are allowed; the nominal stiffness of the front clamp, for the fault lost_grip.
-LIMIT, FORGIVEN, DELAYED_LIMIT, STIFFNESS = range(4)
-TRIP_PARAMETERS = 4
+# Parameters of the trip: late voltages that are allowed (0: any), and how many of them a sample forgives; the nominal
+# stiffness of the front clamp, for the fault lost_grip.
+LIMIT, FORGIVEN, STIFFNESS = range(3)
+TRIP_PARAMETERS = 3
 
-# Its state: 1 when it has tripped, late voltages so far, late ones in a row, late ones that are not forgiven yet;
-# written by a runner that knows, 1 when what has come is the answer to an earlier sample; and by how many there were
-# more of those than of voltages in time.
-TRIP, LATE, IN_ROW, LEVEL, BEHIND, DELAYED = range(6)
-TRIP_STATES = 6
+# Its state: 1 when it has tripped, late voltages so far, late ones in a row, late ones that are not forgiven yet.
+TRIP, LATE, IN_ROW, LEVEL = range(4)
+TRIP_STATES = 4
 
 
 @kernel
-def watch(p, x, missing):
-    """Count a sample whose voltage was missing (1) or not (0), or of an earlier sample; trip when there are too many.
-
-    Returns
-    -------
-    float
-        1.0 when the voltage was late, whether it was missing or of an earlier sample.
-    """
-    late = max(missing, x[BEHIND])
+def watch(p, x, late):
+    """Count a sample whose voltage was late (1) or not (0); trip when there are too many of them."""
     x[LATE] += late
     x[IN_ROW] = (x[IN_ROW] + 1.0) * late
     x[LEVEL] = max(x[LEVEL] - p[FORGIVEN], 0.0) + late
-    if missing == 0.0:
-        x[DELAYED] = max(x[DELAYED] + 2.0 * x[BEHIND] - 1.0, 0.0)
-    if p[LIMIT] > 0.0 and (x[IN_ROW] > p[LIMIT] or x[LEVEL] > p[LIMIT] or x[DELAYED] > p[DELAYED_LIMIT]):
+    if p[LIMIT] > 0.0 and (x[IN_ROW] > p[LIMIT] or x[LEVEL] > p[LIMIT]):
         x[TRIP] = 1.0
-    return late
 
 
 @kernel
@@ -158,7 +146,8 @@ def watched_voltage(p, x, row):
     ``p`` and ``x`` are :class:`PlantWatchArrays`.
     """
     voltage = faulty.corrupt(p.faults, x.faults, faulty.VOLTAGE, row[at.VOLTAGE])
-    late = watch(p.trip, x.trip, is_missing(x.hold, voltage))
+    late = is_missing(x.hold, voltage)
+    watch(p.trip, x.trip, late)
     held = hold_voltage(p.hold, x.hold, voltage, x.trip[TRIP], -math.inf)
     row[at.PLANT_MODE] = plant_mode(p.hold, x.hold, x.trip, late)
     row[at.LATE] = x.trip[LATE]
@@ -197,7 +186,8 @@ def actuate_motor(laws, arrays, row):
     p, x = arrays.watch_p, arrays.watch_x
     voltage = faulty.corrupt(p.faults, x.faults, faulty.VOLTAGE, row[at.VOLTAGE])
     missing = max(is_missing(x.hold, voltage), is_missing(x.front_hold, row[at.FRONT_VOLTAGE]))
-    late = watch(p.trip, x.trip, max(missing, is_missing(x.rear_hold, row[at.REAR_VOLTAGE])))
+    late = max(missing, is_missing(x.rear_hold, row[at.REAR_VOLTAGE]))
+    watch(p.trip, x.trip, late)
     tripped = x.trip[TRIP]
     grip = faulty.corrupt(p.faults, x.faults, faulty.GRIP, 1.0)
     if p.faults[faulty.COUNT] > 0.0:
@@ -265,7 +255,6 @@ class Plant:
         p = self._watch_p
         limit = float(parameters.allowed_late)
         p.trip[LIMIT], p.trip[FORGIVEN] = limit, limit / rate
-        p.trip[DELAYED_LIMIT] = parameters.allowed_delayed
         holds = (p.hold, p.front_hold, p.rear_hold)
         for hold, safe, keeps in zip(holds, self.safe_voltages, (0.0, 1.0, 1.0), strict=True):
             timeout = samples_of(parameters.voltage_timeout, rate)
@@ -290,9 +279,14 @@ class Plant:
         holds = zip(self._watch_p[2:], self._watch_x[2:], strict=True)
         return any(x[HELD_AGE] >= p[HOLD_TIMEOUT] for p, x in holds)
 
-    def set_behind(self, behind: bool) -> None:
-        """Say whether the voltages of this sample are the answer to an earlier one: then they are late."""
-        self._watch_x.trip[BEHIND] = 1.0 if behind else 0.0
+    def await_voltages(self) -> None:
+        """Count samples without a voltage as late from now on, though none was put out yet."""
+        for x in self._watch_x[2:]:
+            x[HELD_BEGUN] = 1.0
+
+    def count_late(self) -> None:
+        """Count a voltage as late that is put out all the same."""
+        self._watch_x.trip[LATE] += 1.0
 
     def held(self, input_: int = 0) -> float:
         """Voltage [V] that is put out on one of the inputs."""
@@ -312,7 +306,7 @@ class Plant:
 
     def forgive(self) -> None:
         """Forget late voltages: only what follows counts."""
-        self._watch_x.trip[[IN_ROW, LEVEL, BEHIND, DELAYED]] = 0.0
+        self._watch_x.trip[[IN_ROW, LEVEL]] = 0.0
 
     def reset(self) -> None:
         """Begin again at rest."""

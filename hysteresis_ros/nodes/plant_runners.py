@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import threading
 import time
 from array import array
@@ -24,7 +25,7 @@ FAR_BEHIND = 10.0
 
 #: Without a voltage for so many seconds, and so many periods, none is under way any more; and how many times as long
 #: that is waited for.
-ALIGN_QUIET, ALIGN_PERIODS, ALIGN_PATIENCE = 0.03, 3.0, 5.0
+ALIGN_QUIET, ALIGN_PERIODS, ALIGN_PATIENCE = 0.1, 3.0, 5.0
 
 #: Whose absence opens the loop.
 CLOSERS = frozenset({"motion_controller", "hysteresis_compensator", "inchworm_sequencer"})
@@ -151,7 +152,8 @@ class RealTimePlant(RealTime):
     """Makes a sample whenever its time has come, in a thread with absolute deadlines.
 
     A voltage carries no number, so it belongs to a sample by count, and one that answers an earlier sample is late
-    however soon after its own sample it comes. When the first voltages come, and when somebody begins anew, it is not
+    however soon after its own sample it comes: in its place the last one that came in time stays, unless any number may
+    be late, or nobody closes the loop. When the first voltages come, and when somebody begins anew, it is not
     known how many samples will not be answered any more: the next one then waits for a moment, until no voltage is
     under way, and the count begins there.
 
@@ -261,9 +263,7 @@ class RealTimePlant(RealTime):
         """Say why the plant has stopped the axis, what this machine holds, and what to do."""
         parameters = self.node.parameters
         rate = parameters.sample_rate * parameters.real_time_factor
-        late, delayed = parameters.allowed_late, parameters.allowed_delayed
-        text = f"more than {late} voltages came late within a second"
-        text += f", or {delayed} in a row that answered earlier samples, at {rate:.6g} Hz"
+        text = f"more than {parameters.allowed_late} voltages came late within a second, at {rate:.6g} Hz"
         answers = sorted(self._answers[: min(self._answered, ANSWERS)])
         if answers:
             slow = max(answers[int(0.99 * (len(answers) - 1))], 1e-9)
@@ -308,7 +308,7 @@ class RealTimePlant(RealTime):
                 if self._runs != published:
                     continue  # a reset came in between: there is no sample to take
                 self.is_measured = False
-                node.part.set_behind(any(self._is_behind(input_) for input_ in node.inputs))
+                self._drop_late()
                 self._finish_sample()
                 if node.parameters.samples and node.sample >= node.parameters.samples:
                     self._ended = True
@@ -322,8 +322,27 @@ class RealTimePlant(RealTime):
             node.part.forgive()
         node.finish_sample()
         late = node.part.tripped and not before and not node.part.failure
-        if late and (self._gone or not node.loop_complete()):
+        if late and self._is_open:
             node.part.start()
+
+    @property
+    def _is_open(self) -> bool:
+        """Whether nobody controls: then voltages answer nothing."""
+        return bool(self._gone) or not self.node.loop_complete()
+
+    def _drop_late(self) -> None:
+        """Drop voltages that came, but answer an earlier sample: a loop with a delay that it does not know runs away."""
+        node = self.node
+        behind = [input_ for input_ in node.inputs if self._is_behind(input_)]
+        if not behind or self._is_open:
+            return
+        if not node.parameters.allowed_late:
+            if all(math.isfinite(input_.value) for input_ in node.inputs):
+                node.part.count_late()
+            return
+        node.part.await_voltages()
+        for input_ in behind:
+            input_.value = math.nan
 
     def _is_behind(self, input_) -> bool:
         """Tell whether a voltage came, but not yet that of the present sample: Float64 messages belong by count."""

@@ -279,31 +279,6 @@ def test_without_a_limit_nothing_trips():
     assert not stopped.any() and x[plant.LATE] == 5000.0
 
 
-def test_few_answers_to_earlier_samples_trip_where_many_missing_ones_do_not():
-    p = trip(100, 100 / 3000, 10)
-
-    def first(missing, behind):
-        stopped, _ = run_trip(p, missing, behind)
-        return int(np.argmax(stopped)) if stopped.any() else None
-
-    on_time = [0] * 40
-    assert first([1] * 40, [1] * 40) is None  # nothing came: that these are behind too does not matter
-    assert first(on_time, [1] * 10 + [0] * 30) is None
-    assert first(on_time, [1] * 11 + [0] * 29) == 10
-    # those that are missing in between neither count nor forgive
-    assert first([0, 1] * 20, [1] * 40) == 20
-    # one in time forgives one: of two in three the surplus grows by one in three samples
-    assert first(on_time, [1, 1, 0] * 13 + [1]) == 28
-    assert first(on_time, [1, 0] * 20) is None
-    assert run_trip(p, on_time, [1, 0] * 20)[1][plant.LATE] == 20.0
-
-
-@pytest.mark.parametrize(("late_limit", "delayed"), [(0, 10), (-1, 0), (7, 7)])
-def test_what_late_limit_allows_of_answers_to_earlier_samples(late_limit, delayed):
-    axis = loop_support.parameters(plant_simulator={"late_limit": late_limit})
-    assert axis.plant_simulator.allowed_delayed == delayed
-
-
 @pytest.mark.parametrize(
     ("late_limit", "rate", "allowed"), [(0, 3000.0, 150), (0, 100.0, 20), (-1, 3000.0, 0), (7, 3000.0, 7)]
 )

@@ -40,19 +40,18 @@ def run_hold(given, voltages, stopped, least=-np.inf):
     return out, follows
 
 
-def trip(limit, forgiven, delayed=0.0):
+def trip(limit, forgiven):
     """Return the parameters of a trip."""
     p = np.zeros(plant.TRIP_PARAMETERS)
-    p[[plant.LIMIT, plant.FORGIVEN, plant.DELAYED_LIMIT]] = limit, forgiven, delayed
+    p[[plant.LIMIT, plant.FORGIVEN]] = limit, forgiven
     return p
 
 
-def run_trip(p, missing, behind=()):
+def run_trip(p, late):
     """Return whether the plant has stopped the axis after each sample, and the state in the end."""
     x = np.zeros(plant.TRIP_STATES)
-    stopped = np.empty(len(missing))
-    for k, value in enumerate(missing):
-        x[plant.BEHIND] = float(behind[k]) if len(behind) else 0.0
+    stopped = np.empty(len(late))
+    for k, value in enumerate(late):
         plant.watch(p, x, float(value))
         stopped[k] = x[plant.TRIP]
     return stopped, x
@@ -71,6 +70,5 @@ def same_in_both_forms() -> np.ndarray:
         found += [*run_guard(p, values, stamps)]
         stops = (random.random(200) < 0.05).astype(float)
         found += [*run_hold(hold(0.3, 0.2, int(random.integers(1, 5)), random.random() < 0.5), values, stops)]
-        missing, behind = (random.random((2, 200)) < 0.1).astype(float)
-        found += [*run_trip(trip(4.0, 0.04, 2.0), missing, behind)]
+        found += [*run_trip(trip(4.0, 0.04), (random.random(200) < 0.1).astype(float))]
     return np.concatenate([np.asarray(array, dtype=float) for array in found])

@@ -109,6 +109,23 @@ def test_voltages_that_answer_earlier_samples_stop_the_axis_until_it_is_started(
     assert max(abs(b - a) for a, b in zip(moved[:-1], moved[1:], strict=True)) <= 10.01
 
 
+def test_a_voltage_that_answers_an_earlier_sample_is_not_put_out(late_axis, observer):
+    from sensor_msgs.msg import JointState
+
+    plant, compensator, _, source = late_axis(late_limit=40)
+    states = observer.listen(JointState, "/plant_simulator/state")
+    settled(plant)
+    compensator.delay = 1
+    before = plant.late
+    until(lambda: plant.late > before + 2, what="late voltages")
+    sent = compensator.voltage
+    source.setpoint = 0.5 * SETPOINT
+    until(lambda: compensator.voltage < 0.9 * sent and plant.late > before + 10, what="other voltages")
+    until(lambda: plant.part.tripped, what="the trip")
+    put_out = [state.position[2] for state in states if before + 2 < state.position[5] < plant.late - 1]
+    assert len(put_out) > 10 and set(put_out) == {put_out[0]}
+
+
 def test_without_a_limit_late_voltages_are_only_counted(late_axis):
     plant, compensator, *_ = late_axis(late_limit=-1)
     settled(plant)
