@@ -1,4 +1,4 @@
-"""What a compensator can carry out at rest."""
+"""What a compensator, or a hysteretic actuator, reaches at rest."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ from functools import lru_cache
 import numpy as np
 
 from hysteresis_ros.compensation.compensator import CompensatorParameters
+from hysteresis_ros.models.actuator import ActuatorParameters
 from hysteresis_ros.models.hysteresis import HysteresisParameters, hysteresis_block
+from hysteresis_ros.models.limits import LimitsParameters
 
 #: Samples of one sweep of the voltage.
 SWEEP = 257
@@ -33,9 +35,28 @@ def reachable_commands(compensator: CompensatorParameters, sample_time: float) -
     sample_time : float
         Sample time [s].
     """
-    limits = compensator.limits
-    block = hysteresis_block(compensator.hysteresis, sample_time)
-    if compensator.inverse.type == "none" or not block.rate_independent:
+    linear = compensator.inverse.type == "none"
+    return _reached(compensator.hysteresis, compensator.limits, sample_time, linear)
+
+
+def _reached(hysteresis: HysteresisParameters, limits: LimitsParameters, sample_time: float, linear: bool = False):
+    block = hysteresis_block(hysteresis, sample_time)
+    if linear or not block.rate_independent:
         ends = block.gain * limits.minimum, block.gain * limits.maximum
         return min(ends), max(ends)
-    return _sweep(compensator.hysteresis, limits.minimum, limits.maximum, sample_time)
+    return _sweep(hysteresis, limits.minimum, limits.maximum, sample_time)
+
+
+def resting_displacements(actuator: ActuatorParameters, sample_time: float) -> tuple[float, float]:
+    """Return the smallest and largest displacement [m] at which the actuator rests, preload included, creep not.
+
+    Parameters
+    ----------
+    actuator : ActuatorParameters
+    sample_time : float
+        Sample time [s].
+    """
+    dynamics = actuator.dynamics
+    gain = dynamics.state_space.dc_gain * dynamics.output_scale / dynamics.resolved_input_scale
+    ends = [gain * end for end in _reached(actuator.hysteresis, actuator.limits, sample_time)]
+    return min(ends) + actuator.preload.offset, max(ends) + actuator.preload.offset

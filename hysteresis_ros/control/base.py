@@ -64,6 +64,9 @@ class Controller(Block):
         Sample time [s].
     """
 
+    #: Whether it goes on by what its observer foresees while the measurement is NaN.
+    predicts = False
+
     #: Whether it can be taken through samples of another controller, as if it had run beside it all the time.
     runs_beside = False
 

@@ -78,7 +78,10 @@ OBSERVER = HEADER + 8
 
 @kernel
 def switching_function(p, x, reference, measured):
-    """Update observer, integral and trajectory; return s and leave K x_e, u* and the estimates in x."""
+    """Update observer, integral and trajectory; return s and leave K x_e, u* and the estimates in x.
+
+    While the measurement is NaN the observer goes on by its model, without an innovation.
+    """
     n = int(p[N])
     hyperplane = GAINS + n
     observer = hyperplane + n
@@ -88,13 +91,17 @@ def switching_function(p, x, reference, measured):
     if abs(applied) > x[LARGEST]:
         x[LARGEST] = abs(applied)
     r = bounded(reference) / p[OUTPUT_SCALE]
-    y = (bounded(measured) - p[PRELOAD]) / p[OUTPUT_SCALE]
+    y = measured
+    if measured == measured:
+        y = (bounded(measured) - p[PRELOAD]) / p[OUTPUT_SCALE]
     if x[STARTED] == 0.0:
         x[STARTED] = 1.0
         x[OBSERVER + RUNNING] = 0.0
         for i in range(n):
             x[ahead + i] = bounded(p[rest + i] * r)
     estimated = kalman_step(p, x, observer, OBSERVER, applied / p[INPUT_SCALE], y)
+    if y != y:
+        y = estimated
     s = 0.0
     linear = 0.0
     if p[MOVING] != 0.0:
@@ -262,6 +269,7 @@ class SlidingController(Controller):
         Sample time [s]; the model is discrete at this time.
     """
 
+    predicts = True
     runs_beside = True
 
     def initial_state(self) -> np.ndarray:

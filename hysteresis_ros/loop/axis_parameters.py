@@ -171,6 +171,10 @@ class AxisParameters:
         if limit:
             many = f"more than {limit} late voltages in a row or within {rate:g} samples (1 s)"
             lines.append(f"plant_simulator late_limit = {limit}: {many}: axis to safe until ~/start")
+        if self.inchworm_sequencer is None and self.plant_simulator.overtravel >= 0.0:
+            low, high = self.plant_simulator.allowed_travel
+            text = f"plant_simulator overtravel: measured beyond {1e6 * low:.4g} … {1e6 * high:.4g} µm: axis to safe"
+            lines.append(f"{text} until ~/start")
         return lines
 
     def with_faults(self, faults: tuple[str, ...]) -> AxisParameters:

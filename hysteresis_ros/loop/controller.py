@@ -71,7 +71,8 @@ SAFE_COMMAND = 0  # [m]
 SAFE_STEP = 1  # [m] a sample
 PRELOAD = 2  # offset of the model [m]
 USE_ORIGIN = 3  # 1: the measurement counts from the sequencer's origin
-OWN_PARAMETERS = 4
+PREDICTS = 4  # 1: the law goes on by what its observer foresees while a measurement is missing
+OWN_PARAMETERS = 5
 
 # Own state.
 STOP = 0  # 1 while told to stop
@@ -100,9 +101,15 @@ def resume(x, own_p, own, value):
     x.controller[header.STARTED] = 0.0
 
 
+@kernel
+def foreseeable(own_p, own, state, seen):
+    """Tell whether it is the measurement that is missing, and an observer at work knows where the axis is."""
+    return own_p[PREDICTS] != 0.0 and own[RETURNING] == 0.0 and state[header.STARTED] != 0.0 and seen != seen
+
+
 @nested
 def answer(laws, arrays, value):
-    """Return the command [m] for the displacement ``value`` [m]."""
+    """Return the command [m] for the displacement ``value`` [m]; NaN: for what the law foresees."""
     p, x, own = arrays.p, arrays.x, arrays.watch_x.own
     if own[RETURNING] != 0.0:
         resume(x, arrays.watch_p.own, own, value)
@@ -113,7 +120,8 @@ def answer(laws, arrays, value):
             own[ON_PATH] = 0.0
     delayed = feedforward(p.feedforward, x.feedforward, reference)
     fed = x.feedforward[feeding.COMMAND]
-    note(x.history, x.controller[header.APPLIED], delayed, fed, value)
+    known = value if value == value else x.controller[header.ESTIMATED]
+    note(x.history, x.controller[header.APPLIED], delayed, fed, known)
     x.controller[header.FEEDFORWARD] = fed
     return handover(p.handover, x.handover, laws.controller(p.controller, x.controller, delayed, value))
 
@@ -136,20 +144,23 @@ def control(laws, arrays, row):
     if own_p[USE_ORIGIN] != 0.0:
         value -= row[at.ORIGIN]
     mode = RUNNING
+    unfollowed = own[ANSWERED] != 0.0 and own[UNANSWERED] >= UNFOLLOWED_SAMPLES
     if row[at.TRIPPED] != 0.0:
         mode = TRIPPED
     elif faulty.corrupt(faults_p, faults, faulty.STOP, own[STOP]) != 0.0:
         mode = STOPPED
     elif is_stale(arrays.watch_p.guard, arrays.watch_x.guard):
         mode = STALE
-    elif value != value:
+    elif value != value and (unfollowed or not foreseeable(own_p, own, state, seen)):
         mode = HOLDING
-    elif own[ANSWERED] != 0.0 and own[UNANSWERED] >= UNFOLLOWED_SAMPLES:
+    elif unfollowed:
         mode = FOLLOWING
         # no faster than to safe: where commands are carried out after all, a copy would be a loop of gain one
         command = towards(command, value - own_p[PRELOAD], own_p[SAFE_STEP])
         own[RETURNING] = 1.0
     else:
+        if value != value:
+            mode = HOLDING
         command = answer(laws, arrays, value)
     if mode in (TRIPPED, STOPPED, STALE):
         command = towards(command, own_p[SAFE_COMMAND], own_p[SAFE_STEP])
@@ -215,6 +226,7 @@ class ControllerPart:
         own[SAFE_STEP] = parameters.safe_slew_rate / parameters.sample_rate
         own[PRELOAD] = parameters.model.preload.offset
         own[USE_ORIGIN] = parameters.use_origin
+        own[PREDICTS] = self.controller.predicts
 
     def _connect(self) -> None:
         """Put the arrays of the present blocks together."""
@@ -239,6 +251,7 @@ class ControllerPart:
     def install(self, controller: Controller) -> None:
         """Put another controller in the place of the present one, at rest; :meth:`retune` takes one over live."""
         self.controller = controller
+        self._pack_own(self.parameters)
         self._connect()
 
     def prepare(self) -> None:

@@ -17,7 +17,15 @@ from hysteresis_ros.hardware.driver import Capabilities, DriverError
 from hysteresis_ros.hardware.registry import DRIVERS
 from hysteresis_ros.loop import faults as faulty
 from hysteresis_ros.loop.node_parameters import PlantNodeParameters
-from hysteresis_ros.loop.plant import PLANTS, TRIP, Plant, actuate, sense, watched_voltage
+from hysteresis_ros.loop.plant import (
+    PLANTS,
+    TRIP,
+    WITHOUT_VOLTAGE,
+    Plant,
+    actuate,
+    sense,
+    watched_voltage,
+)
 from hysteresis_ros.loop.watch import FOLLOWS, HELD, hold_state, hold_voltage
 from hysteresis_ros.models.limits import FLAGS, LIMITED_SAMPLES, OUTPUT, UNQUANTISED, Limits, LimitsParameters
 
@@ -47,7 +55,7 @@ class DrivenPlant(Plant):
         self.arrays = self
         self._device: Device | None = None
         for voltage in (0.0, math.nan):  # what is called is compiled now, not at the first sample
-            self.limits.step(watched_voltage(self._watch_p, self._watch_x, {at.VOLTAGE: voltage}))
+            self.limits.step(watched_voltage(self._watch_p, self._watch_x, {at.VOLTAGE: voltage, at.MEASURED: 0.0}))
         self.reset()
         self._at_rest()
         self._device = Device(
@@ -81,6 +89,11 @@ class DrivenPlant(Plant):
     def resting_voltages(self) -> tuple[float, float, float]:
         """Voltages [V] before any is received."""
         return self.parameters.safe_voltage, 0.0, 0.0
+
+    @property
+    def travel(self) -> tuple[float, float]:
+        """Between which measurements [m] the axis may go on, by the model in the file."""
+        return self.parameters.allowed_travel
 
     @property
     def saturated(self) -> bool:
@@ -131,7 +144,7 @@ class DrivenPlant(Plant):
     def _fail(self, error: DriverError) -> None:
         """Stop the axis: the device is made safe, as far as it still listens."""
         self.failure = str(error)
-        self._watch_x.trip[TRIP] = 1.0
+        self._watch_x.trip[TRIP] = WITHOUT_VOLTAGE
         try:
             self._device.make_safe()
         except DriverError as another:

@@ -5,9 +5,11 @@ They live here and not with the nodes because the offline twin reads the same fi
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields
 
 from hysteresis_ros.compensation.compensator import CompensatorParameters
+from hysteresis_ros.compensation.reachable import resting_displacements
 from hysteresis_ros.control.controller import ControllerParameters
 from hysteresis_ros.errors import Problem
 from hysteresis_ros.hardware.registry import DRIVERS
@@ -102,6 +104,14 @@ class PlantNodeParameters(NodeParameters, ActuatorParameters):
         "~/start; 0: a twentieth of the samples of a second, at least 20; -1: any number, and those that answer an "
         "earlier sample are put out",
     )
+    overtravel: float = parameter(
+        0.0,
+        unit="m",
+        low=-1.0,
+        high=1.0,
+        description="actuator: measured so far beyond where it can rest, the axis goes to safe until ~/start; "
+        "0: one stroke; below 0: any",
+    )
     publish_clock: bool = parameter(False, read_only=True, description="publish the simulated time on /clock")
     wait_for_recorder: bool = parameter(
         False, read_only=True, description="begin when a recorder is there; lockstep: run at most `lead` ahead of it"
@@ -116,6 +126,16 @@ class PlantNodeParameters(NodeParameters, ActuatorParameters):
         if self.late_limit == 0:
             return max(round(LATE_PART * self.sample_rate), LEAST_LATE)
         return max(self.late_limit, 0)
+
+    @property
+    def allowed_travel(self) -> tuple[float, float]:
+        """Between which measurements [m] an actuator may go on: where its model can rest, and ``overtravel`` beyond."""
+        if self.overtravel < 0.0:
+            return -math.inf, math.inf
+        low, high = resting_displacements(part(self, ActuatorParameters), 1.0 / self.sample_rate)
+        # a step of the whole range makes an undamped stage swing one stroke too far
+        beyond = self.overtravel or high - low
+        return low - beyond, high + beyond
 
     @property
     def driver_parameters(self) -> Parameters:

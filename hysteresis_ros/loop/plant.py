@@ -3,9 +3,8 @@
 A voltage that does not come in time is late: the last one is held and the miss counted. When none comes for
 ``voltage_timeout`` the voltage goes to its safe value, and back without a jump when they return. When more than
 ``late_limit`` are late in a row, or come together within a second, the loop is not closed any more: the plant *trips*,
-goes to its safe voltage and stops the axis until it is started again. Voltages that do come, but each the answer to an
-earlier sample, are worse than none: they close the loop with a delay, and it may run away within tens of samples. Of
-these few are allowed.
+goes to its safe voltage and stops the axis until it is started again. So it does when an actuator is measured far
+beyond where it can rest: only a loop that is unstable gets there.
 """
 
 from __future__ import annotations
@@ -94,24 +93,32 @@ class MotorPlantArrays(NamedTuple):
 #: Faults that act on a plant.
 TARGETS = (faulty.VOLTAGE, faulty.GRIP)
 
-# Parameters of the trip: late voltages that are allowed (0: any), and how many of them a sample forgives; the nominal
-# stiffness of the front clamp, for the fault lost_grip.
-LIMIT, FORGIVEN, STIFFNESS = range(3)
-TRIP_PARAMETERS = 3
+# Parameters of the trip: late voltages that are allowed (0: any), and how many of them a sample forgives; between which
+# measurements [m] the axis may go on; the nominal stiffness of the front clamp, for the fault lost_grip.
+LIMIT, FORGIVEN, LOWEST, HIGHEST, STIFFNESS = range(5)
+TRIP_PARAMETERS = 5
 
-# Its state: 1 when it has tripped, late voltages so far, late ones in a row, late ones that are not forgiven yet.
+# Why the plant has tripped: too many late voltages, or a device that failed; a measurement beyond where it may be.
+NOT_TRIPPED, WITHOUT_VOLTAGE, BEYOND_TRAVEL = range(3)
+
+# Its state: why it has tripped, late voltages so far, late ones in a row, late ones that are not forgiven yet.
 TRIP, LATE, IN_ROW, LEVEL = range(4)
 TRIP_STATES = 4
 
 
 @kernel
-def watch(p, x, late):
-    """Count a sample whose voltage was late (1) or not (0); trip when there are too many of them."""
+def watch(p, x, late, measured):
+    """Count a sample whose voltage was late (1) or not (0); trip when there are too many, or on a wild measurement.
+
+    A loop that is unstable swings at its resonance far beyond what the voltages' range alone would allow.
+    """
     x[LATE] += late
     x[IN_ROW] = (x[IN_ROW] + 1.0) * late
     x[LEVEL] = max(x[LEVEL] - p[FORGIVEN], 0.0) + late
     if p[LIMIT] > 0.0 and (x[IN_ROW] > p[LIMIT] or x[LEVEL] > p[LIMIT]):
-        x[TRIP] = 1.0
+        x[TRIP] = WITHOUT_VOLTAGE
+    if measured < p[LOWEST] or measured > p[HIGHEST]:
+        x[TRIP] = BEYOND_TRAVEL
 
 
 @kernel
@@ -147,7 +154,7 @@ def watched_voltage(p, x, row):
     """
     voltage = faulty.corrupt(p.faults, x.faults, faulty.VOLTAGE, row[at.VOLTAGE])
     late = is_missing(x.hold, voltage)
-    watch(p.trip, x.trip, late)
+    watch(p.trip, x.trip, late, row[at.MEASURED])
     held = hold_voltage(p.hold, x.hold, voltage, x.trip[TRIP], -math.inf)
     row[at.PLANT_MODE] = plant_mode(p.hold, x.hold, x.trip, late)
     row[at.LATE] = x.trip[LATE]
@@ -187,7 +194,7 @@ def actuate_motor(laws, arrays, row):
     voltage = faulty.corrupt(p.faults, x.faults, faulty.VOLTAGE, row[at.VOLTAGE])
     missing = max(is_missing(x.hold, voltage), is_missing(x.front_hold, row[at.FRONT_VOLTAGE]))
     late = max(missing, is_missing(x.rear_hold, row[at.REAR_VOLTAGE]))
-    watch(p.trip, x.trip, late)
+    watch(p.trip, x.trip, late, row[at.MEASURED])
     tripped = x.trip[TRIP]
     grip = faulty.corrupt(p.faults, x.faults, faulty.GRIP, 1.0)
     if p.faults[faulty.COUNT] > 0.0:
@@ -255,13 +262,24 @@ class Plant:
         p = self._watch_p
         limit = float(parameters.allowed_late)
         p.trip[LIMIT], p.trip[FORGIVEN] = limit, limit / rate
+        p.trip[LOWEST], p.trip[HIGHEST] = self.travel
         holds = (p.hold, p.front_hold, p.rear_hold)
         for hold, safe, keeps in zip(holds, self.safe_voltages, (0.0, 1.0, 1.0), strict=True):
             timeout = samples_of(parameters.voltage_timeout, rate)
             hold[:] = safe, parameters.safe_slew_rate / rate, timeout, keeps
 
-    #: Why the plant has stopped the axis, when voltages are not the reason.
+    @property
+    def travel(self) -> tuple[float, float]:
+        """Between which measurements [m] the axis may go on; an inchworm's sequencer watches over its slider."""
+        return -math.inf, math.inf
+
+    #: What is wrong with a device that has stopped the axis.
     failure = ""
+
+    @property
+    def overtravelled(self) -> bool:
+        """Whether a measurement has stopped the axis."""
+        return bool(self._watch_x.trip[TRIP] == BEYOND_TRAVEL)
 
     @property
     def tripped(self) -> bool:
@@ -361,6 +379,11 @@ class ActuatorPlant(Plant):
     def resting_voltages(self) -> tuple[float, float, float]:
         """Voltages [V] before any is received."""
         return self.actuator.voltage, 0.0, 0.0
+
+    @property
+    def travel(self) -> tuple[float, float]:
+        """Between which measurements [m] the axis may go on."""
+        return self.parameters.allowed_travel
 
     @property
     def saturated(self) -> bool:

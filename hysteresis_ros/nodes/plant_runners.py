@@ -331,7 +331,7 @@ class RealTimePlant(RealTime):
         return bool(self._gone) or not self.node.loop_complete()
 
     def _drop_late(self) -> None:
-        """Drop voltages that came, but answer an earlier sample: a loop with a delay that it does not know runs away."""
+        """Drop voltages that came, but answer an earlier sample: with a delay unknown to it a loop runs away."""
         node = self.node
         behind = [input_ for input_ in node.inputs if self._is_behind(input_)]
         if not behind or self._is_open:

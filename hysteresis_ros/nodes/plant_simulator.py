@@ -277,6 +277,12 @@ class PlantSimulatorNode(AxisNode):
         """Say why the plant has stopped the axis."""
         if self.part.failure:
             return f"{self.part.failure}; ~/start tries the device again, cleanup and configure open it anew"
+        if self.part.overtravelled:
+            low, high = self.part.travel
+            return (
+                f"measured beyond {1e6 * low:.4g} … {1e6 * high:.4g} µm, where only an unstable loop or a wrong sensor "
+                "gets (overtravel): look at gains, delay and scaling; ~/start lets it go on"
+            )
         return self.runner.explain_trip()
 
     def readers(self) -> int:

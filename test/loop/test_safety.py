@@ -59,21 +59,76 @@ def assert_towards(values, first, target, step, tolerance):
     return first + count
 
 
+PID = {"type": "pid", "pid__Kp": 0.0, "pid__Ki": 50.0}
+
+
+@pytest.mark.parametrize("law", [{}, PID])
 @pytest.mark.parametrize("fault", ["stale", "nan", "drop", "frozen"])
-def test_without_measurements_the_command_goes_to_safe_after_exactly_its_timeout_and_comes_back(fault):
+def test_without_measurements_the_command_goes_to_safe_after_exactly_its_timeout_and_comes_back(fault, law):
     frozen = 40 if fault == "frozen" else 0
-    made = settled(motion_controller={"frozen_samples": frozen})
+    made = settled(motion_controller={"frozen_samples": frozen, **law})
     value = ":1" if fault == "drop" else ""
     table = after(made, f"{fault}:{lasting(100)}:{lasting(900)}{value}")
     quiet = 100 + frozen
     held = slice(quiet, quiet + TIMEOUT - 1)
     assert set(table["controller_mode"][held]) == {watch.HOLDING}
-    np.testing.assert_array_equal(table["command"][held], table["command"][quiet - 1])
+    # what an observer foresees of an axis that stands is that it stands
+    np.testing.assert_allclose(table["command"][held], table["command"][quiet - 1], rtol=0, atol=0 if law else 1e-8)
     assert set(table["controller_mode"][quiet + TIMEOUT - 1 : 1000]) == {watch.STALE}
     safe = assert_towards(table["command"], quiet + TIMEOUT - 1, 0.0, COMMAND_STEP, 1e-18)
     assert not table["command"][safe:1000].any()
     assert set(table["controller_mode"][1000:]) == {watch.RUNNING}
     comes_back_calmly(table, 1000)
+
+
+@pytest.mark.parametrize("fault", ["drop:0.1:0.8:0.3", "drop:0.1:0.8:0.6", "stale:0.1:0.015", "nan:0.11:0.019"])
+def test_an_observer_carries_the_axis_over_measurements_that_are_missing(fault):
+    """With the model exact and no noise nothing is seen of them, on a moving axis either."""
+    quiet = {**QUICK, "plant_simulator": {**QUICK["plant_simulator"], "sensor__noise": 0.0}}
+    runs = [axis(**quiet) for _ in range(2)]
+    runs[1].inject((fault,))
+    with_all, with_few = (made.run(np.full(3000, SETPOINT)) for made in runs)
+    assert np.count_nonzero(np.isnan(with_few["seen"])) > 40
+    assert not np.isin(with_few["controller_mode"], (watch.STALE, watch.TRIPPED)).any()
+    for name, allowed in (("command", 2e-9), ("displacement", 2e-9)):
+        np.testing.assert_allclose(with_few[name], with_all[name], rtol=0, atol=allowed, err_msg=name)
+
+
+def test_every_second_measurement_serves_a_filter_that_is_slow_enough_and_stops_the_axis_under_the_published_one():
+    """The published gain, at every second sample only, makes the estimate's error grow by 7 % in two samples."""
+    slow = {"kalman__gain": "riccati", "kalman__q": 0.1, "kalman__L": ()}
+    for law, tripped in ((slow, False), ({}, True)):
+        made = settled(motion_controller=law)
+        table = after(made, "disorder:0.1:0.8")
+        assert table["tripped"].any() == tripped
+        if not tripped:
+            np.testing.assert_allclose(table["displacement"], SETPOINT, rtol=0, atol=2e-8)
+        else:
+            assert np.max(np.abs(table["displacement"])) < 4.0 * STROKE
+            assert np.max(np.abs(table["displacement"][-300:])) < 2e-6  # at 0 V, after large loops
+
+
+@pytest.mark.parametrize(("overtravel", "why"), [(0.0, 2.0), (-1.0, 0.0), (1.0e-6, 2.0)])
+def test_a_loop_that_has_become_unstable_is_stopped_when_it_overtravels(overtravel, why):
+    made = settled(plant_simulator={"overtravel": overtravel})
+    low, high = made.plant.travel
+    if overtravel == 0.0:
+        at_rest = axis(plant_simulator={"overtravel": 1e-9}).plant.travel
+        stroke = at_rest[1] - at_rest[0]
+        assert (low, high) == pytest.approx((at_rest[0] - stroke, at_rest[1] + stroke), abs=3e-9)
+        assert 12e-6 < stroke < 16e-6
+    table = after(made, "late:0.1:0.5:2")
+    beyond = (table["measured"] < low) | (table["measured"] > high)
+    assert table["tripped"][-1] == why
+    if why:
+        first = int(np.argmax(beyond))
+        assert beyond.any() and made.plant.overtravelled
+        np.testing.assert_array_equal(table["tripped"], np.where(np.arange(3000) > first, 2.0, 0.0))
+        assert np.max(np.abs(table["displacement"][-300:])) < 2e-6  # at 0 V, after large loops
+        made.apply(Change(made.sample, "plant_simulator", "start"))
+        assert made.run(np.full(3000, SETPOINT))["displacement"][-1] == pytest.approx(SETPOINT, abs=2e-8)
+    else:
+        assert not beyond.any() and np.max(np.abs(table["displacement"])) > 1e-4
 
 
 def comes_back_calmly(table, first):

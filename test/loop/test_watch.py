@@ -274,6 +274,13 @@ def test_what_was_late_is_forgiven_after_a_second():
     assert tripped(burst + [0] * 100 + burst, 20, rate)[0].any()
 
 
+@pytest.mark.parametrize(("wild", "why"), [(2.0, 0), (2.01, 2), (-1.0, 0), (-1.01, 2), (NAN, 0), (INF, 2), (-INF, 2)])
+def test_a_measurement_beyond_the_travel_trips_in_its_sample_and_stays_so(wild, why):
+    assert plant.BEYOND_TRAVEL == 2
+    stopped, _ = run_trip(trip(5, 0.1, -1.0, 2.0), [0] * 9, [0.0] * 4 + [wild] + [0.0] * 4)
+    np.testing.assert_array_equal(stopped, [0] * 4 + [why] * 5)
+
+
 def test_without_a_limit_nothing_trips():
     stopped, x = tripped([1] * 5000, 0.0, 1000)
     assert not stopped.any() and x[plant.LATE] == 5000.0

@@ -118,7 +118,7 @@ class CheckedAxis:
         legal(modes["compensator"], RUNNING, HOLDING, STALE, STOPPED, TRIPPED)
         legal(modes["plant"], RUNNING, HOLDING, STALE, TRIPPED)
         for name, values in modes.items():
-            stopped = table["tripped"] == 1.0
+            stopped = table["tripped"] != 0.0
             assert np.all(values[stopped] == TRIPPED), name
             assert name == "plant" or not np.any(values[~stopped] == TRIPPED), name
         if self.last is not None:
@@ -126,7 +126,8 @@ class CheckedAxis:
         safe = (STALE, STOPPED, TRIPPED)
         rise = limit_step(compensator.limits, rate)
         moves(table, "command", "controller_mode", (*safe, FOLLOWING), controller.safe_slew_rate / rate, 0.0)
-        moves(table, "command", "controller_mode", (HOLDING,), 0.0, 0.0)
+        if not self.axis.controller.controller.predicts:
+            moves(table, "command", "controller_mode", (HOLDING,), 0.0, 0.0)
         moves(table, "voltage", "compensator_mode", safe, compensator.safe_slew_rate / rate, grid(compensator.limits))
         moves(table, "voltage", "compensator_mode", tuple(range(6)), rise, grid(compensator.limits))
         # an amplifier of its own slew rate may still be on its way to the voltage from which safety goes on

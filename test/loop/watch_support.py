@@ -40,19 +40,20 @@ def run_hold(given, voltages, stopped, least=-np.inf):
     return out, follows
 
 
-def trip(limit, forgiven):
+def trip(limit, forgiven, lowest=-np.inf, highest=np.inf):
     """Return the parameters of a trip."""
     p = np.zeros(plant.TRIP_PARAMETERS)
-    p[[plant.LIMIT, plant.FORGIVEN]] = limit, forgiven
+    p[[plant.LIMIT, plant.FORGIVEN, plant.LOWEST, plant.HIGHEST]] = limit, forgiven, lowest, highest
     return p
 
 
-def run_trip(p, late):
-    """Return whether the plant has stopped the axis after each sample, and the state in the end."""
+def run_trip(p, late, measured=None):
+    """Return why the plant has stopped the axis after each sample, and the state in the end."""
+    measured = np.zeros(len(late)) if measured is None else measured
     x = np.zeros(plant.TRIP_STATES)
     stopped = np.empty(len(late))
     for k, value in enumerate(late):
-        plant.watch(p, x, float(value))
+        plant.watch(p, x, float(value), float(measured[k]))
         stopped[k] = x[plant.TRIP]
     return stopped, x
 
@@ -70,5 +71,6 @@ def same_in_both_forms() -> np.ndarray:
         found += [*run_guard(p, values, stamps)]
         stops = (random.random(200) < 0.05).astype(float)
         found += [*run_hold(hold(0.3, 0.2, int(random.integers(1, 5)), random.random() < 0.5), values, stops)]
-        found += [*run_trip(trip(4.0, 0.04), (random.random(200) < 0.1).astype(float))]
+        late = (random.random(200) < 0.1).astype(float)
+        found += [*run_trip(trip(4.0, 0.04, -3.0, 2.5), late, values)]
     return np.concatenate([np.asarray(array, dtype=float) for array in found])
