@@ -158,7 +158,7 @@ def kernels_of(*names: str):
     return mark
 
 
-def specialised(function, *arguments):
+def specialised(function, *arguments, nogil: bool = False):
     """Return the machine code of a composite for arguments of these types (the function itself without Numba).
 
     Parameters
@@ -166,16 +166,26 @@ def specialised(function, *arguments):
     function : function
         Plain function; it is compiled once for each combination of types and cached on disk.
     *arguments
-        What it will be called with: arrays, named tuples of arrays, named tuples marked by :func:`kernels_of`.
+        What it will be called with: arrays, named tuples of arrays, named tuples marked by :func:`kernels_of`, and
+        functions that this function returned.
+    nogil : bool
+        Let other threads of Python run meanwhile.
     """
     if not COMPILED:
         return function
     key = function, _structure(arguments)
     if key not in _compiled:
-        kinds = numba.void(*map(numba.typeof, arguments))
+        kinds = numba.void(*map(_type_of, arguments))
         with _cache_directory():
-            _compiled[key] = numba.njit(kinds, **_OPTIONS)(function)
+            _compiled[key] = numba.njit(kinds, nogil=nogil, **_OPTIONS)(function)
     return _compiled[key]
+
+
+def _type_of(argument):
+    """Return Numba's type of an argument; machine code that is handed over is a first-class function."""
+    if hasattr(argument, "nopython_signatures"):
+        return numba.types.FunctionType(argument.nopython_signatures[0])
+    return numba.typeof(argument)
 
 
 def _structure(argument):

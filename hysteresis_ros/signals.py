@@ -96,8 +96,11 @@ SIGNALS = (
     Signal("controller_mode", "1", CONTROLLER, "what the controller does (a mode)", _at(CONTROLLER, name="mode")),
     Signal("compensator_mode", "1", COMPENSATOR, "what the compensator does (a mode)", _at(COMPENSATOR, name="mode")),
     Signal("plant_mode", "1", PLANT, "what the plant does (a mode)", _at(PLANT, name="mode")),
-    Signal("tripped", "1", PLANT, "1: the plant has stopped the axis until it is started", _at(PLANT, name="tripped")),
+    Signal(
+        "tripped", "1", PLANT, "not 0: the plant has stopped the axis until it is started", _at(PLANT, name="tripped")
+    ),
     Signal("late", "1", PLANT, "voltages so far that did not come in time", _at(PLANT, name="late")),
+    Signal("skipped", "1", PLANT, "1: its time was missed, nobody answered", _at(PLANT, name="skipped")),
     _sequencer("origin", "m", "what the controller subtracts from the measurement", topic="origin"),
     _motor("extender", "m", "measured displacement of the extender"),
     _motor("extender_displacement", "m", "true displacement of the extender"),
@@ -147,6 +150,7 @@ SIGNALS = (
     PLANT_MODE,
     TRIPPED,
     LATE,
+    SKIPPED,
     ORIGIN,
     EXTENDER,
     EXTENDER_DISPLACEMENT,
@@ -173,16 +177,20 @@ SIGNALS = (
     BACKWARD_GAIN,
     FORWARD_OFFSET,
     BACKWARD_OFFSET,
-) = range(45)
+) = range(46)
 
 #: Places of what people ask for: of any axis the first, of a motor all of them.
 ASKED = (SETPOINT, REQUEST, SPEED)
+
+#: Places of what a run is given: of any axis the first two, of a motor all of them.
+GIVEN = (SETPOINT, SKIPPED, REQUEST, SPEED)
+ACTUATOR_GIVEN = 2
 
 #: Length of a row of an actuator's axis, and of a motor's.
 ACTUATOR_ROW = sum(not signal.motor for signal in SIGNALS)
 MOTOR_ROW = len(SIGNALS)
 
-#: Frame of ``joint_states`` while the plant has stopped the axis (``tripped`` is 1).
+#: Frame of ``joint_states`` while the plant has stopped the axis (``tripped`` is not 0).
 TRIPPED_FRAME = "tripped"
 
 #: SI units by name, with the time of the samples.

@@ -45,7 +45,7 @@ class Change(NamedTuple):
     node : str
         Name of the node whose part it concerns.
     action : str
-        ``start``, ``stop``, or ``retune``.
+        ``start``, ``stop``, ``retune``, or, of the plant, ``halt``.
     parameters : dict
         With ``retune``: flat dotted parameters with their new values.
     after : str
@@ -122,7 +122,14 @@ class Axis:
         """The arrays of the present blocks."""
         return Parts(self.plant.arrays, self.source.arrays, self.controller.arrays, self.compensator.arrays)
 
-    def run(self, setpoints, requests=None, speeds=None, changes: Sequence[Change] = ()) -> dict[str, np.ndarray]:
+    @property
+    def given(self) -> np.ndarray:
+        """Places of what a run is given, for the loop."""
+        return np.array(signals.GIVEN if self.motor else signals.GIVEN[: signals.ACTUATOR_GIVEN], dtype=float)
+
+    def run(
+        self, setpoints, requests=None, speeds=None, changes: Sequence[Change] = (), skipped=None
+    ) -> dict[str, np.ndarray]:
         """Simulate ``len(setpoints)`` samples.
 
         Parameters
@@ -135,6 +142,8 @@ class Axis:
             Of a motor: walking speed asked for at each sample [m/s]; NaN leaves it as it is.
         changes : sequence of Change
             What changes between samples, in the order of their samples.
+        skipped : array_like, shape (N,), optional
+            1 at each sample whose time was missed: nobody measured or answered, the voltage stayed.
 
         Returns
         -------
@@ -152,6 +161,7 @@ class Axis:
         count = len(setpoints)
         columns = np.empty((len(row), count))
         columns[signals.SETPOINT] = setpoints
+        columns[signals.SKIPPED] = 0.0 if skipped is None else skipped
         if self.motor:
             columns[signals.REQUEST] = 0.0 if requests is None else requests
             columns[signals.SPEED] = math.nan if speeds is None else speeds
@@ -180,9 +190,8 @@ class Axis:
         if not columns.shape[1]:
             return
         whole = np.ascontiguousarray(columns)
-        asked = signals.ASKED if self.motor else signals.ASKED[:1]
         row = np.zeros(len(columns)) if row is None else row
-        arguments = self.laws, self.parts, np.array(asked, dtype=float), whole, row, what
+        arguments = self.laws, self.parts, self.given, whole, row, what
         specialised(ticks, *arguments)(*arguments)
         if whole is not columns:
             columns[:] = whole

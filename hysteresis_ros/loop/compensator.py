@@ -59,7 +59,10 @@ OWN_STATES = 3
 
 @nested
 def compensate(laws, arrays, row):
-    """Take the command of a sample out of its row; put the voltage and what it carries out in."""
+    """Take the command of a sample out of its row; put the voltage and what it carries out in.
+
+    In a sample that was skipped the voltage stays where it is, and the model follows that.
+    """
     p, x = arrays.p, arrays.x
     own_p, own = arrays.watch_p.own, arrays.watch_x.own
     faults_p, faults = arrays.watch_p.faults, arrays.watch_x.faults
@@ -77,14 +80,19 @@ def compensate(laws, arrays, row):
         mode = HOLDING
     else:
         own[COMMAND] = command
-    if mode in (RUNNING, HOLDING):
+    skipped = row[at.SKIPPED] != 0.0
+    if mode == RUNNING and skipped:
+        mode = HOLDING
+    if mode in (RUNNING, HOLDING) and not skipped:
         if own[RETURNING] != 0.0:
             own[RETURNING] = 0.0
             compensator_resume(laws.model, laws.inverse, p, x, own[COMMAND])
         voltage = compensator_step(laws.model, laws.inverse, p, x, own[COMMAND])
     else:
-        own[RETURNING] = 1.0
-        safe = towards(x.limits[limiting.UNQUANTISED], own_p[SAFE_VOLTAGE], own_p[SAFE_STEP])
+        if mode not in (RUNNING, HOLDING):
+            own[RETURNING] = 1.0
+        step = 0.0 if skipped else own_p[SAFE_STEP]
+        safe = towards(x.limits[limiting.UNQUANTISED], own_p[SAFE_VOLTAGE], step)
         voltage = compensator_hold(laws.model, p, x, safe)
     row[at.VOLTAGE] = voltage
     row[at.APPLIED] = x.out[compensating.APPLIED]

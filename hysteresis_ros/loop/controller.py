@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -134,6 +135,8 @@ def control(laws, arrays, row):
     state = arrays.x.controller
     faulty.begin_sample(faults)
     given = faulty.corrupt(faults_p, faults, faulty.MEASUREMENT, row[at.MEASURED])
+    if row[at.SKIPPED] != 0.0:
+        given = math.nan
     seen = accept(arrays.watch_p.guard, arrays.watch_x.guard, given, faults[faulty.STAMP])
     command = state[header.COMMAND]
     value = seen

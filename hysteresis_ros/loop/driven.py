@@ -55,7 +55,8 @@ class DrivenPlant(Plant):
         self.arrays = self
         self._device: Device | None = None
         for voltage in (0.0, math.nan):  # what is called is compiled now, not at the first sample
-            self.limits.step(watched_voltage(self._watch_p, self._watch_x, {at.VOLTAGE: voltage, at.MEASURED: 0.0}))
+            row = {at.VOLTAGE: voltage, at.MEASURED: 0.0, at.SKIPPED: 0.0}
+            self.limits.step(watched_voltage(self._watch_p, self._watch_x, row))
         self.reset()
         self._at_rest()
         self._device = Device(

@@ -62,6 +62,25 @@ class NodeParameters(Parameters):
     )
 
 
+@dataclass(frozen=True)
+class RealtimeParameters(Parameters):
+    """How the thread of the fused loop is scheduled."""
+
+    priority: int = parameter(
+        0,
+        low=0,
+        high=99,
+        read_only=True,
+        description="fused: priority of the loop's thread, SCHED_FIFO; 0: a normal one",
+    )
+    cpu: int = parameter(
+        -1, low=-1, high=4095, read_only=True, description="fused: processor core of the loop's thread; -1: any"
+    )
+    lock_memory: bool = parameter(
+        False, read_only=True, description="fused: keep the process in RAM, so that no sample waits for the disk"
+    )
+
+
 #: Drivers that have parameters of their own, and their class.
 _OWN = {name: item.parameters for name, item in DRIVERS.items() if item.parameters is not ActuatorParameters}
 
@@ -112,6 +131,7 @@ class PlantNodeParameters(NodeParameters, ActuatorParameters):
         description="actuator: measured so far beyond where it can rest, the axis goes to safe until ~/start; "
         "0: one stroke; below 0: any",
     )
+    realtime: RealtimeParameters = group(RealtimeParameters)
     publish_clock: bool = parameter(False, read_only=True, description="publish the simulated time on /clock")
     wait_for_recorder: bool = parameter(
         False, read_only=True, description="begin when a recorder is there; lockstep: run at most `lead` ahead of it"

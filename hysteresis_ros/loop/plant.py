@@ -98,8 +98,9 @@ TARGETS = (faulty.VOLTAGE, faulty.GRIP)
 LIMIT, FORGIVEN, LOWEST, HIGHEST, STIFFNESS = range(5)
 TRIP_PARAMETERS = 5
 
-# Why the plant has tripped: too many late voltages, or a device that failed; a measurement beyond where it may be.
-NOT_TRIPPED, WITHOUT_VOLTAGE, BEYOND_TRAVEL = range(3)
+# Why the plant has tripped: too many late voltages, or a device that failed; a measurement beyond where it may be;
+# somebody said so.
+NOT_TRIPPED, WITHOUT_VOLTAGE, BEYOND_TRAVEL, HALTED = range(4)
 
 # Its state: why it has tripped, late voltages so far, late ones in a row, late ones that are not forgiven yet.
 TRIP, LATE, IN_ROW, LEVEL = range(4)
@@ -147,12 +148,18 @@ def sense_actuator(laws, arrays, row):
 
 
 @nested
+def sent(row, place):
+    """Return one of the voltages of a row [V]; NaN in a sample that was skipped: it was never sent."""
+    return math.nan if row[at.SKIPPED] != 0.0 else row[place]
+
+
+@nested
 def watched_voltage(p, x, row):
     """Return the voltage [V] that an amplifier is to put out after this sample, and say in the row why.
 
     ``p`` and ``x`` are :class:`PlantWatchArrays`.
     """
-    voltage = faulty.corrupt(p.faults, x.faults, faulty.VOLTAGE, row[at.VOLTAGE])
+    voltage = faulty.corrupt(p.faults, x.faults, faulty.VOLTAGE, sent(row, at.VOLTAGE))
     late = is_missing(x.hold, voltage)
     watch(p.trip, x.trip, late, row[at.MEASURED])
     held = hold_voltage(p.hold, x.hold, voltage, x.trip[TRIP], -math.inf)
@@ -191,9 +198,10 @@ def actuate_motor(laws, arrays, row):
     back from safe a clamp opens only when the other one is where the gait has it.
     """
     p, x = arrays.watch_p, arrays.watch_x
-    voltage = faulty.corrupt(p.faults, x.faults, faulty.VOLTAGE, row[at.VOLTAGE])
-    missing = max(is_missing(x.hold, voltage), is_missing(x.front_hold, row[at.FRONT_VOLTAGE]))
-    late = max(missing, is_missing(x.rear_hold, row[at.REAR_VOLTAGE]))
+    voltage = faulty.corrupt(p.faults, x.faults, faulty.VOLTAGE, sent(row, at.VOLTAGE))
+    front, rear = sent(row, at.FRONT_VOLTAGE), sent(row, at.REAR_VOLTAGE)
+    missing = max(is_missing(x.hold, voltage), is_missing(x.front_hold, front))
+    late = max(missing, is_missing(x.rear_hold, rear))
     watch(p.trip, x.trip, late, row[at.MEASURED])
     tripped = x.trip[TRIP]
     grip = faulty.corrupt(p.faults, x.faults, faulty.GRIP, 1.0)
@@ -205,8 +213,8 @@ def actuate_motor(laws, arrays, row):
         arrays.p,
         arrays.x,
         hold_voltage(p.hold, x.hold, voltage, tripped, -math.inf),
-        hold_voltage(p.front_hold, x.front_hold, row[at.FRONT_VOLTAGE], tripped, front_least),
-        hold_voltage(p.rear_hold, x.rear_hold, row[at.REAR_VOLTAGE], tripped, rear_least),
+        hold_voltage(p.front_hold, x.front_hold, front, tripped, front_least),
+        hold_voltage(p.rear_hold, x.rear_hold, rear, tripped, rear_least),
     )
     row[at.PLANT_VOLTAGE] = really
     row[at.FRONT_PLANT_VOLTAGE] = arrays.x.front_limits[limiting.OUTPUT]
@@ -321,6 +329,10 @@ class Plant:
         """Let the axis go on after the plant has tripped."""
         self._watch_x.trip[TRIP] = 0.0
         self.forgive()
+
+    def halt(self) -> None:
+        """Stop the axis at once, until it is started again."""
+        self._watch_x.trip[TRIP] = HALTED
 
     def forgive(self) -> None:
         """Forget late voltages: only what follows counts."""

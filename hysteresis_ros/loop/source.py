@@ -30,6 +30,11 @@ def refer(laws, part, row):
     """Put the reference of a sample into its row, and what else the source of this kind gives."""
 
 
+@by_part
+def rest(laws, part, column):
+    """Let a source of this kind hold from this sample on, of which ``column``, shape (row length, 1), is given."""
+
+
 class GeneratorSourceArrays(NamedTuple):
     """All arrays of a reference generator in the loop."""
 
@@ -52,7 +57,13 @@ def generate(laws, arrays, row):
     row[at.SOURCE_MODE] = mode
 
 
-refer.kinds[GeneratorSourceArrays] = generate
+@nested
+def rest_generator(laws, arrays, column):
+    """Hold the reference."""
+    arrays.x.range[generating.RUNNING] = 0.0
+
+
+refer.kinds[GeneratorSourceArrays], rest.kinds[GeneratorSourceArrays] = generate, rest_generator
 
 
 class GeneratorSource:
@@ -87,6 +98,11 @@ class GeneratorSource:
     def duration_samples(self) -> int:
         """Length of a run that the waveform gives, in samples; 0 when it gives none."""
         return self.generator.waveform.duration_samples
+
+    @property
+    def schedule(self) -> np.ndarray:
+        """Samples from which on a setpoint holds that nobody gave, and these [m], shape (1, 2)."""
+        return np.array([[0.0, self.parameters.initial_setpoint]])
 
     def setpoints(self, samples: int) -> np.ndarray:
         """Return the setpoint [m] in force at each of the first ``samples`` samples when nobody gives another."""
@@ -146,6 +162,8 @@ def sequenced(laws, arrays, row):
     faulty.begin_sample(faults)
     slider = faulty.corrupt(arrays.p.faults, faults, faulty.MEASUREMENT, row[at.MEASURED])
     mode = RUNNING
+    if row[at.SKIPPED] != 0.0:
+        slider = math.nan
     if row[at.TRIPPED] != 0.0:
         slider = math.nan
         mode = TRIPPED
@@ -177,7 +195,13 @@ def sequenced(laws, arrays, row):
     row[at.BACKWARD_OFFSET] = stroke * x[gait.BACKWARD_MODEL + OFFSET]
 
 
-refer.kinds[SequencerSourceArrays] = sequenced
+@nested
+def rest_sequencer(laws, arrays, column):
+    """Ask for a stop."""
+    column[at.REQUEST, 0] = gait.STOP_REQUEST
+
+
+refer.kinds[SequencerSourceArrays], rest.kinds[SequencerSourceArrays] = sequenced, rest_sequencer
 
 
 class SequencerSource:
@@ -218,6 +242,13 @@ class SequencerSource:
     def duration_samples(self) -> int:
         """Length of a run that the schedule gives, in samples; 0 when it gives none."""
         return self.sequencer.duration_samples
+
+    @property
+    def schedule(self) -> np.ndarray:
+        """Samples from which on a setpoint of the schedule holds, and these [m], shape (N, 2)."""
+        given = self.sequencer.parameters
+        first = [round(time / self.sequencer.sample_time) for time in given.setpoints.times]
+        return np.array([[0.0, given.initial_setpoint], *zip(first, given.setpoints.values, strict=True)], dtype=float)
 
     def setpoints(self, samples: int) -> np.ndarray:
         """Return the setpoint [m] of the schedule at each of the first ``samples`` samples."""

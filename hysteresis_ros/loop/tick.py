@@ -50,7 +50,7 @@ WHOLE, MEASURE, ANSWER, CONFIRM = range(4)
 BEFORE, MEASURED, ANSWERED = "", "measured", "answered"
 
 
-def ticks(laws, parts, asked, columns, row, what):
+def ticks(laws, parts, given, columns, row, what):
     """Make ``columns.shape[1]`` samples; all states go on in place.
 
     What stands in the loop is one tick. It is no function of its own: compiled, that would be made twice.
@@ -59,18 +59,18 @@ def ticks(laws, parts, asked, columns, row, what):
     ----------
     laws : Laws
     parts : Parts
-    asked : ndarray, shape (M,)
-        Places of the signals that people ask for, which stand in the columns before.
+    given : ndarray, shape (M,)
+        Places of the signals that a run is given, which stand in the columns before.
     columns : ndarray, shape (row length, N)
-        A column of the run for each signal; what people did not ask for is filled in.
+        A column of the run for each signal; what is not given is filled in.
     row : ndarray, shape (row length,)
         The row of the present sample.
     what : int
         ``WHOLE``; or, of a single sample that is made in steps, ``MEASURE``, ``ANSWER`` and ``CONFIRM``.
     """
     for k in range(columns.shape[1]):
-        for i in range(asked.shape[0]):
-            place = int(asked[i])
+        for i in range(given.shape[0]):
+            place = int(given[i])
             row[place] = columns[place, k]
         if what in (WHOLE, MEASURE):
             sense(laws, parts.plant, row)

@@ -16,6 +16,7 @@ from hysteresis_ros.signals import (
     COLUMNS,
     MOTOR_COLUMNS,
     MOTOR_SOURCE,
+    PLANT,
     REQUESTS,
     WRITERS,
     sources,
@@ -146,6 +147,9 @@ def align(bag: Bag, namespace: str | None = None, *, further: bool = False) -> R
     signals = {name: columns[name] for name in (*COLUMNS, *motor)}
     if further:
         signals |= {name: values for name, values in _further(states, stamps).items() if name not in signals}
+    skipped = _skipped(states[PLANT], stamps)
+    if np.any(skipped):
+        signals["skipped"] = skipped
     return Recording(time, signals, {}, metadata)
 
 
@@ -205,6 +209,12 @@ def _motor_columns(states: dict, joints, stamps) -> dict[str, np.ndarray]:
     if "extender" not in found and joints is not None and "extender" in joints.names:
         found["extender"] = _by_stamp(stamps, joints.stamps, joints.signal("extender"))
     return {name: found[name] for name in (*MOTOR_COLUMNS, *REQUESTS) if name in found}
+
+
+def _skipped(plant, stamps) -> np.ndarray:
+    """Return 1 where a sample was skipped, which a replay has to repeat; 0 where nothing is known."""
+    values = plant.signal("skipped") if plant is not None else None
+    return np.zeros(stamps.size) if values is None else np.nan_to_num(_by_stamp(stamps, plant.stamps, values))
 
 
 def _further(states: dict, stamps) -> dict[str, np.ndarray]:

@@ -22,6 +22,7 @@ def simulate(
     requests=None,
     speeds=None,
     changes: Sequence[Change] = (),
+    skipped=None,
     describe: bool = True,
 ) -> Recording:
     """Run an axis offline from rest.
@@ -38,6 +39,8 @@ def simulate(
         What was asked of an inchworm at each sample, see :meth:`Axis.run`; nothing after the last one.
     changes : sequence of Change, optional
         What changes while the axis runs.
+    skipped : array_like, shape (N,), optional
+        1 at each sample whose time was missed, see :meth:`Axis.run`; none after the last one.
     describe : bool
         Put the text of the configuration into the metadata; writing it takes longer than a short run.
 
@@ -56,7 +59,7 @@ def simulate(
     if samples < 1:
         raise ConfigurationError("the configuration has no end (samples: 0, endless waveform): give --duration S")
     setpoints = axis.default_setpoints(samples) if setpoints is None else _padded(setpoints, samples, setpoints[-1])
-    asked = {"requests": (requests, 0.0), "speeds": (speeds, np.nan)}
+    asked = {"requests": (requests, 0.0), "speeds": (speeds, np.nan), "skipped": (skipped, 0.0)}
     given = {name: _padded(values, samples, rest) for name, (values, rest) in asked.items() if values is not None}
     signals = axis.run(setpoints, changes=changes, **given)
     metadata = {
@@ -76,7 +79,7 @@ def _padded(values, samples: int, rest: float) -> np.ndarray:
 
 #: What the log of a run may say of each node.
 LOGGED = {
-    "plant_simulator": ("start", "retune"),
+    "plant_simulator": ("start", "halt", "retune"),
     "reference_generator": ("start", "stop", "retune"),
     "inchworm_sequencer": ("retune",),
     "motion_controller": ("start", "stop", "retune"),
@@ -122,10 +125,8 @@ def differences(recorded: Recording, parameters: AxisParameters) -> dict[str, in
     dict of str to int
         Number of differing samples of each signal that differs; empty when all agree.
     """
-    changes = changes_of(recorded)
-    twin = simulate(
-        parameters, setpoints=recorded.signals["setpoint"], changes=changes, **requests_per_sample(recorded)
-    )
+    given = requests_per_sample(recorded) | {"skipped": recorded.signals.get("skipped")}
+    twin = simulate(parameters, setpoints=recorded.signals["setpoint"], changes=changes_of(recorded), **given)
     columns = {"time": (recorded.time, twin.time)}
     columns |= {name: (values, twin.signals[name]) for name, values in recorded.signals.items() if name in twin}
     found = {}

@@ -312,10 +312,11 @@ import numpy as np
 from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.recordings.bag_writer import BagWriter
 from hysteresis_ros.recordings.batch_writer import AxisTopics, SampleWriter
+from hysteresis_ros.signals import ACTUATOR_ROW
 resource.setrlimit(resource.RLIMIT_FSIZE, (3_000_000, 3_000_000))
 bag = BagWriter(sys.argv[1])
 writer = SampleWriter(bag, AxisTopics())
-table = np.zeros((19, 500))
+table = np.zeros((ACTUATOR_ROW, 500))
 try:
     for k in range(1000):
         writer.write(np.arange(500 * k, 500 * (k + 1)) * 1_000_000, table)
@@ -338,12 +339,13 @@ import sys, time
 import numpy as np
 from hysteresis_ros.recordings.bag_writer import BagWriter
 from hysteresis_ros.recordings.batch_writer import AxisTopics, SampleWriter
+from hysteresis_ros.signals import ACTUATOR_ROW
 bag = BagWriter(sys.argv[1])
 writer = SampleWriter(bag, AxisTopics(sample_rate=1000.0), block_bytes=10**9)
 begin, count = time.monotonic(), 0
 while True:
     until = int((time.monotonic() - begin) * 1000.0) + 1
-    writer.write(np.arange(count, until) * 1_000_000, np.zeros((19, until - count)))
+    writer.write(np.arange(count, until) * 1_000_000, np.zeros((ACTUATOR_ROW, until - count)))
     count = until
     print(count, time.monotonic(), flush=True)
     time.sleep(0.02)
@@ -381,8 +383,12 @@ def environment():
 @pytest.mark.parametrize(
     ("axis", "change", "says"),
     [
-        (ACTUATOR, {"table": np.zeros((18, 5))}, r"table: shape \(18, 5\): must be \(19, 5\)"),
-        (ACTUATOR, {"table": np.zeros((19, 4))}, r"table: shape \(19, 4\): must be \(19, 5\)"),
+        (ACTUATOR, {"table": np.zeros((18, 5))}, rf"table: shape \(18, 5\): must be \({signals.ACTUATOR_ROW}, 5\)"),
+        (
+            ACTUATOR,
+            {"table": np.zeros((signals.ACTUATOR_ROW, 4))},
+            rf"table: shape \({signals.ACTUATOR_ROW}, 4\): must be",
+        ),
         (ACTUATOR, {"stamps": np.zeros(5)}, r"stamps: shape \(5,\), float64: must be one whole number of nanoseconds"),
         (ACTUATOR, {"times": np.zeros(4, int)}, r"times: shape \(4,\), int64: must be one whole number"),
         (ACTUATOR, {"joints": np.zeros((12, 5))}, "joints: given for an actuator"),

@@ -1,0 +1,373 @@
+"""The fused runner: one compiled thread makes an axis' samples against absolute deadlines.
+
+Other threads steer it: setpoints, starts and stops are taken by the compiled code at a sample's boundary, whole; for
+other changes the thread leaves it between two samples. Everything that was changed is logged with its sample, so that
+an :class:`~hysteresis_ros.loop.axis.Axis` with the same setpoints, changes and skipped samples gives the same bits.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+
+import numpy as np
+
+from hysteresis_ros import signals
+from hysteresis_ros.block import COMPILED, specialised
+from hysteresis_ros.errors import ConfigurationError
+from hysteresis_ros.loop import pacing as at
+from hysteresis_ros.loop.axis import Axis, Change
+from hysteresis_ros.loop.pacing import Pace, pace
+from hysteresis_ros.loop.ring import Lateness, Reader, Samples, lateness, latest
+from hysteresis_ros.loop.scheduling import ask_for
+from hysteresis_ros.loop.switches import CODES, switched
+from hysteresis_ros.loop.tick import WHOLE, ticks
+
+#: Samples per second that are held without Numba, on any machine of the last ten years.
+INTERPRETED_RATE = 500.0
+#: Time for which samples are kept for readers [s], and the least number of them.
+KEPT, LEAST_KEPT = 5.0, 4096
+#: Between starting and the first sample [ns].
+LEAD = 5_000_000
+#: How often is looked whether a switch was taken [s].
+LOOK = 5e-4
+
+
+def pace_arrays(axis: Axis, factor: float = math.inf, samples: int = 0) -> Pace:
+    """Return the arrays of a loop that goes on with the next sample of an axis.
+
+    Parameters
+    ----------
+    axis : Axis
+    factor : float
+        Seconds of the axis per second of wall clock; infinite: as fast as it can.
+    samples : int
+        How many to make; 0: no end.
+    """
+    size = len(signals.row_signals(axis.motor))
+    rate = axis.sample_rate * (factor if math.isfinite(factor) else 1.0)
+    kept = max(math.ceil(KEPT * rate), LEAST_KEPT)
+    state = np.zeros(at.STATES, dtype=np.int64)
+    state[at.SAMPLE] = state[at.FIRST] = axis.sample
+    state[at.UNTIL] = axis.sample + samples if samples else 0
+    state[at.PERIOD] = round(1e15 / rate)
+    state[at.UNPACED] = not math.isfinite(factor)
+    return Pace(
+        state,
+        axis.given,
+        np.zeros((size, 1)),
+        np.zeros(size),
+        axis.source.schedule,
+        np.zeros((at.POSTS, at.POST)),
+        np.zeros((at.EVENTS, 2), dtype=np.int64),
+        np.zeros(at.BINS, dtype=np.int64),
+        np.full((kept, size), math.nan),  # written, so that the memory is really there
+        np.full(kept, -1, dtype=np.int64),
+        np.zeros(2, dtype=np.int64),
+    )
+
+
+def machine(axis: Axis, own: Pace):
+    """Return the compiled loop of an axis and its arguments."""
+    laws, parts = axis.laws, axis.parts
+    step = specialised(ticks, laws, parts, own.given, own.column, own.row, WHOLE)
+    arguments = step, laws, parts, own, int(axis.motor)
+    return specialised(pace, *arguments, nogil=True), arguments
+
+
+class _Job:
+    """A change that waits for its sample."""
+
+    def __init__(self, change: Change):
+        self.change = change
+        self.sample = -1
+        self.error: Exception | None = None
+        self.done = threading.Event()
+
+
+class FusedLoop:
+    """Runs an axis in a thread of its own.
+
+    All methods may be called from any thread. While it runs nobody else may run or change the axis.
+
+    Parameters
+    ----------
+    axis : Axis
+        It goes on from where it is.
+    factor : float
+        Seconds of the axis per second of wall clock; infinite: as fast as it can, without deadlines.
+    samples : int
+        How many to make; 0: until :meth:`leave`.
+    warn : callable, optional
+        ``warn(text)`` is told once what the operating system does not permit.
+
+    Attributes
+    ----------
+    axis : Axis
+        Its parts' states are those of the running loop.
+    failure : str
+        Why the thread ended, when it should not have; empty otherwise.
+    warning : str
+        What ``warn`` was told.
+
+    Raises
+    ------
+    ConfigurationError
+        Without Numba the axis is too fast.
+    """
+
+    def __init__(self, axis: Axis, factor: float = 1.0, samples: int = 0, warn: Callable[[str], object] | None = None):
+        rate = axis.sample_rate * factor
+        if not COMPILED and INTERPRETED_RATE < rate < math.inf:
+            raise ConfigurationError(
+                f"sample_rate = {axis.sample_rate:g} Hz at real_time_factor {factor:g}: without Numba the fused loop "
+                f"holds {INTERPRETED_RATE:g} samples per second; install Numba (the extra [fast]) or lower one of them"
+            )
+        self.axis = axis
+        self.failure = self.warning = ""
+        self._warn = warn
+        self._own = pace_arrays(axis, factor, samples)
+        self._state = self._own.state
+        self._asked = np.zeros(at.POST)
+        self._offset = 0
+        self._posting = threading.Lock()
+        self._changing = threading.Lock()
+        self._waiting: deque[_Job] = deque()
+        self._log: list[tuple[int, int, Change]] = []
+        self._events_read = 0
+        self._ending = False
+        self._thread: threading.Thread | None = None
+        self._double = copy.deepcopy(axis)
+        self._reader = self.reader()
+        self._rehearse(None)
+
+    # -- beginning and end ---------------------------------------------------------------------------------------
+
+    def start(self) -> None:
+        """Begin with the next sample."""
+        if self.running:
+            raise RuntimeError("the loop runs already")
+        self._ending = False
+        self._state[at.LEAVE] = 0
+        self._offset = time.time_ns() - time.monotonic_ns()
+        self._thread = threading.Thread(target=self._run, name="fused loop", daemon=True)
+        self._thread.start()
+
+    @property
+    def running(self) -> bool:
+        """Whether the thread is there."""
+        return self._thread is not None and self._thread.is_alive()
+
+    def join(self, timeout: float | None = None) -> bool:
+        """Wait until the last sample is made, or the time [s] is over; tell whether the thread has ended."""
+        if self._thread is not None:
+            self._thread.join(timeout)
+        return not self.running
+
+    def leave(self) -> None:
+        """End after the present sample."""
+        self._ending = True
+        self._state[at.LEAVE] = 1
+        self.join()
+
+    def _run(self) -> None:
+        """Make samples until the end; the thread's main function."""
+        try:
+            self.warning = ask_for(self.axis.parameters.plant_simulator.realtime)
+            if self.warning and self._warn is not None:
+                self._warn(self.warning)
+            state = self._state
+            ahead = int(state[at.SAMPLE]) * int(state[at.PERIOD]) // at.FEMTO
+            state[at.ORIGIN] = time.monotonic_ns() + LEAD - ahead
+            while True:
+                run, arguments = machine(self.axis, self._own)
+                run(*arguments)
+                if not state[at.LEAVE] or self._ending:
+                    break
+                state[at.LEAVE] = 0
+                self._apply_waiting()
+        except Exception as error:
+            self.failure = f"the fused loop ended at sample {self.sample}: {type(error).__name__}: {error}"
+        finally:
+            self.axis.sample = self.sample
+
+    # -- steering ------------------------------------------------------------------------------------------------
+
+    def set(self, setpoint: float | None = None, request: float | None = None, speed: float | None = None) -> None:
+        """Ask for something from the next sample on; what is None stays. The last of several in one sample counts.
+
+        Parameters
+        ----------
+        setpoint : float, optional
+            [m]; the schedule of the configuration gives none any more.
+        request, speed : float, optional
+            Of a motor: a request (:mod:`hysteresis_ros.references.inchworm_layout`), and a walking speed [m/s].
+
+        Raises
+        ------
+        ValueError
+            Only a motor has requests and speeds.
+        """
+        if not self.axis.motor and (request is not None or speed is not None):
+            raise ValueError("request and speed: only the axis of an inchworm motor takes them")
+        places = at.POST_SETPOINT, at.POST_REQUEST, at.POST_SPEED
+        self._post({place: value for place, value in zip(places, (setpoint, request, speed), strict=True)})
+
+    def halt(self) -> None:
+        """Stop everything with the next sample: the plant goes to safe until all that was stopped is started again."""
+        self._post({}, halts=1)
+
+    def apply(self, change: Change) -> int:
+        """Change something, wait until it is, and return the number of the first sample for which it holds.
+
+        Parameters
+        ----------
+        change : Change
+            Its sample is not read: it comes as soon as it can.
+
+        Raises
+        ------
+        ParameterError
+            The new parameters are refused; nothing is changed then.
+        RuntimeError
+            The thread has failed.
+        """
+        with self._changing:
+            code = CODES.get((change.node, change.action))
+            if code is None:
+                self._rehearse(change)
+            if self.running and code is not None:
+                sample = self._switch(code)
+            elif self.running:
+                sample = self._queue(change)
+            else:
+                sample = None
+            if sample is None:
+                sample = self._apply_now(change)
+        if self.failure:
+            raise RuntimeError(self.failure)
+        return sample
+
+    def _post(self, values: dict, switch: int = 0, halts: int = 0) -> float:
+        """Put what is asked for where the loop finds it; return the number of the switch."""
+        asked = self._asked
+        with self._posting:
+            for place, value in values.items():
+                if value is not None:
+                    asked[place] = value
+                    asked[place + 1] += 1
+            if switch:
+                asked[at.POST_SWITCH] = switch
+                asked[at.POST_SWITCHES] += 1
+            asked[at.POST_HALTS] += halts
+            number = int(self._state[at.POSTED]) + 1
+            self._own.posts[number % at.POSTS] = asked
+            self._state[at.POSTED] = number
+            return asked[at.POST_SWITCHES]
+
+    def _switch(self, code: int) -> int | None:
+        """Have a part started or stopped; return the sample, None when the thread ended before."""
+        number = self._post({}, switch=code)
+        while self._state[at.SWITCHED] != number:
+            if self.join(LOOK) and self._state[at.SWITCHED] != number:
+                self._state[at.SWITCHED] = number
+                return None
+        self._read_events()
+        return next(sample for sample, order, change in reversed(self._log) if order and CODES[change[1:3]] == code)
+
+    def _queue(self, change: Change) -> int | None:
+        """Have a change applied between two samples; return the sample, None when the thread ended before."""
+        job = _Job(change)
+        self._waiting.append(job)
+        self._state[at.LEAVE] = 1
+        while not job.done.wait(0.02):
+            if self.join(0.0) and not job.done.is_set():
+                self._waiting.clear()
+                return None
+        if job.error is not None:
+            raise job.error
+        return job.sample
+
+    def _apply_waiting(self) -> None:
+        while self._waiting:
+            job = self._waiting.popleft()
+            try:
+                job.sample = self._apply_now(job.change)
+            except Exception as error:
+                job.error = error
+            job.done.set()
+
+    def _apply_now(self, change: Change) -> int:
+        sample = self.sample
+        made = Change(sample, change.node, change.action, change.parameters)
+        self.axis.apply(made)
+        self._log.append((sample, 0, made))
+        return sample
+
+    def _rehearse(self, change: Change | None) -> None:
+        """Apply a change to a double of the axis and run that: it is refused here, and nothing is compiled later."""
+        double = self._double
+        _copy_states(self.axis.parts, double.parts)
+        if change is not None:
+            double.apply(change)
+        own = pace_arrays(double, samples=1)
+        own.column[signals.SETPOINT] = self._own.column[signals.SETPOINT]
+        run, arguments = machine(double, own)
+        run(*arguments)
+
+    # -- what it has made ----------------------------------------------------------------------------------------
+
+    @property
+    def sample(self) -> int:
+        """Number of the next sample."""
+        return int(self._state[at.SAMPLE])
+
+    @property
+    def missed(self) -> int:
+        """Samples so far that were skipped."""
+        return int(self._state[at.MISSED])
+
+    @property
+    def changes(self) -> list[Change]:
+        """What was changed so far, in the order of the samples, for :meth:`Axis.run`."""
+        self._read_events()
+        return [change for *_, change in sorted(self._log, key=lambda entry: entry[:2])]
+
+    def _read_events(self) -> None:
+        """Move what the compiled code has switched into the log."""
+        with self._posting:
+            count = int(self._state[at.EVENT_COUNT])
+            for index in range(self._events_read, count):
+                sample, code = map(int, self._own.events[index % at.EVENTS])
+                for node, action in switched(code, self.axis.motor):
+                    self._log.append((sample, 1, Change(sample, node, action)))
+            self._events_read = count
+
+    def reader(self) -> Reader:
+        """Return somebody who takes samples out of the ring, beginning with the next one."""
+        return Reader(self._own, lambda: self._offset)
+
+    def take(self) -> Samples:
+        """Return all samples since the last time."""
+        return self._reader.take()
+
+    def latest(self) -> tuple[int, np.ndarray]:
+        """Return number and row of the last sample, -1 and NaN before the first one."""
+        return latest(self._own)
+
+    def lateness(self) -> Lateness:
+        """Return how late samples began so far."""
+        return lateness(self._own)
+
+
+def _copy_states(source, target) -> None:
+    """Copy the contents of all arrays of named tuples."""
+    for one, other in zip(source, target, strict=True):
+        if isinstance(one, tuple):
+            _copy_states(one, other)
+        else:
+            other[...] = one

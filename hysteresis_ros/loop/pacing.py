@@ -1,0 +1,240 @@
+"""The compiled loop of the fused runner: samples against absolute deadlines, each written into a ring.
+
+A sample that would begin a whole period or more after its deadline is skipped: nobody measures or answers, the voltage
+stays, and time goes on. So a burst of late answers never follows a missed deadline.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hysteresis_ros import signals as at
+from hysteresis_ros.block import COMPILED, nested
+from hysteresis_ros.loop.switches import HALT, NOTHING, switch
+from hysteresis_ros.loop.tick import WHOLE
+
+
+class Pace(NamedTuple):
+    """The arrays between the loop and the threads of Python around it."""
+
+    #: Counters and flags, int64, see below.
+    state: np.ndarray
+    #: What the parts are given and the row they work on.
+    given: np.ndarray
+    column: np.ndarray
+    row: np.ndarray
+    #: Setpoints of the configuration: first sample, value [m]; shape (N, 2).
+    schedule: np.ndarray
+    #: What people ask for, a row for each time they do, shape (POSTS, POST).
+    posts: np.ndarray
+    #: What was started and stopped: sample, code; int64, shape (EVENTS, 2).
+    events: np.ndarray
+    #: Samples by their lateness, int64, shape (BINS,).
+    histogram: np.ndarray
+    #: Rows of the last samples, shape (N, row length), and the time each began [ns], int64, shape (N,).
+    rows: np.ndarray
+    times: np.ndarray
+    #: For the C library, int64, shape (2,).
+    timespec: np.ndarray
+
+
+# State, written by the loop: number of the next sample; samples in the ring, ever; skipped ones; posts, setpoints,
+# requests, speeds, switches and emergency stops taken; setpoints of the schedule so far; greatest lateness, all time
+# spent beyond waiting, the longest of it [ns].
+SAMPLE, HEAD, MISSED, TAKEN, SETPOINTS, REQUESTS, SPEEDS, SWITCHED, HALTED = range(9)
+SCHEDULED, EVENT_COUNT, LATEST, BUSY, BUSIEST, IN_ROW = range(9, 15)
+# Written from outside: 1: leave before the next sample; sample before which to leave, 0: never; number of posts; time
+# of sample 0 [ns], period [fs]; 1: without waiting; number of the first sample in the ring.
+LEAVE, UNTIL, POSTED, ORIGIN, PERIOD, UNPACED, FIRST = range(15, 22)
+STATES = 22
+
+# A post: each with the number of times it was given so far.
+POST_SETPOINT, POST_SETPOINTS, POST_REQUEST, POST_REQUESTS, POST_SPEED, POST_SPEEDS = range(6)
+POST_SWITCH, POST_SWITCHES, POST_HALTS = range(6, 9)
+POST = 9
+
+#: Posts and events that are kept: many more than anybody makes or leaves unread within a sample.
+POSTS, EVENTS = 64, 1024
+
+#: Lateness of the first bin [ns], bins, and how many of them for a factor e.
+LEAST, BINS, RESOLUTION = 100.0, 700, 30.0
+
+#: Longest wait in one piece [ns]: so soon somebody who wants it to leave is heard.
+PIECE = 50_000_000
+#: Skipped samples in a row, as a part of the ring, after which readers get time, and how much [ns].
+CATCH_UP, BREATH = 4, 20_000_000
+
+MONOTONIC, ABSOLUTE = 1, 1
+FEMTO = 1_000_000
+
+if COMPILED:
+    from numba import types
+
+    # by their symbols, not by ctypes: addresses of this process would make the code useless for the cache
+    _gettime: Any = types.ExternalFunction("clock_gettime", types.int32(types.int32, types.intp))
+    _nanosleep: Any = types.ExternalFunction(
+        "clock_nanosleep", types.int32(types.int32, types.int32, types.intp, types.intp)
+    )
+
+    @nested
+    def clock(timespec):
+        """Return the time of the monotonic clock [ns]."""
+        _gettime(MONOTONIC, timespec.ctypes.data)
+        return timespec[0] * 1_000_000_000 + timespec[1]
+
+    @nested
+    def sleep_until(timespec, instant):
+        """Wait until an instant of the monotonic clock [ns], or a signal."""
+        timespec[0], timespec[1] = instant // 1_000_000_000, instant % 1_000_000_000
+        _nanosleep(MONOTONIC, ABSOLUTE, timespec.ctypes.data, 0)
+
+else:
+
+    def clock(timespec):
+        """Return the time of the monotonic clock [ns]."""
+        return time.monotonic_ns()
+
+    def sleep_until(timespec, instant):
+        """Wait until an instant of the monotonic clock [ns]."""
+        time.sleep(max(instant - time.monotonic_ns(), 0) * 1e-9)
+
+
+@nested
+def deadline_of(state):
+    """Return when the next sample is to begin [ns]."""
+    samples, whole, rest = state[SAMPLE], state[PERIOD] // FEMTO, state[PERIOD] % FEMTO
+    return state[ORIGIN] + samples * whole + samples * rest // FEMTO
+
+
+@nested
+def await_deadline(state, timespec, deadline):
+    """Wait for a deadline [ns], or until somebody wants the loop to end; return the time [ns]."""
+    now = clock(timespec)
+    while now < deadline and state[LEAVE] == 0:
+        sleep_until(timespec, min(deadline, now + PIECE))
+        now = clock(timespec)
+    return now
+
+
+@nested
+def note_lateness(state, histogram, late):
+    """Count a sample that began so late [ns]."""
+    state[LATEST] = max(state[LATEST], late)
+    index = 0
+    if late > LEAST:
+        index = min(1 + int(RESOLUTION * math.log(late / LEAST)), BINS - 1)
+    histogram[index] += 1
+
+
+@nested
+def take_setpoint(state, schedule, column):
+    """Put the setpoint of the schedule into the column when a new one begins; not once somebody gave one."""
+    index = state[SCHEDULED]
+    while state[SETPOINTS] == 0 and index < schedule.shape[0] and schedule[index, 0] <= state[SAMPLE]:
+        column[at.SETPOINT, 0] = schedule[index, 1]
+        index += 1
+    state[SCHEDULED] = index
+
+
+@nested
+def take_post(own, motor):
+    """Take what was asked for since the last sample, whole; return what is to be switched, and then.
+
+    Several posts between two samples are one: each states everything that was asked for so far. The row of a post is
+    complete before its number is, and it is overwritten POSTS posts later.
+    """
+    state, column = own.state, own.column
+    column[at.SKIPPED, 0] = 0.0
+    if motor:
+        column[at.REQUEST, 0] = 0.0
+        column[at.SPEED, 0] = math.nan
+    posted = state[POSTED]
+    if posted == state[TAKEN]:
+        return NOTHING, NOTHING
+    post = own.posts[posted % POSTS]
+    state[TAKEN] = posted
+    if post[POST_SETPOINTS] != state[SETPOINTS]:
+        column[at.SETPOINT, 0] = post[POST_SETPOINT]
+    if motor and post[POST_REQUESTS] != state[REQUESTS]:
+        column[at.REQUEST, 0] = post[POST_REQUEST]
+    if motor and post[POST_SPEEDS] != state[SPEEDS]:
+        column[at.SPEED, 0] = post[POST_SPEED]
+    first = int(post[POST_SWITCH]) if post[POST_SWITCHES] != state[SWITCHED] else NOTHING
+    then = HALT if post[POST_HALTS] != state[HALTED] else NOTHING
+    state[SETPOINTS], state[REQUESTS] = int(post[POST_SETPOINTS]), int(post[POST_REQUESTS])
+    state[SPEEDS], state[SWITCHED] = int(post[POST_SPEEDS]), int(post[POST_SWITCHES])
+    state[HALTED] = int(post[POST_HALTS])
+    return first, then
+
+
+@nested
+def log_switch(state, events, code):
+    """Write down that something was switched before the next sample."""
+    event = events[state[EVENT_COUNT] % EVENTS]
+    event[0], event[1] = state[SAMPLE], code
+    state[EVENT_COUNT] += 1
+
+
+@nested
+def keep(own, begun):
+    """Put the sample that was made into the ring."""
+    state, column = own.state, own.column
+    slot = state[HEAD] % own.rows.shape[0]
+    for i in range(column.shape[0]):
+        own.rows[slot, i] = column[i, 0]
+    own.times[slot] = begun
+
+
+def pace(step, laws, parts, own, motor):
+    """Make samples until the last one, or until somebody wants to change something.
+
+    Parameters
+    ----------
+    step : function
+        :func:`hysteresis_ros.loop.tick.ticks` for these parts.
+    laws : Laws
+    parts : Parts
+    own : Pace
+    motor : int
+        1 for a motor's axis.
+    """
+    state, column, timespec = own.state, own.column, own.timespec
+    now = clock(timespec)
+    while state[LEAVE] == 0 and (state[UNTIL] == 0 or state[SAMPLE] < state[UNTIL]):
+        deadline = now
+        if state[UNPACED] == 0:
+            deadline = deadline_of(state)
+            if now < deadline:
+                now = await_deadline(state, timespec, deadline)
+                if now < deadline:
+                    continue
+        begun = now
+        take_setpoint(state, own.schedule, column)
+        for code in take_post(own, motor):
+            if code != NOTHING:
+                log_switch(state, own.events, code)
+                switch(laws, parts, column, code)
+        state[IN_ROW] += 1
+        if state[UNPACED] == 0 and now - deadline >= state[PERIOD] // FEMTO:
+            column[at.SKIPPED, 0] = 1.0
+            state[MISSED] += 1
+        else:
+            state[IN_ROW] = 0
+        note_lateness(state, own.histogram, now - deadline)
+        step(laws, parts, own.given, column, own.row, WHOLE)
+        keep(own, begun)
+        now = clock(timespec)
+        spent = now - begun
+        state[BUSY] += spent
+        state[BUSIEST] = max(state[BUSIEST], spent)
+        # after a call of a function that the compiler does not know, and so not before the row is there
+        state[HEAD] += 1
+        state[SAMPLE] += 1
+        if state[IN_ROW] * CATCH_UP >= own.rows.shape[0]:
+            state[IN_ROW] = 0
+            sleep_until(timespec, now + BREATH)
+            now = clock(timespec)

@@ -1,0 +1,55 @@
+"""What the operating system is asked for by a thread that keeps time."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+
+from hysteresis_ros.loop.node_parameters import RealtimeParameters
+
+_TIMER_SLACK = 29
+_LOCK_PRESENT_AND_FUTURE = 3
+
+
+def ask_for(parameters: RealtimeParameters) -> str:
+    """Give the calling thread its priority and core, and keep the process in RAM, as far as that is permitted.
+
+    Parameters
+    ----------
+    parameters : RealtimeParameters
+
+    Returns
+    -------
+    str
+        What was not permitted, and what to do about it; empty when all was.
+    """
+    library = ctypes.CDLL(None, use_errno=True)
+    # without priority a thread is woken up to 50 µs late on purpose, to save energy
+    if hasattr(library, "prctl"):
+        library.prctl(_TIMER_SLACK, ctypes.c_ulong(1), ctypes.c_ulong(0), ctypes.c_ulong(0), ctypes.c_ulong(0))
+    refused = []
+    if parameters.priority:
+        try:
+            policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
+            os.sched_setscheduler(0, policy, os.sched_param(parameters.priority))
+        except (AttributeError, OSError) as error:
+            refused.append(
+                f"realtime.priority = {parameters.priority} ({_reason(error)}: a line '@GROUP - rtprio "
+                f"{parameters.priority}' in /etc/security/limits.conf and a new login, or CAP_SYS_NICE)"
+            )
+    if parameters.cpu >= 0:
+        try:
+            os.sched_setaffinity(0, {parameters.cpu})
+        except (AttributeError, OSError) as error:
+            cores = ", ".join(map(str, sorted(os.sched_getaffinity(0)))) if hasattr(os, "sched_getaffinity") else "none"
+            refused.append(f"realtime.cpu = {parameters.cpu} ({_reason(error)}: this process may use {cores})")
+    if parameters.lock_memory and (not hasattr(library, "mlockall") or library.mlockall(_LOCK_PRESENT_AND_FUTURE)):
+        refused.append(
+            f"realtime.lock_memory = true ({os.strerror(ctypes.get_errno())}: a line '@GROUP - memlock unlimited' in "
+            "/etc/security/limits.conf and a new login, or CAP_IPC_LOCK)"
+        )
+    return f"goes on without {'; without '.join(refused)}" if refused else ""
+
+
+def _reason(error: Exception) -> str:
+    return getattr(error, "strerror", None) or "this system does not know it"

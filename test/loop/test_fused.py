@@ -1,0 +1,453 @@
+"""The fused loop makes the samples of its offline twin, whatever is asked of it and however late it is."""
+
+from __future__ import annotations
+
+import os
+import signal as posix
+import subprocess
+import sys
+import threading
+import time
+
+import numpy as np
+import pytest
+from fused_support import assert_twin, named, wait_for, whole
+from loop_support import HOLD, assert_same_bits, axis, parameters
+
+from hysteresis_ros import signals
+from hysteresis_ros.errors import ConfigurationError, ParameterError
+from hysteresis_ros.loop import fused, pacing, scheduling
+from hysteresis_ros.loop.axis import Axis, Change
+from hysteresis_ros.loop.fused import INTERPRETED_RATE, FusedLoop
+from hysteresis_ros.loop.plant import HALTED
+from hysteresis_ros.loop.watch import HOLDING, STOPPED, TRIPPED
+from hysteresis_ros.references import inchworm_layout as gait
+
+#: Real time that is easy to hold, also interpreted: 150 samples a second.
+SLOWLY = 0.05
+#: Nothing trips, however busy the machine is.
+ANY_LATE = {"plant_simulator": {"late_limit": -1}, **HOLD}
+
+
+def change(node, action, **values):
+    """Return a change for :meth:`FusedLoop.apply`."""
+    return Change(0, node, action, {name.replace("__", "."): value for name, value in values.items()})
+
+
+def made_loop(name="kim2009", factor=np.inf, samples=0, **overrides):
+    """Return a loop and the parameters of its axis."""
+    given = parameters(name, **overrides)
+    return FusedLoop(Axis(given), factor, samples), given
+
+
+@pytest.mark.parametrize("name", ["kim2009", "auwal2017", "inchworm_travel"])
+def test_without_deadlines_it_makes_the_run_of_the_axis(name):
+    loop, given = made_loop(name, samples=1500)
+    loop.start()
+    assert loop.join()
+    made = whole(loop)
+    twin = axis(name)
+    asked = {"speeds": made["speed"]} if twin.motor else {}
+    assert_same_bits(made, twin.run(twin.default_setpoints(1500), **asked))
+    assert loop.axis.sample == 1500 and loop.changes == [] and loop.missed == 0
+
+
+def test_the_schedule_of_a_motor_holds_until_somebody_gives_a_setpoint():
+    schedule = {"setpoints__times": [0.005, 0.02, 1e3], "setpoints__values": [2e-5, 5e-5, 1e-4]}
+    loop, given = made_loop("inchworm_travel", samples=400, inchworm_sequencer=schedule)
+    loop.start()
+    loop.join()
+    first = loop.take()
+    np.testing.assert_array_equal(first.table[signals.SETPOINT], loop.axis.default_setpoints(400))
+    assert set(first.table[signals.SETPOINT]) == {0.0, 2e-5, 5e-5}
+    other, _ = made_loop("inchworm_travel", samples=400, inchworm_sequencer=schedule)
+    other.set(setpoint=1e-5)
+    other.start()
+    other.join()
+    assert set(other.take().table[signals.SETPOINT]) == {1e-5}
+
+
+def test_it_goes_on_where_it_left():
+    loop, given = made_loop(factor=1e-3)
+    loop.start()
+    wait_for(lambda: loop.sample > 2)
+    loop.leave()
+    first = loop.take()
+    assert not loop.running and loop.axis.sample == loop.sample == first.first + len(first.times)
+    loop.set(setpoint=2e-6)
+    loop.start()
+    with pytest.raises(RuntimeError, match="runs already"):
+        loop.start()
+    wait_for(lambda: loop.sample > first.first + len(first.times) + 2)
+    loop.leave()
+    assert_twin(loop, whole(loop, first), given)
+
+
+# ------------------------------------------------------------------------------------------------------- live changes
+
+
+def test_a_run_with_everything_that_can_change_is_repeated_bit_for_bit():
+    loop, given = made_loop(factor=SLOWLY, **ANY_LATE)
+    loop.start()
+    numbers = []
+    steps = (
+        change("motion_controller", "retune", sliding_mode__phi=0.9, handover_time=0.02),
+        change("hysteresis_compensator", "retune", hysteresis__polynomial__scale=1.03),
+        change("motion_controller", "stop"),
+        change("reference_generator", "stop"),
+        change("motion_controller", "start"),
+        change("reference_generator", "retune", waveform__type="sine", waveform__amplitude=1e-7),
+        change("reference_generator", "start"),
+        change("motion_controller", "retune", type="open_loop"),
+        change("hysteresis_compensator", "stop"),
+        change("hysteresis_compensator", "start"),
+        change("plant_simulator", "retune", hysteresis__polynomial__scale=0.98),
+        change("plant_simulator", "halt"),
+        change("plant_simulator", "start"),
+        change("motion_controller", "retune", type="sliding_mode"),
+    )
+    for index, step in enumerate(steps):
+        loop.set(setpoint=4e-6 + index * 1e-7)
+        numbers.append(loop.apply(step))
+        wait_for(lambda: loop.sample >= numbers[-1] + 3)  # noqa: B023
+    loop.leave()
+    made = whole(loop)
+    twin = assert_twin(loop, made, given)
+    assert [(one.sample, *one[1:4]) for one in loop.changes] == [
+        (number, *step[1:4]) for number, step in zip(numbers, steps, strict=True)
+    ]
+    assert numbers == sorted(numbers)
+    assert {4e-6 + index * 1e-7 for index in range(len(steps))} <= set(made["setpoint"])
+    plain = Axis(given).run(made["setpoint"], skipped=made["skipped"])
+    assert np.any(plain["voltage"] != twin["voltage"])
+
+
+def test_an_emergency_stop_stops_everything_within_a_sample_and_stays():
+    loop, given = made_loop(factor=SLOWLY, **ANY_LATE)
+    loop.set(setpoint=5e-6)
+    loop.start()
+    wait_for(lambda: loop.sample > 30)
+    loop.halt()
+    wait_for(lambda: loop.changes)
+    at = loop.changes[0].sample
+    wait_for(lambda: loop.sample > at + 10)
+    loop.apply(change("plant_simulator", "start"))
+    wait_for(lambda: loop.sample > loop.changes[-1].sample + 5)
+    loop.halt()
+    loop.halt()
+    wait_for(lambda: loop.sample > at + 30 and loop.axis.plant.tripped)
+    loop.leave()
+    made = whole(loop)
+    assert_twin(loop, made, given)
+    first = [entry for entry in loop.changes if entry.sample == at]
+    assert {(entry.node, entry.action) for entry in first} == {
+        ("plant_simulator", "halt"),
+        ("motion_controller", "stop"),
+        ("hysteresis_compensator", "stop"),
+        ("reference_generator", "stop"),
+    }
+    assert made["tripped"][at] == HALTED and made["tripped"][at - 1] == 0.0
+    assert made["controller_mode"][at] == TRIPPED
+    assert made["voltage"][at] < made["voltage"][at - 1] or made["voltage"][at - 1] == 0.0
+    # the plant was started, but nothing else
+    again = loop.changes[4].sample
+    assert made["tripped"][again] == 0.0 and made["controller_mode"][again] == STOPPED
+    assert made["tripped"][-1] == HALTED
+
+
+def test_an_emergency_stop_of_a_motor_asks_its_sequencer_to_stop():
+    loop, given = made_loop("inchworm_travel", factor=0.02, plant_simulator={"late_limit": -1})
+    loop.set(setpoint=2e-4)
+    loop.start()
+    wait_for(lambda: loop.sample > 20)
+    loop.halt()
+    wait_for(lambda: loop.changes)
+    wait_for(lambda: loop.sample > loop.changes[0].sample + 5)
+    loop.leave()
+    made = whole(loop)
+    assert_twin(loop, made, given)
+    assert list(np.flatnonzero(made["request"])) == [loop.changes[0].sample]
+    assert made["request"][loop.changes[0].sample] == gait.STOP_REQUEST
+    assert {entry.node for entry in loop.changes} == {
+        "plant_simulator",
+        "motion_controller",
+        "hysteresis_compensator",
+    }
+
+
+def test_a_change_that_is_refused_is_refused_to_the_caller_and_changes_nothing():
+    loop, given = made_loop(factor=SLOWLY, **ANY_LATE)
+    loop.start()
+    with pytest.raises(ParameterError, match="phi"):
+        loop.apply(change("motion_controller", "retune", sliding_mode__phi=3.0))
+    with pytest.raises(ParameterError, match="only while stopped"):
+        loop.apply(change("reference_generator", "retune", waveform__type="sine"))
+    wait_for(lambda: loop.sample > 5)
+    loop.leave()
+    assert loop.changes == [] and not loop.failure
+    assert_twin(loop, whole(loop), given)
+
+
+def test_what_the_double_took_and_the_axis_refuses_is_raised_and_the_loop_goes_on(monkeypatch):
+    loop, given = made_loop(factor=SLOWLY, **ANY_LATE)
+
+    def refuse(parameters):
+        raise ParameterError([])
+
+    monkeypatch.setattr(loop.axis.controller, "retune", refuse)
+    loop.start()
+    with pytest.raises(ParameterError):
+        loop.apply(change("motion_controller", "retune", handover_time=0.02))
+    before = loop.sample
+    wait_for(lambda: loop.sample > before + 3)
+    loop.leave()
+    assert loop.changes == [] and not loop.failure
+
+
+def test_changes_before_the_start_and_after_the_end_hold_too():
+    loop, given = made_loop(samples=300, **HOLD)
+    assert loop.apply(change("motion_controller", "stop")) == 0
+    loop.start()
+    loop.join()
+    first = loop.take()
+    assert set(named(loop, first.table)["controller_mode"]) == {STOPPED}
+    assert loop.apply(change("motion_controller", "retune", type="open_loop")) == 300
+    assert loop.apply(change("motion_controller", "start")) == 300
+    loop._state[pacing.UNTIL] = 400
+    loop.start()
+    loop.join()
+    assert_twin(loop, whole(loop, first), given)
+
+
+def test_requests_and_speeds_of_a_motor_are_taken_whole_and_once():
+    loop, given = made_loop("inchworm_travel", factor=0.02, plant_simulator={"late_limit": -1})
+    loop.start()
+    for index in range(20):
+        loop.set(setpoint=1e-5 * index, request=gait.START_REQUEST, speed=1e-4 * (index + 1))
+        before = loop.sample
+        wait_for(lambda: loop.sample > before + 2)  # noqa: B023
+    loop.leave()
+    made = whole(loop)
+    assert_twin(loop, made, given)
+    asked = np.flatnonzero(made["request"])
+    assert len(asked) == 20
+    np.testing.assert_array_equal(made["setpoint"][asked], 1e-5 * np.arange(20))
+    np.testing.assert_array_equal(made["speed"][asked], 1e-4 * (np.arange(20) + 1))
+
+
+def test_only_a_motor_is_asked_for_a_speed():
+    loop, _ = made_loop(samples=1)
+    with pytest.raises(ValueError, match="motor"):
+        loop.set(speed=1.0)
+
+
+def test_many_threads_may_steer_at_once():
+    loop, given = made_loop(factor=SLOWLY, **ANY_LATE)
+    loop.start()
+    allowed = {0.0} | {1e-7 * k for k in range(40)}
+
+    def steer(first):
+        for k in range(first, first + 10):
+            loop.set(setpoint=1e-7 * k)
+            loop.apply(change("motion_controller", "retune", handover_time=0.01 + 0.001 * k))
+            loop.apply(change("hysteresis_compensator", "stop" if k % 2 else "start"))
+
+    threads = [threading.Thread(target=steer, args=(first,)) for first in range(0, 40, 10)]
+    for thread in threads:
+        thread.start()
+    taken = []
+    while any(thread.is_alive() for thread in threads):
+        taken.append(loop.take())
+        time.sleep(0.01)
+    loop.leave()
+    made = whole(loop, *taken)
+    assert_twin(loop, made, given)
+    assert set(made["setpoint"]) <= allowed and len(loop.changes) == 80
+
+
+# ----------------------------------------------------------------------------------------------------- missed deadlines
+
+
+def delay(loop, samples):
+    """Let the clock of a running loop be later by some samples."""
+    loop._state[pacing.ORIGIN] -= samples * loop._state[pacing.PERIOD] // pacing.FEMTO
+
+
+def test_missed_deadlines_are_skipped_samples_and_the_twin_skips_them_too():
+    loop, given = made_loop(factor=SLOWLY, **ANY_LATE)
+    loop.set(setpoint=5e-6)
+    loop.start()
+    wait_for(lambda: loop.sample > 20)
+    delay(loop, 40)
+    wait_for(lambda: loop.missed >= 39)
+    before = loop.sample
+    wait_for(lambda: loop.sample > before + 10)
+    loop.leave()
+    made = whole(loop)
+    assert_twin(loop, made, given)
+    skipped = np.flatnonzero(made["skipped"])
+    assert len(skipped) == loop.missed
+    np.testing.assert_array_equal(np.isnan(made["seen"]), made["skipped"] == 1.0)
+    for name in ("voltage", "plant_voltage"):
+        np.testing.assert_array_equal(made[name][skipped], made[name][skipped - 1])
+    np.testing.assert_array_equal(made["plant_mode"][skipped], HOLDING)
+    np.testing.assert_array_equal(np.diff(made["late"]), made["skipped"][1:])
+    assert loop.lateness().max >= 38 / (3000 * SLOWLY)
+    # the reference goes on as if nothing had happened
+    np.testing.assert_array_equal(made["reference"], Axis(given).run(made["setpoint"])["reference"])
+
+
+def test_a_reader_has_time_while_very_many_samples_are_skipped(monkeypatch):
+    monkeypatch.setattr(fused, "KEPT", 0.0)
+    monkeypatch.setattr(fused, "LEAST_KEPT", 4000)
+    loop, given = made_loop(factor=SLOWLY, **ANY_LATE)
+    loop.start()
+    wait_for(lambda: loop.sample > 5)
+    delay(loop, 9000)
+    heads = []
+    while loop.sample < 9000:
+        heads.append(loop.sample)
+        time.sleep(1e-4)
+    loop.leave()
+    # it paused after each quarter of the ring
+    assert any(900 < head < 8900 for head in heads)
+    assert loop.missed >= 8990
+
+
+@pytest.mark.parametrize("name", ["kim2009", "inchworm_travel"])
+def test_offline_runs_may_skip_any_samples(name):
+    given = parameters(name, every={"faults": ["drop:0.0:1.0:0.1"]}, plant_simulator={"late_limit": -1})
+    random = np.random.default_rng(7)
+    setpoints = np.full(2000, 4e-6 if name == "kim2009" else 5e-5)
+    skipped = (random.random(2000) < 0.05).astype(float)
+    skipped[700:720] = 1.0
+    run = Axis(given).run(setpoints, skipped=skipped)
+    plain = Axis(given).run(setpoints, skipped=np.zeros(2000))
+    assert_same_bits(plain, Axis(given).run(setpoints))
+    assert np.any(run["voltage"] != plain["voltage"])
+    missed = np.flatnonzero(skipped)
+    missed = missed[missed > 0]
+    for signal in ("voltage", "plant_voltage"):
+        np.testing.assert_array_equal(run[signal][missed], run[signal][missed - 1])
+    assert np.all(np.isnan(run["seen"][missed]))
+    np.testing.assert_array_equal(run["skipped"], skipped)
+    for signal in ("front_plant_voltage", "rear_plant_voltage") if name != "kim2009" else ():
+        np.testing.assert_array_equal(run[signal][missed], run[signal][missed - 1])
+
+
+def test_too_many_skipped_samples_trip_the_axis():
+    skipped = np.zeros(800)
+    skipped[300:460] = 1.0
+    run = axis(**HOLD).run(np.full(800, 4e-6), skipped=skipped)
+    assert not run["tripped"][:450].any() and run["tripped"][460:].all()
+    assert run["plant_voltage"][-1] < run["plant_voltage"][450]
+
+
+STOPPED_PROCESS = """
+import sys, time
+import numpy as np
+sys.path.insert(0, sys.argv[1])
+from fused_support import assert_twin, wait_for, whole
+from loop_support import HOLD, parameters
+from hysteresis_ros.loop.axis import Axis
+from hysteresis_ros.loop.fused import FusedLoop
+given = parameters(plant_simulator={"late_limit": -1}, **HOLD)
+loop = FusedLoop(Axis(given), 0.05)
+loop.set(setpoint=5e-6)
+loop.start()
+wait_for(lambda: loop.sample > 10)
+print("runs", flush=True)
+sys.stdin.readline()
+wait_for(lambda: loop.missed >= 20)
+before = loop.sample
+wait_for(lambda: loop.sample > before + 5)
+loop.leave()
+made = whole(loop)
+assert_twin(loop, made, given)
+# time went on: no burst of answers followed
+print("missed", loop.missed, int(np.sum(made["skipped"])), loop.lateness().max >= 0.13, flush=True)
+"""
+
+
+@pytest.mark.parametrize("compiled", [True, False])
+def test_a_process_that_was_suspended_skips_what_it_missed(compiled):
+    environment = os.environ | ({} if compiled else {"NUMBA_DISABLE_JIT": "1"})
+    command = [sys.executable, "-c", STOPPED_PROCESS, os.path.dirname(__file__)]
+    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
+    with subprocess.Popen(command, env=environment, **pipes) as process:
+        assert process.stdout.readline() == "runs\n"
+        process.send_signal(posix.SIGSTOP)
+        time.sleep(0.4)  # the length of the interruption, not a wait
+        process.send_signal(posix.SIGCONT)
+        out, _ = process.communicate("\n")
+    word, missed, skipped, late = out.split()
+    assert process.returncode == 0 and word == "missed" and missed == skipped and late == "True"
+
+
+# --------------------------------------------------------------------------------------------------------- limits of it
+
+INTERPRETED = """
+import sys
+import numpy as np
+sys.path.insert(0, sys.argv[1])
+from fused_support import assert_twin, whole
+from loop_support import parameters
+from hysteresis_ros.loop.axis import Axis, Change
+from hysteresis_ros.loop.fused import FusedLoop
+for name in ("kim2009", "inchworm_travel"):
+    given = parameters(name)
+    loop = FusedLoop(Axis(given), np.inf, 200)
+    loop.apply(Change(0, "motion_controller", "stop"))
+    loop.apply(Change(0, "motion_controller", "start"))
+    loop.start()
+    loop.join()
+    made = whole(loop)
+    assert_twin(loop, made, given)
+    made["voltage"].tofile(sys.stdout.buffer)
+"""
+
+
+def test_without_numba_the_same_loop_runs_interpreted():
+    command = [sys.executable, "-c", INTERPRETED, os.path.dirname(__file__)]
+    given = os.environ | {"NUMBA_DISABLE_JIT": "1"}
+    plain = np.frombuffer(subprocess.run(command, env=given, check=True, stdout=subprocess.PIPE).stdout)
+    quick = np.frombuffer(subprocess.run(command, check=True, stdout=subprocess.PIPE).stdout)
+    assert len(plain) == 400
+    np.testing.assert_allclose(plain, quick, rtol=0, atol=1e-9)
+
+
+def test_without_numba_an_axis_that_is_too_fast_is_refused(monkeypatch):
+    monkeypatch.setattr(fused, "COMPILED", False)
+    with pytest.raises(ConfigurationError, match=rf"3000 Hz.*without Numba.*{INTERPRETED_RATE:g} samples"):
+        FusedLoop(axis(), 1.0)
+    FusedLoop(axis(), 0.9 * INTERPRETED_RATE / 3000.0)
+
+
+def test_what_is_not_permitted_is_said_once_and_the_loop_goes_on(monkeypatch):
+    def refuse(*arguments):
+        raise PermissionError(1, "Operation not permitted")
+
+    monkeypatch.setattr(scheduling.os, "sched_setscheduler", refuse, raising=False)
+    monkeypatch.setattr(scheduling.os, "sched_setaffinity", refuse, raising=False)
+    told = []
+    realtime = {"realtime__priority": 70, "realtime__cpu": 0}
+    loop = FusedLoop(axis(plant_simulator=realtime), np.inf, 50, told.append)
+    loop.start()
+    loop.join()
+    assert loop.sample == 50 and told == [loop.warning]
+    for word in ("realtime.priority = 70", "rtprio", "limits.conf", "CAP_SYS_NICE", "realtime.cpu = 0"):
+        assert word in loop.warning
+
+
+def test_a_thread_that_fails_says_why_and_refuses_changes(monkeypatch):
+    loop, _ = made_loop(factor=SLOWLY, **ANY_LATE)
+
+    def fail(*arguments):
+        raise ZeroDivisionError("nothing is left")
+
+    monkeypatch.setattr(fused, "ask_for", fail)
+    loop.start()
+    loop.join()
+    assert "sample 0" in loop.failure and "nothing is left" in loop.failure
+    with pytest.raises(RuntimeError, match="nothing is left"):
+        loop.apply(change("motion_controller", "retune", handover_time=0.02))
