@@ -2,56 +2,21 @@
 
 from __future__ import annotations
 
-import errno
-import itertools
-import os
-import pathlib
-import signal
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
 from rosbags.rosbag2 import Reader
+from samples_support import ACTUATOR, AXES, MOTOR, RATE, make_samples, topics_of, write_batches
 
 from hysteresis_ros import signals
 from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.recordings import cdr
-from hysteresis_ros.recordings.align import align, read_recording
+from hysteresis_ros.recordings.align import read_recording
 from hysteresis_ros.recordings.bag_reader import read_bag
 from hysteresis_ros.recordings.bag_writer import BagWriter
 from hysteresis_ros.recordings.batch_writer import AxisTopics, SampleWriter
-
-RATE = 10_000.0
-BEGIN = 1_700_000_000_123_456_789
-ACTUATOR = AxisTopics(namespace="left", joints=("extender",), sample_rate=RATE, force=5.88)
-MOTOR = AxisTopics(joints=("slider", "extender", "front_clamp", "rear_clamp"), sample_rate=RATE, motor=True)
-AXES = [pytest.param(ACTUATOR, id="actuator"), pytest.param(MOTOR, id="motor")]
-
-
-def make_samples(axis, count, seed=1):
-    """Return stamps, table and joints of some samples; the plant stops the axis now and then."""
-    random = np.random.default_rng(seed)
-    table = random.normal(size=(len(signals.row_signals(axis.motor)), count)) * 1e-6
-    table[random.integers(len(table), size=count // 7), random.integers(count, size=count // 7)] = np.nan
-    table[signals.TRIPPED] = np.cumsum(random.random(count) < 0.02) % 2
-    stamps = BEGIN + np.rint(np.arange(count) * 1e9 / RATE).astype(np.int64)
-    return stamps, table, random.normal(size=(12, count)) if axis.motor else None
-
-
-def write_batches(writer, samples, cuts=(), **further):
-    stamps, table, joints = samples
-    for begin, end in itertools.pairwise((0, *sorted(cuts), len(stamps))):
-        own = {} if joints is None else {"joints": joints[:, begin:end]}
-        own |= {name: values[begin:end] for name, values in further.items()}
-        writer.write(stamps[begin:end], table[:, begin:end], **own)
-
-
-def topics_of(path):
-    return {name: (topic.type_name, topic.data) for name, topic in read_bag(path).topics.items()}
 
 
 def decoded(path, topic):
@@ -125,7 +90,7 @@ def test_nobody_knows_the_true_displacement_of_a_device(tmp_path):
     assert names == [name for name in signals.state_signals(signals.PLANT, False) if name != "displacement"]
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(axis=st.sampled_from([ACTUATOR, MOTOR]), cuts=st.sets(st.integers(0, 300)), block=st.integers(1, 60_000))
 def test_batches_and_chunks_change_nothing(tmp_path_factory, axis, cuts, block):
     folder = tmp_path_factory.mktemp("batches")
@@ -141,24 +106,30 @@ def test_batches_and_chunks_change_nothing(tmp_path_factory, axis, cuts, block):
 def test_the_index_leads_to_every_message(tmp_path, axis):
     """What reads by the index, by time and topic, finds what reading the file in its order finds."""
     samples = make_samples(axis, 500)
-    times = samples[0] + np.random.default_rng(2).integers(0, 90_000, 500)
+    times = samples[0] + np.random.default_rng(2).integers(0, 900_000, 500)  # not in order
     with BagWriter(tmp_path / "bag") as bag:
         writer = SampleWriter(bag, axis, block_bytes=100_000)
-        bag.write_string("/note", "before", BEGIN)
-        write_batches(writer, samples, cuts=range(0, 500, 30), times=times)
-        bag.write_string("/note", "after", int(times[-1]))
+        # times outside those of the samples beside them
+        notes = {text: int(time_ns) for text, time_ns in (("late", times.max() - 1), ("early", times.min() + 1))}
+        bag.write_string("/note", "late", notes["late"])
+        write_batches(writer, [part[..., :250] if part is not None else None for part in samples], times=times[:250])
+        bag.flush()
+        bag.write_string("/note", "early", notes["early"])
+        rest = [part[..., 250:] if part is not None else None for part in samples]
+        write_batches(writer, rest, cuts=range(0, 250, 30), times=times[250:])
     path = tmp_path / "bag" / "bag.mcap"
     in_order = read_bag(path).topics
     with open(path, "rb") as stream:
         reader = make_reader(stream, validate_crcs=True)
         summary = reader.get_summary()
         assert summary.statistics.message_count == 500 * len(writer.topics) + 2
-        assert summary.statistics.message_start_time == min(BEGIN, times[0])
-        assert summary.statistics.message_end_time == times[-1]
+        assert summary.statistics.message_start_time == times.min()
+        assert summary.statistics.message_end_time == times.max() > times[-1]
         assert len(summary.chunk_indexes) == summary.statistics.chunk_count > 5
         for topic in writer.topics:
             some = [(m.log_time, m.data) for _, _, m in reader.iter_messages([topic], ending_before=int(times[250]))]
-            expected = list(zip(in_order[topic].times, in_order[topic].data, strict=True))[:250]
+            pairs = zip(in_order[topic].times, in_order[topic].data, strict=True)
+            expected = sorted((pair for pair in pairs if pair[0] < times[250]), key=lambda pair: pair[0])
             assert some == expected
         # every entry of every message index, by hand
         for chunk in summary.chunk_indexes:
@@ -169,7 +140,28 @@ def test_the_index_leads_to_every_message(tmp_path, axis):
         for connection, time_ns, data in bag.messages():
             if connection.topic == "/note":
                 text = cdr.decode_strings([data], "/note")[0]
-                assert time_ns == (BEGIN if text == "before" else times[-1])
+                assert time_ns == notes.pop(text)
+    assert not notes
+
+
+def test_single_messages_share_a_topic_with_samples(tmp_path):
+    """Order in the file is the order of writing, and the index knows both."""
+    stamps, table, _ = make_samples(ACTUATOR, 20)
+    table[signals.TRIPPED] = 0.0
+    table[signals.COMMAND] = np.arange(20.0)
+    with BagWriter(tmp_path / "bag") as bag:
+        writer = SampleWriter(bag, ACTUATOR)
+        bag.write_float64("/left/command", -1.0, int(stamps[0]) - 1)
+        writer.write(stamps, table)
+        bag.flush()
+        bag.write_float64("/left/command", 20.0, int(stamps[-1]) + 1)
+    content = (tmp_path / "bag" / "bag.mcap").read_bytes()
+    with open(tmp_path / "bag" / "bag.mcap", "rb") as stream:
+        reader = make_reader(stream)
+        for chunk in reader.get_summary().chunk_indexes:
+            check_chunk(content, chunk)
+        values = cdr.decode_float64s([m.data for _, _, m in reader.iter_messages(["/left/command"])], "/left/command")
+    np.testing.assert_array_equal(values, np.arange(-1.0, 21.0))
 
 
 def check_chunk(content: bytes, chunk):
@@ -226,155 +218,6 @@ def test_samples_wait_no_longer_than_told(tmp_path):
     assert bag.message_count == 10 * len(patient.topics)
     assert len(read_bag(tmp_path / "bag" / "bag.mcap")) == 10 * len(patient.topics)
     bag.close()
-
-
-# -- the end ---------------------------------------------------------------------------------------------------------
-
-
-@settings(max_examples=60)
-@given(data=st.data())
-def test_a_file_cut_anywhere_gives_all_whole_messages(cut_source, tmp_path_factory, data):
-    content, whole = cut_source
-    size = data.draw(st.integers(0, len(content) - 1))
-    path = tmp_path_factory.mktemp("cut") / "cut.mcap"
-    path.write_bytes(content[:size])
-    bag = read_bag(path)
-    counts = [len(topic.data) for topic in bag.topics.values()]
-    for name, topic in bag.topics.items():
-        assert topic.data == whole[name][1][: len(topic.data)]
-    if counts:
-        assert max(counts) - min(counts) <= 1
-        align(bag)
-
-
-@pytest.fixture(scope="module")
-def cut_source(tmp_path_factory):
-    """The bytes of a file of several chunks, and its topics."""
-    path = tmp_path_factory.mktemp("source") / "bag"
-    with BagWriter(path) as bag:
-        write_batches(SampleWriter(bag, ACTUATOR, block_bytes=30_000), make_samples(ACTUATOR, 120))
-    return (path / "bag.mcap").read_bytes(), topics_of(path)
-
-
-@settings(max_examples=60)
-@given(room=st.integers(0, 400_000))
-def test_a_full_disk_is_named_and_what_is_written_stays_readable(tmp_path_factory, room):
-    """The file takes ``room`` bytes; a record that did not fit is taken back."""
-    folder = tmp_path_factory.mktemp("full")
-    stamps, table, joints = make_samples(MOTOR, 150)
-    failed = None
-    with pytest.MonkeyPatch.context() as patch:
-        bag = BagWriter(folder / "bag")
-        writer = SampleWriter(bag, MOTOR, block_bytes=25_000)
-        patch.setattr(os, "writev", limited(os.writev, room))
-        try:
-            for k in range(0, 150, 10):
-                bag.write_float64("/note", float(k), int(stamps[k]))
-                writer.write(stamps[k : k + 10], table[:, k : k + 10], joints=joints[:, k : k + 10])
-        except RecordingError as error:
-            failed = str(error)
-            with pytest.raises(RecordingError) as again:
-                bag.write_float64("/note", 0.0, BEGIN)
-            assert str(again.value) == failed
-        try:
-            bag.close()
-        except RecordingError as error:
-            failed = failed or str(error)
-    assert bag.closed
-    if failed:
-        assert str(folder / "bag") in failed and os.strerror(errno.ENOSPC) in failed
-    else:
-        assert len(read_bag(folder / "bag")) == 150 * len(writer.topics) + 15
-    back = read_bag(folder / "bag")
-    counts = {name: len(topic.data) for name, topic in back.topics.items() if name != "/note"}
-    assert len(set(counts.values())) <= 1
-    if room > 100_000:
-        recorded = align(back)
-        np.testing.assert_array_equal(recorded["command"], table[signals.COMMAND, : len(recorded)])
-        assert (folder / "bag" / "bag.mcap").stat().st_size <= 200 + room
-
-
-def limited(writev, room):
-    """Return a writev of a disk with so much room."""
-
-    def write(file, pieces):
-        left = room - os.fstat(file).st_size
-        if left <= 0:
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-        return writev(file, [b"".join(bytes(piece) for piece in pieces)[:left]])
-
-    return write
-
-
-FULL = """
-import resource, sys
-import numpy as np
-from hysteresis_ros.errors import RecordingError
-from hysteresis_ros.recordings.bag_writer import BagWriter
-from hysteresis_ros.recordings.batch_writer import AxisTopics, SampleWriter
-from hysteresis_ros.signals import ACTUATOR_ROW
-resource.setrlimit(resource.RLIMIT_FSIZE, (3_000_000, 3_000_000))
-bag = BagWriter(sys.argv[1])
-writer = SampleWriter(bag, AxisTopics())
-table = np.zeros((ACTUATOR_ROW, 500))
-try:
-    for k in range(1000):
-        writer.write(np.arange(500 * k, 500 * (k + 1)) * 1_000_000, table)
-except RecordingError as error:
-    print(error)
-bag.close()
-"""
-
-
-def test_a_file_that_may_not_grow_is_closed_with_what_it_has(tmp_path):
-    answer = run_child(FULL, tmp_path / "bag")
-    assert answer.stdout.strip() == f"{tmp_path / 'bag'}: cannot be written: {os.strerror(errno.EFBIG)}"
-    back = read_recording(tmp_path / "bag")
-    assert back.metadata["complete"] and back.metadata["missing_samples"] == 0
-    assert (tmp_path / "bag" / "bag.mcap").stat().st_size > 2_000_000
-
-
-KILLED = """
-import sys, time
-import numpy as np
-from hysteresis_ros.recordings.bag_writer import BagWriter
-from hysteresis_ros.recordings.batch_writer import AxisTopics, SampleWriter
-from hysteresis_ros.signals import ACTUATOR_ROW
-bag = BagWriter(sys.argv[1])
-writer = SampleWriter(bag, AxisTopics(sample_rate=1000.0), block_bytes=10**9)
-begin, count = time.monotonic(), 0
-while True:
-    until = int((time.monotonic() - begin) * 1000.0) + 1
-    writer.write(np.arange(count, until) * 1_000_000, np.zeros((ACTUATOR_ROW, until - count)))
-    count = until
-    print(count, time.monotonic(), flush=True)
-    time.sleep(0.02)
-"""
-
-
-def test_a_kill_loses_at_most_the_last_half_second(tmp_path):
-    child = subprocess.Popen(
-        [sys.executable, "-c", KILLED, str(tmp_path / "bag")], env=environment(), stdout=subprocess.PIPE, text=True
-    )
-    with child:
-        reports = [child.stdout.readline().split() for _ in range(60)]
-        child.send_signal(signal.SIGKILL)
-        reports += [line.split() for line in child.stdout]
-    reports = [(int(report[0]), float(report[1])) for report in reports if len(report) == 2]
-    assert reports[-1][1] - reports[0][1] > 1.0
-    back = read_recording(tmp_path / "bag")
-    assert not back.metadata["complete"] and back.metadata["missing_samples"] == 0
-    assert len(back) >= max(count for count, when in reports if when <= reports[-1][1] - 0.5)
-
-
-def run_child(program, *arguments):
-    command = [sys.executable, "-c", program, *map(str, arguments)]
-    return subprocess.run(command, env=environment(), capture_output=True, text=True, check=True)
-
-
-def environment():
-    root = str(pathlib.Path(signals.__file__).parents[1])
-    return os.environ | {"PYTHONPATH": os.pathsep.join(filter(None, (root, os.environ.get("PYTHONPATH"))))}
 
 
 # -- wrong input -----------------------------------------------------------------------------------------------------
