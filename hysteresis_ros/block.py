@@ -27,7 +27,7 @@ import numpy as np
 numba: Any
 try:
     import numba
-    from numba.extending import overload, register_jitable, typeof_impl
+    from numba.extending import models, overload, register_jitable, register_model, typeof_impl
 except ImportError:  # the optional extra `fast` is not installed
     numba = None
 
@@ -37,8 +37,14 @@ COMPILED = numba is not None and not numba.config.DISABLE_JIT
 # Kernels allocate nothing, so nobody has to count references to their arrays: left on, the counting (atomic) costs a
 # small kernel up to nine tenths of its time. Off (`_nrt`), a kernel that allocates after all does not compile.
 _OPTIONS: dict[str, Any] = {"cache": True, "error_model": "numpy", "_nrt": False}
-_NESTED: dict[str, Any] = {"error_model": "numpy", "_nrt": False}
-_BY_PART: Any = {"forceinline": True, **_NESTED}
+# Within other code: without ways in from Python and from C, each of which would have a body of its own to compile.
+_WITHIN: dict[str, Any] = {
+    "error_model": "numpy",
+    "_nrt": False,
+    "no_cpython_wrapper": True,
+    "no_cfunc_wrapper": True,
+}
+_BY_PART: Any = {"forceinline": True, **_WITHIN}
 
 
 @contextlib.contextmanager
@@ -90,19 +96,45 @@ def _cache() -> pathlib.Path:
 
 def kernel(function):
     """Mark ``function`` as a kernel or composite: compiled on first use when Numba is there, unchanged otherwise."""
-    if not COMPILED:
-        return function
-    with _cache_directory():
-        # inlined, because handing arrays (seven words each) from kernel to kernel costs more than a small kernel itself
-        return numba.njit(forceinline=True, **_OPTIONS)(function)
+    # inlined, because handing arrays (seven words each) from kernel to kernel costs more than a small kernel itself
+    return _in_two_forms(function, forceinline=True)
 
 
 def called(function):
     """Mark a kernel that other kernels call rather than copy in: one that is long and seldom does much."""
+    return _in_two_forms(function)
+
+
+def _in_two_forms(function, **options):
+    """Return a kernel as Python calls it and as it is handed over; where other kernels name it they get its other form.
+
+    Each is compiled on first use: what only kernels call gets no ways in, and no file in the cache.
+    """
     if not COMPILED:
         return function
     with _cache_directory():
-        return numba.njit(**_OPTIONS)(function)
+        form = numba.njit(**_OPTIONS)(function)
+    form.within = numba.njit(**options, **_WITHIN)(function)
+    return form
+
+
+if COMPILED:
+
+    class _Within(numba.types.Dispatcher):
+        """Type of a kernel that another one names: compiled once for all numbers that stand in its calls."""
+
+        def get_call_type(self, context, args, kws):
+            unliteral = numba.types.unliteral
+            named = {name: unliteral(kind) for name, kind in kws.items()}
+            return super().get_call_type(context, tuple(map(unliteral, args)), named)
+
+    register_model(_Within)(models.OpaqueModel)
+
+    @typeof_impl.register(type(numba.njit(lambda: None)))
+    def _type_of_compiled(value, context):
+        """Type of a compiled function: where it stands in the source of another one, that of its form within."""
+        within = getattr(value, "within", None) if context.purpose.name == "constant" else None
+        return numba.types.Dispatcher(value) if within is None else _Within(within)
 
 
 def nested(function):
@@ -110,7 +142,13 @@ def nested(function):
 
     Called from Python its kernels arrive as compiled functions (0.2-0.3 µs a call), and nothing is compiled for it.
     """
-    return register_jitable(forceinline=True, **_NESTED)(function) if COMPILED else function
+    if COMPILED:
+        register_jitable(forceinline=True, **_WITHIN)(function)
+        # Numba copies a function that says this of itself into the one that names it. It is not compiled on its own
+        # before then, which level upon level, each with all below it, took a third of the time of a cold start. A Numba
+        # that does not look for it uses the form registered above.
+        function.targetoptions, function.py_func = {"inline": "always"}, function
+    return function
 
 
 def by_part(function):
@@ -129,11 +167,10 @@ def by_part(function):
     choose.__name__ = choose.__qualname__ = function.__name__
     choose.__doc__, choose.__module__ = function.__doc__, function.__module__
     if COMPILED:
-
-        @overload(choose, jit_options=_BY_PART)
+        # not strict: the forms name their arguments as they like
+        @overload(choose, jit_options=_BY_PART, strict=False)
         def compiled_form(laws, part, row):
-            form = kinds[part.instance_class]
-            return lambda laws, part, row: form(laws, part, row)
+            return kinds[part.instance_class]
 
     return choose
 

@@ -10,9 +10,12 @@ import numpy as np
 import pytest
 
 from hysteresis_ros import block
-from hysteresis_ros.block import Block, compiled, interpreted, kernel, run_kernel
+from hysteresis_ros.block import Block, compiled, composite, interpreted, kernel, nested, run_kernel
 from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.parameters import Parameters, parameter
+
+if block.COMPILED:
+    from numba.core import event
 
 PACKAGE = pathlib.Path(block.__file__).parent
 
@@ -73,6 +76,68 @@ def test_compiled_and_interpreted_forms_agree_bit_for_bit():
         form(run_kernel)(function, np.array([0.9]), x, u, y)
         results.append(y)
     np.testing.assert_array_equal(*results)
+
+
+@kernel
+def scaled(p, place, u):
+    """What another kernel names, with numbers in the call."""
+    return p[place] * u
+
+
+@kernel
+def both(p, x, u):
+    """Names the other one twice."""
+    return scaled(p, 0, u) + scaled(p, 1, u)
+
+
+@nested
+def lagged(p, x, u):
+    """A level between a composite and its kernels."""
+    return leak(p, x, both(p, x, u))
+
+
+@composite("void", "array", "array", "array", "array")
+def lag_all(p, x, u, y):
+    """The composite."""
+    for k in range(u.shape[0]):
+        y[k] = lagged(p, x, u[k])
+
+
+def lag_result(form):
+    p, x, u = np.array([0.7, 0.2]), np.zeros(1), np.arange(1.0, 9.0)
+    y = np.empty_like(u)
+    form(lag_all)(p, x, u, y)
+    return y.tolist()
+
+
+@pytest.mark.skipif(not block.COMPILED, reason="Numba is not installed: nothing is compiled")
+def test_what_compiled_code_names_is_compiled_once_and_not_for_python(monkeypatch):
+    monkeypatch.setitem(block._OPTIONS, "cache", False)
+    started = []
+
+    class Listener(event.Listener):
+        def on_start(self, happened):
+            started.append(happened.data["dispatcher"].py_func.__name__)
+
+        def on_end(self, happened):
+            pass
+
+    with event.install_listener("numba:compile", Listener()):
+        result = lag_result(compiled)
+    # one form for both numbers, none of the level between, none that Python could call
+    assert sorted(started) == ["both", "lag_all", "leak", "scaled"]
+    assert not scaled.signatures and not both.signatures
+    assert result == lag_result(interpreted)
+    assert scaled(np.array([2.0, 3.0]), 1, 5.0) == 15.0 and scaled.signatures
+
+
+@pytest.mark.skipif(not block.COMPILED, reason="Numba is not installed: nothing is compiled")
+def test_a_numba_that_copies_no_functions_compiles_the_levels_between(monkeypatch):
+    expected = lag_result(interpreted)
+    monkeypatch.delattr(lagged, "targetoptions")
+    monkeypatch.delitem(block._compiled, lag_all, raising=False)
+    monkeypatch.setitem(block._OPTIONS, "cache", False)
+    assert lag_result(compiled) == expected
 
 
 def test_a_block_that_packs_nothing_says_so():

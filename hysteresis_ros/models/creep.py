@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hysteresis_ros import elementary
-from hysteresis_ros.block import Block, kernel
+from hysteresis_ros.block import Block, interpreted, kernel
 from hysteresis_ros.errors import Problem
 from hysteresis_ros.linear_algebra import product
 from hysteresis_ros.models.rate_independent import require_structure
@@ -158,7 +158,7 @@ class Creep(Block):
     def settle(self, u: float) -> float:
         """Put the operators to rest under the displacement ``u`` [m] and return the output [m]."""
         self.x[OPERATOR:] = u
-        self.x[OUTPUT] = self.p[FEEDTHROUGH] * u + crept(self.p, self.x)
+        self.x[OUTPUT] = self.p[FEEDTHROUGH] * u + interpreted(crept)(self.p, self.x)
         return float(self.x[OUTPUT])
 
     def retune(self, parameters: CreepParameters) -> None:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hysteresis_ros.block import Block, kernel
+from hysteresis_ros.block import Block, interpreted, kernel
 from hysteresis_ros.errors import Problem
 from hysteresis_ros.parameters import Parameters, parameter
 
@@ -114,7 +114,7 @@ class Limits(Block):
         x = np.array([v, 0.0, 0.0, v])
         unlimited = self.p.copy()
         unlimited[SLEW] = 0.0
-        limits(unlimited, x, v)
+        interpreted(limits)(unlimited, x, v)
         x[FLAGS] = x[LIMITED_SAMPLES] = 0.0
         return x
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hysteresis_ros.block import Block, kernel
+from hysteresis_ros.block import Block, interpreted, kernel
 from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.linear_algebra import exponential, solve
 from hysteresis_ros.models.state_space import StateSpace, accumulate, advance
@@ -195,7 +195,7 @@ class LinearDynamics(Block):
 
     def output(self) -> float:
         """Return the output [SI] at the present state."""
-        return linear_output(self.p, self.x)
+        return interpreted(linear_output)(self.p, self.x)
 
     def settle(self, u: float) -> None:
         """Put the state to rest under the constant input ``u`` [SI]."""
