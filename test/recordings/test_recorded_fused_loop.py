@@ -1,0 +1,66 @@
+"""What a fused loop makes, recorded in batches beside it, is repeated offline bit for bit: skipped samples included."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+
+from hysteresis_ros import signals
+from hysteresis_ros.block import COMPILED
+from hysteresis_ros.configuration import load_configuration
+from hysteresis_ros.loop.axis import Axis
+from hysteresis_ros.loop.fused import FusedLoop
+from hysteresis_ros.recordings.align import read_recording
+from hysteresis_ros.recordings.bag_writer import BagWriter
+from hysteresis_ros.recordings.batch_writer import AxisTopics, SampleWriter
+from hysteresis_ros.simulation.axes import single_axis
+from hysteresis_ros.simulation.run import differences, simulate
+
+SAMPLES = 3000
+
+
+def record(loop, bag, writer):
+    """Take what the loop makes until it ends, and write it."""
+    axis, start, first = writer.axis, None, 0
+    while True:
+        running = loop.running
+        made = loop.take()
+        count = len(made.times)
+        assert made.lost == 0 and (not count or made.first == first)
+        if count and start is None:
+            start = int(made.times[0])
+        if count:
+            stamps = start + np.rint(np.arange(first, first + count) * 1e9 / axis.sample_rate).astype(np.int64)
+            joints = np.zeros((3 * len(axis.joints), count)) if axis.motor else None
+            writer.write(stamps, made.table, joints=joints, times=made.times)
+            first += count
+        if not running:
+            break
+        time.sleep(0.01)
+    assert not loop.failure
+
+
+@pytest.mark.skipif(not COMPILED, reason="without Numba the loop is too slow for these rates")
+@pytest.mark.parametrize(("name", "factor"), [("kim2009", 1.0), ("kim2009", np.inf), ("inchworm_travel", np.inf)])
+def test_a_fused_run_is_recorded_whole_and_repeated_offline(tmp_path, name, factor):
+    configuration = load_configuration(name)
+    if name == "kim2009":
+        configuration = configuration.override("plant_simulator", late_limit=0)  # a busy machine may be late
+    parameters = single_axis(configuration)
+    plant, motor = parameters.plant_simulator, parameters.inchworm_sequencer is not None
+    joints = (plant.joint, "extender", "front_clamp", "rear_clamp") if motor else (plant.joint,)
+    topics = AxisTopics(joints=joints, sample_rate=plant.sample_rate, motor=motor, force=plant.preload.force)
+    loop = FusedLoop(Axis(parameters), factor=factor, samples=SAMPLES)
+    with BagWriter(tmp_path / "bag") as bag:
+        bag.write_string("/configuration", parameters.configuration_text(), time.time_ns())
+        writer = SampleWriter(bag, topics)
+        loop.start()
+        record(loop, bag, writer)
+    recorded = read_recording(tmp_path / "bag", further=True)
+    assert len(recorded) == SAMPLES and recorded.metadata["missing_samples"] == 0
+    assert differences(recorded, parameters) == {}
+    assert np.count_nonzero(recorded.signals.get("skipped", 0)) == loop.missed
+    assert set(recorded.signals) == {signal.name for signal in signals.row_signals(motor)}
+    assert np.ptp(simulate(parameters, duration=SAMPLES / plant.sample_rate)["displacement"]) > 1e-6
