@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import pathlib
 from collections.abc import Callable
 from typing import Any
@@ -229,8 +228,6 @@ class BagWriter:
             try:
                 writer.close()
             except OSError as error:
-                with contextlib.suppress(OSError):
-                    writer.abort()
                 raise RecordingError(f"{self.path}: cannot be finished: {error.strerror}") from None
 
     def _failed(self, error: OSError) -> RecordingError:

@@ -218,16 +218,16 @@ class ChunkStorage(McapWriter):
 
     def close(self, version: int, metadata: str) -> None:
         """Write what waits, and the summary; without room for it the file stays readable in its order."""
-        if self.chunk.bio.tell():
-            self.close_chunk()
         file = self.bio
-        self.bio = tail = _Tail(file.tell())
         try:
+            if self.chunk.bio.tell():
+                self.close_chunk()
+            self.bio = tail = _Tail(file.tell())
             super().close(version, metadata)
-        finally:
             self.bio = file
-        self._append([tail.getbuffer()])
-        file.close()
+            self._append([tail.getbuffer()])
+        finally:
+            file.close()
 
 
 class _Tail(io.BytesIO):

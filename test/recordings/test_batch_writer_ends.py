@@ -58,6 +58,7 @@ def test_a_full_disk_is_named_and_what_is_written_stays_readable(tmp_path_factor
     with pytest.MonkeyPatch.context() as patch:
         bag = BagWriter(folder / "bag")
         writer = SampleWriter(bag, MOTOR, block_bytes=25_000)
+        file = bag._writer.storage.bio
         patch.setattr(os, "writev", limited(os.writev, room))
         try:
             for k in range(0, 150, 10):
@@ -72,7 +73,7 @@ def test_a_full_disk_is_named_and_what_is_written_stays_readable(tmp_path_factor
             bag.close()
         except RecordingError as error:
             failed = failed or str(error)
-    assert bag.closed
+    assert bag.closed and file.closed
     if failed:
         assert str(folder / "bag") in failed and os.strerror(errno.ENOSPC) in failed
     else:
