@@ -277,6 +277,8 @@ class Parameters:
 
     def validated(self, prefix: str = ""):
         """Return self, or raise ParameterError with all problems. For parameters that are built in Python."""
+        if self.__dict__.get("_is_valid"):
+            return self
         problems: list[Problem] = []
         rows = {row.name: row for row in self.table()}
         for name, value in self.to_mapping().items():
@@ -287,6 +289,8 @@ class Parameters:
         problems = problems or self.problems(prefix)
         if problems:
             raise ParameterError(problems)
+        # nothing in them can change: what was found once is kept, for changes that may take no time
+        self.__dict__["_is_valid"] = True
         return self
 
     def to_mapping(self) -> dict:

@@ -1,31 +1,33 @@
 """The fused runner: one compiled thread makes an axis' samples against absolute deadlines.
 
 Other threads steer it: setpoints, starts and stops are taken by the compiled code at a sample's boundary, whole; for
-other changes the thread leaves it between two samples. Everything that was changed is logged with its sample, so that
-an :class:`~hysteresis_ros.loop.axis.Axis` with the same setpoints, changes and skipped samples gives the same bits.
+other changes it pauses between two samples, while whoever wants them makes them. Everything that was changed is logged
+with its sample, so that an :class:`~hysteresis_ros.loop.axis.Axis` with the same setpoints, changes and skipped samples
+gives the same bits.
 """
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import math
 import threading
 import time
-from collections import deque
 from collections.abc import Callable
 
 import numpy as np
 
 from hysteresis_ros import signals
 from hysteresis_ros.block import COMPILED, specialised
-from hysteresis_ros.errors import ConfigurationError
+from hysteresis_ros.errors import ConfigurationError, ParameterError
 from hysteresis_ros.loop import pacing as at
 from hysteresis_ros.loop.axis import Axis, Change
 from hysteresis_ros.loop.pacing import Pace, pace
 from hysteresis_ros.loop.ring import Lateness, Reader, Samples, lateness, latest
-from hysteresis_ros.loop.scheduling import ask_for
+from hysteresis_ros.loop.scheduling import ask_for, boosted, undisturbed
 from hysteresis_ros.loop.switches import CODES, switched
 from hysteresis_ros.loop.tick import WHOLE, ticks
+from hysteresis_ros.parameters import Parameters
 
 #: Samples per second that are held without Numba, on any machine of the last ten years.
 INTERPRETED_RATE = 500.0
@@ -33,8 +35,10 @@ INTERPRETED_RATE = 500.0
 KEPT, LEAST_KEPT = 5.0, 4096
 #: Between starting and the first sample [ns].
 LEAD = 5_000_000
-#: How often is looked whether a switch was taken [s].
-LOOK = 5e-4
+#: How often is looked whether something was taken [s].
+LOOK = 2e-4
+#: Longest wait for a pause without giving other threads a turn [s]: who gives one may wait 5 ms for the next.
+HASTE = 2e-3
 
 
 def pace_arrays(axis: Axis, factor: float = math.inf, samples: int = 0) -> Pace:
@@ -77,16 +81,6 @@ def machine(axis: Axis, own: Pace):
     step = specialised(ticks, laws, parts, own.given, own.column, own.row, WHOLE)
     arguments = step, laws, parts, own, int(axis.motor)
     return specialised(pace, *arguments, nogil=True), arguments
-
-
-class _Job:
-    """A change that waits for its sample."""
-
-    def __init__(self, change: Change):
-        self.change = change
-        self.sample = -1
-        self.error: Exception | None = None
-        self.done = threading.Event()
 
 
 class FusedLoop:
@@ -136,12 +130,12 @@ class FusedLoop:
         self._offset = 0
         self._posting = threading.Lock()
         self._changing = threading.Lock()
-        self._waiting: deque[_Job] = deque()
         self._log: list[tuple[int, int, Change]] = []
         self._events_read = 0
         self._ending = False
         self._thread: threading.Thread | None = None
         self._double = copy.deepcopy(axis)
+        self._double_own = pace_arrays(self._double)
         self._reader = self.reader()
         self._rehearse(None)
 
@@ -188,8 +182,7 @@ class FusedLoop:
                 run(*arguments)
                 if not state[at.LEAVE] or self._ending:
                     break
-                state[at.LEAVE] = 0
-                self._apply_waiting()
+                state[at.LEAVE] = 0  # it was for the parts, which others have taken the place of
         except Exception as error:
             self.failure = f"the fused loop ended at sample {self.sample}: {type(error).__name__}: {error}"
         finally:
@@ -238,16 +231,11 @@ class FusedLoop:
         """
         with self._changing:
             code = CODES.get((change.node, change.action))
-            if code is None:
-                self._rehearse(change)
+            sample = None
             if self.running and code is not None:
                 sample = self._switch(code)
-            elif self.running:
-                sample = self._queue(change)
-            else:
-                sample = None
             if sample is None:
-                sample = self._apply_now(change)
+                sample = self._change(change)
         if self.failure:
             raise RuntimeError(self.failure)
         return sample
@@ -279,45 +267,62 @@ class FusedLoop:
         self._read_events()
         return next(sample for sample, order, change in reversed(self._log) if order and CODES[change[1:3]] == code)
 
-    def _queue(self, change: Change) -> int | None:
-        """Have a change applied between two samples; return the sample, None when the thread ended before."""
-        job = _Job(change)
-        self._waiting.append(job)
-        self._state[at.LEAVE] = 1
-        while not job.done.wait(0.02):
-            if self.join(0.0) and not job.done.is_set():
-                self._waiting.clear()
-                return None
-        if job.error is not None:
-            raise job.error
-        return job.sample
-
-    def _apply_waiting(self) -> None:
-        while self._waiting:
-            job = self._waiting.popleft()
-            try:
-                job.sample = self._apply_now(job.change)
-            except Exception as error:
-                job.error = error
-            job.done.set()
-
-    def _apply_now(self, change: Change) -> int:
-        sample = self.sample
-        made = Change(sample, change.node, change.action, change.parameters)
-        self.axis.apply(made)
-        self._log.append((sample, 0, made))
+    def _change(self, change: Change) -> int:
+        """Apply a change between two samples; return the first one for which it holds."""
+        parameters = self._rehearse(change)
+        part = self.axis.by_node[change.node]
+        before = self.axis.laws, self.axis.parts
+        with self._between_samples():
+            sample = self.sample
+            if change.action == "retune":
+                self._retune(change.node, part, parameters)
+            else:
+                getattr(part, change.action)()
+            self._log.append((sample, 0, Change(sample, change.node, change.action, change.parameters)))
+            if not _same(before, (self.axis.laws, self.axis.parts)):
+                self._state[at.LEAVE] = 1
         return sample
 
-    def _rehearse(self, change: Change | None) -> None:
-        """Apply a change to a double of the axis and run that: it is refused here, and nothing is compiled later."""
+    def _retune(self, node: str, part, parameters) -> None:
+        try:
+            part.retune(parameters)
+        except Exception:
+            # the double took them: it has to be what the axis is
+            with contextlib.suppress(ParameterError):
+                self._double.by_node[node].retune(part.parameters)
+            raise
+
+    @contextlib.contextmanager
+    def _between_samples(self):
+        """Hold the loop between two samples. Whoever does so runs at its priority: it waits for nobody less urgent."""
+        state = self._state
+        wanted = int(state[at.PAUSE]) + 1
+        with boosted(self.axis.parameters.plant_simulator.realtime), undisturbed():
+            hasty = time.monotonic() + HASTE
+            state[at.PAUSE] = wanted
+            try:
+                while state[at.PAUSED] != wanted and self.running:
+                    if time.monotonic() > hasty:
+                        time.sleep(LOOK)
+                yield
+            finally:
+                state[at.RESUMED] = wanted
+
+    def _rehearse(self, change: Change | None) -> Parameters | None:
+        """Apply a change to a double of the axis and run that: it is refused here, and nothing is compiled later.
+
+        Returns the new parameters of the part, checked.
+        """
         double = self._double
         _copy_states(self.axis.parts, double.parts)
         if change is not None:
             double.apply(change)
-        own = pace_arrays(double, samples=1)
+        own = self._double_own
+        own.state[at.UNTIL] = own.state[at.SAMPLE] + 1
         own.column[signals.SETPOINT] = self._own.column[signals.SETPOINT]
         run, arguments = machine(double, own)
         run(*arguments)
+        return None if change is None else double.by_node[change.node].parameters
 
     # -- what it has made ----------------------------------------------------------------------------------------
 
@@ -371,3 +376,10 @@ def _copy_states(source, target) -> None:
             _copy_states(one, other)
         else:
             other[...] = one
+
+
+def _same(one, other) -> bool:
+    """Tell whether two named tuples hold the very same arrays and functions."""
+    if isinstance(one, tuple):
+        return len(one) == len(other) and all(map(_same, one, other))
+    return one is other

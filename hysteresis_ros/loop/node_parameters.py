@@ -289,5 +289,8 @@ NODE_PARAMETERS: dict[str, type[NodeParameters]] = {
 
 
 def part(parameters: Parameters, cls):
-    """Return the block's own parameters, an instance of ``cls``, out of the parameters of its node."""
-    return cls(**{item.name: getattr(parameters, item.name) for item in fields(cls)})
+    """Return the block's own parameters, out of the parameters of its node; always the same instance of ``cls``."""
+    kept = parameters.__dict__.setdefault("_parts", {})
+    if cls not in kept:
+        kept[cls] = cls(**{item.name: getattr(parameters, item.name) for item in fields(cls)})
+    return kept[cls]

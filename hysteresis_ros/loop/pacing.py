@@ -48,9 +48,12 @@ class Pace(NamedTuple):
 SAMPLE, HEAD, MISSED, TAKEN, SETPOINTS, REQUESTS, SPEEDS, SWITCHED, HALTED = range(9)
 SCHEDULED, EVENT_COUNT, LATEST, BUSY, BUSIEST, IN_ROW = range(9, 15)
 # Written from outside: 1: leave before the next sample; sample before which to leave, 0: never; number of posts; time
-# of sample 0 [ns], period [fs]; 1: without waiting; number of the first sample in the ring.
-LEAVE, UNTIL, POSTED, ORIGIN, PERIOD, UNPACED, FIRST = range(15, 22)
-STATES = 22
+# of sample 0 [ns], period [fs]; 1: without waiting; number of the first sample in the ring; number of the pause that
+# somebody wants, and of the last one that is over.
+LEAVE, UNTIL, POSTED, ORIGIN, PERIOD, UNPACED, FIRST, PAUSE, RESUMED = range(15, 24)
+# Number of the last pause that has begun.
+PAUSED = 24
+STATES = 25
 
 # A post: each with the number of times it was given so far.
 POST_SETPOINT, POST_SETPOINTS, POST_REQUEST, POST_REQUESTS, POST_SPEED, POST_SPEEDS = range(6)
@@ -65,6 +68,8 @@ LEAST, BINS, RESOLUTION = 100.0, 700, 30.0
 
 #: Longest wait in one piece [ns]: so soon somebody who wants it to leave is heard.
 PIECE = 50_000_000
+#: How often is looked whether a pause is over [ns].
+PAUSE_PIECE = 20_000
 #: Skipped samples in a row, as a part of the ring, after which readers get time, and how much [ns].
 CATCH_UP, BREATH = 4, 20_000_000
 
@@ -111,10 +116,21 @@ def deadline_of(state):
 
 
 @nested
-def await_deadline(state, timespec, deadline):
-    """Wait for a deadline [ns], or until somebody wants the loop to end; return the time [ns]."""
+def pause(state, timespec):
+    """Let somebody change the parts between two samples, as long as that takes; return the time [ns]."""
+    state[PAUSED] = state[PAUSE]
     now = clock(timespec)
-    while now < deadline and state[LEAVE] == 0:
+    while state[RESUMED] != state[PAUSED]:
+        sleep_until(timespec, now + PAUSE_PIECE)
+        now = clock(timespec)
+    return now
+
+
+@nested
+def await_deadline(state, timespec, deadline):
+    """Wait for a deadline [ns], or until somebody wants to change something; return the time [ns]."""
+    now = clock(timespec)
+    while now < deadline and state[LEAVE] == 0 and state[PAUSE] == state[RESUMED]:
         sleep_until(timespec, min(deadline, now + PIECE))
         now = clock(timespec)
     return now
@@ -190,7 +206,7 @@ def keep(own, begun):
 
 
 def pace(step, laws, parts, own, motor):
-    """Make samples until the last one, or until somebody wants to change something.
+    """Make samples until the last one, or until somebody wants it to leave.
 
     Parameters
     ----------
@@ -205,6 +221,9 @@ def pace(step, laws, parts, own, motor):
     state, column, timespec = own.state, own.column, own.timespec
     now = clock(timespec)
     while state[LEAVE] == 0 and (state[UNTIL] == 0 or state[SAMPLE] < state[UNTIL]):
+        if state[PAUSE] != state[RESUMED]:
+            now = pause(state, timespec)
+            continue
         deadline = now
         if state[UNPACED] == 0:
             deadline = deadline_of(state)

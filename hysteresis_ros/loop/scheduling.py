@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
+import gc
 import os
+import sys
+import time
 
 from hysteresis_ros.loop.node_parameters import RealtimeParameters
+
+#: Turn of a thread of Python while the loop waits for another one [s].
+TURN = 5e-4
 
 _TIMER_SLACK = 29
 _LOCK_PRESENT_AND_FUTURE = 3
@@ -49,6 +56,38 @@ def ask_for(parameters: RealtimeParameters) -> str:
             "/etc/security/limits.conf and a new login, or CAP_IPC_LOCK)"
         )
     return f"goes on without {'; without '.join(refused)}" if refused else ""
+
+
+@contextlib.contextmanager
+def boosted(parameters: RealtimeParameters):
+    """Run as urgently as the thread that keeps time, where that is permitted."""
+    priority = parameters.priority
+    before = None
+    if priority:
+        with contextlib.suppress(AttributeError, OSError):
+            before = os.sched_getscheduler(0), os.sched_getparam(0)
+            os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
+    try:
+        yield
+    finally:
+        if before is not None:
+            with contextlib.suppress(OSError):
+                os.sched_setscheduler(0, *before)
+
+
+@contextlib.contextmanager
+def undisturbed():
+    """Run without the garbage collector, and with other threads of Python in the way as shortly as possible."""
+    collects, interval = gc.isenabled(), sys.getswitchinterval()
+    gc.disable()
+    sys.setswitchinterval(TURN)
+    time.sleep(0.0)  # whoever waits for its turn has had one, and now waits for a whole turn again
+    try:
+        yield
+    finally:
+        sys.setswitchinterval(interval)
+        if collects:
+            gc.enable()
 
 
 def _reason(error: Exception) -> str:

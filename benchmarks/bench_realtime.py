@@ -1,0 +1,198 @@
+"""The fused loop in real time, in turns with a C loop that sleeps alike and does nothing; one core is kept busy."""
+
+from __future__ import annotations
+
+import gc
+import itertools
+import math
+import pathlib
+import shutil
+import statistics
+import subprocess
+import sys
+import tempfile
+import time
+from dataclasses import dataclass
+
+import common
+import numpy as np
+
+from hysteresis_ros.block import COMPILED
+from hysteresis_ros.configuration import load_configuration
+from hysteresis_ros.loop.axis import Axis
+from hysteresis_ros.loop.axis_parameters import AxisParameters
+from hysteresis_ros.loop.fused import FusedLoop
+from hysteresis_ros.loop.ring import Lateness, Samples
+from hysteresis_ros.signals import row_signals
+from hysteresis_ros.simulation.axes import single_axis
+
+#: Axes in real time, and the stroke [m] in which setpoints are given meanwhile.
+AXES = {"kim2009": 5e-6, "inchworm_travel": 2e-4}
+#: Of the C loop's lateness and missed deadlines; time beyond waiting [µs].
+RATIO, COST = 1.5, 2.0
+#: How often samples are taken and a setpoint is given [s].
+LOOK = 0.1
+#: Exit code of the C loop when it may not have its priority or core.
+REFUSED = 3
+
+
+@dataclass(frozen=True)
+class Turn:
+    """What one turn of the fused loop gave, and the C loop's lateness [ns] beside it."""
+
+    yardstick: np.ndarray
+    lateness: Lateness
+    lost: int
+    different: int
+
+
+def built(folder: pathlib.Path) -> pathlib.Path:
+    """Compile the C loop."""
+    if not shutil.which("gcc"):
+        raise common.BenchmarkError("gcc is missing: there is nothing to compare with")
+    program = folder / "pace"
+    source = pathlib.Path(__file__).with_name("pace.c")
+    subprocess.run(["gcc", "-O2", "-Wall", "-o", str(program), str(source)], check=True)
+    return program
+
+
+def yardstick(program, rate: float, samples: int, options) -> np.ndarray:
+    """Return the lateness [ns] of each sample of the C loop."""
+    command = [str(program), repr(rate), str(samples), str(options.priority), str(options.cpu)]
+    done = subprocess.run(command, stdout=subprocess.PIPE)
+    if done.returncode == REFUSED:
+        asked = f"--priority {options.priority} --cpu {options.cpu}"
+        raise common.BenchmarkError(f"{asked} is not permitted: give --priority 0, or ask for CAP_SYS_NICE")
+    if done.returncode:
+        raise common.BenchmarkError(f"the C loop ended with exit code {done.returncode}")
+    return np.frombuffer(done.stdout, dtype=np.int64)
+
+
+def fused(axis: AxisParameters, samples: int, stroke: float) -> tuple[FusedLoop, list[Samples]]:
+    """Run an axis in real time with a setpoint now and then; return it and what a reader took of it."""
+    loop = FusedLoop(Axis(axis), samples=samples, warn=print)
+    taken, random = [], np.random.default_rng(1)
+    gc.collect()
+    gc.disable()
+    loop.start()
+    while not loop.join(LOOK):
+        taken.append(loop.take())
+        loop.set(setpoint=stroke * random.random())
+    gc.enable()
+    if loop.failure:
+        raise common.BenchmarkError(loop.failure)
+    return loop, [*taken, loop.take()]
+
+
+def different_samples(loop: FusedLoop, taken: list[Samples], axis: AxisParameters) -> int:
+    """Return in how many samples the run and its offline twin are not the same bits."""
+    names = [signal.name for signal in row_signals(loop.axis.motor)]
+    made = dict(zip(names, np.concatenate([piece.table for piece in taken], axis=1), strict=True))
+    asked = {"requests": made["request"], "speeds": made["speed"]} if loop.axis.motor else {}
+    twin = Axis(axis).run(made["setpoint"], changes=loop.changes, skipped=made["skipped"], **asked)
+    unlike = [np.ascontiguousarray(made[name]).view(np.int64) != twin[name].view(np.int64) for name in names]
+    return int(np.count_nonzero(np.any(unlike, axis=0)))
+
+
+def one_turn(program, axis: AxisParameters, stroke: float, index: int, options) -> Turn:
+    """Let both run one after the other; which one begins changes from turn to turn."""
+    rate = axis.plant_simulator.sample_rate
+    samples = round(options.seconds * rate)
+    first = yardstick(program, rate, samples, options) if index % 2 == 0 else None
+    loop, taken = fused(axis, samples, stroke)
+    late = first if first is not None else yardstick(program, rate, samples, options)
+    lost = sum(piece.lost for piece in taken)
+    return Turn(late, loop.lateness(), lost, 0 if lost else different_samples(loop, taken, axis))
+
+
+def paced(program, name: str, options) -> list[common.Result]:
+    """Return the figures of one axis in real time."""
+    realtime = {"realtime.priority": options.priority, "realtime.cpu": options.cpu, "late_limit": -1}
+    configuration = load_configuration(name).override("plant_simulator", **realtime)
+    axis = single_axis(configuration)
+    rate = axis.plant_simulator.sample_rate
+    turns = [one_turn(program, axis, AXES[name], index, options) for index in range(options.turns)]
+    for turn in turns:
+        c, late = np.quantile(turn.yardstick, [0.5, 0.99, 0.999, 1.0]) * 1e-3, turn.lateness
+        missed = np.count_nonzero(turn.yardstick >= 1e9 / rate)
+        print(
+            f"{name}: p50 {late.p50 * 1e6:.1f}, p99 {late.p99 * 1e6:.1f}, p99.9 {late.p999 * 1e6:.1f}, max "
+            f"{late.max * 1e6:.0f} µs, missed {late.missed} of {late.samples}; C {c[0]:.1f}, {c[1]:.1f}, {c[2]:.1f}, "
+            f"{c[3]:.0f} µs, {missed}"
+        )
+    ours, theirs = [[turn.lateness.p99 for turn in turns], [np.quantile(t.yardstick, 0.99) * 1e-9 for t in turns]]
+    ratio = statistics.median(a / b for a, b in zip(ours, theirs, strict=True))
+    missed = sum(turn.lateness.missed for turn in turns)
+    beside = sum(int(np.count_nonzero(turn.yardstick >= 1e9 / rate)) for turn in turns)
+    cost = statistics.median(turn.lateness.cost for turn in turns) * 1e6
+    text = f"{1e6 * statistics.median(ours):.1f} µs, C {1e6 * statistics.median(theirs):.1f}"
+    total = sum(turn.lateness.samples for turn in turns)
+    title = f"{name}, {rate:g} Hz"
+    return [
+        common.Result(f"{title}: p99 lateness, of C", ratio, "at most", RATIO, text),
+        common.Result(
+            f"{title}: missed + 1, of C",
+            (missed + 1) / (beside + 1),
+            "at most",
+            RATIO,
+            f"{missed}, C {beside} of {total}",
+        ),
+        common.Result(f"{title}: µs beyond waiting", cost, "at most", COST),
+        common.Result(f"{title}: samples a reader lost", sum(turn.lost for turn in turns), "at most", 0),
+        common.Result(f"{title}: samples unlike the twin", sum(turn.different for turn in turns), "at most", 0),
+    ]
+
+
+def resident_bytes() -> int:
+    """Return the memory that this process has in RAM [B], exactly: other counts of Linux lag behind by some pages."""
+    for line in pathlib.Path("/proc/self/smaps_rollup").read_text().splitlines():
+        if line.startswith("Rss:"):
+            return int(line.split()[1]) * 1024
+    raise common.BenchmarkError("/proc/self/smaps_rollup has no Rss")
+
+
+def growth(ticks: int) -> common.Result:
+    """Return by how many bytes the process grows while a loop makes that many samples without waiting.
+
+    As in bench_memory.py it is nine times the median tenth, between a tenth of the ticks and the end.
+    """
+    loop = FusedLoop(Axis(single_axis(load_configuration("kim2009"))), math.inf, ticks)
+    loop.start()
+    found = []
+    for tenth in range(1, 11):
+        while loop.sample < tenth * ticks // 10:
+            time.sleep(0.01)
+        found.append(resident_bytes())
+    loop.join()
+    steps = [later - before for before, later in itertools.pairwise(found)]
+    detail = f"{found[0]} B at a tenth of them, {found[-1]} B at the end; {loop.lateness().cost * 1e6:.2f} µs a tick"
+    grown = len(steps) * statistics.median(steps)
+    return common.Result(f"bytes grown in {ticks} ticks", grown, "at most", 0, detail)
+
+
+def main() -> int:
+    """Run the benchmark; returns the exit code."""
+    parser = common.parser(__doc__)
+    parser.add_argument("--seconds", type=float, default=4.0, help="length of a turn of each (default 4)")
+    parser.add_argument("--turns", type=int, default=3, help="turns (default 3)")
+    parser.add_argument("--priority", type=int, default=80, help="of both, SCHED_FIFO; 0: normal (default 80)")
+    parser.add_argument("--cpu", type=int, default=-1, help="core of both, -1: any (default -1)")
+    parser.add_argument("--ticks", type=int, default=10**7, help="ticks without waiting (default 10^7)")
+    options = parser.parse_args()
+    if not COMPILED:
+        raise common.BenchmarkError("Numba is missing or switched off: there is no compiled loop to measure")
+    results = [growth(options.ticks)]
+    busy = subprocess.Popen([sys.executable, "-c", "while True: pass"])
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            program = built(pathlib.Path(folder))
+            for name in AXES:
+                results += paced(program, name, options)
+    finally:
+        busy.kill()
+        busy.wait()
+    return common.report(results, options)
+
+
+if __name__ == "__main__":
+    common.run(main)

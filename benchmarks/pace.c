@@ -1,0 +1,57 @@
+/* The yardstick of bench_realtime.py: the fused loop's waiting with nothing to do.
+
+   pace RATE SAMPLES PRIORITY CPU writes the lateness of each sample [ns], int64, to standard output. PRIORITY 0 is a
+   normal one, CPU -1 any. Exit code 3: priority or core are not permitted. */
+
+#define _GNU_SOURCE
+#include <sched.h>
+#include <stdint.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/prctl.h>
+#include <time.h>
+
+static int64_t now(void)
+{
+    struct timespec t;
+    clock_gettime(CLOCK_MONOTONIC, &t);
+    return (int64_t)t.tv_sec * 1000000000 + t.tv_nsec;
+}
+
+int main(int argc, char **argv)
+{
+    if (argc != 5) {
+        fprintf(stderr, "pace RATE SAMPLES PRIORITY CPU\n");
+        return 2;
+    }
+    const double period = 1e9 / atof(argv[1]);
+    const int64_t samples = atoll(argv[2]);
+    const int priority = atoi(argv[3]), cpu = atoi(argv[4]);
+    int64_t *late = malloc(samples * sizeof *late);
+    memset(late, 1, samples * sizeof *late);
+    prctl(PR_SET_TIMERSLACK, 1UL, 0UL, 0UL, 0UL);
+    if (priority) {
+        struct sched_param wanted = {.sched_priority = priority};
+        if (sched_setscheduler(0, SCHED_FIFO, &wanted)) return 3;
+    }
+    if (cpu >= 0) {
+        cpu_set_t wanted;
+        CPU_ZERO(&wanted);
+        CPU_SET(cpu, &wanted);
+        if (sched_setaffinity(0, sizeof wanted, &wanted)) return 3;
+    }
+    const int64_t origin = now() + 5000000;
+    for (int64_t k = 0; k < samples; k++) {
+        const int64_t deadline = origin + (int64_t)(k * period);
+        int64_t begun = now();
+        while (begun < deadline) {
+            const struct timespec t = {deadline / 1000000000, deadline % 1000000000};
+            clock_nanosleep(CLOCK_MONOTONIC, TIMER_ABSTIME, &t, NULL);
+            begun = now();
+        }
+        late[k] = begun - deadline;
+    }
+    fwrite(late, sizeof *late, samples, stdout);
+    return 0;
+}
