@@ -45,6 +45,7 @@ class ParameterRow:
     description: str
     read_only: bool
     required: bool
+    paths: bool = False
 
     @property
     def type_name(self) -> str:
@@ -57,6 +58,7 @@ class ParameterRow:
         text = self.type_name
         if self.choices:
             text += ", one of " + ", ".join(choice or "''" for choice in self.choices)
+            text += ", or a path with a /" if self.paths else ""
         elif self.low is not None and self.high is not None:
             text += f" in {self.low:g} … {self.high:g}{unit}"
         elif self.low is not None:
@@ -85,7 +87,7 @@ class ParameterRow:
                 above = self.high is not None and item > self.high
                 if below or above:
                     raise ParameterError([Problem(self.name, value, f"out of range, allowed: {self.allowed()}")])
-            if self.choices and item not in self.choices:
+            if self.choices and item not in self.choices and not (self.paths and "/" in item):
                 near = did_you_mean(item, self.choices)
                 raise ParameterError([Problem(self.name, value, f"unknown choice, allowed: {self.allowed()}{near}")])
         return converted
@@ -119,6 +121,7 @@ def parameter(
     high: float | None = None,
     choices: tuple[str, ...] | None = None,
     read_only: bool = False,
+    paths: bool = False,
 ) -> Any:
     """Declare one parameter of a block.
 
@@ -134,11 +137,12 @@ def parameter(
         Allowed strings.
     read_only : bool
         True for structure (sizes, rates, types); such parameters cannot change while a node is configured.
+    paths : bool
+        Beside the choices, a path is allowed: whatever contains a slash.
     """
     required = default is MISSING
-    metadata = dict(
-        description=description, unit=unit, low=low, high=high, choices=choices, read_only=read_only, required=required
-    )
+    metadata = dict(description=description, unit=unit, low=low, high=high, choices=choices, paths=paths)
+    metadata |= dict(read_only=read_only, required=required)
     return field(default=None if required else default, metadata=metadata)
 
 

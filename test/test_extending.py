@@ -52,7 +52,8 @@ def copy(tmp_path) -> pathlib.Path:
     """A copy of the package with configurations, contract tests and the tables of parameters."""
     package = pathlib.Path(hysteresis_ros.__file__).parent
     shutil.copytree(package, tmp_path / "hysteresis_ros", ignore=shutil.ignore_patterns("__pycache__"))
-    for name in ("docs/parameters.md", *(f"test/{contract}.py" for contract in CONTRACTS), "pyproject.toml"):
+    tests = [f"test/{name}.py" for name in (*CONTRACTS, "stage_support")]
+    for name in ("docs/parameters.md", *tests, "pyproject.toml"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
         shutil.copy(ROOT / name, tmp_path / name)
     shutil.copytree(ROOT / "config", tmp_path / "config")
@@ -141,7 +142,7 @@ def test_a_driver_is_one_file(copy):
     document(copy)
     output = run(printed("A driver", "sh"), copy, copy, NUMBA_DISABLE_JIT="1")
     assert "planned.npz: 50 samples at 100 Hz" in output
-    assert re.search(r"^=+ 8 passed, 8 deselected", output, re.MULTILINE), output
+    assert re.search(r"^=+ 9 passed, 18 deselected", output, re.MULTILINE), output
 
 
 def test_a_driver_may_be_in_a_package_of_its_own(tmp_path):

@@ -1,4 +1,4 @@
-"""Contract of the drivers: every one that the registry finds does what it declares, at its emulator."""
+"""Contract of the drivers: every one does what it declares, at its emulator; the one in C of examples/ among them."""
 
 from __future__ import annotations
 
@@ -8,18 +8,31 @@ import pathlib
 import time
 from dataclasses import replace
 
+import numpy as np
 import pytest
+from stage_support import built, needs_compiler
 
 from hysteresis_ros.configuration import dump_configuration, parse_configuration
 from hysteresis_ros.hardware.device import Device
-from hysteresis_ros.hardware.driver import Driver, DriverError
+from hysteresis_ros.hardware.driver import NOTHING_NEW, Driver, DriverError
+from hysteresis_ros.hardware.library import option_texts
+from hysteresis_ros.hardware.located import driver_of
 from hysteresis_ros.hardware.registry import DRIVERS
+from hysteresis_ros.loop.device import MAKE_SAFE, READ, WRITE, call_alone, call_with, link_to
 from hysteresis_ros.loop.node_parameters import PlantNodeParameters
 from hysteresis_ros.models.actuator import ActuatorParameters
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 RATE = 100.0
-drivers = pytest.mark.parametrize("declared", DRIVERS.values(), ids=DRIVERS)
+#: The driver of the example in C.
+C_STAGE = "c_stage"
+drivers = pytest.mark.parametrize("name", [*DRIVERS, pytest.param(C_STAGE, marks=needs_compiler)])
+
+
+@pytest.fixture
+def declared(name):
+    """The declaration; of the example that which its file gives."""
+    return driver_of(str(built() / "stage.py")) if name == C_STAGE else DRIVERS[name]
 
 
 @pytest.fixture
@@ -53,18 +66,20 @@ def hold(device, voltage: float, samples: int = 20) -> float:
 
 @drivers
 def test_it_says_what_it_is_and_its_parameters_are_documented_and_come_back_from_yaml(declared):
-    assert declared.name == declared.name.lower() and declared.title and issubclass(declared.driver, Driver)
-    rows = {row.name: row for row in PlantNodeParameters.table()}
-    assert declared.name in rows["driver"].choices
-    own = "" if issubclass(PlantNodeParameters, declared.parameters) else f"{declared.name}."
-    assert {own + row.name for row in declared.parameters.table()} <= set(rows), "another group has this name"
+    assert declared.title and issubclass(declared.driver, Driver)
+    if declared.name in DRIVERS:
+        assert declared.name == declared.name.lower()
+        rows = {row.name: row for row in PlantNodeParameters.table()}
+        assert declared.name in rows["driver"].choices
+        own = "" if issubclass(PlantNodeParameters, declared.parameters) else f"{declared.name}."
+        assert {own + row.name for row in declared.parameters.table()} <= set(rows), "another group has this name"
     assert all(row.description for row in declared.parameters.table())
     with declared.emulator() as parameters:
         assert isinstance(parameters, declared.parameters)
         given = {name: value for name, value in parameters.validated().to_mapping().items() if value != ()}
         text = dump_configuration({"/**/node": given})
         assert declared.parameters.from_mapping(parse_configuration(text, "test").node("node")) == parameters
-    if declared.driver.__module__.startswith("hysteresis_ros."):
+    if declared.name in DRIVERS and declared.driver.__module__.startswith("hysteresis_ros."):
         text = (ROOT / "docs" / "parameters.md").read_text(encoding="utf-8")
         missing = [row for row in declared.parameters.table() if f"`{own}{row.name}`" not in text]
         assert declared.name in text and not missing, "let `hysteresis parameters` print the tables anew"
@@ -74,8 +89,11 @@ def test_it_says_what_it_is_and_its_parameters_are_documented_and_come_back_from
 def test_it_is_opened_by_the_parameters_of_the_plants_node(declared):
     limits = {"hysteresis.type": "proportional", "hysteresis.proportional.gain": 1e-7}
     with declared.emulator() as parameters:
-        own = "" if declared.parameters is ActuatorParameters else f"{declared.name}."
-        given = {own + name: value for name, value in parameters.to_mapping().items()}
+        if declared.name in DRIVERS:
+            own = "" if declared.parameters is ActuatorParameters else f"{declared.name}."
+            given = {own + name: value for name, value in parameters.to_mapping().items()}
+        else:
+            given = {"driver_options": option_texts(parameters)}
         values = {"limits.minimum": 0.0, "limits.maximum": 1.0, **limits, **given, "driver": declared.name}
         assert PlantNodeParameters.from_mapping(values).driver_parameters == parameters
 
@@ -116,6 +134,25 @@ def test_no_voltage_that_is_no_number_or_out_of_range_reaches_it(declared):
         device.write([can.maximum])
         assert heard == [(can.minimum,), (can.maximum,)]
         device.close()
+
+
+@drivers
+def test_what_machine_code_calls_is_what_python_calls(opened):
+    """A driver without a compiled form says so, and serves message by message."""
+    compiled = opened.compiled()
+    if compiled is None:
+        return
+    can = opened.capabilities
+    voltages, positions = np.full(can.voltages, can.minimum), np.full(can.joints, math.nan)
+    link = link_to(compiled)
+    voltages[0] = 0.5 * (can.minimum + can.maximum)
+    for _ in range(30):
+        assert call_with(link, WRITE, voltages) == 0
+        time.sleep(1.0 / RATE)
+        assert call_with(link, READ, positions) in (0, NOTHING_NEW)
+    there = hold(opened, voltages[0])
+    assert positions[0] == pytest.approx(there, abs=0.02 * abs(there))
+    assert call_alone(link, MAKE_SAFE) == 0
 
 
 @drivers

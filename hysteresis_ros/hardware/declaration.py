@@ -25,13 +25,14 @@ class HardwareDriver:
         anyway names that class, for instance ``ActuatorParameters``, and has no group.
     driver : type of Driver
         Made without arguments.
-    emulator : callable
+    emulator : callable, optional
         ``emulator()`` returns a context manager that stands in for the device, or for its like, and gives the
-        parameters to open it with: to try the driver without the device, and for the contract test.
+        parameters to open it with: to try the driver without the device, and for the contract test. Only a library
+        that is named by its path has none.
     """
 
     name: str
     title: str
     parameters: type[Parameters]
     driver: type[Driver]
-    emulator: Callable[[], AbstractContextManager[Parameters]]
+    emulator: Callable[[], AbstractContextManager[Parameters]] | None = None

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 
 from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.hardware.declaration import HardwareDriver
-from hysteresis_ros.hardware.driver import Capabilities, DriverError
+from hysteresis_ros.hardware.driver import Capabilities, Compiled, DriverError
 from hysteresis_ros.parameters import Parameters
 
 
@@ -57,6 +57,10 @@ class Device:
             self.close()
             raise
 
+    def __deepcopy__(self, memo) -> Device:
+        """Return itself: a double of an axis has no device of its own."""
+        return self
+
     @contextlib.contextmanager
     def _named(self, what: str, *passed: type[Exception]) -> Iterator[None]:
         if not self._open:
@@ -77,12 +81,14 @@ class Device:
         Raises
         ------
         DriverError
-            The device does not answer, or with another number of positions than it said.
+            The device does not answer, with another number of positions than it said, or with an infinite one.
         """
         with self._named("cannot be read"):
             positions = tuple(map(float, self._driver.read().positions))
             if len(positions) != self.capabilities.joints:
                 raise ValueError(f"{len(positions)} positions of {self.capabilities.joints} joints")
+            if any(map(math.isinf, positions)):
+                raise ValueError("an infinite position")
             return positions
 
     def write(self, voltages: Sequence[float]) -> None:
@@ -106,6 +112,17 @@ class Device:
                 if not (math.isfinite(voltage) and low <= voltage <= high):
                     raise ValueError(f"{voltage:g} V is not within {low:g} … {high:g} V")
             self._driver.write(voltages)
+
+    def compiled(self) -> Compiled | None:
+        """Return the functions by which machine code reads and writes the device; None when only Python can.
+
+        Raises
+        ------
+        DriverError
+            The driver does not know.
+        """
+        with self._named("has no compiled form"):
+            return self._driver.compiled()
 
     def make_safe(self) -> None:
         """Bring the device to its safe state; once it is closed, nothing.

@@ -8,7 +8,7 @@ time; a method returns within a small part of a sample.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -49,6 +49,11 @@ class Capabilities:
         Samples per second that it can be read and written [Hz].
     watchdog : float or None
         Time without :meth:`Driver.write` after which the device goes to its safe state by itself [s], if it does.
+    keeps_time : bool
+        Whether the device decides when a sample is, and :meth:`Driver.read` waits for it. The package has no loop that
+        follows a device: one that insists is refused.
+    position_unit, voltage_unit : str
+        Units of what is read and put out; a driver converts, others than ``m`` and ``V`` are refused.
     """
 
     joints: int
@@ -57,6 +62,28 @@ class Capabilities:
     maximum: float
     highest_rate: float
     watchdog: float | None = None
+    keeps_time: bool = False
+    position_unit: str = "m"
+    voltage_unit: str = "V"
+
+
+class Compiled(NamedTuple):
+    """Functions of an open device that machine code calls by their addresses, as in ``hysteresis_driver.h``."""
+
+    #: ``int32_t read(void *device, double *positions)``: 0, an error code, or :data:`NOTHING_NEW`.
+    read: int
+    #: ``int32_t write(void *device, const double *voltages)``: 0 or an error code.
+    write: int
+    #: ``int32_t make_safe(void *device)``: 0 or an error code.
+    make_safe: int
+    #: The device.
+    device: int
+    #: What an error code means.
+    explain: Callable[[int], DriverError]
+
+
+#: Result of reading: there is no measurement in this sample, and nothing is wrong.
+NOTHING_NEW = -1
 
 
 class Reading(NamedTuple):
@@ -113,6 +140,14 @@ class Driver(ABC):
         DriverError
             They cannot be put out.
         """
+
+    def compiled(self) -> Compiled | None:
+        """Return the functions by which machine code reads and writes the open device; None: only Python can.
+
+        They are there until :meth:`close`.
+        Without them the fused loop does not take the driver: Python would have to wait for its lock in each sample.
+        """
+        return None
 
     @abstractmethod
     def make_safe(self) -> None:

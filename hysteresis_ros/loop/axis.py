@@ -13,7 +13,7 @@ from hysteresis_ros.block import specialised
 from hysteresis_ros.loop.axis_parameters import AxisParameters
 from hysteresis_ros.loop.compensator import CompensatorPart
 from hysteresis_ros.loop.controller import ControllerPart
-from hysteresis_ros.loop.plant import PLANTS
+from hysteresis_ros.loop.plant import PLANTS, Plant
 from hysteresis_ros.loop.source import GeneratorSource, SequencerSource
 from hysteresis_ros.loop.tick import ANSWER, ANSWERED, BEFORE, CONFIRM, MEASURE, MEASURED, WHOLE, Laws, Parts, ticks
 
@@ -67,6 +67,8 @@ class Axis:
     ----------
     parameters : AxisParameters
         Parameters of all nodes.
+    plant : Plant, optional
+        What stands in the plant's place; by default the simulated plant, whatever driver the parameters name.
 
     Attributes
     ----------
@@ -74,10 +76,10 @@ class Axis:
         The parts; their state goes on from one :meth:`run` to the next.
     """
 
-    def __init__(self, parameters: AxisParameters):
+    def __init__(self, parameters: AxisParameters, plant: Plant | None = None):
         self.parameters = parameters
         self.motor = parameters.inchworm_sequencer is not None
-        self.plant = PLANTS[parameters.plant_simulator.type](parameters.plant_simulator)
+        self.plant = plant or PLANTS[parameters.plant_simulator.type](parameters.plant_simulator)
         if self.motor:
             self.source = SequencerSource(parameters.inchworm_sequencer)
         else:
@@ -125,10 +127,11 @@ class Axis:
     @property
     def given(self) -> np.ndarray:
         """Places of what a run is given, for the loop."""
-        return np.array(signals.GIVEN if self.motor else signals.GIVEN[: signals.ACTUATOR_GIVEN], dtype=float)
+        places = signals.GIVEN if self.motor else signals.GIVEN[: signals.ACTUATOR_GIVEN]
+        return np.array([*places, *self.plant.given], dtype=float)
 
     def run(
-        self, setpoints, requests=None, speeds=None, changes: Sequence[Change] = (), skipped=None
+        self, setpoints, requests=None, speeds=None, changes: Sequence[Change] = (), skipped=None, answers=None
     ) -> dict[str, np.ndarray]:
         """Simulate ``len(setpoints)`` samples.
 
@@ -144,6 +147,8 @@ class Axis:
             What changes between samples, in the order of their samples.
         skipped : array_like, shape (N,), optional
             1 at each sample whose time was missed: nobody measured or answered, the voltage stayed.
+        answers : dict of str to array_like, shape (N,), optional
+            Of a device's twin: the signals ``measured`` and ``tripped`` as they were.
 
         Returns
         -------
@@ -162,6 +167,8 @@ class Axis:
         columns = np.empty((len(row), count))
         columns[signals.SETPOINT] = setpoints
         columns[signals.SKIPPED] = 0.0 if skipped is None else skipped
+        for place in self.plant.given:
+            columns[place] = 0.0 if answers is None else answers[signals.SIGNALS[place].name]
         if self.motor:
             columns[signals.REQUEST] = 0.0 if requests is None else requests
             columns[signals.SPEED] = math.nan if speeds is None else speeds

@@ -9,29 +9,42 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import numpy as np
+
 from hysteresis_ros import signals as at
 from hysteresis_ros.block import interpreted
 from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.hardware.device import Device
 from hysteresis_ros.hardware.driver import Capabilities, DriverError
-from hysteresis_ros.hardware.registry import DRIVERS
+from hysteresis_ros.hardware.library import nonsense
+from hysteresis_ros.hardware.located import driver_of
 from hysteresis_ros.loop import faults as faulty
+from hysteresis_ros.loop.device import (
+    ANSWERS,
+    CODE,
+    FAILED,
+    NONSENSE,
+    READING,
+    SAFE_CODE,
+    DevicePlantArrays,
+    link_to,
+)
 from hysteresis_ros.loop.node_parameters import PlantNodeParameters
 from hysteresis_ros.loop.plant import (
+    DEVICE_FAILED,
     PLANTS,
     TRIP,
-    WITHOUT_VOLTAGE,
     Plant,
     actuate,
     sense,
     watched_voltage,
 )
 from hysteresis_ros.loop.watch import FOLLOWS, HELD, hold_state, hold_voltage
-from hysteresis_ros.models.limits import FLAGS, LIMITED_SAMPLES, OUTPUT, UNQUANTISED, Limits, LimitsParameters
+from hysteresis_ros.models.limits import FLAGS, LIMITED_SAMPLES, OUTPUT, UNQUANTISED, Limits, LimitsParameters, limits
 
 
 class DrivenPlant(Plant):
-    """One actuator that is a device. It runs as plain Python only.
+    """One actuator that is a device, driven from Python.
 
     After opening and after :meth:`make_safe` the device is taken to be at ``safe_voltage``.
 
@@ -49,6 +62,8 @@ class DrivenPlant(Plant):
     #: Nothing of it is compiled.
     kernels = (None,) * 3
 
+    _failure = ""
+
     def __init__(self, parameters: PlantNodeParameters):
         self.limits = Limits(_without_grid(parameters.limits), 1.0 / parameters.sample_rate)
         super().__init__(parameters)
@@ -59,14 +74,28 @@ class DrivenPlant(Plant):
             self.limits.step(watched_voltage(self._watch_p, self._watch_x, row))
         self.reset()
         self._at_rest()
-        self._device = Device(
-            DRIVERS[parameters.driver], parameters.driver_parameters, parameters.sample_rate, self._require
-        )
+        self._open(parameters)
+
+    def _open(self, parameters: PlantNodeParameters) -> None:
+        declared = driver_of(parameters.driver)
+        self._device = Device(declared, parameters.driver_parameters, parameters.sample_rate, self._require)
+
+    @property
+    def failure(self) -> str:
+        """What is wrong with a device that has stopped the axis."""
+        return self._failure
 
     def _require(self, can: Capabilities) -> None:
         """Raise a DriverError unless the device is what the axis needs."""
         parameters, device = self.parameters, f"driver {self.parameters.driver}:"
         low, high, rate = parameters.limits.minimum, parameters.limits.maximum, parameters.sample_rate
+        if can.keeps_time:
+            remedy = "the package has its own: let the driver sample it, or write a node (docs/hardware.md)"
+            raise DriverError(device, "the device insists on keeping the time", remedy)
+        units = can.position_unit, can.voltage_unit
+        if units != ("m", "V"):
+            remedy = "an axis has m and V: let the driver convert"
+            raise DriverError(device, f"the device reads {units[0]!r} and puts out {units[1]!r}", remedy)
         if can.joints != 1:
             raise DriverError(device, f"the device has {can.joints} joints", "an axis has 1: choose another device")
         if can.voltages < 1:
@@ -85,6 +114,10 @@ class DrivenPlant(Plant):
     def capabilities(self) -> Capabilities:
         """What the device is able to do."""
         return self._device.capabilities
+
+    @property
+    def _range(self) -> tuple[float, float]:
+        return self.capabilities.minimum, self.capabilities.maximum
 
     @property
     def resting_voltages(self) -> tuple[float, float, float]:
@@ -144,12 +177,12 @@ class DrivenPlant(Plant):
 
     def _fail(self, error: DriverError) -> None:
         """Stop the axis: the device is made safe, as far as it still listens."""
-        self.failure = str(error)
-        self._watch_x.trip[TRIP] = WITHOUT_VOLTAGE
+        self._failure = str(error)
+        self._watch_x.trip[TRIP] = DEVICE_FAILED
         try:
             self._device.make_safe()
         except DriverError as another:
-            self.failure += f"; and it {another.problem}"
+            self._failure += f"; and it {another.problem}"
         self._at_rest()
 
     def _at_rest(self) -> None:
@@ -163,7 +196,7 @@ class DrivenPlant(Plant):
     def start(self) -> None:
         """Let the axis go on; a device that has failed is tried again."""
         super().start()
-        self.failure = ""
+        self._failure = ""
 
     def reset(self) -> None:
         """Begin again where the device is: its voltage goes to the safe one, and to what comes, without a jump."""
@@ -171,7 +204,7 @@ class DrivenPlant(Plant):
         super().reset()
         self._watch_x.hold[HELD], self._watch_x.hold[FOLLOWS] = held, 0.0
         self.limits.x[FLAGS] = self.limits.x[LIMITED_SAMPLES] = 0.0
-        self.failure = ""
+        self._failure = ""
 
     def retune(self, parameters: PlantNodeParameters) -> None:
         """Take new limits, time-outs and safe voltages while running."""
@@ -180,7 +213,7 @@ class DrivenPlant(Plant):
             if not name.startswith("limits.") and value != before.to_mapping().get(name):
                 allowed = f"the driver {parameters.driver} is open: deactivate and clean up the node first"
                 raise ParameterError([Problem(name, value, allowed)])
-        low, high = self.capabilities.minimum, self.capabilities.maximum
+        low, high = self._range
         for name in ("minimum", "maximum"):
             if not low <= getattr(parameters.limits, name) <= high:
                 allowed = f"must lie within the device's range of {low:g} … {high:g} V"
@@ -196,6 +229,14 @@ class DrivenPlant(Plant):
         self._put_out(hold_voltage(p, x, math.nan, 1.0, -math.inf))
         return True
 
+    def refresh(self) -> None:
+        """Put the voltage out again, for the device's watchdog."""
+        if not self.failure:
+            try:
+                self._device.write((float(self.limits.x[OUTPUT]),))
+            except DriverError as error:
+                self._fail(error)
+
     def make_safe(self) -> None:
         """Bring the device to its safe state.
 
@@ -210,6 +251,87 @@ class DrivenPlant(Plant):
     def close(self) -> None:
         """Let go of the device."""
         self._device.close()
+
+
+class CompiledPlant(DrivenPlant):
+    """One actuator that is a device, read and written by machine code.
+
+    Parameters
+    ----------
+    parameters : PlantNodeParameters
+        With a driver that has a compiled form.
+    linked : bool
+        Whether there is a device. A twin of a recorded run has none: it is given what the device answered.
+
+    Raises
+    ------
+    DriverError
+        The device cannot be opened, is not what the axis needs, or only Python reaches it.
+    """
+
+    # places where others have the law of a simulated plant
+    kernels = (limits,) * 3
+
+    given = (at.MEASURED, at.TRIPPED)
+
+    def __init__(self, parameters: PlantNodeParameters, linked: bool = True):
+        self._linked = linked
+        super().__init__(parameters)
+        compiled = joints = None
+        if linked:
+            compiled, joints = self._device.compiled(), self.capabilities
+            if compiled is None:
+                self.close()
+                problem = "is written in Python, which would wait for its lock in each sample"
+                remedy = "run the axis without --fused, or give the driver a compiled form (docs/hardware.md)"
+                raise DriverError(f"driver {parameters.driver}:", problem, remedy)
+        sizes = (joints.joints, joints.voltages) if joints is not None else (1, 1)
+        self.arrays = DevicePlantArrays(
+            link_to(compiled),
+            np.zeros(ANSWERS, dtype=np.int64),
+            *map(np.zeros, sizes),
+            self.limits.p,
+            self.limits.x,
+            self._watch_p,
+            self._watch_x,
+        )
+        self.reset()
+
+    def _open(self, parameters: PlantNodeParameters) -> None:
+        if self._linked:
+            super()._open(parameters)
+
+    @property
+    def _range(self) -> tuple[float, float]:
+        return super()._range if self._linked else (-math.inf, math.inf)
+
+    @property
+    def failure(self) -> str:
+        """What is wrong with a device that has stopped the axis."""
+        if self._watch_x.trip[TRIP] != DEVICE_FAILED or self._failure or not self._linked:
+            return self._failure
+        failed, code, safe_code = (int(self.arrays.answer[place]) for place in (FAILED, CODE, SAFE_CODE))
+        explain = self._device.compiled().explain
+        what = "written" if failed not in (READING, NONSENSE) else "read"
+        error = nonsense(self.parameters.driver) if failed == NONSENSE else explain(code)
+        text = f"driver {self.parameters.driver}: cannot be {what}: {error}"
+        return f"{text}; and it cannot be made safe: {explain(safe_code).problem}" if safe_code else text
+
+    def make_safe(self) -> None:
+        """Bring the device to its safe state.
+
+        Raises
+        ------
+        DriverError
+            It does not answer.
+        """
+        if self._linked:
+            super().make_safe()
+
+    def close(self) -> None:
+        """Let go of the device."""
+        if self._linked:
+            super().close()
 
 
 def _without_grid(limits: LimitsParameters) -> LimitsParameters:
@@ -241,3 +363,22 @@ def plant_of(parameters: PlantNodeParameters) -> Plant:
         The device cannot be opened, or is not what the axis needs.
     """
     return DrivenPlant(parameters) if parameters.driver else PLANTS[parameters.type](parameters)
+
+
+def fused_plant_of(parameters: PlantNodeParameters, linked: bool = True) -> Plant:
+    """Return the plant of an axis that machine code runs: the device of its driver, or the simulated one of its type.
+
+    Parameters
+    ----------
+    parameters : PlantNodeParameters
+    linked : bool
+        Whether a device is opened; without it the plant is given what the device answered.
+
+    Raises
+    ------
+    DriverError
+        The device cannot be opened, is not what the axis needs, or only Python reaches it.
+    """
+    if not parameters.driver:
+        return PLANTS[parameters.type](parameters)
+    return CompiledPlant(parameters, linked)

@@ -11,7 +11,9 @@ from dataclasses import dataclass, fields
 from hysteresis_ros.compensation.compensator import CompensatorParameters
 from hysteresis_ros.compensation.reachable import resting_displacements
 from hysteresis_ros.control.controller import ControllerParameters
-from hysteresis_ros.errors import Problem
+from hysteresis_ros.errors import ParameterError, Problem
+from hysteresis_ros.hardware.driver import DriverError
+from hysteresis_ros.hardware.located import driver_of, options_of
 from hysteresis_ros.hardware.registry import DRIVERS
 from hysteresis_ros.models.actuator import ActuatorParameters
 from hysteresis_ros.models.inchworm import JOINT_NAMES, InchwormParameters, seed_problems
@@ -97,8 +99,13 @@ class PlantNodeParameters(NodeParameters, ActuatorParameters):
     driver: str = parameter(
         "",
         choices=("", *DRIVERS),
+        paths=True,
         read_only=True,
-        description="realtime: driver of the device that stands in the simulated plant's place; '': none",
+        description="realtime: driver of the device that stands in the simulated plant's place, by its name or as the "
+        "path of a Python file that declares DRIVER or of a shared library; '': none",
+    )
+    driver_options: tuple[str, ...] = parameter(
+        (), read_only=True, description="what a driver that is given by its path is opened with, 'NAME=VALUE' each"
     )
     real_time_factor: float = parameter(
         1.0, low=1.0e-6, high=1.0e3, read_only=True, description="realtime: simulated seconds per second of wall clock"
@@ -160,7 +167,23 @@ class PlantNodeParameters(NodeParameters, ActuatorParameters):
     @property
     def driver_parameters(self) -> Parameters:
         """What the driver is opened with."""
-        return getattr(self, self.driver) if self.driver in _OWN else part(self, ActuatorParameters)
+        if self.driver in _OWN:
+            return getattr(self, self.driver)
+        if self.driver in DRIVERS:
+            return part(self, ActuatorParameters)
+        return options_of(driver_of(self.driver), self.driver_options)
+
+    def _driver_problems(self):
+        if self.driver in DRIVERS and self.driver_options:
+            allowed = f"belong to a driver that is given by its path; {self.driver} has parameters of its own"
+            yield Problem("driver_options", self.driver_options, allowed)
+        try:
+            self.driver_parameters.validated()
+        except DriverError as error:
+            yield Problem("driver", self.driver, str(error))
+        except ParameterError as error:
+            # those of the registry stand in the table and have been looked at
+            yield from error.problems if self.driver not in DRIVERS else ()
 
     def _unfit_for_a_driver(self):
         if self.time_mode != "realtime":
@@ -185,7 +208,10 @@ class PlantNodeParameters(NodeParameters, ActuatorParameters):
             )
             yield Problem("safe_voltage", self.safe_voltage, allowed)
         if self.driver:
+            yield from self._driver_problems()
             yield from self._unfit_for_a_driver()
+        elif self.driver_options:
+            yield Problem("driver_options", self.driver_options, "belong to a driver: give its path as driver")
         if self.type == "inchworm":
             yield from seed_problems(self)
             others = JOINT_NAMES[1:]

@@ -98,9 +98,9 @@ TARGETS = (faulty.VOLTAGE, faulty.GRIP)
 LIMIT, FORGIVEN, LOWEST, HIGHEST, STIFFNESS = range(5)
 TRIP_PARAMETERS = 5
 
-# Why the plant has tripped: too many late voltages, or a device that failed; a measurement beyond where it may be;
-# somebody said so.
-NOT_TRIPPED, WITHOUT_VOLTAGE, BEYOND_TRAVEL, HALTED = range(4)
+# Why the plant has tripped: too many late voltages; a measurement beyond where it may be; somebody said so; a device
+# that failed, which nothing but a start makes up for.
+NOT_TRIPPED, WITHOUT_VOLTAGE, BEYOND_TRAVEL, HALTED, DEVICE_FAILED = range(5)
 
 # Its state: why it has tripped, late voltages so far, late ones in a row, late ones that are not forgiven yet.
 TRIP, LATE, IN_ROW, LEVEL = range(4)
@@ -284,6 +284,9 @@ class Plant:
     #: What is wrong with a device that has stopped the axis.
     failure = ""
 
+    #: Places in the row of what a run is given for this plant, beside what every run is.
+    given: tuple[int, ...] = ()
+
     @property
     def overtravelled(self) -> bool:
         """Whether a measurement has stopped the axis."""
@@ -332,7 +335,7 @@ class Plant:
 
     def halt(self) -> None:
         """Stop the axis at once, until it is started again."""
-        self._watch_x.trip[TRIP] = HALTED
+        self._watch_x.trip[TRIP] = max(self._watch_x.trip[TRIP], HALTED)
 
     def forgive(self) -> None:
         """Forget late voltages: only what follows counts."""
@@ -360,6 +363,9 @@ class Plant:
     def step_to_safe(self) -> bool:
         """Take the voltage of a device a sample further towards its safe one; False when it is there."""
         return False
+
+    def refresh(self) -> None:
+        """Tell a device again what it puts out: its watchdog must not take a pause between samples for a failure."""
 
     def make_safe(self) -> None:
         """Bring a device to its safe state."""

@@ -49,7 +49,7 @@ def switch(laws, parts, column, code):
             if i != planting.LATE:
                 trip[i] = 0.0
     if code in (HALT_PLANT, HALT):
-        trip[planting.TRIP] = planting.HALTED
+        trip[planting.TRIP] = max(trip[planting.TRIP], planting.HALTED)
     if code in (STOP_CONTROLLER, HALT):
         controller[controlling.STOP] = 1.0
     if code in (STOP_COMPENSATOR, HALT):

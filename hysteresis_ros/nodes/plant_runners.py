@@ -17,6 +17,9 @@ from hysteresis_ros.nodes.spin import QUIET
 #: Real time: longer waits can be interrupted, the last bit of a wait is slept because that is more exact [s].
 EXACT_WAIT = 0.02
 
+#: How often a device hears of the node between samples [s].
+PAUSE = 0.01
+
 #: Nodes of an axis that read joint_states.
 READERS = 3
 
@@ -286,7 +289,7 @@ class RealTimePlant(RealTime):
         deadline = time.monotonic()
         while not self._leaving.is_set() and not self._ended:
             if not node.running:
-                self._leaving.wait(0.01)
+                self._pause(PAUSE)
                 deadline = time.monotonic()
                 continue
             if self._unaligned:
@@ -313,6 +316,12 @@ class RealTimePlant(RealTime):
                 if node.parameters.samples and node.sample >= node.parameters.samples:
                     self._ended = True
                     node.finish()
+
+    def _pause(self, duration: float) -> None:
+        """Wait for a moment between samples; a device is told that somebody is there."""
+        with self.node.lock:
+            self.node.part.refresh()
+        self._leaving.wait(duration)
 
     def _finish_sample(self) -> None:
         """Finish a sample; voltages that are missing because somebody has left the loop are not called late."""
@@ -360,7 +369,7 @@ class RealTimePlant(RealTime):
             )
             if idle > quiet:
                 break
-            self._leaving.wait(0.1 * quiet)
+            self._pause(min(PAUSE, 0.1 * quiet))
         with node.lock:
             self._given = dict.fromkeys(self._given, self._asked)
             node.part.forgive()

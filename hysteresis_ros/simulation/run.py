@@ -9,6 +9,7 @@ import numpy as np
 from hysteresis_ros.errors import ConfigurationError, RecordingError
 from hysteresis_ros.loop.axis import STEPS, Axis, Change
 from hysteresis_ros.loop.axis_parameters import AxisParameters
+from hysteresis_ros.loop.driven import fused_plant_of
 from hysteresis_ros.loop.tick import BEFORE
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.replay import requests_per_sample
@@ -23,6 +24,7 @@ def simulate(
     speeds=None,
     changes: Sequence[Change] = (),
     skipped=None,
+    answers: dict | None = None,
     describe: bool = True,
 ) -> Recording:
     """Run an axis offline from rest.
@@ -41,6 +43,8 @@ def simulate(
         What changes while the axis runs.
     skipped : array_like, shape (N,), optional
         1 at each sample whose time was missed, see :meth:`Axis.run`; none after the last one.
+    answers : dict of str to array_like, shape (N,), optional
+        What a device measured in the simulated plant's place, see :meth:`Axis.run`; nothing after the last sample.
     describe : bool
         Put the text of the configuration into the metadata; writing it takes longer than a short run.
 
@@ -51,7 +55,8 @@ def simulate(
     """
     if duration is not None:
         parameters = parameters.with_duration(duration)
-    axis = Axis(parameters)
+    plant = fused_plant_of(parameters.plant_simulator, linked=False) if answers else None
+    axis = Axis(parameters, plant)
     if duration is not None:
         samples = parameters.plant_simulator.samples
     else:
@@ -61,6 +66,8 @@ def simulate(
     setpoints = axis.default_setpoints(samples) if setpoints is None else _padded(setpoints, samples, setpoints[-1])
     asked = {"requests": (requests, 0.0), "speeds": (speeds, np.nan), "skipped": (skipped, 0.0)}
     given = {name: _padded(values, samples, rest) for name, (values, rest) in asked.items() if values is not None}
+    if answers:
+        given["answers"] = {name: _padded(values, samples, np.nan) for name, values in answers.items()}
     signals = axis.run(setpoints, changes=changes, **given)
     metadata = {
         "configuration": parameters.configuration_text() if describe else "",
@@ -118,7 +125,9 @@ def _value(value):
 
 
 def differences(recorded: Recording, parameters: AxisParameters) -> dict[str, int]:
-    """Compare a recorded lockstep run with its offline twin, bit for bit.
+    """Compare a recorded run, in lockstep or fused, with its offline twin, bit for bit.
+
+    What a device measured is not computed again, but everything that followed from it.
 
     Returns
     -------
@@ -126,6 +135,9 @@ def differences(recorded: Recording, parameters: AxisParameters) -> dict[str, in
         Number of differing samples of each signal that differs; empty when all agree.
     """
     given = requests_per_sample(recorded) | {"skipped": recorded.signals.get("skipped")}
+    if parameters.plant_simulator.driver:
+        nothing = np.zeros(len(recorded))
+        given["answers"] = {name: recorded.signals.get(name, nothing) for name in ("measured", "tripped")}
     twin = simulate(parameters, setpoints=recorded.signals["setpoint"], changes=changes_of(recorded), **given)
     columns = {"time": (recorded.time, twin.time)}
     columns |= {name: (values, twin.signals[name]) for name, values in recorded.signals.items() if name in twin}

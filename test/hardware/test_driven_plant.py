@@ -18,7 +18,7 @@ from hysteresis_ros.hardware.registry import DRIVERS
 from hysteresis_ros.loop.axis_parameters import AxisParameters
 from hysteresis_ros.loop.driven import DrivenPlant, plant_of
 from hysteresis_ros.loop.node_parameters import PlantNodeParameters
-from hysteresis_ros.loop.plant import actuate, sense
+from hysteresis_ros.loop.plant import DEVICE_FAILED, actuate, sense
 from hysteresis_ros.loop.tick import Laws
 from hysteresis_ros.loop.watch import STALE, TRIPPED
 
@@ -114,7 +114,7 @@ def test_a_device_that_fails_is_made_safe_and_left_alone_until_start(device, cal
     device.failing = call
     rows = run(plant, [60.0] * 20)
     assert plant.tripped and plant.failure.startswith(f"driver simulated: cannot be {said}: OSError: unplugged")
-    assert rows[-1, at.TRIPPED] == 1.0 and rows[-1, at.PLANT_MODE] == TRIPPED
+    assert rows[-1, at.TRIPPED] == DEVICE_FAILED and rows[-1, at.PLANT_MODE] == TRIPPED
     assert math.isnan(rows[-1, at.MEASURED]) and rows[-1, at.PLANT_VOLTAGE] == 5.0
     assert device.last.heard.count("safe") == 1 and device.last.heard[-1] == "safe"
     device.failing = ""

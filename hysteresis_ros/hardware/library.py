@@ -1,0 +1,227 @@
+"""Drivers in C: a shared library with the functions of ``hysteresis_driver.h``."""
+
+from __future__ import annotations
+
+import ctypes
+import math
+import pathlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from hysteresis_ros.hardware.declaration import HardwareDriver
+from hysteresis_ros.hardware.driver import NOTHING_NEW, Capabilities, Compiled, Driver, DriverError, Reading
+from hysteresis_ros.parameters import Parameters, parameter
+
+#: Functions without which a library is no driver; the first two are called in each sample.
+FUNCTIONS = ("hysteresis_read", "hysteresis_write", "hysteresis_open", "hysteresis_make_safe", "hysteresis_close")
+DESCRIBE = "hysteresis_describe"
+
+#: How the file names of shared libraries end.
+SUFFIXES = (".so", ".dylib")
+
+
+class _Capabilities(ctypes.Structure):
+    """``struct hysteresis_capabilities``."""
+
+    _fields_ = (
+        *((name, ctypes.c_int32) for name in ("joints", "voltages", "keeps_time", "reserved")),
+        *((name, ctypes.c_double) for name in ("minimum", "maximum", "highest_rate", "watchdog")),
+        *((name, ctypes.c_char * 8) for name in ("position_unit", "voltage_unit")),
+    )
+
+
+@dataclass(frozen=True)
+class LibraryParameters(Parameters):
+    """What a shared library is opened with that no Python stands before."""
+
+    options: tuple[str, ...] = parameter((), description="NAME=VALUE each, as hysteresis_open takes them")
+
+
+def loaded(path: str | pathlib.Path) -> ctypes.CDLL:
+    """Return a shared library that has all functions of a driver.
+
+    Parameters
+    ----------
+    path : path-like
+
+    Raises
+    ------
+    DriverError
+        There is no such library, or functions are missing; the message names them.
+    """
+    path = pathlib.Path(path).expanduser()
+    name = f"library {path}"
+    if not path.is_file():
+        raise DriverError(name, "is not there", "build it, or give its path")
+    try:
+        library = ctypes.CDLL(str(path.resolve()))
+    except OSError as error:
+        raise DriverError(
+            name, f"cannot be loaded ({error})", "build it for this machine as a shared library"
+        ) from None
+    missing = [function for function in FUNCTIONS if not hasattr(library, function)]
+    if missing:
+        raise DriverError(
+            name, f"has no function {', '.join(missing)}", "a driver in C offers what hysteresis_driver.h declares"
+        )
+    pointer, code = ctypes.c_void_p, ctypes.c_int32
+    library.hysteresis_read.argtypes = library.hysteresis_write.argtypes = pointer, pointer
+    library.hysteresis_open.argtypes = pointer, ctypes.c_double, pointer, pointer
+    library.hysteresis_make_safe.argtypes = library.hysteresis_close.argtypes = (pointer,)
+    for function in FUNCTIONS:
+        getattr(library, function).restype = code
+    library.hysteresis_close.restype = None
+    if hasattr(library, DESCRIBE):
+        library.hysteresis_describe.argtypes, library.hysteresis_describe.restype = (code,), ctypes.c_char_p
+    return library
+
+
+def option_texts(parameters: Parameters) -> list[str]:
+    """Return parameters as the options ``NAME=VALUE`` of a library."""
+    if isinstance(parameters, LibraryParameters):
+        return list(parameters.options)
+    texts = []
+    for name, value in parameters.to_mapping().items():
+        text = str(value).lower() if isinstance(value, bool) else str(value)
+        texts.append(f"{name}={text}")
+    return texts
+
+
+class SharedLibrary(Driver):
+    """A driver in C; a class of its own for each library, which says where that is.
+
+    Its functions are called through ctypes, which lets other threads of Python run meanwhile, or by their addresses.
+    """
+
+    #: The library.
+    path: str | pathlib.Path
+
+    _device: ctypes.c_void_p | None = None
+
+    def open(self, parameters: Parameters, sample_rate: float) -> Capabilities:
+        """Load the library and open its device.
+
+        Parameters
+        ----------
+        parameters : Parameters
+            What ``hysteresis_open`` gets as options; of :class:`LibraryParameters` the options themselves.
+        sample_rate : float
+            [Hz]
+
+        Raises
+        ------
+        DriverError
+            The library is no driver, or its device cannot be opened.
+        """
+        self._library = loaded(self.path)
+        texts = [text.encode() for text in option_texts(parameters)]
+        options, can, device = (ctypes.c_char_p * (len(texts) + 1))(*texts), _Capabilities(), ctypes.c_void_p()
+        code = self._library.hysteresis_open(options, sample_rate, ctypes.byref(can), ctypes.byref(device))
+        if code:
+            raise self._error(code)
+        self._device = device
+        self._positions = (ctypes.c_double * max(can.joints, 1))()
+        self._voltages = (ctypes.c_double * max(can.voltages, 1))()
+        watchdog = can.watchdog if can.watchdog > 0.0 else None
+        units = can.position_unit.decode(errors="replace"), can.voltage_unit.decode(errors="replace")
+        limits = can.minimum, can.maximum, can.highest_rate
+        return Capabilities(can.joints, can.voltages, *limits, watchdog, bool(can.keeps_time), *units)
+
+    def _error(self, code: int) -> DriverError:
+        """Return what an error code means."""
+        text = f"reports error {code}"
+        if hasattr(self._library, DESCRIBE):
+            text = (self._library.hysteresis_describe(code) or text.encode()).decode(errors="replace")
+        problem, _, remedy = text.partition(";")
+        name = f"{pathlib.Path(self.path).name}:"
+        return DriverError(name, problem.strip(), remedy.strip() or "look at the device and its driver")
+
+    def read(self) -> Reading:
+        """Return the positions, NaN when there is nothing new.
+
+        Raises
+        ------
+        DriverError
+            The library reports an error, or a position is no number.
+        """
+        code = self._library.hysteresis_read(self._device, self._positions)
+        if code == NOTHING_NEW:
+            return Reading((math.nan,) * len(self._positions))
+        if code:
+            raise self._error(code)
+        if not all(map(math.isfinite, self._positions)):
+            raise nonsense(pathlib.Path(self.path).name)
+        return Reading(tuple(self._positions))
+
+    def write(self, voltages: Sequence[float]) -> None:
+        """Put out the voltages.
+
+        Parameters
+        ----------
+        voltages : sequence of float
+            [V]
+
+        Raises
+        ------
+        DriverError
+            The library reports an error.
+        """
+        for place, voltage in enumerate(voltages):
+            self._voltages[place] = voltage
+        self._check(self._library.hysteresis_write(self._device, self._voltages))
+
+    def make_safe(self) -> None:
+        """Bring the device to its safe state.
+
+        Raises
+        ------
+        DriverError
+            The library reports an error.
+        """
+        self._check(self._library.hysteresis_make_safe(self._device))
+
+    def _check(self, code: int) -> None:
+        if code:
+            raise self._error(code)
+
+    def compiled(self) -> Compiled:
+        """Return the addresses of the functions that are called in each sample."""
+        library = self._library
+        functions = library.hysteresis_read, library.hysteresis_write, library.hysteresis_make_safe
+        read, write, make_safe = (ctypes.cast(function, ctypes.c_void_p).value or 0 for function in functions)
+        device = self._device.value if self._device is not None else None
+        return Compiled(read, write, make_safe, device or 0, self._error)
+
+    def close(self) -> None:
+        """Let go of the device."""
+        if self._device is not None:
+            device, self._device = self._device, None
+            self._library.hysteresis_close(device)
+
+
+def nonsense(name: str) -> DriverError:
+    """Return the error of a device whose position is no number.
+
+    Parameters
+    ----------
+    name : str
+        Who said so.
+    """
+    return DriverError(f"{name}:", "answers a position that is no number", "look at the sensor and its scaling")
+
+
+def library_driver(path: pathlib.Path) -> HardwareDriver:
+    """Return the driver that a shared library is; it is opened with ``driver_options``.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+
+    Raises
+    ------
+    DriverError
+        It is no driver.
+    """
+    loaded(path)
+    driver = type("SharedLibrary", (SharedLibrary,), {"path": path})
+    return HardwareDriver(name=str(path), title="a shared library", parameters=LibraryParameters, driver=driver)

@@ -1,0 +1,124 @@
+"""Drivers that are found by a path: a Python file that declares ``DRIVER``, or a shared library."""
+
+from __future__ import annotations
+
+import functools
+import importlib.util
+import pathlib
+import sys
+from dataclasses import replace
+from typing import Any
+
+from hysteresis_ros.errors import ParameterError, Problem, did_you_mean
+from hysteresis_ros.hardware.declaration import HardwareDriver
+from hysteresis_ros.hardware.driver import DriverError
+from hysteresis_ros.hardware.library import SUFFIXES, LibraryParameters, library_driver
+from hysteresis_ros.hardware.registry import DRIVERS
+from hysteresis_ros.parameters import ParameterRow, Parameters
+
+_TRUTHS = {"true": True, "false": False}
+
+
+def driver_of(name: str) -> HardwareDriver:
+    """Return the driver that a parameter file names.
+
+    Parameters
+    ----------
+    name : str
+        One of the registry, or a path with a slash in it.
+
+    Raises
+    ------
+    DriverError
+        There is none, or what stands there is no driver.
+    """
+    if name in DRIVERS:
+        return DRIVERS[name]
+    if "/" not in name:
+        known = ", ".join(DRIVERS)
+        remedy = f"choose one of {known} or give a path with a /{did_you_mean(name, DRIVERS)}"
+        raise DriverError(f"driver {name}", "is not known", remedy)
+    return _driver_at(str(pathlib.Path(name).expanduser().absolute()))
+
+
+@functools.cache
+def _driver_at(path: str) -> HardwareDriver:
+    if path.endswith(SUFFIXES):
+        return library_driver(pathlib.Path(path))
+    if not path.endswith(".py"):
+        remedy = f"give a Python file that declares DRIVER, or a shared library ({' or '.join(SUFFIXES)})"
+        raise DriverError(f"driver {path}", "is neither", remedy)
+    return _declared_in(pathlib.Path(path))
+
+
+def _declared_in(path: pathlib.Path) -> HardwareDriver:
+    """Return what a Python file declares."""
+    where = f"driver {path}"
+    if not path.is_file():
+        raise DriverError(where, "is not there", "give the path of a Python file that declares DRIVER")
+    # pickling and dataclasses look their module up by name
+    name = f"hysteresis_driver_{abs(hash(str(path)))}"
+    specification: Any = importlib.util.spec_from_file_location(name, path)
+    module = importlib.util.module_from_spec(specification)
+    sys.modules[name] = module
+    try:
+        specification.loader.exec_module(module)
+    except Exception as error:
+        del sys.modules[name]
+        if isinstance(error, DriverError):
+            raise
+        raise DriverError(where, f"cannot be loaded: {type(error).__name__}: {error}", "mend the file") from error
+    declared = getattr(module, "DRIVER", None)
+    if not isinstance(declared, HardwareDriver):
+        remedy = "DRIVER = HardwareDriver(…), see docs/extending.md"
+        raise DriverError(where, f"declares no driver: DRIVER is {declared!r}", remedy)
+    return replace(declared, name=str(path))
+
+
+def options_of(declared: HardwareDriver, options: tuple[str, ...]) -> Parameters:
+    """Return the parameters that options of a parameter file stand for.
+
+    Parameters
+    ----------
+    declared : HardwareDriver
+        Found by a path: its parameters are no part of the table of parameters.
+    options : tuple of str
+        ``NAME=VALUE`` each.
+
+    Raises
+    ------
+    ParameterError
+        One is not written so, or the driver does not take it.
+    """
+    if declared.parameters is LibraryParameters:
+        return LibraryParameters(options)
+    rows = {row.name: row for row in declared.parameters.table()}
+    values, problems = {}, []
+    for option in options:
+        name, mark, text = option.partition("=")
+        try:
+            if not mark:
+                raise ValueError
+            values[name] = _value_of(rows.get(name), text)
+        except ValueError:
+            allowed = "write NAME=VALUE"
+            if name in rows:
+                allowed += f" with a {rows[name].allowed()}"
+            problems.append(Problem("driver_options", option, allowed))
+    if problems:
+        raise ParameterError(problems)
+    return declared.parameters.from_mapping(values, prefix="driver_options: ")
+
+
+def _value_of(row: ParameterRow | None, text: str):
+    """Return the value that a text stands for, of the type of its row."""
+    if row is None or row.type is str:
+        return text
+    if row.type is bool:
+        if text not in _TRUTHS:
+            raise ValueError
+        return _TRUTHS[text]
+    if row.type in (int, float):
+        return row.type(text)
+    item = float if row.type == tuple[float, ...] else str
+    return tuple(item(part) for part in text.split(",") if part)

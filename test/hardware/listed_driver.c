@@ -1,0 +1,93 @@
+/* A driver in C without a device, for tests: 0.1 µm/V one call later; it notes what reaches it and fails when told to. */
+#include "hysteresis_driver.h"
+
+#include <math.h>
+#include <stdlib.h>
+#include <string.h>
+
+#define NOTED 100000
+
+static double voltages[NOTED], place;
+static int64_t reads, writes, safes, closes;
+static int64_t fail_read, fail_write, fail_safe, nonsense, nothing, keeps_time, joints;
+static char unit[8];
+
+int64_t noted_reads(void) { return reads; }
+int64_t noted_writes(void) { return writes; }
+int64_t noted_safes(void) { return safes; }
+int64_t noted_closes(void) { return closes; }
+double noted_voltage(int64_t index) { return voltages[index]; }
+/* Fail at this call and all later ones; 0: never. */
+void mend(void) { fail_read = fail_write = fail_safe = nonsense = nothing = 0; }
+
+int32_t hysteresis_open(const char *const *options, double sample_rate, struct hysteresis_capabilities *can,
+                        void **device)
+{
+    static const char *const names[] = {"fail_read", "fail_write", "fail_safe", "nonsense", "nothing", "keeps_time",
+                                        "joints"};
+    int64_t *values[] = {&fail_read, &fail_write, &fail_safe, &nonsense, &nothing, &keeps_time, &joints};
+    reads = writes = safes = closes = keeps_time = 0, place = 0.0, joints = 1;
+    mend();
+    strcpy(unit, "m");
+    for (; *options; options++) {
+        const char *value = strchr(*options, '=');
+        size_t length = value ? (size_t)(value - *options) : 0, i = 0;
+        while (i < 7 && (strlen(names[i]) != length || strncmp(*options, names[i], length)))
+            i++;
+        if (i < 7)
+            *values[i] = atoll(value + 1);
+        else if (value && !strncmp(*options, "unit", 4))
+            strncpy(unit, value + 1, sizeof unit - 1);
+        else
+            return 7;
+    }
+    can->joints = (int32_t)joints, can->voltages = 1, can->keeps_time = (int32_t)keeps_time;
+    can->minimum = -30.0, can->maximum = 120.0, can->highest_rate = 1e6 + 0.0 * sample_rate, can->watchdog = 0.0;
+    strcpy(can->position_unit, unit), strcpy(can->voltage_unit, "V");
+    *device = &place;
+    return 0;
+}
+
+int32_t hysteresis_read(void *device, double *positions)
+{
+    reads++;
+    positions[0] = *(double *)device;
+    if (nonsense && reads >= nonsense)
+        positions[0] = nonsense % 2 ? NAN : -INFINITY;
+    if (nothing && reads >= nothing) {
+        positions[0] = 1e9;
+        return HYSTERESIS_NOTHING_NEW;
+    }
+    return fail_read && reads >= fail_read ? 3 : 0;
+}
+
+int32_t hysteresis_write(void *device, const double *given)
+{
+    if (writes < NOTED)
+        voltages[writes] = given[0];
+    writes++;
+    if (fail_write && writes >= fail_write)
+        return 4;
+    *(double *)device = 1e-7 * given[0];
+    return 0;
+}
+
+int32_t hysteresis_make_safe(void *device)
+{
+    safes++;
+    *(double *)device = 0.0;
+    return fail_safe ? 5 : 0;
+}
+
+void hysteresis_close(void *device)
+{
+    (void)device;
+    closes++;
+}
+
+const char *hysteresis_describe(int32_t code)
+{
+    static const char *const said[] = {[3] = "lost its sensor; plug it in", [4] = "lost its amplifier; plug it in",
+                                       [5] = "does not listen; switch it off", [7] = "does not know an option"};
+    return code > 0 && code < 8 && said[code] ? said[code] : "is somehow ill";
+}

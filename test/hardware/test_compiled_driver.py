@@ -1,0 +1,309 @@
+"""Drivers in C: two functions of a shared library, called by machine code, watched like every plant."""
+
+from __future__ import annotations
+
+import copy
+import ctypes
+import math
+import pathlib
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from stage_support import compile_c, needs_compiler
+
+from hysteresis_ros import signals as at
+from hysteresis_ros.block import interpreted
+from hysteresis_ros.configuration import load_configuration, parse_configuration
+from hysteresis_ros.errors import ParameterError
+from hysteresis_ros.hardware.driver import DriverError
+from hysteresis_ros.hardware.library import FUNCTIONS
+from hysteresis_ros.loop.axis import Axis, Change, sample_times
+from hysteresis_ros.loop.axis_parameters import AxisParameters
+from hysteresis_ros.loop.driven import CompiledPlant, DrivenPlant, fused_plant_of
+from hysteresis_ros.loop.fused import FusedLoop
+from hysteresis_ros.loop.plant import DEVICE_FAILED, actuate, sense
+from hysteresis_ros.loop.tick import Laws
+from hysteresis_ros.recordings.dataset import Recording
+from hysteresis_ros.simulation.run import differences
+
+pytestmark = needs_compiler
+
+STAGE = """
+/**:
+  ros__parameters: {{sample_rate: 3000.0, time_mode: realtime}}
+/**/plant_simulator:
+  ros__parameters:
+    driver: {driver}
+    driver_options: [{options}]
+    safe_voltage: 5.0
+    overtravel: -1.0
+    limits: {{minimum: 0.0, maximum: 100.0, slew_rate: 6.0e+4}}
+    hysteresis: {{type: proportional, proportional: {{gain: 1.0e-7}}}}
+/**/reference_generator:
+  ros__parameters:
+    minimum: 0.0
+    maximum: 10.0e-6
+    initial_setpoint: 4.0e-6
+    waveform: {{type: sine, amplitude: 3.0e-6, frequency: 20.0}}
+/**/motion_controller:
+  ros__parameters: {{type: open_loop}}
+/**/hysteresis_compensator:
+  ros__parameters:
+    inverse: {{type: none}}
+    limits: {{minimum: 0.0, maximum: 100.0}}
+    hysteresis: {{type: proportional, proportional: {{gain: 1.0e-7}}}}
+"""
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory):
+    """The driver without a device, and the functions by which it tells what reached it."""
+    source = pathlib.Path(__file__).with_name("listed_driver.c")
+    path = compile_c(source, tmp_path_factory.mktemp("driver") / "liblisted.so", "-fPIC", "-shared")
+    found = ctypes.CDLL(str(path))
+    for name in ("reads", "writes", "safes", "closes"):
+        getattr(found, f"noted_{name}").restype = ctypes.c_int64
+    found.noted_voltage.restype, found.noted_voltage.argtypes = ctypes.c_double, (ctypes.c_int64,)
+    found.path = path
+    return found
+
+
+def written(library) -> list[float]:
+    return [library.noted_voltage(index) for index in range(library.noted_writes())]
+
+
+def axis_parameters(library, *options: str, **changes) -> AxisParameters:
+    text = STAGE.format(driver=library.path, options=", ".join(options))
+    configuration = parse_configuration(text, "test").override("plant_simulator", **changes)
+    return AxisParameters.from_configuration(configuration)
+
+
+def parameters(library, *options: str, **changes):
+    return axis_parameters(library, *options, **changes).plant_simulator
+
+
+def run(plant, voltages) -> np.ndarray:
+    """Return the rows of a plant that is given these voltages, NaN for those that do not come."""
+    law = CompiledPlant.kernels[0]
+    laws = Laws(*(law,) * len(Laws._fields))
+    rows, row = [], [0.0] * at.MOTOR_ROW
+    for voltage in voltages:
+        interpreted(sense)(laws, plant.arrays, row)
+        row[at.VOLTAGE] = voltage
+        interpreted(actuate)(laws, plant.arrays, row)
+        rows.append(row.copy())
+    return np.array(rows)
+
+
+def fused(axis_parameters: AxisParameters, samples: int) -> tuple[FusedLoop, np.ndarray]:
+    """Let an axis run in its thread, without deadlines; return its rows too."""
+    loop = FusedLoop(Axis(axis_parameters, fused_plant_of(axis_parameters.plant_simulator)), math.inf, samples)
+    loop.start()
+    assert loop.join(60.0) and not loop.failure
+    return loop, loop.take().table
+
+
+def test_machine_code_and_python_drive_it_alike(library):
+    k = np.arange(4000)
+    voltages = 45.0 + 70.0 * np.sin(k / 40.0) + np.random.default_rng(2).normal(scale=3.0, size=k.size)
+    voltages[k % 7 == 3] = math.nan
+    voltages[2000:3900] = math.nan  # beyond voltage_timeout
+    chosen = parameters(library, late_limit=-1)
+    found = []
+    for kind in (CompiledPlant, DrivenPlant):
+        plant = kind(chosen)
+        plant.reset()
+        rows = run(plant, voltages)
+        found.append((rows, written(library)))
+        plant.close()
+    (compiled, sent), (python, sent_by_python) = found
+    np.testing.assert_array_equal(compiled, python)
+    assert sent == sent_by_python == compiled[:, at.PLANT_VOLTAGE].tolist()
+    steps = np.diff(sent, prepend=5.0)
+    assert np.max(np.abs(steps)) <= 20.0 * (1 + 1e-9) and min(sent) == 0.0 and max(sent) == 100.0
+
+
+@pytest.mark.parametrize("kind", [CompiledPlant, DrivenPlant])
+@pytest.mark.parametrize(
+    ("option", "said"),
+    [
+        ("fail_read=51", "cannot be read: liblisted.so: lost its sensor; plug it in"),
+        ("fail_write=51", "cannot be written: liblisted.so: lost its amplifier; plug it in"),
+        ("nonsense=51", "cannot be read: .*: answers a position that is no number; look at the sensor"),
+        ("nonsense=52", "cannot be read: .*: answers a position that is no number"),
+    ],
+)
+def test_one_that_fails_is_made_safe_in_that_sample_and_left_alone_until_start(library, kind, option, said):
+    plant = kind(parameters(library, option))
+    plant.reset()
+    assert np.all(run(plant, [60.0] * 50)[:, at.TRIPPED] == 0.0) and not plant.failure
+    safes = library.noted_safes()
+    run(plant, [60.0] * 2)
+    assert plant.tripped and library.noted_safes() == safes + 1
+    with pytest.raises(AssertionError, match=f"driver .*liblisted.so: {said}"):
+        raise AssertionError(plant.failure)
+    calls = library.noted_reads(), library.noted_writes()
+    plant.halt()
+    library.mend()
+    rows = run(plant, [60.0] * 20)
+    assert (library.noted_reads(), library.noted_writes()) == calls, "it was not left alone"
+    assert set(rows[:, at.TRIPPED]) == {DEVICE_FAILED} and np.isnan(rows[:, at.MEASURED]).all()
+    assert set(rows[:, at.PLANT_VOLTAGE]) == {5.0}
+    plant.start()
+    back = run(plant, [60.0] * 400)
+    assert not plant.tripped and not plant.failure and np.isfinite(back[:, at.MEASURED]).all()
+    # from the safe voltage, at the safe slew rate
+    assert np.max(np.diff(back[:, at.PLANT_VOLTAGE], prepend=5.0)) <= 1000.0 / 3000.0 * (1 + 1e-9)
+    assert back[-1, at.PLANT_VOLTAGE] == 60.0
+    plant.close()
+
+
+@pytest.mark.parametrize("kind", [CompiledPlant, DrivenPlant])
+def test_one_that_cannot_be_made_safe_either_is_said_to_be_so(library, kind):
+    plant = kind(parameters(library, "fail_read=5", "fail_safe=1"))
+    run(plant, [1.0] * 10)
+    assert plant.failure.endswith("does not listen") or "does not listen; switch it off" in plant.failure
+    with pytest.raises(DriverError, match="cannot be made safe: liblisted.so: does not listen; switch it off"):
+        plant.make_safe()
+    plant.close()
+
+
+@pytest.mark.parametrize("kind", [CompiledPlant, DrivenPlant])
+def test_a_sample_without_a_measurement_is_no_failure(library, kind):
+    plant = kind(parameters(library, "nothing=11"))
+    rows = run(plant, [20.0] * 20)
+    assert not plant.tripped and np.isfinite(rows[:10, at.MEASURED]).all() and np.isnan(rows[10:, at.MEASURED]).all()
+    assert library.noted_writes() == 20
+    plant.close()
+
+
+def test_the_fused_loop_reads_and_writes_once_a_sample_and_its_twin_is_the_same_bit_for_bit(library):
+    given = axis_parameters(library)
+    loop, table = fused(given, 3000)
+    assert library.noted_reads() == library.noted_writes() == 3000
+    assert written(library) == table[at.PLANT_VOLTAGE].tolist()
+    # what is measured is what was put out one sample before
+    np.testing.assert_array_equal(table[at.MEASURED, 1:], 1e-7 * table[at.PLANT_VOLTAGE, :-1])
+    assert np.ptp(table[at.MEASURED]) > 5e-6
+    assert_equal_to_twin(given, loop, table)
+    signals = {signal.name: table[place] for place, signal in enumerate(at.row_signals(motor=False))}
+    recorded = Recording(sample_times(0, 3000, 3000.0), signals, {}, {})
+    assert differences(recorded, given) == {}
+    signals["measured"][1500] += 1e-9  # what follows from it is another answer
+    assert set(differences(recorded, given)) == {"estimated", "seen"}
+    loop.axis.plant.close()
+    assert library.noted_closes() == 1
+
+
+def assert_equal_to_twin(given: AxisParameters, loop: FusedLoop, table: np.ndarray) -> None:
+    twin = Axis(given, fused_plant_of(given.plant_simulator, linked=False))
+    answers = {name: table[place] for name, place in (("measured", at.MEASURED), ("tripped", at.TRIPPED))}
+    options = {"changes": loop.changes, "skipped": table[at.SKIPPED], "answers": answers}
+    again = twin.run(table[at.SETPOINT], **options)
+    for place, signal in enumerate(at.row_signals(motor=False)):
+        np.testing.assert_array_equal(again[signal.name], table[place], err_msg=signal.name)
+
+
+@pytest.mark.parametrize("option", ["fail_read=1000", "fail_write=1000", "nonsense=1001"])
+def test_a_run_in_which_it_fails_and_is_started_again_has_a_twin_too(library, option):
+    given = axis_parameters(library, option)
+    axis = Axis(given, fused_plant_of(given.plant_simulator))
+    loop = FusedLoop(axis, math.inf, 2000)
+    loop.start()
+    assert (
+        loop.join(60.0) and axis.plant.tripped and "plug it in" in axis.plant.failure or "sensor" in axis.plant.failure
+    )
+    assert library.noted_safes() == 1
+    library.mend()
+    rest = FusedLoop(axis, math.inf, 1500)
+    started = rest.apply(Change(0, "plant_simulator", "start"))
+    rest.start()
+    assert rest.join(60.0) and not rest.failure and started == 2000 and not axis.plant.failure
+    both = np.concatenate([loop.take().table, rest.take().table], axis=1)
+    assert np.ptp(both[at.MEASURED, 2500:]) > 5e-6
+    assert_equal_to_twin(given, rest, both)
+    axis.plant.close()
+
+
+def test_no_copy_of_an_axis_reaches_the_device(library):
+    given = axis_parameters(library)
+    axis = Axis(given, fused_plant_of(given.plant_simulator))
+    before = library.noted_reads(), library.noted_writes(), library.noted_safes()
+    double = copy.deepcopy(axis)
+    for _ in range(2):
+        double.run(np.full(50, 4e-6))
+        for own, its in zip(axis.plant.arrays, double.plant.arrays, strict=True):
+            if not isinstance(own, tuple):
+                its[...] = own
+    assert (library.noted_reads(), library.noted_writes(), library.noted_safes()) == before
+    axis.run(np.full(50, 4e-6))
+    assert library.noted_reads() == before[0] + 50
+    axis.plant.close()
+
+
+def test_a_sample_that_was_skipped_does_not_call_it(library):
+    given = axis_parameters(library)
+    axis = Axis(given, fused_plant_of(given.plant_simulator))
+    skipped = np.zeros(100)
+    skipped[40:60] = 1.0
+    found = axis.run(np.full(100, 4e-6), skipped=skipped)
+    assert library.noted_reads() == library.noted_writes() == 80
+    assert np.isnan(found["measured"][40:60]).all() and np.isfinite(found["measured"][60:]).all()
+    axis.plant.close()
+
+
+def test_limits_change_within_the_devices_range(library):
+    chosen = parameters(library)
+    plant = CompiledPlant(chosen)
+    plant.retune(replace(chosen, limits=replace(chosen.limits, maximum=50.0)))
+    assert run(plant, [100.0] * 400)[-1, at.PLANT_VOLTAGE] == 50.0
+    with pytest.raises(ParameterError, match=r"limits\.maximum = 500\.0: must lie within the device's range"):
+        plant.retune(replace(chosen, limits=replace(chosen.limits, maximum=500.0)))
+    assert run(plant, [100.0] * 20)[-1, at.PLANT_VOLTAGE] == 50.0
+    plant.close()
+
+
+def test_at_the_end_it_goes_to_its_safe_voltage_step_by_step(library):
+    plant = CompiledPlant(parameters(library))
+    run(plant, [60.0] * 400)
+    steps = 0
+    while plant.step_to_safe():
+        steps += 1
+    assert written(library)[-1] == 5.0 and steps == pytest.approx(55.0 / 1000.0 * 3000.0, abs=1.5)
+    plant.close()
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("keeps_time=1",), "the device insists on keeping the time; the package has its own"),
+        (("unit=mm",), "the device reads 'mm' and puts out 'V'; an axis has m and V"),
+        (("joints=2",), "the device has 2 joints; an axis has 1"),
+        (("depth=2",), "cannot be opened: liblisted.so: does not know an option; look at the device"),
+    ],
+)
+def test_a_device_that_is_not_what_the_axis_needs_is_refused(library, options, words):
+    with pytest.raises(DriverError, match=f"driver .*{words}"):
+        fused_plant_of(parameters(library, *options))
+
+
+def test_a_driver_in_python_is_refused_by_the_fused_loop_with_the_reason():
+    configuration = load_configuration("kim2009").override("", time_mode="realtime")
+    given = AxisParameters.from_configuration(configuration.override("plant_simulator", driver="simulated"))
+    with pytest.raises(DriverError, match="driver simulated: is written in Python, .* lock .* without --fused"):
+        fused_plant_of(given.plant_simulator)
+
+
+@pytest.mark.parametrize("left_out", [FUNCTIONS[:1], FUNCTIONS[:2], FUNCTIONS[2:4]])
+def test_a_library_without_the_functions_is_refused_by_their_names_and_nothing_moves(tmp_path, left_out):
+    functions = "".join(f"void {name}(void) {{}}\n" for name in FUNCTIONS if name not in left_out)
+    (tmp_path / "some.c").write_text(functions)
+    path = compile_c(tmp_path / "some.c", tmp_path / "some.so", "-fPIC", "-shared")
+    (tmp_path / "some.yaml").write_text(STAGE.format(driver=path, options=""))
+    command = [sys.executable, "-m", "hysteresis_ros.cli.entry", "up", str(tmp_path / "some.yaml")]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 2 and done.stderr.count("\n") == 1, done.stderr
+    assert f"has no function {', '.join(left_out)};" in done.stderr and str(path) in done.stderr
