@@ -57,6 +57,17 @@ class Tick(RuleBasedStateMachine):
         self.checked.axis.inject(tuple(texts))
         self.checked.run(30)
 
+    @rule(skipped=st.lists(st.booleans(), min_size=1, max_size=30))
+    def miss(self, skipped):
+        """Samples whose time was missed."""
+        self.checked.run(len(skipped), skipped=skipped)
+
+    @rule()
+    def halt(self):
+        """An emergency stop."""
+        self.checked.apply("plant_simulator", "halt")
+        self.checked.run(9)
+
     @rule(node=st.sampled_from(STOPPABLE))
     def stop(self, node):
         """A part is told to stop; a sequencer is asked through its request."""

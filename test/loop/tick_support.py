@@ -85,8 +85,8 @@ class CheckedAxis:
         self.samples = 0
         self.setpoint = 0.0
 
-    def run(self, count, setpoint=None, request=0.0, speed=np.nan):
-        """Make ``count`` samples and look at them."""
+    def run(self, count, setpoint=None, request=0.0, speed=np.nan, skipped=None):
+        """Make ``count`` samples, of which some may be skipped, and look at them."""
         self.setpoint = self.setpoint if setpoint is None else setpoint
         asked = {}
         if self.motor:
@@ -94,7 +94,7 @@ class CheckedAxis:
                 "requests": np.r_[request, np.zeros(count - 1)],
                 "speeds": np.r_[speed, np.full(count - 1, np.nan)],
             }
-        table = self.axis.run(np.full(count, self.setpoint), **asked)
+        table = self.axis.run(np.full(count, self.setpoint), skipped=skipped, **asked)
         self.samples += count
         self.look_at(table)
         self.last = {name: values[-1] for name, values in table.items()}
@@ -135,6 +135,9 @@ class CheckedAxis:
         moves(table, "plant_voltage", "plant_mode", (STALE, TRIPPED), slews, grid(plant.limits))
         moves(table, "plant_voltage", "plant_mode", tuple(range(6)), limit_step(plant.limits, rate), grid(plant.limits))
         assert np.all(np.diff(table["late"]) >= 0.0)
+        missed = table["skipped"][1:] != 0.0
+        assert not np.any(np.diff(table["voltage"])[missed] != 0.0), "a skipped sample put out another voltage"
+        assert np.all(np.isnan(table["seen"][1:][missed])), "a skipped sample was measured"
         back = (table["controller_mode"][:-1] >= STALE) & (table["controller_mode"][1:] == RUNNING)
         assert not np.any(np.diff(table["command"])[back] != 0.0), "a jump at the return"
         if self.motor:
@@ -251,11 +254,15 @@ def random_sequence(checked, random, length=8):
             checked.apply("plant_simulator", "start")
         elif what == 7 and random.random() < 0.2:
             checked.reset()
+        elif what == 8 and random.random() < 0.3:
+            checked.apply("plant_simulator", "halt")
         setpoints = MOTOR_SETPOINTS if motor else SETPOINTS
         setpoint = setpoints[random.integers(len(setpoints))] if random.random() < 0.5 else None
         request = float(random.choice(REQUESTS)) if random.random() < 0.2 else 0.0
         speed = float(SPEEDS[random.integers(len(SPEEDS))])
-        checked.run(int(random.integers(1, 60)), setpoint, request, speed)
+        count = int(random.integers(1, 60))
+        skipped = random.random(count) < random.choice((0.0, 0.0, 0.1, 1.0))
+        checked.run(count, setpoint, request, speed, skipped)
 
 
 #: Kinds of axes that the sequences are done to.
