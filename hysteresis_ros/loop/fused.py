@@ -29,8 +29,8 @@ from hysteresis_ros.loop.switches import CODES, switched
 from hysteresis_ros.loop.tick import WHOLE, ticks
 from hysteresis_ros.parameters import Parameters
 
-#: Samples per second that are held without Numba: a sample takes up to 0.4 ms (a motor's), and any other thread of Python
-#: a turn of 5 ms, which is a period then.
+#: Samples per second that are held without Numba: a sample takes up to 0.4 ms (a motor's), and any other thread of
+#: Python a turn of 5 ms, which is a period then.
 INTERPRETED_RATE = 200.0
 #: Time for which samples are kept for readers [s], and the least number of them.
 KEPT, LEAST_KEPT = 5.0, 4096

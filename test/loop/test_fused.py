@@ -278,15 +278,24 @@ def test_missed_deadlines_are_skipped_samples_and_the_twin_skips_them_too():
     loop.set(setpoint=5e-6)
     loop.start()
     wait_for(lambda: loop.sample > 20)
+    first = loop.take()
     delay(loop, 40)
     wait_for(lambda: loop.missed >= 39)
     before = loop.sample
     wait_for(lambda: loop.sample > before + 10)
     loop.leave()
-    made = whole(loop)
+    second = loop.take()
+    made = whole(loop, first, second)
     assert_twin(loop, made, given)
     skipped = np.flatnonzero(made["skipped"])
     assert len(skipped) == loop.missed
+    # skipped is what would have begun a period late or more, and nothing else
+    begin = np.argmax(second.table[signals.SKIPPED])
+    period = int(loop._state[pacing.PERIOD]) / pacing.FEMTO
+    due = loop._state[pacing.ORIGIN] + (second.first + np.arange(len(second.times))) * period
+    late = (second.times - loop._offset - due)[begin:]
+    clear = np.abs(late - period) > 2.0  # [ns]
+    np.testing.assert_array_equal((late >= period)[clear], (second.table[signals.SKIPPED, begin:] == 1.0)[clear])
     np.testing.assert_array_equal(np.isnan(made["seen"]), made["skipped"] == 1.0)
     for name in ("voltage", "plant_voltage"):
         np.testing.assert_array_equal(made[name][skipped], made[name][skipped - 1])
