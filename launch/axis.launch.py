@@ -7,6 +7,7 @@ imports nothing of the package, because ``ros2`` of an apt-installed ROS may run
 
 from __future__ import annotations
 
+import importlib.util
 import json
 import pathlib
 import shutil
@@ -30,6 +31,8 @@ from launch_ros.actions import LifecycleNode, Node
 PACKAGE = "hysteresis_ros"
 NODES = ("plant_simulator", "hysteresis_compensator", "motion_controller")
 CONFIGURATIONS = pathlib.Path(__file__).resolve().parents[1] / "config"
+#: Samples per second of the wall clock up to which nodes that exchange messages answer in time nearly always.
+MESSAGE_RATE = 300.0
 #: Seconds the others have to leave by themselves after one has left without an error, as at the end of a run.
 PATIENCE = 5.0
 
@@ -43,7 +46,10 @@ ARGUMENTS = (
         "composed", default_value="false", choices=["true", "false"], description="the nodes in one process"
     ),
     DeclareLaunchArgument(
-        "rate", default_value="", choices=["", "realtime", "lockstep"], description="empty: as the parameter file says"
+        "rate",
+        default_value="",
+        choices=["", "realtime", "lockstep", "fused"],
+        description="empty: as the parameter file says, but fused where messages are too slow for its rate",
     ),
     DeclareLaunchArgument("samples", default_value="", description="length of the run; empty: as the file says"),
 )
@@ -68,10 +74,16 @@ def axis(context):
     if given["samples"] and not (given["samples"].isdecimal() and int(given["samples"])):
         raise ValueError(f"samples:={given['samples']}: must be a whole number of at least 1, or left out")
     config = configuration(given["config"])
-    composed = given["composed"] == "true"
+    said = []
+    if not given["rate"] and given["composed"] == "false" and too_fast_for_messages(config):
+        given["rate"] = "fused"
+        text = "starts the axis fused: messages between nodes are too slow for its rate in real time (rate:= chooses)"
+        said.append(LogInfo(msg=text))
+    fused = given["rate"] == "fused" or describes(config, "time_mode", "fused")
+    composed = given["composed"] == "true" or fused
     source = "inchworm_sequencer" if describes_inchworm(config, given["namespace"]) else "reference_generator"
     names = ["hysteresis_axis"] if composed else [*NODES, source]
-    if given["record"]:
+    if given["record"] and not fused:
         names.append("recorder")
     folder = pathlib.Path(tempfile.mkdtemp(prefix="axis_launch_"))
     overrides = folder / "overrides.yaml"
@@ -87,13 +99,15 @@ def axis(context):
             output="screen",
             on_exit=farewell(name, running),
         )
+        if name == "hysteresis_axis" and fused and given["record"]:
+            options["arguments"] = ["--recorder"]
         # hysteresis_axis holds four nodes, which keep their own names.
         actions.append(Node(**options) if name == "hysteresis_axis" else LifecycleNode(name=name, **options))
 
     def clean(event, context):
         shutil.rmtree(folder, ignore_errors=True)
 
-    return [RegisterEventHandler(OnShutdown(on_shutdown=clean)), *actions]
+    return [RegisterEventHandler(OnShutdown(on_shutdown=clean)), *said, *actions]
 
 
 def override(given: dict, config: str) -> dict:
@@ -113,6 +127,36 @@ def override(given: dict, config: str) -> dict:
         recorder = {"path": given["record"], "configuration": config}
     patterns = {"/**": common, "/**/plant_simulator": plant, "/**/recorder": recorder}
     return {pattern: {"ros__parameters": values} for pattern, values in patterns.items() if values}
+
+
+def values_of(content, name: str):
+    """Yield every value that a parameter file gives a parameter, whatever node it is for."""
+    for key, value in content.items() if isinstance(content, dict) else ():
+        if key == name:
+            yield value
+        else:
+            yield from values_of(value, name)
+
+
+def describes(config: str, name: str, value) -> bool:
+    """Tell whether the parameter file gives a parameter this value somewhere."""
+    with open(config, encoding="utf-8") as stream:
+        return value in values_of(yaml.safe_load(stream), name)
+
+
+def too_fast_for_messages(config: str) -> bool:
+    """Tell whether the parameter file asks for real time at a rate that nodes with messages between them do not hold.
+
+    A driver may be one that only they can call, and without Numba nothing faster is there.
+    """
+    with open(config, encoding="utf-8") as stream:
+        content = yaml.safe_load(stream)
+    modes, drivers = set(values_of(content, "time_mode")), [name for name in values_of(content, "driver") if name]
+    rate = max(values_of(content, "sample_rate"), default=1000.0) * min(
+        values_of(content, "real_time_factor"), default=1.0
+    )
+    compiled = importlib.util.find_spec("numba") is not None
+    return modes <= {"realtime"} and not drivers and compiled and rate > MESSAGE_RATE
 
 
 def describes_inchworm(config: str, namespace: str) -> bool:

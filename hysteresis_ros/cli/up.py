@@ -6,16 +6,31 @@ import signal
 
 import click
 
+#: Samples per second of the wall clock up to which nodes that exchange messages answer in time nearly always.
+MESSAGE_RATE = 300.0
+
 
 @click.command(short_help="Start the nodes of a configuration.")
 @click.argument("config", type=click.Path(path_type=str))
-@click.option("--processes/--composed", "processes", default=True, help="Four processes (default) or one.")
+@click.option(
+    "--processes/--composed",
+    "processes",
+    default=None,
+    help="Four processes or one, which exchange messages; by default four, or --fused where these are too slow.",
+)
 @click.option("--record", metavar="DIR", help="Record everything into this new bag folder.")
 @click.option("--duration", type=float, help="Length of the run [s of the axis]; by default until Ctrl-C.")
-@click.option("--rate", type=click.Choice(["realtime", "lockstep"]), help="Time mode; the configuration's by default.")
+@click.option(
+    "--rate", type=click.Choice(["realtime", "lockstep", "fused"]), help="Time mode; the configuration's by default."
+)
+@click.option("--fused", is_flag=True, help="One process whose samples one compiled thread makes, in real time.")
 @click.option("--factor", type=float, help="Real-time factor; the configuration's by default.")
 @click.option("--namespace", help="Start only the axis in this namespace.")
-@click.option("--verify", is_flag=True, help="Compare the recorded lockstep run with the offline twin, bit for bit.")
+@click.option(
+    "--verify",
+    is_flag=True,
+    help="Compare the recorded run with the offline twin, bit for bit; with --fused or --rate lockstep.",
+)
 @click.option(
     "--fault",
     "faults",
@@ -30,7 +45,7 @@ import click
     help="Log level of the nodes.",
     show_default=True,
 )
-def up(config, processes, record, duration, rate, factor, namespace, verify, faults, log_level):
+def up(config, processes, record, duration, rate, fused, factor, namespace, verify, faults, log_level):
     """Start all nodes of CONFIG and bring them down together.
 
     Ends with exit code 0 after --duration or Ctrl-C, with 1 when a node dies, with 2 for wrong input.
@@ -44,6 +59,10 @@ def up(config, processes, record, duration, rate, factor, namespace, verify, fau
     from hysteresis_ros.simulation.reach import reach_warnings
 
     configuration = load_configuration(config)
+    if fused and (rate not in (None, "fused") or processes is not None):
+        other = f"--rate {rate}" if processes is None else "--processes or --composed"
+        raise click.UsageError(f"--fused and {other} exclude each other")
+    rate = "fused" if fused else rate
     if rate:
         configuration = configuration.override("", time_mode=rate)
     if factor is not None:
@@ -57,18 +76,22 @@ def up(config, processes, record, duration, rate, factor, namespace, verify, fau
         found = [axis.with_faults(faults) for axis in found]
     if duration is not None:
         found = [axis.with_duration(duration) for axis in found]
-    lockstep = all(axis.plant_simulator.time_mode == "lockstep" for axis in found)
-    if verify and not (record and lockstep):
-        raise click.UsageError("--verify needs --record DIR and --rate lockstep: only lockstep repeats bit for bit")
+    if rate is None and processes is None:
+        found = [_live(axis) for axis in found]
+    repeatable = all(axis.plant_simulator.time_mode in ("lockstep", "fused") for axis in found)
+    if verify and not (record and repeatable):
+        raise click.UsageError(
+            "--verify needs --record DIR, and --fused or --rate lockstep: only these repeat bit for bit"
+        )
 
     if factor is not None and any(axis.plant_simulator.time_mode == "lockstep" for axis in found):
         click.echo("hysteresis: warning: --factor has no effect in lockstep, which runs as fast as it can", err=True)
     if requested:
         click.echo("stopping")
         return
-    graph = Graph(found, composed=not processes, record=record, log_level=log_level)
+    graph = Graph(found, composed=processes is False, record=record, log_level=log_level)
     for axis in found:
-        for line in axis.timeouts():
+        for line in (_what_runs(axis, processes is False), *axis.timeouts()):
             click.echo(f"{axis.namespace}{': ' if axis.namespace else ''}{line}")
     with graph:
         if graph.wait(lambda: bool(requested)):
@@ -79,6 +102,29 @@ def up(config, processes, record, duration, rate, factor, namespace, verify, fau
         click.echo(f"recorded: {bag}")
     if verify:
         _verify(graph)
+
+
+def _live(axis):
+    """Return the axis fused when messages between its nodes are too slow for its rate in real time."""
+    from hysteresis_ros.block import COMPILED
+
+    plant = axis.plant_simulator
+    if plant.time_mode != "realtime" or plant.driver or not COMPILED:
+        return axis
+    return axis.with_time_mode("fused") if plant.sample_rate * plant.real_time_factor > MESSAGE_RATE else axis
+
+
+def _what_runs(axis, composed: bool) -> str:
+    """Return in a line what runs, at which rate, and for how long."""
+    plant = axis.plant_simulator
+    seconds = plant.samples / plant.sample_rate
+    length = f"for {seconds:g} s of the axis" if plant.samples else "until Ctrl-C"
+    if plant.time_mode == "lockstep":
+        how = "in lockstep, one process" if composed else "in lockstep, a process for each node"
+        return f"{how}: {plant.sample_rate:g} Hz of the axis, as fast as it can, {length}"
+    how = "fused, one process" if plant.time_mode == "fused" else "in real time, a process for each node"
+    how = "in real time, one process" if composed and plant.time_mode == "realtime" else how
+    return f"{how}: {plant.sample_rate:g} Hz, real-time factor {plant.real_time_factor:g}, {length}"
 
 
 def _verify(graph) -> None:

@@ -32,9 +32,10 @@ def verify(recording: pathlib.Path, namespace: str | None) -> None:
         )
     axis = single_axis(parse_configuration(run.configuration, str(recording)), run.metadata.get("namespace"))
     simulated = run.metadata.get("source") == "offline simulation"
-    if not simulated and axis.plant_simulator.time_mode != "lockstep":
+    if not simulated and axis.plant_simulator.time_mode == "realtime":
         raise RecordingError(
-            f"{recording}: is a run in real time, which depends on when messages came; only --rate lockstep repeats"
+            f"{recording}: is a run in real time, which depends on when messages came; only lockstep and "
+            "fused runs repeat"
         )
     found, missing = differences(run, axis), run.metadata.get("missing_samples", 0)
     if found or missing:

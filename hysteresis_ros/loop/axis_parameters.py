@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 from hysteresis_ros.configuration import NODE_NAMES, Configuration, dump_configuration, normalised_namespace
@@ -13,6 +14,7 @@ from hysteresis_ros.loop.node_parameters import (
     CompensatorNodeParameters,
     ControllerNodeParameters,
     InchwormSequencerNodeParameters,
+    NodeParameters,
     PlantNodeParameters,
     RecorderNodeParameters,
     ReferenceNodeParameters,
@@ -119,6 +121,26 @@ class AxisParameters:
                 problems += error.problems
         if problems:
             raise ParameterError(problems)
+        return cls.of_nodes(namespace, parts)
+
+    @classmethod
+    def of_nodes(cls, namespace: str, parts: Mapping[str, NodeParameters | None]) -> AxisParameters:
+        """Put the parameters of nodes together.
+
+        Parameters
+        ----------
+        namespace : str
+        parts : mapping of str to NodeParameters or None
+            By the names of the nodes; of the two sources one is missing or None.
+
+        Raises
+        ------
+        ParameterError
+            Names rates or modes in which the nodes differ, and what does not fit together.
+        """
+        parts = {"inchworm_sequencer": None, "reference_generator": None, **parts}
+        problems = []
+        inchworm = parts["inchworm_sequencer"] is not None
         plant = parts["plant_simulator"]
         for name in node_names(inchworm):
             for shared in ("sample_rate", "time_mode", "joint", "faults"):
@@ -156,6 +178,17 @@ class AxisParameters:
             raise ConfigurationError(f"duration = {duration:g} s: more samples than can be counted; ask for less")
         samples = max(round(duration * self.plant_simulator.sample_rate), 1)
         return replace(self, plant_simulator=replace(self.plant_simulator, samples=samples))
+
+    def with_time_mode(self, mode: str) -> AxisParameters:
+        """Return the same axis in another ``time_mode``.
+
+        Raises
+        ------
+        ParameterError
+            The axis cannot run so.
+        """
+        nodes = {name: getattr(self, name) for name in NODE_PARAMETERS if getattr(self, name) is not None}
+        return replace(self, **{name: replace(node, time_mode=mode) for name, node in nodes.items()})
 
     def timeouts(self) -> list[str]:
         """Return a line for each time-out: what it is called, how long in samples and seconds, what follows."""

@@ -23,6 +23,7 @@ from hysteresis_ros.errors import ConfigurationError, ParameterError
 from hysteresis_ros.loop import pacing as at
 from hysteresis_ros.loop.axis import Axis, Change
 from hysteresis_ros.loop.pacing import Pace, pace
+from hysteresis_ros.loop.plant import JOINT_NUMBERS
 from hysteresis_ros.loop.ring import Lateness, Reader, Samples, lateness, latest
 from hysteresis_ros.loop.scheduling import ask_for, boosted, undisturbed
 from hysteresis_ros.loop.switches import CODES, switched
@@ -72,6 +73,7 @@ def pace_arrays(axis: Axis, factor: float = math.inf, samples: int = 0) -> Pace:
         np.zeros(at.BINS, dtype=np.int64),
         np.full((kept, size), math.nan),  # written, so that the memory is really there
         np.full(kept, -1, dtype=np.int64),
+        np.full((kept, JOINT_NUMBERS) if axis.motor else (1, 1), math.nan),
         np.zeros(2, dtype=np.int64),
     )
 

@@ -34,9 +34,10 @@ class NodeParameters(Parameters):
     )
     time_mode: str = parameter(
         "realtime",
-        choices=("realtime", "lockstep"),
+        choices=("realtime", "lockstep", "fused"),
         read_only=True,
-        description="realtime: the plant keeps the time; lockstep: each sample waits for its answer, as fast as it can",
+        description="realtime: the plant keeps the time; lockstep: each sample waits for its answer, as fast as it "
+        "can; fused: all nodes in one process, one compiled thread makes the samples in real time",
     )
     joint: str = parameter("extender", read_only=True, description="name of the joint in joint_states")
     autostart: bool = parameter(True, read_only=True, description="configure and activate by itself at start")
@@ -69,11 +70,11 @@ class RealtimeParameters(Parameters):
     """How the thread of the fused loop is scheduled."""
 
     priority: int = parameter(
-        0,
+        80,
         low=0,
         high=99,
         read_only=True,
-        description="fused: priority of the loop's thread, SCHED_FIFO; 0: a normal one",
+        description="fused: priority of the loop's thread, SCHED_FIFO, where that is permitted; 0: a normal one",
     )
     cpu: int = parameter(
         -1, low=-1, high=4095, read_only=True, description="fused: processor core of the loop's thread; -1: any"
@@ -109,6 +110,14 @@ class PlantNodeParameters(NodeParameters, ActuatorParameters):
     )
     real_time_factor: float = parameter(
         1.0, low=1.0e-6, high=1.0e3, read_only=True, description="realtime: simulated seconds per second of wall clock"
+    )
+    publish_rate: float = parameter(
+        100.0,
+        unit="Hz",
+        low=0.1,
+        high=1000.0,
+        read_only=True,
+        description="fused: how often topics and states show the last sample; a recorder gets all samples",
     )
     samples: int = parameter(
         0, low=0, high=10**12, read_only=True, description="length of a run in samples; 0 = without end"

@@ -14,6 +14,7 @@ import numpy as np
 
 from hysteresis_ros import signals as at
 from hysteresis_ros.block import COMPILED, nested
+from hysteresis_ros.loop.plant import tell_joints
 from hysteresis_ros.loop.switches import HALT, NOTHING, switch
 from hysteresis_ros.loop.tick import WHOLE
 
@@ -38,6 +39,8 @@ class Pace(NamedTuple):
     #: Rows of the last samples, shape (N, row length), and the time each began [ns], int64, shape (N,).
     rows: np.ndarray
     times: np.ndarray
+    #: Of a motor: what ``joint_states`` says of its joints, shape (N, JOINTS).
+    joints: np.ndarray
     #: For the C library, int64, shape (2,).
     timespec: np.ndarray
 
@@ -196,13 +199,14 @@ def log_switch(state, events, code):
 
 
 @nested
-def keep(own, begun):
+def keep(laws, parts, own, begun):
     """Put the sample that was made into the ring."""
     state, column = own.state, own.column
     slot = state[HEAD] % own.rows.shape[0]
     for i in range(column.shape[0]):
         own.rows[slot, i] = column[i, 0]
     own.times[slot] = begun
+    tell_joints(laws, parts.plant, own.joints[slot])
 
 
 def pace(step, laws, parts, own, motor):
@@ -245,7 +249,7 @@ def pace(step, laws, parts, own, motor):
             state[IN_ROW] = 0
         note_lateness(state, own.histogram, now - deadline)
         step(laws, parts, own.given, column, own.row, WHOLE)
-        keep(own, begun)
+        keep(laws, parts, own, begun)
         now = clock(timespec)
         spent = now - begun
         state[BUSY] += spent

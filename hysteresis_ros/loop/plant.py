@@ -62,6 +62,11 @@ def actuate(laws, part, row):
     """Hold the voltages of a sample until the next one, as far as they came in time."""
 
 
+@by_part
+def tell_joints(laws, part, row):
+    """Write what ``joint_states`` says of the joints of a plant of this kind into an array of JOINT_NUMBERS."""
+
+
 class PlantWatchArrays(NamedTuple):
     """Parameter arrays, or state arrays, with which a plant watches its voltages."""
 
@@ -223,8 +228,25 @@ def actuate_motor(laws, arrays, row):
     row[at.LATE] = x.trip[LATE]
 
 
+#: What ``joint_states`` says of a motor's joints: positions, velocities and efforts of four.
+JOINT_NUMBERS = motors.TRUE_POSITION
+
+
+@nested
+def no_joints(laws, part, numbers):
+    """Of an actuator the row says all."""
+
+
+@nested
+def motor_joints(laws, part, numbers):
+    """Write positions, velocities and efforts of a motor's joints."""
+    for i in range(numbers.shape[0]):
+        numbers[i] = part.x.joints[i]
+
+
 sense.kinds[ActuatorPlantArrays], actuate.kinds[ActuatorPlantArrays] = sense_actuator, actuate_actuator
 sense.kinds[MotorPlantArrays], actuate.kinds[MotorPlantArrays] = sense_motor, actuate_motor
+tell_joints.kinds[ActuatorPlantArrays], tell_joints.kinds[MotorPlantArrays] = no_joints, motor_joints
 
 
 class Plant:
@@ -286,6 +308,11 @@ class Plant:
 
     #: Places in the row of what a run is given for this plant, beside what every run is.
     given: tuple[int, ...] = ()
+
+    @property
+    def halted(self) -> bool:
+        """Whether an emergency stop has stopped the axis."""
+        return bool(self._watch_x.trip[TRIP] == HALTED)
 
     @property
     def overtravelled(self) -> bool:

@@ -22,6 +22,8 @@ class Samples(NamedTuple):
         A column for each sample, a row for each signal, see :func:`hysteresis_ros.signals.row_signals`.
     times : ndarray, shape (N,)
         When each was begun [ns since 1970], whole numbers.
+    joints : ndarray or None, shape (JOINT_NUMBERS, N)
+        Of a motor: positions [m], velocities [m/s] and efforts [N] of its joints.
     lost : int
         Samples before the first one that were overwritten before anybody took them.
     """
@@ -29,6 +31,7 @@ class Samples(NamedTuple):
     first: int
     table: np.ndarray
     times: np.ndarray
+    joints: np.ndarray | None
     lost: int
 
 
@@ -81,13 +84,15 @@ class Reader:
         first = max(self._next, head - size)
         places = np.arange(first, head) % size
         table, times = np.ascontiguousarray(rows[places].T), self._own.times[places] + self._offset()
+        joints = np.ascontiguousarray(self._own.joints[places].T) if len(self._own.joints) == size else None
         # what was overwritten while it was copied; of the next sample a part may stand in the ring already
         whole = min(max(first, int(state[at.HEAD]) + 1 - size), head)
         lost, self._next = whole - self._next, head
         begin = int(state[at.FIRST])
         if whole > first:
             table, times = np.ascontiguousarray(table[:, whole - first :]), times[whole - first :]
-        return Samples(begin + whole, table, times, lost)
+            joints = None if joints is None else np.ascontiguousarray(joints[:, whole - first :])
+        return Samples(begin + whole, table, times, joints, lost)
 
 
 def latest(own: Pace) -> tuple[int, np.ndarray]:

@@ -1,28 +1,48 @@
-"""Executable ``hysteresis_axis``: the four nodes of an axis composed in one process with one executor."""
+"""Executable ``hysteresis_axis``: the four nodes of an axis composed in one process with one executor.
+
+With ``time_mode: fused`` one compiled thread makes their samples. ``--recorder`` adds the node ``recorder``: only in
+this process it gets all samples of a fused axis.
+"""
 
 from __future__ import annotations
 
+import sys
+
+from hysteresis_ros.nodes.fused import FusedAxis
 from hysteresis_ros.nodes.hysteresis_compensator import HysteresisCompensatorNode
 from hysteresis_ros.nodes.inchworm_sequencer import InchwormSequencerNode
 from hysteresis_ros.nodes.motion_controller import MotionControllerNode
 from hysteresis_ros.nodes.plant_simulator import PlantSimulatorNode
+from hysteresis_ros.nodes.recorder import RecorderNode
 from hysteresis_ros.nodes.reference_generator import ReferenceGeneratorNode
 from hysteresis_ros.nodes.spin import run
+
+#: Argument that adds the recorder.
+WITH_RECORDER = "--recorder"
 
 
 def main(arguments=None) -> int:
     """Run all nodes; returns the exit code."""
+    arguments = list(sys.argv if arguments is None else arguments)
+    fused = FusedAxis()
     types = []
 
     def plant():
-        node = PlantSimulatorNode()
+        node = fused.join(PlantSimulatorNode())
         types.append(node.get_parameter("type").value)
         return node
 
     def reference():
-        return InchwormSequencerNode() if "inchworm" in types else ReferenceGeneratorNode()
+        return fused.join(InchwormSequencerNode() if "inchworm" in types else ReferenceGeneratorNode())
 
-    return run([plant, HysteresisCompensatorNode, MotionControllerNode, reference], arguments)
+    def joined(kind):
+        return lambda: fused.join(kind())
+
+    factories = [plant, joined(HysteresisCompensatorNode), joined(MotionControllerNode), reference]
+    if WITH_RECORDER in arguments:
+        arguments.remove(WITH_RECORDER)
+        factories.insert(0, joined(RecorderNode))  # the first is the last to leave
+    return run(factories, arguments)
 
 
 if __name__ == "__main__":

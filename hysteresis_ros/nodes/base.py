@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import time
 from array import array
+from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
@@ -17,6 +18,7 @@ from std_srvs.srv import Trigger
 from hysteresis_ros import signals
 from hysteresis_ros.errors import HysteresisError, ParameterError
 from hysteresis_ros.loop.node_parameters import NODE_PARAMETERS
+from hysteresis_ros.nodes.fused import Fused
 from hysteresis_ros.nodes.lockstep import Lockstep, Partners
 from hysteresis_ros.nodes.parameters import ParameterInterface
 from hysteresis_ros.nodes.qos import diagnostics_qos, latched_qos, loop_qos
@@ -55,6 +57,8 @@ class AxisNode(LifecycleNode):
         self.partners = Partners(self)
         self.parameters = None
         self.runner = None
+        #: With time_mode fused: the axis of which this node is one, in this process.
+        self.fused = None
         self._changes = None
         self.active = False
         #: Whether the process is about to end.
@@ -90,7 +94,13 @@ class AxisNode(LifecycleNode):
 
     def make_runner(self):
         """Return what decides when a sample is dealt with."""
-        return Lockstep(self) if self.parameters.time_mode == "lockstep" else RealTime(self)
+        if self.parameters.time_mode == "fused":
+            return Fused(self)
+        return self.lockstep_runner(self) if self.parameters.time_mode == "lockstep" else self.real_time_runner(self)
+
+    #: Runners of the time modes in which every node makes its part of a sample.
+    lockstep_runner: Any = Lockstep
+    real_time_runner: Any = RealTime
 
     @property
     def is_motor(self) -> bool:
@@ -144,9 +154,12 @@ class AxisNode(LifecycleNode):
         parameters : dict, optional
             With ``retune``: flat dotted parameters with their new values.
         """
+        entry = {"sample": self.sample, "node": self.kind, "action": action, **self.change_details()}
+        self.publish_change({**entry, "parameters": parameters or {}})
+
+    def publish_change(self, entry: dict) -> None:
+        """Publish what was changed."""
         if self._changes is not None:
-            entry = {"sample": self.sample, "node": self.kind, "action": action, **self.change_details()}
-            entry["parameters"] = parameters or {}
             self._changes.publish(String(data=json.dumps(entry)))
 
     def change_details(self) -> dict:
@@ -196,7 +209,7 @@ class AxisNode(LifecycleNode):
         return TransitionCallbackReturn.FAILURE
 
     def _connect(self) -> None:
-        self.pace = Pace(self.runner.period)
+        self.pace = self.runner.make_pace()
         names = self.state_names = tuple(self.state_signals()) if self.has_state else ()
         self._state = self._make_state(names)
         self._state_publisher = self.publisher(JointState, "~/state", self.qos()) if names else None
@@ -238,7 +251,7 @@ class AxisNode(LifecycleNode):
     def on_deactivate(self, state):
         """Stop working; outputs go to their safe values. A lockstep run is over: the next one starts at sample 0."""
         self.runner.part()
-        self.go_safe()
+        self.runner.go_safe()
         self._stop_working()
         self.runner.end()
         return super().on_deactivate(state)
@@ -260,10 +273,16 @@ class AxisNode(LifecycleNode):
         """Leave from any state: outputs go to their safe values first."""
         if self.active:
             self.runner.part()
-            self.go_safe()
+            self.runner.go_safe()
         self._stop_working()
         self.finished = True
         return super().on_shutdown(state)
+
+    def destroy_node(self) -> None:
+        """Leave the graph, and the axis in this process."""
+        if self.fused is not None:
+            self.fused.part(self)
+        super().destroy_node()
 
     # -- topics ------------------------------------------------------------------------------------------------
 
@@ -354,7 +373,8 @@ class AxisNode(LifecycleNode):
             self.failure, self.exit_code = "", 0
             self.pace.restart()
             self.runner.clear()
-            self.reset_blocks()
+            if self.runner.by_message:
+                self.reset_blocks()
             self.runner.begin_again()
         return self._answer_service(response, "reset")
 
@@ -364,10 +384,29 @@ class AxisNode(LifecycleNode):
         return response
 
     def _retune(self, parameters) -> None:
-        self.retune(parameters)
         before, after = self.parameters.to_mapping(), parameters.to_mapping()
-        self.parameters = parameters
-        self.log_change("retune", {name: value for name, value in after.items() if value != before.get(name)})
+        changed = {name: value for name, value in after.items() if value != before.get(name)}
+        if self.is_fused:
+            self.fused.apply(self.kind, "retune", changed)
+            self.retuned(parameters)
+            self.parameters = parameters
+        else:
+            self.retune(parameters)
+            self.retuned(parameters)
+            self.parameters = parameters
+            self.log_change("retune", changed)
+
+    def retuned(self, parameters) -> None:
+        """The part has taken changed parameters; those of before are still in :attr:`parameters`."""
+
+    @property
+    def is_fused(self) -> bool:
+        """Whether a loop makes the samples of this node now."""
+        return self.fused is not None and self.fused.loop is not None
+
+    def take_part(self, part) -> None:
+        """Show this part of a loop from now on, in the place of the node's own."""
+        self.part = part
 
     # -- the run -------------------------------------------------------------------------------------------------
 

@@ -51,7 +51,7 @@ class HysteresisCompensatorNode(Responder):
 
     def begin(self) -> None:
         """In real time go on from the voltage that is there."""
-        if not self.runner.exact and self.sample and self.running:
+        if self.runner.by_message and not self.runner.exact and self.sample and self.running:
             self.part.start()
 
     def reset_blocks(self) -> None:

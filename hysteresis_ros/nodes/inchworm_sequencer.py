@@ -96,8 +96,8 @@ class InchwormSequencerNode(Responder):
 
     def begin(self) -> None:
         """In real time begin when the loop is complete."""
-        self._complete = False
-        if not self.runner.exact:
+        self._complete = not self.runner.by_message
+        if not self.runner.exact and self.runner.by_message:
             self.timer(WATCHDOG_PERIOD, self._look_for_the_others)
 
     def _look_for_the_others(self) -> None:
@@ -133,16 +133,23 @@ class InchwormSequencerNode(Responder):
             low, high = self.sequencer.parameters.minimum, self.sequencer.parameters.maximum
             value = math.nextafter(value, high if value < 0.5 * (low + high) else low)
         self.setpoint = value
-        x[at.SPEED] = 0.0
         self._schedule.clear()
+        if self.is_fused:
+            self.fused.loop.set(setpoint=value, speed=0.0)
+        else:
+            x[at.SPEED] = 0.0
 
     def _on_speed(self, message) -> None:
-        reason = self.sequencer.walk(message.data)
+        reason = self.sequencer.parameters.gait.refuse_speed(message.data)
         if reason:
             self.refused += 1
             self.warn("speed", f"{reason}; {self.sequencer.x[at.SPEED]:.6g} m/s is kept")
         else:
             self._schedule.clear()
+            if self.is_fused:
+                self.fused.loop.set(speed=message.data)
+            else:
+                self.sequencer.walk(message.data)
 
     def _on_start(self, request, response):
         return self._ask(response, at.START_REQUEST, "goes on")
@@ -154,6 +161,8 @@ class InchwormSequencerNode(Responder):
         if self.parameters is not None and self.sequencer.x[at.MODE] != at.FAILED:
             self.setpoint = self.parameters.home_position
             self._schedule.clear()
+            if self.is_fused:
+                self.fused.loop.set(setpoint=self.setpoint)
         return self._ask(response, at.HOME_REQUEST, "goes home")
 
     def _on_release(self, request, response):
@@ -166,7 +175,10 @@ class InchwormSequencerNode(Responder):
                 response.success = False
                 response.message = f"refused: stopped by the error {self.sequencer.error}; call ~/start first"
                 return response
-            self._requests.append(code)
+            if self.is_fused:
+                self.fused.loop.set(request=float(code))
+            else:
+                self._requests.append(code)
         return self._answer_service(response, f"{what} from sample {self.sample + len(self._requests) - 1} on")
 
     # -- samples -----------------------------------------------------------------------------------------------

@@ -150,15 +150,18 @@ class Graph:
             path = folder / f"axis{number}.yaml"
             axis = replace(axis, recorder=replace(axis.recorder, configuration=str(path)))
             path.write_text(axis.configuration_text(), encoding="utf-8")
-            names = ["hysteresis_axis"] if self.composed else list(node_names(axis.inchworm_sequencer is not None))
-            if self.record is not None:
+            fused = axis.plant_simulator.time_mode == "fused"
+            whole = self.composed or fused
+            names = ["hysteresis_axis"] if whole else list(node_names(axis.inchworm_sequencer is not None))
+            if self.record is not None and not fused:
                 names.insert(0, "recorder")
             for name in names:
-                self.processes.append(self._spawn(name, axis.namespace, path))
+                more = ["--recorder"] if fused and self.record is not None else []
+                self.processes.append(self._spawn(name, axis.namespace, path, more))
 
-    def _spawn(self, name: str, namespace: str, path: pathlib.Path) -> NodeProcess:
+    def _spawn(self, name: str, namespace: str, path: pathlib.Path, more: list[str]) -> NodeProcess:
         module = "axis" if name == "hysteresis_axis" else name
-        command = [sys.executable, "-m", f"hysteresis_ros.nodes.{module}", "--ros-args"]
+        command = [sys.executable, "-m", f"hysteresis_ros.nodes.{module}", *more, "--ros-args"]
         command += ["--params-file", str(path), "--log-level", self.log_level]
         if namespace:
             command += ["-r", f"__ns:={namespace}"]

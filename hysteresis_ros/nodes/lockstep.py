@@ -7,6 +7,7 @@ import math
 from std_msgs.msg import String
 
 from hysteresis_ros.nodes.qos import latched_qos
+from hysteresis_ros.nodes.runner import Runner
 
 #: Seconds a first sample may take: discovery, and compilation of the kernels on a machine that has no cache yet.
 STARTUP_TIMEOUT = 120.0
@@ -77,7 +78,7 @@ class Partners:
         return ""
 
 
-class Lockstep:
+class Lockstep(Runner):
     """What a node of a lockstep run keeps to: samples in order, partners present, one end for all.
 
     Parameters
@@ -88,13 +89,11 @@ class Lockstep:
 
     #: Whether every sample is answered exactly once, whatever happens.
     exact = True
-    #: Period of a sample for the statistics of pace [s]; none here.
-    period = float("inf")
     #: Whether messages are kept for whoever is matched a little later.
     keeps = True
 
     def __init__(self, node):
-        self.node = node
+        super().__init__(node)
         self.run_state = None
         self.clear()
         self.reset_pending = False

@@ -62,7 +62,7 @@ class MotionControllerNode(Responder):
 
     def begin(self) -> None:
         """In real time go on from where the axis is."""
-        if not self.runner.exact and self.sample and self.running:
+        if self.runner.by_message and not self.runner.exact and self.sample and self.running:
             self.part.start()
 
     def reset_blocks(self) -> None:
@@ -72,11 +72,19 @@ class MotionControllerNode(Responder):
 
     def retune(self, parameters) -> None:
         """Take new gains, or another type of controller; the command goes on from where it is."""
-        before = self.part.parameters.type
         self.part.retune(parameters)
+
+    def retuned(self, parameters) -> None:
+        """Show the controller that is there now."""
         self._connect_part()
+        before = self.parameters.type
         if parameters.type != before:
             self.get_logger().info(f"{parameters.type} takes over from {before}")
+
+    def take_part(self, part) -> None:
+        """Show this part of a loop from now on."""
+        super().take_part(part)
+        self._connect_part()
 
     @property
     def controller(self):
@@ -131,6 +139,11 @@ class MotionControllerNode(Responder):
         """Say that a reference cannot be used: the last good one serves, of a motor the command stays."""
         if not input_.previous:
             self.warn(input_.topic, f"{input_.topic} {data} m refused, the last one is kept")
+
+    def show(self, stamp, quiet: bool) -> None:
+        """Publish what stands in the row, and compare what was wanted in it with what was carried out."""
+        super().show(stamp, quiet)
+        self.shortfall.carried_out(self.row[signals.APPLIED])
 
     def after_step(self) -> None:
         """Tell what has changed, and keep what was wanted for the comparison with what is carried out."""

@@ -13,10 +13,11 @@ import time
 from array import array
 from functools import partial
 
+import numpy as np
 from builtin_interfaces.msg import Time
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64, UInt64
+from std_msgs.msg import Bool, Float64, UInt64
 
 from hysteresis_ros import signals
 from hysteresis_ros.block import interpreted
@@ -27,7 +28,7 @@ from hysteresis_ros.loop.tick import MEASURED, Laws
 from hysteresis_ros.models.inchworm import EFFORT, JOINT_NAMES, POSITION, VELOCITY
 from hysteresis_ros.nodes.base import AxisNode
 from hysteresis_ros.nodes.plant_runners import LockstepPlant, RealTimePlant
-from hysteresis_ros.nodes.qos import latched_qos
+from hysteresis_ros.nodes.qos import latched_qos, setpoint_qos
 from hysteresis_ros.nodes.responder import TRIPPED_FRAME
 from hysteresis_ros.nodes.spin import run
 
@@ -81,9 +82,8 @@ class PlantSimulatorNode(AxisNode):
         # real time: the thread and the executor both work on the plant
         self.lock = threading.Lock()
 
-    def make_runner(self):
-        """Return what decides when a sample is made."""
-        return LockstepPlant(self) if self.parameters.time_mode == "lockstep" else RealTimePlant(self)
+    lockstep_runner = LockstepPlant
+    real_time_runner = RealTimePlant
 
     @property
     def is_motor(self) -> bool:
@@ -124,6 +124,8 @@ class PlantSimulatorNode(AxisNode):
 
     def unbuild(self) -> None:
         """Let go of the device."""
+        if self.is_fused:
+            self.fused.end()
         if self.part is not None:
             self.part.close()
 
@@ -146,11 +148,12 @@ class PlantSimulatorNode(AxisNode):
         self._clock_publisher = (
             self.publisher(Clock, "/clock", latched_qos()) if self.parameters.publish_clock else None
         )
-        for input_ in self.inputs:
+        self.subscriber(Bool, "estop", self._on_emergency, setpoint_qos())
+        for input_ in self.inputs if self.runner.by_message else ():
             take = partial(self.runner.voltage, input_)
             heard = self.subscriber(Float64, input_.topic, take, self.qos(), partner=input_.partner)
             input_.full_name = heard.topic_name
-        if self.parameters.wait_for_recorder:
+        if self.parameters.wait_for_recorder and self.runner.by_message:
             topic, qos = "recorder/acknowledged", latched_qos()
             self.subscriber(UInt64, topic, self.runner.acknowledged_by_recorder, qos, partner="recorder")
 
@@ -161,8 +164,13 @@ class PlantSimulatorNode(AxisNode):
             name: signal for name, signal in found.items() if not (self.parameters.driver and name == "displacement")
         }
 
+    @property
+    def joint_names(self) -> tuple[str, ...]:
+        """Names in ``joint_states``."""
+        return (self.parameters.joint, *JOINT_NAMES[1:]) if self.is_motor else (self.parameters.joint,)
+
     def _joint_states_message(self) -> JointState:
-        names = (self.parameters.joint, *JOINT_NAMES[1:]) if self.is_motor else (self.parameters.joint,)
+        names = self.joint_names
         message = JointState()
         message.name = list(names)
         message.position, message.velocity, message.effort = (array("d", bytes(8 * len(names))) for _ in range(3))
@@ -191,15 +199,32 @@ class PlantSimulatorNode(AxisNode):
         """Take new parameters of the plant."""
         with self.lock:
             self.part.retune(parameters)
-            self._message.effort[0] = parameters.preload.force if not self.is_motor else self._message.effort[0]
+
+    def retuned(self, parameters) -> None:
+        """Let ``joint_states`` say the present preload."""
+        self._message.effort[0] = parameters.preload.force if not self.is_motor else self._message.effort[0]
 
     def change_details(self) -> dict:
         """Return whether the sample has been measured already: a change concerns what follows then."""
         return {"after": MEASURED} if self.runner.is_measured else {}
 
-    def _on_start(self, request, response):
+    def _on_emergency(self, message) -> None:
+        if not message.data or not self.active:
+            return
+        self.warn("estop", "emergency stop: the axis goes to safe until ~/start", error=True)
+        if self.is_fused:
+            self.fused.halt()
+            return
         with self.lock:
-            if self.part is not None and self.parameters is not None and self.part.tripped:
+            self.part.halt()
+            self.log_change("halt")
+
+    def _on_start(self, request, response):
+        if self.is_fused and self.part.tripped and self.running:
+            self.fused.go_on()
+        with self.lock:
+            unfused = self.part is not None and self.parameters is not None and not self.is_fused
+            if unfused and self.part.tripped:
                 self.part.start()
                 self.runner.align()
                 self.log_change("start")
@@ -215,18 +240,54 @@ class PlantSimulatorNode(AxisNode):
         """Return the time of a sample [ns] from the beginning of the run."""
         return round(sample * 1e9 / self.parameters.sample_rate)
 
+    def stamps_of(self, samples: np.ndarray) -> np.ndarray:
+        """Return the stamps [ns] of samples, both of shape (N,)."""
+        return self._start_stamp + np.rint(samples * 1e9 / self.parameters.sample_rate).astype(np.int64)
+
     def set_start(self) -> None:
         """Real time: let the stamps go on from now, or from zero where they are the source of time themselves."""
         self._start_stamp = 0 if self.parameters.publish_clock else time.time_ns() - self.stamp_of(self.sample)
 
+    def begin_run(self) -> None:
+        """Take now for the time of sample 0 of a loop."""
+        self._first = time.monotonic()
+        self._told = self._tripped = False
+        self.sample = 0
+        self.set_start()
+
     def publish_sample(self) -> None:
         """Measure the present sample and publish it."""
         stamp = self._start_stamp + self.stamp_of(self.sample)
-        message = self._message
-        message.header.stamp = Time(sec=stamp // 1_000_000_000, nanosec=stamp % 1_000_000_000)
-        before = message.position[0]
+        before = self._message.position[0]
         self.sense()
-        row = self.row
+        if not self.sample:
+            self._first = time.monotonic()
+        self._publish_measured(stamp, before if self.sample else self.row[signals.MEASURED])
+
+    def show(self, sample: int, before: float, quiet: bool):
+        """Publish what stands in the row of a sample that a loop has made.
+
+        Parameters
+        ----------
+        sample : int
+            Its number.
+        before : float
+            What was measured at the sample before [m].
+        quiet : bool
+            Whether nothing is said of a stop: the axis is left on purpose.
+
+        Returns
+        -------
+        builtin_interfaces.msg.Time
+            Its stamp.
+        """
+        self._publish_measured(self._start_stamp + self.stamp_of(sample), before, quiet)
+        self._publish_row()
+        return self._message.header.stamp
+
+    def _publish_measured(self, stamp: int, before: float, quiet: bool = False) -> None:
+        message, row = self._message, self.row
+        message.header.stamp = Time(sec=stamp // 1_000_000_000, nanosec=stamp % 1_000_000_000)
         if self.is_motor:
             joints = self.part.arrays.x.joints
             message.position[:] = array("d", joints[POSITION : POSITION + 4].tobytes())
@@ -235,17 +296,15 @@ class PlantSimulatorNode(AxisNode):
         else:
             message.position[0] = row[signals.MEASURED]
             moved = row[signals.MEASURED] - before
-            message.velocity[0] = moved * self.parameters.sample_rate if self.sample else 0.0
+            message.velocity[0] = moved * self.parameters.sample_rate
         tripped = row[signals.TRIPPED] != 0.0
         if tripped != self._tripped:
             self._tripped = tripped
             message.header.frame_id = TRIPPED_FRAME if tripped else ""
-            if tripped:
+            if tripped and not quiet:
                 self.warn("tripped", f"axis stopped: {self.explain_trip()}", error=True, every=0.0)
-            else:
+            elif not quiet:
                 self.get_logger().info("the axis goes on")
-        if not self.sample:
-            self._first = time.monotonic()
         self._joint_states.publish(message)
         if self._clock_publisher is not None:
             self._clock_publisher.publish(Clock(clock=message.header.stamp))
@@ -256,9 +315,12 @@ class PlantSimulatorNode(AxisNode):
             self.row[input_.signal] = input_.value
             input_.value = math.nan
         self.actuate()
+        self._publish_row()
+        self.sample += 1
+
+    def _publish_row(self) -> None:
         row = self.row
         self.publish_state(self._message.header.stamp, *[row[place] for place in self._state_places])
-        self.sample += 1
 
     def receive(self, input_: VoltageInput, voltage: float) -> None:
         """Keep a voltage for the present sample; what is not finite has not come."""
@@ -277,6 +339,8 @@ class PlantSimulatorNode(AxisNode):
         """Say why the plant has stopped the axis."""
         if self.part.failure:
             return f"{self.part.failure}; ~/start tries the device again, cleanup and configure open it anew"
+        if self.part.halted:
+            return "an emergency stop (~/stop of a fused axis, or estop); ~/start lets it go on"
         if self.part.overtravelled:
             low, high = self.part.travel
             return (

@@ -15,6 +15,7 @@ from collections import deque
 from std_msgs.msg import String
 
 from hysteresis_ros.nodes.qos import latched_qos
+from hysteresis_ros.nodes.runner import Runner
 from hysteresis_ros.nodes.timing import Pairing
 
 #: Seconds between two looks at an input that may have stopped.
@@ -95,7 +96,7 @@ class Follower:
         return math.nan if self.strict else self.last
 
 
-class RealTime:
+class RealTime(Runner):
     """What a node does about time: nothing is exact, inputs may stop, and samples go by without them.
 
     Parameters
@@ -108,7 +109,7 @@ class RealTime:
     paused = False
 
     def __init__(self, node):
-        self.node = node
+        super().__init__(node)
         self.clear()
 
     @property

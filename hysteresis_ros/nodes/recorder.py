@@ -5,6 +5,7 @@ from __future__ import annotations
 import pathlib
 import time
 
+import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, String, UInt64
@@ -16,6 +17,7 @@ from hysteresis_ros.nodes.qos import diagnostics_qos, latched_qos, setpoint_qos
 from hysteresis_ros.nodes.spin import QUIET, run
 from hysteresis_ros.nodes.timing import STALE
 from hysteresis_ros.recordings.bag_writer import BagWriter
+from hysteresis_ros.recordings.batch_writer import CHUNK_TIME, AxisTopics, SampleWriter
 
 #: Samples between two acknowledgements to the plant.
 STRIDE = 16
@@ -54,6 +56,9 @@ class RecorderNode(AxisNode):
         super().__init__("recorder", **options)
         self.bag = None
         self._arrived = False
+        self._samples: SampleWriter | None = None
+        self._reader = self._fused_plant = None
+        self._lost = 0
 
     def build(self, parameters) -> None:
         """Open the bag."""
@@ -91,7 +96,7 @@ class RecorderNode(AxisNode):
         qos = self.qos()
         self._sampled: list[str] = []
         durability = "transient_local" if self.runner.exact else "volatile"
-        for index, (topic, message_type, partner) in enumerate(self._topics):
+        for index, (topic, message_type, partner) in enumerate(self._topics if self.runner.by_message else ()):
             self._record(topic, message_type, qos, durability, index, partner)
         self.subscribe_end()
         self._record("setpoint", Float64, setpoint_qos(), "volatile")
@@ -114,7 +119,7 @@ class RecorderNode(AxisNode):
             self.bag.add_topic(self._announce.topic_name, "std_msgs/msg/String", "transient_local")
             self.bag.write_string(self._announce.topic_name, self._configuration, time.time_ns())
             self.bag.flush()
-        self._began = self.runner.exact
+        self._began = self.runner.exact or not self.runner.by_message
         self._patience = time.monotonic() + PATIENCE_AT_START
         if self._began:
             self._send_acknowledgement()
@@ -152,12 +157,60 @@ class RecorderNode(AxisNode):
         if self._began and counts[index] % STRIDE == 0 and min(counts) >= self._acknowledged + STRIDE:
             self._send_acknowledgement()
 
+    # -- samples that a loop in this process makes ---------------------------------------------------------------
+
+    def record_loop(self, fused) -> None:
+        """Take all samples of a loop out of its ring, from its next one on, in the place of messages.
+
+        Parameters
+        ----------
+        fused : FusedAxis
+        """
+        plant = fused.plant
+        parameters, motor = plant.parameters, plant.is_motor
+        if self._samples is None and self.bag is not None:
+            topics = AxisTopics(
+                self.get_namespace().rstrip("/"),
+                plant.joint_names,
+                parameters.sample_rate,
+                motor,
+                0.0 if motor else parameters.preload.force,
+                not parameters.driver,
+            )
+            self._samples = SampleWriter(self.bag, topics, chunk_time=min(CHUNK_TIME, self.parameters.chunk_time))
+        elif self._samples is not None:
+            self._samples.restart()
+        self._reader, self._fused_plant = fused.loop.reader(), plant
+
+    def take_samples(self) -> None:
+        """Write what the loop has made since the last time."""
+        if self._reader is None or self._samples is None or self.bag is None:
+            return
+        taken = self._reader.take()
+        count = taken.table.shape[1]
+        self._lost += taken.lost
+        if taken.lost:
+            text = f"{taken.lost} samples were overwritten before they were recorded: disk or processor are too slow"
+            self.warn("lost", text, error=True)
+        if not count:
+            return
+        stamps = self._fused_plant.stamps_of(np.arange(taken.first, taken.first + count))
+        self._samples.force = self._fused_plant.parameters.preload.force
+        try:
+            self._samples.write(stamps, taken.table, joints=taken.joints, times=taken.times)
+        except RecordingError as error:
+            self.fail(str(error))
+            return
+        self._counts = [taken.first + count - self._lost] * len(self._topics)
+        self._arrived = True
+
     def _send_acknowledgement(self) -> None:
         self._acknowledged = min(self._counts)
         self._acknowledge.publish(UInt64(data=self._acknowledged))
 
     def _tend(self) -> None:
         now = time.monotonic()
+        self.take_samples()
         if self._arrived:
             self._last_arrival, self._arrived = now, False
         if self.bag is not None and now - self._flushed > self.parameters.chunk_time:
@@ -201,6 +254,8 @@ class RecorderNode(AxisNode):
         """Finish the bag: index and metadata."""
         if self.bag is None:
             return
+        self.take_samples()
+        self._samples = self._reader = None
         bag, self.bag = self.bag, None
         try:
             bag.close()

@@ -59,6 +59,8 @@ class ReferenceGeneratorNode(Responder):
             self.warn("setpoint", f"{reason}; {self.setpoint:.6g} m is kept")
             return
         self.setpoint = message.data
+        if self.is_fused:
+            self.fused.loop.set(setpoint=self.setpoint)
 
     def health(self):
         """Report refused setpoints and the present values."""

@@ -62,9 +62,8 @@ class Responder(AxisNode):
         self.wrong_joint = False
         super().__init__(name, **options)
 
-    def make_runner(self):
-        """Return what decides when a sample is answered."""
-        return LockstepResponder(self) if self.parameters.time_mode == "lockstep" else RealTimeResponder(self)
+    lockstep_runner = LockstepResponder
+    real_time_runner = RealTimeResponder
 
     # -- the part of the loop ------------------------------------------------------------------------------------
 
@@ -83,11 +82,12 @@ class Responder(AxisNode):
 
     def on_running(self, running: bool) -> None:
         """``~/stop`` brings the part to its safe output, ``~/start`` lets it go on without a jump."""
-        if running:
-            self.part.start()
-        else:
-            self.part.stop()
-        self.log_change("start" if running else "stop")
+        action = "start" if running else "stop"
+        if self.is_fused:
+            self.fused.apply(self.kind, action)
+            return
+        getattr(self.part, action)()
+        self.log_change(action)
 
     def compile(self) -> None:
         """Take the part through everything it can be asked for, so that nothing is compiled later."""
@@ -109,11 +109,13 @@ class Responder(AxisNode):
         state = self.state_signals()
         self._state_places = [signals.place(signal) for signal in state.values()]
         self._outputs = [(place, self.publisher(Float64, topic, qos, loop=True)) for topic, place in self.outputs]
+        self.subscribe_end()
+        if not self.runner.by_message:
+            return
         self.subscriber(JointState, "joint_states", self.runner.measurement, qos, partner="plant_simulator")
         for place, input_ in enumerate(self.inputs):
             heard = self._heard(place)
             self.subscriber(Float64, input_.topic, heard, qos, partner=input_.partner)
-        self.subscribe_end()
 
     def _heard(self, place: int):
         def take(message) -> None:
@@ -176,6 +178,13 @@ class Responder(AxisNode):
         """Answer the sample in the row."""
         self.respond()
         self.report(stamp)
+
+    def show(self, stamp, quiet: bool) -> None:
+        """Publish what stands in the row of a sample that a loop has made; ``quiet``: nothing is said about it."""
+        self.publish_outputs()
+        self.report(stamp)
+        if not quiet:
+            self.after_step()
 
     def report(self, stamp) -> None:
         """Publish ``~/state`` with the stamp of a measurement."""

@@ -156,7 +156,7 @@ def _leave(executor, nodes, regular: bool) -> None:
             continue
         # A lockstep run that ended regularly has exactly one voltage a sample, and its plant is gone.
         if not (regular and node.runner.exact):
-            node.go_safe()
+            node.runner.go_safe()
         if node.listens_at_exit and not regular:
             listening.append(node)
         else:

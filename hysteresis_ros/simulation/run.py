@@ -86,11 +86,11 @@ def _padded(values, samples: int, rest: float) -> np.ndarray:
 
 #: What the log of a run may say of each node.
 LOGGED = {
-    "plant_simulator": ("start", "halt", "retune"),
-    "reference_generator": ("start", "stop", "retune"),
-    "inchworm_sequencer": ("retune",),
-    "motion_controller": ("start", "stop", "retune"),
-    "hysteresis_compensator": ("start", "stop", "retune"),
+    "plant_simulator": ("start", "halt", "reset", "retune"),
+    "reference_generator": ("start", "stop", "reset", "retune"),
+    "inchworm_sequencer": ("reset", "retune"),
+    "motion_controller": ("start", "stop", "reset", "retune"),
+    "hysteresis_compensator": ("start", "stop", "reset", "retune"),
 }
 
 

@@ -43,6 +43,6 @@ def test_what_cannot_be_repeated_is_refused(tmp_path):
     run.metadata["source"] = "bag"
     save_run(run, tmp_path / "run.npz")
     code, line = verify(tmp_path / "run.npz")
-    assert code == 2 and "only --rate lockstep repeats" in line
+    assert code == 2 and "only lockstep and fused runs repeat" in line
     code, line = verify(tmp_path / "nothing")
     assert code == 2 and "no such file" in line

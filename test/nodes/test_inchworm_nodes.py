@@ -33,6 +33,7 @@ def motor(**common):
     configuration = load_configuration(ROOT / "config" / "inchworm_travel.yaml").override("", **common)
     schedule = {"setpoints__values": [2.0e-4], "setpoints__times": [2.0e-3]}
     configuration = configuration.override("inchworm_sequencer", **QUICK, **schedule)
+    configuration = configuration.override("plant_simulator", real_time_factor=0.05)
     return AxisParameters.from_configuration(configuration)
 
 

@@ -1,0 +1,397 @@
+"""Fused: one compiled thread makes all samples of an axis, and its nodes in the same process show and steer it.
+
+The nodes keep their names, topics, parameters, services and diagnostics. What people ask of them goes to the loop
+(:mod:`hysteresis_ros.loop.fused`), which takes it at a sample's boundary; what the loop has made they publish at
+``publish_rate``, with the stamps of its samples. Who needs every sample reads them out of the loop's ring.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+
+from hysteresis_ros import signals
+from hysteresis_ros.errors import ParameterError, Problem
+from hysteresis_ros.loop.axis import Axis, Change
+from hysteresis_ros.loop.axis_parameters import AxisParameters, node_names
+from hysteresis_ros.loop.fused import FusedLoop
+from hysteresis_ros.loop.node_parameters import RecorderNodeParameters
+from hysteresis_ros.nodes.realtime import RealTime
+from hysteresis_ros.references import inchworm_layout as gait
+
+#: Seconds in which the voltage goes to its safe value before the loop of a node that leaves is ended.
+RETURN = 2.0
+#: Longest time for which Python keeps the processor from the loop when that wants to apply a change [s].
+SWITCH_INTERVAL = 5e-4
+
+#: Parts that are stopped while their nodes are not active, in the order in which they start again.
+STOPPABLE = ("hysteresis_compensator", "motion_controller")
+
+
+class LoopPace:
+    """Rate, jitter and misses of the loop, in the words of :class:`hysteresis_ros.nodes.timing.Pace`.
+
+    Parameters
+    ----------
+    fused : FusedAxis
+    """
+
+    def __init__(self, fused: FusedAxis):
+        self._fused = fused
+        self._last = 0.0
+        self._read = (0, 0.0)
+
+    @property
+    def total(self) -> int:
+        """Samples so far."""
+        loop = self._fused.loop
+        return loop.sample if loop is not None else 0
+
+    @property
+    def overruns(self) -> int:
+        """Samples so far that were skipped."""
+        loop = self._fused.loop
+        return loop.missed if loop is not None else 0
+
+    @property
+    def age(self) -> float:
+        """Seconds since samples were last seen; infinite before the first."""
+        return time.monotonic() - self._last if self._last else float("inf")
+
+    def tick(self) -> None:
+        """Note that there are new samples."""
+        self._last = time.monotonic()
+
+    def restart(self) -> None:
+        """Forget the last samples, so that a pause is not taken for a rate."""
+        self._read = (self.total, time.monotonic())
+
+    def read(self) -> tuple[float, float]:
+        """Return the rate since the last reading [Hz] and the lateness that 99 % of all samples do not exceed [s]."""
+        (before, then), self._read = self._read, (self.total, time.monotonic())
+        rate = (self._read[0] - before) / max(self._read[1] - then, 1e-9) if then else 0.0
+        loop = self._fused.loop
+        return max(rate, 0.0), loop.lateness().p99 if loop is not None else 0.0
+
+
+class FusedAxis:
+    """The nodes of one axis in this process, and the loop that makes its samples once all of them are active.
+
+    Attributes
+    ----------
+    nodes : dict of str to AxisNode
+        By their names; a recorder may be among them.
+    loop : FusedLoop or None
+        While there is one.
+    """
+
+    def __init__(self) -> None:
+        self.nodes: dict = {}
+        self.loop: FusedLoop | None = None
+        self.axis: Axis | None = None
+        self._told: set[int] = set()
+        self._over = self._leaving = False
+
+    def join(self, node):
+        """Let a node belong to the axis, and return it."""
+        node.fused = self
+        self.nodes[node.kind] = node
+        return node
+
+    def part(self, node) -> None:
+        """Let go of a node; the loop ends with the first one."""
+        self.end()
+        self.nodes.pop(node.kind, None)
+        node.fused = None
+
+    @property
+    def plant(self):
+        """The node that shows the plant."""
+        return self.nodes["plant_simulator"]
+
+    @property
+    def source(self):
+        """The node that shows the source of the reference."""
+        return self.nodes.get("inchworm_sequencer") or self.nodes["reference_generator"]
+
+    # -- beginning and end ---------------------------------------------------------------------------------------
+
+    def activated(self, node) -> None:
+        """Take note of a node that goes to work: the last one starts the loop.
+
+        Raises
+        ------
+        HysteresisError
+            The nodes' parameters do not fit together, or without Numba the axis is too fast.
+        """
+        if self.loop is not None:
+            if node.kind in STOPPABLE and node.running:
+                self.apply(node.kind, "start")
+            elif node.kind == "plant_simulator":
+                self._leaving = False
+                if node.running:
+                    self.go_on()
+        elif all(other.active for other in self.nodes.values()):
+            self._begin()
+
+    def deactivated(self, node) -> None:
+        """Bring the outputs of a node that stops working to their safe values; of the plant all of them."""
+        if self.loop is None:
+            return
+        if node.kind in STOPPABLE:
+            self.apply(node.kind, "stop")
+        elif node.kind == "plant_simulator":
+            self._make_safe()
+
+    def _begin(self) -> None:
+        parameters = self._parameters()
+        axis = Axis(parameters)
+        plant = parameters.plant_simulator
+        first = axis.sample
+        loop = FusedLoop(axis, plant.real_time_factor, plant.samples, warn=self._warn)
+        for name, part in axis.by_node.items():
+            self.nodes[name].take_part(part)
+        for name in STOPPABLE:
+            if not self.nodes[name].running:
+                loop.apply(Change(first, name, "stop"))
+        source = self.source
+        if source.setpoint != source.parameters.initial_setpoint:
+            loop.set(setpoint=source.setpoint)
+        self.axis, self.loop = axis, loop
+        self._over = self._leaving = False
+        self._told.clear()
+        self._reader = loop.reader()
+        sys.setswitchinterval(SWITCH_INTERVAL)
+        self.plant.begin_run()
+        if "recorder" in self.nodes:
+            self.nodes["recorder"].record_loop(self)
+        loop.start()
+        if not self.plant.running:
+            loop.halt()
+
+    def _parameters(self) -> AxisParameters:
+        plant = self.plant
+        parts = {name: self.nodes[name].parameters for name in node_names(plant.is_motor)}
+        recorder = self.nodes["recorder"].parameters if "recorder" in self.nodes else RecorderNodeParameters()
+        return AxisParameters.of_nodes(plant.get_namespace().rstrip("/"), {**parts, "recorder": recorder})
+
+    def _warn(self, text: str) -> None:
+        self.plant.get_logger().warning(f"real time: {text}")
+
+    def end(self) -> None:
+        """End the loop, if there is one; what it has made is still shown and recorded."""
+        if self.loop is None:
+            return
+        self.loop.leave()
+        self.show()
+        if "recorder" in self.nodes:
+            self.nodes["recorder"].take_samples()
+        self.loop = None
+
+    def _make_safe(self) -> None:
+        """Stop everything and wait until the voltage is at its safe value."""
+        loop = self.loop
+        assert loop is not None
+        self._leaving = True
+        loop.halt()
+        safe = self.plant.parameters.safe_voltage
+        patience = time.monotonic() + RETURN
+        while loop.running and time.monotonic() < patience:
+            sample, row = loop.latest()
+            if sample >= 0 and row[signals.TRIPPED] and abs(row[signals.PLANT_VOLTAGE] - safe) < 1e-2:
+                return
+            time.sleep(1e-3)
+
+    def reset(self, node) -> None:
+        """Let the part of a node begin again with everything at rest, of the plant all parts; samples count on."""
+        if self.loop is None:
+            return
+        whole = node.kind == "plant_simulator"
+        for name in reversed(node_names(self.plant.is_motor)) if whole else (node.kind,):
+            if name in self.axis.by_node:
+                self.apply(name, "reset")
+        if node in (self.source, self.plant):
+            self.source.setpoint = self.source.parameters.initial_setpoint
+            self.loop.set(setpoint=self.source.setpoint)
+
+    # -- steering ------------------------------------------------------------------------------------------------
+
+    def apply(self, name: str, action: str, parameters: dict | None = None) -> None:
+        """Change something from a sample on, and wait until it is.
+
+        Parameters
+        ----------
+        name : str
+            Of the node whose part it concerns.
+        action : str
+            ``start``, ``stop`` or ``retune``.
+        parameters : dict, optional
+            With ``retune``: flat dotted parameters with their new values.
+
+        Raises
+        ------
+        ParameterError
+            The new parameters are refused; nothing is changed then.
+        """
+        assert self.loop is not None
+        self.loop.apply(Change(self.loop.sample, name, action, parameters or {}))
+
+    def halt(self) -> None:
+        """Stop everything within one sample, until :meth:`go_on`."""
+        if self.loop is not None:
+            self.loop.halt()
+
+    def go_on(self) -> None:
+        """Start all that an emergency stop, or a trip, has stopped, without a jump."""
+        if self.loop is None:
+            return
+        self.apply("plant_simulator", "start")
+        for name in STOPPABLE:
+            if self.nodes[name].running:
+                self.apply(name, "start")
+        if self.plant.is_motor:
+            self.loop.set(request=float(gait.START_REQUEST))
+        elif self.source.running:
+            self.apply(self.source.kind, "start")
+
+    # -- showing -------------------------------------------------------------------------------------------------
+
+    def show(self) -> None:
+        """Publish the last sample, what has changed, and the end of the run."""
+        loop = self.loop
+        if loop is None or self._over:
+            return
+        ended = not loop.running
+        samples = self._reader.take()
+        if samples.table.shape[1]:
+            self._show(samples)
+        self._tell_changes()
+        if loop.failure:
+            self._over = True
+            self.plant.fail(loop.failure)
+        elif ended and loop.sample >= self.plant.parameters.samples > 0:
+            self._over = True
+            self.plant.finish()
+
+    def _show(self, samples) -> None:
+        number = samples.first + samples.table.shape[1] - 1
+        values = samples.table[:, -1].tolist()
+        before = samples.table[signals.MEASURED, -2] if samples.table.shape[1] > 1 else values[signals.MEASURED]
+        for node in self.nodes.values():
+            node.pace.tick()
+            node.sample = number + 1
+        for name in node_names(self.plant.is_motor):
+            row = self.nodes[name].row
+            row[: len(values)] = values
+        stamp = self.plant.show(number, before, self._leaving)
+        for name in node_names(self.plant.is_motor):
+            if name != "plant_simulator":
+                self.nodes[name].show(stamp, self._leaving)
+
+    def _tell_changes(self) -> None:
+        """Publish what was changed since the last time, with the samples from which on it held."""
+        assert self.loop is not None
+        for change in self.loop.changes:
+            if id(change) not in self._told:
+                self._told.add(id(change))
+                self.nodes[change.node].publish_change(
+                    {
+                        "sample": change.sample,
+                        "node": change.node,
+                        "action": change.action,
+                        "parameters": change.parameters,
+                    }
+                )
+
+
+class Fused(RealTime):
+    """What a node does about time while a loop makes its samples.
+
+    Parameters
+    ----------
+    node : AxisNode
+
+    Raises
+    ------
+    ParameterError
+        The other nodes of the axis are in other processes.
+    """
+
+    by_message = False
+    silent = False
+    is_measured = False
+    is_quiet = True
+
+    def __init__(self, node):
+        if node.fused is None:
+            allowed = "needs the whole axis in one process: run hysteresis_axis, or hysteresis up CONFIG --fused"
+            raise ParameterError([Problem("time_mode", node.parameters.time_mode, allowed)])
+        super().__init__(node)
+
+    @property
+    def fused(self) -> FusedAxis:
+        """The axis of the node."""
+        return self.node.fused
+
+    def make_pace(self) -> LoopPace:
+        """Return what tells how regularly samples come."""
+        return LoopPace(self.fused)
+
+    def begin(self) -> None:
+        """Say that this node is at work; the last one of an axis starts the loop."""
+        super().begin()
+        self.fused.activated(self.node)
+
+    def begin_again(self) -> None:
+        """Let the part begin anew."""
+        self.fused.reset(self.node)
+
+    def clear(self) -> None:
+        """What has been made so far is over."""
+        self.node.end_of_run = -1
+        self.node.finished = False
+
+    def go_safe(self) -> None:
+        """Bring the outputs to their safe values."""
+        self.fused.deactivated(self.node)
+
+    # -- of the plant --------------------------------------------------------------------------------------------
+
+    def start_time(self) -> None:
+        """Show what the loop makes."""
+        self.node.timer(1.0 / self.node.parameters.publish_rate, self.fused.show)
+
+    def stop_time(self) -> None:
+        """End the loop when the process does; else it goes on, safe."""
+        if self.node.leaving:
+            self.fused.end()
+
+    def restart(self) -> None:
+        """The loop begins anew with all nodes."""
+
+    def align(self) -> None:
+        """Every voltage is that of its sample."""
+
+    def hold(self, held: bool) -> None:
+        """Stop everything within a sample, or let it go on."""
+        if held:
+            self.fused.halt()
+        else:
+            self.fused.go_on()
+
+    def missing_voltage(self) -> str:
+        """Nobody is awaited."""
+        return ""
+
+    def explain_trip(self) -> str:
+        """Say why the plant has stopped the axis."""
+        loop = self.fused.loop
+        if loop is None:
+            return "stopped; ~/start lets it go on"
+        rate, limit = self.node.parameters.sample_rate, self.node.parameters.allowed_late
+        found = loop.lateness()
+        return (
+            f"more than {limit} samples within a second were skipped at {rate:g} Hz "
+            f"({found.missed} so far; 99 % of all began within {1e6 * found.p99:.3g} µs): give the loop a processor "
+            "and priority of its own (realtime.cpu, realtime.priority), or lower sample_rate; then call ~/start"
+        )

@@ -1,0 +1,30 @@
+"""What all runners have in common: they decide when a node makes its part of a sample."""
+
+from __future__ import annotations
+
+from hysteresis_ros.nodes.timing import Pace
+
+
+class Runner:
+    """Base of the runners.
+
+    Parameters
+    ----------
+    node : AxisNode
+    """
+
+    #: Period of a sample for the statistics of pace [s].
+    period = float("inf")
+    #: Whether the node makes its part of a sample when messages come.
+    by_message = True
+
+    def __init__(self, node):
+        self.node = node
+
+    def make_pace(self) -> Pace:
+        """Return what tells how regularly samples come."""
+        return Pace(self.period)
+
+    def go_safe(self) -> None:
+        """Bring the outputs of the node to their safe values."""
+        self.node.go_safe()

@@ -1,0 +1,189 @@
+"""An axis whose samples one compiled thread makes: steered and shown over DDS, recorded whole, repeated bit for bit."""
+
+from __future__ import annotations
+
+import re
+import signal
+
+import pytest
+
+pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
+
+from nodes_support import axis_parameters, compose, until, write_axis  # noqa: E402
+
+from hysteresis_ros.block import COMPILED  # noqa: E402
+
+pytestmark = pytest.mark.skipif(not COMPILED, reason="without Numba the fused loop is too slow for these axes")
+
+CONTROLLER, COMPENSATOR, PLANT = "motion_controller", "hysteresis_compensator", "plant_simulator"
+NEAR = 5e-8
+
+
+@pytest.mark.parametrize(("config", "factor", "duration"), [("kim2009", 1.0, 1.0), ("inchworm_travel", 1.0, 1.0)])
+def test_a_recorded_run_in_real_time_equals_the_offline_twin(processes, tmp_path, config, factor, duration):
+    asked = ("--factor", f"{factor}", "--duration", f"{duration}", "--record", str(tmp_path / "bag"), "--verify")
+    run = processes.command("up", config, "--fused", *asked)
+    assert run.wait() == 0, run.output
+    samples = round(duration * (3000 if config == "kim2009" else 10000))
+    assert f"{samples} samples equal the offline twin bit for bit, none missing" in run.output
+    assert not re.search("Traceback|died", run.output)
+
+
+class Steered:
+    """A fused axis that is recorded, and what a person sees and asks of it."""
+
+    def __init__(self, processes, observer, folder, **plant):
+        from sensor_msgs.msg import JointState
+        from std_msgs.msg import Bool, Float64
+
+        # what a busy machine makes late must not stop the axis here
+        axis = axis_parameters(overrides={PLANT: {"late_limit": -1, "preload__force": 0.0} | plant}, time_mode="fused")
+        self.bag, self._processes, self._observer = folder / "bag", processes, observer
+        path = write_axis(folder / "axis.yaml", axis)
+        self.run = processes.command("up", path, "--record", str(self.bag))
+        self.states = observer.listen(JointState, f"/{PLANT}/state")
+        self.joints = observer.listen(JointState, "/joint_states")
+        self.commands = observer.listen(Float64, "/command")
+        self._setpoints = observer.talk(Float64, "/setpoint")
+        self._emergencies = observer.talk(Bool, "/estop")
+        until(lambda: len(self.states) > 5 or self.run.popen.poll() is not None, what="an axis that runs")
+        until(lambda: self._setpoints.get_subscription_count() and self._emergencies.get_subscription_count())
+
+    def now(self, name: str) -> float:
+        return dict(zip(self.states[-1].name, self.states[-1].position, strict=True))[name]
+
+    def ask(self, setpoint: float) -> None:
+        from std_msgs.msg import Float64
+
+        self._setpoints.publish(Float64(data=setpoint))
+
+    def stop_at_once(self) -> None:
+        from std_msgs.msg import Bool
+
+        self._emergencies.publish(Bool(data=True))
+
+    def at(self, displacement: float) -> None:
+        until(lambda: abs(self.now("displacement") - displacement) < NEAR, what=f"the axis at {displacement:g} m")
+
+    def safe(self) -> None:
+        until(lambda: abs(self.now("voltage")) < 0.01, what="the safe voltage")
+
+    def verified(self) -> str:
+        """Leave, and return what the comparison with the offline twin says."""
+        code, _ = self.run.leave(signal.SIGINT)
+        assert code == 0, self.run.output
+        check = self._processes.command("verify", str(self.bag))
+        assert check.wait() == 0, check.output
+        return check.output
+
+
+@pytest.fixture
+def steered(processes, observer, tmp_path):
+    return Steered(processes, observer, tmp_path)
+
+
+def test_everything_that_people_ask_of_it_takes_effect_and_is_repeated_bit_for_bit(steered, observer):
+    steered.ask(5e-6)
+    steered.at(5e-6)
+    assert observer.set_parameters(f"/{CONTROLLER}", sliding_mode__phi=0.9) == (True, "")
+    accepted, reason = observer.set_parameters(f"/{CONTROLLER}", sliding_mode__phi=2.0)
+    assert not accepted and "sliding_mode.phi" in reason
+    assert observer.set_parameters(f"/{CONTROLLER}", type="pid", pid__Ki=30.0) == (True, "")
+    assert observer.set_parameters(f"/{COMPENSATOR}", hysteresis__polynomial__scale=1.01) == (True, "")
+    assert observer.set_parameters(f"/{PLANT}", preload__force=0.1) == (True, "")
+    steered.ask(3e-6)
+    steered.at(3e-6)
+    # a part that is stopped, and one whose node is deactivated, goes to safe and comes back
+    assert observer.trigger(f"/{CONTROLLER}/stop").success
+    until(lambda: abs(steered.commands[-1].data) < 1e-12, what="the safe command")
+    assert observer.trigger(f"/{CONTROLLER}/start").success
+    steered.at(3e-6)
+    assert observer.transition(f"/{COMPENSATOR}", "deactivate")
+    steered.safe()
+    assert observer.transition(f"/{COMPENSATOR}", "activate")
+    steered.at(3e-6)
+    text = steered.verified()
+    assert "equal the offline twin bit for bit, none missing" in text
+    assert int(text.split(": ")[1].split()[0]) > 1000
+
+
+@pytest.mark.parametrize("how", ["estop", "stop"])
+def test_an_emergency_stop_is_latched_until_the_plant_is_started(steered, observer, how):
+    from hysteresis_ros.recordings.files import load_run
+
+    steered.ask(6e-6)
+    steered.at(6e-6)
+    if how == "estop":
+        steered.stop_at_once()
+    else:
+        assert observer.trigger(f"/{PLANT}/stop").success
+    until(lambda: steered.now("tripped") != 0.0, what="the stop")
+    steered.safe()
+    steered.ask(4e-6)  # moves nothing
+    seen = len(steered.states)
+    until(lambda: len(steered.states) > seen + 20)
+    steered.safe()
+    assert steered.joints[-1].header.frame_id == "tripped"
+    assert "emergency stop" in steered.run.output
+    assert observer.trigger(f"/{PLANT}/start").success
+    steered.at(4e-6)
+    steered.verified()
+    run = load_run(steered.bag, further=True)
+    first = int((run["tripped"] != 0.0).argmax())
+    # within one sample: where it trips, the voltage is on its way already, by no more than its slew rate
+    voltages = run["plant_voltage"][first - 1 : first + 300]
+    assert abs(voltages[1]) < abs(voltages[0]) and max(abs(voltages[1:] - voltages[:-1])) <= 1000.0 / 3000.0 + 1e-2
+
+
+def test_resets_and_a_plant_that_is_deactivated_are_repeated_too(steered, observer):
+    steered.ask(5e-6)
+    steered.at(5e-6)
+    assert observer.trigger(f"/{PLANT}/reset").success
+    steered.at(0.0)  # the configured setpoint
+    steered.ask(4e-6)
+    steered.at(4e-6)
+    assert observer.trigger(f"/{CONTROLLER}/reset").success
+    steered.at(4e-6)
+    assert observer.transition(f"/{PLANT}", "deactivate")
+    silent = len(steered.states)
+    assert observer.transition(f"/{PLANT}", "activate")
+    until(lambda: len(steered.states) > silent + 10, what="samples of the active plant")
+    steered.at(4e-6)
+    assert "equal the offline twin" in steered.verified()
+
+
+def test_topics_show_samples_at_their_rate_with_their_stamps(steered):
+    until(lambda: len(steered.states) > 50)
+    stamps = [state.header.stamp.sec * 10**9 + state.header.stamp.nanosec for state in steered.states]
+    samples = [(stamp - stamps[0]) * 3000 / 1e9 for stamp in stamps]
+    assert all(abs(sample - round(sample)) < 1e-3 for sample in samples)
+    steps = sorted(b - a for a, b in zip(samples, samples[1:], strict=False))
+    assert steps[0] > 0 and abs(steps[len(steps) // 2] - 30) < 15  # 100 of 3000 a second
+
+
+def test_a_node_of_a_fused_axis_cannot_be_alone(processes, tmp_path):
+    path = write_axis(tmp_path / "axis.yaml", axis_parameters(time_mode="fused"))
+    node = processes.node("motion_controller", path)
+    assert node.wait() == 2
+    assert "time_mode" in node.output and "hysteresis_axis" in node.output and "Traceback" not in node.output
+
+
+def test_options_that_exclude_each_other_are_refused(processes):
+    run = processes.command("up", "kim2009", "--fused", "--rate", "lockstep")
+    assert run.wait() == 2 and "--fused" in run.output
+
+
+def test_an_emergency_stop_works_without_a_loop_too(inside, observer):
+    from std_msgs.msg import Bool
+
+    axis = axis_parameters(overrides={PLANT: {"real_time_factor": 0.1, "late_limit": -1}})
+    plant, *_ = compose(inside, axis)
+    stop = observer.talk(Bool, "/estop")
+    inside.spin()
+    until(lambda: stop.get_subscription_count() and plant.sample > 10)
+    stop.publish(Bool(data=False))
+    stop.publish(Bool(data=True))
+    until(lambda: plant.part.tripped, what="the stop")
+    assert plant.part.halted
+    assert observer.trigger("/plant_simulator/start").success
+    until(lambda: not plant.part.tripped)
