@@ -297,7 +297,7 @@ class FusedLoop:
 
     @contextlib.contextmanager
     def _between_samples(self):
-        """Hold the loop between two samples. Whoever does so runs at its priority: it waits for nobody less urgent."""
+        """Hold the loop between two samples, at nearly its priority: so it waits for nobody less urgent."""
         state = self._state
         wanted = int(state[at.PAUSE]) + 1
         with boosted(self.axis.parameters.plant_simulator.realtime), undisturbed():

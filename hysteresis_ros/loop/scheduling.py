@@ -60,10 +60,10 @@ def ask_for(parameters: RealtimeParameters) -> str:
 
 @contextlib.contextmanager
 def boosted(parameters: RealtimeParameters):
-    """Run as urgently as the thread that keeps time, where that is permitted."""
-    priority = parameters.priority
+    """Be nearly as urgent as the thread that keeps time, where that is permitted: on one core that one goes first."""
+    priority = max(parameters.priority - 1, 1)
     before = None
-    if priority:
+    if parameters.priority:
         with contextlib.suppress(AttributeError, OSError):
             before = os.sched_getscheduler(0), os.sched_getparam(0)
             os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))

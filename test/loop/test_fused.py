@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal as posix
 import subprocess
@@ -460,3 +461,27 @@ def test_a_thread_that_fails_says_why_and_refuses_changes(monkeypatch):
     assert "sample 0" in loop.failure and "nothing is left" in loop.failure
     with pytest.raises(RuntimeError, match="nothing is left"):
         loop.apply(change("motion_controller", "retune", handover_time=0.02))
+
+
+def test_whoever_changes_something_is_urgent_meanwhile_and_not_afterwards(monkeypatch):
+    asked = []
+    monkeypatch.setattr(scheduling.os, "sched_setscheduler", lambda *arguments: asked.append(arguments[1:]))
+    loop, given = made_loop(factor=SLOWLY, plant_simulator={"late_limit": -1, "realtime__priority": 50}, **HOLD)
+    loop.start()
+    loop.apply(change("motion_controller", "retune", handover_time=0.02))
+    loop.leave()
+    urgent = scheduling.os.SCHED_FIFO | scheduling.os.SCHED_RESET_ON_FORK
+    before = os.sched_getscheduler(0), os.sched_getparam(0).sched_priority
+    found = [(policy, param.sched_priority) for policy, param in asked]
+    assert sorted(found) == sorted([(urgent, 50), (urgent, 49), before])
+    assert found.index((urgent, 49)) < found.index(before)
+    assert loop.changes and not loop.failure
+
+
+def test_what_is_set_aside_for_a_change_is_back_afterwards():
+    before = sys.getswitchinterval()
+    gc.enable()
+    with pytest.raises(KeyError), scheduling.undisturbed():
+        assert not gc.isenabled() and sys.getswitchinterval() < before
+        raise KeyError
+    assert gc.isenabled() and sys.getswitchinterval() == before
