@@ -17,7 +17,16 @@ from hysteresis_ros import signals as at
 from hysteresis_ros.block import COMPILED, kernel, nested
 from hysteresis_ros.hardware.driver import NOTHING_NEW, Compiled
 from hysteresis_ros.loop import faults as faulty
-from hysteresis_ros.loop.plant import DEVICE_FAILED, TRIP, PlantWatchArrays, actuate, sense, watched_voltage
+from hysteresis_ros.loop.plant import (
+    DEVICE_FAILED,
+    TRIP,
+    PlantWatchArrays,
+    actuate,
+    no_joints,
+    sense,
+    tell_joints,
+    watched_voltage,
+)
 from hysteresis_ros.loop.watch import FOLLOWS, GIVEN, HELD, HELD_AGE, HELD_BEGUN, SAFE
 from hysteresis_ros.models.limits import OUTPUT, UNQUANTISED, limits
 
@@ -187,3 +196,4 @@ def actuate_device(laws, arrays, row):
 
 
 sense.kinds[DevicePlantArrays], actuate.kinds[DevicePlantArrays] = sense_device, actuate_device
+tell_joints.kinds[DevicePlantArrays] = no_joints
