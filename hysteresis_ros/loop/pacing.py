@@ -206,7 +206,7 @@ def keep(laws, parts, own, begun):
     for i in range(column.shape[0]):
         own.rows[slot, i] = column[i, 0]
     own.times[slot] = begun
-    tell_joints(laws, parts.plant, own.joints[slot])
+    tell_joints(laws, parts.plant, own.joints[slot % own.joints.shape[0]])
 
 
 def pace(step, laws, parts, own, motor):
