@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import pathlib
 
 import click
@@ -24,8 +25,15 @@ from hysteresis_ros.references.recipes import RECIPES
 @click.option("--duration", type=float, help="Length of the run [s of the axis]; the recipe's own by default.")
 @click.option("--rate", type=click.Choice(["realtime", "lockstep"]), help="Time mode; the configuration's by default.")
 @click.option("--processes/--composed", "processes", default=True, help="Four processes (default) or one.")
+@click.option(
+    "--plant",
+    type=click.Choice(["own", "external"]),
+    default="own",
+    show_default=True,
+    help="external: a node of yours, which runs already, stands in plant_simulator's place.",
+)
 @click.option("--namespace", help="Drive only the axis in this namespace.")
-def excite(config, name, record, frequency, amplitude, duration, rate, processes, namespace):
+def excite(config, name, record, frequency, amplitude, duration, rate, processes, plant, namespace):
     """Drive an axis of CONFIG in open loop without inverse, within the compensator's limits, and record a bag.
 
     The bag goes into `hysteresis identify` as it is. Recipes: triangles (growing peaks), decaying (minor loops),
@@ -41,6 +49,8 @@ def excite(config, name, record, frequency, amplitude, duration, rate, processes
     if record.exists():
         raise ConfigurationError(f"{record}: exists already; choose another folder for the recording or remove it")
     configuration = load_configuration(config)
+    if plant == "external":
+        configuration = configuration.override("", external_plant=True)
     given = single_axis(configuration, namespace)
     if given.inchworm_sequencer is not None:
         raise ConfigurationError(
@@ -54,9 +64,11 @@ def excite(config, name, record, frequency, amplitude, duration, rate, processes
     axis = axis.with_duration(length)
     click.echo(f"{name}: {length:.4g} s at {sample_rate:g} Hz, {limits.minimum:g} … {limits.maximum:g} V …")
     options = {"composed": not processes, "record": record, "log_level": "warn"}
-    # nobody steers this graph: a running axis of the user must not hear its commands
-    with Domain() as domain, Graph([axis], **options, environment=domain.environment) as graph:
-        graph.wait()
+    with contextlib.ExitStack() as stack:
+        if plant == "own":
+            # nobody steers this graph: a running axis of the user must not hear its commands
+            options["environment"] = stack.enter_context(Domain()).environment
+        stack.enter_context(Graph([axis], **options)).wait()
     click.echo(f"recorded: {record}")
 
 

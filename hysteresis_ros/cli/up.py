@@ -25,6 +25,13 @@ MESSAGE_RATE = 300.0
 )
 @click.option("--fused", is_flag=True, help="One process whose samples one compiled thread makes, in real time.")
 @click.option("--factor", type=float, help="Real-time factor; the configuration's by default.")
+@click.option(
+    "--plant",
+    type=click.Choice(["own", "external"]),
+    default="own",
+    show_default=True,
+    help="external: a node of yours publishes joint_states in plant_simulator's place.",
+)
 @click.option("--namespace", help="Start only the axis in this namespace.")
 @click.option(
     "--verify",
@@ -45,7 +52,7 @@ MESSAGE_RATE = 300.0
     help="Log level of the nodes.",
     show_default=True,
 )
-def up(config, processes, record, duration, rate, fused, factor, namespace, verify, faults, log_level):
+def up(config, processes, record, duration, rate, fused, factor, plant, namespace, verify, faults, log_level):
     """Start all nodes of CONFIG and bring them down together.
 
     Ends with exit code 0 after --duration or Ctrl-C, with 1 when a node dies, with 2 for wrong input.
@@ -68,6 +75,8 @@ def up(config, processes, record, duration, rate, fused, factor, namespace, veri
     if factor is not None:
         configuration = configuration.override("plant_simulator", real_time_factor=factor)
     configuration = configuration.override("", exit_at_end=True, autostart=True)
+    if plant == "external":
+        configuration = configuration.override("", external_plant=True)
     found = axes(configuration, namespace)
     for axis in found:
         for warning in reach_warnings(axis):
@@ -109,7 +118,7 @@ def _live(axis):
     from hysteresis_ros.block import COMPILED
 
     plant = axis.plant_simulator
-    if plant.time_mode != "realtime" or plant.driver or not COMPILED:
+    if plant.time_mode != "realtime" or plant.driver or plant.external_plant or not COMPILED:
         return axis
     return axis.with_time_mode("fused") if plant.sample_rate * plant.real_time_factor > MESSAGE_RATE else axis
 

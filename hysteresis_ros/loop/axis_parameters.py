@@ -143,7 +143,7 @@ class AxisParameters:
         inchworm = parts["inchworm_sequencer"] is not None
         plant = parts["plant_simulator"]
         for name in node_names(inchworm):
-            for shared in ("sample_rate", "time_mode", "joint", "faults"):
+            for shared in ("sample_rate", "time_mode", "joint", "faults", "external_plant"):
                 value, awaited = getattr(parts[name], shared), getattr(plant, shared)
                 if value != awaited:
                     allowed = f"must equal the plant_simulator's {awaited!r}; give it once, under '/**'"
@@ -177,7 +177,30 @@ class AxisParameters:
         if duration * self.plant_simulator.sample_rate >= COUNTABLE:
             raise ConfigurationError(f"duration = {duration:g} s: more samples than can be counted; ask for less")
         samples = max(round(duration * self.plant_simulator.sample_rate), 1)
-        return replace(self, plant_simulator=replace(self.plant_simulator, samples=samples))
+        changed = replace(self, plant_simulator=replace(self.plant_simulator, samples=samples))
+        if not self.plant_simulator.external_plant:
+            return changed
+        if self.reference_generator is None:
+            raise ConfigurationError(
+                "duration: only plant_simulator ends the run of an inchworm motor; leave it out and end with Ctrl-C"
+            )
+        return replace(changed, reference_generator=replace(self.reference_generator, samples=samples))
+
+    def with_recorder(self, path: str) -> AxisParameters:
+        """Return the same axis, which begins when its recorder is there.
+
+        Parameters
+        ----------
+        path : str
+            Folder of the bag.
+        """
+        plant, source = self.plant_simulator, self.reference_generator
+        return replace(
+            self,
+            plant_simulator=replace(plant, wait_for_recorder=True),
+            reference_generator=replace(source, wait_for_recorder=plant.external_plant) if source else None,
+            recorder=replace(self.recorder, path=path),
+        )
 
     def with_time_mode(self, mode: str) -> AxisParameters:
         """Return the same axis in another ``time_mode``.
@@ -192,19 +215,19 @@ class AxisParameters:
 
     def timeouts(self) -> list[str]:
         """Return a line for each time-out: what it is called, how long in samples and seconds, what follows."""
-        rate = self.plant_simulator.sample_rate
+        rate, external = self.plant_simulator.sample_rate, self.plant_simulator.external_plant
         lines = []
         for (name, timeout), what in TIMEOUTS.items():
             node = getattr(self, name)
-            if node is not None:
+            if node is not None and not (name == "plant_simulator" and external):
                 seconds = getattr(node, timeout)
                 samples = samples_of(seconds, rate)
                 lines.append(f"{name} {timeout} = {seconds:g} s = {samples:.0f} samples: {what}")
         limit = self.plant_simulator.allowed_late
-        if limit:
+        if limit and not external:
             many = f"more than {limit} late voltages in a row or within {rate:g} samples (1 s)"
             lines.append(f"plant_simulator late_limit = {limit}: {many}: axis to safe until ~/start")
-        if self.inchworm_sequencer is None and self.plant_simulator.overtravel >= 0.0:
+        if self.inchworm_sequencer is None and self.plant_simulator.overtravel >= 0.0 and not external:
             low, high = self.plant_simulator.allowed_travel
             text = f"plant_simulator overtravel: measured beyond {1e6 * low:.4g} … {1e6 * high:.4g} µm: axis to safe"
             lines.append(f"{text} until ~/start")

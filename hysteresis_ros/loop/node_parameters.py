@@ -63,6 +63,19 @@ class NodeParameters(Parameters):
     queue_depth: int = parameter(
         1000, low=1, high=100000, read_only=True, description="lockstep: messages each topic keeps for a slow recorder"
     )
+    external_plant: bool = parameter(
+        False,
+        read_only=True,
+        description="realtime: a node of your own publishes joint_states in plant_simulator's place; the source of "
+        "references begins and ends the run; for all nodes, under '/**'",
+    )
+
+    def check(self):
+        """Yield what does not fit together."""
+        yield from super().check()
+        if self.external_plant and self.time_mode != "realtime":
+            allowed = "a plant of your own does not wait for anybody: give time_mode: realtime"
+            yield Problem("external_plant", self.external_plant, allowed)
 
 
 @dataclass(frozen=True)
@@ -195,6 +208,8 @@ class PlantNodeParameters(NodeParameters, ActuatorParameters):
             yield from error.problems if self.driver not in DRIVERS else ()
 
     def _unfit_for_a_driver(self):
+        if self.external_plant:
+            yield Problem("driver", self.driver, "the plant is external already: give driver: ''")
         if self.time_mode != "realtime":
             allowed = (
                 "a device does not wait for anybody: give time_mode: realtime, or driver: '' for the simulated plant"
@@ -232,6 +247,13 @@ class PlantNodeParameters(NodeParameters, ActuatorParameters):
 @dataclass(frozen=True)
 class ReferenceNodeParameters(NodeParameters, ReferenceParameters):
     """Parameters of ``reference_generator``."""
+
+    samples: int = parameter(
+        0, low=0, high=10**12, read_only=True, description="external_plant: length of the run in samples; 0: no end"
+    )
+    wait_for_recorder: bool = parameter(
+        False, read_only=True, description="external_plant: begin when a recorder is there"
+    )
 
 
 @dataclass(frozen=True)

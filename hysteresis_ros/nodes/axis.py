@@ -2,6 +2,7 @@
 
 With ``time_mode: fused`` one compiled thread makes their samples. ``--recorder`` adds the node ``recorder``: only in
 this process it gets all samples of a fused axis.
+With ``--external-plant`` there is no plant: a node of somebody else stands in its place.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import sys
 from hysteresis_ros.nodes.fused import FusedAxis
 from hysteresis_ros.nodes.hysteresis_compensator import HysteresisCompensatorNode
 from hysteresis_ros.nodes.inchworm_sequencer import InchwormSequencerNode
+from hysteresis_ros.nodes.launcher import EXTERNAL_PLANT
 from hysteresis_ros.nodes.motion_controller import MotionControllerNode
 from hysteresis_ros.nodes.plant_simulator import PlantSimulatorNode
 from hysteresis_ros.nodes.recorder import RecorderNode
@@ -25,20 +27,28 @@ def main(arguments=None) -> int:
     """Run all nodes; returns the exit code."""
     arguments = list(sys.argv if arguments is None else arguments)
     fused = FusedAxis()
-    types = []
+    motor = []
 
     def plant():
         node = fused.join(PlantSimulatorNode())
-        types.append(node.get_parameter("type").value)
+        motor.append(node.get_parameter("type").value == "inchworm")
+        return node
+
+    def controller():
+        node = fused.join(MotionControllerNode())
+        motor.append(node.get_parameter("use_origin").value)
         return node
 
     def reference():
-        return fused.join(InchwormSequencerNode() if "inchworm" in types else ReferenceGeneratorNode())
+        return fused.join(InchwormSequencerNode() if motor[0] else ReferenceGeneratorNode())
 
     def joined(kind):
         return lambda: fused.join(kind())
 
-    factories = [plant, joined(HysteresisCompensatorNode), joined(MotionControllerNode), reference]
+    factories = [plant, joined(HysteresisCompensatorNode), controller, reference]
+    if EXTERNAL_PLANT in arguments:
+        arguments.remove(EXTERNAL_PLANT)
+        del factories[0]
     if WITH_RECORDER in arguments:
         arguments.remove(WITH_RECORDER)
         factories.insert(0, joined(RecorderNode))  # the first is the last to leave

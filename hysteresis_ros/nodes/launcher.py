@@ -29,6 +29,9 @@ STOP_ORDER = (
     "recorder",
 )
 
+#: Argument of the composed process that has no plant.
+EXTERNAL_PLANT = "--external-plant"
+
 #: Seconds a node gets to leave before it is killed.
 PATIENCE = 10.0
 
@@ -126,11 +129,7 @@ class Graph:
             raise ConfigurationError(f"{bag}: exists already; choose another folder for the recording or remove it")
         _require_creatable(bag)
         self.bags.append(bag)
-        return replace(
-            axis,
-            plant_simulator=replace(axis.plant_simulator, wait_for_recorder=True),
-            recorder=replace(axis.recorder, path=str(bag.resolve())),
-        )
+        return axis.with_recorder(str(bag.resolve()))
 
     def __enter__(self) -> Graph:
         try:
@@ -150,14 +149,21 @@ class Graph:
             path = folder / f"axis{number}.yaml"
             axis = replace(axis, recorder=replace(axis.recorder, configuration=str(path)))
             path.write_text(axis.configuration_text(), encoding="utf-8")
-            fused = axis.plant_simulator.time_mode == "fused"
-            whole = self.composed or fused
-            names = ["hysteresis_axis"] if whole else list(node_names(axis.inchworm_sequencer is not None))
-            if self.record is not None and not fused:
+            fused, external = axis.plant_simulator.time_mode == "fused", axis.plant_simulator.external_plant
+            names = list(node_names(axis.inchworm_sequencer is not None))
+            more = []
+            if self.composed or fused:
+                names = ["hysteresis_axis"]
+                more = [EXTERNAL_PLANT] if external else []
+            elif external:
+                names.remove("plant_simulator")
+            if self.record is not None and fused:
+                more.append("--recorder")
+            elif self.record is not None:
                 names.insert(0, "recorder")
             for name in names:
-                more = ["--recorder"] if fused and self.record is not None else []
-                self.processes.append(self._spawn(name, axis.namespace, path, more))
+                own = more if name == "hysteresis_axis" else []
+                self.processes.append(self._spawn(name, axis.namespace, path, own))
 
     def _spawn(self, name: str, namespace: str, path: pathlib.Path, more: list[str]) -> NodeProcess:
         module = "axis" if name == "hysteresis_axis" else name

@@ -21,7 +21,7 @@ from std_msgs.msg import Bool, Float64, UInt64
 
 from hysteresis_ros import signals
 from hysteresis_ros.block import interpreted
-from hysteresis_ros.errors import HysteresisError
+from hysteresis_ros.errors import ConfigurationError, HysteresisError
 from hysteresis_ros.loop.driven import plant_of
 from hysteresis_ros.loop.plant import actuate, sense
 from hysteresis_ros.loop.tick import MEASURED, Laws
@@ -97,6 +97,11 @@ class PlantSimulatorNode(AxisNode):
 
     def build(self, parameters) -> None:
         """Make the plant from the parameters."""
+        if parameters.external_plant:
+            raise ConfigurationError(
+                "external_plant = True: a node of your own stands in this one's place; leave this one out (`hysteresis "
+                "up --plant external` does), or set it to false"
+            )
         self.parameters = parameters
         self.part = plant_of(parameters)
         self.inputs = [VoltageInput(*given) for given in VOLTAGES[: 3 if self.is_motor else 1]]

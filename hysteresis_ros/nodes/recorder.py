@@ -29,8 +29,11 @@ PATIENCE_AT_START = 20.0
 SILENCE = 0.3
 
 
-def sampled_topics(inchworm: bool):
-    """Return the topics with exactly one message a sample, their types, and who publishes them."""
+def sampled_topics(inchworm: bool, external: bool = False):
+    """Return the topics with exactly one message a sample, their types, and who publishes them.
+
+    A plant of somebody else has no state.
+    """
     source = "inchworm_sequencer" if inchworm else "reference_generator"
     more = ("origin", "front_clamp/voltage", "rear_clamp/voltage") if inchworm else ()
     return (
@@ -39,7 +42,7 @@ def sampled_topics(inchworm: bool):
         ("command", Float64, "motion_controller"),
         ("applied", Float64, "hysteresis_compensator"),
         ("voltage", Float64, "hysteresis_compensator"),
-        ("plant_simulator/state", JointState, ""),
+        *(() if external else (("plant_simulator/state", JointState, ""),)),
         (f"{source}/state", JointState, ""),
         ("motion_controller/state", JointState, ""),
         ("hysteresis_compensator/state", JointState, ""),
@@ -71,7 +74,7 @@ class RecorderNode(AxisNode):
                     f"configuration = '{parameters.configuration}' cannot be read: {error}"
                 ) from None
         self._is_inchworm = parameters.inchworm or self._describes_inchworm(parameters.configuration)
-        self._topics = sampled_topics(self._is_inchworm)
+        self._topics = sampled_topics(self._is_inchworm, parameters.external_plant)
         self._further = [_topic_and_type(entry) for entry in parameters.topics]
         self.bag = BagWriter(parameters.path)
         self._path = parameters.path
@@ -132,6 +135,8 @@ class RecorderNode(AxisNode):
         def write(data: bytes) -> None:
             if self.bag is None or not self.active or not self.running:
                 return
+            if topic == "joint_states" and self.end_of_run >= 0 and self.parameters.external_plant:
+                return  # somebody else goes on measuring
             try:
                 self.bag.write(subscription.topic_name, type_name, data, time.time_ns())
             except RecordingError as error:

@@ -10,6 +10,7 @@ from hysteresis_ros import signals
 from hysteresis_ros.block import interpreted
 from hysteresis_ros.loop.source import GeneratorSource, generate
 from hysteresis_ros.loop.tick import Laws
+from hysteresis_ros.nodes.external import ExternalRun
 from hysteresis_ros.nodes.qos import setpoint_qos
 from hysteresis_ros.nodes.responder import Responder
 from hysteresis_ros.nodes.spin import run
@@ -44,8 +45,23 @@ class ReferenceGeneratorNode(Responder):
 
     def connect(self) -> None:
         """Make the topics."""
+        self._run = ExternalRun(self) if self.parameters.external_plant else None
         super().connect()
         self.subscriber(Float64, "setpoint", self._on_setpoint, setpoint_qos())
+
+    def begin(self) -> None:
+        """Go to work, and look after the plant of somebody else."""
+        super().begin()
+        if self._run is not None:
+            self._run.begin()
+
+    @property
+    def take_measurement(self):
+        """What takes ``joint_states``: of an external plant those of the run only."""
+        taken, run = self.runner.measurement, self._run
+        if run is None:
+            return taken
+        return lambda message: taken(message) if run.take(message) else None
 
     def reset_blocks(self) -> None:
         """Begin again: waveform at its start, setpoint as configured."""

@@ -112,7 +112,7 @@ class Responder(AxisNode):
         self.subscribe_end()
         if not self.runner.by_message:
             return
-        self.subscriber(JointState, "joint_states", self.runner.measurement, qos, partner="plant_simulator")
+        self.subscriber(JointState, "joint_states", self.take_measurement, qos, partner="plant_simulator")
         for place, input_ in enumerate(self.inputs):
             heard = self._heard(place)
             self.subscriber(Float64, input_.topic, heard, qos, partner=input_.partner)
@@ -122,6 +122,11 @@ class Responder(AxisNode):
             self.runner.value(place, message.data)
 
         return take
+
+    @property
+    def take_measurement(self):
+        """What takes ``joint_states``."""
+        return self.runner.measurement
 
     def sample_of(self, stamp) -> int:
         """Return the number of the sample with this stamp."""

@@ -115,6 +115,8 @@ def align(bag: Bag, namespace: str | None = None, *, further: bool = False) -> R
         if "measured" not in columns:
             columns["measured"] = _by_stamp(stamps, joints.stamps, measured)
         _add_float_topics(bag, prefix, columns, joints, rows)
+    if configured(configuration, "plant_simulator", prefix).get("external_plant"):
+        stamps, columns = _within_run(stamps, columns, notes)
     motor = _motor_columns(states, joints, stamps)
     present = [*_completed(columns, stamps.size, notes), *motor]
     columns |= motor
@@ -151,6 +153,17 @@ def align(bag: Bag, namespace: str | None = None, *, further: bool = False) -> R
     if np.any(skipped):
         signals["skipped"] = skipped
     return Recording(time, signals, {}, metadata)
+
+
+def _within_run(stamps, columns: dict, notes: list[str]):
+    """Return the samples from the first reference to the last: a plant of somebody else measures before and after."""
+    there = np.flatnonzero(np.isfinite(columns["reference"])) if "reference" in columns else np.zeros(0, dtype=int)
+    if not there.size:
+        return stamps, columns
+    run = slice(there[0], there[-1] + 1)
+    if run.stop - run.start < stamps.size:
+        notes.append(f"{stamps.size - run.stop + run.start} measurements before or after the run are left out")
+    return stamps[run], {name: values[run] for name, values in columns.items()}
 
 
 def _state_columns(states: dict, stamps) -> dict[str, np.ndarray]:

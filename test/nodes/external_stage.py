@@ -1,0 +1,54 @@
+"""A stage with a clock of its own, as somebody else's node would be: hears ``voltage``, says ``joint_states``."""
+
+import sys
+import threading
+import time
+
+import rclpy
+from rclpy.executors import ExternalShutdownException
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64
+
+RATE = float(sys.argv[1])
+
+
+class Stage(Node):
+    """0.1 µm/V, half of it through a play of ±5 V, then a lag of 3 samples."""
+
+    def __init__(self):
+        super().__init__("somebody_elses_stage")
+        self.voltage = self.play = self.position = 0.0
+        self.gone = threading.Event()
+        self.samples = self.create_publisher(JointState, "joint_states", 100)
+        self.create_subscription(Float64, "voltage", self.hear, 10)
+        self.thread = threading.Thread(target=self.measure)
+        self.thread.start()
+
+    def hear(self, message):
+        """Hold a voltage."""
+        self.voltage = message.data
+
+    def measure(self):
+        """Say the position at each sample."""
+        message = JointState(name=["extender"], position=[0.0])
+        deadline = time.monotonic()
+        while not self.gone.is_set():
+            self.play = min(max(self.play, self.voltage - 5.0), self.voltage + 5.0)
+            self.position += (0.5e-7 * (self.voltage + self.play) - self.position) / 3.0
+            message.position[0] = self.position
+            message.header.stamp = self.get_clock().now().to_msg()
+            self.samples.publish(message)
+            deadline += 1.0 / RATE
+            time.sleep(max(deadline - time.monotonic(), 0.0))
+
+
+rclpy.init()
+stage = Stage()
+try:
+    rclpy.spin(stage)
+except (KeyboardInterrupt, ExternalShutdownException):
+    pass
+finally:
+    stage.gone.set()
+    stage.thread.join()

@@ -1,0 +1,135 @@
+"""A node of somebody else in the plant's place: the rest of the axis is started around it, driven and recorded."""
+
+from __future__ import annotations
+
+import json
+import pathlib
+import signal
+import sys
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
+
+from nodes_support import until  # noqa: E402
+
+from hysteresis_ros.recordings import load_run  # noqa: E402
+
+STAGE = pathlib.Path(__file__).with_name("external_stage.py")
+RATE = 100.0
+
+AXIS = """
+/**:
+  ros__parameters: {sample_rate: 100.0, time_mode: realtime}
+/**/plant_simulator:
+  ros__parameters:
+    limits: {minimum: 0.0, maximum: 100.0}
+    hysteresis: {type: proportional, proportional: {gain: 1.0e-7}}
+/**/reference_generator:
+  ros__parameters: {minimum: 0.0, maximum: 10.0e-6}
+/**/motion_controller:
+  ros__parameters: {type: open_loop}
+/**/hysteresis_compensator:
+  ros__parameters:
+    inverse: {type: none}
+    limits: {minimum: 0.0, maximum: 100.0}
+    hysteresis: {type: proportional, proportional: {gain: 1.0e-7}}
+"""
+
+
+@pytest.fixture
+def axis(tmp_path):
+    path = tmp_path / "axis.yaml"
+    path.write_text(AXIS)
+    return str(path)
+
+
+def stage(processes, rate: float = RATE):
+    return processes.start([sys.executable, str(STAGE), str(rate)], "stage")
+
+
+@pytest.mark.parametrize("how", ["--processes", "--composed"])
+def test_the_rest_follows_setpoints_through_it_and_the_recording_goes_into_a_report(
+    processes, observer, tmp_path, axis, how
+):
+    from sensor_msgs.msg import JointState
+    from std_msgs.msg import Float64
+
+    stage(processes)
+    joints = observer.listen(JointState, "/joint_states")
+    voltages = observer.listen(Float64, "/voltage")
+    until(lambda: joints, what="the stage")
+    bag = tmp_path / "bag"
+    up = processes.command("up", axis, "--plant", "external", "--record", str(bag), how)
+    setpoint = observer.talk(Float64, "/setpoint")
+    until(lambda: voltages and setpoint.get_subscription_count() == 2, what="generator and recorder")
+    setpoint.publish(Float64(data=5.0e-6))
+    # open loop without inverse: 50 V, and what the play lacks
+    until(lambda: abs(joints[-1].position[0] - 4.75e-6) < 1e-9, what="the stage where 50 V bring it")
+    code, _ = up.leave(signal.SIGINT)
+    assert code == 0, up.output
+    until(lambda: voltages[-1].data == 0.0, what="the safe voltage")
+    recorded = load_run(bag)
+    assert np.nanmax(recorded["voltage"]) == pytest.approx(50.0)
+    assert np.nanmax(recorded["measured"]) == pytest.approx(4.75e-6, abs=1e-8)
+    assert any("no true displacement" in note for note in recorded.metadata["notes"])
+    report = processes.command("report", str(bag), "-o", str(tmp_path / "report.html"))
+    assert report.wait() == 0, report.output
+
+
+def test_an_excitation_is_driven_through_it_from_its_beginning_to_its_end_and_identified(processes, tmp_path, axis):
+    stage(processes)
+    bag, found = tmp_path / "bag", tmp_path / "found.yaml"
+    drive = "excite", axis, "--recipe", "decaying", "--duration", "8", "--frequency", "1", "--plant", "external"
+    excite = processes.command(*drive, "--record", str(bag))
+    assert excite.wait(120.0) == 0, excite.output
+    recorded = load_run(bag)
+    assert recorded.metadata["messages"]["/reference"] == 8.0 * RATE
+    # from rest through the whole range, and nearly all of it answered, whatever else the machine has to do
+    reference = recorded["reference"]
+    assert len(reference) > 0.8 * 8.0 * RATE and np.isfinite(reference).all() and reference[0] == 0.0
+    assert reference[:220].max() == pytest.approx(1e-5, rel=1e-2)
+    assert np.count_nonzero(np.isfinite(recorded["voltage"])) > 0.8 * 8.0 * RATE
+    # its samples are not in equal distances, as those of a busy machine are
+    what = "identify", str(bag), "--model", "prandtl_ishlinskii", "--resample", "auto"
+    identify = processes.command(*what, "-o", str(found), "--json", str(tmp_path / "found.json"))
+    assert identify.wait(240.0) == 0, identify.output
+    text = json.loads((tmp_path / "found.json").read_text())
+    assert found.exists() and text["rmse_percent_of_stroke"] < 5.0, text
+
+
+def test_a_run_of_given_length_ends_by_itself(processes, tmp_path, axis):
+    stage(processes)
+    bag = tmp_path / "bag"
+    up = processes.command("up", axis, "--plant", "external", "--duration", "1", "--record", str(bag), "--composed")
+    assert up.wait(120.0) == 0, up.output
+    assert "the run ended" in up.output
+    assert load_run(bag).metadata["messages"]["/reference"] == RATE
+
+
+def test_nothing_begins_without_it_and_another_rate_is_said(processes, observer, axis):
+    from std_msgs.msg import Float64
+
+    references = observer.listen(Float64, "/reference")
+    up = processes.command("up", axis, "--plant", "external", "--log-level", "info")
+    until(lambda: "the run waits for who publishes joint_states" in up.output, what="the warning")
+    assert not references
+    stage(processes, 150.0)
+    until(lambda: references, what="the beginning")
+    until(lambda: "sample_rate is 100 Hz" in up.output, what="the other rate said")
+    assert up.leave(signal.SIGINT)[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (("--rate", "lockstep"), "external_plant = True: a plant of your own does not wait for anybody"),
+        (("--plant", "externl"), "externl"),
+    ],
+)
+def test_what_cannot_be_is_refused(processes, axis, options, words):
+    up = processes.command("up", axis, "--plant", "external", *options)
+    assert up.wait() == 2 and words in up.output and "Traceback" not in up.output
+    node = processes.node("plant_simulator", axis, "-p", "external_plant:=true")
+    assert node.wait() == 2 and "a node of your own stands in this one's place" in node.output
