@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hysteresis_ros.analysis.inchworm_moves import InchwormRun, Move, Steps, inchworm_run
-from hysteresis_ros.analysis.metrics import FIGURES, chattering_figures, format_value, sampling_figures
+from hysteresis_ros.analysis.metrics import FIGURES, TIMELINESS, chattering_figures, format_value, sampling_figures
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.references import inchworm_layout as at
 
@@ -51,6 +51,7 @@ RUN_FIGURES = (
 COMMON = (
     *("chattering_m", "chattering_m_s", "command_reversals_hz", "voltage_rate_v_s", "voltage_variation_v"),
     *("samples", "missing_samples", "duration_s", "sample_rate_hz", "rate_hz", "jitter_p99_s"),
+    *(name for name, *_ in TIMELINESS),
 )
 COMMON_FIGURES = tuple(row for row in FIGURES if row[0] in COMMON)
 

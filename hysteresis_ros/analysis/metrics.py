@@ -18,6 +18,15 @@ SMOOTHNESS = {
     "voltage": ("voltage_rate_v_s", "voltage_variation_v"),
 }
 
+#: Figures of a fused run in real time, as :data:`FIGURES`.
+TIMELINESS = (
+    ("lateness_p50_s", "Lateness of a sample, p50", "µs", 1e6),
+    ("lateness_p99_s", "Lateness of a sample, p99", "µs", 1e6),
+    ("lateness_p999_s", "Lateness of a sample, p99.9", "µs", 1e6),
+    ("lateness_max_s", "Lateness of a sample, largest", "µs", 1e6),
+    ("skipped_samples", "Skipped samples", "", 1.0),
+)
+
 #: All figures with the unit shown to people, the factor from SI and a label; the order is that of the tables.
 FIGURES = (
     ("rms_error_m", "RMS error", "µm", 1e6),
@@ -45,6 +54,7 @@ FIGURES = (
     ("sample_rate_hz", "Sample rate (stamps)", "Hz", 1.0),
     ("rate_hz", "Rate reached (clock)", "Hz", 1.0),
     ("jitter_p99_s", "Jitter p99", "ms", 1e3),
+    *TIMELINESS,
 )
 
 
@@ -89,6 +99,9 @@ def compute_metrics(recording: Recording) -> dict:
     ``rate_hz``                             rate at which samples really came, from the times of reception; the sample
                                             rate where a recording has no such times
     ``jitter_p99_s``                        99th percentile of abs(distance of two receptions - its median)
+    ``lateness_p50_s``, ``…p99_s``,         of a fused run: how late half, 99 % and 99.9 % of the samples began at most,
+    ``…p999_s``, ``…max_s``                 and the latest one
+    ``skipped_samples``                     of a fused run: samples whose time was missed, which nobody answered
     ``notes``                               dict: figure → why it is None or how to read it; ``recording`` → list
     ======================================= ==========================================================================
 
@@ -289,6 +302,12 @@ def sampling_figures(recording: Recording, notes: dict) -> dict:
         figures["rate_hz"] = figures.get("sample_rate_hz")
         notes["rate_hz"] = "from the stamps: the recording has no times of reception"
         notes["jitter_p99_s"] = "no times of reception in the recording (simulated, or a plain table)"
+    if "lateness_max_s" in timing:
+        figures |= {name: timing[name] for name, *_ in TIMELINESS[:-1]}
+        figures["skipped_samples"] = int(np.sum(recording["skipped"])) if recording.has("skipped") else 0
+    else:
+        notes |= {name: "not a fused run in real time" for name, *_ in TIMELINESS}
+        figures |= {name: None for name, *_ in TIMELINESS}
     return figures
 
 

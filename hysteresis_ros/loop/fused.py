@@ -73,7 +73,7 @@ def pace_arrays(axis: Axis, factor: float = math.inf, samples: int = 0) -> Pace:
         np.zeros(at.BINS, dtype=np.int64),
         np.full((kept, size), math.nan),  # written, so that the memory is really there
         np.full(kept, -1, dtype=np.int64),
-        np.full((kept, JOINT_NUMBERS) if axis.motor else (1, 1), math.nan),
+        np.full((kept, JOINT_NUMBERS if axis.motor else 0), math.nan),
         np.zeros(2, dtype=np.int64),
     )
 
@@ -137,6 +137,7 @@ class FusedLoop:
         self._events_read = 0
         self._ending = False
         self._thread: threading.Thread | None = None
+        self._begun = threading.Event()
         self._double = copy.deepcopy(axis)
         self._double_own = pace_arrays(self._double)
         self._reader = self.reader()
@@ -151,8 +152,15 @@ class FusedLoop:
         self._ending = False
         self._state[at.LEAVE] = 0
         self._offset = time.time_ns() - time.monotonic_ns()
+        self._begun.clear()
         self._thread = threading.Thread(target=self._run, name="fused loop", daemon=True)
         self._thread.start()
+        self._begun.wait()
+
+    @property
+    def origin(self) -> int:
+        """When sample 0 was to begin [ns since 1970]; known once it was started."""
+        return int(self._state[at.ORIGIN]) + self._offset
 
     @property
     def running(self) -> bool:
@@ -180,6 +188,7 @@ class FusedLoop:
             state = self._state
             ahead = int(state[at.SAMPLE]) * int(state[at.PERIOD]) // at.FEMTO
             state[at.ORIGIN] = time.monotonic_ns() + LEAD - ahead
+            self._begun.set()
             while True:
                 run, arguments = machine(self.axis, self._own)
                 run(*arguments)
@@ -189,6 +198,7 @@ class FusedLoop:
         except Exception as error:
             self.failure = f"the fused loop ended at sample {self.sample}: {type(error).__name__}: {error}"
         finally:
+            self._begun.set()
             self.axis.sample = self.sample
 
     # -- steering ------------------------------------------------------------------------------------------------

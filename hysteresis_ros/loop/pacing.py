@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from hysteresis_ros import elementary
 from hysteresis_ros import signals as at
 from hysteresis_ros.block import COMPILED, nested
 from hysteresis_ros.loop.plant import tell_joints
@@ -145,7 +146,7 @@ def note_lateness(state, histogram, late):
     state[LATEST] = max(state[LATEST], late)
     index = 0
     if late > LEAST:
-        index = min(1 + int(RESOLUTION * math.log(late / LEAST)), BINS - 1)
+        index = min(1 + int(RESOLUTION * elementary.log(late / LEAST)), BINS - 1)
     histogram[index] += 1
 
 

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
+from hysteresis_ros import elementary
 from hysteresis_ros.loop import pacing as at
 from hysteresis_ros.loop.pacing import LEAST, RESOLUTION, Pace
 
@@ -84,7 +84,7 @@ class Reader:
         first = max(self._next, head - size)
         places = np.arange(first, head) % size
         table, times = np.ascontiguousarray(rows[places].T), self._own.times[places] + self._offset()
-        joints = np.ascontiguousarray(self._own.joints[places].T) if len(self._own.joints) == size else None
+        joints = np.ascontiguousarray(self._own.joints[places].T) if self._own.joints.shape[1] else None
         # what was overwritten while it was copied; of the next sample a part may stand in the ring already
         whole = min(max(first, int(state[at.HEAD]) + 1 - size), head)
         lost, self._next = whole - self._next, head
@@ -111,7 +111,7 @@ def quantile(histogram: np.ndarray, part: float) -> float:
     if not counts[-1]:
         return 0.0
     index = int(np.searchsorted(counts, part * counts[-1]))
-    return LEAST * math.exp(max(index - 0.5, 0.0) / RESOLUTION) * 1e-9
+    return LEAST * elementary.exp(max(index - 0.5, 0.0) / RESOLUTION) * 1e-9
 
 
 def lateness(own: Pace) -> Lateness:

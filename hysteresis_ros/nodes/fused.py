@@ -162,10 +162,10 @@ class FusedAxis:
         self._told.clear()
         self._reader = loop.reader()
         sys.setswitchinterval(SWITCH_INTERVAL)
-        self.plant.begin_run()
         if "recorder" in self.nodes:
             self.nodes["recorder"].record_loop(self)
         loop.start()
+        self.plant.begin_run(loop.origin)
         if not self.plant.running:
             loop.halt()
 
@@ -365,6 +365,16 @@ class Fused(RealTime):
         """End the loop when the process does; else it goes on, safe."""
         if self.node.leaving:
             self.fused.end()
+
+    def timeliness(self) -> dict:
+        """Return how late samples began so far, and what they cost."""
+        loop = self.fused.loop
+        if loop is None:
+            return {}
+        found = loop.lateness()
+        late = {"p50": found.p50, "p99": found.p99, "p99_9": found.p999, "max": found.max}
+        values = {f"lateness_{name}_us": f"{1e6 * value:.3g}" for name, value in late.items()}
+        return {**values, "skipped_samples": found.missed, "cost_us": f"{1e6 * found.cost:.3g}"}
 
     def restart(self) -> None:
         """The loop begins anew with all nodes."""

@@ -253,12 +253,12 @@ class PlantSimulatorNode(AxisNode):
         """Real time: let the stamps go on from now, or from zero where they are the source of time themselves."""
         self._start_stamp = 0 if self.parameters.publish_clock else time.time_ns() - self.stamp_of(self.sample)
 
-    def begin_run(self) -> None:
-        """Take now for the time of sample 0 of a loop."""
+    def begin_run(self, origin: int) -> None:
+        """Take the time of sample 0 of a loop [ns since 1970]."""
         self._first = time.monotonic()
         self._told = self._tripped = False
         self.sample = 0
-        self.set_start()
+        self._start_stamp = 0 if self.parameters.publish_clock else origin
 
     def publish_sample(self) -> None:
         """Measure the present sample and publish it."""
@@ -380,6 +380,7 @@ class PlantSimulatorNode(AxisNode):
             "tripped": self.part.tripped,
             "real_time_factor": f"{self.parameters.real_time_factor:g}",
             "saturated_samples": self.part.limited_samples,
+            **self.runner.timeliness(),
         }
         late = self.since_report("late", self.late)
         if self.part.tripped:

@@ -25,6 +25,10 @@ class Runner:
         """Return what tells how regularly samples come."""
         return Pace(self.period)
 
+    def timeliness(self) -> dict:
+        """Return what diagnostics say about how late samples begin, where that is known."""
+        return {}
+
     def go_safe(self) -> None:
         """Bring the outputs of the node to their safe values."""
         self.node.go_safe()

@@ -170,6 +170,6 @@ def _leave(executor, nodes, regular: bool) -> None:
         executor.spin_once(timeout_sec=0.01)
         if time.monotonic() > start + QUIET and all(node.drained() for node in listening):
             break
-    for node in nodes:
+    for node in reversed(nodes):  # a recorder is the first: it gets what is made until the end
         node.active = False
         node.release()

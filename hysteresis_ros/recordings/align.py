@@ -142,7 +142,7 @@ def align(bag: Bag, namespace: str | None = None, *, further: bool = False) -> R
         "missing_samples": missing,
         "missing": per_signal,
         "messages": {name: len(bag.topics[name].data) for name in sorted(bag.topics) if name.startswith(f"{prefix}/")},
-        "timing": _timing(bag, prefix, joints, rows),
+        "timing": _timing(bag, prefix, joints, rows, _is_paced(configuration, prefix)),
         "notes": notes,
     }
     time = (stamps - stamps[0]) / 1e9 if stamps.size else np.zeros(0)
@@ -367,8 +367,19 @@ def _late_commands(bag: Bag, prefix: str) -> int:
     return count
 
 
-def _timing(bag: Bag, prefix: str, joints, rows: np.ndarray) -> dict:
-    """Rate and jitter of ``joint_states`` from the times of reception."""
+def _is_paced(configuration: str, prefix: str) -> bool:
+    """Tell whether samples began by the wall clock: fused, and not slower or faster than real time."""
+    plant = configured(configuration, "plant_simulator", prefix)
+    slowed = plant.get("real_time_factor", 1.0) != 1.0 or plant.get("publish_clock", False)
+    return plant.get("time_mode") == "fused" and not slowed
+
+
+#: Parts of the samples whose lateness is given.
+LATENESS = {"lateness_p50_s": 50.0, "lateness_p99_s": 99.0, "lateness_p999_s": 99.9, "lateness_max_s": 100.0}
+
+
+def _timing(bag: Bag, prefix: str, joints, rows: np.ndarray, paced: bool) -> dict:
+    """Rate and jitter of ``joint_states`` from the times of reception; of a paced run how late samples began."""
     if joints is None or rows.size < 3:
         return {}
     received = bag.topics[f"{prefix}/joint_states"].received()[rows]
@@ -378,7 +389,9 @@ def _timing(bag: Bag, prefix: str, joints, rows: np.ndarray) -> dict:
         # nobody recorded a clock: the stamps themselves are in its place (simulated run)
         return {}
     steps = np.diff(received) / 1e9
+    late = (received - joints.stamps) / 1e9
     return {
+        **{name: float(np.percentile(late, part)) for name, part in (LATENESS if paced else {}).items()},
         "rate_hz": float((received.size - 1) / (received[-1] - received[0]) * 1e9),
         "jitter_p99_s": float(np.percentile(np.abs(steps - np.median(steps)), 99)),
     }

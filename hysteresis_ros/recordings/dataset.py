@@ -24,7 +24,8 @@ class Recording:
         Unit of each signal; those of :data:`hysteresis_ros.signals.UNITS` need not be given.
     metadata : dict, optional
         Whatever JSON can hold. Known keys: ``configuration`` (YAML text of the axis), ``notes`` (list of str),
-        ``missing_samples`` (int), ``timing`` (dict with ``rate_hz`` and ``jitter_p99_s``), ``namespace``, ``source``.
+        ``missing_samples`` (int), ``timing`` (dict with ``rate_hz``, ``jitter_p99_s`` and, fused, ``lateness_…_s``),
+        ``namespace``, ``source``.
 
     Raises
     ------

@@ -283,6 +283,28 @@ def test_rate_and_jitter_come_from_the_times_of_reception(tmp_path):
     assert timing["jitter_p99_s"] == pytest.approx(400e-6)
 
 
+@pytest.mark.parametrize(("factor", "paced"), [(1.0, True), (0.5, False)])
+def test_how_late_samples_of_a_fused_run_began_is_reception_less_stamp(tmp_path, factor, paced):
+    configuration = (
+        f"/**:\n  ros__parameters: {{time_mode: fused}}\n"
+        f"/**/plant_simulator:\n  ros__parameters: {{real_time_factor: {factor}}}\n"
+    )
+    start, lateness = 10**18, np.linspace(0.0, 99e-6, 100)
+    with BagWriter(tmp_path / "bag") as bag:
+        bag.write_string("/configuration", configuration, start)
+        for k, late in enumerate(lateness):
+            stamp = start + 1_000_000 * k
+            bag.write_joint_state("/joint_states", stamp, ("piezo",), (0.0,), time_ns=stamp + round(1e9 * late))
+            bag.write_joint_state("/plant_simulator/state", stamp, ("displacement", "skipped"), (0.0, float(k == 5)))
+    run = read_recording(tmp_path / "bag")
+    timing = run.metadata["timing"]
+    if paced:
+        found = [timing[f"lateness_{name}_s"] for name in ("p50", "p99", "p999", "max")]
+        assert found == pytest.approx([49.5e-6, 98.01e-6, 98.901e-6, 99e-6], abs=1e-9)
+    else:
+        assert not any(name.startswith("lateness") for name in timing)
+
+
 def test_setpoints_are_given_for_every_sample_of_a_replay(tmp_path):
     with BagWriter(tmp_path / "bag") as bag:
         axis(bag, "", lost=(7, 20, 21))
