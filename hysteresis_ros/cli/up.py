@@ -118,7 +118,9 @@ def _live(axis):
     from hysteresis_ros.block import COMPILED
 
     plant = axis.plant_simulator
-    if plant.time_mode != "realtime" or plant.driver or plant.external_plant or not COMPILED:
+    if plant.time_mode != "realtime" or plant.external_plant or not COMPILED:
+        return axis
+    if plant.driver and not plant.driver_is_compiled:
         return axis
     return axis.with_time_mode("fused") if plant.sample_rate * plant.real_time_factor > MESSAGE_RATE else axis
 

@@ -12,7 +12,7 @@ from hysteresis_ros.compensation.compensator import CompensatorParameters
 from hysteresis_ros.compensation.reachable import resting_displacements
 from hysteresis_ros.control.controller import ControllerParameters
 from hysteresis_ros.errors import ParameterError, Problem
-from hysteresis_ros.hardware.driver import DriverError
+from hysteresis_ros.hardware.driver import Driver, DriverError
 from hysteresis_ros.hardware.located import driver_of, options_of
 from hysteresis_ros.hardware.registry import DRIVERS
 from hysteresis_ros.models.actuator import ActuatorParameters
@@ -195,6 +195,14 @@ class PlantNodeParameters(NodeParameters, ActuatorParameters):
             return part(self, ActuatorParameters)
         return options_of(driver_of(self.driver), self.driver_options)
 
+    @property
+    def driver_is_compiled(self) -> bool:
+        """Whether machine code reads and writes the device."""
+        try:
+            return driver_of(self.driver).driver.compiled is not Driver.compiled
+        except DriverError:
+            return True  # there is none: said elsewhere
+
     def _driver_problems(self):
         if self.driver in DRIVERS and self.driver_options:
             allowed = f"belong to a driver that is given by its path; {self.driver} has parameters of its own"
@@ -210,9 +218,15 @@ class PlantNodeParameters(NodeParameters, ActuatorParameters):
     def _unfit_for_a_driver(self):
         if self.external_plant:
             yield Problem("driver", self.driver, "the plant is external already: give driver: ''")
-        if self.time_mode != "realtime":
+        if self.time_mode == "lockstep":
             allowed = (
                 "a device does not wait for anybody: give time_mode: realtime, or driver: '' for the simulated plant"
+            )
+            yield Problem("driver", self.driver, allowed)
+        if self.time_mode == "fused" and not self.driver_is_compiled:
+            allowed = (
+                "is written in Python, which would wait for its lock in each sample: give time_mode: realtime, or a "
+                "driver with a compiled form (docs/hardware.md)"
             )
             yield Problem("driver", self.driver, allowed)
         if self.real_time_factor != 1.0:

@@ -145,8 +145,11 @@ class FusedAxis:
 
     def _begin(self) -> None:
         parameters = self._parameters()
-        axis = Axis(parameters)
         plant = parameters.plant_simulator
+        device = self.plant.part if plant.driver else None
+        if device is not None:
+            device.reset()
+        axis = Axis(parameters, device)
         first = axis.sample
         loop = FusedLoop(axis, plant.real_time_factor, plant.samples, warn=self._warn)
         for name, part in axis.by_node.items():
@@ -186,6 +189,7 @@ class FusedAxis:
         self.show()
         if "recorder" in self.nodes:
             self.nodes["recorder"].take_samples()
+        self.plant.make_safe()
         self.loop = None
 
     def _make_safe(self) -> None:
@@ -271,6 +275,7 @@ class FusedAxis:
             self.plant.fail(loop.failure)
         elif ended and loop.sample >= self.plant.parameters.samples > 0:
             self._over = True
+            self.plant.make_safe()
             self.plant.finish()
 
     def _show(self, samples) -> None:

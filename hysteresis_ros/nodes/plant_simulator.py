@@ -22,7 +22,7 @@ from std_msgs.msg import Bool, Float64, UInt64
 from hysteresis_ros import signals
 from hysteresis_ros.block import interpreted
 from hysteresis_ros.errors import ConfigurationError, HysteresisError
-from hysteresis_ros.loop.driven import plant_of
+from hysteresis_ros.loop.driven import fused_plant_of, plant_of
 from hysteresis_ros.loop.plant import actuate, sense
 from hysteresis_ros.loop.tick import MEASURED, Laws
 from hysteresis_ros.models.inchworm import EFFORT, JOINT_NAMES, POSITION, VELOCITY
@@ -103,7 +103,7 @@ class PlantSimulatorNode(AxisNode):
                 "up --plant external` does), or set it to false"
             )
         self.parameters = parameters
-        self.part = plant_of(parameters)
+        self.part = fused_plant_of(parameters) if parameters.time_mode == "fused" else plant_of(parameters)
         self.inputs = [VoltageInput(*given) for given in VOLTAGES[: 3 if self.is_motor else 1]]
         self.row = [0.0] * signals.MOTOR_ROW
         self._laws = Laws(*self.part.kernels, *(self.part.kernels[0],) * (len(Laws._fields) - 3))
@@ -433,7 +433,7 @@ class PlantSimulatorNode(AxisNode):
         """Stop the thread that keeps the time; a device is brought to its safe state."""
         if self.runner is not None:
             self.runner.stop_time()
-            self._make_safe()
+            self.make_safe()
         if self.parameters is not None:
             self._tell()
 
@@ -442,7 +442,10 @@ class PlantSimulatorNode(AxisNode):
         self.unbuild()
         super().destroy_node()
 
-    def _make_safe(self) -> None:
+    def make_safe(self) -> None:
+        """Bring a device to its safe state, unless a loop still works on it, which holds it at the safe voltage."""
+        if self.is_fused and self.fused.loop.running:
+            return
         patience = time.monotonic() + RETURN
         while self.part.step_to_safe() and time.monotonic() < patience:
             time.sleep(self.runner.period)

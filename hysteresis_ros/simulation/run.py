@@ -140,7 +140,10 @@ def differences(recorded: Recording, parameters: AxisParameters) -> dict[str, in
         given["answers"] = {name: recorded.signals.get(name, nothing) for name in ("measured", "tripped")}
     twin = simulate(parameters, setpoints=recorded.signals["setpoint"], changes=changes_of(recorded), **given)
     columns = {"time": (recorded.time, twin.time)}
-    columns |= {name: (values, twin.signals[name]) for name, values in recorded.signals.items() if name in twin}
+    # nobody knows where a device really is
+    unknown = {"displacement"} if parameters.plant_simulator.driver else set()
+    known = {name: values for name, values in recorded.signals.items() if name in twin and name not in unknown}
+    columns |= {name: (values, twin.signals[name]) for name, values in known.items()}
     found = {}
     for name, (ours, theirs) in columns.items():
         count = int(np.count_nonzero(np.asarray(ours).view(np.int64) != np.asarray(theirs).view(np.int64)))

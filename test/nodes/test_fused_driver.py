@@ -1,0 +1,94 @@
+"""A driver in C behind a fused axis, as users start it: moved, recorded, verified, and let go of in its safe state."""
+
+from __future__ import annotations
+
+import signal
+
+import pytest
+
+pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
+
+from nodes_support import diagnostics, until  # noqa: E402
+from stage_support import built, needs_compiler, running_stage  # noqa: E402
+
+pytestmark = needs_compiler
+
+AXIS = """
+/**:
+  ros__parameters: {{sample_rate: 1000.0, time_mode: realtime}}
+/**/plant_simulator:
+  ros__parameters:
+    driver: {driver}
+    driver_options: ['name={name}']
+    late_limit: -1
+    realtime: {{priority: 0}}
+    limits: {{minimum: 0.0, maximum: 100.0}}
+    hysteresis: {{type: proportional, proportional: {{gain: 1.0e-7}}}}
+/**/reference_generator:
+  ros__parameters: {{minimum: 0.0, maximum: 10.0e-6}}
+/**/motion_controller:
+  ros__parameters: {{type: open_loop}}
+/**/hysteresis_compensator:
+  ros__parameters:
+    inverse: {{type: none}}
+    limits: {{minimum: 0.0, maximum: 100.0}}
+    hysteresis: {{type: proportional, proportional: {{gain: 1.0e-7}}}}
+"""
+
+#: A watchdog that a busy machine does not set off.
+PATIENT = ("--watchdog", "20", "--rate", "5000")
+
+
+def written(tmp_path, name: str, driver=None) -> str:
+    path = tmp_path / "axis.yaml"
+    path.write_text(AXIS.format(driver=driver or built() / "libstage.so", name=name))
+    return str(path)
+
+
+def test_setpoints_move_the_stage_and_the_recording_verifies_bit_for_bit(processes, observer, tmp_path):
+    from sensor_msgs.msg import JointState
+    from std_msgs.msg import Float64
+
+    with running_stage(*PATIENT) as stage:
+        joints = observer.listen(JointState, "/joint_states")
+        setpoint = observer.talk(Float64, "/setpoint")
+        axis, bag = written(tmp_path, stage.name), str(tmp_path / "bag")
+        up = processes.command("up", axis, "--fused", "--record", bag, "--verify")
+        until(lambda: joints and setpoint.get_subscription_count(), what="the axis")
+        setpoint.publish(Float64(data=5.0e-6))
+        # open loop without inverse: 50 V, and what the play lacks
+        until(lambda: abs(joints[-1].position[0] - 4.75e-6) < 2e-8, what="the stage where 50 V bring it")
+        code, _ = up.leave(signal.SIGINT)
+        assert code == 0 and "equal" in up.output, up.output
+
+
+def test_a_stage_that_dies_is_named_and_the_axis_stays_stopped(processes, observer, tmp_path):
+    from diagnostic_msgs.msg import DiagnosticArray
+    from sensor_msgs.msg import JointState
+
+    with running_stage(*PATIENT) as stage:
+        joints = observer.listen(JointState, "/joint_states")
+        reports = observer.listen(DiagnosticArray, "/diagnostics")
+        up = processes.command("up", written(tmp_path, stage.name), "--fused")
+        until(lambda: joints, what="the axis")
+        stage.process.kill()
+        until(lambda: joints[-1].header.frame_id == "tripped", what="the axis to stop")
+        until(lambda: (diagnostics(reports, "/plant_simulator") or [0])[0] == 2)
+        assert f"the process of stage {stage.name} has died" in diagnostics(reports, "/plant_simulator")[1]
+        assert up.leave(signal.SIGINT)[0] == 0
+
+
+@pytest.mark.parametrize(
+    ("driver", "words"),
+    [
+        ("simulated", "driver = 'simulated': is written in Python, which would wait for its lock"),
+        (None, "stage /nowhere_at_all is not there; start `stage_device"),
+    ],
+)
+def test_what_the_fused_loop_cannot_drive_is_refused(processes, tmp_path, driver, words):
+    path = written(tmp_path, "/nowhere_at_all", driver)
+    if driver is not None:
+        path_text = (tmp_path / "axis.yaml").read_text().replace("    driver_options: ['name=/nowhere_at_all']\n", "")
+        (tmp_path / "axis.yaml").write_text(path_text)
+    up = processes.command("up", path, "--fused")
+    assert up.wait() == 2 and words in up.output and "Traceback" not in up.output, up.output
