@@ -28,9 +28,9 @@ from hysteresis_ros.loop.watch import (
     STOPPED,
     TRIPPED,
     WatchArrays,
-    accept,
     guard_parameters,
     is_stale,
+    receive,
     towards,
 )
 from hysteresis_ros.models import limits as limiting
@@ -65,16 +65,15 @@ def compensate(laws, arrays, row):
     """
     p, x = arrays.p, arrays.x
     own_p, own = arrays.watch_p.own, arrays.watch_x.own
+    guard_p, guard = arrays.watch_p.guard, arrays.watch_x.guard
     faults_p, faults = arrays.watch_p.faults, arrays.watch_x.faults
-    faulty.begin_sample(faults)
-    given = faulty.corrupt(faults_p, faults, faulty.COMMAND, row[at.COMMAND])
-    command = accept(arrays.watch_p.guard, arrays.watch_x.guard, given, faults[faulty.STAMP])
+    command = receive(guard_p, guard, faults_p, faults, faulty.COMMAND, row[at.COMMAND], 0.0)
     mode = RUNNING
     if row[at.TRIPPED] != 0.0:
         mode = TRIPPED
     elif own[STOP] != 0.0:
         mode = STOPPED
-    elif is_stale(arrays.watch_p.guard, arrays.watch_x.guard):
+    elif is_stale(guard_p, guard):
         mode = STALE
     elif command != command:
         mode = HOLDING

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -35,9 +34,9 @@ from hysteresis_ros.loop.watch import (
     STOPPED,
     TRIPPED,
     WatchArrays,
-    accept,
     guard_parameters,
     is_stale,
+    receive,
     towards,
 )
 
@@ -131,13 +130,10 @@ def answer(laws, arrays, value):
 def control(laws, arrays, row):
     """Take reference and measurement of a sample out of its row and put the command in."""
     own_p, own = arrays.watch_p.own, arrays.watch_x.own
+    guard_p, guard = arrays.watch_p.guard, arrays.watch_x.guard
     faults_p, faults = arrays.watch_p.faults, arrays.watch_x.faults
     state = arrays.x.controller
-    faulty.begin_sample(faults)
-    given = faulty.corrupt(faults_p, faults, faulty.MEASUREMENT, row[at.MEASURED])
-    if row[at.SKIPPED] != 0.0:
-        given = math.nan
-    seen = accept(arrays.watch_p.guard, arrays.watch_x.guard, given, faults[faulty.STAMP])
+    seen = receive(guard_p, guard, faults_p, faults, faulty.MEASUREMENT, row[at.MEASURED], row[at.SKIPPED])
     command = state[header.COMMAND]
     value = seen
     if row[at.REFERENCE] - row[at.REFERENCE] == 0.0:
@@ -150,9 +146,9 @@ def control(laws, arrays, row):
     unfollowed = own[ANSWERED] != 0.0 and own[UNANSWERED] >= UNFOLLOWED_SAMPLES
     if row[at.TRIPPED] != 0.0:
         mode = TRIPPED
-    elif faulty.corrupt(faults_p, faults, faulty.STOP, own[STOP]) != 0.0:
+    elif faulty.given_instead(faults_p, faults, faulty.STOP, own[STOP]) != 0.0:
         mode = STOPPED
-    elif is_stale(arrays.watch_p.guard, arrays.watch_x.guard):
+    elif is_stale(guard_p, guard):
         mode = STALE
     elif value != value and (unfollowed or not foreseeable(own_p, own, state, seen)):
         mode = HOLDING
@@ -182,7 +178,7 @@ def control(laws, arrays, row):
 def carried_out(arrays, applied):
     """Tell the controller what the compensator has carried out [m] of the last command; NaN: it did not say."""
     own = arrays.watch_x.own
-    heard = faulty.corrupt(arrays.watch_p.faults, arrays.watch_x.faults, faulty.APPLIED, applied)
+    heard = faulty.given_instead(arrays.watch_p.faults, arrays.watch_x.faults, faulty.APPLIED, applied)
     if heard - heard == 0.0:
         arrays.x.controller[header.APPLIED] = heard
         own[UNANSWERED] = 0.0

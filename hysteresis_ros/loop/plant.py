@@ -107,9 +107,10 @@ TRIP_PARAMETERS = 5
 # that failed, which nothing but a start makes up for.
 NOT_TRIPPED, WITHOUT_VOLTAGE, BEYOND_TRAVEL, HALTED, DEVICE_FAILED = range(5)
 
-# Its state: why it has tripped, late voltages so far, late ones in a row, late ones that are not forgiven yet.
-TRIP, LATE, IN_ROW, LEVEL = range(4)
-TRIP_STATES = 4
+# Its state: why it has tripped, late voltages so far, late ones in a row, late ones that are not forgiven yet; what the
+# plant did with the last voltage.
+TRIP, LATE, IN_ROW, LEVEL, MODE = range(5)
+TRIP_STATES = 5
 
 
 @kernel
@@ -143,6 +144,19 @@ def plant_mode(p, x, trip, late):
     return HOLDING if late != 0.0 else RUNNING
 
 
+@kernel
+def put_out(trip_p, trip_x, hold_p, hold_x, voltage, measured):
+    """Return the voltage [V] to put out for the one that came (NaN: none), after all that is watched.
+
+    One call, because a node makes it from Python; parameters and states are those of :class:`PlantWatchArrays`.
+    """
+    late = is_missing(hold_x, voltage)
+    watch(trip_p, trip_x, late, measured)
+    held = hold_voltage(hold_p, hold_x, voltage, trip_x[TRIP], -math.inf)
+    trip_x[MODE] = plant_mode(hold_p, hold_x, trip_x, late)
+    return held
+
+
 @nested
 def sense_actuator(laws, arrays, row):
     """Measure an actuator."""
@@ -164,12 +178,11 @@ def watched_voltage(p, x, row):
 
     ``p`` and ``x`` are :class:`PlantWatchArrays`.
     """
-    voltage = faulty.corrupt(p.faults, x.faults, faulty.VOLTAGE, sent(row, at.VOLTAGE))
-    late = is_missing(x.hold, voltage)
-    watch(p.trip, x.trip, late, row[at.MEASURED])
-    held = hold_voltage(p.hold, x.hold, voltage, x.trip[TRIP], -math.inf)
-    row[at.PLANT_MODE] = plant_mode(p.hold, x.hold, x.trip, late)
-    row[at.LATE] = x.trip[LATE]
+    voltage = faulty.given_instead(p.faults, x.faults, faulty.VOLTAGE, sent(row, at.VOLTAGE))
+    trip = x.trip
+    held = put_out(p.trip, trip, p.hold, x.hold, voltage, row[at.MEASURED])
+    row[at.PLANT_MODE] = trip[MODE]
+    row[at.LATE] = trip[LATE]
     return held
 
 
@@ -203,7 +216,7 @@ def actuate_motor(laws, arrays, row):
     back from safe a clamp opens only when the other one is where the gait has it.
     """
     p, x = arrays.watch_p, arrays.watch_x
-    voltage = faulty.corrupt(p.faults, x.faults, faulty.VOLTAGE, sent(row, at.VOLTAGE))
+    voltage = faulty.given_instead(p.faults, x.faults, faulty.VOLTAGE, sent(row, at.VOLTAGE))
     front, rear = sent(row, at.FRONT_VOLTAGE), sent(row, at.REAR_VOLTAGE)
     missing = max(is_missing(x.hold, voltage), is_missing(x.front_hold, front))
     late = max(missing, is_missing(x.rear_hold, rear))

@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hysteresis_ros.block import called, kernel
+from hysteresis_ros.loop import faults as faulty
 
 #: Modes of a part: as it should be; no usable input in this sample, the last output stays; none for too long, the
 #: output goes to its safe value; told to stop, likewise; the plant has stopped the axis, likewise; nobody carries
@@ -113,6 +114,29 @@ def accept(p, x, value, stamp):
     x[STAMP] = stamp
     x[BEGUN] = 1.0
     return value
+
+
+@kernel
+def receive(guard_p, guard_x, faults_p, faults_x, target, value, missing):
+    """Begin a sample with the input it is given: ``value``, as the faults leave it, when it can be used, NaN otherwise.
+
+    Parameters
+    ----------
+    guard_p, guard_x : ndarray
+        See :func:`accept`.
+    faults_p, faults_x : ndarray
+        See :func:`hysteresis_ros.loop.faults.corrupt`.
+    target : int
+        What the value is, for the faults.
+    value : float
+    missing : float
+        Not 0: nothing came in this sample, whatever the faults say.
+    """
+    faulty.begin_sample(faults_x)
+    given = faulty.corrupt(faults_p, faults_x, target, value)
+    if missing != 0.0:
+        given = math.nan
+    return accept(guard_p, guard_x, given, faults_x[faulty.STAMP])
 
 
 @kernel

@@ -45,14 +45,17 @@ class ActuatorParameters(Parameters):
 
 
 @kernel
-def actuator_measure(ps, xs):
-    """Reading [m] of the sensor at the present sample; the true displacement stays in the sensor's state.
+def reading(dynamics_p, dynamics_x, sensor_p, sensor_x):
+    """Reading [m] of the sensor at the present sample; the true displacement stays in the sensor's state."""
+    displacement = linear_output(dynamics_p, dynamics_x) + sensor_p[PRELOAD]
+    sensor_x[DISPLACEMENT] = displacement
+    return sensor(sensor_p, sensor_x, displacement)
 
-    ``ps`` and ``xs`` are :class:`ActuatorArrays`.
-    """
-    displacement = linear_output(ps.dynamics, xs.dynamics) + ps.sensor[PRELOAD]
-    xs.sensor[DISPLACEMENT] = displacement
-    return sensor(ps.sensor, xs.sensor, displacement)
+
+@nested
+def actuator_measure(ps, xs):
+    """Reading [m] of the sensor of an actuator, ``ps`` and ``xs`` being :class:`ActuatorArrays`."""
+    return reading(ps.dynamics, xs.dynamics, ps.sensor, xs.sensor)
 
 
 @nested

@@ -16,6 +16,8 @@ from hysteresis_ros.nodes.spin import run
 #: Seconds that the way to the safe voltage may take when the node leaves; what is left then is one step.
 LEAVING_TIME = 0.3
 
+_COMPENSATE = interpreted(compensate)
+
 
 class HysteresisCompensatorNode(Responder):
     """Inverts the hysteresis and keeps the voltage within its limits.
@@ -47,7 +49,7 @@ class HysteresisCompensatorNode(Responder):
 
     def step(self) -> None:
         """Run the compensator of the loop on the row."""
-        interpreted(compensate)(self._laws, self.part.arrays, self.row)
+        _COMPENSATE(self._laws, self.part.arrays, self.row)
 
     def begin(self) -> None:
         """In real time go on from the voltage that is there."""

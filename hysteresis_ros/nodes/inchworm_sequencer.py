@@ -35,6 +35,8 @@ ERRORS = {
     "or lower the load, then call ~/start",
 }
 
+_SEQUENCED = interpreted(sequenced)
+
 
 class InchwormSequencerNode(Responder):
     """Answers every ``joint_states`` with ``reference``, ``origin`` [m] and the voltages of both clamps [V].
@@ -212,7 +214,7 @@ class InchwormSequencerNode(Responder):
 
     def step(self) -> None:
         """Run the source of the loop on the row."""
-        interpreted(sequenced)(None, self.part.arrays, self.row)
+        _SEQUENCED(None, self.part.arrays, self.row)
 
     def answer(self, stamp) -> None:
         """Answer the sample in the row; in real time once the others are there."""

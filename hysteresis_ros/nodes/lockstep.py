@@ -239,7 +239,10 @@ class LockstepResponder(Lockstep):
     def clear(self) -> None:
         """Forget the run: the next sample is number 0."""
         super().clear()
-        self._counts = [0] * len(self.node.inputs)
+        inputs = self.node.inputs
+        self._counts = [0] * len(inputs)
+        # how many messages of each input the sample of number 0 needs; each sample one more
+        self._ahead = [0 if input_.previous else 1 for input_ in inputs]
         self._stamp = None
 
     def measurement(self, message) -> None:
@@ -254,12 +257,13 @@ class LockstepResponder(Lockstep):
 
     def value(self, place: int, data: float) -> None:
         """Take what came on the input in this place; it belongs to the sample by its count."""
-        node, input_ = self.node, self.node.inputs[place]
-        self._counts[place] += 1
-        allowed = node.sample if input_.previous else node.sample + 1
-        if self.surplus(self._counts[place], allowed, input_.topic, input_.partner):
+        node = self.node
+        input_ = node.inputs[place]
+        count = self._counts[place] = self._counts[place] + 1
+        allowed = node.sample + self._ahead[place]
+        if count > allowed and self.surplus(count, allowed, input_.topic, input_.partner):
             return
-        self.heard()
+        self._heard_new = True
         if not math.isfinite(data):
             node.refuse_value(input_, data)
         node.take(input_, data)
@@ -267,9 +271,10 @@ class LockstepResponder(Lockstep):
 
     def _lacks(self):
         """Return the first input that has not delivered what the present sample needs, None when all have."""
-        for count, input_ in zip(self._counts, self.node.inputs, strict=True):
-            if count < (self.node.sample if input_.previous else self.node.sample + 1):
-                return input_
+        sample, ahead = self.node.sample, self._ahead
+        for place, count in enumerate(self._counts):
+            if count < sample + ahead[place]:
+                return self.node.inputs[place]
         return None
 
     @property
@@ -283,7 +288,7 @@ class LockstepResponder(Lockstep):
         node = self.node
         if self._stamp is None or self._lacks() is not None:
             return
-        if not node.active or node.failure or not self.matched():
+        if not node.active or node.failure or not (self._matched or self.matched()):
             return
         node.pace.tick()
         stamp, self._stamp = self._stamp, None

@@ -14,6 +14,8 @@ from hysteresis_ros.nodes.responder import Input, Responder
 from hysteresis_ros.nodes.shortfall import Shortfall
 from hysteresis_ros.nodes.spin import run
 
+_CONTROL = interpreted(control)
+
 
 class MotionControllerNode(Responder):
     """Closes the loop: one ``command`` [m] for every measurement of the joint.
@@ -58,7 +60,7 @@ class MotionControllerNode(Responder):
 
     def step(self) -> None:
         """Run the controller of the loop on the row."""
-        interpreted(control)(self._laws, self._arrays, self.row)
+        _CONTROL(self._laws, self._arrays, self.row)
 
     def begin(self) -> None:
         """In real time go on from where the axis is."""
@@ -133,7 +135,7 @@ class MotionControllerNode(Responder):
             if math.isfinite(data):
                 self.shortfall.carried_out(data)
         else:
-            super().take(input_, data)
+            self.row[input_.signal] = data
 
     def refuse_value(self, input_: Input, data: float) -> None:
         """Say that a reference cannot be used: the last good one serves, of a motor the command stays."""

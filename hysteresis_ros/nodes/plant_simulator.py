@@ -66,6 +66,8 @@ VOLTAGES = (
     ("rear_clamp/voltage", signals.REAR_VOLTAGE, "inchworm_sequencer"),
 )
 
+_SENSE, _ACTUATE = interpreted(sense), interpreted(actuate)
+
 
 class PlantSimulatorNode(AxisNode):
     """Simulates an actuator or an inchworm motor in the place of real hardware.
@@ -187,11 +189,11 @@ class PlantSimulatorNode(AxisNode):
 
     def sense(self) -> None:
         """Measure the present sample into the row."""
-        interpreted(sense)(self._laws, self.part.arrays, self.row)
+        _SENSE(self._laws, self.part.arrays, self.row)
 
     def actuate(self) -> None:
         """Hold the voltages of the row until the next sample."""
-        interpreted(actuate)(self._laws, self.part.arrays, self.row)
+        _ACTUATE(self._laws, self.part.arrays, self.row)
 
     def reset_blocks(self) -> None:
         """Begin again at sample 0; in lockstep reset all other nodes first."""

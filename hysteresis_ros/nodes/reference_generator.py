@@ -16,6 +16,8 @@ from hysteresis_ros.nodes.responder import Responder
 from hysteresis_ros.nodes.spin import run
 from hysteresis_ros.nodes.timing import STALE
 
+_GENERATE = interpreted(generate)
+
 
 class ReferenceGeneratorNode(Responder):
     """Answers every ``joint_states`` with one ``reference`` [m]; takes ``setpoint`` [m] at any time."""
@@ -31,13 +33,22 @@ class ReferenceGeneratorNode(Responder):
     def build(self, parameters) -> None:
         """Make the generator from the parameters."""
         self.part = GeneratorSource(parameters)
+        self._connect_part()
         self.setpoint = parameters.initial_setpoint
         self.compile()
 
     def step(self) -> None:
         """Run the source of the loop on the row."""
-        waveform = self.part.waveform
-        interpreted(generate)(Laws(*(waveform,) * len(Laws._fields)), self.part.arrays, self.row)
+        _GENERATE(self._laws, self._arrays, self.row)
+
+    def retune(self, parameters) -> None:
+        """Take another waveform while stopped."""
+        self.part.retune(parameters)
+        self._connect_part()
+
+    def _connect_part(self) -> None:
+        self._laws = Laws(*(self.part.waveform,) * len(Laws._fields))
+        self._arrays = self.part.arrays
 
     def before_step(self) -> None:
         """Put the setpoint into the row."""

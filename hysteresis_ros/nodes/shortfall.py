@@ -28,9 +28,12 @@ class Shortfall:
     def carried_out(self, applied: float) -> None:
         """Compare what was carried out [m] with the nearest of the last commands: an answer may be late."""
         self._largest = max(self._largest, abs(applied))
+        allowed = max(FRACTION * self._largest, SMALLEST)
+        if abs(self._sent[-1] - applied) <= allowed:
+            return  # as it is in nearly every sample
         wanted = min(self._sent, key=lambda command: abs(command - applied))
         difference = abs(wanted - applied)
-        if difference <= max(FRACTION * self._largest, SMALLEST):
+        if difference <= allowed:
             return
         self.count += 1
         if self._worst is None or difference > abs(self._worst[0] - self._worst[1]):

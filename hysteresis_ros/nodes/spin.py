@@ -118,6 +118,17 @@ def _collect() -> None:
     gc.collect()
 
 
+def _over(nodes) -> bool:
+    """Tell whether a node has failed, or all have finished; asked some seven times a sample, so without generators."""
+    finished = True
+    for node in nodes:
+        # a node that could not be configured by hand waits for better parameters
+        if node.failure and node.parameters is not None:
+            return True
+        finished = finished and node.finished
+    return finished
+
+
 def _spin(executor, nodes, stop) -> int:
     # The loop makes no reference cycles; a collection in the middle of a sample would cost milliseconds.
     gc.collect()
@@ -126,10 +137,7 @@ def _spin(executor, nodes, stop) -> int:
     try:
         while not stop:
             executor.spin_once(timeout_sec=LOOK)
-            # a node that could not be configured by hand waits for better parameters
-            if any(node.failure and node.parameters is not None for node in nodes):
-                break
-            if all(node.finished for node in nodes):
+            if _over(nodes):
                 break
     finally:
         regular = not stop and all(node.finished and not node.failure for node in nodes)

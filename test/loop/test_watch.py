@@ -10,9 +10,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from interpreted import interpreted
-from watch_support import guard, hold, run_guard, run_hold, run_trip, same_in_both_forms, trip
+from watch_support import (
+    FAULTS,
+    guard,
+    hold,
+    run_guard,
+    run_hold,
+    run_put_out,
+    run_receive,
+    run_trip,
+    same_in_both_forms,
+    trip,
+)
 
-from hysteresis_ros.loop import plant, watch
+from hysteresis_ros.loop import faults, plant, watch
 from hysteresis_ros.loop.watch import guard_parameters, samples_of, towards
 
 NAN, INF = math.nan, math.inf
@@ -302,6 +313,49 @@ def test_a_trip_is_latched_and_needs_more_than_the_limit(late, limit):
     stopped, x = tripped(late, limit, 50.0)
     assert np.all(np.diff(stopped) >= 0) and x[plant.LATE] == sum(late)
     assert np.count_nonzero(late[: int(np.argmax(stopped)) + 1]) > limit or not stopped.any()
+
+
+def test_received_in_one_call_is_corrupted_and_then_accepted_as_in_three():
+    random = np.random.default_rng(2)
+    values = random.normal(size=250)
+    missing = (random.random(250) < 0.1).astype(float)
+    p = guard(timeout=5, spike=1.5)
+    got, x, faults_x = run_receive(p, values, missing, FAULTS)
+    faults_p = faults.fault_parameters(FAULTS, (faults.MEASUREMENT,), 1000.0)
+    other, own = faults.fault_state(faults_p), np.zeros(watch.GUARD_STATES)
+    expected = []
+    for value, lost in zip(values, missing, strict=True):
+        faults.begin_sample(other)
+        corrupted = faults.corrupt(faults_p, other, faults.MEASUREMENT, value)
+        expected.append(watch.accept(p, own, math.nan if lost else corrupted, other[faults.STAMP]))
+    np.testing.assert_array_equal(got, expected)
+    np.testing.assert_array_equal(x, own)
+    np.testing.assert_array_equal(faults_x, other)
+    assert 0 < np.count_nonzero(np.isnan(got)) < 250
+
+
+def test_without_faults_nothing_is_received_but_what_came():
+    assert run_receive(guard(), [1.0, 2.0, 3.0], [0.0, 1.0, 0.0], ())[0].tolist() == pytest.approx(
+        [1.0, math.nan, 3.0], nan_ok=True
+    )
+    none = faults.fault_parameters((), (faults.VOLTAGE,), 1000.0)
+    assert faults.given_instead(none, faults.fault_state(none), faults.VOLTAGE, 4.0) == 4.0
+    lost = faults.fault_parameters(("lost_voltage:0:1",), (faults.VOLTAGE,), 1000.0)
+    state = faults.fault_state(lost)
+    faults.begin_sample(state)
+    assert math.isnan(faults.given_instead(lost, state, faults.VOLTAGE, 4.0))
+
+
+def test_a_plant_puts_out_holds_slews_to_safe_and_trips_and_says_which():
+    missing = math.nan
+    voltages = [2.0, missing, missing, missing, 2.0, 2.0, 2.0, 2.0]
+    measured = [0.0] * 6 + [9.0, 0.0]
+    out, modes, trip_x, _ = run_put_out(trip(0.0, 0.0, -5.0, 5.0), hold(0.0, 1.0, 2)[0], voltages, measured)
+    # from the second missing voltage on it is stale, a step a sample; the wild measurement trips at once, and for good
+    assert out.tolist() == [2.0, 2.0, 1.0, 0.0, 1.0, 2.0, 1.0, 0.0]
+    running, holding, stale, tripped = watch.RUNNING, watch.HOLDING, watch.STALE, watch.TRIPPED
+    assert modes.tolist() == [running, holding, stale, stale, running, running, tripped, tripped]
+    assert trip_x[plant.TRIP] == plant.BEYOND_TRAVEL and trip_x[plant.LATE] == 3.0
 
 
 def test_compiled_and_interpreted_the_watch_has_the_same_bits(tmp_path):

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from hysteresis_ros.loop import plant
-from hysteresis_ros.loop.watch import FOLLOWS, GUARD_STATES, accept, hold_state, hold_voltage, is_stale
+from hysteresis_ros.loop import faults, plant
+from hysteresis_ros.loop.watch import FOLLOWS, GUARD_STATES, accept, hold_state, hold_voltage, is_stale, receive
 
 
 def guard(timeout=1000, spike=0.0, confirm=3, frozen=0) -> np.ndarray:
@@ -58,6 +58,31 @@ def run_trip(p, late, measured=None):
     return stopped, x
 
 
+#: Faults that act on a measurement, one after the other, with draws by chance among them.
+FAULTS = ("drop:0.01:0.04:0.5", "disorder:0.06:0.03", "late:0.1:0.03:2", "spike:0.14:0.03:5")
+
+
+def run_receive(p, values, missing, given=FAULTS, rate=1000.0):
+    """Return what a part receives of a measurement, in one call, and the states in the end."""
+    faults_p = faults.fault_parameters(given, (faults.MEASUREMENT,), rate)
+    x, faults_x = np.zeros(GUARD_STATES), faults.fault_state(faults_p)
+    got = [
+        receive(p, x, faults_p, faults_x, faults.MEASUREMENT, float(value), float(lost))
+        for value, lost in zip(values, missing, strict=True)
+    ]
+    return np.array(got), x, faults_x
+
+
+def run_put_out(trip_p, hold_p, voltages, measured):
+    """Return what a plant puts out, in one call, what it does, and the states in the end."""
+    trip_x, hold_x = np.zeros(plant.TRIP_STATES), hold_state(0.0)
+    out, modes = np.empty(len(voltages)), np.empty(len(voltages))
+    for k, voltage in enumerate(voltages):
+        out[k] = plant.put_out(trip_p, trip_x, hold_p, hold_x, float(voltage), float(measured[k]))
+        modes[k] = trip_x[plant.MODE]
+    return out, modes, trip_x, hold_x
+
+
 def same_in_both_forms() -> np.ndarray:
     """Return everything that guards, held voltages and trips make of random inputs, in one array."""
     random = np.random.default_rng(5)
@@ -73,4 +98,6 @@ def same_in_both_forms() -> np.ndarray:
         found += [*run_hold(hold(0.3, 0.2, int(random.integers(1, 5)), random.random() < 0.5), values, stops)]
         late = (random.random(200) < 0.1).astype(float)
         found += [*run_trip(trip(4.0, 0.04, -3.0, 2.5), late, values)]
+        found += [*run_receive(p, values, late)]
+        found += [*run_put_out(trip(4.0, 0.04, -6.0, 6.0), hold(0.3, 0.2, 4)[0], values, np.roll(values, 1))]
     return np.concatenate([np.asarray(array, dtype=float) for array in found])

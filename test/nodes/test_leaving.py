@@ -288,3 +288,18 @@ def test_no_participant_is_left_for_the_end_of_the_process(processes, tmp_path):
     process = processes.start(command, "threads_left")
     assert process.wait() == 0, process.output
     assert process.output.splitlines()[-1] == "left:"
+
+
+def test_a_run_is_over_when_one_node_has_failed_or_all_have_finished():
+    from types import SimpleNamespace
+
+    from hysteresis_ros.nodes.spin import _over
+
+    def node(failure="", finished=False, parameters=1):
+        return SimpleNamespace(failure=failure, finished=finished, parameters=parameters)
+
+    assert not _over([node(), node(finished=True)])
+    assert _over([node(finished=True), node(finished=True)])
+    assert _over([node(), node("broken")])
+    # one that could not be configured waits for better parameters
+    assert not _over([node("not configured", parameters=None), node()])

@@ -47,3 +47,16 @@ def test_commands_that_are_not_carried_out_are_reported(inside, observer, change
     until(lambda: (send(2.0e-6), commands[-1].data < 4.0e-6)[1], what="the command to come back")
     until(lambda: (send(2.0e-6), "saturated" not in said())[1], what="the report to end")
     assert node.shortfall.count > 0
+
+
+def test_an_answer_to_an_earlier_command_is_no_shortfall_and_a_cut_one_is():
+    from hysteresis_ros.nodes.shortfall import LATENESS, Shortfall
+
+    shortfall = Shortfall()
+    for k in range(LATENESS):
+        shortfall.sent(1e-6 * k)
+        shortfall.carried_out(1e-6 * max(k - 3, 0))
+    assert shortfall.count == 0 and not shortfall.report()
+    shortfall.carried_out(25e-6)
+    assert shortfall.count == 1 and "wanted 19 µm, carried out 25 µm" in shortfall.report()
+    assert not shortfall.report()
