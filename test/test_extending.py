@@ -10,9 +10,13 @@ import subprocess
 import sys
 
 import pytest
+from stage_support import needs_compiler
 
 import hysteresis_ros
 from hysteresis_ros.configuration import load_configuration
+from hysteresis_ros.hardware.device import Device
+from hysteresis_ros.hardware.driver import DriverError
+from hysteresis_ros.hardware.located import driver_of, options_of
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 DOCUMENT = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")
@@ -149,3 +153,22 @@ def test_a_driver_may_be_in_a_package_of_its_own(tmp_path):
     outside(tmp_path, "A driver", "tcp_stage")
     contract = f"pytest -q {ROOT}/test/test_registries_hardware.py -k 'tcp_stage and (moves or master)'"
     assert re.search(r"^2 passed", run(contract, tmp_path, tmp_path), re.MULTILINE)
+
+
+@needs_compiler
+def test_a_driver_in_c_is_one_library(tmp_path):
+    (tmp_path / "bench.c").write_text(printed("A driver in C", "c"))
+    (tmp_path / "bench.yaml").write_text(printed("A driver in C", "yaml"))
+    output = run(printed("A driver in C", "sh"), tmp_path, ROOT, NUMBA_DISABLE_JIT="1")
+    assert "planned.npz: 2500 samples at 5000 Hz" in output
+    declared = driver_of(str(tmp_path / "libbench.so"))
+    device = Device(declared, options_of(declared, ()), 5000.0)
+    assert device.capabilities.maximum == 100.0 and device.compiled() is not None
+    for _ in range(100):
+        device.write([50.0])
+        position = device.read()[0]
+    assert position == pytest.approx(5e-6)
+    device.make_safe()
+    device.close()
+    with pytest.raises(DriverError, match="libbench.so: takes no options; leave driver_options out"):
+        Device(declared, options_of(declared, ("name=bench",)), 5000.0)
