@@ -9,6 +9,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch
 
+from hysteresis_ros.analysis.demonstration import moved_part
 from hysteresis_ros.recordings.files import load_run
 
 BOXES = {
@@ -68,8 +69,8 @@ def main(bag: str) -> None:
         [["graph", "graph"], ["time", "loop"]], height_ratios=[1.0, 1.6], width_ratios=[1.7, 1]
     )
     draw_graph(axes["graph"])
-    draw_run(axes["time"], axes["loop"], load_run(bag))
-    axes["time"].set_title("make demo: setpoints on a topic, four processes", fontsize=10, loc="left")
+    draw_run(axes["time"], axes["loop"], moved_part(load_run(bag), before=0.05, after=0.2))
+    axes["time"].set_title("make demo: setpoints on a topic, 3 kHz in real time", fontsize=10, loc="left")
     axes["loop"].set_title("the loop that is compensated", fontsize=10, loc="left")
     figure.savefig(pathlib.Path(__file__).with_name("axis.png"), dpi=120)
 

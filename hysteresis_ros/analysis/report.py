@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import pathlib
+from collections.abc import Sequence
 
 from hysteresis_ros.analysis.metrics import FIGURES, compute_metrics, format_value
 from hysteresis_ros.analysis.plots import FIGURES as PLOTS
@@ -60,7 +61,9 @@ def write_page(path, html: str) -> None:
         raise RecordingError(f"{path}: cannot be written: {error.strerror}; choose another place") from None
 
 
-def render_report(recording: Recording, title: str, figures: dict | None = None) -> str:
+def render_report(
+    recording: Recording, title: str, figures: dict | None = None, first: Sequence[tuple[str, str]] = ()
+) -> str:
     """Return the report as HTML: table of figures, plots, notes and configuration.
 
     Parameters
@@ -71,6 +74,8 @@ def render_report(recording: Recording, title: str, figures: dict | None = None)
         Heading, such as the name of the bag.
     figures : dict, optional
         What :func:`hysteresis_ros.analysis.metrics.compute_metrics` gave, when it is known already.
+    first : sequence of (str, str)
+        Further pictures before those of the run: caption, and :func:`hysteresis_ros.analysis.plots.data_uri`.
 
     Raises
     ------
@@ -82,18 +87,21 @@ def render_report(recording: Recording, title: str, figures: dict | None = None)
         dict(label=label, value=format_value(figures[name], factor), unit=unit, remark=figures["notes"].get(name, ""))
         for name, label, unit, factor in FIGURES
     ]
+    pictures = [*first, *((caption, data_uri(draw(recording))) for caption, draw in PLOTS)]
     return render_page(
         "report.html.j2",
         title=title,
         rows=rows,
-        plots=[dict(caption=caption, source=data_uri(draw(recording))) for caption, draw in PLOTS],
+        plots=[dict(caption=caption, source=source) for caption, source in pictures],
         notes=figures["notes"]["recording"],
         configuration=recording.configuration,
         namespace=recording.metadata.get("namespace") or "/",
     )
 
 
-def write_report(recording: Recording, path, title: str, figures: dict | None = None) -> None:
+def write_report(
+    recording: Recording, path, title: str, figures: dict | None = None, first: Sequence[tuple[str, str]] = ()
+) -> None:
     """Write the report; see :func:`render_report`.
 
     Raises
@@ -101,4 +109,4 @@ def write_report(recording: Recording, path, title: str, figures: dict | None = 
     RecordingError
         The file cannot be written.
     """
-    write_page(path, render_report(recording, title, figures))
+    write_page(path, render_report(recording, title, figures, first))

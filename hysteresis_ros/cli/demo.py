@@ -1,33 +1,62 @@
-"""``hysteresis demo``: four nodes over real DDS, moved by setpoints on a topic, recorded and reported."""
+"""``hysteresis demo``: an axis in real time, with and without its inverse, moved by setpoints; then as processes."""
 
 from __future__ import annotations
 
+import contextlib
+import json
 import os
 import pathlib
-import shutil
 import subprocess
 import sys
-import tempfile
+import time
 from dataclasses import replace
 
 import click
 
+from hysteresis_ros.cli.progress import Progress
+
 #: Time [s of the axis] and setpoint [m] of each message: the paper's step of 1 V, then a walk over the stroke.
 SETPOINTS = ((0.05, 2.05e-6), (0.25, 0.0), (0.45, 5.0e-6), (0.65, 9.0e-6), (0.85, 3.0e-6), (1.05, 0.0))
-#: Length of the demonstration [s of the axis]; the publisher may need some of it to be discovered.
-DURATION = 1.6
-#: Part of the lockstep rate that is taken for real time: a stack that rings at 635 Hz forgives no late voltage.
-MARGIN = 0.2
-#: Largest part of the voltages that may come late, and by how much the axis is slowed when more did.
-LATE, SLOWER = 0.05, 2.0
+#: Frequency [Hz], stroke [m] and number of the triangles.
+TRIANGLES = 1.0, 1.0e-5, 2
+#: Length of the run in lockstep [s of the axis]: the beginning of the triangles.
+LOCKSTEP = 0.75
+#: How long the last setpoint is held [s of the axis], and the longest wait for all of them [s].
+HELD, PATIENCE = 0.2, 60.0
+
+#: Length of the steps where nothing is compiled [s of the axis].
+INTERPRETED = 2.4
+
+#: Folders of the recordings.
+WITHOUT, WITH, STEPS, PROCESSES = "without_inverse", "with_inverse", "bag", "lockstep"
 
 
-@click.command(short_help="Run Kim's axis as four processes, move it, record it, report it.")
-@click.option("-o", "--output", default="demo", show_default=True, help="New folder for bag, report and figures.")
-@click.option("--factor", type=float, help="Real-time factor; measured on this machine by default.")
+@click.command(short_help="Run Kim's axis in real time and as four processes, and report it.")
+@click.option("-o", "--output", default="demo", show_default=True, help="New folder for bags, report and figures.")
+@click.option("--factor", type=click.FloatRange(0.0, 1.0, min_open=True), default=1.0, help="Real-time factor.")
 def demo(output, factor):
-    """Run the inchworm's propulsion part of Kim 2009 in real time and leave a bag, report.html and metrics.json."""
-    from hysteresis_ros.configuration import config_path, load_configuration
+    """Run the inchworm's propulsion part of Kim 2009 at 3 kHz, and leave bags, a picture, report.html and metrics.json.
+
+    In real time, fused: a triangle without and with the inverse of the hysteresis, and steps by setpoints on the topic.
+    Then the triangle as four processes in lockstep, compared bit for bit with the offline twin.
+    """
+    progress = Progress()
+    progress.say("Kim's axis at 3 kHz: a triangle without and with the inverse of the hysteresis, then steps")
+    with progress.during("loading"):
+        from hysteresis_ros.nodes.domain import entered
+        from hysteresis_ros.nodes.launcher import require_ros
+
+        require_ros()
+        folder = _new_folder(output)
+        axes = _axes(factor)
+    with entered():  # a running axis of the user and this one must not hear each other
+        _compile(axes.values(), progress)
+        _run_live(axes, folder, progress)
+        _run_processes(axes[WITH], folder, progress)
+    _report(folder, axes, progress)
+
+
+def _new_folder(output: str) -> pathlib.Path:
     from hysteresis_ros.errors import ConfigurationError
 
     folder = pathlib.Path(output)
@@ -39,59 +68,100 @@ def demo(output, factor):
         raise ConfigurationError(
             f"{folder}: cannot be created: {error.strerror}; choose another folder with -o"
         ) from None
+    return folder
+
+
+def _axes(factor: float) -> dict:
+    """Return the axes by the folders of their recordings."""
+    from hysteresis_ros.block import COMPILED
+    from hysteresis_ros.configuration import config_path, load_configuration
+
     configuration = load_configuration(config_path("kim2009"))
-    configuration = configuration.override("", exit_at_end=True)
-    # the waveform of the file stays out: here the setpoints come from outside, on the topic
-    configuration = configuration.override("reference_generator", waveform__type="hold")
-    # it is simulated, and shows itself on a busy machine too: late voltages are counted and told, nothing is stopped
-    configuration = configuration.override("plant_simulator", late_limit=-1)
-    from hysteresis_ros.nodes.domain import entered
-
-    with entered():  # a running axis of the user and this one must not hear each other
-        _held(configuration, factor, folder)
-    _report(folder)
-
-
-def _held(configuration, factor: float | None, folder: pathlib.Path) -> None:
-    """Run the axis at the given factor, or at one that this machine holds."""
-    held = _measured_factor(configuration) if factor is None else factor
-    late = _run(configuration, held, folder)
-    if factor is None and late > LATE:
-        click.echo(f"{100.0 * late:.1f} % of the voltages came late: this machine is busy; once more, slower")
-        shutil.rmtree(folder / "bag")
-        _run(configuration, round(held / SLOWER, 3), folder)
+    # without compiled kernels no loop is fast enough: then the nodes run as fast as they can, and wait for each other
+    configuration = configuration.override("", exit_at_end=True, time_mode="fused" if COMPILED else "lockstep")
+    # it is simulated, and shows itself on a busy machine too: skipped samples are counted and told, nothing is stopped
+    configuration = configuration.override("plant_simulator", late_limit=-1, real_time_factor=factor)
+    frequency, stroke, cycles = TRIANGLES
+    triangle = dict(waveform__type="triangle", waveform__frequency=frequency, waveform__cycles=cycles)
+    triangle |= dict(waveform__amplitude=stroke)
+    open_loop = configuration.override("motion_controller", type="open_loop")
+    closed = open_loop.override("reference_generator", **triangle)
+    # of the steps the waveform of the file stays out: the setpoints come from outside, on the topic
+    steps = configuration.override("reference_generator", waveform__type="hold")
+    return {
+        WITHOUT: _axis(closed.override("hysteresis_compensator", inverse__type="none"), WITHOUT, cycles / frequency),
+        WITH: _axis(closed, WITH, cycles / frequency),
+        # in real time it goes on until all have come; a lockstep run that is stopped ends within a sample
+        STEPS: _axis(steps, "steps", None if COMPILED else INTERPRETED),
+    }
 
 
-def _axis(configuration):
-    """Return the axis in a namespace of its own: another graph may enter the domain while this one runs."""
+def _axis(configuration, name: str, duration: float | None = None):
+    """Return an axis in a namespace of its own: another graph may enter the domain while this one runs."""
     from hysteresis_ros.simulation.axes import axes
 
-    return replace(axes(configuration)[0], namespace=f"/demo_{os.getpid()}")
+    axis = replace(axes(configuration)[0], namespace=f"/demo_{os.getpid()}/{name}")
+    return axis if duration is None else axis.with_duration(duration)
 
 
-def _run(configuration, factor: float, folder: pathlib.Path) -> float:
-    """Run the axis while setpoints are published, and return which part of the voltages came late."""
+def _compile(axes, progress: Progress) -> None:
+    """Make the loops once, so that the processes find their code in the cache."""
+    from hysteresis_ros.block import COMPILED
+
+    if not COMPILED:
+        progress.say("Numba is not installed: nothing is compiled, so the nodes run in lockstep, not in real time")
+        progress.say('(real time needs the extra "fast": pip install "hysteresis_ros[fast]")')
+        return
+    from hysteresis_ros.loop.axis import Axis
+    from hysteresis_ros.loop.fused import FusedLoop
+
+    with progress.during("compiling the loop, once for this version"):
+        for axis in axes:
+            FusedLoop(Axis(axis))
+
+
+# -- in real time ------------------------------------------------------------------------------------------------
+
+
+def _run_live(axes: dict, folder: pathlib.Path, progress: Progress) -> None:
+    """Run all axes side by side; one of them is moved by setpoints, and ends after the last."""
     from hysteresis_ros.errors import HysteresisError
     from hysteresis_ros.nodes.launcher import Graph, node_environment
     from hysteresis_ros.recordings.files import load_run
 
-    axis = _axis(configuration.override("plant_simulator", real_time_factor=factor)).with_duration(DURATION)
-    rate = axis.plant_simulator.sample_rate
-    click.echo(f"running {DURATION:g} s of the axis at {rate:g} Hz, real-time factor {factor:g}, four processes …")
-    with Graph([axis], record=folder / "bag", log_level="warn") as graph:
-        publisher = subprocess.Popen(_publisher_command(axis.namespace), env=node_environment())
-        try:
+    plant = axes[STEPS].plant_simulator
+    live = plant.time_mode == "fused"
+    how = f"in real time, factor {plant.real_time_factor:g}" if live else "in lockstep"
+    progress.say(f"three axes at {plant.sample_rate:g} Hz {how}: each one process, recorded whole")
+    command = _publisher_command(axes[STEPS].namespace)
+    with contextlib.ExitStack() as stack, progress.during("nodes start, find each other and run"):
+        publisher = subprocess.Popen(command, env=node_environment())
+        stack.callback(_end, publisher)
+        graphs = {name: Graph([axis], composed=True, record=folder / name) for name, axis in axes.items()}
+        for graph in graphs.values():
+            stack.enter_context(graph)
+        begun = time.monotonic()
+        while publisher.poll() is None:
+            for graph in graphs.values():
+                graph.poll()
+            if time.monotonic() - begun > PATIENCE / plant.real_time_factor:
+                raise HysteresisError(f"the setpoints could not be published within {PATIENCE:g} s; is DDS working?")
+            time.sleep(0.02)
+        if publisher.returncode != 0:
+            raise HysteresisError("the setpoints could not all be published; is DDS working?")
+        if live:
+            time.sleep(HELD / plant.real_time_factor)
+            graphs.pop(STEPS).stop()
+        for graph in graphs.values():
             graph.wait()
-        finally:
-            code = publisher.poll()
-            publisher.kill()
-            publisher.wait()
-    if code != 0:
-        raise HysteresisError(
-            "the setpoints could not all be published before the end of the run; try a smaller --factor"
-        )
-    run = load_run(folder / "bag")
-    return run.metadata["late_commands"] / run.time.size
+    for name in axes:
+        run = load_run(folder / name, further=True)
+        progress.say(f"  {name}: {_pace(run, live)}")
+
+
+def _end(process: subprocess.Popen) -> None:
+    process.kill()
+    process.wait()
 
 
 def _publisher_command(namespace: str) -> list[str]:
@@ -100,29 +170,99 @@ def _publisher_command(namespace: str) -> list[str]:
     return [*module, "--namespace", namespace, "--setpoint", *values, "--at", *times]
 
 
-def _measured_factor(configuration) -> float:
-    """Run a moment in lockstep and return the real-time factor this machine holds, at most 1."""
+def _pace(run, live: bool) -> str:
+    """Return in words how many samples a run has, how fast they were made, and how many were skipped."""
+    rate = run.metadata["timing"]["rate_hz"]
+    text = f"{run.time.size} samples, {rate:.0f} a second"
+    if not live:
+        return text
+    jitter = run.metadata["timing"]["jitter_p99_s"]
+    return f"{text}, {int(run['skipped'].sum())} skipped, 99 % of the periods within {1e6 * jitter:.0f} µs"
+
+
+# -- as processes ------------------------------------------------------------------------------------------------
+
+
+def _run_processes(axis, folder: pathlib.Path, progress: Progress) -> None:
+    """Run the triangle as four processes in lockstep, and compare it with the offline twin and with the live run."""
+    from hysteresis_ros.errors import HysteresisError
     from hysteresis_ros.nodes.launcher import Graph
+
+    axis = axis.with_time_mode("lockstep").with_duration(LOCKSTEP)
+    with progress.during("four processes in lockstep"), Graph([axis], record=folder / PROCESSES) as graph:
+        graph.wait()
+    with progress.during("the offline twins"):
+        found = {name: _unlike_twin(folder / name) for name in (WITHOUT, WITH, STEPS, PROCESSES)}
+    for name, (samples, unlike) in found.items():
+        if unlike:
+            raise HysteresisError(unlike)
+        progress.say(f"  {name}: {samples} samples equal the offline twin bit for bit, none missing")
+    progress.say(f"  {_same_as_live(folder)}")
+
+
+def _unlike_twin(bag: pathlib.Path) -> tuple[int, str]:
+    """Return the number of samples of a recorded run, and in what it differs from its twin; empty: in nothing."""
+    from hysteresis_ros.cli.verify import differing
+    from hysteresis_ros.configuration import parse_configuration
+    from hysteresis_ros.recordings.files import load_run
+    from hysteresis_ros.simulation.axes import single_axis
+    from hysteresis_ros.simulation.run import differences
+
+    run = load_run(bag, further=True)
+    axis = single_axis(parse_configuration(run.configuration, str(bag)), run.metadata["namespace"])
+    found, missing = differences(run, axis), run.metadata["missing_samples"]
+    return run.time.size, differing(bag, found, missing) if found or missing else ""
+
+
+def _same_as_live(folder: pathlib.Path) -> str:
+    """Return in words whether processes and loop made the same displacement."""
+    import numpy as np
+
     from hysteresis_ros.recordings.files import load_run
 
-    axis = _axis(configuration.override("", time_mode="lockstep"))
-    axis = axis.with_duration(1000.0 / axis.plant_simulator.sample_rate)
-    with tempfile.TemporaryDirectory(prefix="hysteresis_") as folder:
-        with Graph([axis], record=pathlib.Path(folder) / "bag", log_level="warn") as graph:
-            graph.wait()
-        reached = load_run(graph.bags[0]).metadata["timing"]["rate_hz"]
-    share = MARGIN * reached / axis.plant_simulator.sample_rate
-    click.echo(f"this machine answers {reached:.0f} samples a second in four processes")
-    return 1.0 if share >= 1.0 else max(round(share, 2), 0.01)
+    processes, loop = (load_run(folder / name, further=True) for name in (PROCESSES, WITH))
+    size = processes.time.size
+    if loop["skipped"][:size].any():
+        return "four processes and one loop: not alike here, because the loop had to skip samples"
+    same = np.array_equal(processes["displacement"], loop["displacement"][:size])
+    return f"four processes and one loop: {'the same' if same else 'not the same'} {size} samples"
 
 
-def _report(folder: pathlib.Path) -> None:
-    from hysteresis_ros.cli.report import report
+# -- what it leaves ----------------------------------------------------------------------------------------------
+
+
+def _report(folder: pathlib.Path, axes: dict, progress: Progress) -> None:
+    """Write picture, report and figures, as far as the libraries for them are there."""
+    from hysteresis_ros.analysis.demonstration import inverse_figure, moved_part, opening_of_stroke
+    from hysteresis_ros.analysis.metrics import compute_metrics, format_table
+    from hysteresis_ros.analysis.plots import MissingExtraError, data_uri, png
+    from hysteresis_ros.analysis.report import write_report
     from hysteresis_ros.recordings.files import load_run
 
-    arguments = [str(folder / "bag"), "-o", str(folder / "report.html"), "--json", str(folder / "metrics.json")]
-    report.main(arguments, standalone_mode=False)
-    run = load_run(folder / "bag")
-    reached, rate = run.metadata["timing"]["rate_hz"], 1.0 / run.sample_time
-    click.echo(f"real-time factor reached: {reached / rate:.3f} ({reached:.0f} of {rate:.0f} samples a second)")
-    click.echo(f"bag, report.html and metrics.json are in {folder}")
+    runs = {name: load_run(folder / name, further=True) for name in axes}
+    steps = moved_part(runs[STEPS], before=SETPOINTS[0][0], after=HELD)
+    figures = compute_metrics(steps)
+    openings = {name: opening_of_stroke(runs[name]) for name in (WITHOUT, WITH)}
+    figures["demonstration"] = {
+        "loop_opening_of_stroke": openings,
+        "skipped_samples": {name: int(run["skipped"].sum()) for name, run in runs.items()},
+        "rate_hz": {name: run.metadata["timing"]["rate_hz"] for name, run in runs.items()},
+        "real_time_factor": axes[STEPS].plant_simulator.real_time_factor,
+        "time_mode": axes[STEPS].plant_simulator.time_mode,
+    }
+    text = json.dumps(figures, indent=2, ensure_ascii=False, allow_nan=False)
+    (folder / "metrics.json").write_text(text + "\n", encoding="utf-8")
+    click.echo(format_table(figures))
+    progress.say(
+        f"the loop is open by {100.0 * openings[WITHOUT]:.2g} % of the stroke without the inverse, by "
+        f"{100.0 * openings[WITH]:.2g} % with it"
+    )
+    try:
+        with progress.during("picture and report"):
+            picture = inverse_figure(runs[WITHOUT], runs[WITH])
+            (folder / "inverse.png").write_bytes(png(picture))
+            first = [("A triangle without and with the inverse", data_uri(picture))]
+            write_report(steps, folder / "report.html", "demo", figures, first)
+    except MissingExtraError as error:
+        progress.say(f"no picture and no report.html: {error}")
+    progress.say(f"bags, {', '.join(sorted(path.name for path in folder.iterdir() if path.is_file()))}: in {folder}")

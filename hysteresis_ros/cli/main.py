@@ -20,7 +20,10 @@ from hysteresis_ros.errors import HysteresisError
 
 #: Subcommands: name → (module:attribute, what it does in one line).
 COMMANDS = {
-    "demo": ("hysteresis_ros.cli.demo:demo", "Run Kim's axis as four processes, move it, record it, report it."),
+    "demo": (
+        "hysteresis_ros.cli.demo:demo",
+        "Show Kim's axis in real time and as four processes, and report it.",
+    ),
     "up": ("hysteresis_ros.cli.up:up", "Start the nodes of a configuration, record and report."),
     "setpoint": ("hysteresis_ros.cli.setpoint:setpoint", "Move an axis by hand, like ros2 topic pub --once."),
     "simulate": ("hysteresis_ros.cli.simulate:simulate", "Run a configuration offline, without ROS."),

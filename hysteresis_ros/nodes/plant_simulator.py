@@ -111,8 +111,8 @@ class PlantSimulatorNode(AxisNode):
         self._laws = Laws(*self.part.kernels, *(self.part.kernels[0],) * (len(Laws._fields) - 3))
         if parameters.driver:
             self._tell_device()
-        # the paths through a simulated part: compiled now, not at the first sample
-        for voltage in () if parameters.driver else (0.0, math.nan):
+        # the paths through a simulated part: compiled now, not at the first sample; a fused loop has its own code
+        for voltage in () if parameters.driver or parameters.time_mode == "fused" else (0.0, math.nan):
             self.sense()
             for input_ in self.inputs:
                 self.row[input_.signal] = voltage

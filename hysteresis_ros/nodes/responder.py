@@ -90,7 +90,12 @@ class Responder(AxisNode):
         self.log_change(action)
 
     def compile(self) -> None:
-        """Take the part through everything it can be asked for, so that nothing is compiled later."""
+        """Take the part through everything it can be asked for, so that nothing is compiled later.
+
+        A fused loop has machine code of its own for all parts.
+        """
+        if self.part.parameters.time_mode == "fused":
+            return
         for measured in (0.0, math.nan, 0.0):
             for stopping in (None, self.part.stop, self.part.start):
                 if stopping is not None:

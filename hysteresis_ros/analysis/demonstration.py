@@ -1,0 +1,65 @@
+"""What the demonstration shows: one triangle without and with the inverse of the hysteresis, and steps."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hysteresis_ros.analysis.plots import new_figure
+from hysteresis_ros.recordings.dataset import Recording
+from hysteresis_ros.recordings.loops import loop_opening, turning_points
+
+_MICRO = 1e6
+_COLOURS = "#d1495b", "#1f3b73"
+
+
+def opening_of_stroke(run: Recording) -> float:
+    """Return how far the loop of displacement over reference is open, as a part of the reference's stroke."""
+    opening = loop_opening(run["reference"], run["displacement"]) or 0.0
+    return opening / float(np.ptp(run["reference"]))
+
+
+def moved_part(run: Recording, before: float, after: float) -> Recording:
+    """Return the part of a run in which setpoints came; its time begins at zero.
+
+    Parameters
+    ----------
+    run : Recording
+    before, after : float
+        How much of it is kept before the first setpoint and after the last one [s]; nothing after somebody stopped it.
+    """
+    starts = np.flatnonzero(np.diff(run["setpoint"])) + 1
+    begin = max(int(starts[0]) - round(before / run.sample_time), 0)
+    stops = [change["sample"] for change in run.metadata.get("changes", ())]
+    part = slice(begin, min(*stops, int(starts[-1]) + round(after / run.sample_time), run.time.size))
+    signals = {name: values[part] for name, values in run.signals.items()}
+    return Recording(run.time[part] - run.time[begin], signals, run.units, run.metadata)
+
+
+def inverse_figure(without: Recording, with_inverse: Recording):
+    """Return the figure of displacement over reference, and of the error over reference, of both runs [µm].
+
+    The first branch is left out: it starts at rest and belongs to no loop.
+
+    Parameters
+    ----------
+    without, with_inverse : Recording
+        Open-loop runs of one triangle, with two of its cycles or more.
+
+    Raises
+    ------
+    MissingExtraError
+        Matplotlib is not installed.
+    """
+    figure, (loop, error) = new_figure(4.4, 2)
+    for run, colour, words in zip((without, with_inverse), _COLOURS, ("without", "with"), strict=True):
+        first = int(turning_points(run["reference"])[1])
+        reference, displacement = run["reference"][first:] * _MICRO, run["displacement"][first:] * _MICRO
+        label = f"{words} inverse: open by {100.0 * opening_of_stroke(run):.2g} % of the stroke"
+        loop.plot(reference, displacement, color=colour, linewidth=1.3, label=label)
+        error.plot(reference, displacement - reference, color=colour, linewidth=1.3)
+    loop.plot(loop.get_xlim(), loop.get_xlim(), color="#9a9a9a", linestyle=(0, (4, 3)), linewidth=0.9, zorder=1)
+    error.axhline(0.0, color="#9a9a9a", linestyle=(0, (4, 3)), linewidth=0.9, zorder=1)
+    loop.set(xlabel="reference [µm]", ylabel="displacement [µm]")
+    error.set(xlabel="reference [µm]", ylabel="displacement − reference [µm]")
+    loop.legend(loc="upper left", frameon=False, fontsize=9)
+    return figure
