@@ -276,6 +276,19 @@ def test_at_the_end_it_goes_to_its_safe_voltage_step_by_step(library):
     plant.close()
 
 
+@pytest.mark.parametrize("kind", [CompiledPlant, DrivenPlant])
+def test_between_samples_it_is_told_its_voltage_again_and_nothing_else_moves(library, kind):
+    plant = kind(parameters(library))
+    run(plant, [60.0] * 100)
+    before, held = library.noted_writes(), written(library)[-1]
+    for _ in range(3):
+        plant.refresh()
+    assert library.noted_writes() == before + 3 and set(written(library)[before:]) == {held}
+    step = run(plant, [60.0])[-1, at.PLANT_VOLTAGE] - held
+    assert 0.0 <= step <= 1000.0 / 3000.0 * (1 + 1e-9)
+    plant.close()
+
+
 @pytest.mark.parametrize(
     ("options", "words"),
     [

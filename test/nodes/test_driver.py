@@ -119,6 +119,18 @@ def test_a_driver_that_fails_stops_the_axis_which_says_why_and_goes_on_when_star
     assert all(-30.0 <= voltage <= 120.0 for voltage in stage.heard if voltage != "safe")
 
 
+def test_while_the_time_is_held_the_device_hears_of_the_node(inside, observer, stage):
+    """Its watchdog would take the pause for a failure."""
+    plant, *_ = compose(inside, driven())
+    inside.spin()
+    moved(observer)
+    assert observer.trigger("/plant_simulator/stop").success
+    until(lambda: plant.holds_time)
+    held, since = plant.part.held(), len(stage.heard)
+    until(lambda: len(stage.heard) > since + 20, what="the device to hear of the node")
+    assert set(stage.heard[since + 2 :]) == {held} and not plant.part.tripped
+
+
 def test_deactivated_the_device_goes_to_safe_and_cleaned_up_it_is_let_go(inside, observer, stage):
     plant, *_ = compose(inside, driven(safe_slew_rate=500.0))
     inside.spin()
