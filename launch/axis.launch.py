@@ -87,7 +87,9 @@ def axis(context):
         names.append("recorder")
     folder = pathlib.Path(tempfile.mkdtemp(prefix="axis_launch_"))
     overrides = folder / "overrides.yaml"
-    overrides.write_text(json.dumps(override(given, config)), encoding="utf-8")
+    described = folder / "configuration.yaml"
+    described.write_text(merged(config, override(given, "")), encoding="utf-8")
+    overrides.write_text(json.dumps(override(given, str(described))), encoding="utf-8")
     running = set(names)
     actions = []
     for name in names:
@@ -127,6 +129,16 @@ def override(given: dict, config: str) -> dict:
         recorder = {"path": given["record"], "configuration": config}
     patterns = {"/**": common, "/**/plant_simulator": plant, "/**/recorder": recorder}
     return {pattern: {"ros__parameters": values} for pattern, values in patterns.items() if values}
+
+
+def merged(config: str, overrides: dict) -> str:
+    """Return the text of a parameter file with what the arguments set: what a recording is a run of."""
+    with open(config, encoding="utf-8") as stream:
+        content = yaml.safe_load(stream) or {}
+    for pattern, section in overrides.items():
+        place = content.setdefault(pattern, {})
+        place["ros__parameters"] = {**place.get("ros__parameters", {}), **section["ros__parameters"]}
+    return yaml.safe_dump(content, allow_unicode=True, sort_keys=False)
 
 
 def values_of(content, name: str):
