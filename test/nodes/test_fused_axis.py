@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 import signal
+import sys
+from dataclasses import replace
 
 import pytest
 
@@ -159,6 +161,33 @@ def test_topics_show_samples_at_their_rate_with_their_stamps(steered):
     assert all(abs(sample - round(sample)) < 1e-3 for sample in samples)
     steps = sorted(b - a for a, b in zip(samples, samples[1:], strict=False))
     assert steps[0] > 0 and abs(steps[len(steps) // 2] - 30) < 15  # 100 of 3000 a second
+
+
+def test_sigkill_leaves_a_recording_that_is_whole_up_to_its_last_half_second(processes, observer, tmp_path):
+    from sensor_msgs.msg import JointState
+
+    from hysteresis_ros.recordings.files import load_run
+    from hysteresis_ros.simulation.run import differences
+
+    axis = axis_parameters(overrides={PLANT: {"late_limit": -1}}, time_mode="fused")
+    axis = replace(axis, recorder=replace(axis.recorder, path=str(tmp_path / "bag")))
+    path = write_axis(tmp_path / "axis.yaml", axis)
+    text = tmp_path / "configuration.yaml"
+    text.write_text(axis.configuration_text(), encoding="utf-8")
+    axis = replace(axis, recorder=replace(axis.recorder, configuration=str(text)))
+    write_axis(tmp_path / "axis.yaml", axis)
+    command = [sys.executable, "-m", "hysteresis_ros.nodes.axis", "--recorder", "--ros-args", "--params-file", path]
+    states = observer.listen(JointState, f"/{PLANT}/state")
+    axis_process = processes.start(command, "axis")
+    until(lambda: len(states) > 300, what="three seconds of samples")
+    axis_process.send(signal.SIGKILL)
+    axis_process.wait()
+    last = states[-1].header.stamp
+    run = load_run(tmp_path / "bag", further=True)
+    assert differences(run, axis) == {} and run.metadata["missing_samples"] == 0
+    begun = run.metadata["start_time_ns"]
+    reached = (last.sec * 10**9 + last.nanosec - begun) / 1e9
+    assert reached - run.time[-1] < 0.5
 
 
 def test_a_node_of_a_fused_axis_cannot_be_alone(processes, tmp_path):
