@@ -58,7 +58,7 @@ def _cache_directory():
         yield
         return
     before = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = str(_cache())
+    numba.config.CACHE_DIR = str(cache_folder())
     try:
         yield
     finally:
@@ -73,8 +73,8 @@ CACHE_DAYS = 30
 
 
 @functools.cache
-def _cache() -> pathlib.Path:
-    """Return the cache folder of these sources; caches of others that nobody used for long are removed."""
+def cache_folder() -> pathlib.Path:
+    """Return the folder of these sources' machine code; those of others that nobody used for long are removed."""
     base = os.environ.get("XDG_CACHE_HOME") or pathlib.Path.home() / ".cache"
     root = pathlib.Path(base) / "hysteresis_ros"
     package = pathlib.Path(__file__).parent

@@ -25,6 +25,7 @@ MESSAGE_RATE = 300.0
 )
 @click.option("--fused", is_flag=True, help="One process whose samples one compiled thread makes, in real time.")
 @click.option("--factor", type=float, help="Real-time factor; the configuration's by default.")
+@click.option("--force", is_flag=True, help="Run fused at a rate that this machine does not hold, too.")
 @click.option(
     "--plant",
     type=click.Choice(["own", "external"]),
@@ -52,7 +53,7 @@ MESSAGE_RATE = 300.0
     help="Log level of the nodes.",
     show_default=True,
 )
-def up(config, processes, record, duration, rate, fused, factor, plant, namespace, verify, faults, log_level):
+def up(config, processes, record, duration, rate, fused, factor, force, plant, namespace, verify, faults, log_level):
     """Start all nodes of CONFIG and bring them down together.
 
     Ends with exit code 0 after --duration or Ctrl-C, with 1 when a node dies, with 2 for wrong input.
@@ -74,6 +75,8 @@ def up(config, processes, record, duration, rate, fused, factor, plant, namespac
         configuration = configuration.override("", time_mode=rate)
     if factor is not None:
         configuration = configuration.override("plant_simulator", real_time_factor=factor)
+    if force:
+        configuration = configuration.override("plant_simulator", realtime__force=True)
     configuration = configuration.override("", exit_at_end=True, autostart=True)
     if plant == "external":
         configuration = configuration.override("", external_plant=True)

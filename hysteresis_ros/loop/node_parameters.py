@@ -95,6 +95,9 @@ class RealtimeParameters(Parameters):
     lock_memory: bool = parameter(
         False, read_only=True, description="fused: keep the process in RAM, so that no sample waits for the disk"
     )
+    force: bool = parameter(
+        False, read_only=True, description="fused: run at a rate that this machine does not hold, too"
+    )
 
 
 #: Drivers that have parameters of their own, and their class.

@@ -16,6 +16,7 @@ from hysteresis_ros.loop.axis import Axis, Change
 from hysteresis_ros.loop.axis_parameters import AxisParameters, node_names
 from hysteresis_ros.loop.fused import FusedLoop
 from hysteresis_ros.loop.node_parameters import RecorderNodeParameters
+from hysteresis_ros.loop.trial import require_speed
 from hysteresis_ros.nodes.realtime import RealTime
 from hysteresis_ros.references import inchworm_layout as gait
 
@@ -122,7 +123,7 @@ class FusedAxis:
         Raises
         ------
         HysteresisError
-            The nodes' parameters do not fit together, or without Numba the axis is too fast.
+            The nodes' parameters do not fit together, or the axis is too fast for this machine.
         """
         if self.loop is not None:
             if node.kind in STOPPABLE and node.running:
@@ -146,6 +147,7 @@ class FusedAxis:
     def _begin(self) -> None:
         parameters = self._parameters()
         plant = parameters.plant_simulator
+        require_speed(parameters)
         device = self.plant.part if plant.driver else None
         if device is not None:
             device.reset()

@@ -95,6 +95,7 @@ def interrupted(process: subprocess.Popen) -> tuple[int, str]:
         ("hysteresis_ros.papers.kim2009.reproduction", ["reproduce", "kim2009"]),
         ("hysteresis_ros.identification.workflow", ["validate", "{}/a.yaml", "{}/data.csv"]),
         ("hysteresis_ros.comparison", ["compare", "kim2009"]),
+        ("hysteresis_ros.cli.doctor", ["doctor"]),
     ],
     ids=lambda value: value[0] if isinstance(value, list) else value,
 )

@@ -31,6 +31,14 @@ def test_a_recorded_run_in_real_time_equals_the_offline_twin(processes, tmp_path
     assert not re.search("Traceback|died", run.output)
 
 
+def test_a_rate_that_this_machine_does_not_hold_is_refused_with_the_figure_and_nothing_moves(processes):
+    asked = ("--factor", "1000", "--duration", "1", "--record", str(processes.folder / "bag"))
+    run = processes.command("up", "inchworm_travel", "--fused", *asked)
+    assert run.wait() == 2, run.output
+    assert "real_time_factor 1000: a sample takes" in run.output and "--force" in run.output
+    assert "samples in" not in run.output
+
+
 class Steered:
     """A fused axis that is recorded, and what a person sees and asks of it."""
 

@@ -1,0 +1,177 @@
+"""``hysteresis doctor``: what this machine holds, and what it lacks."""
+
+from __future__ import annotations
+
+import pathlib
+import time
+
+import click
+
+from hysteresis_ros.cli.progress import Progress
+
+#: Rates that are tried [Hz], and for how long each [s].
+RATES, SECONDS = (1e3, 3e3, 1e4, 2e4, 5e4), 0.8
+#: Samples of the runs of nodes that exchange messages: one process, a process for each node.
+COMPOSED, PROCESSES = 1000, 600
+#: Part of the samples that are skipped at a rate beyond which no higher one is tried.
+HOPELESS = 0.1
+#: Time after which no further measurement of nodes begins [s]: the first run of a version compiles.
+BUDGET = 22.0
+
+
+@click.command(short_help="Measure what this machine holds, and say what is missing.")
+@click.option("--json", "path", metavar="FILE", type=click.Path(path_type=pathlib.Path), help="JSON file for it all.")
+def doctor(path: pathlib.Path | None) -> None:
+    """Measure at which rates this machine runs an axis, how late its samples begin, and list versions and limits.
+
+    Fused, at 1, 3, 10, 20 and 50 kHz, with priority and without: a rate is held when 99 % of the samples begin within
+    half a period and fewer than 0.5 % are skipped. Composed and as processes, in lockstep: samples a second.
+    """
+    if path is not None and not path.absolute().parent.is_dir():
+        raise click.UsageError(f"--json {path}: there is no such folder; choose another place")
+    begun = time.monotonic()
+    progress = Progress()
+    progress.say("what this machine holds (Kim's axis, simulated); it takes half a minute")
+    with progress.during("looking at the installation"):
+        from hysteresis_ros.cli.machine import advice, kernel_cache, middleware, system, versions
+
+        found: dict = {"system": system(), "libraries": versions(), "middleware": middleware()}
+    for line in _installed(found):
+        progress.say(line)
+    found["fused"] = _fused(progress)
+    found["messages"] = _messages(progress, found["libraries"], begun + BUDGET)
+    found["kernel_cache"] = kernel_cache()
+    cache = found["kernel_cache"]
+    if cache["folder"]:
+        progress.say(f"machine code: {cache['folder']}, {cache['bytes'] / 1e6:.1f} MB")
+    permitted = not any(entry["priority"] and entry["warning"] for entry in found["fused"])
+    found["advice"] = advice(found, permitted)
+    for line in found["advice"] or ["nothing is missing"]:
+        progress.say(line)
+    if path is not None:
+        _write(found, path)
+        progress.say(f"figures: {path}")
+
+
+def _installed(found: dict):
+    """Yield lines on versions and limits."""
+    system = found["system"]
+    yield f"Python {system['python']}, {system['system']}{', PREEMPT_RT' if system['preempt_rt'] else ''}"
+    yield ", ".join(f"{name} {version}" for name, version in found["libraries"].items())
+    yield f"DDS: {found['middleware'] or 'none: no ROS is installed'}"
+    limits = {"rtprio": system["rtprio"], "memlock": system["memlock_bytes"]}
+    words = {None: "unknown", -1: "unlimited"}
+    shown = ", ".join(f"{name} {words.get(value, value)}" for name, value in limits.items())
+    yield f"{system['cores']} cores, load {system['load']:.1f}, governor {system['governor']}, {shown}"
+
+
+def _axis(rate: float):
+    """Return Kim's axis at another rate; what is asked of time does not depend on its dynamics."""
+    from hysteresis_ros.configuration import config_path, load_configuration
+    from hysteresis_ros.simulation.axes import axes
+
+    configuration = load_configuration(config_path("kim2009")).override("", sample_rate=rate, exit_at_end=True)
+    configuration = configuration.override("plant_simulator", dynamics__sample_time=0.0)
+    configuration = configuration.override("motion_controller", model__dynamics__sample_time=0.0)
+    return axes(configuration)[0]
+
+
+# -- one compiled loop -------------------------------------------------------------------------------------------
+
+
+def _fused(progress: Progress) -> list[dict]:
+    """Return what a fused loop did at each rate, with priority and without."""
+    from hysteresis_ros.block import COMPILED
+    from hysteresis_ros.cli.machine import PRIORITY
+
+    if not COMPILED:
+        from hysteresis_ros.loop.fused import INTERPRETED_RATE
+
+        progress.say(f"fused: {INTERPRETED_RATE:g} Hz at most without Numba; nothing was measured")
+        return []
+    from hysteresis_ros.loop.trial import LATEST, MOST_SKIPPED, tick_cost
+
+    with progress.during("compiling the loop, once for this version"):
+        cost = tick_cost(_axis(RATES[0]))
+    progress.say(
+        f"fused, a sample takes {1e6 * cost:.2f} µs; held: 99 % of them begin within {LATEST:g} of a period, "
+        f"fewer than {100.0 * MOST_SKIPPED:g} % are skipped"
+    )
+    rows = []
+    for priority in (PRIORITY, 0):
+        made = []
+        for rate in RATES:
+            with progress.during(f"{rate:g} Hz"):
+                made.append(_trial(rate, priority))
+            progress.say(_row(made[-1]))
+            if made[-1]["warning"]:
+                break  # then the priority was not given, and the other round measures the same
+            if made[-1]["skipped"] > HOPELESS * made[-1]["samples"]:
+                break
+        held = max((row["rate_hz"] for row in made if row["held"]), default=0.0)
+        words = f"holds {held:g} Hz" if held else "holds none of these rates at present"
+        how = f"with SCHED_FIFO {priority}" if priority else "with normal priority"
+        if made[-1]["warning"]:
+            words = f"is not permitted: {made[-1]['warning']}"
+        progress.say(f"fused {how}: {words}")
+        rows += made
+    return rows
+
+
+def _trial(rate: float, priority: int) -> dict:
+    from hysteresis_ros.loop.trial import trial
+
+    done = trial(_axis(rate), SECONDS, priority)
+    late = done.lateness
+    return {
+        "rate_hz": rate,
+        "priority": priority,
+        "held": done.is_held and not done.warning,
+        "warning": done.warning,
+        "samples": late.samples,
+        "skipped": late.missed,
+        "lateness_s": {"p50": late.p50, "p99": late.p99, "p99.9": late.p999, "max": late.max},
+        "cost_s": late.cost,
+    }
+
+
+def _row(row: dict) -> str:
+    late = ", ".join(f"{name} {1e6 * value:.0f}" for name, value in row["lateness_s"].items())
+    part = 100.0 * row["skipped"] / row["samples"]
+    verdict = "held" if row["held"] else "not held"
+    return f"  {row['rate_hz']:>6g} Hz: late {late} µs; {row['skipped']} skipped ({part:.2g} %): {verdict}"
+
+
+# -- nodes that exchange messages --------------------------------------------------------------------------------
+
+
+def _messages(progress: Progress, libraries: dict, latest: float) -> dict:
+    """Return how many samples a second composed nodes and processes make in lockstep."""
+    import importlib.util
+
+    if importlib.util.find_spec("rclpy") is None or libraries["rosbags"] == "not installed":
+        progress.say("nodes: not measured, rclpy or rosbags is not installed")
+        return {}
+    from hysteresis_ros.nodes.trial import message_rate
+
+    axis, found = _axis(3e3), {}
+    for name, samples, composed in (("composed", COMPOSED, True), ("processes", PROCESSES, False)):
+        if time.monotonic() > latest:
+            progress.say(f"nodes, {name}: not measured, compiling took the time; once more, it is quick")
+            continue
+        with progress.during(f"nodes, {name}"):
+            found[name] = {"lockstep_hz": message_rate(axis, samples, composed)}
+        progress.say(f"nodes, {name}: {found[name]['lockstep_hz']:.0f} samples a second in lockstep, recorded")
+    return found
+
+
+def _write(found: dict, path: pathlib.Path) -> None:
+    import json
+
+    from hysteresis_ros.errors import ConfigurationError
+
+    text = json.dumps(found, indent=2, ensure_ascii=False, allow_nan=False)
+    try:
+        path.write_text(text + "\n", encoding="utf-8")
+    except OSError as error:
+        raise ConfigurationError(f"{path}: cannot be written: {error.strerror}; choose another place") from None

@@ -1,0 +1,70 @@
+"""``hysteresis doctor``: what it measures is in its words and in its file, whatever this machine holds."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from click.testing import CliRunner
+
+from hysteresis_ros.block import COMPILED
+from hysteresis_ros.cli import doctor as command
+from hysteresis_ros.cli import machine
+from hysteresis_ros.cli.main import main
+
+
+@pytest.fixture
+def short(monkeypatch):
+    """Everything that is measured, for a moment only."""
+    monkeypatch.setattr(command, "RATES", (500.0, 1000.0))
+    monkeypatch.setattr(command, "SECONDS", 0.05)
+    monkeypatch.setattr(command, "COMPOSED", 30)
+    monkeypatch.setattr(command, "PROCESSES", 30)
+    monkeypatch.setattr(command, "BUDGET", 600.0)
+    monkeypatch.setattr(command, "HOPELESS", 2.0)
+
+
+@pytest.mark.skipif(not COMPILED, reason="without Numba no rate is measured")
+def test_what_was_measured_is_said_and_written(tmp_path, short):
+    pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
+    path = tmp_path / "found.json"
+    result = CliRunner().invoke(main, ["doctor", "--json", str(path)])
+    assert result.exit_code == 0, result.output
+    found = json.loads(path.read_text(encoding="utf-8"))
+    normal = [row for row in found["fused"] if row["priority"] == 0]
+    assert [row["rate_hz"] for row in normal] == [500.0, 1000.0]
+    assert [row["samples"] for row in normal] == [25, 50]
+    for row in found["fused"]:
+        late = row["lateness_s"]
+        assert late["p50"] <= late["p99"] <= late["p99.9"] <= late["max"]
+        assert row["cost_s"] > 0.0 and f"{row['rate_hz']:g} Hz: late p50" in result.output
+    assert all(found["messages"][name]["lockstep_hz"] > 0.0 for name in ("composed", "processes"))
+    assert found["middleware"].startswith("rmw_") and found["middleware"] in result.output
+    assert found["kernel_cache"]["bytes"] > 0 and found["kernel_cache"]["folder"] in result.output
+    assert found["libraries"]["numpy"] != "not installed"
+    permitted = not any(row["warning"] for row in found["fused"])
+    assert ("limits.conf" in result.output) != permitted
+
+
+def test_without_a_compiler_nothing_is_measured_and_the_reason_is_said(monkeypatch, short):
+    monkeypatch.setattr("hysteresis_ros.block.COMPILED", False)
+    monkeypatch.setattr(command, "_messages", lambda *arguments: {})
+    result = CliRunner().invoke(main, ["doctor"])
+    assert result.exit_code == 0 and "200 Hz at most without Numba" in result.output
+
+
+def test_a_file_that_cannot_be_written_is_refused_before_anything_is_measured(tmp_path):
+    result = CliRunner().invoke(main, ["doctor", "--json", str(tmp_path / "nowhere" / "found.json")])
+    assert result.exit_code == 2 and result.output.count("\n") == 1 and "no such folder" in result.output
+
+
+def test_what_is_missing_comes_with_what_to_do():
+    system = {"cores": 2, "governor": "unknown"}
+    libraries = dict.fromkeys(machine.LIBRARIES, "1.0")
+    assert machine.advice({"system": system, "libraries": libraries}, True) == []
+    libraries |= {"numba": "not installed", "rosbags": "not installed", "mcap": "not installed"}
+    lines = machine.advice({"system": {"cores": 1, "governor": "powersave"}, "libraries": libraries}, False)
+    text = "\n".join(lines)
+    assert 'numba missing: pip install "hysteresis_ros[fast]"' in text
+    assert 'rosbags and mcap missing: pip install "hysteresis_ros"' in text
+    assert "rtprio 80" in text and "realtime.cpu" in text and "powersave" in text

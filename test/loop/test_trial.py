@@ -1,0 +1,49 @@
+"""What a machine holds: the criterion, the cost of a sample, and the refusal of what is too fast."""
+
+from __future__ import annotations
+
+import pytest
+
+from hysteresis_ros.block import COMPILED
+from hysteresis_ros.configuration import load_configuration
+from hysteresis_ros.errors import ConfigurationError
+from hysteresis_ros.loop import trial as trials
+from hysteresis_ros.loop.ring import Lateness
+from hysteresis_ros.simulation.axes import single_axis
+
+
+def kim(**plant):
+    return single_axis(load_configuration("kim2009").override("plant_simulator", **plant))
+
+
+def done(rate=1000.0, p99=1e-4, missed=0, samples=1000):
+    return trials.Trial(rate, Lateness(p99, p99, p99, p99, missed, samples, 1e-6, 1e-6), "")
+
+
+def test_a_rate_is_held_when_samples_begin_within_half_a_period_and_few_are_skipped():
+    assert done().is_held
+    assert done(p99=4.9e-4).is_held and not done(p99=5.1e-4).is_held
+    assert done(missed=4).is_held and not done(missed=5).is_held
+
+
+@pytest.mark.skipif(not COMPILED, reason="the refusal without Numba is the loop's own")
+def test_a_rate_that_no_machine_holds_is_refused_by_name_with_the_figure_and_the_option(monkeypatch):
+    monkeypatch.setattr(trials, "tick_cost", lambda parameters: 2.0e-3)
+    with pytest.raises(ConfigurationError) as refused:
+        trials.require_speed(kim())
+    text = str(refused.value)
+    assert "sample_rate = 3000 Hz" in text and "2e+03 µs" in text and "500" in text and "--force" in text
+    trials.require_speed(kim(real_time_factor=0.1))
+    trials.require_speed(kim(realtime__force=True))
+
+
+def test_the_cost_of_a_sample_leaves_the_axis_alone():
+    assert 0.0 < trials.tick_cost(kim()) < 1.0
+
+
+@pytest.mark.skipif(not COMPILED, reason="without Numba the loop is too slow for this axis")
+def test_a_trial_counts_every_sample():
+    made = trials.trial(kim(), seconds=0.05, priority=0)
+    late = made.lateness
+    assert made.rate == 3000.0 and late.samples == 150 and 0 <= late.missed <= 150
+    assert late.p50 <= late.p99 <= late.p999 <= late.max
