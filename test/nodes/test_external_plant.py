@@ -78,19 +78,22 @@ def test_the_rest_follows_setpoints_through_it_and_the_recording_goes_into_a_rep
     assert report.wait() == 0, report.output
 
 
-def test_an_excitation_is_driven_through_it_from_its_beginning_to_its_end_and_identified(processes, tmp_path, axis):
-    stage(processes)
+def test_an_excitation_is_driven_through_it_from_its_beginning_to_its_end_and_identified(processes, tmp_path):
+    rate = 40.0  # what comes late costs less of the agreement
+    axis = tmp_path / "slow.yaml"
+    axis.write_text(AXIS.replace("sample_rate: 100.0", f"sample_rate: {rate}"))
+    stage(processes, rate)
     bag, found = tmp_path / "bag", tmp_path / "found.yaml"
-    drive = "excite", axis, "--recipe", "decaying", "--duration", "8", "--frequency", "1", "--plant", "external"
+    drive = "excite", str(axis), "--recipe", "decaying", "--duration", "8", "--frequency", "1", "--plant", "external"
     excite = processes.command(*drive, "--record", str(bag))
     assert excite.wait(120.0) == 0, excite.output
     recorded = load_run(bag)
-    assert recorded.metadata["messages"]["/reference"] == 8.0 * RATE
+    assert recorded.metadata["messages"]["/reference"] == 8.0 * rate
     # from rest through the whole range, and nearly all of it answered, whatever else the machine has to do
     reference = recorded["reference"]
-    assert len(reference) > 0.8 * 8.0 * RATE and np.isfinite(reference).all() and reference[0] == 0.0
-    assert reference[:220].max() == pytest.approx(1e-5, rel=1e-2)
-    assert np.count_nonzero(np.isfinite(recorded["voltage"])) > 0.8 * 8.0 * RATE
+    assert len(reference) > 0.8 * 8.0 * rate and np.isfinite(reference).all() and reference[0] == 0.0
+    assert reference[: int(2.2 * rate)].max() == pytest.approx(1e-5, rel=1e-2)
+    assert np.count_nonzero(np.isfinite(recorded["voltage"])) > 0.8 * 8.0 * rate
     # its samples are not in equal distances, as those of a busy machine are
     what = "identify", str(bag), "--model", "prandtl_ishlinskii", "--resample", "auto"
     identify = processes.command(*what, "-o", str(found), "--json", str(tmp_path / "found.json"))

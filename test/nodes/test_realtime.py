@@ -324,5 +324,5 @@ def test_our_names_shadow_nothing_of_rclpy(inside):
     for cls in type(node).__mro__[: type(node).__mro__.index(LifecycleNode)]:
         ours |= {name for name in vars(cls) if not name.startswith("__")}
     plain.destroy_node()
-    hooks = {"on_configure", "on_activate", "on_deactivate", "on_cleanup", "on_shutdown"}
+    hooks = {"on_configure", "on_activate", "on_deactivate", "on_cleanup", "on_shutdown", "destroy_node"}
     assert (ours & theirs) - hooks == set(), AxisNode
