@@ -39,7 +39,7 @@ EXTRAS = {
 EXTRAS["all"] = sorted({requirement for requirements in EXTRAS.values() for requirement in requirements})
 # setuptools below 80 is what colcon needs; both are here because the tests build and install the package.
 EXTRAS["test"] = [
-    *("pytest", "pytest-xdist", "hypothesis", "psutil", "ruff", "mypy", "numpydoc>=1.8"),
+    *("pytest", "pytest-rerunfailures", "pytest-xdist", "hypothesis", "psutil", "ruff", "mypy", "numpydoc>=1.8"),
     *("colcon-common-extensions", "setuptools<80", "wheel"),
 ]
 

@@ -11,15 +11,27 @@ settings.load_profile("untimed")
 
 #: Tests that start graphs of nodes: one after the other in one worker, since they need the time they have.
 GRAPHS = ("test/nodes/", "test/cli/test_excite_command.py")
+#: Those in lockstep need no time of their own: the other worker may run them.
+LOCKSTEP = ("lockstep", "live_changes_over_ros", "faulty_nodes", "batch_recording", "processors", "graph_runner")
 
 
 def group_of(nodeid: str) -> str:
-    """Return with what a test shares its worker: the tests of its file, or all that start graphs."""
-    return "graphs" if nodeid.startswith(GRAPHS) else nodeid.split("::", 1)[0]
+    """Return with what a test shares its worker: the tests of its file, or all that start graphs in real time."""
+    file = nodeid.split("::", 1)[0]
+    return (
+        "graphs" if nodeid.startswith(GRAPHS) and not file.endswith(tuple(f"test_{n}.py" for n in LOCKSTEP)) else file
+    )
 
 
 def pytest_collection_modifyitems(config, items):
-    """Let a worker begin with the graphs, which take longest; without workers the order stays."""
+    """Let a worker begin with the graphs, which take longest; without workers the order stays.
+
+    A test over DDS that fails is tried once more: on a busy machine two participants now and then do not find each
+    other for a minute. What is wrong with the nodes fails again, and the summary counts every repetition.
+    """
+    for item in items:
+        if item.nodeid.startswith(GRAPHS):
+            item.add_marker(pytest.mark.flaky(reruns=1))
     if hasattr(config, "workerinput"):
         items.sort(key=lambda item: group_of(item.nodeid) != "graphs")
 
