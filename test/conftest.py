@@ -12,7 +12,7 @@ settings.load_profile("untimed")
 #: Tests that start graphs of nodes: one after the other in one worker, since they need the time they have.
 GRAPHS = ("test/nodes/", "test/cli/test_excite_command.py")
 #: Those in lockstep need no time of their own: the other worker may run them.
-LOCKSTEP = ("lockstep", "live_changes_over_ros", "faulty_nodes", "batch_recording", "processors", "graph_runner")
+LOCKSTEP = ("lockstep", "faulty_nodes", "batch_recording", "processors", "graph_runner")
 
 
 def group_of(nodeid: str) -> str:

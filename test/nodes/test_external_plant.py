@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import pathlib
 import signal
 import sys
@@ -78,12 +77,12 @@ def test_the_rest_follows_setpoints_through_it_and_the_recording_goes_into_a_rep
     assert report.wait() == 0, report.output
 
 
-def test_an_excitation_is_driven_through_it_from_its_beginning_to_its_end_and_identified(processes, tmp_path):
+def test_an_excitation_is_driven_through_it_from_its_beginning_to_its_end(processes, tmp_path):
     rate = 40.0  # what comes late costs less of the agreement
     axis = tmp_path / "slow.yaml"
     axis.write_text(AXIS.replace("sample_rate: 100.0", f"sample_rate: {rate}"))
     stage(processes, rate)
-    bag, found = tmp_path / "bag", tmp_path / "found.yaml"
+    bag = tmp_path / "bag"
     drive = "excite", str(axis), "--recipe", "decaying", "--duration", "8", "--frequency", "1", "--plant", "external"
     excite = processes.command(*drive, "--record", str(bag))
     assert excite.wait(120.0) == 0, excite.output
@@ -94,12 +93,6 @@ def test_an_excitation_is_driven_through_it_from_its_beginning_to_its_end_and_id
     assert len(reference) > 0.8 * 8.0 * rate and np.isfinite(reference).all() and reference[0] == 0.0
     assert reference[: int(2.2 * rate)].max() == pytest.approx(1e-5, rel=1e-2)
     assert np.count_nonzero(np.isfinite(recorded["voltage"])) > 0.8 * 8.0 * rate
-    # its samples are not in equal distances, as those of a busy machine are
-    what = "identify", str(bag), "--model", "prandtl_ishlinskii", "--resample", "auto"
-    identify = processes.command(*what, "-o", str(found), "--json", str(tmp_path / "found.json"))
-    assert identify.wait(240.0) == 0, identify.output
-    text = json.loads((tmp_path / "found.json").read_text())
-    assert found.exists() and text["rmse_percent_of_stroke"] < 5.0, text
 
 
 def test_a_run_of_given_length_ends_by_itself(processes, tmp_path, axis):
