@@ -13,7 +13,8 @@ from hysteresis_ros.block import specialised
 from hysteresis_ros.loop.axis_parameters import AxisParameters
 from hysteresis_ros.loop.compensator import CompensatorPart
 from hysteresis_ros.loop.controller import ControllerPart
-from hysteresis_ros.loop.plant import PLANTS, Plant
+from hysteresis_ros.loop.plant import Plant
+from hysteresis_ros.loop.plants import PLANTS
 from hysteresis_ros.loop.source import GeneratorSource, SequencerSource
 from hysteresis_ros.loop.tick import ANSWER, ANSWERED, BEFORE, CONFIRM, MEASURE, MEASURED, WHOLE, Laws, Parts, ticks
 

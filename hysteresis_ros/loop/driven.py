@@ -32,13 +32,13 @@ from hysteresis_ros.loop.device import (
 from hysteresis_ros.loop.node_parameters import PlantNodeParameters
 from hysteresis_ros.loop.plant import (
     DEVICE_FAILED,
-    PLANTS,
     TRIP,
     Plant,
     actuate,
     sense,
     watched_voltage,
 )
+from hysteresis_ros.loop.plants import PLANTS
 from hysteresis_ros.loop.watch import FOLLOWS, HELD, hold_state, hold_voltage
 from hysteresis_ros.models.limits import FLAGS, LIMITED_SAMPLES, OUTPUT, UNQUANTISED, Limits, LimitsParameters, limits
 
