@@ -96,6 +96,7 @@ def parse_options(model: str, pairs) -> dict:
 def identify(
     data: IdentificationData,
     model: str,
+    *,
     linear: str | None = None,
     options: dict | None = None,
     inverse: str | None = None,

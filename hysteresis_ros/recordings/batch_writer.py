@@ -194,8 +194,9 @@ class SampleWriter:
         groups = self._joint_groups(table, joints)
         tripped = table[signals.TRIPPED] != 0.0
         cuts = (np.flatnonzero(tripped[1:] != tripped[:-1]) + 1).tolist()
+        values = [groups, *([table[places]] for places in self._places)]
         for begin, end in zip((0, *cuts), (*cuts, stamps.size), strict=True):
-            self._fill(self._frames_of(bool(tripped[begin])), stamps, times, table, groups, begin, end)
+            self._fill(self._frames_of(bool(tripped[begin])), stamps, times, values, slice(begin, end))
         self.sample_count += stamps.size
         if time.monotonic() - self._since > self._chunk_time:
             self.flush()
@@ -214,14 +215,15 @@ class SampleWriter:
             frames.clear()
         self._since = time.monotonic()
 
-    def _fill(self, frames: Frames, stamps, times, table, groups, begin: int, end: int) -> None:
-        while begin < end:
+    def _fill(self, frames: Frames, stamps, times, values, samples: slice) -> None:
+        """Put samples into frames; ``values`` has the groups of numbers of each topic, shape (numbers, n) each."""
+        begin = samples.start
+        while begin < samples.stop:
             if not frames.count:
                 self._since = time.monotonic()
-            until = min(end, begin + frames.rows - frames.count)
-            values = [[group[:, begin:until] for group in groups]]
-            values += [[table[places, begin:until]] for places in self._places]
-            frames.add(stamps[begin:until], times[begin:until], values)
+            until = min(samples.stop, begin + frames.rows - frames.count)
+            chosen = [[group[:, begin:until] for group in groups] for groups in values]
+            frames.add(stamps[begin:until], times[begin:until], chosen)
             begin = until
             if frames.count == frames.rows:
                 self.flush()

@@ -183,8 +183,13 @@ def tune(
             f"the initial gains have a sensitivity peak above {largest_sensitivity:g}; start from lower ones"
         )
     result = restarted_nelder_mead(cost, begin, settings=SimplexSettings(iterations=iterations, tolerance=TOLERANCE))
-    run = result.runs[result.best]
+    history = _history(result.runs[result.best], initial, tuned)
+    return Tuned(gains(result.x), criterion, before, result.cost, history, result.converged)
+
+
+def _history(run, initial, tuned) -> np.ndarray:
+    """Return all gains and the cost of each iteration, shape (iterations, gains + 1), from those that were tuned."""
     history = np.tile([*initial, 0.0], (len(run.costs), 1))
     history[:, tuned] = run.trajectory
     history[:, -1] = run.costs
-    return Tuned(gains(result.x), criterion, before, result.cost, history, result.converged)
+    return history

@@ -312,13 +312,14 @@ def model_claims(axes: dict[str, Configuration], full, half) -> list[Claim]:
             start = round(rate / frequency)
             scale = 100.0 / (0.5 * float(np.ptp(displacement[start:])))
             errors = {key: (predict(axis, voltage) - displacement)[start:] for key, axis in axes.items()}
-            found = {key: scale * wang.rms(error) for key, error in errors.items()}
-            for key, value in found.items():
-                rows.append(_model_row(f"w5.{words}", group, name, key, value, found[wang.LINEAR], errors[key], scale))
+            linear = scale * wang.rms(errors[wang.LINEAR])
+            for key, error in errors.items():
+                rows.append(_model_row(f"w5.{words}", group, name, key, scale * error, linear))
     return rows
 
 
-def _model_row(prefix, group, frequency, key, value, linear, error, scale) -> Claim:
+def _model_row(prefix, group, frequency, key, error, linear) -> Claim:
+    """Return the row of a model's error [% of the amplitude], beside the rms of the linear one's."""
     judged = key == wang.PAPER and prefix.endswith("full") or key == wang.BETTER
     assumed = (wang.TRUTH, wang.DYNAMICS, wang.RECORDED)
     if key == wang.BETTER:
@@ -327,10 +328,10 @@ def _model_row(prefix, group, frequency, key, value, linear, error, scale) -> Cl
         f"{prefix}.{frequency}.{key}",
         group,
         f"{frequency}: {wang.WORDS[key]}: rms",
-        value,
+        wang.rms(error),
         "%",
         paper="much smaller" if key == wang.PAPER and prefix.endswith("full") else None,
         high=0.5 * linear if judged else None,
         assumptions=(*assumed, *((wang.SOFTENED,) if judged else ())),
-        details={"maximum": scale * float(np.max(np.abs(error)))},
+        details={"maximum": float(np.max(np.abs(error)))},
     )
