@@ -8,9 +8,9 @@ import pathlib
 import signal
 import subprocess
 import sys
-import time
 
 import pytest
+from waiting import until
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 
@@ -131,12 +131,15 @@ def test_ctrl_c_while_a_command_works(tmp_path, words):
 
 def opened_for_writing(pipe: pathlib.Path, process: subprocess.Popen) -> int:
     """Open a pipe as soon as the process reads it."""
-    while True:
+
+    def opened() -> int | None:
         try:
             return os.open(pipe, os.O_WRONLY | os.O_NONBLOCK)
         except OSError:  # nobody reads it yet
             assert process.poll() is None, process.stderr.read()
-            time.sleep(0.01)
+            return None
+
+    return until(opened, what="a reader of the pipe")
 
 
 @pytest.mark.parametrize("afterwards", ["goes on", "fails"])

@@ -2,25 +2,28 @@
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
-from loop_support import assert_same_bits
+from loop_support import HOLD, assert_same_bits, parameters
 
-from hysteresis_ros.loop.axis import Axis
+from hysteresis_ros.loop.axis import Axis, Change
 from hysteresis_ros.loop.fused import FusedLoop
 from hysteresis_ros.signals import row_signals
 
-#: Longer than any wait for a condition takes.
-PATIENCE = 60.0
+#: Real time that is easy to hold, also interpreted: 150 samples a second.
+SLOWLY = 0.05
+#: Nothing trips, however busy the machine is.
+ANY_LATE = {"plant_simulator": {"late_limit": -1}, **HOLD}
 
 
-def wait_for(condition) -> None:
-    """Wait until ``condition()`` is true."""
-    end = time.monotonic() + PATIENCE
-    while not condition():
-        assert time.monotonic() < end, "it never came true"
-        time.sleep(0.002)
+def change(node, action, **values):
+    """Return a change for :meth:`FusedLoop.apply`."""
+    return Change(0, node, action, {name.replace("__", "."): value for name, value in values.items()})
+
+
+def made_loop(name="kim2009", factor=np.inf, samples=0, **overrides):
+    """Return a loop and the parameters of its axis."""
+    given = parameters(name, **overrides)
+    return FusedLoop(Axis(given), factor, samples), given
 
 
 def named(loop: FusedLoop, table) -> dict[str, np.ndarray]:

@@ -2,43 +2,21 @@
 
 from __future__ import annotations
 
-import gc
-import os
-import signal as posix
-import subprocess
-import sys
 import threading
-import time
 
 import numpy as np
 import pytest
-from fused_support import assert_twin, named, wait_for, whole
+from fused_support import ANY_LATE, SLOWLY, assert_twin, change, made_loop, named, whole
 from loop_support import HOLD, assert_same_bits, axis, parameters
+from waiting import until
 
 from hysteresis_ros import signals
-from hysteresis_ros.errors import ConfigurationError, ParameterError
-from hysteresis_ros.loop import fused, pacing, scheduling
-from hysteresis_ros.loop.axis import Axis, Change
-from hysteresis_ros.loop.fused import INTERPRETED_RATE, FusedLoop
+from hysteresis_ros.errors import ParameterError
+from hysteresis_ros.loop import fused, pacing
+from hysteresis_ros.loop.axis import Axis
 from hysteresis_ros.loop.plant import HALTED
 from hysteresis_ros.loop.watch import HOLDING, STOPPED, TRIPPED
 from hysteresis_ros.references import inchworm_layout as gait
-
-#: Real time that is easy to hold, also interpreted: 150 samples a second.
-SLOWLY = 0.05
-#: Nothing trips, however busy the machine is.
-ANY_LATE = {"plant_simulator": {"late_limit": -1}, **HOLD}
-
-
-def change(node, action, **values):
-    """Return a change for :meth:`FusedLoop.apply`."""
-    return Change(0, node, action, {name.replace("__", "."): value for name, value in values.items()})
-
-
-def made_loop(name="kim2009", factor=np.inf, samples=0, **overrides):
-    """Return a loop and the parameters of its axis."""
-    given = parameters(name, **overrides)
-    return FusedLoop(Axis(given), factor, samples), given
 
 
 @pytest.mark.parametrize("name", ["kim2009", "auwal2017", "inchworm_travel"])
@@ -71,7 +49,7 @@ def test_the_schedule_of_a_motor_holds_until_somebody_gives_a_setpoint():
 def test_it_goes_on_where_it_left():
     loop, given = made_loop(factor=1e-3)
     loop.start()
-    wait_for(lambda: loop.sample > 2)
+    until(lambda: loop.sample > 2)
     loop.leave()
     first = loop.take()
     assert not loop.running and loop.axis.sample == loop.sample == first.first + len(first.times)
@@ -79,7 +57,7 @@ def test_it_goes_on_where_it_left():
     loop.start()
     with pytest.raises(RuntimeError, match="runs already"):
         loop.start()
-    wait_for(lambda: loop.sample > first.first + len(first.times) + 2)
+    until(lambda: loop.sample > first.first + len(first.times) + 2)
     loop.leave()
     assert_twin(loop, whole(loop, first), given)
 
@@ -110,7 +88,7 @@ def test_a_run_with_everything_that_can_change_is_repeated_bit_for_bit():
     for index, step in enumerate(steps):
         loop.set(setpoint=4e-6 + index * 1e-7)
         numbers.append(loop.apply(step))
-        wait_for(lambda: loop.sample >= numbers[-1] + 3)  # noqa: B023
+        until(lambda: loop.sample >= numbers[-1] + 3)  # noqa: B023
     loop.leave()
     made = whole(loop)
     twin = assert_twin(loop, made, given)
@@ -127,16 +105,16 @@ def test_an_emergency_stop_stops_everything_within_a_sample_and_stays():
     loop, given = made_loop(factor=SLOWLY, **ANY_LATE)
     loop.set(setpoint=5e-6)
     loop.start()
-    wait_for(lambda: loop.sample > 30)
+    until(lambda: loop.sample > 30)
     loop.halt()
-    wait_for(lambda: loop.changes)
+    until(lambda: loop.changes)
     at = loop.changes[0].sample
-    wait_for(lambda: loop.sample > at + 10)
+    until(lambda: loop.sample > at + 10)
     loop.apply(change("plant_simulator", "start"))
-    wait_for(lambda: loop.sample > loop.changes[-1].sample + 5)
+    until(lambda: loop.sample > loop.changes[-1].sample + 5)
     loop.halt()
     loop.halt()
-    wait_for(lambda: loop.sample > at + 30 and loop.axis.plant.tripped)
+    until(lambda: loop.sample > at + 30 and loop.axis.plant.tripped)
     loop.leave()
     made = whole(loop)
     assert_twin(loop, made, given)
@@ -160,10 +138,10 @@ def test_an_emergency_stop_of_a_motor_asks_its_sequencer_to_stop():
     loop, given = made_loop("inchworm_travel", factor=0.02, plant_simulator={"late_limit": -1})
     loop.set(setpoint=2e-4)
     loop.start()
-    wait_for(lambda: loop.sample > 20)
+    until(lambda: loop.sample > 20)
     loop.halt()
-    wait_for(lambda: loop.changes)
-    wait_for(lambda: loop.sample > loop.changes[0].sample + 5)
+    until(lambda: loop.changes)
+    until(lambda: loop.sample > loop.changes[0].sample + 5)
     loop.leave()
     made = whole(loop)
     assert_twin(loop, made, given)
@@ -183,7 +161,7 @@ def test_a_change_that_is_refused_is_refused_to_the_caller_and_changes_nothing()
         loop.apply(change("motion_controller", "retune", sliding_mode__phi=3.0))
     with pytest.raises(ParameterError, match="only while stopped"):
         loop.apply(change("reference_generator", "retune", waveform__type="sine"))
-    wait_for(lambda: loop.sample > 5)
+    until(lambda: loop.sample > 5)
     loop.leave()
     assert loop.changes == [] and not loop.failure
     assert_twin(loop, whole(loop), given)
@@ -200,7 +178,7 @@ def test_what_the_double_took_and_the_axis_refuses_is_raised_and_the_loop_goes_o
     with pytest.raises(ParameterError):
         loop.apply(change("motion_controller", "retune", handover_time=0.02))
     before = loop.sample
-    wait_for(lambda: loop.sample > before + 3)
+    until(lambda: loop.sample > before + 3)
     loop.leave()
     assert loop.changes == [] and not loop.failure
 
@@ -226,7 +204,7 @@ def test_requests_and_speeds_of_a_motor_are_taken_whole_and_once():
     for index in range(20):
         loop.set(setpoint=1e-5 * index, request=gait.START_REQUEST, speed=1e-4 * (index + 1))
         before = loop.sample
-        wait_for(lambda: loop.sample > before + 2)  # noqa: B023
+        until(lambda: loop.sample > before + 2)  # noqa: B023
     loop.leave()
     made = whole(loop)
     assert_twin(loop, made, given)
@@ -257,9 +235,10 @@ def test_many_threads_may_steer_at_once():
     for thread in threads:
         thread.start()
     taken = []
-    while any(thread.is_alive() for thread in threads):
-        taken.append(loop.take())
-        time.sleep(0.01)
+    for thread in threads:
+        while thread.is_alive():
+            taken.append(loop.take())
+            thread.join(0.01)
     loop.leave()
     made = whole(loop, *taken)
     assert_twin(loop, made, given)
@@ -278,12 +257,12 @@ def test_missed_deadlines_are_skipped_samples_and_the_twin_skips_them_too():
     loop, given = made_loop(factor=SLOWLY, **ANY_LATE)
     loop.set(setpoint=5e-6)
     loop.start()
-    wait_for(lambda: loop.sample > 20)
+    until(lambda: loop.sample > 20)
     first = loop.take()
     delay(loop, 40)
-    wait_for(lambda: loop.missed >= 39)
+    until(lambda: loop.missed >= 39)
     before = loop.sample
-    wait_for(lambda: loop.sample > before + 10)
+    until(lambda: loop.sample > before + 10)
     loop.leave()
     second = loop.take()
     made = whole(loop, first, second)
@@ -312,12 +291,10 @@ def test_a_reader_has_time_while_very_many_samples_are_skipped(monkeypatch):
     monkeypatch.setattr(fused, "LEAST_KEPT", 4000)
     loop, given = made_loop(factor=SLOWLY, **ANY_LATE)
     loop.start()
-    wait_for(lambda: loop.sample > 5)
+    until(lambda: loop.sample > 5)
     delay(loop, 9000)
     heads = []
-    while loop.sample < 9000:
-        heads.append(loop.sample)
-        time.sleep(1e-4)
+    until(lambda: heads.append(loop.sample) or heads[-1] >= 9000, every=1e-4)
     loop.leave()
     # it paused after each quarter of the ring
     assert any(900 < head < 8900 for head in heads)
@@ -351,137 +328,3 @@ def test_too_many_skipped_samples_trip_the_axis():
     run = axis(**HOLD).run(np.full(800, 4e-6), skipped=skipped)
     assert not run["tripped"][:450].any() and run["tripped"][460:].all()
     assert run["plant_voltage"][-1] < run["plant_voltage"][450]
-
-
-STOPPED_PROCESS = """
-import sys, time
-import numpy as np
-sys.path.insert(0, sys.argv[1])
-from fused_support import assert_twin, wait_for, whole
-from loop_support import HOLD, parameters
-from hysteresis_ros.loop.axis import Axis
-from hysteresis_ros.loop.fused import FusedLoop
-given = parameters(plant_simulator={"late_limit": -1}, **HOLD)
-loop = FusedLoop(Axis(given), 0.05)
-loop.set(setpoint=5e-6)
-loop.start()
-wait_for(lambda: loop.sample > 10)
-print("runs", flush=True)
-sys.stdin.readline()
-wait_for(lambda: loop.missed >= 20)
-before = loop.sample
-wait_for(lambda: loop.sample > before + 5)
-loop.leave()
-made = whole(loop)
-assert_twin(loop, made, given)
-# time went on: no burst of answers followed
-print("missed", loop.missed, int(np.sum(made["skipped"])), loop.lateness().max >= 0.13, flush=True)
-"""
-
-
-@pytest.mark.parametrize("compiled", [True, False])
-def test_a_process_that_was_suspended_skips_what_it_missed(compiled):
-    environment = os.environ | ({} if compiled else {"NUMBA_DISABLE_JIT": "1"})
-    command = [sys.executable, "-c", STOPPED_PROCESS, os.path.dirname(__file__)]
-    pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
-    with subprocess.Popen(command, env=environment, **pipes) as process:
-        assert process.stdout.readline() == "runs\n"
-        process.send_signal(posix.SIGSTOP)
-        time.sleep(0.4)  # the length of the interruption, not a wait
-        process.send_signal(posix.SIGCONT)
-        out, _ = process.communicate("\n")
-    word, missed, skipped, late = out.split()
-    assert process.returncode == 0 and word == "missed" and missed == skipped and late == "True"
-
-
-# --------------------------------------------------------------------------------------------------------- limits of it
-
-INTERPRETED = """
-import sys
-import numpy as np
-sys.path.insert(0, sys.argv[1])
-from fused_support import assert_twin, whole
-from loop_support import parameters
-from hysteresis_ros.loop.axis import Axis, Change
-from hysteresis_ros.loop.fused import FusedLoop
-for name in ("kim2009", "inchworm_travel"):
-    given = parameters(name)
-    loop = FusedLoop(Axis(given), np.inf, 200)
-    loop.apply(Change(0, "motion_controller", "stop"))
-    loop.apply(Change(0, "motion_controller", "start"))
-    loop.start()
-    loop.join()
-    made = whole(loop)
-    assert_twin(loop, made, given)
-    made["voltage"].tofile(sys.stdout.buffer)
-"""
-
-
-def test_without_numba_the_same_loop_runs_interpreted():
-    command = [sys.executable, "-c", INTERPRETED, os.path.dirname(__file__)]
-    given = os.environ | {"NUMBA_DISABLE_JIT": "1"}
-    plain = np.frombuffer(subprocess.run(command, env=given, check=True, stdout=subprocess.PIPE).stdout)
-    quick = np.frombuffer(subprocess.run(command, check=True, stdout=subprocess.PIPE).stdout)
-    assert len(plain) == 400
-    np.testing.assert_allclose(plain, quick, rtol=0, atol=1e-9)
-
-
-def test_without_numba_an_axis_that_is_too_fast_is_refused(monkeypatch):
-    monkeypatch.setattr(fused, "COMPILED", False)
-    with pytest.raises(ConfigurationError, match=rf"3000 Hz.*without Numba.*{INTERPRETED_RATE:g} samples"):
-        FusedLoop(axis(), 1.0)
-    FusedLoop(axis(), 0.9 * INTERPRETED_RATE / 3000.0)
-
-
-def test_what_is_not_permitted_is_said_once_and_the_loop_goes_on(monkeypatch):
-    def refuse(*arguments):
-        raise PermissionError(1, "Operation not permitted")
-
-    monkeypatch.setattr(scheduling.os, "sched_setscheduler", refuse, raising=False)
-    monkeypatch.setattr(scheduling.os, "sched_setaffinity", refuse, raising=False)
-    told = []
-    realtime = {"realtime__priority": 70, "realtime__cpu": 0}
-    loop = FusedLoop(axis(plant_simulator=realtime), np.inf, 50, told.append)
-    loop.start()
-    loop.join()
-    assert loop.sample == 50 and told == [loop.warning]
-    for word in ("realtime.priority = 70", "rtprio", "limits.conf", "CAP_SYS_NICE", "realtime.cpu = 0"):
-        assert word in loop.warning
-
-
-def test_a_thread_that_fails_says_why_and_refuses_changes(monkeypatch):
-    loop, _ = made_loop(factor=SLOWLY, **ANY_LATE)
-
-    def fail(*arguments):
-        raise ZeroDivisionError("nothing is left")
-
-    monkeypatch.setattr(fused, "ask_for", fail)
-    loop.start()
-    loop.join()
-    assert "sample 0" in loop.failure and "nothing is left" in loop.failure
-    with pytest.raises(RuntimeError, match="nothing is left"):
-        loop.apply(change("motion_controller", "retune", handover_time=0.02))
-
-
-def test_whoever_changes_something_is_urgent_meanwhile_and_not_afterwards(monkeypatch):
-    asked = []
-    monkeypatch.setattr(scheduling.os, "sched_setscheduler", lambda *arguments: asked.append(arguments[1:]))
-    loop, given = made_loop(factor=SLOWLY, plant_simulator={"late_limit": -1, "realtime__priority": 50}, **HOLD)
-    loop.start()
-    loop.apply(change("motion_controller", "retune", handover_time=0.02))
-    loop.leave()
-    urgent = scheduling.os.SCHED_FIFO | scheduling.os.SCHED_RESET_ON_FORK
-    before = os.sched_getscheduler(0), os.sched_getparam(0).sched_priority
-    found = [(policy, param.sched_priority) for policy, param in asked]
-    assert sorted(found) == sorted([(urgent, 50), (urgent, 49), before])
-    assert found.index((urgent, 49)) < found.index(before)
-    assert loop.changes and not loop.failure
-
-
-def test_what_is_set_aside_for_a_change_is_back_afterwards():
-    before = sys.getswitchinterval()
-    gc.enable()
-    with pytest.raises(KeyError), scheduling.undisturbed():
-        assert not gc.isenabled() and sys.getswitchinterval() < before
-        raise KeyError
-    assert gc.isenabled() and sys.getswitchinterval() == before

@@ -13,30 +13,17 @@ import threading
 import time
 from dataclasses import replace
 
+from waiting import PATIENCE, until
+
 # Before the first participant: nobody outside is asked, and a process that is killed leaves no shared memory behind.
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ["FASTDDS_BUILTIN_TRANSPORTS"] = "UDPv4"
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
-#: Seconds a condition may take; only a broken test waits that long.
-PATIENCE = 60.0
 #: Seconds in which a node has to leave, with slack for a machine whose cores are taken.
 LEAVE = 3.0
 
 _counter = itertools.count()
-
-
-def until(condition, timeout: float = PATIENCE, what: str = ""):
-    """Wait until ``condition()`` is true and return its value."""
-    deadline = time.monotonic() + timeout
-    pause = threading.Event()
-    while True:
-        value = condition()
-        if value:
-            return value
-        if time.monotonic() > deadline:
-            raise AssertionError(f"not within {timeout:g} s: {what or condition}")
-        pause.wait(0.01)
 
 
 #: Everything that is not ideal: noise of 5 nm, 16 bits, tight limits, preload.
