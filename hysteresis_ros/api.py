@@ -156,7 +156,8 @@ class Design:  # numpydoc ignore=PR02
     parameters : ControllerParameters
         Type, gains and model of the controller.
     margins : Margins
-        Bandwidth [Hz], margins and poles of the loop with the controller's model.
+        Bandwidth [Hz], margins and poles of the loop with the controller's model; ``margins.meets`` says whether
+        they are those that every design is held to, ``margins.misses()`` what is missing.
     warnings : tuple of str
         What is to be doubted, in sentences.
     lines : tuple of str

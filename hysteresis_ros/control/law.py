@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from hysteresis_ros.control.base import Controller
+from hysteresis_ros.control.margins import REQUIRED, Requirements
 from hysteresis_ros.models.state_space import StateSpace
 from hysteresis_ros.parameters import Parameters
 
@@ -30,7 +31,7 @@ class DesignTask:
         Variance of the input's noise over that of the measurement in the Kalman filter.
     loop : callable
         ``loop(parameters)`` returns controller and model, two :class:`StateSpace`, close to rest; for
-        :func:`hysteresis_ros.control.margins.bandwidth_and_sensitivity`.
+        :func:`hysteresis_ros.control.margins.judge`.
     """
 
     parameters: Any
@@ -51,15 +52,15 @@ class Tuning:
     start : callable
         ``start(parameters, sample_time)`` returns the parameters to begin with.
     loop : callable
-        ``loop(parameters, sample_time)`` returns controller and model of whose sensitivity peak candidates are judged.
-    largest_sensitivity : float
-        Gains with a higher peak are refused.
+        ``loop(parameters, sample_time)`` returns controller and model by whose margins candidates are judged.
+    required : Requirements
+        Gains that miss it are refused.
     """
 
     gains: tuple[str, ...]
     start: Callable[[Any, float], Any]
     loop: Callable[[Any, float], tuple[StateSpace, StateSpace]]
-    largest_sensitivity: float = 2.0
+    required: Requirements = REQUIRED
 
 
 def _no_check(parameters, sample_time: float | None) -> None:

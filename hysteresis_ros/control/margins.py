@@ -5,6 +5,12 @@ y_k = C x_k + D u_(k-1) is measured, u_k answers it in the same sample and is he
 knows its own command as the one carried out. The inverse of the hysteresis is taken to be exact.
 
 The loop is cut at the command: L(z) = −K_y(z) P(z), sensitivity S = 1/(1 + L), complementary sensitivity T = L/(1 + L).
+A further delay of s samples turns L(e^jω) into L(e^jω) e^(−jωs); the loop bears it until that passes −1.
+
+Every design is held to the same requirements (:data:`REQUIRED`): M_s ≤ 2, a gain margin of 6 dB, and one sample of
+delay beyond what the model has, because converters, transport and a busy computer cost about that. M_s ≤ 2 alone
+implies a gain margin of 20 log10 2 = 6.02 dB and a phase margin of 2 asin(1/4) = 29 degrees [1]_, but no delay margin:
+a loop that crosses gain one close to half the sample rate loses 180 degrees there by one sample.
 
 References
 ----------
@@ -14,6 +20,7 @@ References
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -24,6 +31,31 @@ GRID = 3000
 AROUND_POLE = 61
 #: Lowest angle of the grid.
 LOWEST = 1e-7
+
+
+@dataclass(frozen=True)
+class Requirements:
+    """What a design is held to.
+
+    Parameters
+    ----------
+    sensitivity_peak : float
+        Largest M_s.
+    gain_margin : float
+        Least factor by which the gain may grow [dB].
+    delay_margin : float
+        Least delay beyond the modelled one that the loop bears [samples].
+    """
+
+    sensitivity_peak: float = 2.0
+    gain_margin: float = 6.0
+    delay_margin: float = 1.0
+
+
+#: Part by which a requirement may be missed: designs end where they just meet it.
+ROUNDING = 1e-3
+#: What every design is held to.
+REQUIRED = Requirements()
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,8 +79,12 @@ class Margins:
     bandwidth : float
         Frequency at which the response to the reference, without feedforward, has first fallen by 3 dB [Hz]; infinite
         when it does not below half the sample rate.
+    noise_gain, command_noise_gain : float
+        RMS of displacement and of command per RMS of white noise of the sensor, [m/m].
     poles : ndarray
         Closed-loop poles, the slowest first.
+    sample_time : float
+        [s]
     """
 
     gain_margin: float
@@ -60,12 +96,47 @@ class Margins:
     sensitivity_peak: float
     complementary_peak: float
     bandwidth: float
+    noise_gain: float
+    command_noise_gain: float
     poles: np.ndarray
+    sample_time: float
 
     @property
     def stable(self) -> bool:
         """Whether all closed-loop poles are inside the unit circle."""
         return bool(np.all(np.abs(self.poles) < 1.0 - BOUNDARY))
+
+    @property
+    def delay_margin_samples(self) -> float:
+        """Further delay that the loop bears, in samples."""
+        return self.delay_margin / self.sample_time
+
+    def misses(self, required: Requirements = REQUIRED) -> tuple[str, ...]:
+        """Return what the loop misses of the requirements, a few words each; empty when it meets them all.
+
+        Parameters
+        ----------
+        required : Requirements
+        """
+        if not self.stable:
+            return ("unstable on its own model",)
+        found = []
+        if not self.sensitivity_peak <= required.sensitivity_peak * (1.0 + ROUNDING):
+            found.append(f"M_s {self.sensitivity_peak:.3g} above {required.sensitivity_peak:g}")
+        if not self.gain_margin >= required.gain_margin * (1.0 - ROUNDING):
+            found.append(f"gain margin {self.gain_margin:.3g} dB below {required.gain_margin:g} dB")
+        if not self.delay_margin_samples >= required.delay_margin * (1.0 - ROUNDING):
+            samples = "sample" if required.delay_margin == 1.0 else "samples"
+            found.append(
+                f"delay margin {self.delay_margin_samples:.3g} samples ({1e3 * self.delay_margin:.3g} ms) below "
+                f"{required.delay_margin:g} {samples}"
+            )
+        return tuple(found)
+
+    @property
+    def meets(self) -> bool:
+        """Whether the loop meets :data:`REQUIRED`."""
+        return not self.misses()
 
 
 def plant_state_space(dynamics, scaled: bool = True) -> StateSpace:
@@ -113,32 +184,47 @@ def loop_transfer(controller: StateSpace, plant: StateSpace, z) -> np.ndarray:
     return -controller.response(z)[:, 0, 1] * plant.response(z)[:, 0, 0]
 
 
-def sensitivity_peak(controller: StateSpace, plant: StateSpace, grid: int = 300) -> float:
-    """Return the sensitivity peak, infinite when the loop is unstable: for searches.
+class Judged(NamedTuple):
+    """What a search asks of a loop, on a coarser grid than :class:`Margins`; an unstable one has an infinite M_s.
 
     Parameters
     ----------
-    controller, plant : StateSpace
-    grid : int
-        Number of frequencies besides those around the poles.
+    bandwidth : float
+        [Hz]
+    sensitivity_peak : float
+        M_s.
+    delay_margin : float
+        [samples]
+    noise_gain : float
+        RMS of displacement per RMS of white noise of the sensor.
+    rejection : float
+        Lowest frequency at which |S| reaches −3 dB [Hz]; 0 where a constant disturbance stays by more than that.
     """
-    return _searched(controller, plant, grid)[2]
+
+    bandwidth: float
+    sensitivity_peak: float
+    delay_margin: float
+    noise_gain: float
+    rejection: float
+
+    def meets(self, required: Requirements = REQUIRED) -> bool:
+        """Whether the loop meets the requirements; M_s ≤ 2 brings the gain margin of 6 dB with it.
+
+        Parameters
+        ----------
+        required : Requirements
+        """
+        least = 1.0 / (1.0 - 10.0 ** (-required.gain_margin / 20.0))
+        bounded = self.sensitivity_peak <= min(required.sensitivity_peak, least)
+        return bounded and self.delay_margin >= required.delay_margin
 
 
-def _searched(controller: StateSpace, plant: StateSpace, grid: int):
-    whole = close(controller, plant)
-    poles = whole.poles
-    if np.max(np.abs(poles)) >= 1.0 - BOUNDARY:
-        return whole, None, np.inf
-    angles = _grid([*poles, *plant.poles], grid)
-    values = loop_transfer(controller, plant, np.exp(1j * angles))
-    return whole, angles, float(np.max(1.0 / np.abs(1.0 + values)))
+#: An unstable loop.
+UNSTABLE = Judged(0.0, np.inf, 0.0, np.inf, 0.0)
 
 
-def bandwidth_and_sensitivity(
-    controller: StateSpace, plant: StateSpace, sample_time: float, grid: int = 300
-) -> tuple[float, float]:
-    """Return −3 dB bandwidth [Hz] and sensitivity peak, which is infinite when the loop is unstable: for searches.
+def judge(controller: StateSpace, plant: StateSpace, sample_time: float, grid: int = 300) -> Judged:
+    """Return what a search asks of a linear loop.
 
     Parameters
     ----------
@@ -148,10 +234,41 @@ def bandwidth_and_sensitivity(
     grid : int
         Number of frequencies besides those around the poles.
     """
-    whole, angles, peak = _searched(controller, plant, grid)
-    if angles is None:
-        return 0.0, np.inf
-    return _bandwidth(whole, angles) / (2.0 * np.pi * sample_time), peak
+    whole = close(controller, plant)
+    poles = whole.poles
+    if np.max(np.abs(poles)) >= 1.0 - BOUNDARY:
+        return UNSTABLE
+    angles = _grid([*poles, *plant.poles], grid)
+    values = loop_transfer(controller, plant, np.exp(1j * angles))
+    sensitivity = 1.0 / np.abs(1.0 + values)
+    hertz = 1.0 / (2.0 * np.pi * sample_time)
+    passed = np.flatnonzero(sensitivity >= np.sqrt(0.5))
+    rejected = angles[passed[0]] if len(passed) else np.pi
+    return Judged(
+        _bandwidth(whole, angles) * hertz,
+        float(np.max(sensitivity)),
+        _coarse_delay_margin(angles, values),
+        _noise_gain(angles, np.abs(values) * sensitivity),
+        float(rejected * hertz) if len(passed) == 0 or passed[0] > 0 else 0.0,
+    )
+
+
+def _coarse_delay_margin(angles, values) -> float:
+    """Return the delay margin [samples] with crossovers by interpolation between the points of a grid."""
+    size = np.log(np.abs(values) + 1e-300)
+    at = np.flatnonzero((size[:-1] < 0.0) != (size[1:] < 0.0))
+    part = size[at] / (size[at] - size[at + 1])
+    crossovers = angles[at] + part * (angles[at + 1] - angles[at])
+    turned = np.angle(values[at + 1] / values[at])
+    phases = np.mod(np.angle(values[at]) + part * turned + np.pi, 2.0 * np.pi)
+    return _least(phases / crossovers)
+
+
+def _noise_gain(angles, size) -> float:
+    """Return the RMS of what white noise of RMS one becomes through a transfer of this size: (1/π ∫ |H|² dω)^½."""
+    square = size * size
+    area = np.sum(0.5 * (square[1:] + square[:-1]) * np.diff(angles)) + square[0] * angles[0]
+    return float(np.sqrt(area / np.pi))
 
 
 def margins_of(controller: StateSpace, plant: StateSpace, sample_time: float) -> Margins:
@@ -197,8 +314,16 @@ def margins_of(controller: StateSpace, plant: StateSpace, sample_time: float) ->
         sensitivity_peak=float(np.max(1.0 / difference)),
         complementary_peak=float(np.max(np.abs(values) / difference)),
         bandwidth=_bandwidth(whole, angles) * hertz,
+        noise_gain=_noise_gain(angles, np.abs(values) / difference),
+        command_noise_gain=_noise_gain(angles, _feedback(controller, angles) / difference),
         poles=poles,
+        sample_time=sample_time,
     )
+
+
+def _feedback(controller: StateSpace, angles) -> np.ndarray:
+    """Return the size of the controller's transfer from measurement to command."""
+    return np.abs(controller.response(np.exp(1j * angles))[:, 0, 1])
 
 
 def _least(values) -> float:

@@ -13,7 +13,7 @@ from hysteresis_ros import elementary
 from hysteresis_ros.control import design
 from hysteresis_ros.control.kalman import filter_gain
 from hysteresis_ros.control.law import DesignTask
-from hysteresis_ros.control.margins import bandwidth_and_sensitivity
+from hysteresis_ros.control.margins import judge
 from hysteresis_ros.control.sliding_design import design_sliding_mode
 from hysteresis_ros.linear_algebra import eigenvalues, product
 
@@ -130,7 +130,7 @@ def _pole_for(task: DesignTask, with_pole) -> float:
     bandwidth = task.bandwidth
 
     def reached(pole):
-        return bandwidth_and_sensitivity(*task.loop(with_pole(pole)), task.sample_time)[0]
+        return judge(*task.loop(with_pole(pole)), task.sample_time).bandwidth
 
     fast, slow = 0.0, SLOWEST
     if not bandwidth <= reached(fast):

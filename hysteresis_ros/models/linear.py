@@ -2,10 +2,16 @@
 
 Matrices stay in the units in which they were published; ``input_scale`` and ``output_scale`` (SI per model unit) join
 them to the SI signals. In a Hammerstein model the dynamics have unit DC gain, which ``input_scale = 0`` arranges.
+
+A delay τ = (m + f) T of amplifier, converter and transport, of m samples and a part f of one, comes on top of the
+matrices: the input that acts in sample k is w_k = (1 − f) u_(k−m) + f u_(k−m−1), the mean over the sample of the input
+held τ later. For dynamics slow against a sample that is the delayed input exactly; the inputs on their way are states.
+A rate-independent hysteresis and a delay commute, so the delay may stand on either side of it.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +24,10 @@ from hysteresis_ros.parameters import Parameters, parameter
 
 #: Sample times that differ by less than this part are the same one, written with fewer digits.
 SAMPLE_TIME_TOLERANCE = 1e-6
+#: A delay this close to whole samples, in samples, is one of whole samples.
+DELAY_TOLERANCE = 1e-6
+#: Longest delay [samples].
+LONGEST_DELAY = 64
 
 # Layout of p, followed by A (n·n, row by row), B (n) and C (n).
 ORDER = 0
@@ -66,16 +76,61 @@ class LinearParameters(Parameters):
     sample_time: float = parameter(
         0.0, description="sample time the matrices are for; 0: not stated", unit="s", low=0.0
     )
+    delay: float = parameter(
+        0.0,
+        description="delay of amplifier, converter and transport beyond the matrices, also of parts of a sample; needs "
+        "sample_time",
+        unit="s",
+        low=0.0,
+    )
 
     @property
     def order(self) -> int:
-        """Number of states n."""
+        """Number of states, those of the delay included."""
+        whole, part = self.delayed_samples
+        if not whole and not part:
+            return self._rows
+        return self._rows + whole + (part > 0.0) + (self.matrices.D.item() != 0.0)
+
+    @property
+    def _rows(self) -> int:
         return round(len(self.A) ** 0.5)
 
     @property
+    def delayed_samples(self) -> tuple[int, float]:
+        """The delay as m whole samples and a part f of one, 0 ≤ f < 1."""
+        if not self.delay or not self.sample_time:
+            return 0, 0.0
+        samples = self.delay / self.sample_time
+        whole = math.floor(samples + DELAY_TOLERANCE)
+        part = samples - whole
+        return whole, part if part > DELAY_TOLERANCE else 0.0
+
+    @property
     def state_space(self) -> StateSpace:
-        """The dynamics in model units, one input and one output."""
-        n = self.order
+        """The dynamics in model units, one input and one output; the last inputs are its last states under a delay."""
+        model, (whole, part) = self.matrices, self.delayed_samples
+        if not whole and not part:
+            return model
+        n, order, through = model.order, self.order, model.D.item()
+        inputs = np.zeros(order - n + 1)  # parts of u_k, u_(k-1), … in the input that acts
+        inputs[whole] = 1.0 - part
+        if part:
+            inputs[whole + 1] = part
+        A, B, C = np.zeros((order, order)), np.zeros((order, 1)), np.zeros((1, order))
+        A[:n, :n], B[:n] = model.A, model.B * inputs[0]
+        A[:n, n:] = model.B * inputs[1:]
+        A[n + 1 :, n : order - 1] = np.eye(order - n - 1)
+        B[n] = 1.0
+        C[0, :n] = model.C[0]
+        # what is measured sees the input of the sample before, u_(k-1), as its feedthrough, and those before as states
+        C[0, n + 1 :] = through * inputs[1:-1]
+        return StateSpace(A, B, C, np.array([[through * inputs[0]]]))
+
+    @property
+    def matrices(self) -> StateSpace:
+        """The dynamics in model units without the delay."""
+        n = self._rows
         D = self.D[0] if self.D else (0.0 if n else 1.0)
         A, B, C = (np.array(values, dtype=float) for values in (self.A, self.B, self.C))
         return StateSpace(A.reshape(n, n), B[:, np.newaxis], C[np.newaxis], np.array([[D]]))
@@ -83,7 +138,7 @@ class LinearParameters(Parameters):
     @property
     def resolved_input_scale(self) -> float:
         """``input_scale``, or the one that makes the DC gain in SI one where it is 0."""
-        return self.input_scale or self.output_scale * self.state_space.dc_gain
+        return self.input_scale or self.output_scale * self.matrices.dc_gain
 
     def require_sample_time(self, sample_time: float, name: str = "sample_time") -> None:
         """Refuse to run the matrices at another sample time than the one they state.
@@ -111,8 +166,13 @@ class LinearParameters(Parameters):
             raise ParameterError([Problem(name, self.sample_time, allowed)])
 
     def check(self):
-        """Yield what is wrong with the matrices: sizes, an unstable A, a DC gain that cannot be normalised."""
-        n = self.order
+        """Yield what is wrong: sizes, an unstable A, a DC gain not to be normalised, a delay without sample time."""
+        n = self._rows
+        if self.delay and not self.sample_time:
+            yield Problem("delay", self.delay, "needs sample_time, in whose samples it is counted; state it")
+        elif self.delay > LONGEST_DELAY * self.sample_time:
+            allowed = f"must be at most {LONGEST_DELAY} samples, {LONGEST_DELAY * self.sample_time:g} s"
+            yield Problem("delay", self.delay, allowed)
         if n * n != len(self.A):
             yield Problem("A", self.A, "must be n·n numbers, the rows of a square matrix one after the other")
             return
@@ -123,18 +183,19 @@ class LinearParameters(Parameters):
             yield Problem("D", self.D, "must be one number, or empty for none")
         if sizes or len(self.D) > 1:
             return
-        radius = max(np.abs(self.state_space.poles), default=0.0)
+        model = self.matrices
+        radius = max(np.abs(model.poles), default=0.0)
         if radius >= 1.0:
             yield Problem(
                 "A",
                 self.A,
                 f"is unstable: its largest pole has modulus {radius:.6g}; all must be below 1 (discrete time)",
             )
-        elif self.input_scale == 0.0 and not self.state_space.dc_gain > 0.0:
+        elif self.input_scale == 0.0 and not model.dc_gain > 0.0:
             yield Problem(
                 "input_scale",
                 0.0,
-                f"cannot be derived: the DC gain is {self.state_space.dc_gain:.3g}; give input_scale",
+                f"cannot be derived: the DC gain is {model.dc_gain:.3g}; give input_scale",
             )
 
 
@@ -213,7 +274,11 @@ class LinearDynamics(Block):
         ParameterError
             The order differs, or the parameters are wrong.
         """
-        if parameters.validated().order != self.parameters.order:
-            allowed = f"must have {self.parameters.order} rows as before; another order needs a new configuration"
+        given, present = parameters.validated(), self.parameters
+        if len(given.A) != len(present.A):
+            allowed = f"must have {len(present.B)} rows as before; another order needs a new configuration"
             raise ParameterError([Problem("A", parameters.A, allowed)])
+        if given.order != present.order:
+            allowed = f"must take as many samples as {present.delay:g} s before; another needs a new configuration"
+            raise ParameterError([Problem("delay", given.delay, allowed)])
         super().retune(parameters)

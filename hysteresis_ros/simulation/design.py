@@ -12,7 +12,7 @@ from hysteresis_ros.control.feedforward import FeedforwardParameters
 from hysteresis_ros.control.gain_design import Designed, design_gains
 from hysteresis_ros.control.inversion import sufficient_preview
 from hysteresis_ros.control.linearisation import margins
-from hysteresis_ros.control.margins import Margins
+from hysteresis_ros.control.margins import REQUIRED, Margins
 from hysteresis_ros.control.registry import DESIGNS, design_of
 from hysteresis_ros.errors import ConfigurationError
 from hysteresis_ros.loop.axis import Axis
@@ -24,8 +24,6 @@ from hysteresis_ros.simulation.tuning import Tuned, tune
 
 #: Poles below this, delays, are not printed; several of them at 0 are computed no closer.
 AT_ZERO = 1e-3
-#: Sensitivity peak above which a design is doubted.
-DOUBTED_SENSITIVITY = 2.0
 
 
 @dataclass(frozen=True)
@@ -166,9 +164,11 @@ def design_file(configuration: Configuration, result: AxisDesign, namespace: str
     reached = (
         "none below half the sample rate" if np.isinf(result.margins.bandwidth) else _hertz(result.margins.bandwidth)
     )
+    misses = "" if result.margins.meets else f"; MISSES {'; '.join(result.margins.misses())}"
     header = (
         f"Controller designed by `hysteresis design {source} {' '.join(words)}`\n"
-        f"on the model in motion_controller: bandwidth {reached}, M_s {result.margins.sensitivity_peak:.3g}."
+        f"on the model in motion_controller: bandwidth {reached}, M_s {result.margins.sensitivity_peak:.3g}, "
+        f"delay margin {_delay(result.margins)}{misses}."
     )
     text = design_text(configuration, result.parameters, namespace, header)
     Axis(single_axis(parse_configuration(text, "the designed file"), namespace or None))
@@ -198,11 +198,14 @@ def design_lines(result: AxisDesign) -> list[str]:
         ("gain margin", _decibel(found.gain_margin)),
         ("gain reduction margin", _decibel(found.gain_reduction_margin)),
         ("phase margin", "infinite" if np.isinf(found.phase_margin) else f"{found.phase_margin:.1f} deg"),
-        ("delay margin", "infinite" if np.isinf(found.delay_margin) else f"{1e3 * found.delay_margin:.4g} ms"),
+        ("delay margin", _delay(found)),
         ("gain crossover", ", ".join(f"{value:.4g}" for value in found.gain_crossovers) + " Hz"),
         ("phase crossover", ", ".join(f"{value:.4g}" for value in found.phase_crossovers) + " Hz"),
         ("sensitivity peak M_s", f"{found.sensitivity_peak:.3f}"),
         ("complementary peak M_t", f"{found.complementary_peak:.3f}"),
+        ("noise in displacement", f"{found.noise_gain:.3g} of the sensor's"),
+        ("noise in command", f"{found.command_noise_gain:.3g} of the sensor's"),
+        ("requirements", f"met ({_required()})" if found.meets else f"NOT MET: {'; '.join(found.misses())}"),
         (
             "closed-loop poles",
             ", ".join(_pole(pole) for pole in found.poles if pole.imag >= 0.0 and abs(pole) > AT_ZERO),
@@ -211,6 +214,17 @@ def design_lines(result: AxisDesign) -> list[str]:
     width = max(len(name) for name, _ in rows)
     lines = [f"{name:<{width}}  {'none' if text == ' Hz' else text}" for name, text in rows]
     return lines + [f"note: {text}" for text in doubts(result)]
+
+
+def _required() -> str:
+    least = f"gain margin {REQUIRED.gain_margin:g} dB, delay margin {REQUIRED.delay_margin:g} sample"
+    return f"M_s ≤ {REQUIRED.sensitivity_peak:g}, {least}"
+
+
+def _delay(found: Margins) -> str:
+    if np.isinf(found.delay_margin):
+        return "infinite"
+    return f"{found.delay_margin_samples:.3g} samples, {1e3 * found.delay_margin:.4g} ms"
 
 
 def _decibel(value: float) -> str:
@@ -232,10 +246,10 @@ def doubts(result: AxisDesign) -> list[str]:
     found = list(parameters.warnings())
     if not parameters.model.dynamics.order:
         found.append("model.dynamics.A is empty: designed for an axis that answers within a sample; identify its model")
-    peak = result.margins.sensitivity_peak
-    if peak > DOUBTED_SENSITIVITY:
+    misses = result.margins.misses()
+    if misses:
         found.append(
-            f"sensitivity peak {peak:.2f} above {DOUBTED_SENSITIVITY:g}: little room for a wrong model; "
+            f"marked, a comparison does not rank it: {'; '.join(misses)}; little room for a wrong model or delay, "
             "ask for another bandwidth or q"
         )
     found += parameters.law.doubts(parameters, result.sample_time, result.tuned is not None)

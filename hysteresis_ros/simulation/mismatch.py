@@ -61,7 +61,7 @@ def mismatched(configuration: Configuration, mismatch: float, seed: int) -> Conf
 
 
 def slowed(dynamics: LinearParameters, slowness: float) -> dict:
-    """Return the matrices A and B of the dynamics with all times longer by a factor: poles z^(1/slowness).
+    """Return what changes of the dynamics with all times longer by a factor: poles z^(1/slowness), and the delay.
 
     The DC gain stays. Dynamics with a pole on the negative real axis or at zero belong to no continuous model; there
     only the other poles move.
@@ -76,11 +76,12 @@ def slowed(dynamics: LinearParameters, slowness: float) -> dict:
     Returns
     -------
     dict
-        ``A`` and ``B`` as lists; empty without dynamics.
+        ``A`` and ``B`` as lists where there are matrices, ``delay`` where there is one.
     """
-    if not dynamics.order:
-        return {}
-    model = dynamics.state_space
+    delayed = {"delay": dynamics.delay * slowness} if dynamics.delay else {}
+    model = dynamics.matrices
+    if not model.order:
+        return delayed
     A, B = model.A, model.B[:, 0]
     poles, vectors = np.linalg.eig(A.astype(complex))
     continuous = (poles.imag != 0.0) | (poles.real > 0.0)
@@ -90,4 +91,4 @@ def slowed(dynamics: LinearParameters, slowness: float) -> dict:
     changed = rounded(exact)
     identity = np.eye(len(A))
     rest = solve(identity - A, B)  # the state at rest per unit of input, which is to stay
-    return {"A": changed.ravel().tolist(), "B": product(identity - changed, rest).tolist()}
+    return {"A": changed.ravel().tolist(), "B": product(identity - changed, rest).tolist(), **delayed}

@@ -3,8 +3,8 @@
 What is tuned on is never the plant, at which a design may not look: the plant of the simulation is made of what the
 controller side believes, the compensator's hysteresis, creep and limits and the dynamics and preload of the
 controller's model, without noise. With a perfect inverse of that hysteresis little but linear dynamics and limits
-remains, and a criterion alone would drive the gains to the edge of stability: gains whose sensitivity peak is above
-``largest_sensitivity`` count as infinitely bad.
+remains, and a criterion alone would drive the gains to the edge of stability: gains that miss the margins
+which every design is held to count as infinitely bad.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hysteresis_ros.control.controller import ControllerParameters, controller_block
-from hysteresis_ros.control.margins import sensitivity_peak
+from hysteresis_ros.control.margins import Requirements, judge
 from hysteresis_ros.control.registry import LAWS
 from hysteresis_ros.errors import ConfigurationError, ParameterError
 from hysteresis_ros.identification.restarted_nelder_mead import SimplexSettings, restarted_nelder_mead
@@ -106,7 +106,7 @@ def tune(
     start: Parameters | None = None,
     duration: float | None = None,
     iterations: int = ITERATIONS,
-    largest_sensitivity: float | None = None,
+    required: Requirements | None = None,
 ) -> Tuned:
     """Tune the controller of an axis on its own waveform.
 
@@ -124,8 +124,8 @@ def tune(
         Length of the run [s]; by default the configuration's own.
     iterations : int
         Most iterations.
-    largest_sensitivity : float, optional
-        Gains with a higher sensitivity peak on the model are refused; by default what the law declares.
+    required : Requirements, optional
+        Gains that miss it on the model are refused; by default what the law declares.
 
     Raises
     ------
@@ -141,8 +141,7 @@ def tune(
     if duration is not None:
         parameters = parameters.with_duration(duration)
     tuning = LAWS[kind].tuning
-    if largest_sensitivity is None:
-        largest_sensitivity = tuning.largest_sensitivity
+    required = required or tuning.required
     first = start or getattr(tuning.start(control, sample_time), kind)
 
     def with_gains(all_parameters, gains):
@@ -164,7 +163,7 @@ def tune(
 
     def cost(values) -> float:
         candidate = with_gains(control, gains(values))
-        if sensitivity_peak(*tuning.loop(candidate, sample_time)) > largest_sensitivity:
+        if not judge(*tuning.loop(candidate, sample_time), sample_time).meets(required):
             return np.inf
         try:
             axis.controller.install(controller_block(candidate, sample_time))
@@ -180,7 +179,8 @@ def tune(
     if not np.isfinite(before):
         controller_block(with_gains(control, first), sample_time)  # names what is wrong with them
         raise ConfigurationError(
-            f"the initial gains have a sensitivity peak above {largest_sensitivity:g}; start from lower ones"
+            f"the initial gains have a sensitivity peak above {required.sensitivity_peak:g} or a delay margin below "
+            f"{required.delay_margin:g} sample; start from lower ones"
         )
     result = restarted_nelder_mead(cost, begin, settings=SimplexSettings(iterations=iterations, tolerance=TOLERANCE))
     history = _history(result.runs[result.best], initial, tuned)

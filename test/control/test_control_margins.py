@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 import scipy.signal
 
-from hysteresis_ros.control.controller import ControllerParameters, controller_block
+from hysteresis_ros.control.controller import ControllerParameters, ModelParameters, controller_block
 from hysteresis_ros.control.laws.pid.law import PidParameters, pid_state_space
 from hysteresis_ros.control.linearisation import at_rest, linear_loop, linearise, margins
-from hysteresis_ros.control.margins import close
-from hysteresis_ros.models.linear import LinearDynamics
+from hysteresis_ros.control.margins import Requirements, close, judge, loop_transfer, margins_of, plant_state_space
+from hysteresis_ros.models.linear import LinearDynamics, LinearParameters, zero_order_hold
+from hysteresis_ros.models.state_space import StateSpace
 
 T = 1.0 / 3000.0
 #: One entry per type: what makes the published axis run under it.
@@ -62,6 +63,91 @@ def test_delay_margin_is_where_the_delayed_loop_loses_stability():
     delay = margins(static(Kp=0.5 * g, Ki=g / time), time).delay_margin / time
     pole = [max(abs(np.roots(np.r_[1.0, -1.0, np.zeros(k - 1), g]))) for k in (int(delay), int(delay) + 1)]
     assert pole[0] < 1.0 < pole[1]
+
+
+def test_a_modelled_delay_is_taken_from_the_delay_margin():
+    g, time = 0.3, 0.01
+    plain = static(Kp=0.5 * g, Ki=g / time)
+    prompt = margins(plain, time)
+    for samples in (1.0, 2.0):
+        dynamics = LinearParameters(sample_time=time, delay=samples * time)
+        late = margins(replace(plain, model=ModelParameters(dynamics=dynamics)), time)
+        assert late.delay_margin == pytest.approx(prompt.delay_margin - samples * time)
+        assert late.gain_crossovers == pytest.approx(prompt.gain_crossovers)
+        assert late.delay_margin_samples == pytest.approx(late.delay_margin / time)
+
+
+def test_phase_margin_is_the_nearer_side_of_minus_one():
+    """Positive position feedback of a resonance: it crosses gain one below the resonance with the phase ahead."""
+    A, B = zero_order_hold([[0.0, 1.0], [-1.0, -0.1]], [[0.0], [1.0]], 0.05)
+    plant = StateSpace(A, B, np.array([[1.0, 0.0]]), np.zeros((1, 1)))
+    feedback = StateSpace(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((1, 0)), np.array([[0.0, 0.5]]))
+    found = margins_of(feedback, plant, 0.05)
+    crossing = loop_transfer(feedback, plant, np.exp(2j * np.pi * 0.05 * found.gain_crossovers))
+    assert found.stable and np.abs(crossing) == pytest.approx(1.0)
+    ahead = np.degrees(np.angle(crossing))
+    assert 150.0 < ahead[0] < 180.0, "the phase is ahead by more than it is behind anywhere"
+    assert found.phase_margin == pytest.approx(180.0 - ahead[0])
+    # a loop turned by that much passes -1, and a delay turns the other way: all the way round
+    assert np.min(np.abs(1.0 + crossing * np.exp(1j * np.radians(found.phase_margin)))) < 1e-6
+    assert found.delay_margin > np.pi / (2.0 * np.pi * found.gain_crossovers[-1])
+
+
+def test_noise_gains_are_those_of_a_noisy_run():
+    g, time = 0.5, 0.01
+    chosen = static(Kp=0.5 * g, Ki=g / time)
+    found = margins(chosen, time)
+    # T = g/(z - 1 + g): the pole p = 1 - g makes g²/(1 - p²) of the variance
+    assert found.noise_gain == pytest.approx(g / np.sqrt(1.0 - (1.0 - g) ** 2), rel=1e-4)
+    noise = np.random.default_rng(3).standard_normal(20000)
+    controller, plant = controller_block(at_rest(chosen), time), LinearDynamics(chosen.model.dynamics, time)
+    commands, places = [], []
+    for value in noise:
+        places.append(plant.output())
+        commands.append(controller.step(0.0, places[-1] + value))
+        plant.step(commands[-1])
+    assert np.std(places) == pytest.approx(found.noise_gain, rel=0.02)
+    assert np.std(commands) == pytest.approx(found.command_noise_gain, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    ("gain", "samples", "missed"),
+    [
+        (0.9, 0.0, ()),
+        (1.2, 0.0, ("M_s 2.5 above 2", "gain margin 4.44 dB below 6 dB", "delay margin 0.721 samples (7.21 ms)")),
+        (0.48, 1.0, ("M_s 2.11 above 2",)),
+        (0.4, 1.0, ()),
+        (2.1, 0.0, ("unstable on its own model",)),
+    ],
+)
+def test_what_a_loop_misses_is_said(gain, samples, missed):
+    time = 0.01
+    dynamics = LinearParameters(sample_time=time, delay=samples * time)
+    chosen = static(Kp=0.5 * gain, Ki=gain / time)
+    loop = pid_state_space(chosen.pid, time), plant_state_space(dynamics)
+    found = margins_of(*loop, time)
+    said = found.misses()
+    assert len(said) == len(missed) and found.meets == (not missed), said
+    assert all(text.startswith(start) for text, start in zip(said, missed, strict=True)), said
+    assert judge(*loop, time).meets() == found.meets
+    assert found.misses(Requirements(1e9, -1e9, 0.0)) == (said if gain > 2.0 else ())
+
+
+def test_the_published_axis_bears_less_than_a_sample_of_delay(parameters):
+    found = margins(parameters({"sliding_mode.beta": 0.0, "sliding_mode.eta": 0.0}), T)
+    assert found.sensitivity_peak < 2.0 and found.gain_margin > 6.0
+    (said,) = found.misses()
+    assert said.startswith("delay margin 0.5") and said.endswith("ms) below 1 sample")
+
+
+@pytest.mark.parametrize("kind", TYPES)
+def test_a_search_judges_like_the_margins(parameters, kind):
+    chosen = parameters({"type": kind} | TYPES[kind])
+    quick, found = judge(*linear_loop(chosen, T), T), margins(chosen, T)
+    assert quick.sensitivity_peak == pytest.approx(found.sensitivity_peak, rel=1e-2)
+    assert quick.delay_margin == pytest.approx(found.delay_margin_samples, rel=1e-2)
+    assert quick.bandwidth == pytest.approx(found.bandwidth, rel=1e-3)
+    assert quick.noise_gain == pytest.approx(found.noise_gain, rel=2e-2)
 
 
 @pytest.mark.parametrize("kind", TYPES)

@@ -19,8 +19,22 @@ PER_SAMPLE = (
 )
 
 
+#: Amplifier, converter and transport of a real axis take a third of a sample, and the controller knows of it.
+LATE = {
+    "plant_simulator": {"dynamics__delay": 1.1e-4},
+    "motion_controller": {
+        "model__dynamics__delay": 1e-4,
+        "sliding_mode__hyperplane": "lq",
+        "sliding_mode__S": [],
+        "kalman__gain": "riccati",
+        "kalman__L": [],
+    },
+}
+
+
 def real_axis(**more):
-    overrides = {**REAL, "reference_generator": REAL["reference_generator"] | SINE}
+    overrides = {node: values | LATE.get(node, {}) for node, values in REAL.items()}
+    overrides["reference_generator"] = REAL["reference_generator"] | SINE
     return axis_parameters(overrides=overrides, time_mode="lockstep", exit_at_end=True, **more)
 
 

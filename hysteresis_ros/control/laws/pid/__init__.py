@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from hysteresis_ros.control.law import UNFED, ControllerLaw, DesignTask, Tuning
-from hysteresis_ros.control.laws.pid.design import LARGEST_SENSITIVITY, design_pid, slowest_poles
+from hysteresis_ros.control.laws.pid.design import design_pid, slowest_poles
 from hysteresis_ros.control.laws.pid.law import Pid, PidParameters, pid_state_space, require_stable_pid
 from hysteresis_ros.control.margins import plant_state_space
 
@@ -107,7 +107,7 @@ CONTROLLER = ControllerLaw(
     designs={"pid": designed},
     rows=rows,
     doubts=doubts,
-    tuning=Tuning(("Kp", "Ki", "Kd"), started, loop, LARGEST_SENSITIVITY),
+    tuning=Tuning(("Kp", "Ki", "Kd"), started, loop),
     # tuned on the fastest reference, where it has the hardest time, with this compensator in the loop
     compared={
         "PID": lambda given: {"type": "pid", **UNFED, **given.tuned("pid")},

@@ -23,14 +23,14 @@ import numpy as np
 from hysteresis_ros import elementary
 from hysteresis_ros.control import design
 from hysteresis_ros.control.laws.pid.law import PidParameters, pid_state_space
-from hysteresis_ros.control.margins import bandwidth_and_sensitivity, plant_state_space
+from hysteresis_ros.control.margins import REQUIRED, Requirements, judge, plant_state_space
 from hysteresis_ros.linear_algebra import eigenvalues, polynomial, solve
 from hysteresis_ros.models.state_space import StateSpace
 
-#: Largest sensitivity peak of a design.
-LARGEST_SENSITIVITY = 2.0
-#: Sensitivity peak of a design for which no bandwidth is asked.
-USUAL_SENSITIVITY = 1.4
+#: What a design is held to for which no bandwidth is asked: a lower sensitivity peak.
+USUAL = replace(REQUIRED, sensitivity_peak=1.4)
+#: Poles below this are those of a delay; several of them at 0 are computed no closer.
+AT_ZERO = 1e-3
 #: Cut-off of the derivative filter as a part of the sampling angular frequency, when none is given.
 FILTER = 0.2
 #: Steps of the search for the gain.
@@ -73,7 +73,9 @@ def slowest_poles(model: StateSpace) -> list[complex]:
     if not model.order:
         return [0.0]
     poles = sorted(eigenvalues(model.A), key=_slowness, reverse=True)
-    if model.order == 1:
+    # poles at zero are delay, which no zero takes away
+    poles = [pole for pole in poles if _slowness(pole) > AT_ZERO**2] or [0.0]
+    if len(poles) == 1:
         return [complex(poles[0])]
     first = poles[0]
     if abs(first.imag) > 0.0:
@@ -103,7 +105,7 @@ def design_pid(given: PidParameters, dynamics, sample_time: float, bandwidth: fl
     Raises
     ------
     ParameterError
-        ``bandwidth``: more than the model allows with M_s ≤ 2.
+        ``bandwidth``: more than the model allows with the margins of every design.
     """
     zeros = slowest_poles(dynamics.state_space)
     cut_off = given.derivative_filter
@@ -117,21 +119,23 @@ def design_pid(given: PidParameters, dynamics, sample_time: float, bandwidth: fl
         return replace(given, Kp=Kp, Ki=Ki, Kd=Kd, derivative_filter=cut_off, **weights)
 
     def judged(g):
-        return bandwidth_and_sensitivity(pid_state_space(gains(g), sample_time), plant, sample_time)
+        return judge(pid_state_space(gains(g), sample_time), plant, sample_time)
 
-    wanted = LARGEST_SENSITIVITY if bandwidth is not None else USUAL_SENSITIVITY
+    wanted = REQUIRED if bandwidth is not None else USUAL
     most = _largest_gain(judged, wanted, sign=1.0 if _leading(plant) > 0.0 else -1.0, start=1.0 / abs(_leading(plant)))
     if bandwidth is None:
         return gains(most)
-    reachable = judged(most)[0]
+    reachable = judged(most).bandwidth
     if not bandwidth <= reachable:
-        design.refuse(
-            "bandwidth", bandwidth, f"a PID reaches at most {reachable:.4g} Hz on this model with M_s ≤ {wanted:g}"
+        allowed = (
+            f"a PID reaches at most {reachable:.4g} Hz on this model with M_s ≤ {wanted.sensitivity_peak:g} and "
+            f"a delay margin of {wanted.delay_margin:g} sample"
         )
+        design.refuse("bandwidth", bandwidth, allowed)
     low, high = 0.0, 1.0
     for _ in range(STEPS):
         middle = 0.5 * (low + high)
-        if judged(most * middle)[0] < bandwidth:
+        if judged(most * middle).bandwidth < bandwidth:
             low = middle
         else:
             high = middle
@@ -145,11 +149,11 @@ def _leading(plant: StateSpace) -> float:
     return plant.dc_gain
 
 
-def _largest_gain(judged, sensitivity: float, sign: float, start: float) -> float:
-    """Return the largest g whose loop is stable with a sensitivity peak up to the given one, all smaller ones too."""
+def _largest_gain(judged, required: Requirements, sign: float, start: float) -> float:
+    """Return the largest g whose loop meets the requirements, as with all smaller ones."""
 
     def good(g):
-        return judged(sign * g)[1] <= sensitivity
+        return judged(sign * g).meets(required)
 
     low = start
     while not good(low):
