@@ -59,6 +59,10 @@ class IdentificationError(HysteresisError):
     """A recording does not hold what an identification needs, or no usable model comes out of it."""
 
 
+class LoopError(HysteresisError):
+    """The thread that makes the samples has failed, or its device does not return: nothing can be changed."""
+
+
 def did_you_mean(name: object, known: Iterable[str]) -> str:
     """Return the end of a message, ``; did you mean …?`` with the nearest of the known names; empty when none is near.
 

@@ -29,6 +29,11 @@ def compile_c(source: pathlib.Path, target: pathlib.Path, *options: str) -> path
     return target
 
 
+def listed_library(folder: pathlib.Path) -> pathlib.Path:
+    """Build the driver without a device."""
+    return compile_c(ROOT / "test/hardware/listed_driver.c", folder / "liblisted.so", "-fPIC", "-shared")
+
+
 @functools.cache
 def built() -> pathlib.Path:
     """Return a folder with the example, built."""

@@ -19,7 +19,7 @@ import numpy as np
 
 from hysteresis_ros import signals
 from hysteresis_ros.block import COMPILED, specialised
-from hysteresis_ros.errors import ConfigurationError, ParameterError
+from hysteresis_ros.errors import ConfigurationError, LoopError, ParameterError
 from hysteresis_ros.loop import pacing as at
 from hysteresis_ros.loop.axis import Axis, Change
 from hysteresis_ros.loop.pacing import Pace, pace
@@ -33,8 +33,12 @@ from hysteresis_ros.parameters import Parameters
 #: Samples per second that are held without Numba: a sample takes up to 0.4 ms (a motor's), and any other thread of
 #: Python a turn of 5 ms, which is a period then.
 INTERPRETED_RATE = 200.0
-#: Time for which samples are kept for readers [s], and the least number of them.
-KEPT, LEAST_KEPT = 5.0, 4096
+#: Time for which samples are kept for readers [s], and the least and the largest number of them.
+KEPT, LEAST_KEPT, MOST_KEPT = 5.0, 4096, 2**18
+#: A sample that is worked at for longer is one in which a device does not return [s].
+BLOCKED = 0.5
+#: Whoever was suspended for so long goes on within this time [s].
+WAKING = 0.02
 #: Between starting and the first sample [ns].
 LEAD = 5_000_000
 #: How often is looked whether something was taken [s].
@@ -56,7 +60,7 @@ def pace_arrays(axis: Axis, factor: float = math.inf, samples: int = 0) -> Pace:
     """
     size = len(signals.row_signals(axis.motor))
     rate = axis.sample_rate * (factor if math.isfinite(factor) else 1.0)
-    kept = max(math.ceil(KEPT * rate), LEAST_KEPT)
+    kept = min(max(math.ceil(KEPT * rate), LEAST_KEPT), MOST_KEPT)
     state = np.zeros(at.STATES, dtype=np.int64)
     state[at.SAMPLE] = state[at.FIRST] = axis.sample
     state[at.UNTIL] = axis.sample + samples if samples else 0
@@ -173,11 +177,23 @@ class FusedLoop:
             self._thread.join(timeout)
         return not self.running
 
-    def leave(self) -> None:
-        """End after the present sample."""
+    def leave(self) -> bool:
+        """End after the present sample; tell whether it has ended: a device that does not return is left to itself."""
         self._ending = True
         self._state[at.LEAVE] = 1
-        self.join()
+        while not self.is_blocked:
+            if self.join(BLOCKED):
+                return True
+        return False
+
+    @property
+    def is_blocked(self) -> bool:
+        """Whether the device has not returned from the present sample for :data:`BLOCKED` seconds."""
+        begun = int(self._state[at.AT_WORK])
+        if not begun or time.monotonic_ns() - begun < 1e9 * BLOCKED or not self.running:
+            return False
+        time.sleep(WAKING)  # the process itself may have been suspended
+        return int(self._state[at.AT_WORK]) == begun
 
     def _run(self) -> None:
         """Make samples until the end; the thread's main function."""
@@ -239,8 +255,8 @@ class FusedLoop:
         ------
         ParameterError
             The new parameters are refused; nothing is changed then.
-        RuntimeError
-            The thread has failed.
+        LoopError
+            The thread has failed, or the device does not return.
         """
         with self._changing:
             code = CODES.get((change.node, change.action))
@@ -250,7 +266,7 @@ class FusedLoop:
             if sample is None:
                 sample = self._change(change)
         if self.failure:
-            raise RuntimeError(self.failure)
+            raise LoopError(self.failure)
         return sample
 
     def _post(self, values: dict, switch: int = 0, halts: int = 0) -> float:
@@ -277,6 +293,7 @@ class FusedLoop:
             if self.join(LOOK) and self._state[at.SWITCHED] != number:
                 self._state[at.SWITCHED] = number
                 return None
+            self._refuse_blocked()
         self._read_events()
         return next(sample for sample, order, change in reversed(self._log) if order and CODES[change[1:3]] == code)
 
@@ -317,9 +334,15 @@ class FusedLoop:
                 while state[at.PAUSED] != wanted and self.running:
                     if time.monotonic() > hasty:
                         time.sleep(LOOK)
+                        self._refuse_blocked()
                 yield
             finally:
                 state[at.RESUMED] = wanted
+
+    def _refuse_blocked(self) -> None:
+        """Raise a LoopError while nothing can be changed."""
+        if self.is_blocked:
+            raise LoopError(f"the device has not returned from sample {self.sample} for {BLOCKED:g} s: nothing changes")
 
     def _rehearse(self, change: Change | None) -> Parameters | None:
         """Apply a change to a double of the axis and run that: it is refused here, and nothing is compiled later.

@@ -55,9 +55,9 @@ SCHEDULED, EVENT_COUNT, LATEST, BUSY, BUSIEST, IN_ROW = range(9, 15)
 # of sample 0 [ns], period [fs]; 1: without waiting; number of the first sample in the ring; number of the pause that
 # somebody wants, and of the last one that is over.
 LEAVE, UNTIL, POSTED, ORIGIN, PERIOD, UNPACED, FIRST, PAUSE, RESUMED = range(15, 24)
-# Number of the last pause that has begun.
-PAUSED = 24
-STATES = 25
+# Number of the last pause that has begun; since when a sample is worked at [ns], 0: none is.
+PAUSED, AT_WORK = 24, 25
+STATES = 26
 
 # A post: each with the number of times it was given so far.
 POST_SETPOINT, POST_SETPOINTS, POST_REQUEST, POST_REQUESTS, POST_SPEED, POST_SPEEDS = range(6)
@@ -249,10 +249,12 @@ def pace(step, laws, parts, own, motor):
         else:
             state[IN_ROW] = 0
         note_lateness(state, own.histogram, now - deadline)
+        state[AT_WORK] = begun
         step(laws, parts, own.given, column, own.row, WHOLE)
         keep(laws, parts, own, begun)
         now = clock(timespec)
         spent = now - begun
+        state[AT_WORK] = 0
         state[BUSY] += spent
         state[BUSIEST] = max(state[BUSIEST], spent)
         # after a call of a function that the compiler does not know, and so not before the row is there

@@ -76,7 +76,7 @@ class AxisNode(LifecycleNode):
         self._warned: dict[str, int] = {}
         self._reported: dict[str, int] = {}
         for service in self.triggers:
-            self.create_service(Trigger, f"~/{service}", getattr(self, f"_on_{service}"))
+            self.create_service(Trigger, f"~/{service}", self._answered(getattr(self, f"_on_{service}")))
 
     # -- what subclasses provide -------------------------------------------------------------------------------
 
@@ -354,6 +354,19 @@ class AxisNode(LifecycleNode):
                 handle.wait_for_all_acked(Duration(seconds=max(deadline - time.monotonic(), 0.0)))
 
     # -- services and parameters -------------------------------------------------------------------------------
+
+    @staticmethod
+    def _answered(serve):
+        """Return a service that says why nothing could be done."""
+
+        def answer(request, response):
+            try:
+                return serve(request, response)
+            except HysteresisError as error:
+                response.success, response.message = False, str(error)
+                return response
+
+        return answer
 
     def _on_start(self, request, response):
         return self._set_running(response, True)

@@ -14,7 +14,7 @@ from hysteresis_ros import signals
 from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.loop.axis import Axis, Change
 from hysteresis_ros.loop.axis_parameters import AxisParameters, node_names
-from hysteresis_ros.loop.fused import FusedLoop
+from hysteresis_ros.loop.fused import BLOCKED, FusedLoop
 from hysteresis_ros.loop.node_parameters import RecorderNodeParameters
 from hysteresis_ros.loop.trial import require_speed
 from hysteresis_ros.nodes.realtime import RealTime
@@ -137,7 +137,7 @@ class FusedAxis:
 
     def deactivated(self, node) -> None:
         """Bring the outputs of a node that stops working to their safe values; of the plant all of them."""
-        if self.loop is None:
+        if self.loop is None or self.loop.is_blocked:
             return
         if node.kind in STOPPABLE:
             self.apply(node.kind, "stop")
@@ -184,11 +184,16 @@ class FusedAxis:
         self.plant.get_logger().warning(f"real time: {text}")
 
     def end(self) -> None:
-        """End the loop, if there is one; what it has made is still shown and recorded."""
+        """End the loop, if there is one; what it has made is still shown and recorded.
+
+        A device that does not return keeps its loop: nobody else may call it then, and it goes with the process.
+        """
         if self.loop is None:
             return
-        self.loop.leave()
+        ended = self.loop.leave()
         self.show()
+        if not ended:
+            return
         if "recorder" in self.nodes:
             self.nodes["recorder"].take_samples()
         self.plant.make_safe()
@@ -202,7 +207,7 @@ class FusedAxis:
         loop.halt()
         safe = self.plant.parameters.safe_voltage
         patience = time.monotonic() + RETURN
-        while loop.running and time.monotonic() < patience:
+        while loop.running and not loop.is_blocked and time.monotonic() < patience:
             sample, row = loop.latest()
             if sample >= 0 and row[signals.TRIPPED] and abs(row[signals.PLANT_VOLTAGE] - safe) < 1e-2:
                 return
@@ -272,13 +277,23 @@ class FusedAxis:
         if samples.table.shape[1]:
             self._show(samples)
         self._tell_changes()
-        if loop.failure:
+        if loop.failure or loop.is_blocked:
             self._over = True
-            self.plant.fail(loop.failure)
+            self.plant.fail(loop.failure or self._explain_blocked())
         elif ended and loop.sample >= self.plant.parameters.samples > 0:
             self._over = True
             self.plant.make_safe()
             self.plant.finish()
+
+    def _explain_blocked(self) -> str:
+        assert self.loop is not None
+        driver = self.plant.parameters.driver
+        watchdog = self.plant.part.capabilities.watchdog if driver else None
+        acts = f"acts after {watchdog:g} s without a voltage" if watchdog else "does not exist"
+        return (
+            f"driver {driver} has not returned from sample {self.loop.sample} for {BLOCKED:g} s: no voltage is "
+            f"put out, and only the device's own watchdog, which {acts}, makes it safe; end what holds the driver up"
+        )
 
     def _show(self, samples) -> None:
         number = samples.first + samples.table.shape[1] - 1

@@ -133,7 +133,7 @@ class PlantSimulatorNode(AxisNode):
         """Let go of the device."""
         if self.is_fused:
             self.fused.end()
-        if self.part is not None:
+        if self.part is not None and not self.is_fused:  # still fused: the device has not returned from a call
             self.part.close()
 
     def _clear(self) -> None:

@@ -1,15 +1,18 @@
 /* A driver in C without a device, for tests: 0.1 µm/V one call later; it notes what reaches it and fails when told to. */
+#define _POSIX_C_SOURCE 199309L /* nanosleep */
 #include "hysteresis_driver.h"
 
 #include <math.h>
 #include <stdlib.h>
 #include <string.h>
+#include <time.h>
 
 #define NOTED 100000
 
 static double voltages[NOTED], place;
 static int64_t reads, writes, safes, closes;
 static int64_t fail_read, fail_write, fail_safe, nonsense, nothing, keeps_time, joints;
+static _Atomic int64_t block;
 static char unit[8];
 
 int64_t noted_reads(void) { return reads; }
@@ -17,8 +20,8 @@ int64_t noted_writes(void) { return writes; }
 int64_t noted_safes(void) { return safes; }
 int64_t noted_closes(void) { return closes; }
 double noted_voltage(int64_t index) { return voltages[index]; }
-/* Fail at this call and all later ones; 0: never. */
-void mend(void) { fail_read = fail_write = fail_safe = nonsense = nothing = 0; }
+/* Fail, or do not return, at this call and all later ones; 0: never. */
+void mend(void) { fail_read = fail_write = fail_safe = nonsense = nothing = block = 0; }
 
 int32_t hysteresis_open(const char *const *options, double sample_rate, struct hysteresis_capabilities *can,
                         void **device)
@@ -36,6 +39,8 @@ int32_t hysteresis_open(const char *const *options, double sample_rate, struct h
             i++;
         if (i < 7)
             *values[i] = atoll(value + 1);
+        else if (value && !strncmp(*options, "block", 5))
+            block = atoll(value + 1);
         else if (value && !strncmp(*options, "unit", 4))
             strncpy(unit, value + 1, sizeof unit - 1);
         else
@@ -51,6 +56,8 @@ int32_t hysteresis_open(const char *const *options, double sample_rate, struct h
 int32_t hysteresis_read(void *device, double *positions)
 {
     reads++;
+    while (block && reads >= block)
+        nanosleep(&(struct timespec){0, 1000000}, NULL);
     positions[0] = *(double *)device;
     if (nonsense && reads >= nonsense)
         positions[0] = nonsense % 2 ? NAN : -INFINITY;

@@ -12,12 +12,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from stage_support import compile_c, needs_compiler
+from stage_support import compile_c, listed_library, needs_compiler
+from waiting import until
 
 from hysteresis_ros import signals as at
 from hysteresis_ros.block import interpreted
 from hysteresis_ros.configuration import load_configuration, parse_configuration
-from hysteresis_ros.errors import ParameterError
+from hysteresis_ros.errors import LoopError, ParameterError
 from hysteresis_ros.hardware.driver import DriverError
 from hysteresis_ros.hardware.library import FUNCTIONS
 from hysteresis_ros.loop.axis import Axis, Change, sample_times
@@ -61,8 +62,7 @@ STAGE = """
 @pytest.fixture(scope="module")
 def library(tmp_path_factory):
     """The driver without a device, and the functions by which it tells what reached it."""
-    source = pathlib.Path(__file__).with_name("listed_driver.c")
-    path = compile_c(source, tmp_path_factory.mktemp("driver") / "liblisted.so", "-fPIC", "-shared")
+    path = listed_library(tmp_path_factory.mktemp("driver"))
     found = ctypes.CDLL(str(path))
     for name in ("reads", "writes", "safes", "closes"):
         getattr(found, f"noted_{name}").restype = ctypes.c_int64
@@ -226,6 +226,34 @@ def test_a_run_in_which_it_fails_and_is_started_again_has_a_twin_too(library, op
     assert np.ptp(both[at.MEASURED, 2500:]) > 5e-6
     assert_equal_to_twin(given, rest, both)
     axis.plant.close()
+
+
+def test_one_that_does_not_return_is_told_to_whoever_asks_and_nothing_waits_for_it(library):
+    given = axis_parameters(library, "block=200")
+    loop = FusedLoop(Axis(given, fused_plant_of(given.plant_simulator)))
+    loop.start()
+    until(lambda: loop.is_blocked, what="the driver to block")
+    assert loop.sample == 199 and loop.running
+    for action in ("stop", "retune"):
+        parameters = {"measurement_timeout": 0.7} if action == "retune" else {}
+        with pytest.raises(LoopError, match="the device has not returned from sample 199 for 0.5 s"):
+            loop.apply(Change(0, "motion_controller", action, parameters))
+    assert not loop.leave() and loop.running
+    library.mend()
+    assert loop.join(60.0) and not loop.is_blocked and loop.leave()
+    assert loop.lateness().missed == 0  # it was told to leave after that sample
+
+
+def test_one_that_returns_after_all_stops_the_axis_by_what_it_missed(library):
+    given = axis_parameters(library, "block=200", late_limit=1000)
+    axis = Axis(given, fused_plant_of(given.plant_simulator))
+    loop = FusedLoop(axis)
+    loop.start()
+    until(lambda: loop.is_blocked, what="the driver to block")
+    assert loop.missed == 0
+    library.mend()
+    until(lambda: axis.plant.tripped and axis.plant.held() == 5.0, what="the trip and the safe voltage")
+    assert loop.leave() and loop.missed > 1000
 
 
 def test_no_copy_of_an_axis_reaches_the_device(library):

@@ -15,7 +15,7 @@ import pytest
 from fused_support import ANY_LATE, SLOWLY, change, made_loop
 from loop_support import HOLD, axis
 
-from hysteresis_ros.errors import ConfigurationError
+from hysteresis_ros.errors import ConfigurationError, LoopError
 from hysteresis_ros.loop import fused, scheduling
 from hysteresis_ros.loop.fused import INTERPRETED_RATE, FusedLoop
 
@@ -128,7 +128,7 @@ def test_a_thread_that_fails_says_why_and_refuses_changes(monkeypatch):
     loop.start()
     loop.join()
     assert "sample 0" in loop.failure and "nothing is left" in loop.failure
-    with pytest.raises(RuntimeError, match="nothing is left"):
+    with pytest.raises(LoopError, match="nothing is left"):
         loop.apply(change("motion_controller", "retune", handover_time=0.02))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import signal
 
 import pytest
@@ -9,7 +10,9 @@ import pytest
 pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
 
 from nodes_support import diagnostics, until  # noqa: E402
-from stage_support import built, needs_compiler, running_stage  # noqa: E402
+from stage_support import built, listed_library, needs_compiler, running_stage  # noqa: E402
+
+from hysteresis_ros.recordings.align import read_recording  # noqa: E402
 
 pytestmark = needs_compiler
 
@@ -92,3 +95,17 @@ def test_what_the_fused_loop_cannot_drive_is_refused(processes, tmp_path, driver
         (tmp_path / "axis.yaml").write_text(path_text)
     up = processes.command("up", path, "--fused")
     assert up.wait() == 2 and words in up.output and "Traceback" not in up.output, up.output
+
+
+def test_a_driver_that_does_not_return_ends_the_run_by_its_name(processes, tmp_path):
+    path = written(tmp_path, "", listed_library(tmp_path))
+    axis = (tmp_path / "axis.yaml").read_text().replace("'name='", "'block=300'")
+    (tmp_path / "axis.yaml").write_text(axis)
+    bag = tmp_path / "bag"
+    up = processes.command("up", path, "--fused", "--record", str(bag))
+    assert up.wait() == 1, up.output
+    said = r"has not returned from sample (\d+) for 0\.5 s: no voltage is put out, and only the device's own watchdog"
+    found = re.search(said, up.output)
+    assert found and "Traceback" not in up.output, up.output
+    # every sample before is in the recording; those that were skipped have not called the driver
+    assert int(found[1]) >= 299 and read_recording(str(bag)).time.size == int(found[1])
