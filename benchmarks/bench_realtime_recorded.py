@@ -1,0 +1,198 @@
+"""Whole fused axes in real time with recording, in turns with a C loop that sleeps alike; one core is kept busy.
+
+`hysteresis up FILE --fused --record BAG --verify` runs Kim's axis, the inchworm, and the stage of examples/c_stage, which
+is a process with a clock of its own, behind its driver in C.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import pathlib
+import shutil
+import statistics
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import bench_realtime
+import common
+import numpy as np
+
+from hysteresis_ros.block import COMPILED
+from hysteresis_ros.configuration import Configuration, load_configuration, parse_configuration
+from hysteresis_ros.recordings.align import read_recording
+from hysteresis_ros.simulation.axes import single_axis
+
+ROOT = pathlib.Path(__file__).resolve().parents[1]
+#: A stage at 5 kHz; its watchdog is longer than the bursts in which a busy machine misses deadlines.
+STAGE = """
+/**:
+  ros__parameters: {{sample_rate: 5000.0, time_mode: realtime}}
+/**/plant_simulator:
+  ros__parameters:
+    driver: {library}
+    driver_options: ['name={name}', 'standstill=2.0']
+    limits: {{minimum: 0.0, maximum: 100.0}}
+    hysteresis: {{type: proportional, proportional: {{gain: 1.0e-7}}}}
+/**/reference_generator:
+  ros__parameters:
+    minimum: 0.0
+    maximum: 10.0e-6
+    initial_setpoint: 4.0e-6
+    waveform: {{type: sine, amplitude: 3.0e-6, frequency: 5.0, cycles: 0}}
+/**/motion_controller:
+  ros__parameters: {{type: open_loop}}
+/**/hysteresis_compensator:
+  ros__parameters:
+    inverse: {{type: none}}
+    limits: {{minimum: 0.0, maximum: 100.0}}
+    hysteresis: {{type: proportional, proportional: {{gain: 1.0e-7}}}}
+"""
+#: What the other two do meanwhile: a triangle, and the setpoints of the file again and again.
+KIM = {"waveform__type": "triangle", "waveform__amplitude": 5e-6, "waveform__frequency": 5.0, "waveform__cycles": 0}
+#: Longest time for starting, compiling and verifying a run [s].
+PATIENCE = 600.0
+
+
+@dataclass(frozen=True)
+class Turn:
+    """Lateness [s] of a run and of the C loop beside it, p99, and samples that were skipped; what was lost."""
+
+    samples: int
+    p99: float
+    skipped: int
+    bursts: int
+    yardstick: np.ndarray
+    lost: int
+    verified: bool
+
+
+@contextlib.contextmanager
+def stage(folder: pathlib.Path) -> Iterator[Configuration]:
+    """Build the example, let the stage run, and yield the axis that drives it."""
+    example, headers = ROOT / "examples" / "c_stage", ROOT / "hysteresis_ros" / "hardware"
+    command = ["gcc", "-std=c11", "-O2", f"-I{headers}", f"-I{example}"]
+    program, library = folder / "stage_device", folder / "libstage.so"
+    subprocess.run([*command, str(example / "stage_device.c"), "-o", str(program), "-lm", "-lrt"], check=True)
+    shared = ["-fPIC", "-shared", str(example / "stage_driver.c"), "-o", str(library), "-lm", "-lrt"]
+    subprocess.run([*command, *shared], check=True)
+    name = f"/bench_{os.getpid()}"
+    options = [str(program), name, "--watchdog", "2", "--rate", "20000"]
+    with subprocess.Popen(options, stdout=subprocess.PIPE) as process:
+        try:
+            assert process.stdout is not None
+            process.stdout.readline()
+            yield parse_configuration(STAGE.format(library=library, name=name), "c_stage")
+        finally:
+            process.kill()
+            pathlib.Path(f"/dev/shm{name}").unlink(missing_ok=True)
+
+
+def configurations(folder: pathlib.Path, stack: contextlib.ExitStack) -> dict[str, Configuration]:
+    """Return the axes by their names."""
+    kim = load_configuration("kim2009").override("reference_generator", **KIM)
+    return {
+        "kim2009": kim,
+        "inchworm_travel": load_configuration("inchworm_travel"),
+        "c_stage": stack.enter_context(stage(folder)),
+    }
+
+
+def prepared(configuration: Configuration, folder: pathlib.Path, options) -> pathlib.Path:
+    """Write the file of a run."""
+    realtime = {"realtime.priority": options.priority, "realtime.cpu": options.cpu, "late_limit": -1}
+    axis = single_axis(configuration.override("plant_simulator", **realtime))
+    path = folder / "axis.yaml"
+    path.write_text(axis.configuration_text(), encoding="utf-8")
+    return path
+
+
+def run(path: pathlib.Path, bag: pathlib.Path, options) -> bool:
+    """Run an axis, recorded; tell whether its twin is the same and nothing is missing."""
+    command = [sys.executable, "-m", "hysteresis_ros.cli.entry", "up", str(path), "--fused", "--record", str(bag)]
+    command += ["--duration", repr(options.seconds), "--verify"]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=options.seconds + PATIENCE)
+    verified = done.returncode == 0 and "bit for bit, none missing" in done.stdout
+    if not verified:
+        print(done.stdout, done.stderr, sep="\n", file=sys.stderr)
+    return verified
+
+
+def one_turn(program, configuration: Configuration, folder: pathlib.Path, index: int, options) -> Turn:
+    """Let both run one after the other; which one begins changes from turn to turn."""
+    rate = single_axis(configuration).plant_simulator.sample_rate
+    samples = round(options.seconds * rate)
+    first = bench_realtime.yardstick(program, rate, samples, options) if index % 2 == 0 else None
+    bag = folder / f"bag{index}"
+    verified = run(prepared(configuration, folder, options), bag, options)
+    late = first if first is not None else bench_realtime.yardstick(program, rate, samples, options)
+    recorded = read_recording(bag, further=True)
+    timing = recorded.metadata["timing"]
+    skipped = recorded["skipped"] if recorded.has("skipped") else np.zeros(len(recorded))
+    lost = samples - len(recorded) + recorded.metadata["missing_samples"]
+    shutil.rmtree(bag)
+    return Turn(
+        samples, timing["lateness_p99_s"], int(np.sum(skipped)), bursts(skipped > 0.0), late * 1e-9, lost, verified
+    )
+
+
+def bursts(skipped: np.ndarray) -> int:
+    """Return in how many pieces samples were skipped."""
+    return int(np.count_nonzero(np.diff(np.concatenate([[0], skipped.astype(int)])) > 0))
+
+
+def judged(program, name: str, configuration: Configuration, folder: pathlib.Path, options) -> list[common.Result]:
+    """Return the figures of one axis."""
+    rate = single_axis(configuration).plant_simulator.sample_rate
+    turns = [one_turn(program, configuration, folder, index, options) for index in range(options.turns)]
+    for turn in turns:
+        missed = turn.yardstick >= 1.0 / rate
+        print(
+            f"{name}: p99 {1e6 * turn.p99:.1f} µs, missed {turn.skipped} in {turn.bursts} pieces of {turn.samples}; "
+            f"C {1e6 * np.quantile(turn.yardstick, 0.99):.1f} µs, {np.count_nonzero(missed)} in {bursts(missed)}",
+            flush=True,
+        )
+    ratio = statistics.median(turn.p99 / np.quantile(turn.yardstick, 0.99) for turn in turns)
+    ours = sum(turn.skipped for turn in turns)
+    theirs = sum(int(np.count_nonzero(turn.yardstick >= 1.0 / rate)) for turn in turns)
+    title = f"{name}, {rate:g} Hz, recorded"
+    at_most = "at most"
+    limit = bench_realtime.RATIO
+    detail = f"{ours}, C {theirs} of {sum(turn.samples for turn in turns)}"
+    return [
+        common.Result(f"{title}: p99 lateness, of C", float(ratio), at_most, limit),
+        common.Result(f"{title}: missed + 1, of C", (ours + 1) / (theirs + 1), at_most, limit, detail),
+        common.Result(f"{title}: samples lost", sum(turn.lost for turn in turns), at_most, 0),
+        common.Result(f"{title}: runs unlike the twin", sum(not turn.verified for turn in turns), at_most, 0),
+    ]
+
+
+def main() -> int:
+    """Run the benchmark; returns the exit code."""
+    parser = common.parser(__doc__)
+    parser.add_argument("--seconds", type=float, default=10.0, help="length of a turn of each (default 10)")
+    parser.add_argument("--turns", type=int, default=2, help="turns (default 2)")
+    parser.add_argument("--priority", type=int, default=80, help="of both, SCHED_FIFO; 0: normal (default 80)")
+    parser.add_argument("--cpu", type=int, default=-1, help="core of both, -1: any (default -1)")
+    options = parser.parse_args()
+    if not COMPILED:
+        raise common.BenchmarkError("Numba is missing or switched off: there is no compiled loop to measure")
+    results = []
+    busy = subprocess.Popen([sys.executable, "-c", "while True: pass"])
+    try:
+        with tempfile.TemporaryDirectory() as made, contextlib.ExitStack() as stack:
+            folder = pathlib.Path(made)
+            program = bench_realtime.built(folder)
+            for name, configuration in configurations(folder, stack).items():
+                results += judged(program, name, configuration, folder, options)
+    finally:
+        busy.kill()
+        busy.wait()
+    return common.report(results, options)
+
+
+if __name__ == "__main__":
+    common.run(main)
