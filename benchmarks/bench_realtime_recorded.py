@@ -1,7 +1,7 @@
 """Whole fused axes in real time with recording, in turns with a C loop that sleeps alike; one core is kept busy.
 
-`hysteresis up FILE --fused --record BAG --verify` runs Kim's axis, the inchworm, and the stage of examples/c_stage, which
-is a process with a clock of its own, behind its driver in C.
+`hysteresis up FILE --fused --record BAG --verify` runs Kim's axis, the inchworm, and the stage of examples/c_stage, a
+process with a clock of its own, behind its driver in C.
 """
 
 from __future__ import annotations

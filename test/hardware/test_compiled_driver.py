@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import ctypes
 import math
-import pathlib
 import subprocess
 import sys
 from dataclasses import replace

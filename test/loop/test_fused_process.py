@@ -12,8 +12,9 @@ import time
 
 import numpy as np
 import pytest
-from fused_support import ANY_LATE, SLOWLY, change, made_loop
+from fused_support import ANY_LATE, SLOWLY, assert_twin, change, made_loop, named
 from loop_support import HOLD, axis
+from waiting import until
 
 from hysteresis_ros.errors import ConfigurationError, LoopError
 from hysteresis_ros.loop import fused, scheduling
@@ -154,3 +155,20 @@ def test_what_is_set_aside_for_a_change_is_back_afterwards():
         assert not gc.isenabled() and sys.getswitchinterval() < before
         raise KeyError
     assert gc.isenabled() and sys.getswitchinterval() == before
+
+
+def test_a_clock_that_is_set_moves_neither_samples_nor_their_times(monkeypatch):
+    loop, given = made_loop(factor=SLOWLY, **ANY_LATE)
+    loop.start()
+    until(lambda: loop.sample > 10, what="samples")
+    before, origin, jump = loop.take(), loop.origin, 3600 * 10**9
+    present = time.time_ns
+    monkeypatch.setattr(time, "time_ns", lambda: present() - jump)
+    reached = loop.sample
+    until(lambda: loop.sample > reached + 10, what="samples after the jump")
+    loop.leave()
+    assert loop.origin == origin
+    after = loop.take()
+    steps = np.diff(np.concatenate([before.times, after.times]))
+    assert np.all(steps > 0) and np.all(steps < jump // 2)
+    assert_twin(loop, named(loop, np.concatenate([before.table, after.table], axis=1)), given)

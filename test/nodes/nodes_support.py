@@ -153,7 +153,7 @@ class Observer:
         self.executor = SingleThreadedExecutor(context=self.context)
         self.executor.add_node(self.node)
         self._leaving = threading.Event()
-        self.mine = []
+        self.kept_clients: dict = {}
         self._thread = threading.Thread(target=self._spin, daemon=True)
         self._thread.start()
 
@@ -178,14 +178,20 @@ class Observer:
         return publisher
 
     def call(self, service_type, name: str, request):
-        client = self.node.create_client(service_type, name)
+        client = self.kept_clients.get(name) or self.node.create_client(service_type, name)
         try:
             until(client.service_is_ready, what=f"service {name}")
             future = client.call_async(request)
-            until(future.done, what=f"answer of {name}")
+            until(future.done, what=f"answer of {name}", every=0.001)
             return future.result()
         finally:
-            self.node.destroy_client(client)
+            if name not in self.kept_clients:
+                self.node.destroy_client(client)
+
+    def keep_client(self, service_type, name: str) -> None:
+        """Find a service once for all calls: that takes longer than a call."""
+        client = self.kept_clients[name] = self.node.create_client(service_type, name)
+        until(client.service_is_ready, what=f"service {name}")
 
     def trigger(self, name: str):
         from std_srvs.srv import Trigger

@@ -12,13 +12,11 @@ import pytest
 pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
 
 from nodes_support import axis_parameters, compose, until, write_axis  # noqa: E402
+from steered_support import COMPENSATOR, CONTROLLER, PLANT, Steered  # noqa: E402
 
 from hysteresis_ros.block import COMPILED  # noqa: E402
 
 pytestmark = pytest.mark.skipif(not COMPILED, reason="without Numba the fused loop is too slow for these axes")
-
-CONTROLLER, COMPENSATOR, PLANT = "motion_controller", "hysteresis_compensator", "plant_simulator"
-NEAR = 5e-8
 
 
 @pytest.mark.parametrize(("config", "factor", "duration"), [("kim2009", 1.0, 1.0), ("inchworm_travel", 1.0, 1.0)])
@@ -37,54 +35,6 @@ def test_a_rate_that_this_machine_does_not_hold_is_refused_with_the_figure_and_n
     assert run.wait() == 2, run.output
     assert "real_time_factor 1000: a sample takes" in run.output and "--force" in run.output
     assert "samples in" not in run.output
-
-
-class Steered:
-    """A fused axis that is recorded, and what a person sees and asks of it."""
-
-    def __init__(self, processes, observer, folder, **plant):
-        from sensor_msgs.msg import JointState
-        from std_msgs.msg import Bool, Float64
-
-        # what a busy machine makes late must not stop the axis here
-        axis = axis_parameters(overrides={PLANT: {"late_limit": -1, "preload__force": 0.0} | plant}, time_mode="fused")
-        self.bag, self._processes, self._observer = folder / "bag", processes, observer
-        path = write_axis(folder / "axis.yaml", axis)
-        self.run = processes.command("up", path, "--record", str(self.bag))
-        self.states = observer.listen(JointState, f"/{PLANT}/state")
-        self.joints = observer.listen(JointState, "/joint_states")
-        self.commands = observer.listen(Float64, "/command")
-        self._setpoints = observer.talk(Float64, "/setpoint")
-        self._emergencies = observer.talk(Bool, "/estop")
-        until(lambda: len(self.states) > 5 or self.run.popen.poll() is not None, what="an axis that runs")
-        until(lambda: self._setpoints.get_subscription_count() and self._emergencies.get_subscription_count())
-
-    def now(self, name: str) -> float:
-        return dict(zip(self.states[-1].name, self.states[-1].position, strict=True))[name]
-
-    def ask(self, setpoint: float) -> None:
-        from std_msgs.msg import Float64
-
-        self._setpoints.publish(Float64(data=setpoint))
-
-    def stop_at_once(self) -> None:
-        from std_msgs.msg import Bool
-
-        self._emergencies.publish(Bool(data=True))
-
-    def at(self, displacement: float) -> None:
-        until(lambda: abs(self.now("displacement") - displacement) < NEAR, what=f"the axis at {displacement:g} m")
-
-    def safe(self) -> None:
-        until(lambda: abs(self.now("voltage")) < 0.01, what="the safe voltage")
-
-    def verified(self) -> str:
-        """Leave, and return what the comparison with the offline twin says."""
-        code, _ = self.run.leave(signal.SIGINT)
-        assert code == 0, self.run.output
-        check = self._processes.command("verify", str(self.bag))
-        assert check.wait() == 0, check.output
-        return check.output
 
 
 @pytest.fixture

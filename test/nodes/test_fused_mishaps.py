@@ -1,0 +1,46 @@
+"""A fused axis when the disk is full, or people change everything at once."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
+
+from steered_support import Steered, assert_tame, at_random, tame  # noqa: E402
+
+from hysteresis_ros.block import COMPILED  # noqa: E402
+from hysteresis_ros.configuration import load_configuration  # noqa: E402
+from hysteresis_ros.recordings.files import load_run  # noqa: E402
+from hysteresis_ros.simulation.axes import axes  # noqa: E402
+from hysteresis_ros.simulation.run import differences  # noqa: E402
+
+pytestmark = pytest.mark.skipif(not COMPILED, reason="without Numba the fused loop is too slow for this axis")
+
+#: Largest file of a process whose disk is nearly full [KiB].
+ROOM = 4096
+
+
+def test_changes_at_random_leave_voltages_within_limits_and_are_repeated_bit_for_bit(processes, observer, tmp_path):
+    steered = tame(processes, observer, tmp_path)
+    at_random(steered, observer, 60, np.random.default_rng(1))
+    assert "equal the offline twin bit for bit, none missing" in steered.verified()
+    assert assert_tame(steered) > 600
+
+
+def test_a_full_disk_ends_the_run_safely_and_leaves_what_was_written(processes, observer, tmp_path):
+    # a limit on the size of files is what a full disk is to whoever writes
+    full = ("bash", "-c", f'ulimit -f {ROOM}; exec "$@"', "bash")
+    steered = Steered(processes, observer, tmp_path, *full)
+    steered.ask(5e-6)
+    assert steered.run.wait() == 1, steered.run.output
+    assert "cannot be written" in steered.run.output and "Traceback" not in steered.run.output
+    assert abs(steered.now("voltage")) < 0.01  # went to safe before it left
+    run = load_run(steered.bag, further=True)
+    assert differences(run, axes(load_configuration(tmp_path / "axis.yaml"))[0]) == {}
+    assert run.metadata["missing_samples"] == 0
+    # all but the last half second before the recorder said so
+    said = re.search(r"\[([\d.]+)\] \[recorder\]: .*cannot be written", steered.run.output)
+    assert float(said[1]) - 1e-9 * run.metadata["start_time_ns"] - run.time[-1] < 0.5
