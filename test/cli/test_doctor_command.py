@@ -20,6 +20,7 @@ def short(monkeypatch):
     monkeypatch.setattr(command, "SECONDS", 0.05)
     monkeypatch.setattr(command, "COMPOSED", 30)
     monkeypatch.setattr(command, "PROCESSES", 30)
+    monkeypatch.setattr(command, "ANSWERED", 30)
     monkeypatch.setattr(command, "BUDGET", 600.0)
     monkeypatch.setattr(command, "HOPELESS", 2.0)
 
@@ -39,6 +40,11 @@ def test_what_was_measured_is_said_and_written(tmp_path, short):
         assert late["p50"] <= late["p99"] <= late["p99.9"] <= late["max"]
         assert row["cost_s"] > 0.0 and f"{row['rate_hz']:g} Hz: late p50" in result.output
     assert all(found["messages"][name]["lockstep_hz"] > 0.0 for name in ("composed", "processes"))
+    for name in ("composed", "processes"):
+        real = found["messages"][name]["realtime"]
+        assert real["rate"] == 300.0 and 0 <= real["late"] <= real["samples"] <= 30
+        assert 0.0 < real["p50"] <= real["p99"] <= real["max"]
+        assert f"nodes, {name}, in real time at 300 Hz: answered after p50" in result.output
     assert found["middleware"].startswith("rmw_") and found["middleware"] in result.output
     assert found["kernel_cache"]["bytes"] > 0 and found["kernel_cache"]["folder"] in result.output
     assert found["libraries"]["numpy"] != "not installed"
