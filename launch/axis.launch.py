@@ -51,6 +51,12 @@ ARGUMENTS = (
         choices=["", "realtime", "lockstep", "fused"],
         description="empty: as the parameter file says, but fused where messages are too slow for its rate",
     ),
+    DeclareLaunchArgument(
+        "plant",
+        default_value="own",
+        choices=["own", "external"],
+        description="external: a node of yours publishes joint_states in plant_simulator's place",
+    ),
     DeclareLaunchArgument("samples", default_value="", description="length of the run; empty: as the file says"),
 )
 
@@ -75,14 +81,17 @@ def axis(context):
         raise ValueError(f"samples:={given['samples']}: must be a whole number of at least 1, or left out")
     config = configuration(given["config"])
     said = []
-    if not given["rate"] and given["composed"] == "false" and too_fast_for_messages(config):
+    external = given["plant"] == "external"
+    if external and given["rate"] not in ("", "realtime"):
+        raise ValueError(f"rate:={given['rate']} with plant:=external: a node of yours keeps the time, in real time only")
+    if not (given["rate"] or external) and given["composed"] == "false" and too_fast_for_messages(config):
         given["rate"] = "fused"
         text = "starts the axis fused: messages between nodes are too slow for its rate in real time (rate:= chooses)"
         said.append(LogInfo(msg=text))
-    fused = given["rate"] == "fused" or describes(config, "time_mode", "fused")
+    fused = not external and (given["rate"] == "fused" or describes(config, "time_mode", "fused"))
     composed = given["composed"] == "true" or fused
     source = "inchworm_sequencer" if describes_inchworm(config, given["namespace"]) else "reference_generator"
-    names = ["hysteresis_axis"] if composed else [*NODES, source]
+    names = ["hysteresis_axis"] if composed else [*NODES[external:], source]
     if given["record"] and not fused:
         names.append("recorder")
     folder = pathlib.Path(tempfile.mkdtemp(prefix="axis_launch_"))
@@ -103,6 +112,8 @@ def axis(context):
         )
         if name == "hysteresis_axis" and fused and given["record"]:
             options["arguments"] = ["--recorder"]
+        if name == "hysteresis_axis" and external:
+            options["arguments"] = ["--external-plant"]
         # hysteresis_axis holds four nodes, which keep their own names.
         actions.append(Node(**options) if name == "hysteresis_axis" else LifecycleNode(name=name, **options))
 
@@ -117,17 +128,21 @@ def override(given: dict, config: str) -> dict:
 
     A file, because ``-p node:name:=value`` reaches no node in a namespace and the composed process has four nodes.
     """
-    common, plant, recorder = {}, {}, {}
+    common, keeper, recorder = {}, {}, {}
     if given["rate"]:
         common["time_mode"] = given["rate"]
+    if given["plant"] == "external":
+        common |= {"external_plant": True, "time_mode": "realtime"}
     if given["samples"]:
         common["exit_at_end"] = True
-        plant["samples"] = int(given["samples"])
+        keeper["samples"] = int(given["samples"])
     if given["record"]:
         # In lockstep the plant keeps within reach of the recorder, so that not one message is lost.
-        plant["wait_for_recorder"] = True
+        keeper["wait_for_recorder"] = True
         recorder = {"path": given["record"], "configuration": config}
-    patterns = {"/**": common, "/**/plant_simulator": plant, "/**/recorder": recorder}
+    # whoever keeps the run: with a plant of somebody else the source of references
+    keeps = "reference_generator" if given["plant"] == "external" else "plant_simulator"
+    patterns = {"/**": common, f"/**/{keeps}": keeper, "/**/recorder": recorder}
     return {pattern: {"ros__parameters": values} for pattern, values in patterns.items() if values}
 
 
