@@ -223,6 +223,8 @@ def config_path(name: str) -> pathlib.Path:
 def load_configuration(path) -> Configuration:
     """Read a ROS 2 parameter file: a path, or the bare name of a file that comes with the package (``kim2009``).
 
+    A ``driver`` that is a relative path may lead from the folder of the file; nodes get it as a whole path.
+
     Raises
     ------
     ConfigurationError
@@ -237,7 +239,15 @@ def load_configuration(path) -> Configuration:
         raise ConfigurationError(f"{path}: no such file; give the path of a ROS 2 parameter file") from None
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigurationError(f"{path}: cannot be read: {error}") from None
-    return parse_configuration(text, str(path))
+    configuration = parse_configuration(text, str(path))
+    return replace(configuration, entries=tuple(_with_driver_beside(path, *entry) for entry in configuration.entries))
+
+
+def _with_driver_beside(path: pathlib.Path, pattern: str, values: dict) -> tuple[str, dict]:
+    """Return an entry whose driver, where it is a relative path that leads from the file to one, has a whole path."""
+    name = values.get("driver")
+    beside = path.absolute().parent / name if isinstance(name, str) and "/" in name else None
+    return pattern, {**values, "driver": str(beside)} if beside is not None and beside.is_file() else values
 
 
 class _Dumper(yaml.SafeDumper):

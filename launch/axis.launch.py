@@ -83,7 +83,9 @@ def axis(context):
     said = []
     external = given["plant"] == "external"
     if external and given["rate"] not in ("", "realtime"):
-        raise ValueError(f"rate:={given['rate']} with plant:=external: a node of yours keeps the time, in real time only")
+        raise ValueError(
+            f"rate:={given['rate']} with plant:=external: a node of yours keeps the time, in real time only"
+        )
     if not (given["rate"] or external) and given["composed"] == "false" and too_fast_for_messages(config):
         given["rate"] = "fused"
         text = "starts the axis fused: messages between nodes are too slow for its rate in real time (rate:= chooses)"

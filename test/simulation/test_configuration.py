@@ -150,3 +150,18 @@ def test_axes_are_found_by_the_namespaces_that_the_file_names():
     two_clocks = configuration.override("plant_simulator", publish_clock=True)
     with pytest.raises(ConfigurationError, match="/left and /right both set publish_clock"):
         axes(two_clocks)
+
+
+def test_a_driver_is_found_beside_the_file_that_names_it(tmp_path):
+    text = "/**/plant_simulator:\n  ros__parameters: {{driver: {driver}}}\n"
+    (tmp_path / "drivers").mkdir()
+    (tmp_path / "drivers" / "mine.py").write_text("")
+    file = tmp_path / "axis.yaml"
+    for driver, found in (
+        ("./drivers/mine.py", str(tmp_path / "drivers" / "mine.py")),
+        ("drivers/other.py", "drivers/other.py"),  # said to be missing as it was written
+        (str(tmp_path / "drivers" / "mine.py"), str(tmp_path / "drivers" / "mine.py")),
+        ("simulated", "simulated"),
+    ):
+        file.write_text(text.format(driver=driver))
+        assert load_configuration(file).node("plant_simulator")["driver"] == found
