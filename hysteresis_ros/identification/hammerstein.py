@@ -9,13 +9,13 @@ A lag, a delay and creep are accepted one after the other when they make the res
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from hysteresis_ros.errors import IdentificationError
+from hysteresis_ros.identification.condensed import Condensed
 from hysteresis_ros.identification.linear_part import LinearPart
 from hysteresis_ros.models.actuator import ActuatorParameters
 from hysteresis_ros.models.creep import Creep, CreepParameters
@@ -26,93 +26,13 @@ from hysteresis_ros.recordings.loops import turning_points
 
 #: Parts of the linear model are kept when they lower the RMS residual by this part.
 WORTH_IT = 0.01
-#: Data is made coarser until the voltage moves by this part of its range in one sample …
-LARGEST_STEP = 0.02
-#: … and no further than needed to come down to this many samples.
-ENOUGH_SAMPLES = 6000
-#: The fit starts where the input has come within this part of its range of both ends: the past is wiped out there.
-WIPED_OUT = 0.05
 #: Largest lag and delay, as parts of the mean time between two reversals; largest creep rate a decade.
 LONGEST_LAG = 0.15
 LARGEST_RATE = 0.05
 SETTLED_WORTH_IT = 0.05
 MOST_EVALUATIONS = 40
-
-
-@dataclass(frozen=True, eq=False)
-class Condensed:
-    """Data as a fit uses it: uniform, as coarse as the loops allow, centred on block averages.
-
-    Parameters
-    ----------
-    voltage, displacement : ndarray, shape (N,)
-        [V], [m].
-    sample_time : float
-        [s]
-    first : int
-        First sample whose residual counts.
-    factor : int
-        How many samples of the recording make one.
-    """
-
-    voltage: np.ndarray
-    displacement: np.ndarray
-    sample_time: float
-    first: int
-    factor: int
-
-    @property
-    def voltage_range(self) -> float:
-        """Peak-to-peak voltage [V]."""
-        return float(np.ptp(self.voltage))
-
-    @property
-    def stroke(self) -> float:
-        """Peak-to-peak displacement [m] of the samples that count."""
-        return float(np.ptp(self.displacement[self.first :]))
-
-
-def condense(voltage, displacement, sample_time: float, skip: int | None = None) -> Condensed:
-    """Average blocks of samples, so that a long or finely sampled recording is fitted in seconds.
-
-    Parameters
-    ----------
-    voltage, displacement : array_like, shape (N,)
-        [V] and [m], uniformly sampled, without gaps.
-    sample_time : float
-        [s]
-    skip : int, optional
-        Samples left out of the fit at the start (the models see their voltage all the same); by default those until
-        the voltage has been near both ends of its range, if that leaves half of the data.
-
-    Raises
-    ------
-    IdentificationError
-        Shapes differ, values are not finite or constant, or too few samples are left.
-    """
-    v, y = (np.ascontiguousarray(values, dtype=np.float64) for values in (voltage, displacement))
-    if v.ndim != 1 or v.shape != y.shape or v.size < 50:
-        raise IdentificationError(f"voltage {v.shape} and displacement {y.shape}: must have one shape (N,), N ≥ 50")
-    if not np.all(np.isfinite(v)) or not np.all(np.isfinite(y)):
-        raise IdentificationError("voltage or displacement has NaN or infinite values; cut them out or resample")
-    if np.ptp(v) == 0.0 or np.ptp(y) == 0.0:
-        raise IdentificationError("voltage or displacement is constant; record a moving input")
-    if len(turning_points(v)) < 3:
-        raise IdentificationError("the voltage never turns: a loop model needs a rising and a falling branch")
-    first = skip
-    if skip is None:
-        near = WIPED_OUT * np.ptp(v)
-        reached = [np.flatnonzero(v >= v.max() - near)[0], np.flatnonzero(v <= v.min() + near)[0]]
-        first = int(max(reached)) if max(reached) <= v.size // 2 else 0
-    if not 0 <= first < v.size - 50:
-        raise IdentificationError(f"skip = {skip}: must leave at least 50 of the {v.size} samples")
-    # the steepest steps of all may be jumps at the start, which no sampling resolves
-    step = float(np.quantile(np.abs(np.diff(v)), 0.98)) / float(np.ptp(v))
-    coarsest = max(1, int(LARGEST_STEP / step)) if step > 0.0 else 1
-    factor = max(1, min(coarsest, v.size // ENOUGH_SAMPLES))
-    blocks = v.size // factor
-    v, y = (values[: blocks * factor].reshape(blocks, factor).mean(axis=1) for values in (v, y))
-    return Condensed(v, y, factor * sample_time, math.ceil(first / factor), factor)
+#: Points of a stretch of voltage before the recording.
+FINE = 65
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,6 +64,14 @@ class HammersteinFit:
         sweeps), where an axis reads it one sample later.
     converged : bool
         False: the best point found is returned, the optimiser ran out of evaluations.
+    history : tuple of float
+        Voltages [V] that the hysteresis was found to have gone through before the recording, from rest at 0 V.
+    skipped : int
+        First samples of the recording left out of the fit.
+    numbers : dict of str to float
+        Further figures of the fit, names with units.
+    notes : tuple of str
+        What was done or held, in sentences.
     """
 
     hysteresis: HysteresisParameters
@@ -159,6 +87,10 @@ class HammersteinFit:
     warnings: tuple[str, ...] = ()
     converged: bool = True
     synchronous: bool = False
+    history: tuple[float, ...] = ()
+    skipped: int = 0
+    numbers: dict[str, float] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
 
     @property
     def actuator(self) -> ActuatorParameters:
@@ -188,6 +120,7 @@ class HammersteinFit:
             sample_time,
             self.linear_part.settled and settled,
             self.synchronous and sample_time == self.sample_time,
+            self.history if settled else (),
         )
 
 
@@ -199,6 +132,7 @@ def simulate_chain(
     sample_time: float,
     settled: bool = False,
     synchronous: bool = False,
+    history: tuple[float, ...] = (),
 ) -> np.ndarray:
     """Return what a plant measures under ``voltage``, by the very kernels of the nodes, without limits and sensor.
 
@@ -216,6 +150,8 @@ def simulate_chain(
         Creep and lag have settled under the first voltage instead, at 0 V only the hysteresis was at rest.
     synchronous : bool
         Sample k is measured at the end of the sample in which voltage k acts.
+    history : tuple of float
+        Voltages [V] that the hysteresis goes through first, from rest at 0 V.
 
     Returns
     -------
@@ -224,11 +160,25 @@ def simulate_chain(
     """
     voltage = np.ascontiguousarray(voltage, dtype=np.float64)
     front = hysteresis_block(hysteresis, sample_time)
+    pass_through(front, history)
     behind, last = Creep(creep, sample_time), LinearDynamics(dynamics, sample_time)
     last.settle(behind.settle(front.step(voltage[0] if settled else 0.0)))
     start = last.output()
     after = last.simulate(behind.simulate(front.simulate(voltage)))
     return after if synchronous else np.append(start, after[:-1])
+
+
+def pass_through(block, history) -> None:
+    """Let a hysteresis go through voltages [V], in steps: some models are integrated along the way.
+
+    Parameters
+    ----------
+    block : HysteresisBlock
+    history : sequence of float
+        [V], the first is reached from 0 V.
+    """
+    for low, high in zip((0.0, *history), history, strict=False):
+        block.simulate(np.linspace(low, high, FINE)[1:])
 
 
 def fit_linear_part(solve, data: Condensed, extra=(), linear=("lag", "delay", "creep"), progress=None):
@@ -257,28 +207,54 @@ def fit_linear_part(solve, data: Condensed, extra=(), linear=("lag", "delay", "c
     IdentificationError
         A part of ``linear`` is unknown.
     """
+    search = PartSearch(solve, data, tuple(extra), progress)
+    kept, base, found = search_linear_part(search, linear)
+    part, shape = split_values(base, found.values)
+    return part, shape, found.deviations or {}, tuple(search.at_ends(kept, found.values)), found.converged
+
+
+def search_linear_part(search: PartSearch, linear):
+    """Accept lag, creep and delay one after the other, each where it lowers the residual.
+
+    Parameters
+    ----------
+    search : PartSearch
+    linear : sequence of str
+        Which of lag, delay and creep may be there.
+
+    Returns
+    -------
+    list of str, LinearPart, Trial
+        The parts that were kept, what the linear part starts from, and the best values.
+
+    Raises
+    ------
+    IdentificationError
+        A part of ``linear`` is unknown.
+    """
     unknown = sorted(set(linear) - {"lag", "delay", "creep"})
     if unknown:
         raise IdentificationError(f"linear part {', '.join(unknown)}: must be of lag, delay, creep, or empty")
-    search = _PartSearch(solve, data, tuple(extra), progress)
-    base = LinearPart(longest_time=max(1.0, len(data.voltage) * data.sample_time))
+    data = search.data
+    # a remanent actuator has stood still; one at rest at 0 V gives zero, and its creep is told from that
+    base = LinearPart(longest_time=max(1.0, len(data.voltage) * data.sample_time), settled=bool(data.history))
     kept: list[str] = []
     found = search.run(kept, {}, base)
     for part in ("lag", "creep", "delay"):
         if part not in linear:
             continue
         # at rest at 0 V before, as nodes start, unless the data clearly wants rest under its first voltage
-        bases = [base, replace(base, settled=True)] if part == "creep" else [base]
+        free = part == "creep" and not data.history
+        bases = [base, replace(base, settled=True)] if free else [base]
         trials = [search.run([*kept, part], found.values, start) for start in bases]
         better = int(len(trials) == 2 and trials[1].spread < (1.0 - SETTLED_WORTH_IT) * trials[0].spread)
         if trials[better].spread < (1.0 - WORTH_IT) * found.spread:
             kept.append(part)
             base, found = bases[better], trials[better]
-    part, shape = _split(base, found.values)
-    return part, shape, found.deviations or {}, tuple(search.at_ends(kept, found.values)), found.converged
+    return kept, base, found
 
 
-class _Trial(NamedTuple):
+class Trial(NamedTuple):
     """What is best with some of the parts: values by name, residual [m], deviations, whether the search converged."""
 
     values: dict
@@ -292,7 +268,7 @@ class _Trial(NamedTuple):
         return np.std(self.residual)
 
 
-class _PartSearch:
+class PartSearch:
     """Search of the numbers of the linear part and of the shape, each within its range."""
 
     def __init__(self, solve, data: Condensed, extra: tuple, progress):
@@ -307,21 +283,21 @@ class _PartSearch:
         }
         self.calls = 0
 
-    def run(self, parts, start: dict, base: LinearPart) -> _Trial:
+    def run(self, parts, start: dict, base: LinearPart) -> Trial:
         """Return the best values of the shape and of these parts, from ``start`` where it names them."""
         from scipy.optimize import least_squares  # imported here because only fits need it
 
         table = {name: row for name, *row in [*self.extra, *(self.ranges[part] for part in parts)]}
         keys = list(table)
         if not keys:
-            return _Trial({}, self.solve(base, {}), None, True)
+            return Trial({}, self.solve(base, {}), None, True)
         scale = np.array([table[key][2] - table[key][1] for key in keys])
         low = np.array([table[key][1] for key in keys]) / scale
         guess = np.array([start.get(key, table[key][0]) for key in keys]) / scale
 
         def residual(z):
             self.calls += 1
-            result = self.solve(*_split(base, dict(zip(keys, z * scale, strict=True)))) / self.data.stroke
+            result = self.solve(*split_values(base, dict(zip(keys, z * scale, strict=True)))) / self.data.stroke
             if self.progress is not None:
                 self.progress(self.calls, float(np.sqrt(np.mean(result**2))) * self.data.stroke)
             return result
@@ -332,7 +308,7 @@ class _PartSearch:
         )
         values = dict(zip(keys, found.x * scale, strict=True))
         deviations = dict(zip(keys, _deviations(found.jac, found.fun) * scale, strict=True))
-        return _Trial(values, found.fun * self.data.stroke, deviations, found.status > 0)
+        return Trial(values, found.fun * self.data.stroke, deviations, found.status > 0)
 
     def at_ends(self, parts, values: dict):
         """Yield a warning for each number that lies at an end of its range."""
@@ -344,7 +320,14 @@ class _PartSearch:
                 )
 
 
-def _split(base: LinearPart, values: dict) -> tuple[LinearPart, dict]:
+def split_values(base: LinearPart, values: dict) -> tuple[LinearPart, dict]:
+    """Return the linear part with its own among the values, and the values of the shape.
+
+    Parameters
+    ----------
+    base : LinearPart
+    values : dict of str to float
+    """
     own = {name: float(values[name]) for name in ("lag", "delay", "creep_rate") if name in values}
     return replace(base, **own), {name: float(value) for name, value in values.items() if name not in own}
 

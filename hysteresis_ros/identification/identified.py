@@ -99,7 +99,7 @@ class Identification:
     linear : str
         What stands behind the hysteresis, in words.
     chain : PlantModel
-        The model; its hysteresis gives zero at rest at 0 V.
+        The model; its hysteresis gives zero at rest at 0 V, or what the past had left there when the recording began.
     fitted : int
         How many numbers were fitted.
     numbers : dict of str to float
@@ -109,6 +109,10 @@ class Identification:
     assumptions, warnings : tuple of str
     converged : bool
         False: the best point found.
+    skipped : int, optional
+        First samples left out of the fit; None: those before the memory is wiped out.
+    start : str
+        How the recording was taken to begin, in a sentence.
     trajectory : (tuple of str, ndarray of shape (K, n)), optional
         Names and values of the parameters after each iteration of the best run.
     """
@@ -122,6 +126,8 @@ class Identification:
     assumptions: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     converged: bool = True
+    skipped: int | None = None
+    start: str = ""
     trajectory: tuple[tuple[str, ...], np.ndarray] | None = None
 
 

@@ -20,7 +20,7 @@ from hysteresis_ros.compensation.reachable import reachable_commands
 from hysteresis_ros.configuration import Configuration, dump_configuration, load_configuration, parse_configuration
 from hysteresis_ros.errors import ConfigurationError, IdentificationError, ParameterError
 from hysteresis_ros.identification.data import IdentificationData
-from hysteresis_ros.identification.identified import Identification, PlantModel
+from hysteresis_ros.identification.identified import Identification, PlantModel, at_rest
 from hysteresis_ros.identification.linear_part import LinearPart
 from hysteresis_ros.identification.prediction import INITIAL
 from hysteresis_ros.models.actuator import ActuatorParameters
@@ -89,12 +89,14 @@ def sections(result: Identification) -> dict[str, dict]:
     inverse = block_mapping(chain.inverse, "inverse.")
     model = {f"model.{name}": value for name, value in {**dynamics, **offset}.items()}
     lowest, highest = _reach(chain, low, high)
+    # a remanent actuator is not at zero at 0 V: the reference starts where it stands
+    start = {"initial_setpoint": lowest} if lowest > 0.0 else {}
     return {
         "/**": {"sample_rate": rate_of(chain.sample_time)},
         "/**/plant_simulator": {**limits, **hysteresis, **creep, **dynamics, **offset},
         "/**/hysteresis_compensator": {**inverse, **limits, **hysteresis, **creep},
         "/**/motion_controller": {"type": "open_loop", **model},
-        "/**/reference_generator": {"minimum": lowest, "maximum": highest},
+        "/**/reference_generator": {"minimum": lowest, "maximum": highest, **start},
     }
 
 
@@ -110,11 +112,11 @@ def rate_of(sample_time: float) -> float:
 
 
 def _reach(chain: PlantModel, low: float, high: float) -> tuple[float, float]:
-    """Return the displacements [m] at the ends of the voltage range, 0 in it."""
+    """Return the displacements [m] at the ends of the voltage range and between, what it is at rest in it."""
     if not chain.rate_independent:
         reach = 2.0 * hysteresis_block(chain.hysteresis, chain.sample_time).gain * max(high, -low)
         return (-reach if low < 0.0 else 0.0), reach
-    ends = [0.0]
+    ends = [at_rest(chain.hysteresis, chain.sample_time)]
     for end in (low, high):
         # from rest in fine steps: some models are integrated along the way
         ends.append(
@@ -170,6 +172,8 @@ def identification_section(
     for name, value in result.deviations.items():
         if math.isfinite(value):
             section[f"deviations.{name}"] = float(value)
+    if result.start:
+        section["start"] = result.start
     for name, texts in (("assumptions", assumptions(result)), ("warnings", result.warnings), ("notes", data.notes)):
         if texts:
             section[name] = list(texts)
@@ -189,7 +193,7 @@ def assumptions(result: Identification) -> tuple[str, ...]:
         "no noise, no quantisation, no slew rate: the recording does not say which of the blocks has them",
     ]
     if result.chain.offset:
-        found.append("preload.A1 holds the constant of the sensor: displacements count from rest at 0 V")
+        found.append("preload.A1 holds the zero of the sensor: displacements count from there")
     if result.chain.linear_part is not None and result.chain.linear_part.lag > 0.0:
         found.append("the lag stands behind the hysteresis; whether amplifier, actuator or sensor lags is not known")
     if result.chain.synchronous:

@@ -10,11 +10,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import scipy.optimize
 
 from hysteresis_ros.errors import IdentificationError, ParameterError
+from hysteresis_ros.identification.condensed import wiped_out
 from hysteresis_ros.identification.continuous import CanonicalSimulation, simulate_transfer_function
 from hysteresis_ros.identification.data import IdentificationData
-from hysteresis_ros.identification.hammerstein import simulate_chain
+from hysteresis_ros.identification.hammerstein import pass_through, simulate_chain
 from hysteresis_ros.identification.identified import PlantModel
 from hysteresis_ros.identification.intersample import METHODS, upsample
 from hysteresis_ros.identification.inverse import InverseValidation, recover_voltage
@@ -25,6 +27,9 @@ from hysteresis_ros.registry import resolved
 
 #: Where the state of a prediction may start.
 INITIAL = ("zero", "periodic", "estimate")
+#: Voltages that may have been before, as parts of the largest; one is believed when it lowers the error by this part.
+PASTS = (-1.0, -0.75, -0.5, -0.25, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5)
+WORTH_IT = 0.1
 #: Points a sample at which a band-limited voltage is followed.
 FINER = 8
 #: Sample times this near to each other are the same.
@@ -54,7 +59,8 @@ def predict(
         ``zoh``, ``linear`` or ``bandlimited``; the chain's own by default.
     initial : str, optional
         ``zero``: everything was at rest at 0 V; ``periodic``: the input had repeated before; ``estimate``: creep and
-        dynamics had settled under the first voltage, and the state of the dynamics is fitted to ``measured``. By
+        dynamics had settled under the first voltage, remanence and the state of the dynamics are fitted to
+        ``measured``. By
         default the chain's own.
     measured : array_like, shape (N,), optional
         [m], for ``estimate``.
@@ -80,10 +86,32 @@ def predict(
     if initial == "periodic":
         twice = np.concatenate([voltage, voltage])
         return _forced(chain, twice, intersample, True)[voltage.size :] + chain.offset
-    forced = _forced(chain, voltage, intersample, initial == "estimate") + chain.offset
-    if initial == "estimate" and measured is not None:
-        forced = forced + _free_response(chain, np.asarray(measured, dtype=float) - forced)
-    return forced
+    if initial != "estimate" or measured is None:
+        return _forced(chain, voltage, intersample, initial == "estimate") + chain.offset
+    measured = np.asarray(measured, dtype=float)
+    history = _estimated_history(chain, voltage, intersample, measured)
+    forced = _forced(chain, voltage, intersample, True, history) + chain.offset
+    return forced + _free_response(chain, measured - forced)
+
+
+def _estimated_history(chain: PlantModel, voltage, intersample, measured) -> tuple[float, ...]:
+    """Return the voltages before the first that explain the measurement best, until they no longer matter."""
+    last = wiped_out(voltage)
+    v, y = voltage[:last], measured[:last]
+    largest = max(abs(chain.voltage_low), abs(chain.voltage_high), float(np.max(np.abs(v))))
+    parts = PASTS if chain.voltage_low < 0.0 else tuple(part for part in PASTS if part > 0.0)
+
+    def error(history=()):
+        return float(np.std(y - _forced(chain, v, intersample, True, history)))
+
+    def remanent(part):
+        return error((part * largest, float(voltage[0])))
+
+    place = int(np.argmin([remanent(part) for part in parts]))
+    ends = parts[max(place - 1, 0)], parts[min(place + 1, len(parts) - 1)]
+    found = scipy.optimize.minimize_scalar(remanent, bounds=ends, method="bounded", options={"maxiter": 10})
+    best = min((remanent(parts[place]), parts[place]), (float(found.fun), float(found.x)))
+    return (best[1] * largest, float(voltage[0])) if best[0] < (1.0 - WORTH_IT) * error() else ()
 
 
 def at_rate(chain: PlantModel, sample_time: float) -> PlantModel:
@@ -119,10 +147,17 @@ def at_rate(chain: PlantModel, sample_time: float) -> PlantModel:
     return replace(chain, dynamics=dynamics, sample_time=sample_time)
 
 
-def _forced(chain: PlantModel, voltage, intersample, settled) -> np.ndarray:
+def _forced(chain: PlantModel, voltage, intersample, settled, history=()) -> np.ndarray:
     if intersample == "zoh":
         return simulate_chain(
-            chain.hysteresis, chain.creep, chain.dynamics, voltage, chain.sample_time, settled, chain.synchronous
+            chain.hysteresis,
+            chain.creep,
+            chain.dynamics,
+            voltage,
+            chain.sample_time,
+            settled,
+            chain.synchronous,
+            history,
         )
     if chain.linear_part is None and chain.transfer_function is None and chain.dynamics.order:
         raise IdentificationError(
@@ -131,7 +166,9 @@ def _forced(chain: PlantModel, voltage, intersample, settled) -> np.ndarray:
     factor = FINER if intersample == "bandlimited" else 1
     fine = upsample(voltage, factor, intersample)
     step = chain.sample_time / factor
-    static = hysteresis_block(chain.hysteresis, step).simulate(fine)
+    front = hysteresis_block(chain.hysteresis, step)
+    pass_through(front, history)
+    static = front.simulate(fine)
     if chain.transfer_function is not None:
         start = "rest" if settled else "zero"
         return simulate_transfer_function(*chain.transfer_function, static, step, "linear", start)[::factor]

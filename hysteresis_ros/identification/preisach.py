@@ -9,10 +9,14 @@ linear least squares (:mod:`.weights`), κ is searched with the linear part. Ray
 
 from __future__ import annotations
 
+from copy import copy
+
 import numpy as np
 
-from hysteresis_ros.identification.hammerstein import HammersteinFit, condense, fit_linear_part
-from hysteresis_ros.identification.prandtl_ishlinskii import SEARCH_STRENGTH, finished
+from hysteresis_ros.identification.condensed import condense
+from hysteresis_ros.identification.finished import finished, without_outliers
+from hysteresis_ros.identification.free_weights import SEARCH_STRENGTH
+from hysteresis_ros.identification.hammerstein import HammersteinFit, fit_linear_part
 from hysteresis_ros.identification.weights import plays, radii, smooth_weights
 from hysteresis_ros.models.hysteresis import HysteresisParameters
 from hysteresis_ros.models.hysteresis.preisach import PreisachParameters
@@ -34,6 +38,7 @@ def fit_preisach(
     nodes: int = NODES,
     linear=("lag", "delay", "creep"),
     skip: int | None = None,
+    history: tuple[float, ...] = (),
     progress=None,
 ) -> HammersteinFit:
     """Fit voltage → Preisach map → creep → lag and delay.
@@ -51,7 +56,9 @@ def fit_preisach(
     linear : sequence of str
         Which of ``lag``, ``delay`` and ``creep`` may be there; each is kept only if it lowers the residual.
     skip : int, optional
-        Samples left out of the fit at the start, see :func:`.hammerstein.condense`.
+        Samples left out of the fit at the start, see :func:`.condensed.condense`.
+    history : tuple of float
+        Voltages [V] that the hysteresis went through, from rest at 0 V, before the first sample.
     progress : callable, optional
         Called as ``progress(evaluations, rmse)``.
 
@@ -60,17 +67,20 @@ def fit_preisach(
     IdentificationError
         The data or the settings cannot be used; the message says why.
     """
-    data = condense(voltage, displacement, sample_time, skip)
-    fit = _Density(data, widths)
-    fit.search(linear, progress)
-    return finished(fit, fit.parameters(nodes), voltage, displacement, sample_time)
+
+    def once(kept):
+        data = condense(voltage, displacement, sample_time, skip, kept=kept, history=history)
+        fit = Density(data, widths, nodes).fit(linear, progress)
+        return finished(fit, voltage, displacement, sample_time, kept)
+
+    return without_outliers(once, voltage, displacement)
 
 
-class _Density:
+class Density:
     """Weights over the width of elementary loops, and their dependence on the bias."""
 
-    def __init__(self, data, widths: int):
-        self.data = data
+    def __init__(self, data, widths: int, nodes: int):
+        self.data, self.nodes = data, nodes
         low, high = min(float(data.voltage.min()), 0.0), max(float(data.voltage.max()), 0.0)
         margin = BEYOND * (high - low)
         self.low, self.high = (low - margin if low < 0.0 else 0.0), high + margin
@@ -92,30 +102,67 @@ class _Density:
         bottom, rest = self.bent(np.array([self.low, 0.0]), bias)
         # fallen to the lower end and risen to 0 V: where the Preisach block starts
         start = np.maximum(bottom + self.radii, rest - self.radii)
-        return np.column_stack([voltage, plays(g, self.radii, start) - start])
+        before = plays(self.bent(np.array([0.0, *self.data.history]), bias), self.radii, start)[-1]
+        return np.column_stack([voltage, plays(g, self.radii, before) - start])
 
     def solve(self, part, shape, strength=SEARCH_STRENGTH):
         """Return the residual [m] of the best weights."""
         data = self.data
-        target = data.displacement[data.first :]
+        target = data.counted(data.displacement)
         self.bias = shape["bias"]
-        moved = part.apply(self.columns(self.bias), data.sample_time)[data.first :]
-        self.weights, free, residual, _ = smooth_weights(
+        moved = data.counted(part.apply(self.columns(self.bias), data.sample_time))
+        self.weights, free, residual, self.strength = smooth_weights(
             moved, np.ones((len(target), 1)), target, self.roughness, strength
         )
         self.offset = float(free[0])
         return residual
 
-    def search(self, linear, progress):
-        """Search the linear part and the bias, then settle the weights."""
+    def fit(self, linear, progress):
+        """Search the linear part and the bias, then settle the weights.
+
+        Parameters
+        ----------
+        linear : sequence of str
+        progress : callable or None
+        """
         extra = [("bias", 0.0, -LARGEST_BIAS, LARGEST_BIAS)]
-        self.part, shape, self.deviations, self.warnings, self.converged = fit_linear_part(
+        self.part, self.shape, self.deviations, self.warnings, self.converged = fit_linear_part(
             self.solve, self.data, extra, linear, progress
         )
-        self.rms = float(np.std(self.solve(self.part, shape, None)))
+        self.solve(self.part, self.shape, None)
+        self.numbers: dict[str, float] = {}
+        return self
 
-    def parameters(self, nodes: int) -> HysteresisParameters:
+    def behind(self, part):
+        """Settle the weights for a linear part that is known, with a density that does not depend on the bias.
+
+        Parameters
+        ----------
+        part : LinearPart
+        """
+        self.part, self.shape = part, {"bias": 0.0}
+        self.solve(part, self.shape, None)
+        return self
+
+    def refitted(self, data):
+        """Return the model with weights for other samples of the recording, behind the same linear part.
+
+        Parameters
+        ----------
+        data : Condensed
+        """
+        other = copy(self)
+        other.data = data
+        other.solve(self.part, self.shape, self.strength)
+        return other
+
+    def output(self) -> np.ndarray:
+        """Return the modelled displacement [m], shape (N,)."""
+        return self.part.apply(self.columns(self.bias), self.data.sample_time) @ self.weights + self.offset
+
+    def parameters(self) -> HysteresisParameters:
         """Return slope and Everett map E(a, b) = Σ w max(0, g(a) - g(b) - 2 r)."""
+        nodes = self.nodes
         voltages = np.linspace(self.low, self.high, nodes)
         grid = self.bent(voltages, self.bias)
         table = np.zeros((nodes, nodes))

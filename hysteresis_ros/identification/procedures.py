@@ -2,30 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
-from hysteresis_ros.compensation.creep import creep_inverse
 from hysteresis_ros.compensation.inverses import InverseParameters
 from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.identification.bouc_wen_mechanical import FREE, fit_bouc_wen_mechanical
 from hysteresis_ros.identification.bouc_wen_static import NAMES as BOUC_WEN_NAMES
 from hysteresis_ros.identification.bouc_wen_static import default_guess, identify_bouc_wen_static
+from hysteresis_ros.identification.condensed import condense
 from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.duhem import identify_duhem, identify_inverse_duhem
-from hysteresis_ros.identification.hammerstein import HammersteinFit, condense
-from hysteresis_ros.identification.identified import Identification, PlantModel, at_rest, grounded
-from hysteresis_ros.identification.inverse import undo_lag
+from hysteresis_ros.identification.hammerstein import HammersteinFit
+from hysteresis_ros.identification.identified import Identification, PlantModel, grounded
 from hysteresis_ros.identification.linear_part import LinearPart
 from hysteresis_ros.identification.linear_stage import LinearStage, fit_stage
 from hysteresis_ros.identification.output_error import Structure, fit_transfer_function
 from hysteresis_ros.identification.polynomial import identify_polynomial
 from hysteresis_ros.identification.prandtl_ishlinskii import fit_prandtl_ishlinskii
-from hysteresis_ros.identification.preisach import WIDTHS, fit_preisach
+from hysteresis_ros.identification.preisach import WIDTHS, Density, fit_preisach
+from hysteresis_ros.identification.request import FittedHysteresis, Request
 from hysteresis_ros.identification.restarted_nelder_mead import SimplexSettings
-from hysteresis_ros.models.creep import Creep, CreepParameters, creep
+from hysteresis_ros.identification.separation import separated
+from hysteresis_ros.identification.start import find_start
+from hysteresis_ros.models.creep import CreepParameters
 from hysteresis_ros.models.hysteresis import HysteresisParameters, hysteresis_block
 from hysteresis_ros.models.hysteresis.bouc_wen_mechanical import BoucWenMechanicalParameters
 from hysteresis_ros.models.hysteresis.proportional import ProportionalParameters
@@ -33,68 +34,12 @@ from hysteresis_ros.models.linear import LinearParameters
 
 #: Numbers of the polynomial model's corner conditions that are free (K2).
 POLYNOMIAL_FREE = 9
+#: Widths of the densities that trials of the past fit.
+TRIED = 10
+#: The voltage counts as 0 V within this part of its range.
+AT_ZERO = 0.002
 #: A stage must lower the residual by this part to be taken without being asked for.
 WORTH_IT = 0.02
-
-
-@dataclass(frozen=True)
-class Request:
-    """What is asked for.
-
-    Parameters
-    ----------
-    model : str
-    parts : tuple of str
-        Of ``lag``, ``delay``, ``creep``: what may stand behind the hysteresis.
-    stage : str or None
-        Dynamics of higher order instead.
-    options : dict
-        Of the model.
-    inverse : str
-        Type of the compensator's inverse.
-    skip : int or None
-        First samples left out of the error; None: those before the past is wiped out.
-    intersample : str
-    initial : str or None
-    progress : callable
-        ``progress(number, text)``.
-    """
-
-    model: str
-    parts: tuple[str, ...]
-    stage: str | None
-    options: dict
-    inverse: str
-    skip: int | None
-    intersample: str
-    initial: str | None
-    progress: Callable[[int, str], None]
-
-    def report_residual(self, number: int, rmse: float) -> None:
-        """Progress of fits that report a residual [m]."""
-        self.progress(number, f"residual {1e6 * rmse:.4g} µm")
-
-
-@dataclass(frozen=True)
-class FittedHysteresis:
-    """A hysteresis as it was fitted.
-
-    Parameters
-    ----------
-    hysteresis : HysteresisParameters
-    fitted : int
-        How many of its numbers were fitted.
-    deviations : dict of str to float
-        Their standard deviations, where known.
-    warnings : tuple of str
-    converged : bool
-    """
-
-    hysteresis: HysteresisParameters
-    fitted: int
-    deviations: dict[str, float] = field(default_factory=dict)
-    warnings: tuple[str, ...] = ()
-    converged: bool = True
 
 
 def prandtl_ishlinskii(data: IdentificationData, request: Request) -> Identification:
@@ -104,26 +49,35 @@ def prandtl_ishlinskii(data: IdentificationData, request: Request) -> Identifica
 
 def preisach(data: IdentificationData, request: Request) -> Identification:
     """Everett map with lag, delay and creep, found together."""
-    return _hammerstein(fit_preisach, data, request, lambda _: int(request.options.get("widths", WIDTHS)) + 3)
+    count = int(request.options.get("widths", WIDTHS)) + 3
+    return _hammerstein(fit_preisach, data, request, lambda _: count, lambda data: Density(data, TRIED, TRIED))
 
 
-def _hammerstein(fit_function, data, request, count) -> Identification:
+def _hammerstein(fit_function, data, request, count, structure=None) -> Identification:
     # a stage holds the lag itself, but the hysteresis must not take it for its own: it is found with one and handed on
     parts = ("lag", "delay") if request.stage else request.parts
+    start = find_start(data, request.skip, request.initial, structure)
+    voltage, displacement, skip = start.signals(data)
     fit: HammersteinFit = fit_function(
-        data.input,
-        data.output,
+        voltage,
+        displacement,
         data.sample_time,
         linear=parts,
-        skip=request.skip,
+        skip=skip,
+        history=start.history,
         progress=request.report_residual,
         **request.options,
     )
+    if start.kind != "zero":
+        request = replace(request, initial=start.kind)
     found = FittedHysteresis(fit.hysteresis, count(fit.hysteresis.chosen), fit.deviations, fit.warnings, fit.converged)
     if request.stage:
-        return _with_stage(data, request, found)
-    chain = _chain(data, request, fit.hysteresis, fit.linear_part, fit.dynamics, fit.synchronous)
-    return _identified(chain, request, found, fit.linear_part)
+        result = _with_stage(data, replace(request, skip=start.skip), found)
+    else:
+        chain = _chain(data, request, fit.hysteresis, fit.linear_part, fit.dynamics, fit.synchronous)
+        result = _identified(chain, request, found, fit.linear_part)
+    numbers = {**result.numbers, **fit.numbers}
+    return replace(result, numbers=numbers, skipped=start.skip, start=start.note)
 
 
 def polynomial(data: IdentificationData, request: Request) -> Identification:
@@ -275,68 +229,6 @@ def _oscillator_guess(data, request) -> BoucWenMechanicalParameters:
     )
 
 
-def separated(data: IdentificationData, request: Request):
-    """Return the data with lag and creep undone, both, and what must be said about them; and the constant taken out.
-
-    A Preisach or a Prandtl-Ishlinskii model finds them, whichever leaves less: they leave the shape of the loops free.
-
-    Parameters
-    ----------
-    data : IdentificationData
-    request : Request
-    """
-    parts = ("lag", "delay") if request.stage else request.parts
-    if not parts:
-        return data, LinearPart(), (), 0.0
-    # creep is always looked for: without it the search takes slow drifts for the noise a lag has to rise above
-    searches = ((fit_preisach, {}), (fit_prandtl_ishlinskii, {"zone_count": 0}))
-    fits = [
-        search(
-            data.input,
-            data.output,
-            data.sample_time,
-            linear=tuple(dict.fromkeys((*parts, "creep"))),
-            skip=request.skip,
-            progress=request.report_residual,
-            **settings,
-        )
-        for search, settings in searches
-    ]
-    fit = min(fits, key=lambda item: item.rmse)
-    part = fit.linear_part if "creep" in parts else replace(fit.linear_part, creep_rate=0.0, settled=False)
-    output, constant = data.output, 0.0
-    if part.lag + part.delay >= 0.1 * data.sample_time:
-        output = undo_lag(output, part.lag, part.delay, data.sample_time)
-    else:
-        part = replace(part, lag=0.0, delay=0.0)
-    if part.creep.type != "none":
-        constant = at_rest(fit.hysteresis, data.sample_time) * part.settled_gain
-        output = undo_creep(output - constant, part, data.sample_time)
-    return replace(data, output=output), part, fit.warnings, constant
-
-
-def undo_creep(y, part: LinearPart, sample_time: float) -> np.ndarray:
-    """Return the displacement [m], shape (N,), that creeps to ``y``: step by step, as the compensator does it.
-
-    Parameters
-    ----------
-    y : array_like, shape (N,)
-        [m], zero at rest.
-    part : LinearPart
-        Its creep; ``settled`` says whether it had settled under the first sample.
-    sample_time : float
-        [s]
-    """
-    y = np.ascontiguousarray(y, dtype=np.float64)
-    block = Creep(part.creep, sample_time)
-    block.settle(float(y[0]) / part.settled_gain if part.settled else 0.0)
-    found = np.empty_like(y)
-    for k in range(y.size):
-        found[k] = creep_inverse(block.p, block.x, y[k])
-        creep(block.p, block.x, found[k])
-    return found
-
-
 def static_result(
     data: IdentificationData, request: Request, found: FittedHysteresis, part: LinearPart, offset: float
 ) -> Identification:
@@ -389,13 +281,20 @@ def _chain(data, request, hysteresis, part, dynamics, synchronous, offset=0.0) -
     settled = part is not None and part.settled
     gain = 1.0 if part is None else part.settled_gain
     low, high = data.input_range
+    offset = float(offset + rest * gain)
+    zero = reading_at_zero(data)
+    if zero is not None:
+        # the sensor's zero is what it read at 0 V; what the past left there belongs to the hysteresis
+        moved = hysteresis.shifted((offset - zero) / gain)
+        if moved is not hysteresis:
+            hysteresis, offset = moved, zero
     return PlantModel(
         hysteresis=hysteresis,
         creep=CreepParameters() if part is None else part.creep,
         dynamics=dynamics,
         sample_time=data.sample_time,
         # creep never settles within a recording, where the plant starts it settled
-        offset=float(offset + rest * gain),
+        offset=offset,
         linear_part=part,
         synchronous=bool(synchronous),
         initial=request.initial or ("estimate" if settled else "zero"),
@@ -404,6 +303,18 @@ def _chain(data, request, hysteresis, part, dynamics, synchronous, offset=0.0) -
         voltage_high=high,
         inverse=InverseParameters(type=request.inverse),
     )
+
+
+def reading_at_zero(data: IdentificationData) -> float | None:
+    """Return what the sensor read at 0 V at the beginning of the recording [m]; None if the voltage was not there.
+
+    Parameters
+    ----------
+    data : IdentificationData
+    """
+    away = np.flatnonzero(np.abs(data.input) > AT_ZERO * np.ptp(data.input))
+    standing = int(away[0]) if away.size else len(data)
+    return float(np.median(data.output[:standing])) if standing else None
 
 
 def _identified(chain: PlantModel, request: Request, found: FittedHysteresis, part: LinearPart) -> Identification:

@@ -6,7 +6,7 @@ from hysteresis_ros.errors import IdentificationError, did_you_mean
 from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.identified import Identification
 from hysteresis_ros.identification.linear_stage import STAGES
-from hysteresis_ros.identification.procedures import Request
+from hysteresis_ros.identification.request import Request
 from hysteresis_ros.models.declaration import PARTS, HysteresisModel
 from hysteresis_ros.models.hysteresis import MODELS
 from hysteresis_ros.registry import resolved

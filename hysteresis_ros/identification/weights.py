@@ -17,18 +17,21 @@ GRAM_FLOOR = 1e-13
 STRENGTHS = 10.0 ** np.arange(-4.0, 1.6, 0.5)
 
 
-def radii(voltage_range: float, count: int) -> np.ndarray:
+def radii(voltage_range: float, count: int, reach: float = 0.0) -> np.ndarray:
     """Return ``count`` radii [V], from 0, in steps of half the range over their number.
 
-    A play whose radius is half the range never moves and is left out.
+    A play whose radius is half the range never moves and is left out, unless it moves on the way from rest.
 
     Parameters
     ----------
     voltage_range : float
         [V]
     count : int
+    reach : float
+        Radius [V] up to which plays move, where that is more than half the range: more radii in the same steps.
     """
-    return 0.5 * voltage_range * np.arange(count) / count
+    step = 0.5 * voltage_range / count
+    return step * np.arange(max(count, int(np.ceil(reach / step - 1e-9))))
 
 
 def plays(voltage, play_radii, start=None) -> np.ndarray:

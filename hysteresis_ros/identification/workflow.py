@@ -200,7 +200,9 @@ def identify(
         initial=initial,
         progress=progress,
     )
-    if skip is None:
+    if result.skipped is not None:
+        skip = result.skipped
+    elif skip is None:
         skip = automatic_skip(data) if result.chain.rate_independent else 0
     free = given.get("offset") == "free"
     if free:
@@ -219,6 +221,7 @@ def identify(
     result = replace(result, warnings=tuple(dict.fromkeys(notes)))
     text = file_text(result, identification_section(result, data, figures, skip))
     named = {"model": model, "linear": result.linear, **figures, **result.numbers, "converged": result.converged}
+    named |= {"sensor_zero_m": result.chain.offset} | ({"start": result.start} if result.start else {})
     compared = Compared(data, result.chain, predicted, found, back, finite(named), result.warnings)
     return Identified(**vars(compared), identification=result, text=text)
 

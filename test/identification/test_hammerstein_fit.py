@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from hysteresis_ros.errors import IdentificationError
-from hysteresis_ros.identification.hammerstein import condense, simulate_chain
+from hysteresis_ros.identification.condensed import condense
+from hysteresis_ros.identification.hammerstein import simulate_chain
 from hysteresis_ros.identification.inverse import recover_voltage
 from hysteresis_ros.identification.linear_part import LinearPart
 from hysteresis_ros.identification.prandtl_ishlinskii import fit_prandtl_ishlinskii

@@ -41,7 +41,7 @@ def test_piezo_stack_major_loops_predict_other_amplitudes(fitter, train, test):
     voltage, displacement = stack_recording("model_1Hz_major")
     fit = fitter(voltage, displacement, 0.005, skip=SKIPPED)
     assert fit.rmse < train
-    assert 0.013 < fit.linear_part.lag + fit.linear_part.delay < 0.019  # amplifier and sensor
+    assert 0.012 < fit.linear_part.lag + fit.linear_part.delay < 0.019  # amplifier and sensor
     assert 0.01 < fit.linear_part.creep_rate < 0.02  # what data sheets of such stacks say, a decade
     voltage, displacement = stack_recording("test_1Hz_variable_amplitude")
     error = (displacement - fit.simulate(voltage))[SKIPPED:]

@@ -244,7 +244,7 @@ def _deviated(parameters: PrandtlIshlinskiiParameters, deviation: Deviation) -> 
 
 MODEL = HysteresisModel(
     name="prandtl_ishlinskii",
-    title="play operators with weights ≥ 0, dead zones where they help (modified model)",
+    title="play operators with weights ≥ 0, a map or dead zones behind them where they help (modified model)",
     data="a voltage that rises and falls; loops of several amplitudes settle the model inside the largest loop",
     parameters=PrandtlIshlinskiiParameters,
     block=PrandtlIshlinskiiHysteresis,
@@ -261,6 +261,11 @@ MODEL = HysteresisModel(
     identify="hysteresis_ros.identification.procedures:prandtl_ishlinskii",
     options={
         "play_count": Option(int, "plays", low=1),
-        "zone_count": Option(int, "dead zones; 0: the classical model", low=0),
+        "zone_count": Option(int, "dead zones behind free weights; 0: the classical model", low=0),
+        "density": Option(
+            str,
+            "weights over the radius: exponential with a cubic map, free, or what predicts blocks held out",
+            choices=("auto", "exponential", "free"),
+        ),
     },
 )

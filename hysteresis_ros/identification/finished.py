@@ -1,0 +1,125 @@
+"""The end of every fit of hysteresis and linear part together: outliers left out, measured with the nodes' kernels."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from hysteresis_ros.identification.hammerstein import HammersteinFit, simulate_chain
+from hysteresis_ros.identification.linear_part import LinearPart
+from hysteresis_ros.models.hysteresis import HysteresisParameters
+
+#: Outliers are further off than this many standard deviations (of the bulk, from the median) …
+OUTLYING = 5.0
+#: … and are at most this part of the samples; a model that misses more of them is the wrong model.
+MOST_OUTLIERS = 0.1
+#: They are left out, and the fit is repeated, where they make up this part of the squared error.
+MATTERING = 0.01
+ROUNDS = 3
+#: Samples on which the lag is settled with the blocks.
+RETIMED_ON = 20000
+
+
+def finished(fit, voltage, displacement, sample_time, kept=None) -> HammersteinFit:
+    """Return the result of a fit, its residual measured on the recording itself with the kernels of the nodes.
+
+    Parameters
+    ----------
+    fit : object
+        With ``part``, ``data``, ``parameters()``, ``deviations``, ``warnings``, ``converged`` and ``numbers``.
+    voltage, displacement : array_like, shape (N,)
+        [V] and [m].
+    sample_time : float
+        [s]
+    kept : ndarray of bool, shape (N,), optional
+        False for outliers.
+    """
+    voltage, displacement = (np.ascontiguousarray(values, dtype=float) for values in (voltage, displacement))
+    data = fit.data
+    hysteresis: HysteresisParameters = fit.parameters()
+    first = data.first * data.factor
+    used = np.ones(len(voltage), dtype=bool) if kept is None else kept.copy()
+    used[:first] = False
+    synchronous = fit.part.lag + fit.part.delay < 0.5 * sample_time
+
+    def error_of(part, last=None):
+        predicted = simulate_chain(
+            hysteresis,
+            part.creep,
+            part.dynamics(sample_time),
+            voltage[:last],
+            sample_time,
+            part.settled,
+            synchronous,
+            data.history,
+        )
+        return (displacement[:last] - predicted)[used[:last]]
+
+    part = fit.part
+    if part.lag > 0.0 and not synchronous:
+        part = _retimed(part, sample_time, lambda other: float(np.std(error_of(other, first + RETIMED_ON))))
+    error = error_of(part)
+    # what the half sample and the table leave of a constant belongs to the offset
+    chosen = hysteresis.chosen
+    chosen = replace(chosen, offset=chosen.offset + float(error.mean()) / part.settled_gain)
+    hysteresis = replace(hysteresis, **{hysteresis.type: chosen})
+    return HammersteinFit(
+        hysteresis=hysteresis,
+        creep=part.creep,
+        dynamics=part.dynamics(sample_time),
+        linear_part=part,
+        sample_time=sample_time,
+        rmse=float(np.std(error)),
+        stroke=data.stroke,
+        voltage_low=float(np.min(voltage)),
+        voltage_high=float(np.max(voltage)),
+        deviations=fit.deviations,
+        warnings=fit.warnings,
+        converged=fit.converged,
+        synchronous=synchronous,
+        history=data.history,
+        skipped=first,
+        numbers=dict(fit.numbers),
+    )
+
+
+def _retimed(part: LinearPart, sample_time: float, cost) -> LinearPart:
+    """Return the linear part with the lag at which the blocks fit best, which hold their input for a sample."""
+    import scipy.optimize  # imported here because only fits need it
+
+    low, high = max(part.lag - sample_time, 0.5 * part.lag), part.lag + sample_time
+    found = scipy.optimize.minimize_scalar(
+        lambda lag: cost(replace(part, lag=float(lag))), bounds=(low, high), method="bounded", options={"maxiter": 10}
+    )
+    return replace(part, lag=float(found.x)) if found.fun < cost(part) else part
+
+
+def without_outliers(once, voltage, displacement) -> HammersteinFit:
+    """Return the fit after samples far off were left out, and count them.
+
+    Parameters
+    ----------
+    once : callable
+        ``once(kept)`` fits to the samples that are True in ``kept``, None for all.
+    voltage, displacement : array_like, shape (N,)
+        [V] and [m].
+    """
+    kept, fit = None, once(None)
+    for _ in range(ROUNDS):
+        error = np.asarray(displacement, dtype=float) - fit.simulate(voltage)
+        counts = error[fit.skipped :]
+        error = np.abs(error - np.median(counts))
+        spread = 1.4826 * float(np.median(error[fit.skipped :]))
+        good = error <= OUTLYING * spread
+        good[: fit.skipped] = True
+        known = np.ones(len(good), dtype=bool) if kept is None else kept
+        added = known & ~good
+        used = np.flatnonzero(known)[np.flatnonzero(known) >= fit.skipped]
+        share = float(np.sum(error[added] ** 2)) / max(float(np.sum(error[used] ** 2)), 1e-300)
+        if share < MATTERING or np.count_nonzero(~good) > MOST_OUTLIERS * len(counts):
+            break
+        kept = good
+        fit = once(kept)
+    outliers = 0 if kept is None else int(np.count_nonzero(~kept))
+    return replace(fit, numbers={**fit.numbers, "outliers": float(outliers)}) if outliers else fit

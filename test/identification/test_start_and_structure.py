@@ -1,0 +1,157 @@
+"""The past before a recording, outliers, and structures that have to predict what they were not fitted to."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hysteresis_ros.errors import IdentificationError
+from hysteresis_ros.identification.condensed import condense, wiped_out
+from hysteresis_ros.identification.data import IdentificationData
+from hysteresis_ros.identification.hammerstein import simulate_chain
+from hysteresis_ros.identification.linear_part import LinearPart
+from hysteresis_ros.identification.prandtl_ishlinskii import fit_prandtl_ishlinskii
+from hysteresis_ros.identification.prediction import predict
+from hysteresis_ros.identification.smooth_density import PRIOR_DECAY, SmoothDensity
+from hysteresis_ros.identification.start import find_start
+from hysteresis_ros.identification.workflow import identify
+from hysteresis_ros.models.hysteresis import HysteresisParameters, hysteresis_block
+from hysteresis_ros.models.hysteresis.prandtl_ishlinskii import PrandtlIshlinskiiParameters
+
+T = 0.005
+TIME = np.arange(800) * T  # four cycles of 1 Hz
+RADII = 2.5 * np.arange(40)
+DENSITY = np.exp(-1.9 * RADII / 50.0)
+
+
+def stack(decay=1.9, bent=-0.15):
+    """A stack for 0 … 100 V of 10 µm: reversible half, exponential density, and a map whose slope falls by 15 %."""
+    density = np.exp(-decay * RADII / 50.0)
+    density[0] = density[1:].sum()
+    weights = 10e-6 * density / (100.0 * density.sum())
+    zones = PrandtlIshlinskiiParameters(
+        tuple(RADII), tuple(weights), tuple(1e-6 * np.arange(1, 8)), tuple(np.full(7, bent / 7.0))
+    )
+    return HysteresisParameters(type="prandtl_ishlinskii", prandtl_ishlinskii=zones)
+
+
+def recorded(voltage, history=(), noise=2e-9, lag=0.01):
+    part = LinearPart(lag=lag, settled=bool(history))
+    y = simulate_chain(stack(), part.creep, part.dynamics(T), voltage, T, part.settled, history=history)
+    return y + noise * np.random.default_rng(1).standard_normal(y.size)
+
+
+def loops(amplitude, time=TIME):
+    return 0.5 * amplitude * (1.0 - np.cos(2.0 * np.pi * time))
+
+
+GROWING, DECAYING = loops(25.0 * (TIME + 0.2) / 1.05), loops(100.0 - 20.0 * TIME)
+
+
+def data(voltage, displacement):
+    return IdentificationData(np.arange(len(voltage)) * T, voltage, displacement)
+
+
+def test_the_past_is_wiped_out_only_where_a_rise_and_a_fall_come_after():
+    assert wiped_out(loops(100.0, TIME[:200])) is None  # one branch would be left
+    assert wiped_out(GROWING) is None
+    assert wiped_out(loops(100.0)) == pytest.approx(100, abs=15)
+    assert wiped_out(DECAYING) == pytest.approx(100, abs=25)
+
+
+def test_one_cycle_from_rest_is_fitted_on_both_branches():
+    voltage = loops(100.0, TIME[:201])
+    found = identify(data(voltage, recorded(voltage)), linear="lag")
+    assert found.figures["skipped"] == 0
+    assert np.std(found.predicted - recorded(voltage)) < 0.03e-6
+
+
+def test_one_cycle_of_a_repeated_drive_is_found_periodic():
+    voltage = loops(100.0)
+    y = recorded(voltage)
+    found = identify(data(voltage[400:601], y[400:601]), linear="lag")
+    assert found.plant.initial == "periodic" and "repeated before" in found.figures["start"]
+    other = predict(found.plant, DECAYING, T, initial="zero") - recorded(DECAYING)
+    assert np.std(other[200:]) < 0.08e-6
+
+
+def test_a_remanent_stack_is_seen_where_the_ends_come_late():
+    history = (120.0, 0.0)
+    y = recorded(GROWING, history)
+    start = find_start(data(GROWING, y))
+    assert start.kind == "estimate" and start.history[0] > 60.0
+    found, rest = identify(data(GROWING, y), linear="lag"), identify(data(GROWING, y), linear="lag", initial="zero")
+    assert found.figures["rmse_m"] < 0.4 * rest.figures["rmse_m"]
+    assert "remanent" in found.text and "remanent" in found.figures["start"]
+
+
+def test_an_unknown_past_is_left_out_where_a_cycle_remains():
+    start = find_start(data(loops(100.0), recorded(loops(100.0), (150.0, 0.0))))
+    assert start.skip == wiped_out(loops(100.0)) and "left out" in start.note
+    decaying = find_start(data(DECAYING, recorded(DECAYING)))
+    assert 0 < decaying.skip == wiped_out(DECAYING)
+
+
+@pytest.mark.parametrize(
+    "model, history", [("prandtl_ishlinskii", ()), ("prandtl_ishlinskii", (150.0, 0.0)), ("preisach", ())]
+)
+def test_a_sensor_that_read_zero_at_rest_keeps_its_zero(model, history):
+    y = recorded(loops(100.0), history)
+    found = identify(data(loops(100.0), y - y[0]), model, linear="lag")
+    assert abs(found.plant.offset) < 0.01e-6 and found.figures["sensor_zero_m"] == found.plant.offset
+    assert found.figures["rmse_m"] < 0.1e-6
+
+
+def test_a_drive_that_does_not_repeat_is_not_taken_as_periodic():
+    with pytest.raises(IdentificationError, match="whole periods"):
+        find_start(data(DECAYING[:750], recorded(DECAYING)[:750]), initial="periodic")
+
+
+def test_outliers_are_counted_and_leave_the_fit_alone():
+    y = recorded(loops(100.0))
+    spoilt = y.copy()
+    spoilt[40::89] += 3e-6
+    clean, robust = (fit_prandtl_ishlinskii(loops(100.0), x, T, linear=("lag",)) for x in (y, spoilt))
+    assert clean.numbers.get("outliers", 0) < 9 <= robust.numbers["outliers"] < 20
+    assert robust.linear_part.lag == pytest.approx(clean.linear_part.lag, abs=2e-4)
+    error = robust.simulate(DECAYING) - clean.simulate(DECAYING)
+    assert np.std(error) < 0.01e-6
+
+
+def test_flexible_parts_do_not_survive_noise():
+    voltage, truth = loops(100.0), recorded(DECAYING, noise=0.0, lag=0.0)
+    noisy = recorded(voltage, noise=0.3e-6, lag=0.0)
+    found, zones = (
+        fit_prandtl_ishlinskii(voltage, noisy, T, linear=(), **options) for options in ({}, {"zone_count": 5})
+    )
+    errors = [np.std((fit.simulate(DECAYING) - truth)[100:]) for fit in (found, zones)]
+    assert "density_decay" in found.numbers and errors[0] < 0.9 * errors[1]
+
+
+def test_free_weights_survive_where_the_density_is_none_that_falls():
+    weights = np.zeros(40)
+    weights[[0, 4, 30]] = 60e-9, 20e-9, 20e-9
+    two = replace(stack().prandtl_ishlinskii, weights=tuple(weights), thresholds=(), zone_weights=())
+    hysteresis = HysteresisParameters(type="prandtl_ishlinskii", prandtl_ishlinskii=two)
+    y = hysteresis_block(hysteresis, T).simulate(DECAYING) + 1e-9 * np.random.default_rng(0).standard_normal(800)
+    found = fit_prandtl_ishlinskii(DECAYING, y, T, linear=())
+    assert "density_decay" not in found.numbers
+    assert found.rmse < 0.5 * fit_prandtl_ishlinskii(DECAYING, y, T, linear=(), density="exponential").rmse
+
+
+def test_plays_and_dead_zones_stand_for_density_and_map():
+    condensed = condense(DECAYING, recorded(DECAYING), T, 0)
+    fit = SmoothDensity(condensed, 20).fit((), None)
+    kernel = hysteresis_block(fit.parameters(), T).simulate(DECAYING)
+    assert np.max(np.abs(kernel - fit.output())) < 0.015e-6
+
+
+def test_decaying_loops_settle_the_density_and_one_major_loop_does_not():
+    def decay(voltage, truth):
+        y = hysteresis_block(stack(truth), T).simulate(voltage) + 50e-9 * np.random.default_rng(0).standard_normal(800)
+        return fit_prandtl_ishlinskii(voltage, y, T, linear=(), density="exponential", skip=100).numbers[
+            "density_decay"
+        ]
+
+    assert decay(DECAYING, 4.0) == pytest.approx(4.0, abs=0.8)
+    assert decay(loops(100.0), 2.4) == PRIOR_DECAY
