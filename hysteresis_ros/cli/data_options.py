@@ -6,6 +6,11 @@ import pathlib
 
 import click
 
+from hysteresis_ros.cli.progress import Progress
+
+#: Endings of figures' names: in which SI unit the figure is.
+ENDINGS = {"_m": "m", "_v": "V", "_s": "s", "_hz": "Hz", "_percent": "%"}
+
 
 def data_options(command):
     """Add the options to a command; it gets them as keyword arguments."""
@@ -19,6 +24,9 @@ def data_options(command):
             click.option("--range", "range_", metavar="FIRST:LAST", help="Use these samples only, e.g. 0:6000."),
             click.option("--resample", metavar="SECONDS|auto", help="Bring the data to a uniform grid first."),
             click.option("--negate", is_flag=True, help="Count the output in the other direction."),
+            click.option(
+                "--all-samples", is_flag=True, help="Take every sample of long data, not what carries information."
+            ),
             click.option(
                 "--skip",
                 type=click.IntRange(0),
@@ -42,8 +50,8 @@ def data_options(command):
     return command
 
 
-def read(path, *, input_, output_, time, sample_time, namespace, range_, resample, negate):
-    """Return the checked data of a command, and tell on stderr what was guessed.
+def read(path, *, input_, output_, time, sample_time, namespace, range_, resample, negate, all_samples):
+    """Return the checked data of a command; say on stderr how far it is, what was guessed and what was done.
 
     Raises
     ------
@@ -52,21 +60,26 @@ def read(path, *, input_, output_, time, sample_time, namespace, range_, resampl
     """
     from hysteresis_ros.identification.reading import Columns, read_data
 
-    reading = read_data(
-        path,
-        Columns(
-            input=input_,
-            output=output_,
-            time=time,
-            sample_time=sample_time,
-            namespace=namespace,
-            range=None if range_ is None else _range(range_),
-            resample=None if resample is None else _seconds(resample),
-            negate=negate,
-        ),
+    columns = Columns(
+        input=input_,
+        output=output_,
+        time=time,
+        sample_time=sample_time,
+        namespace=namespace,
+        range=None if range_ is None else _range(range_),
+        resample=None if resample is None else _seconds(resample),
+        negate=negate,
+        all_samples=all_samples,
     )
-    if reading.guessed:
-        click.echo("\n".join(f"note: {note}" for note in reading.guessed), err=True)
+    state = [""]
+
+    def progress(part: float) -> None:
+        state[0] = f"{100 * part:.0f} %"
+
+    with Progress(err=True).during(f"reading {path.name}", lambda: state[0]):
+        reading = read_data(path, columns, progress)
+    for note in (*reading.guessed, *reading.data.notes):
+        click.echo(f"note: {note}", err=True)
     return reading
 
 
@@ -115,17 +128,27 @@ def write_json(figures: dict, path: str | None, table: str) -> None:
 
 
 def format_figures(figures: dict, first: tuple[str, ...] = ()) -> str:
-    """Return figures as lines ``name value``, those named ``first`` in front; lists of texts come last."""
+    """Return figures as lines ``name value``, those named ``first`` in front; lists of texts come last.
+
+    Where the name of a figure ends in its unit, the value stands in the part of the unit that people use: ``rmse_m`` of
+    2.148e-7 is shown as ``rmse  0.2148 µm``.
+    """
+    from hysteresis_ros.recordings.units import readable
+
     order = [*(name for name in first if name in figures), *(name for name in figures if name not in first)]
-    width = max(len(name) for name in order)
+    endings = {name: next((ending for ending in ENDINGS if name.endswith(ending)), "") for name in order}
+    bare = [name.removesuffix(ending) for name, ending in endings.items()]
+    labels = {name: text if bare.count(text) == 1 else name for name, text in zip(order, bare, strict=True)}
+    width = max(len(label) for label in labels.values())
     lines, texts = [], []
     for name in order:
         value = figures[name]
         if isinstance(value, (list, tuple)):
             texts += [f"{name.rstrip('s')}: {text}" for text in value]
         elif isinstance(value, float):
-            lines.append(f"{name:<{width}}  {value:.6g}")
+            shown = readable(value, ENDINGS[endings[name]]) if endings[name] else f"{value:.6g}"
+            lines.append(f"{labels[name]:<{width}}  {shown}")
         else:
             shown = {True: "yes", False: "no"}[value] if isinstance(value, bool) else ("-" if value is None else value)
-            lines.append(f"{name:<{width}}  {shown}")
+            lines.append(f"{labels[name]:<{width}}  {shown}")
     return "\n".join(lines + texts)

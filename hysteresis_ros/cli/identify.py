@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import pathlib
 import sys
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 import click
 
 from hysteresis_ros.cli.data_options import data_options, format_figures, read, write_json
+from hysteresis_ros.cli.progress import Progress
 
 #: Exit code of a fit that did not converge: the best point was written.
 NOT_CONVERGED = 3
@@ -18,8 +20,10 @@ FIRST = ("model", "linear", "rmse_m", "rmse_percent_of_stroke", "fit_percent", "
 BAR = 1000
 
 
-class Progress:
-    """A progress bar for fits of unknown length, on terminals: each report fills a part of what is left.
+class FitProgress:
+    """Says how far a fit is: a progress bar on terminals, elsewhere a line from time to time.
+
+    A fit is of unknown length: each of its reports fills a part of what is left of the bar.
 
     Parameters
     ----------
@@ -27,8 +31,9 @@ class Progress:
     """
 
     def __init__(self, model: str):
-        self.label, self.filled = f"identifying {model}", 0
+        self.label, self.filled, self.text = f"identifying {model}", 0, ""
         self.bar: Any = None
+        self.ending = contextlib.ExitStack()
 
     def __enter__(self):
         """Show the bar on a terminal."""
@@ -36,10 +41,13 @@ class Progress:
             self.bar = click.progressbar(
                 length=BAR, label=self.label, file=sys.stderr, show_eta=False, item_show_func=lambda text: text
             ).__enter__()
+        else:
+            self.ending.enter_context(Progress(err=True).during(self.label, lambda: self.text))
         return self
 
     def __exit__(self, *exception):
-        """Fill and leave the bar."""
+        """Fill and leave the bar, or say nothing more."""
+        self.ending.close()
         if self.bar is None:
             return
         if exception[0] is None:
@@ -48,6 +56,7 @@ class Progress:
 
     def report(self, number: int, text: str) -> None:
         """Take a report of the fit."""
+        self.text = text
         if self.bar is None:
             return
         target = int(BAR * number / (number + 60.0)) if number > 0 else 0
@@ -82,7 +91,7 @@ def identify(
     json_path,
     **columns,
 ):
-    """Identify a model from DATA (CSV, NPZ or bag) and write it as ROS 2 parameter file.
+    """Identify a model from DATA (CSV, text, NPZ, MATLAB file or bag) and write it as ROS 2 parameter file.
 
     The file loads unchanged into plant, compensator and controller. Exit code 3: the fit did not converge, the best
     point was written. 2: wrong input.
@@ -94,7 +103,7 @@ def identify(
     reading = read(data, **columns)
     request = dict(linear=linear, options=chosen, inverse=inverse)
     conditions = dict(skip=skip, offset=offset, intersample=intersample, initial=initial)
-    with Progress(model) as progress:
+    with FitProgress(model) as progress:
         found = workflow.identify(reading, model, progress=progress.report, **request, **conditions)
     found.save(params)
     summary = {**found.figures, "parameter_file": str(params), "warnings": list(found.warnings)}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import click
 
@@ -14,27 +14,34 @@ SILENCE = 1.5
 
 
 class Progress:
-    """Says what is going on, and that it still does."""
+    """Says what is going on, and that it still does, on terminals, in files and through pipes alike.
 
-    def __init__(self):
+    Parameters
+    ----------
+    err : bool
+        Say it on stderr: stdout is for results.
+    """
+
+    def __init__(self, err: bool = False):
+        self._err = err
         self._last = time.monotonic()
         self._lock = threading.Lock()
 
     def say(self, text: str) -> None:
         """Print a line."""
         with self._lock:
-            click.echo(text)
+            click.echo(text, err=self._err)
             self._last = time.monotonic()
 
     @contextlib.contextmanager
-    def during(self, what: str) -> Iterator[None]:
-        """Print that something lasts, and how long it has, whenever nothing was said for a while."""
+    def during(self, what: str, state: Callable[[], str] = str) -> Iterator[None]:
+        """Print that something lasts, how long it has and its state, whenever nothing was said for a while."""
         begun, over = time.monotonic(), threading.Event()
 
         def tell():
             while not over.wait(max(self._last + SILENCE - time.monotonic(), 0.05)):
                 if time.monotonic() - self._last >= SILENCE:
-                    self.say(f"  … {what}: {time.monotonic() - begun:.0f} s")
+                    self.say("  … " + ", ".join(filter(None, (f"{what}: {time.monotonic() - begun:.0f} s", state()))))
 
         thread = threading.Thread(target=tell, name="progress", daemon=True)
         thread.start()

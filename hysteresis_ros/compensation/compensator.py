@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hysteresis_ros import elementary
-from hysteresis_ros.block import Chain, compiled, interpreted, nested
+from hysteresis_ros.block import Chain, compiled, composite, interpreted, nested
 from hysteresis_ros.compensation.creep import creep_inverse
 from hysteresis_ros.compensation.inverses import InverseParameters, tries_model
 from hysteresis_ros.errors import Problem
@@ -124,6 +124,13 @@ def compensator_resume(hysteresis, inverse, ps, xs, command):
         out[BIAS] = last - now
 
 
+@composite("void", "kernel", "inverse", CompensatorArrays, CompensatorArrays, "array", "array")
+def run_compensator(hysteresis, inverse, ps, xs, commands, voltages):
+    """Fill ``voltages[k]`` [V] with :func:`compensator_step` of ``commands[k]`` [m] for all k."""
+    for k in range(commands.shape[0]):
+        voltages[k] = compensator_step(hysteresis, inverse, ps, xs, commands[k])
+
+
 def inverse_step(inverse):
     """Return an inverse for calls from Python, once per sample, with the arguments of every inverse.
 
@@ -207,6 +214,18 @@ class Compensator(Chain):
         return interpreted(compensator_step)(
             self.hysteresis_kernel, self.inverse_step, self.ps, self.xs, float(command)
         )
+
+    def simulate(self, commands) -> np.ndarray:
+        """Return the voltages [V], shape (N,), for displacements [m]; the state goes on from where it was."""
+        commands = np.ascontiguousarray(commands, dtype=np.float64)
+        voltages = np.empty_like(commands)
+        if tries_model(interpreted(self.inverse_kernel)):
+            run = compiled(run_compensator)
+            run(self.hysteresis_kernel, self.inverse_kernel, self.ps, self.xs, commands, voltages)
+            return voltages
+        for k, command in enumerate(commands):
+            voltages[k] = self.step(command)
+        return voltages
 
     def hold(self, voltage: float) -> float:
         """Put out a given voltage [V] within the limits, e.g. the safe one; the model follows it."""

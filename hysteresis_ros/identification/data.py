@@ -2,27 +2,18 @@
 
 from __future__ import annotations
 
-import math
 import pathlib
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.signal
 
 from hysteresis_ros.identification.data_checks import DataError, DataReport, check_data
-from hysteresis_ros.recordings.columns import (
-    TEXT_SUFFIXES,
-    UNITS,
-    choose_columns,
-    column_unit,
-    find_time,
-    read_table,
-    split_choice,
-)
+from hysteresis_ros.recordings.columns import TABLE_SUFFIXES, Selection, Table, choose_columns, find_time, open_table
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.files import load_run
+from hysteresis_ros.recordings.units import column_unit, si_unit, split_choice
 
-__all__ = ["DataError", "DataReport", "IdentificationData", "check_data", "from_recording", "load_data", "resample"]
+__all__ = ["DataError", "DataReport", "IdentificationData", "check_data", "from_recording", "from_table", "load_data"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +42,10 @@ class IdentificationData:
         Index of the first sample in the source.
     notes : tuple of str
         What was done to the data (samples left out, resampled …).
+    warnings : tuple of str
+        What makes them doubtful (gaps bridged, rows damaged …).
+    factor : int
+        How many samples of the source were averaged in each.
     """
 
     time: np.ndarray
@@ -63,6 +58,8 @@ class IdentificationData:
     source: str = ""
     first: int = 0
     notes: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+    factor: int = 1
 
     def __post_init__(self):
         """Check shapes and units.
@@ -140,7 +137,7 @@ class IdentificationData:
             data.time, data.input, data.output, data.input_unit, data.output_unit, minimum_samples=minimum_samples
         )
         report.raise_errors()
-        return data, report
+        return data, report.warned(data.warnings)
 
     def trimmed(self) -> IdentificationData:
         """Return the data without the samples at both ends at which the input or output is missing."""
@@ -187,6 +184,7 @@ def from_recording(
         chosen_output,
         source if source is not None else str(recording.metadata.get("source", "")),
         notes=tuple(recording.notes),
+        warnings=tuple(recording.metadata.get("warnings", ())),
     )
 
 
@@ -230,67 +228,49 @@ def load_data(
         The file is missing or unreadable, or lacks the columns.
     """
     path = pathlib.Path(path)
-    if path.suffix.lower() not in (*TEXT_SUFFIXES, ".npz"):
-        recording = load_run(path, namespace)
-        _refuse_inchworm(path, recording.signals, input, output)
-        names = [choice and _same_unit(recording, choice) for choice in (input, output)]
-        return from_recording(recording, names[0], names[1], path.name)
-    table = read_table(path)
-    declared = table[1]
-    _refuse_inchworm(path, declared, input, output)
+    if path.suffix.lower() in TABLE_SUFFIXES:
+        return from_table(open_table(path), Selection((), time, sample_time), input, output)
+    recording = load_run(path, namespace)
+    _refuse_inchworm(path, recording.signals, input, output)
+    names = [choice and _same_unit(recording, choice) for choice in (input, output)]
+    return from_recording(recording, names[0], names[1], path.name)
+
+
+def from_table(
+    table: Table, selection: Selection, input: str | None = None, output: str | None = None, progress=None
+) -> IdentificationData:
+    """Take one input and one output out of a table.
+
+    Parameters
+    ----------
+    table : Table
+    selection : Selection
+        Time and rows; its columns are the two named here.
+    input, output : str, optional
+        See :func:`load_data`.
+    progress : callable, optional
+        Called with the part of the file that was read.
+
+    Raises
+    ------
+    DataError
+        The columns or their units are not clear.
+    RecordingError
+        The file lacks the columns, or its numbers are no recording.
+    """
+    declared, time = table.units, selection.time
+    _refuse_inchworm(table.path, declared, input, output)
     taken = {split_choice(time)[0] if time and time not in declared else time or find_time(declared)}
     taken |= {choice if choice in declared else split_choice(choice)[0] for choice in (input, output) if choice}
     free = {name: unit for name, unit in declared.items() if name not in taken}
     input = input or _default(free, ("voltage",), "V", "input")
     output = output or _default(free, ("measured", "displacement"), "m", "output")
-    recording = choose_columns(path, (input, output), time, sample_time, table)
+    recording = choose_columns(table, replace(selection, choices=(input, output)), progress)
     names = list(recording.signals)
     if len(names) < 2:
-        raise DataError("columns", f"{path}: input and output are the same column '{names[0]}'")
-    return from_recording(recording, names[0], names[1], path.name)
-
-
-def resample(data: IdentificationData, sample_time: float | None = None) -> IdentificationData:
-    """Return the data on a uniform grid: linear between the samples there are, low-passed where it becomes coarser.
-
-    Parameters
-    ----------
-    data : IdentificationData
-        Missing values are bridged.
-    sample_time : float, optional
-        [s]; the median distance of the data by default.
-
-    Raises
-    ------
-    DataError
-        Fewer than two samples are there, or the sample time is not positive or longer than the data.
-    """
-    finite = np.isfinite(data.input) & np.isfinite(data.output)
-    if np.count_nonzero(finite) < 2:
-        raise DataError("short", f"{np.count_nonzero(finite)} samples are there; resampling needs two")
-    time = data.time[finite]
-    median = float(np.median(np.diff(time)))
-    target = median if sample_time is None else float(sample_time)
-    if not 0.0 < target < time[-1] - time[0]:
-        raise DataError("resample", f"sample time {target:g} s: must be in 0 … {time[-1] - time[0]:g} s")
-    factor = max(1, math.ceil(target / median - 1e-6)) if target > 1.5 * median else 1
-    grid = time[0] + np.arange(int((time[-1] - time[0]) / (target / factor) + 1e-6) + 1) * (target / factor)
-    columns = [np.interp(grid, time, values[finite]) for values in (data.input, data.output)]
-    if factor > 1:
-        columns = [_decimated(values, factor) for values in columns]
-    note = f"resampled from {median:.6g} s (median) to {target:.6g} s, {np.count_nonzero(~finite)} missing bridged"
-    grid = grid[::factor]
-    return replace(data, time=grid, input=columns[0], output=columns[1], first=0, notes=(*data.notes, note))
-
-
-def _decimated(values, factor):
-    taps = scipy.signal.firwin(20 * factor + 1, 0.8 / factor, window=("kaiser", 8.0))
-    half = 10 * factor
-    # mirrored about the ends, so that a level or a slope there stays what it is
-    head, tail = 2 * values[0] - values[half:0:-1], 2 * values[-1] - values[-2 : -half - 2 : -1]
-    if len(head) < half or len(tail) < half:
-        raise DataError("resample", f"{len(values)} samples are too few to be made {factor} times coarser")
-    return np.convolve(np.concatenate([head, values, tail]), taps, mode="valid")[::factor]
+        raise DataError("columns", f"{table.path}: input and output are the same column '{names[0]}'")
+    data = from_recording(recording, names[0], names[1], table.path.name)
+    return replace(data, first=selection.rows[0])
 
 
 def _same_unit(recording, choice):
@@ -315,7 +295,7 @@ def _default(units, preferred, unit, role, recording=None):
 
 
 def _si(name, unit):
-    return UNITS.get(column_unit(name, unit), (unit,))[0]
+    return si_unit(column_unit(name, unit))
 
 
 def refuse_short(samples: int, needed: int, what: str) -> None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.signal
 
 from hysteresis_ros.errors import IdentificationError
+from hysteresis_ros.identification.plausibility import few_samples_a_cycle, implausible_units
+from hysteresis_ros.recordings.units import readable
 
 #: A sample may lie this much beside its place on the uniform grid, in sample times.
 GRID_TOLERANCE = 0.1
@@ -44,7 +46,8 @@ class Finding:
     Parameters
     ----------
     check : str
-        ``short``, ``constant``, ``nan``, ``uniform``, ``clipping``, ``delay``, ``drift``, ``jitter``.
+        ``short``, ``constant``, ``nan``, ``uniform``, ``clipping``, ``unit``, ``coarse``, ``delay``, ``drift``,
+        ``jitter``, ``reading`` …
     severity : str
         ``error`` (cannot be used), ``warning`` (results suffer) or ``note``.
     message : str
@@ -114,6 +117,15 @@ class DataReport:
         """Messages of the notes."""
         return tuple(item.message for item in self.findings if item.severity == "note")
 
+    def warned(self, texts) -> DataReport:
+        """Return the report with warnings in front that came before these checks.
+
+        Parameters
+        ----------
+        texts : iterable of str
+        """
+        return replace(self, findings=(*(Finding("reading", "warning", text) for text in texts), *self.findings))
+
     def raise_errors(self) -> None:
         """Raise what makes the data unusable.
 
@@ -140,6 +152,24 @@ def check_data(time, input, output, input_unit="V", output_unit="m", minimum_sam
     minimum_samples : int
         Fewer are too short.
     """
+    units = input_unit, output_unit
+    return check_behaviour(check_samples(time, input, output, units, minimum_samples), time, input, output, units)
+
+
+def check_samples(time, input, output, units=("V", "m"), minimum_samples: int = 50) -> DataReport:
+    """Check what must be seen at every sample: missing ones, time, constants, clipping.
+
+    Parameters
+    ----------
+    time : ndarray, shape (N,)
+        [s]
+    input, output : ndarray, shape (N,)
+        SI.
+    units : (str, str)
+        For the messages.
+    minimum_samples : int
+        Fewer are too short.
+    """
     found: list[Finding] = []
     finite = np.isfinite(input) & np.isfinite(output)
     missing = int(np.count_nonzero(~finite))
@@ -152,33 +182,26 @@ def check_data(time, input, output, input_unit="V", output_unit="m", minimum_sam
         found.append(Finding("nan", "error", f"{text}; choose a range without them or ask for resampling"))
     sample_time, jitter, finding = check_uniform(time)
     found += finding
-    u, y = input[finite], output[finite]
-    numbers = dict(stroke=np.nan, low=np.nan, high=np.nan, clipped_u=0.0, clipped_y=0.0, delay=np.nan, drift=np.nan)
-    reversals = 0
+    u, y = (input, output) if not missing else (input[finite], output[finite])
+    numbers = dict(stroke=np.nan, low=np.nan, high=np.nan, clipped_u=0.0, clipped_y=0.0)
     if u.size:
         numbers |= dict(stroke=np.ptp(y), low=u.min(), high=u.max())
-        for role, values, unit in (("input", u, input_unit), ("output", y, output_unit)):
+        for role, values, unit in (("input", u, units[0]), ("output", y, units[1])):
             if np.ptp(values) <= CONSTANT * np.max(np.abs(values)):
                 text = f"the {role} is constant ({values[0]:.6g} {unit}); excite the actuator and record again"
                 found.append(Finding("constant", "error", text))
     if u.size and not any(item.check in ("constant", "short") for item in found):
         numbers["clipped_u"], numbers["clipped_y"] = clipped_share(u), clipped_share(y, u)
         for role, values, unit, share in (
-            ("input", u, input_unit, numbers["clipped_u"]),
-            ("output", y, output_unit, numbers["clipped_y"]),
+            ("input", u, units[0], numbers["clipped_u"]),
+            ("output", y, units[1], numbers["clipped_y"]),
         ):
             if share > 0.0:
                 text = (
                     f"the {role} seems clipped: {100 * share:.2g} % of the samples rest exactly at its extreme "
-                    f"({values.min():.6g} … {values.max():.6g} {unit})"
+                    f"({readable(values.min(), unit)} … {readable(values.max(), unit)})"
                 )
                 found.append(Finding("clipping", "warning", text))
-        reversals = count_reversals(u)
-        if not any(item.check in ("uniform", "nan") for item in found):
-            numbers["delay"], finding = _check_delay(u, y, sample_time)
-            found += finding
-        numbers["drift"], finding = _check_drift(time[finite], u, y, output_unit)
-        found += finding
     return DataReport(
         samples=len(time),
         sample_time=sample_time,
@@ -189,11 +212,45 @@ def check_data(time, input, output, input_unit="V", output_unit="m", minimum_sam
         input_maximum=float(numbers["high"]),
         clipped_input=numbers["clipped_u"],
         clipped_output=numbers["clipped_y"],
-        delay=numbers["delay"],
-        drift=numbers["drift"],
-        reversals=reversals,
+        delay=np.nan,
+        drift=np.nan,
+        reversals=0,
         findings=tuple(found),
     )
+
+
+def check_behaviour(report: DataReport, time, input, output, units=("V", "m")) -> DataReport:
+    """Add what the signals say of each other: reversals, units that make no sense, delay, drift.
+
+    Parameters
+    ----------
+    report : DataReport
+        From :func:`check_samples`, of these samples or of those that they are averages of.
+    time, input, output : ndarray, shape (N,)
+        SI.
+    units : (str, str)
+        For the messages.
+    """
+    if any(item.check in ("constant", "short") for item in report.findings):
+        return report
+    found = list(report.findings)
+    finite = np.isfinite(input) & np.isfinite(output)
+    u, y = input[finite], output[finite]
+    if not u.size:
+        return report
+    reversals = count_reversals(u)
+    duration = float(time[-1] - time[0])
+    questions = implausible_units(report.sample_time, duration, u, y, units, reversals)
+    found += [Finding("unit", "warning", text) for text in questions]
+    found += [
+        Finding("coarse", "warning", text) for text in few_samples_a_cycle(duration / report.sample_time, reversals)
+    ]
+    delay = np.nan
+    if not any(item.check in ("uniform", "nan") for item in found):
+        delay, finding = _check_delay(u, y, duration / (len(time) - 1))
+        found += finding
+    drift, finding = _check_drift(time[finite], u, y, units[1])
+    return replace(report, delay=delay, drift=drift, reversals=reversals, findings=(*found, *finding))
 
 
 def check_uniform(time) -> tuple[float, float, list[Finding]]:
@@ -217,13 +274,17 @@ def check_uniform(time) -> tuple[float, float, list[Finding]]:
     if jitter <= GRID_TOLERANCE * slope or jitter <= 0.51 * _rounding(time):
         if jitter <= 0.01 * slope:
             return slope, jitter, []
-        text = f"samples lie up to {jitter:.3g} s beside a uniform grid of {slope:.6g} s; taken as uniform"
+        beside = f"up to {readable(jitter, 's')} beside a uniform grid of {readable(slope, 's')}"
+        text = f"samples lie {beside}; taken as uniform"
         return slope, jitter, [Finding("jitter", "note", text)]
     median = float(np.median(distances))
     steps = np.rint(distances / median)
     if np.max(np.abs(distances - steps * median)) <= GRID_TOLERANCE * median:
-        lost = int(np.sum(steps - 1))
-        text = f"not uniformly sampled: {lost} samples of a grid of {median:.6g} s are missing"
+        lost, longest = int(np.sum(steps - 1)), int(np.argmax(distances))
+        text = (
+            f"not uniformly sampled: {lost} samples of a grid of {median:.6g} s are missing, the longest gap is "
+            f"{distances[longest]:.4g} s at {time[longest]:.6g} s"
+        )
     else:
         text = f"not uniformly sampled: distances from {distances.min():.6g} s to {distances.max():.6g} s"
     return slope, jitter, [Finding("uniform", "error", f"{text}; ask for resampling, or choose a uniform range")]
@@ -329,9 +390,11 @@ def estimate_delay(u, y, sample_time: float) -> float:
 
 def _check_delay(u, y, sample_time):
     delay = estimate_delay(u, y, sample_time)
-    text = f"the output lags the input by {delay:.4g} s at the best correlation (dead time, dynamics and hysteresis)"
+    lag = readable(delay, "s")
+    text = f"the output lags the input by {lag} at the best correlation (dead time, dynamics and hysteresis)"
     if delay < -1.5 * sample_time:
-        text = f"the output comes {-delay:.4g} s before the input; are the columns of one clock and not exchanged?"
+        lead = readable(-delay, "s")
+        text = f"the output comes {lead} before the input; are the columns of one clock and not exchanged?"
         return delay, [Finding("delay", "warning", text)]
     return delay, [Finding("delay", "note", text)]
 
@@ -348,5 +411,5 @@ def _check_drift(time, u, y, unit):
     monotone = abs(np.corrcoef(scaled, progress)[0, 1]) > 0.95
     if monotone or abs(drift) <= DRIFT_SHARE * stroke:
         return (0.0 if monotone else drift), []
-    text = f"the output drifts by {drift:.4g} {unit} ({100 * drift / stroke:.2g} % of stroke) over the data"
+    text = f"the output drifts by {readable(drift, unit)} ({100 * drift / stroke:.2g} % of stroke) over the data"
     return drift, [Finding("drift", "warning", f"{text}: creep, temperature or a transient at the start")]

@@ -78,7 +78,7 @@ def recover_voltage(
         ),
     )
     compensator = Compensator(parameters, fit.sample_time)
-    found = np.array([compensator.step(command) for command in wanted])
+    found = compensator.simulate(wanted)
     error = (found - v)[skip:]
     rmse = float(np.sqrt(np.mean(error**2)))
     gain = compensator.hysteresis.gain

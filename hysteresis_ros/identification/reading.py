@@ -6,22 +6,29 @@ import pathlib
 from dataclasses import dataclass, replace
 
 from hysteresis_ros.errors import IdentificationError
+from hysteresis_ros.identification.condensing import MOST_SAMPLES, condense
 from hysteresis_ros.identification.data import (
     DataError,
     DataReport,
     IdentificationData,
     from_recording,
+    from_table,
     load_data,
-    resample,
 )
-from hysteresis_ros.recordings.columns import TEXT_SUFFIXES, UNITS, find_time, read_table, split_choice
+from hysteresis_ros.identification.data_checks import check_behaviour, check_samples
+from hysteresis_ros.identification.sampling import resample, steadied
+from hysteresis_ros.recordings.columns import TABLE_SUFFIXES, Selection, Table, find_time, open_table
 from hysteresis_ros.recordings.dataset import Recording
+from hysteresis_ros.recordings.units import si_unit, split_choice
 
 #: Names under which recordings elsewhere keep the voltage and the displacement, the most telling first.
-INPUT_NAMES = ("voltage", "control", "command", "drive", "input", "excitation", "u", "v", "volt", "amp", "piezo")
+INPUT_NAMES = (
+    *("voltage", "control", "command", "drive", "input", "excitation", "u", "v", "volt", "amp", "piezo"),
+    *("spannung", "ao0", "ao1"),
+)
 OUTPUT_NAMES = (
     *("measured", "displacement", "position", "sensor", "cap", "gauge", "interferometer", "output"),
-    *("y", "x", "z", "d", "pos", "disp", "um", "nm"),
+    *("y", "x", "z", "d", "pos", "disp", "um", "nm", "weg", "ai0", "ai1"),
 )
 
 
@@ -44,6 +51,9 @@ class Columns:
         Sample time [s] of a uniform grid to bring the data to; ``auto``: the median distance of the samples.
     negate : bool
         Count the output in the other direction.
+    all_samples : bool
+        Take every sample; by default long data is condensed to what carries information
+        (:func:`~hysteresis_ros.identification.condensing.condense`).
     """
 
     input: str | None = None
@@ -54,6 +64,7 @@ class Columns:
     range: tuple[int, int | None] | None = None
     resample: float | str | None = None
     negate: bool = False
+    all_samples: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,15 +85,17 @@ class Reading:
     guessed: tuple[str, ...] = ()
 
 
-def read_data(source, columns: Columns | None = None) -> Reading:
+def read_data(source, columns: Columns | None = None, progress=None) -> Reading:
     """Return checked data in SI units.
 
     Parameters
     ----------
     source : path-like, Recording, IdentificationData or Reading
-        A file (bag, CSV, NPZ), or what was read already.
+        A file (bag, CSV, text, NPZ, MATLAB), or what was read already.
     columns : Columns, optional
         Of a file, and what is taken of it.
+    progress : callable, optional
+        Called with the part of a table that was read.
 
     Raises
     ------
@@ -93,47 +106,63 @@ def read_data(source, columns: Columns | None = None) -> Reading:
         return source
     columns = columns or Columns()
     data, guessed = source, ()
+    ranged = columns.range or (0, None)
     if isinstance(source, Recording):
         data = from_recording(source, columns.input, columns.output)
     elif not isinstance(source, IdentificationData):
-        data, guessed = _load(pathlib.Path(source), columns)
+        data, guessed, ranged = _load(pathlib.Path(source), columns, progress)
     if data.output_unit != "m":
         raise IdentificationError(
             f"output {data.output_name} is in '{data.output_unit}'; it must be a length: give it as "
             f"{data.output_name}:um or whatever it is in"
         )
-    if columns.range is not None:
-        data = data.part(*columns.range)
+    if ranged != (0, None):
+        data = data.part(*ranged)
+    data = steadied(data)
     if columns.resample is not None:
         data = resample(data, None if columns.resample == "auto" else columns.resample)
     if columns.negate:
         data = replace(data, output=-data.output, notes=(*data.notes, "output counted in the other direction"))
-    return Reading(*data.checked(), guessed)
+    return Reading(*(data.checked() if columns.all_samples else _condensed(data)), guessed)
 
 
-def _load(path: pathlib.Path, columns: Columns) -> tuple[IdentificationData, tuple[str, ...]]:
-    """Return the data of a file, and what was guessed on the way."""
-    time, sample_time, namespace = columns.time, columns.sample_time, columns.namespace
+def _condensed(data: IdentificationData) -> tuple[IdentificationData, DataReport]:
+    """Return checked data without the samples that say nothing new, and the report of all."""
+    data = data.trimmed()
+    if len(data) <= MOST_SAMPLES:
+        return data.checked()
+    units = data.input_unit, data.output_unit
+    report = check_samples(data.time, data.input, data.output, units)
+    report.raise_errors()
+    data = condense(data)
+    return data, check_behaviour(report, data.time, data.input, data.output, units).warned(data.warnings)
+
+
+def _load(path: pathlib.Path, columns: Columns, progress):
+    """Return the data of a file, what was guessed on the way, and the range that is still to be taken."""
+    sample_time, ranged = columns.sample_time, columns.range or (0, None)
     if sample_time is not None and not 0.0 < sample_time < float("inf"):
         raise IdentificationError(f"--sample-time {sample_time:g}: must be above 0 s")
+    if path.suffix.lower() not in TABLE_SUFFIXES:
+        return load_data(path, columns.input, columns.output, namespace=columns.namespace), (), ranged
+    table = open_table(path)
+    selection = Selection((), columns.time, sample_time, ranged)
     try:
-        return load_data(path, columns.input, columns.output, time, sample_time, namespace), ()
+        return from_table(table, selection, columns.input, columns.output, progress), (), (0, None)
     except DataError as error:
         if error.check != "columns":
             raise
-        chosen, notes = _guess(path, columns, error)
-    return load_data(path, chosen["input"], chosen["output"], time, sample_time, namespace), notes
+        chosen, notes = _guess(table, columns, error)
+    return from_table(table, selection, chosen["input"], chosen["output"], progress), notes, (0, None)
 
 
-def _guess(path: pathlib.Path, columns: Columns, error: DataError) -> tuple[dict[str, str], tuple[str, ...]]:
+def _guess(table: Table, columns: Columns, error: DataError) -> tuple[dict[str, str], tuple[str, ...]]:
     """Choose the columns whose names tell most, or raise ``error``."""
-    if path.suffix.lower() not in (*TEXT_SUFFIXES, ".npz"):
-        raise error
-    declared = read_table(path)[1]
+    declared = table.units
     given = {"input": columns.input, "output": columns.output}
     taken = {find_time(declared)}
     taken |= {choice if choice in declared else split_choice(choice)[0] for choice in given.values() if choice}
-    free = {name: UNITS.get(unit, (unit,))[0] for name, unit in declared.items() if name not in taken}
+    free = {name: si_unit(unit) for name, unit in declared.items() if name not in taken}
     chosen = {role: choice for role, choice in given.items() if choice}
     notes = []
     for role, names, unit in (("input", INPUT_NAMES, "V"), ("output", OUTPUT_NAMES, "m")):
@@ -144,7 +173,7 @@ def _guess(path: pathlib.Path, columns: Columns, error: DataError) -> tuple[dict
             raise error
         if free[best] is None:
             raise DataError(
-                "unit", f"{path}: column '{best}' seems to be the {role} but has no unit; give it as "
+                "unit", f"{table.path}: column '{best}' seems to be the {role} but has no unit; give it as "
                 f"--{role} {best}:{'V' if unit == 'V' else 'um'} or whatever it is in"
             )  # fmt: skip
         chosen[role] = best

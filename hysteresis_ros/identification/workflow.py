@@ -187,8 +187,10 @@ def identify(
     given = _checked(conditions)
     chosen = registry.parse_options(model, [f"{name}={value}" for name, value in (options or {}).items()])
     reading = read_data(source)
-    data, skip = reading.data, given.get("skip")
-    intersample, initial = given.get("intersample") or "zoh", given.get("initial")
+    data = reading.data
+    skip = _averaged(given.get("skip"), data)
+    # between samples that are averages the input ran on, whoever held it
+    intersample, initial = given.get("intersample") or ("zoh" if data.factor == 1 else "linear"), given.get("initial")
     result = registry.identify(
         data,
         model,
@@ -218,7 +220,7 @@ def identify(
         notes.append(f"no inverse validation: {reason}")
     if not result.converged:
         notes.insert(0, NOT_CONVERGED)
-    result = replace(result, warnings=tuple(dict.fromkeys(notes)))
+    result = replace(result, chain=_at_recorded_rate(result.chain, data), warnings=tuple(dict.fromkeys(notes)))
     text = file_text(result, identification_section(result, data, figures, skip))
     named = {"model": model, "linear": result.linear, **figures, **result.numbers, "converged": result.converged}
     named |= {"sensor_zero_m": result.chain.offset} | ({"start": result.start} if result.start else {})
@@ -267,7 +269,12 @@ def validate(
     held, initial = given.get("intersample"), given.get("initial")
     predicted = predict(plant, data.input, data.sample_time, held, initial, measured=data.output)
     found, back, reason = judge(
-        plant, data, predicted, skip=given.get("skip") or 0, free_offset=given.get("offset") == "free", inverse=inverse
+        plant,
+        data,
+        predicted,
+        skip=_averaged(given.get("skip"), data) or 0,
+        free_offset=given.get("offset") == "free",
+        inverse=inverse,
     )
     figures = found.to_dict()
     judged = figures.pop("warnings")
@@ -284,6 +291,21 @@ def validate(
     }
     figures = {**finite(figures), "identified_from": section.get("source"), "data": data.source}
     return Compared(data, plant, predicted, found, back, figures, tuple(notes))
+
+
+def _averaged(skip: int | None, data: IdentificationData) -> int | None:
+    """Return how many of the samples that are averages hold the first ``skip`` of the recording."""
+    return None if skip is None else -(-max(skip - data.first, 0) // data.factor) if data.factor > 1 else skip
+
+
+def _at_recorded_rate(chain: PlantModel, data: IdentificationData) -> PlantModel:
+    """Return the chain for the rate of the recording whose samples were averaged, if it can be had there."""
+    recorded = data.sample_time / data.factor
+    if data.factor == 1 or (chain.linear_part is None and chain.transfer_function is None and chain.dynamics.order):
+        return chain
+    part = chain.linear_part
+    fast = part is not None and part.lag + part.delay < 0.5 * recorded
+    return replace(at_rate(chain, recorded), synchronous=chain.synchronous and fast)
 
 
 def _checked(conditions: Conditions) -> Conditions:

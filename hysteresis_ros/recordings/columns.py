@@ -7,94 +7,79 @@ Recordings from elsewhere name their columns ``control_V`` or ``y``; what is mis
 from __future__ import annotations
 
 import pathlib
-import re
 import zipfile
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import numpy as np
 
 from hysteresis_ros.errors import RecordingError
+from hysteresis_ros.recordings.clock import Clock, mend_clock
 from hysteresis_ros.recordings.dataset import Recording
-from hysteresis_ros.recordings.tables import SUBUNITS
-from hysteresis_ros.signals import UNITS as SIGNAL_UNITS
+from hysteresis_ros.recordings.matlab_files import read_matlab
+from hysteresis_ros.recordings.text_tables import find_layout, read_columns
+from hysteresis_ros.recordings.units import column_unit, conversion, known_conversion, si_unit, split_choice
 
-#: Units a column may have: name → (SI unit, number of them in one SI unit); ``1`` is dimensionless.
-UNITS = {
-    **SUBUNITS,
-    **{unit: (unit, 1.0) for unit in ("s", "m", "V", "A", "N", "rad", "K", "Pa", "Hz", "1", "m/s", "m/s^2")},
-    "min": ("s", 1 / 60),
-    "cm": ("m", 1e2),
-    "pm": ("m", 1e12),
-    "uV": ("V", 1e6),
-    "kV": ("V", 1e-3),
-    "mA": ("A", 1e3),
-    "mN": ("N", 1e3),
-    "kN": ("N", 1e-3),
-    "mrad": ("rad", 1e3),
-    "urad": ("rad", 1e6),
-    "µrad": ("rad", 1e6),
-    "deg": ("rad", 180 / np.pi),
-    "%": ("1", 1e2),
-}
+#: Kinds of files that are read as tables: text, NPZ and MATLAB.
+TABLE_SUFFIXES = (".csv", ".txt", ".dat", ".tsv", ".asc", ".npz", ".mat")
 
-#: Kinds of files that are read as text tables.
-TEXT_SUFFIXES = (".csv", ".txt", ".dat", ".tsv")
-
-_HEADER = re.compile(r"^(?P<name>.*?)\s*[\[(](?P<unit>[^\[\]()]+)[\])]$")
-_TIME_NAMES = ("time", "t", "Time", "timestamp", "time_s", "t_s", "time_ms", "t_ms", "time_us", "t_us")
+_TIME_NAMES = ("time", "t", "timestamp", "time_s", "t_s", "time_ms", "t_ms", "time_us", "t_us", "zeit", "elapsed")
 
 
-def column_unit(name: str, header_unit: str | None = None) -> str | None:
-    """Return the unit a column declares: in its header, by a known signal name, or as suffix (``control_V``).
+@dataclass(frozen=True, eq=False)
+class Table:
+    """A table that was opened: its columns' names and units; the numbers are read when they are asked for.
 
     Parameters
     ----------
-    name : str
-        Name of the column.
-    header_unit : str, optional
-        What stood in brackets after the name.
-
-    Returns
-    -------
-    str or None
-        A key of :data:`UNITS`, or whatever stood in the brackets; None where nothing tells the unit.
+    path : Path
+    units : dict of str to (str or None)
+        Of each column what it declares (:func:`~hysteresis_ros.recordings.units.column_unit`).
+    load : callable
+        ``load(names, progress)`` returns the columns, in the file's own units, and warnings.
+    notes : tuple of str
+        How the table is written.
     """
-    suffix = name.rsplit("_", 1)[-1] if "_" in name else ""
-    return header_unit or SIGNAL_UNITS.get(name) or (suffix if suffix in UNITS else None)
+
+    path: pathlib.Path
+    units: dict[str, str | None]
+    load: Callable
+    notes: tuple[str, ...] = ()
 
 
-def split_choice(choice: str) -> tuple[str, str | None]:
-    """Split ``name:unit`` into name and unit; the unit is None when there is no colon.
+@dataclass(frozen=True)
+class Selection:
+    """What is taken of a table.
 
-    Raises
-    ------
-    RecordingError
-        The unit is unknown; the message lists the known ones.
+    Parameters
+    ----------
+    choices : tuple of str
+        Columns as ``name`` or ``name:unit``; the unit may be left out where the column declares it.
+    time : str, optional
+        The time column, likewise; by default the one called ``time``, ``t``, ``time_s`` … or the only one in seconds.
+    sample_time : float, optional
+        Distance of two samples [s] for tables without a time column.
+    rows : (int, int or None)
+        First row and the one after the last; None: all from there, negative: from the end.
     """
-    name, colon, unit = choice.rpartition(":")
-    if not colon:
-        return choice, None
-    _conversion(name, unit)
-    return name, unit
+
+    choices: tuple[str, ...]
+    time: str | None = None
+    sample_time: float | None = None
+    rows: tuple[int, int | None] = (0, None)
 
 
-def read_table(path) -> tuple[dict[str, np.ndarray], dict[str, str | None]]:
-    """Read every column of a text table or an NPZ as it stands.
+def open_table(path) -> Table:
+    """Open a text table, an NPZ or a MATLAB file.
 
-    Text: comma, semicolon, tab or blanks between the columns, ``#`` starts a comment, the first line may name the
-    columns (``name`` or ``name [unit]``); without names they are called ``1``, ``2`` … Cells that are no numbers become
-    NaN.
+    Text: comma, semicolon, tab or blanks between the columns, decimal points or commas, ``#`` starts a comment; lines
+    before the table are passed over, the last of them may name the columns (``name`` or ``name [unit]``); without names
+    they are called ``1``, ``2`` … Cells that are no numbers become NaN.
 
     Parameters
     ----------
     path : path-like
-        ``.csv``, ``.txt``, ``.dat``, ``.tsv`` or ``.npz``.
-
-    Returns
-    -------
-    columns : dict of str to ndarray, shape (N,)
-        In the file's own units.
-    units : dict of str to (str or None)
-        What each column declares (:func:`column_unit`).
+        ``.csv``, ``.txt``, ``.dat``, ``.tsv``, ``.asc``, ``.npz`` or ``.mat``.
 
     Raises
     ------
@@ -105,32 +90,12 @@ def read_table(path) -> tuple[dict[str, np.ndarray], dict[str, str | None]]:
     if not path.is_file():
         raise RecordingError(f"{path}: no such file; give the path of a recording")
     if path.suffix.lower() == ".npz":
-        return _read_arrays(path)
-    try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, UnicodeDecodeError) as error:
-        raise RecordingError(f"{path}: cannot be read: {error}") from None
-    lines = [line for line in lines if line.strip() and not line.lstrip().startswith("#")]
-    if not lines:
-        raise RecordingError(f"{path}: holds no samples")
-    delimiter = next((mark for mark in (";", "\t", ",") if mark in lines[0]), None)
-    cells = [cell.strip().strip('"') for cell in lines[0].split(delimiter)]
-    named = not all(_is_number(cell) for cell in cells)
-    if named:
-        lines = lines[1:]
-    else:
-        cells = [str(i + 1) for i in range(len(cells))]
-    names, units = [], {}
-    for cell in cells:
-        match = _HEADER.match(cell)
-        name = match["name"] if match else cell
-        names.append(name)
-        units[name] = column_unit(name, match["unit"].strip() if match else None)
-    repeated = sorted({name for name in names if names.count(name) > 1})
-    if repeated:
-        raise RecordingError(f"{path}: column {', '.join(repeated)} appears more than once")
-    table = _numbers(path, lines, delimiter, len(names))
-    return {name: np.ascontiguousarray(table[:, i]) for i, name in enumerate(names)}, units
+        return _open_arrays(path)
+    if path.suffix.lower() == ".mat":
+        arrays = read_matlab(path)
+        return Table(path, _declared(arrays), lambda names, progress: ({name: arrays[name] for name in names}, ()))
+    layout = find_layout(path)
+    return Table(path, layout.units, lambda names, progress: read_columns(path, layout, names, progress), layout.notes)
 
 
 def find_time(units: dict[str, str | None]) -> str | None:
@@ -139,114 +104,144 @@ def find_time(units: dict[str, str | None]) -> str | None:
     Parameters
     ----------
     units : dict of str to (str or None)
-        What :func:`read_table` returned.
+        Those of a :class:`Table`.
     """
-    known = [name for name in _TIME_NAMES if name in units]
-    seconds = [name for name, unit in units.items() if unit in UNITS and UNITS[unit][0] == "s"]
+    known = [name for telling in _TIME_NAMES for name in units if name.lower() == telling]
+    seconds = [name for name, unit in units.items() if si_unit(unit) == "s"]
     return known[0] if known else (seconds[0] if len(seconds) == 1 else None)
 
 
-def choose_columns(path, choices, time: str | None = None, sample_time: float | None = None, table=None) -> Recording:
-    """Read chosen columns of a text table or NPZ into a recording in SI units.
+def choose_columns(table: Table, selection: Selection, progress=None) -> Recording:
+    """Read chosen columns of a table into a recording in SI units.
 
     Parameters
     ----------
-    path : path-like
-        The table.
-    choices : iterable of str
-        Columns as ``name`` or ``name:unit``; the unit may be left out where the column declares it.
-    time : str, optional
-        The time column, likewise; by default the one called ``time``, ``t``, ``time_s`` … or the only one in seconds.
-    sample_time : float, optional
-        Distance of two samples [s] for tables without a time column.
-    table : tuple, optional
-        What :func:`read_table` returned for the path, where it was read already.
+    table : Table
+    selection : Selection
+    progress : callable, optional
+        Called with the part of the file that was read.
+
+    Returns
+    -------
+    Recording
+        Its metadata hold ``notes`` and ``warnings``: what was found odd and what was done about it.
 
     Raises
     ------
     RecordingError
         A column is missing, has no unit or an unknown one, or there is no time.
     """
-    columns, declared = table or read_table(path)
-    signals, units = {}, {}
-    for choice in choices:
-        name, values, unit = _converted(path, choice, columns, declared)
-        signals[name], units[name] = values, unit
-    metadata = {"source": pathlib.Path(path).name}
-    if time is None and sample_time is None:
+    # a column called time or t without a unit is in seconds, as everywhere in this package
+    declared = {name: unit or ("s" if name.lower() in _TIME_NAMES else None) for name, unit in table.units.items()}
+    chosen = {name: (divisor, unit) for name, divisor, unit in (_chosen(table, c, declared) for c in selection.choices)}
+    time = selection.time
+    if time is None and selection.sample_time is None:
         time = find_time(declared)
         if time is None:
-            there = ", ".join(columns)
-            raise RecordingError(f"{path}: no time among {there}; name it like 'time_s:s' or give the sample time")
-    if time is None and sample_time is not None:
+            there = ", ".join(declared)
+            raise RecordingError(
+                f"{table.path}: no time among {there}; name it like 'time_s:s' or give the sample time"
+            )
+    clock_name, divisor = None, 1.0
+    if time is not None:
+        clock_name, divisor, unit = _chosen(table, time, declared)
+        if unit != "s":
+            raise RecordingError(
+                f"{table.path}: time column '{clock_name}' is in '{unit}'; it must be in s, ms, us or min"
+            )
+    wanted = list(dict.fromkeys([*chosen, *([clock_name] if clock_name is not None else [])]))
+    columns, warnings = table.load(wanted, progress)
+    columns = _rows(columns, selection.rows)
+    if clock_name is None:
         size = len(next(iter(columns.values())))
-        return Recording(np.arange(size) * float(sample_time), signals, units, metadata)
-    # a column called time or t without a unit is in seconds, as everywhere in this package
-    declared = {**declared, **{name: declared.get(name) or "s" for name in ("time", "t")}}
-    name, instants, unit = _converted(path, time, columns, declared)
-    if unit != "s":
-        raise RecordingError(f"{path}: time column '{name}' is in '{unit}'; it must be in s, ms, us or min")
+        clock = Clock(np.arange(size) * float(selection.sample_time or 0.0))
+    else:
+        seconds = columns[clock_name] / divisor
+        clock = mend_clock(seconds, [values for name, values in columns.items() if name != clock_name])
+    signals = {}
+    for name, (scale, _) in chosen.items():
+        values = columns.pop(name)
+        values = values if clock.kept is None else values[clock.kept]
+        signals[name] = values if scale == 1.0 else values / scale
+    metadata = {
+        "source": table.path.name,
+        "notes": [*table.notes, *clock.notes],
+        "warnings": [*warnings, *clock.warnings],
+    }
     try:
-        return Recording(instants, signals, units, metadata)
+        return Recording(clock.time, signals, {name: unit for name, (_, unit) in chosen.items()}, metadata)
     except RecordingError as error:
-        raise RecordingError(f"{path}: {error}") from None
+        raise RecordingError(f"{table.path}: {error}") from None
 
 
-def _converted(path, choice, columns, declared):
-    """Return name, values in SI and SI unit of one choice."""
-    name, unit = (choice, None) if choice in columns else split_choice(choice)
-    if name not in columns:
-        raise RecordingError(f"{path}: no column '{name}'; the columns are {', '.join(columns)}")
-    unit = unit or declared.get(name)
+def _rows(columns, rows):
+    """Return the rows that are wanted of all columns."""
+    size = len(next(iter(columns.values())))
+    start, stop, _ = slice(*rows).indices(size)
+    if rows == (0, None):
+        return columns
+    if rows[0] < 0 or stop <= start or (rows[1] is not None and rows[1] > size):
+        last = "" if rows[1] is None else rows[1]
+        raise RecordingError(f"samples {rows[0]}:{last} of {size}: choose a range inside the recording")
+    return {name: values[start:stop] for name, values in columns.items()}
+
+
+def _chosen(table, choice, declared):
+    """Return name, divisor and SI unit of one choice."""
+    name, unit = (choice, None) if choice in declared else split_choice(choice)
+    if name not in declared:
+        raise RecordingError(f"{table.path}: no column '{name}'; the columns are {', '.join(declared)}")
+    other = declared[name]
+    unit = unit or other
     if unit is None:
-        raise RecordingError(f"{path}: column '{name}' has no unit; give it as '{name}:um' or whatever it is in")
-    si, divisor = _conversion(name, unit)
-    other = declared.get(name)
-    if other in UNITS and UNITS[other] != UNITS[unit]:
-        raise RecordingError(f"{path}: column '{name}' is in '{other}' by its header and '{unit}' was asked; which?")
-    return name, columns[name] if divisor == 1.0 else columns[name] / divisor, si
+        raise RecordingError(f"{table.path}: column '{name}' has no unit; give it as '{name}:um' or whatever it is in")
+    si, divisor = known_conversion(name, unit)
+    stands = conversion(other) if other is not None and other != unit else None
+    if stands is not None and stands[0] == "V" and "/" in unit:
+        divisor *= stands[1]  # a sensor's sensitivity beside what its converter read
+    elif stands not in (None, (si, divisor)):
+        raise RecordingError(
+            f"{table.path}: column '{name}' is in '{other}' by its header and '{unit}' was asked; which?"
+        )
+    return name, divisor, si
 
 
-def _conversion(name, unit):
-    if unit not in UNITS:
-        raise RecordingError(f"column '{name}': unknown unit '{unit}'; known are {', '.join(UNITS)}")
-    return UNITS[unit]
+def _declared(names) -> dict[str, str | None]:
+    """Return the units that names tell, also those of fields of structures."""
+    return {name: column_unit(name) or column_unit(name.rpartition(".")[2]) for name in names}
 
 
-def _read_arrays(path):
+def _open_arrays(path) -> Table:
     try:
         with np.load(path, allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
-    except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+            sizes = {name: size for name in archive.files if (size := _length(archive, name)) is not None}
+    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
         raise RecordingError(f"{path}: not a readable NPZ file: {error}") from None
-    columns = {
-        name: np.asarray(array, dtype=float)
-        for name, array in arrays.items()
-        if array.ndim == 1 and array.dtype.kind in "fiu"
-    }
-    sizes = {len(values) for values in columns.values()}
-    if len(sizes) != 1:
-        raise RecordingError(f"{path}: needs one-dimensional arrays of one length; it has lengths {sorted(sizes)}")
-    return columns, {name: column_unit(name) for name in columns}
+    lengths = list(sizes.values())
+    size = max(lengths, key=lambda length: (lengths.count(length), length), default=0)
+    if lengths.count(size) < min(2, max(len(lengths), 1)):
+        raise RecordingError(f"{path}: needs one-dimensional arrays of one length; it has lengths {sorted(lengths)}")
+    declared = _declared(name for name, length in sizes.items() if length == size)
+
+    def load(names, progress):
+        columns = {}
+        try:
+            with np.load(path, allow_pickle=False) as archive:
+                for done, name in enumerate(names, 1):
+                    columns[name] = np.asarray(archive[name], dtype=float)
+                    if progress is not None:
+                        progress(done / len(names))
+        except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+            raise RecordingError(f"{path}: not a readable NPZ file: {error}") from None
+        return columns, ()
+
+    return Table(path, declared, load)
 
 
-def _numbers(path, lines, delimiter, width):
-    try:
-        return np.loadtxt(lines, delimiter=delimiter, ndmin=2, dtype=np.float64).reshape(len(lines), width)
-    except ValueError:
-        pass  # some cell is empty or text: read it cell by cell, which is slower but can say where
-    table = np.full((len(lines), width), np.nan)
-    for k, line in enumerate(lines):
-        cells = line.split(delimiter)
-        if len(cells) != width:
-            raise RecordingError(f"{path}: sample {k} has {len(cells)} cells and the header {width} columns")
-        table[k] = [float(cell) if _is_number(cell) else np.nan for cell in cells]
-    return table
-
-
-def _is_number(cell):
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True
+def _length(archive, name) -> int | None:
+    """Return the length of a member that is a vector of numbers, None of any other; only its head is read."""
+    with archive.zip.open(f"{name}.npy") as member:
+        version = np.lib.format.read_magic(member)
+        read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        shape, _, dtype = read_header(member)
+    return shape[0] if len(shape) == 1 and dtype.kind in "fiu" else None

@@ -7,6 +7,7 @@ import json
 import os
 import pathlib
 import re
+import warnings
 import zipfile
 
 import numpy as np
@@ -70,14 +71,17 @@ def read_csv(path) -> Recording:
             header = next((line for line in stream if line.strip() and not line.startswith("#")), "")
             cells = [cell.strip().strip('"') for cell in header.split(",")]
             parts = [_named_column(path, cell) for cell in cells]
-            lines = [line for line in stream if line.strip()]
-        table = np.loadtxt(lines, delimiter=",", ndmin=2, dtype=np.float64) if lines else np.empty((0, len(parts)))
+            with warnings.catch_warnings():
+                warnings.filterwarnings("ignore", "loadtxt: input contained no data", UserWarning)
+                table = np.loadtxt(stream, delimiter=",", ndmin=2, dtype=np.float64)
     except (OSError, UnicodeDecodeError) as error:
         raise RecordingError(f"{path}: cannot be read: {_reason(error)}") from None
     except RecordingError:
         raise
     except ValueError as error:
         raise RecordingError(f"{path}: not a table of numbers: {error}") from None
+    if not table.size:
+        table = np.empty((0, len(parts)))
     if table.shape[1] != len(parts):
         raise RecordingError(f"{path}: rows have {table.shape[1]} numbers and the header {len(parts)} columns")
     names = [name for name, _, _ in parts]

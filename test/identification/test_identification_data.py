@@ -12,9 +12,9 @@ from hysteresis_ros.identification.data import (
     check_data,
     from_recording,
     load_data,
-    resample,
 )
 from hysteresis_ros.identification.data_checks import check_uniform, clipped_share, count_reversals, estimate_delay
+from hysteresis_ros.identification.sampling import resample
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.files import save_run
 

@@ -1,0 +1,61 @@
+"""MATLAB files: every vector in them, also of structures and of the columns of matrices, under a name of its own."""
+
+from __future__ import annotations
+
+import pathlib
+
+import numpy as np
+
+from hysteresis_ros.errors import RecordingError
+
+
+def read_matlab(path: pathlib.Path) -> dict[str, np.ndarray]:
+    """Return the vectors of a ``.mat`` file of the most frequent length.
+
+    Parameters
+    ----------
+    path : Path
+        Level 4 or 5; since 7.3 MATLAB writes HDF5, which is refused.
+
+    Returns
+    -------
+    dict of str to ndarray, shape (N,)
+        ``name``, ``structure.field``, or ``name_1``, ``name_2`` … for the columns of a matrix.
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be read, or holds no vectors.
+    """
+    import scipy.io  # a tenth of a second, which only those pay who open such a file
+
+    try:
+        content = scipy.io.loadmat(path, simplify_cells=True)
+    except NotImplementedError:
+        raise RecordingError(f"{path}: a MATLAB file of version 7.3; save it with save(…, '-v7')") from None
+    except Exception as error:  # SciPy raises whatever damaged bytes lead to
+        raise RecordingError(f"{path}: not a readable MATLAB file: {error or type(error).__name__}") from None
+    vectors = dict(_vectors("", {name: value for name, value in content.items() if not name.startswith("__")}))
+    sizes = [values.size for values in vectors.values()]
+    if not sizes:
+        raise RecordingError(f"{path}: holds no vectors of numbers")
+    size = max(set(sizes), key=lambda length: (sizes.count(length), length))
+    return {name: values for name, values in vectors.items() if values.size == size}
+
+
+def _vectors(name, value):
+    """Yield name and values of every vector within ``value``."""
+    if isinstance(value, dict):
+        for key, part in value.items():
+            yield from _vectors(f"{name}.{key}" if name else key, part)
+        return
+    array = np.asarray(value)
+    if array.dtype.kind not in "fiu" or array.size < 2 or array.ndim > 2:
+        return
+    array = np.squeeze(array).astype(float)
+    if array.ndim == 1:
+        yield name, array
+        return
+    table = array if array.shape[0] >= array.shape[1] else array.T
+    for k in range(table.shape[1]):
+        yield f"{name}_{k + 1}", np.ascontiguousarray(table[:, k])

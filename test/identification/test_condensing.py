@@ -1,0 +1,86 @@
+"""Long recordings: what is left out says nothing new, and what is found is what all samples would say."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.signal
+
+from hysteresis_ros.identification.condensing import ENOUGH_SAMPLES, MOST_SAMPLES, condense
+from hysteresis_ros.identification.data import IdentificationData
+from hysteresis_ros.identification.linear_part import first_order_hold
+from hysteresis_ros.identification.reading import Columns, read_data
+from hysteresis_ros.identification.workflow import identify, validate
+
+RATE = 2000.0
+SIZE = 300_000
+TIME = np.arange(SIZE) / RATE
+
+
+def recording(voltage, output=None):
+    return IdentificationData(TIME[: len(voltage)], voltage, 1e-5 * (voltage if output is None else output))
+
+
+def sine(frequency=2.0, low=0.0, high=3.6):
+    return low + 0.5 * (high - low) * (1.0 - np.cos(2 * np.pi * frequency * TIME))
+
+
+def test_short_data_stays_as_it_is():
+    data = recording(sine()[:MOST_SAMPLES])
+    assert condense(data) is data
+
+
+def test_a_sine_is_condensed_to_what_carries_information():
+    noise = 1e-3 * np.random.default_rng(1).standard_normal(SIZE)
+    data = condense(recording(sine(), sine() + noise))
+    assert ENOUGH_SAMPLES // 2 < len(data) <= 2 * ENOUGH_SAMPLES and data.factor == 2
+    assert data.sample_time == pytest.approx(data.factor / RATE)
+    # every sample is the mean of those it stands for, at their middle
+    first = slice(0, data.factor)
+    assert data.time[0] == pytest.approx(TIME[first].mean()) and data.input[0] == pytest.approx(sine()[first].mean())
+    assert np.ptp(data.input) == pytest.approx(3.6, rel=1e-3)
+    # averages hold less noise than samples
+    held = np.std(data.output - 1e-5 * data.input)
+    assert held == pytest.approx(1e-8 / np.sqrt(data.factor), rel=0.1)
+    assert f"{data.factor} averaged in one" in data.notes[-1] and "--all-samples" in data.notes[-1]
+
+
+def test_a_resonance_keeps_its_samples():
+    resonance = scipy.signal.sosfilt(scipy.signal.butter(2, [270, 290], "band", fs=RATE, output="sos"), sine() > 1.8)
+    data = condense(recording(sine(), sine() + 0.05 * resonance))
+    assert data.factor == 1 and len(data) == pytest.approx(15 * RATE, rel=0.01)
+
+
+def test_the_stretch_that_reaches_both_ends_is_taken():
+    voltage = np.where(TIME < 60.0, sine(2.0, 1.0, 2.0), np.where(TIME < 110.0, sine(), sine(2.0, 0.0, 3.0)))
+    data = condense(recording(voltage))
+    assert data.first > 0 and np.ptp(data.input) == pytest.approx(3.6, rel=2e-3)
+    assert "the stretch from" in data.notes[-1]
+    growing = condense(recording(sine() * np.minimum(TIME / TIME[-1], 1.0)))
+    assert np.ptp(growing.input) > 0.95 * 3.6
+
+
+def test_what_is_found_is_what_all_samples_say_at_the_recorded_rate(tmp_path):
+    lag = 0.01
+    voltage = sine()[: SIZE // 2]
+    output = first_order_hold(voltage, lag, 1 / RATE)
+    output = output + 1e-3 * np.random.default_rng(1).standard_normal(voltage.size)
+    data = recording(voltage, output)
+    found = identify(read_data(data), "proportional", linear="lag")
+    assert found.data.factor > 1
+    assert found.plant.sample_time == pytest.approx(1 / RATE)
+    # the file is for the rate of the recording: there the lag is the one that was put in, less half a sample of holding
+    decay = found.plant.dynamics.A[0]
+    assert -1 / RATE / np.log(decay) == pytest.approx(lag - 0.5 / RATE, rel=0.01)
+    found.save(tmp_path / "axis.yaml")
+    whole = validate(tmp_path / "axis.yaml", read_data(data, Columns(all_samples=True)), inverse=False)
+    assert whole.figures["rmse_m"] == pytest.approx(1e-8, rel=0.1)
+
+
+def test_skip_counts_samples_of_the_recording():
+    data = read_data(recording(sine()))
+    figures = identify(data, "proportional", linear="none", skip=10_000).figures
+    assert figures["skipped"] == -(-10_000 // data.data.factor)
+    assert replace(data.data, factor=1).factor == 1
