@@ -322,8 +322,8 @@ def identify(
     columns : Columns, optional
         Of a file: which columns in which units, and what is taken of them: ``hr.Columns("ch1:V", "ch2:um")``.
     linear : str, optional
-        What stands behind the hysteresis: ``auto`` (the default: lag, delay and creep where they lower the residual),
-        ``none``, ``lag,delay,creep``, ``second_order``, ``arx`` …
+        What stands behind the hysteresis: ``auto`` (the default: lag, delay, creep and up to two resonances where they
+        predict better), ``none``, ``lag,delay,creep,modes``, ``second_order``, ``arx`` …
     options : dict, optional
         Of the model, such as ``{"play_count": 20}``.
     inverse : str, optional

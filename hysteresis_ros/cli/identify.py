@@ -68,7 +68,9 @@ class FitProgress:
 @click.command(short_help="Identify a model from a recording.")
 @click.argument("data", type=click.Path(path_type=pathlib.Path))
 @click.option("--model", default="prandtl_ishlinskii", show_default=True, help="Model; see `hysteresis models`.")
-@click.option("--linear", help="auto (default), none, lag,delay,creep, second_order, arx …; see `hysteresis models`.")
+@click.option(
+    "--linear", help="auto (default), none, lag,delay,creep,modes, second_order, arx …; see `hysteresis models`."
+)
 @click.option("-p", "--option", "options", multiple=True, metavar="NAME=VALUE", help="Option of the model; repeatable.")
 @click.option("--inverse", help="Inverse of the compensator; the model's first by default.")
 @click.option("-o", "--params", "params", required=True, type=click.Path(path_type=pathlib.Path), help="File to write.")

@@ -41,7 +41,7 @@ def finished(fit, voltage, displacement, sample_time, kept=None) -> HammersteinF
     first = data.first * data.factor
     used = np.ones(len(voltage), dtype=bool) if kept is None else kept.copy()
     used[:first] = False
-    synchronous = fit.part.lag + fit.part.delay < 0.5 * sample_time
+    synchronous = fit.part.synchronous(sample_time)
 
     def error_of(part, last=None):
         predicted = simulate_chain(
@@ -57,7 +57,7 @@ def finished(fit, voltage, displacement, sample_time, kept=None) -> HammersteinF
         return (displacement[:last] - predicted)[used[:last]]
 
     part = fit.part
-    if part.lag > 0.0 and not synchronous:
+    if part.lag > 0.0 and not synchronous and not part.hold:
         part = _retimed(part, sample_time, lambda other: float(np.std(error_of(other, first + RETIMED_ON))))
     error = error_of(part)
     # what the half sample and the table leave of a constant belongs to the offset

@@ -16,7 +16,7 @@ import numpy as np
 
 from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.identification.condensed import Condensed
-from hysteresis_ros.identification.linear_part import LinearPart
+from hysteresis_ros.identification.linear_part import Known, LinearPart
 from hysteresis_ros.models.actuator import ActuatorParameters
 from hysteresis_ros.models.creep import Creep, CreepParameters
 from hysteresis_ros.models.hysteresis import HysteresisParameters, hysteresis_block
@@ -27,9 +27,11 @@ from hysteresis_ros.recordings.loops import turning_points
 #: Parts of the linear model are kept when they lower the RMS residual by this part.
 WORTH_IT = 0.01
 #: Largest lag and delay, as parts of the mean time between two reversals; largest creep rate a decade.
-LONGEST_LAG = 0.15
+LONGEST_LAG = 0.6
 LARGEST_RATE = 0.05
 SETTLED_WORTH_IT = 0.05
+#: A delay instead of a lag, or beside it, has to lower the residual by this part.
+TOLD_APART = 0.05
 MOST_EVALUATIONS = 40
 #: Points of a stretch of voltage before the recording.
 FINE = 65
@@ -192,8 +194,8 @@ def fit_linear_part(solve, data: Condensed, extra=(), linear=("lag", "delay", "c
     data : Condensed
     extra : sequence of (name, start, low, high)
         Shape parameters, always fitted.
-    linear : sequence of str
-        Which of lag, delay and creep may be there.
+    linear : sequence of str, or Known
+        Which of lag, delay and creep may be there; or a linear part that is known, and which of them are searched.
     progress : callable, optional
         Called as ``progress(evaluations, rmse)``.
 
@@ -219,8 +221,8 @@ def search_linear_part(search: PartSearch, linear):
     Parameters
     ----------
     search : PartSearch
-    linear : sequence of str
-        Which of lag, delay and creep may be there.
+    linear : sequence of str, or Known
+        Which of lag, delay and creep may be there; or a linear part that is known, and which of them are searched.
 
     Returns
     -------
@@ -232,26 +234,49 @@ def search_linear_part(search: PartSearch, linear):
     IdentificationError
         A part of ``linear`` is unknown.
     """
+    known, linear = (linear.part, linear.parts) if isinstance(linear, Known) else (LinearPart(), linear)
     unknown = sorted(set(linear) - {"lag", "delay", "creep"})
     if unknown:
         raise IdentificationError(f"linear part {', '.join(unknown)}: must be of lag, delay, creep, or empty")
     data = search.data
     # a remanent actuator has stood still; one at rest at 0 V gives zero, and its creep is told from that
-    base = LinearPart(longest_time=max(1.0, len(data.voltage) * data.sample_time), settled=bool(data.history))
+    settled = known.settled or bool(data.history)
+    base = replace(known, longest_time=max(1.0, len(data.voltage) * data.sample_time), settled=settled)
+    held = replace(base, hold=data.sample_time / data.factor)
     kept: list[str] = []
     found = search.run(kept, {}, base)
     for part in ("lag", "creep", "delay"):
         if part not in linear:
             continue
-        # at rest at 0 V before, as nodes start, unless the data clearly wants rest under its first voltage
-        free = part == "creep" and not data.history
-        bases = [base, replace(base, settled=True)] if free else [base]
+        # at rest at 0 V before, as nodes start, unless the data clearly wants rest under its first voltage; and with
+        # straight lines between the samples unless it wants a held voltage
+        bases, worth = [base], WORTH_IT
+        if part == "lag" and not base.hold:
+            bases.append(held)
+        if part == "creep" and not base.settled:
+            bases, worth = [base, replace(base, settled=True)], SETTLED_WORTH_IT
         trials = [search.run([*kept, part], found.values, start) for start in bases]
-        better = int(len(trials) == 2 and trials[1].spread < (1.0 - SETTLED_WORTH_IT) * trials[0].spread)
+        better = int(len(trials) == 2 and trials[1].spread < (1.0 - worth) * trials[0].spread)
         if trials[better].spread < (1.0 - WORTH_IT) * found.spread:
             kept.append(part)
             base, found = bases[better], trials[better]
+    if "lag" in kept and "delay" in linear:
+        kept, found = _told_apart(search, kept, base, found)
     return kept, base, found
+
+
+def _told_apart(search: PartSearch, kept, base: LinearPart, found: Trial):
+    """Take the delay for the lag, or one of them alone, where both together are hardly better."""
+    others = [part for part in kept if part not in ("lag", "delay")]
+    late = split_values(base, found.values)[0].group_delay
+    delayed = search.run([*others, "delay"], {**found.values, "delay": late}, base)
+    lagging = search.run([*others, "lag"], {**found.values, "lag": late}, base) if "delay" in kept else found
+    # lags are what stages have: a delay has to be seen, and both to be better than either
+    if delayed.spread < (1.0 - TOLD_APART) * lagging.spread and delayed.spread < (1.0 + WORTH_IT) * found.spread:
+        return [*others, "delay"], delayed
+    if "delay" in kept and lagging.spread < (1.0 + TOLD_APART) * found.spread:
+        return [*others, "lag"], lagging
+    return kept, found
 
 
 class Trial(NamedTuple):

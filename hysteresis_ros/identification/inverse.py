@@ -6,7 +6,7 @@ the compensator of the nodes. Errors of a model are felt here divided by its loc
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.signal
@@ -14,11 +14,14 @@ import scipy.signal
 from hysteresis_ros.compensation.compensator import Compensator, CompensatorParameters
 from hysteresis_ros.compensation.inverses import InverseParameters
 from hysteresis_ros.identification.hammerstein import HammersteinFit
+from hysteresis_ros.identification.linear_part import LinearPart
 from hysteresis_ros.models.limits import LimitsParameters
 
 #: The window of the smoothed derivative covers this many lags, and at least so many samples.
 WINDOW = 3.0
 FEWEST = 5
+#: Where dynamics with modes answer less than this they are not undone.
+SMALLEST_RESPONSE = 0.1
 #: The voltage may leave the range of the identification by this part of it on each side.
 BEYOND = 0.1
 
@@ -67,7 +70,7 @@ def recover_voltage(
     y, v = (np.ascontiguousarray(values, dtype=np.float64) for values in (displacement, voltage))
     if free_offset:
         y = y - np.mean((y - fit.simulate(v))[skip:])
-    wanted = undo_lag(y, fit.linear_part.lag, fit.linear_part.delay, fit.sample_time)
+    wanted = undo(y, fit.linear_part, fit.sample_time)
     margin = BEYOND * (fit.voltage_high - fit.voltage_low)
     parameters = CompensatorParameters(
         inverse=InverseParameters(type="general"),
@@ -83,6 +86,29 @@ def recover_voltage(
     rmse = float(np.sqrt(np.mean(error**2)))
     gain = compensator.hysteresis.gain
     return InverseValidation(found, error, rmse, rmse * gain, 100.0 * rmse / float(np.ptp(v[skip:])))
+
+
+def undo(y, part: LinearPart, sample_time: float) -> np.ndarray:
+    """Return the input, shape (N,), of lag, delay and modes whose output is ``y``, smoothed no more than needed.
+
+    Parameters
+    ----------
+    y : array_like, shape (N,)
+        [m]
+    part : LinearPart
+        Its creep is left aside.
+    sample_time : float
+        [s]
+    """
+    if not part.modes:
+        return undo_lag(y, part.lag, part.delay, sample_time)
+    y = np.asarray(y, dtype=float)
+    # mirrored about the ends, so that level and slope go on
+    longer = np.concatenate([2.0 * y[0] - y[:0:-1], y, 2.0 * y[-1] - y[-2::-1]])
+    response = np.fft.rfft(replace(part, creep_rate=0.0).impulse(longer.size, sample_time))
+    spectrum = np.fft.rfft(longer - y[0]) * response.conj() / (np.abs(response) ** 2 + SMALLEST_RESPONSE**2)
+    found = np.fft.irfft(spectrum, longer.size) * (1.0 + SMALLEST_RESPONSE**2)
+    return found[y.size - 1 : 2 * y.size - 1] + y[0]
 
 
 def undo_lag(y, lag: float, delay: float, sample_time: float) -> np.ndarray:

@@ -1,19 +1,21 @@
-"""What stands behind the hysteresis in a Hammerstein model: creep, a first-order lag and a delay.
+"""What stands behind the hysteresis in a Hammerstein model: creep, a first-order lag, modes beside it and a delay.
 
-Between samples the displacement is taken as straight, so that lags shorter than a sample are told apart. The filters
-act on whole columns of regressors at once (their response is convolved by FFT), which makes fits of hysteresis and
-dynamics together cheap.
+Between samples the displacement is taken as straight, so that lags shorter than a sample are told apart; dynamics that
+were found for the held voltage itself (``hold``) are exact for it. The filters act on whole columns of regressors at
+once (their response is convolved by FFT), which makes fits of hysteresis and dynamics together cheap.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+import scipy.linalg
 import scipy.signal
 
 from hysteresis_ros.models.creep import CreepParameters, LogarithmicCreepParameters
-from hysteresis_ros.models.linear import LinearParameters
+from hysteresis_ros.models.linear import LinearDynamics, LinearParameters, zero_order_hold
 
 #: A lag below this part of the sample time is none.
 SHORTEST_LAG = 0.02
@@ -40,8 +42,39 @@ def first_order_hold(x, time_constant: float, sample_time: float) -> np.ndarray:
 
 
 @dataclass(frozen=True)
+class Mode:
+    """One resonance: (position ω² + velocity ω s)/(s² + 2 ζ ω s + ω²), beside the lag.
+
+    Parameters
+    ----------
+    frequency : float
+        ω/2π [Hz], undamped.
+    damping : float
+        ζ, below 1.
+    position, velocity : float
+        Numerator; ``position`` is the part of the displacement at rest that passes through the mode.
+    """
+
+    frequency: float
+    damping: float
+    position: float = 1.0
+    velocity: float = 0.0
+
+    def state_space(self):
+        """Return the continuous A, shape (2, 2), B, shape (2,), and C, shape (2,), in rad/s: a turn that decays."""
+        omega = 2.0 * np.pi * self.frequency
+        real, turn = -self.damping * omega, omega * np.sqrt(1.0 - self.damping**2)
+        A = np.array([[real, turn], [-turn, real]])
+        return (
+            A,
+            np.array([0.0, omega]),
+            np.array([(self.position * omega + self.velocity * real) / turn, self.velocity]),
+        )
+
+
+@dataclass(frozen=True)
 class LinearPart:
-    """Creep, lag and delay behind a hysteresis.
+    """Creep, and behind it a lag beside modes, and a delay.
 
     Parameters
     ----------
@@ -55,6 +88,11 @@ class LinearPart:
         Time up to which the creep law holds [s].
     settled : bool
         Creep had settled under the first sample; otherwise everything was at rest at zero before it.
+    modes : tuple of Mode
+        What does not pass through them passes through the lag.
+    hold : float
+        Sample time of the voltage [s] that lag, modes and delay were found for as a held one; they are then those of
+        the stage itself. 0: straight lines between the samples, the half sample of holding is in the delay.
     """
 
     lag: float = 0.0
@@ -62,6 +100,8 @@ class LinearPart:
     creep_rate: float = 0.0
     longest_time: float = 100.0
     settled: bool = False
+    modes: tuple[Mode, ...] = ()
+    hold: float = 0.0
 
     @property
     def creep(self) -> CreepParameters:
@@ -86,11 +126,17 @@ class LinearPart:
         response = feedthrough * unit
         for weight, time_constant in zip(weights, time_constants, strict=True):
             response += weight * first_order_hold(unit, time_constant, sample_time)
-        response = first_order_hold(response, self.lag, sample_time)
-        if self.delay > 0.0:
-            place = np.arange(samples) - self.delay / sample_time
-            response = np.interp(place, np.arange(-1, samples), np.append(0.0, response))
-        return response
+        if self.hold and abs(self.hold - sample_time) < 1e-6 * sample_time:
+            block = LinearDynamics(self.dynamics(sample_time), sample_time)
+            return np.append(block.output(), block.simulate(response)[:-1])
+        behind = (1.0 - sum(mode.position for mode in self.modes)) * first_order_hold(response, self.lag, sample_time)
+        for mode in self.modes:
+            behind += _mode_filter(mode, response, sample_time)
+        delay = self.delay + 0.5 * self.hold
+        if delay > 0.0:
+            place = np.arange(samples) - delay / sample_time
+            behind = np.interp(place, np.arange(-1, samples), np.append(0.0, behind))
+        return behind
 
     def apply(self, columns, sample_time: float) -> np.ndarray:
         """Return the columns, shape (N,) or (N, m), behind the linear part.
@@ -109,42 +155,107 @@ class LinearPart:
         return moved + first * self.settled_gain
 
     @property
+    def group_delay(self) -> float:
+        """By how much slow movement comes later [s]; creep left aside."""
+        omega = 2.0 * np.pi * np.array([mode.frequency for mode in self.modes])
+        late = [2.0 * mode.damping * mode.position - mode.velocity for mode in self.modes]
+        direct = 1.0 - sum(mode.position for mode in self.modes)
+        return self.delay + direct * self.lag + float(np.sum(np.array(late) / omega))
+
+    def synchronous(self, sample_time: float) -> bool:
+        """Whether each displacement belongs to the voltage of its own sample.
+
+        Parameters
+        ----------
+        sample_time : float
+            Of the recording [s].
+        """
+        return not self.hold and self.lag + self.delay < 0.5 * sample_time
+
+    @property
     def settled_gain(self) -> float:
         """Gain after an infinite time: feedthrough and all creep operators."""
         feedthrough, weights, _ = self.creep.resolved()
         return feedthrough + float(np.sum(weights))
 
     def dynamics(self, sample_time: float) -> LinearParameters:
-        """Return lag and delay as the discrete block that a node runs, whose input is held between samples.
+        """Return lag, modes and delay as the discrete block that a node runs, whose input is held between samples.
 
-        Holding delays by half a sample by itself, which is taken off the delay and then off the lag.
+        Where holding is in lag and delay it is taken off the delay, and then off the lag: slow movement comes as late.
 
         Parameters
         ----------
         sample_time : float
             [s]
         """
-        delay = self.delay - 0.5 * sample_time
-        lag = max(self.lag + min(delay, 0.0), 0.0)
-        delay = max(delay, 0.0) / sample_time
-        decay = float(np.exp(-sample_time / lag)) if lag > SHORTEST_LAG * sample_time else 0.0
-        whole = int(delay + 1e-9)
-        part = delay - whole
-        if whole == 0 and part < 1e-9:
-            return LinearParameters() if decay == 0.0 else _flat([[decay]], [1.0 - decay], [1.0])
-        # states: the lag, then the last inputs, newest first
-        order = whole + 2
-        A, B, C = np.zeros((order, order)), np.zeros(order), np.zeros(order)
-        A[0, 0], C[0], B[1] = decay, 1.0, 1.0
-        for i in range(2, order):
-            A[i, i - 1] = 1.0
-        for steps, share in ((whole, 1.0 - part), (whole + 1, part)):
-            if steps == 0:
-                B[0] += (1.0 - decay) * share
-            else:
-                A[0, steps] += (1.0 - decay) * share
-        return _flat(A, B, C)
+        lag, delay = (self.lag, self.delay) if self.hold else self._without_holding(sample_time)
+        whole = int(delay / sample_time + 1e-9) if self.modes else 0
+        part = max(delay / sample_time - whole, 0.0) if self.modes else 0.0
+        A, B, C, through = self._continuous(lag if lag > SHORTEST_LAG * sample_time else 0.0)
+        n = len(A)
+        if part < 1e-9:
+            A, B = zero_order_hold(A, B, sample_time) if n else (A, B)
+            return _flat(A, B, C, through, sample_time, whole * sample_time if self.modes else delay)
+        # resonances feel within a sample when the input changes: x⁺ = A x + late u_k + early u_(k-1), u_(k-1) a state
+        step, both = zero_order_hold(A, B, sample_time)
+        late = zero_order_hold(A, B, (1.0 - part) * sample_time)[1]
+        A, B = np.zeros((n + 2, n + 2)), np.zeros(n + 2)
+        A[:n, :n], A[:n, n], A[n + 1, n] = step, (both - late)[:, 0], 1.0
+        B[:n], B[n] = late[:, 0], 1.0
+        C = np.concatenate([C, [through * (1.0 - part), through * part]])
+        kept = slice(None) if through else slice(n + 1)
+        return _flat(A[kept, kept], B[kept], C[kept], 0.0, sample_time, whole * sample_time)
+
+    def _without_holding(self, sample_time: float) -> tuple[float, float]:
+        """Return lag and delay behind a held input, read before it changes: that comes T/(1 - e^(-T/τ)) late, not τ."""
+        lag = self.lag if self.lag > SHORTEST_LAG * sample_time else 0.0
+        late = sample_time / -np.expm1(-sample_time / lag) if lag else sample_time
+        delay = self.lag + self.delay - late
+        if delay >= 0.0:
+            return lag, delay
+        rest = (self.lag + self.delay) / sample_time - 1.0
+        return (sample_time / np.log1p(1.0 / rest) if rest > 0.0 else 0.0), 0.0
+
+    def _continuous(self, lag: float):
+        """Return the continuous A, B, C of lag and modes, and the part that passes through neither."""
+        direct = 1.0 - sum(mode.position for mode in self.modes)
+        if abs(direct) < 1e-9:
+            direct = 0.0
+        blocks = [mode.state_space() for mode in self.modes]
+        if lag and direct:
+            blocks.insert(0, (np.array([[-1.0 / lag]]), np.array([1.0 / lag]), np.array([direct])))
+            direct = 0.0
+        if not blocks:
+            return np.zeros((0, 0)), np.zeros((0, 1)), np.zeros(0), direct
+        A = scipy.linalg.block_diag(*(block[0] for block in blocks))
+        B, C = (np.concatenate([block[i] for block in blocks]) for i in (1, 2))
+        return A, B[:, None], C, direct
 
 
-def _flat(A, B, C) -> LinearParameters:
-    return LinearParameters(A=tuple(np.ravel(A).tolist()), B=tuple(np.ravel(B).tolist()), C=tuple(np.ravel(C).tolist()))
+class Known(NamedTuple):
+    """A linear part that a fit of a hysteresis takes as given.
+
+    Parameters
+    ----------
+    part : LinearPart
+    parts : tuple of str
+        Which of lag, delay and creep are searched all the same.
+    """
+
+    part: LinearPart
+    parts: tuple[str, ...] = ()
+
+
+def _mode_filter(mode: Mode, x, sample_time: float) -> np.ndarray:
+    """Return ``x`` behind a mode, straight between the samples."""
+    A, B, C = mode.state_space()
+    system = scipy.signal.cont2discrete((A, B[:, None], C[None], np.zeros((1, 1))), sample_time, method="foh")
+    numerator, denominator = scipy.signal.ss2tf(*system[:4])
+    return scipy.signal.lfilter(np.ravel(numerator), denominator, x)
+
+
+def _flat(A, B, C, D: float, sample_time: float, delay: float) -> LinearParameters:
+    A, B, C = (tuple(np.ravel(value).tolist()) for value in (A, B, C))
+    if not A and not delay:
+        return LinearParameters()
+    return LinearParameters(A, B, C, D=(float(D),) if D else (), sample_time=sample_time, delay=float(delay))

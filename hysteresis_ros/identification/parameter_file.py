@@ -21,7 +21,7 @@ from hysteresis_ros.configuration import Configuration, dump_configuration, load
 from hysteresis_ros.errors import ConfigurationError, IdentificationError, ParameterError
 from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.identified import Identification, PlantModel, at_rest
-from hysteresis_ros.identification.linear_part import LinearPart
+from hysteresis_ros.identification.linear_part import LinearPart, Mode
 from hysteresis_ros.identification.prediction import INITIAL
 from hysteresis_ros.models.actuator import ActuatorParameters
 from hysteresis_ros.models.creep import CreepParameters
@@ -35,6 +35,8 @@ from hysteresis_ros.parameters import Parameters
 SECTION = "/identification"
 #: Sample rate [Hz] and highest voltage [V] of the example axis of a model.
 EXAMPLE_RATE, EXAMPLE_VOLTAGE = 1000.0, 100.0
+#: What is written of each mode.
+MODE_NUMBERS = ("frequency", "damping", "position", "velocity")
 _HEADER = """\
 # Identified by `hysteresis identify`; a ROS 2 parameter file for the nodes of an axis. SI units.
 # /identification is no node: it says where the numbers come from.
@@ -163,6 +165,9 @@ def identification_section(
         part = chain.linear_part
         section |= {"continuous.lag": part.lag, "continuous.delay": part.delay, "continuous.settled": part.settled}
         section |= {"continuous.creep_rate": part.creep_rate, "continuous.longest_time": part.longest_time}
+        section["continuous.hold"] = part.hold
+        for name in MODE_NUMBERS if part.modes else ():
+            section[f"continuous.modes.{name}"] = tuple(float(getattr(mode, name)) for mode in part.modes)
     if chain.transfer_function is not None:
         section["continuous.numerator"], section["continuous.denominator"] = chain.transfer_function
     figures = {**result.numbers, **metrics}
@@ -351,7 +356,13 @@ def _linear_part(section: dict, plant: ActuatorParameters) -> LinearPart | None:
     if any(value is None for value in found.values()):
         return None if plant.dynamics.order or plant.creep.type != "none" else LinearPart()
     values = {name: float(value) for name, value in found.items()}
-    return LinearPart(**values, settled=bool(section.get("continuous.settled", False)))
+    numbers = [section.get(f"continuous.modes.{name}", ()) for name in MODE_NUMBERS]
+    return LinearPart(
+        **values,
+        settled=bool(section.get("continuous.settled", False)),
+        modes=tuple(Mode(*map(float, row)) for row in zip(*numbers, strict=True)),
+        hold=float(section.get("continuous.hold", 0.0)),
+    )
 
 
 def _transfer_function(section: dict):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from hysteresis_ros.identification.bouc_wen_static import default_guess, identif
 from hysteresis_ros.identification.condensed import condense
 from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.duhem import identify_duhem, identify_inverse_duhem
-from hysteresis_ros.identification.hammerstein import HammersteinFit
+from hysteresis_ros.identification.dynamics import found_with
 from hysteresis_ros.identification.identified import Identification, PlantModel, grounded
 from hysteresis_ros.identification.linear_part import LinearPart
 from hysteresis_ros.identification.linear_stage import LinearStage, fit_stage
@@ -58,16 +59,8 @@ def _hammerstein(fit_function, data, request, count, structure=None) -> Identifi
     parts = ("lag", "delay") if request.stage else request.parts
     start = find_start(data, request.skip, request.initial, structure)
     voltage, displacement, skip = start.signals(data)
-    fit: HammersteinFit = fit_function(
-        voltage,
-        displacement,
-        data.sample_time,
-        linear=parts,
-        skip=skip,
-        history=start.history,
-        progress=request.report_residual,
-        **request.options,
-    )
+    options = dict(skip=skip, history=start.history, progress=request.report_residual, **request.options)
+    fit = found_with(partial(fit_function, **options), voltage, displacement, data.sample_time, parts, skip)
     if start.kind != "zero":
         request = replace(request, initial=start.kind)
     found = FittedHysteresis(fit.hysteresis, count(fit.hysteresis.chosen), fit.deviations, fit.warnings, fit.converged)
@@ -247,7 +240,7 @@ def static_result(
     """
     if request.stage:
         return _with_stage(data, request, found)
-    synchronous = part.lag + part.delay < 0.5 * data.sample_time
+    synchronous = part.synchronous(data.sample_time)
     chain = _chain(data, request, found.hysteresis, part, part.dynamics(data.sample_time), synchronous, offset)
     return _identified(chain, request, found, part)
 
@@ -326,6 +319,10 @@ def _identified(chain: PlantModel, request: Request, found: FittedHysteresis, pa
     if part.delay > 0.0:
         numbers["delay_s"] = part.delay
         words.append("delay")
+    for number, mode in enumerate(sorted(part.modes, key=lambda mode: mode.frequency), start=1):
+        numbers |= {f"mode_{number}_hz": mode.frequency, f"mode_{number}_damping": mode.damping}
+    if part.modes:
+        words.append("1 mode" if len(part.modes) == 1 else f"{len(part.modes)} modes")
     if part.creep.type != "none":
         numbers["creep_rate_per_decade"] = part.creep_rate
         words.append("creep")
@@ -333,7 +330,7 @@ def _identified(chain: PlantModel, request: Request, found: FittedHysteresis, pa
         model=request.model,
         linear=", ".join(words) or "none",
         chain=chain,
-        fitted=found.fitted + len(words),
+        fitted=found.fitted + len(words) + 3 * len(part.modes),
         numbers=numbers,
         deviations=dict(found.deviations),
         warnings=tuple(found.warnings),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import numpy as np
+
 from hysteresis_ros.errors import IdentificationError, did_you_mean
 from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.identified import Identification
@@ -147,8 +149,9 @@ def identify(
 
 def _refuse_falling(data: IdentificationData) -> None:
     """Refuse an output that falls with rising input: no model of this package describes it."""
-    u, y = data.input - data.input.mean(), data.output - data.output.mean()
-    if float(u @ y) <= 0.0:
+    # summed up, so that slow movement counts: above a resonance the output moves against the input
+    u, y = np.cumsum(data.input - data.input.mean()), np.cumsum(data.output - data.output.mean())
+    if float((u - u.mean()) @ (y - y.mean())) <= 0.0:
         raise IdentificationError(
             f"the output {data.output_name} falls with rising input {data.input_name}; count it the other way round "
             "(--negate), or check that the columns belong together"

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from hysteresis_ros.compensation.creep import creep_inverse
 from hysteresis_ros.identification.data import IdentificationData
+from hysteresis_ros.identification.dynamics import found_with
 from hysteresis_ros.identification.identified import at_rest
-from hysteresis_ros.identification.inverse import undo_lag
+from hysteresis_ros.identification.inverse import undo
 from hysteresis_ros.identification.linear_part import LinearPart
 from hysteresis_ros.identification.prandtl_ishlinskii import fit_prandtl_ishlinskii
 from hysteresis_ros.identification.preisach import fit_preisach
@@ -33,22 +35,21 @@ def separated(data: IdentificationData, request: Request):
     # creep is always looked for: without it the search takes slow drifts for the noise a lag has to rise above
     searches = ((fit_preisach, {}), (fit_prandtl_ishlinskii, {"zone_count": 0}))
     fits = [
-        search(
+        found_with(
+            partial(search, skip=request.skip, progress=request.report_residual, **settings),
             data.input,
             data.output,
             data.sample_time,
-            linear=tuple(dict.fromkeys((*parts, "creep"))),
-            skip=request.skip,
-            progress=request.report_residual,
-            **settings,
+            tuple(dict.fromkeys((*parts, "creep"))),
+            request.skip,
         )
         for search, settings in searches
     ]
     fit = min(fits, key=lambda item: item.rmse)
     part = fit.linear_part if "creep" in parts else replace(fit.linear_part, creep_rate=0.0, settled=False)
     output, constant = data.output, 0.0
-    if part.lag + part.delay >= 0.1 * data.sample_time:
-        output = undo_lag(output, part.lag, part.delay, data.sample_time)
+    if part.modes or part.lag + part.delay >= 0.1 * data.sample_time:
+        output = undo(output, part, data.sample_time)
     else:
         part = replace(part, lag=0.0, delay=0.0)
     if part.creep.type != "none":

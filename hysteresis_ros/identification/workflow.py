@@ -157,8 +157,8 @@ def identify(
     model : str
         Name of the model; ``hysteresis models`` lists them.
     linear : str, optional
-        What stands behind the hysteresis: ``auto`` (the default: lag, delay and creep where they lower the residual),
-        ``none``, ``lag,delay,creep``, ``second_order``, ``arx`` …
+        What stands behind the hysteresis: ``auto`` (the default: lag, delay, creep and up to two resonances where they
+        predict better), ``none``, ``lag,delay,creep,modes``, ``second_order``, ``arx`` …
     options : dict, optional
         Of the model, such as ``{"play_count": 20}``.
     inverse : str, optional

@@ -17,7 +17,7 @@ from hysteresis_ros.errors import IdentificationError, did_you_mean
 from hysteresis_ros.parameters import ParameterRow, Parameters
 
 #: Parts of the linear model that can be found together with a hysteresis.
-PARTS = ("lag", "delay", "creep")
+PARTS = ("lag", "delay", "creep", "modes")
 #: Fits the parameters a model declares as ``free`` from its ``guess`` on.
 PARAMETRIC = "hysteresis_ros.identification.parametric:identify"
 

@@ -1,0 +1,126 @@
+"""The dynamics behind a hysteresis, found in turns with it: lag, delay, resonances and creep.
+
+Slow recordings: the hysteresis is found together with lag, delay and creep first, on coarse data; then the dynamics are
+chosen anew at the full rate behind it. Fast ones: the dynamics between voltage and displacement stand at the beginning,
+because a hysteresis that has to stand for a resonance leads nowhere. Either way hysteresis and the dynamics behind it
+are then settled in turns.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from dataclasses import replace
+
+import numpy as np
+
+from hysteresis_ros.errors import IdentificationError, ParameterError
+from hysteresis_ros.identification.condensed import condense
+from hysteresis_ros.identification.hammerstein import HammersteinFit, pass_through
+from hysteresis_ros.identification.linear_part import Known, LinearPart
+from hysteresis_ros.identification.modal_choice import PAIR, choose_dynamics
+from hysteresis_ros.identification.segment_spectra import segment_spectra
+from hysteresis_ros.models.creep import Creep
+from hysteresis_ros.models.hysteresis import hysteresis_block
+
+#: A recording that cannot be made coarser than to so many samples is a fast one.
+FAST_SAMPLES = 12000
+#: Samples on which creep is searched, and on which weights are settled, in fast recordings.
+SEARCHED, SETTLED = 40000, 120000
+TURNS = 2
+
+
+def found_with(fit_function, voltage, displacement, sample_time: float, parts, skip: int | None = None):
+    """Fit a hysteresis with what may stand behind it.
+
+    Parameters
+    ----------
+    fit_function : callable
+        ``fit_function(voltage, displacement, sample_time, linear=...)`` returns a :class:`HammersteinFit`.
+    voltage, displacement : array_like, shape (N,)
+        [V] and [m].
+    sample_time : float
+        [s]
+    parts : tuple of str
+        Of ``lag``, ``delay``, ``creep`` and ``modes``.
+    skip : int, optional
+        First samples left out.
+    """
+    if "modes" in parts:
+        return TurnSearch(fit_function, voltage, displacement, sample_time, parts, skip).run()
+    return fit_function(voltage, displacement, sample_time, linear=parts)
+
+
+class TurnSearch:
+    """The search on one recording, see :func:`found_with`."""
+
+    def __init__(self, fit_function, voltage, displacement, sample_time: float, parts, skip: int | None):
+        self.fit_function, self.sample_time, self.parts = fit_function, sample_time, tuple(parts)
+        self.voltage, self.displacement = (np.asarray(values, dtype=float) for values in (voltage, displacement))
+        coarse = condense(self.voltage, self.displacement, sample_time, skip)
+        self.first, self.samples = coarse.first * coarse.factor, len(coarse.voltage)
+
+    def run(self) -> HammersteinFit:
+        """Return what leaves the smallest residual."""
+        found = []
+        if self.samples <= FAST_SAMPLES:
+            together = self.fit(linear=tuple(part for part in self.parts if part != "modes"))
+            found.append(together)
+            # where no step is resolved, nothing faster is
+            if not together.synchronous:
+                found += self.settled(together, only_with_modes=True)
+        start = self.choose(self.voltage)
+        if start.modes or not found:
+            creep = tuple(part for part in self.parts if part == "creep")
+            with contextlib.suppress(ParameterError):
+                found += self.settled(self.fit(SEARCHED, linear=Known(start, creep)))
+        if not found:
+            raise IdentificationError(
+                "no hysteresis goes with the dynamics that were found; try --linear lag,delay,creep"
+            )
+        return min(found, key=lambda fit: fit.rmse)
+
+    def fit(self, longest: int | None = None, **options) -> HammersteinFit:
+        """Fit the hysteresis, to no more than the first ``longest`` samples in which the range is gone through."""
+        v, count = self.voltage, None
+        if longest is not None:
+            near = 0.02 * np.ptp(v)
+            reached = max(np.flatnonzero(v >= v.max() - near)[0], np.flatnonzero(v <= v.min() + near)[0])
+            count = max(longest, int(reached) + longest // 4, self.first + longest)
+        return self.fit_function(v[:count], self.displacement[:count], self.sample_time, **options)
+
+    def choose(self, moved, late: int = 0) -> LinearPart:
+        """Choose the dynamics between a movement before them, shape (N,), and the measured one."""
+        spectra = segment_spectra(moved, self.displacement, self.sample_time, self.first, late)
+        return choose_dynamics(spectra, tuple(part for part in PAIR if part in self.parts)).part
+
+    def settled(self, fit: HammersteinFit, only_with_modes: bool = False) -> list[HammersteinFit]:
+        """Choose the dynamics anew behind the hysteresis, and fit it again in front of them, in turns."""
+        found = []
+        for _ in range(TURNS):
+            late = max(round(fit.linear_part.group_delay / self.sample_time), 0)
+            part = self.choose(output_of(fit, self.voltage), late)
+            if only_with_modes and not part.modes:
+                break
+            before = fit.linear_part
+            creep = dict(creep_rate=before.creep_rate, longest_time=before.longest_time, settled=before.settled)
+            try:
+                fit = self.fit(SETTLED, linear=Known(replace(part, **creep)))
+            except ParameterError:  # dynamics with which no weights go
+                break
+            found = [fit]
+        return found
+
+
+def output_of(fit: HammersteinFit, voltage) -> np.ndarray:
+    """Return the displacement [m] behind hysteresis and creep, shape (N,).
+
+    Parameters
+    ----------
+    fit : HammersteinFit
+    voltage : ndarray, shape (N,)
+        [V]
+    """
+    front, behind = hysteresis_block(fit.hysteresis, fit.sample_time), Creep(fit.creep, fit.sample_time)
+    pass_through(front, fit.history)
+    behind.settle(front.step(voltage[0] if fit.linear_part.settled else 0.0))
+    return behind.simulate(front.simulate(voltage))

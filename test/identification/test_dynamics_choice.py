@@ -1,0 +1,138 @@
+"""Which dynamics are found behind a hysteresis: lag told from delay, resonances where they are and only there."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import scipy.signal
+from foreign_plant import ForeignPlant
+
+from hysteresis_ros.identification.data import IdentificationData
+from hysteresis_ros.identification.inverse import undo
+from hysteresis_ros.identification.linear_part import LinearPart, Mode
+from hysteresis_ros.identification.modal_choice import choose_dynamics
+from hysteresis_ros.identification.modal_search import part_response
+from hysteresis_ros.identification.prandtl_ishlinskii import fit_prandtl_ishlinskii
+from hysteresis_ros.identification.segment_spectra import segment_spectra
+from hysteresis_ros.identification.workflow import identify, validate
+
+RATE = 2000.0
+STEP = 1e-3
+PARTS = (
+    LinearPart(lag=3e-3, hold=STEP),
+    LinearPart(lag=2e-3, delay=2.5e-3, modes=(Mode(100.0, 0.03, 0.4, 0.1),), hold=STEP),
+    LinearPart(modes=(Mode(100.0, 0.03), Mode(190.0, 0.1, 0.0, 0.2)), hold=STEP),
+    LinearPart(delay=1e-3, modes=(Mode(100.0, 0.03, 0.6),), hold=STEP),
+)
+
+
+def multisine(rate: float = RATE, length: float = 8.0, amplitude: float = 50.0, seed: int = 0) -> np.ndarray:
+    """Lines up to 0.4 of the rate around 50 V, repeated every 2000 samples."""
+    period = 2000
+    spectrum = np.zeros(period // 2 + 1, dtype=complex)
+    spectrum[1:800] = np.exp(2j * np.pi * np.random.default_rng(seed).uniform(size=799))
+    one = np.fft.irfft(spectrum)
+    return 50.0 + amplitude * np.tile(one / np.abs(one).max(), int(length * rate / period))
+
+
+def cycles(rate: float = RATE, length: float = 16.0, corners: bool = True, frequency: float = 1.0) -> np.ndarray:
+    """Triangles or sines of 100 V from 0 V, decaying after two."""
+    time = np.arange(int(length * rate)) / rate
+    place = (time * frequency) % 1.0
+    wave = 2.0 * np.abs(2.0 * place - 1.0) - 1.0 if corners else np.cos(2.0 * np.pi * place)
+    return 50.0 * (
+        1.0 - np.where(time < 2.0 / frequency, 1.0, np.exp((2.0 / frequency - time) * frequency / 6.0)) * wave
+    )
+
+
+def recording(plant: ForeignPlant, voltage) -> IdentificationData:
+    return IdentificationData(np.arange(len(voltage)) / plant.sample_rate, voltage, plant.record(voltage))
+
+
+@pytest.mark.parametrize("part", PARTS)
+def test_the_block_of_a_node_is_the_continuous_part_under_a_held_input(part):
+    fine = 200
+    held = np.repeat(np.random.default_rng(0).standard_normal(300), fine)
+    late = np.append(np.zeros(round(part.delay / STEP * fine)), held)[: held.size]
+    decay = np.exp(-STEP / fine / part.lag) if part.lag else 0.0
+    share = 1.0 - sum(mode.position for mode in part.modes)
+    truth = share * scipy.signal.lfilter([0.0, 1.0 - decay], [1.0, -decay], late)
+    for mode in part.modes:
+        omega = 2.0 * np.pi * mode.frequency
+        transfer = ([mode.velocity * omega, mode.position * omega**2], [1.0, 2.0 * mode.damping * omega, omega**2])
+        numerator, denominator, _ = scipy.signal.cont2discrete(transfer, STEP / fine)
+        truth += scipy.signal.lfilter(np.ravel(numerator), denominator, late)
+    found = np.convolve(held[::fine], part.impulse(300, STEP))[:300]
+    np.testing.assert_allclose(found, truth[::fine], atol=1e-9)
+    assert part.dynamics(STEP).state_space.dc_gain == pytest.approx(1.0, abs=1e-9)
+    # the response the search works with is that of the block
+    frequencies = np.array([3.0, 90.0, 200.0, 430.0])
+    block = part.dynamics(STEP).state_space.held().response(np.exp(2j * np.pi * frequencies * STEP))[:, 0, 0]
+    np.testing.assert_allclose(part_response(part, frequencies), block, rtol=1e-9)
+
+
+def chosen(plant: ForeignPlant, voltage) -> LinearPart:
+    late = 0
+    for _ in range(2):
+        spectra = segment_spectra(1.2e-7 * voltage, plant.record(voltage), 1.0 / plant.sample_rate, 100, late)
+        part = choose_dynamics(spectra).part
+        late = round(part.group_delay * plant.sample_rate)
+    return part
+
+
+@pytest.mark.parametrize("corners", [True, False])
+def test_a_lag_is_told_from_a_delay(corners):
+    voltage = cycles() if corners else multisine()
+    lag = chosen(ForeignPlant(RATE, hysteresis=0.0, lag=0.0187), voltage)
+    assert lag.lag == pytest.approx(0.0187, rel=0.01) and lag.delay == 0.0 and not lag.modes
+    both = chosen(ForeignPlant(RATE, hysteresis=0.0, lag=0.003, delay=0.002), voltage)
+    assert both.lag == pytest.approx(0.003, rel=0.03) and both.delay == pytest.approx(0.002, rel=0.03)
+
+
+def test_resonances_are_found_where_they_are():
+    two = ForeignPlant(RATE, hysteresis=0.0, lag=0.001, modes=((280.0, 0.03, 1.0), (450.0, 0.02, 0.3)))
+    modes = sorted(chosen(two, multisine()).modes, key=lambda mode: mode.frequency)
+    assert [round(mode.frequency) for mode in modes] == [280, 450]
+    np.testing.assert_allclose([mode.damping for mode in modes], [0.03, 0.02], rtol=0.02)
+    one = chosen(ForeignPlant(RATE, hysteresis=0.0, modes=((280.0, 0.03, 1.0),)), cycles())
+    assert [round(mode.frequency) for mode in one.modes] == [280] and one.lag == 0.0
+
+
+@pytest.mark.parametrize("plant", [ForeignPlant(RATE), ForeignPlant(RATE, modes=((280.0, 0.03, 1.0),))])
+def test_no_resonance_is_found_where_nothing_excites_it(plant):
+    assert not chosen(plant, cycles(corners=False)).modes
+
+
+@pytest.mark.parametrize(("rate", "lag", "delay"), [(200.0, 0.0187, 0.0), (1000.0, 0.0187, 0.0), (1000.0, 0.0, 0.018)])
+def test_lag_and_delay_behind_a_hysteresis_are_told_apart_by_triangles(rate, lag, delay):
+    voltage = cycles(rate, 3.0, frequency=5.0)
+    plant = ForeignPlant(rate, lag=lag, delay=delay)
+    part = fit_prandtl_ishlinskii(voltage, plant.record(voltage), 1.0 / rate, zone_count=0).linear_part
+    assert (part.lag > 0.0, part.delay > 0.0) == (lag > 0.0, delay > 0.0)
+    # lines between the samples: the half sample of holding, or the whole one of reading, is in the lag
+    assert 0.95 * (lag + delay) < part.group_delay < 1.1 * (lag + delay) + 1.0 / rate
+
+
+def test_the_resonance_behind_a_foreign_hysteresis_comes_into_the_file(tmp_path):
+    plant = ForeignPlant(RATE, amplifier=0.0015, modes=((280.0, 0.03, 1.0),), rate=0.02, creep=0.02, noise=5e-9)
+    data = recording(plant, multisine())
+    found = identify(data, options={"zone_count": 0, "play_count": 10})
+    sharp = [mode for mode in found.plant.linear_part.modes if mode.damping < 0.2]
+    assert len(sharp) == 1 and sharp[0].frequency == pytest.approx(280.0, abs=1.0)
+    assert sharp[0].damping == pytest.approx(0.03, rel=0.05)
+    assert "mode" in found.identification.linear and found.figures["rmse_percent_of_stroke"] < 1.0
+    found.save(tmp_path / "axis.yaml")
+    again = validate(tmp_path / "axis.yaml", data, inverse=False)
+    np.testing.assert_allclose(again.predicted, found.predicted, atol=1e-12)
+    # at another rate the same continuous part runs
+    other = validate(tmp_path / "axis.yaml", recording(plant, multisine(seed=1)[:4000]), inverse=False, skip=1000)
+    assert other.figures["rmse_percent_of_stroke"] < 1.5
+
+
+def test_the_input_of_a_resonance_comes_back():
+    part = LinearPart(lag=0.001, modes=(Mode(120.0, 0.05, 0.5),), hold=STEP)
+    time = np.arange(2000) * STEP
+    w = np.sin(2.0 * np.pi * 4.0 * time) + 0.2 * np.sin(2.0 * np.pi * 110.0 * time)
+    y = np.convolve(w, part.impulse(w.size, STEP))[: w.size]
+    assert np.std((undo(y, part, STEP) - w)[200:-200]) < 0.02 * np.std(w)
+    assert np.std((y - w)[200:-200]) > 0.5 * np.std(w)
