@@ -144,6 +144,35 @@ def design_pid(given: PidParameters, dynamics, sample_time: float, bandwidth: fl
     return gains(most * high)
 
 
+def design_integral(given: PidParameters, dynamics, sample_time: float) -> PidParameters:
+    """Return the largest integral gain, with nothing beside it, whose loop has M_s = 1.4 and the other margins.
+
+    Parameters
+    ----------
+    given : PidParameters
+        All but the gains is kept.
+    dynamics : LinearParameters
+        The model.
+    sample_time : float
+        [s]
+
+    Raises
+    ------
+    ParameterError
+        There is none.
+    """
+    plant = plant_state_space(dynamics, scaled=False)
+
+    def gains(Ki):
+        return replace(given, Kp=0.0, Ki=Ki, Kd=0.0)
+
+    def judged(Ki):
+        return judge(pid_state_space(gains(Ki), sample_time), plant, sample_time)
+
+    leading = _leading(plant)
+    return gains(_largest_gain(judged, USUAL, sign=1.0 if leading > 0.0 else -1.0, start=1.0 / abs(leading)))
+
+
 def _leading(plant: StateSpace) -> float:
     """Return the gain at low frequency: of the sign, and a size of the size, of what the loop needs."""
     return plant.dc_gain
