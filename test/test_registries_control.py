@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 from hysteresis_ros.block import COMPILED
-from hysteresis_ros.comparison.candidates import candidates
-from hysteresis_ros.comparison.compare import Conditions, make_tasks
+from hysteresis_ros.comparison.candidates import candidates, known
+from hysteresis_ros.comparison.tasks import Conditions, make_tasks
 from hysteresis_ros.configuration import dump_configuration, load_configuration, parse_configuration
 from hysteresis_ros.control.base import APPLIED, COMMAND, ESTIMATED, FEEDFORWARD, STARTED, Controller
 from hysteresis_ros.control.controller import ControllerParameters, controller_block, handover_block
@@ -222,7 +222,7 @@ def test_its_entries_of_the_comparison_can_be_built(name):
         return  # tuned on simulated runs, which test/comparison does
     configuration, conditions = load_configuration("picma_stage"), Conditions()
     tasks = make_tasks(conditions, (0.0, 10e-6))
-    made = candidates(configuration, conditions, tasks, only={(name, "none")})
+    made = candidates(known(configuration, 16), conditions, tasks, only={(name, "none")})
     assert [one.refused for one in made] == [""]
     assert made[0].motion_controller["type"] == entries("compared")[name][0].name
 

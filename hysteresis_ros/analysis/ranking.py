@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from hysteresis_ros.analysis.plots import data_uri, new_figure
+from hysteresis_ros.analysis.plots import data_uri, envelope, new_figure
 from hysteresis_ros.analysis.report import render_page, write_page
 
 _COLOURS = ("#1f6fb2", "#d1495b", "#2a9d8f", "#e09f3e")
 _BACKGROUND = "#b8b8b8"
-_MICRO = 1e6
-_NANO = 1e9
 
 
 def ranking_figure(labels: list[str], values: dict[str, list[np.ndarray]]):
@@ -21,7 +19,7 @@ def ranking_figure(labels: list[str], values: dict[str, list[np.ndarray]]):
     labels : list of str
         Combinations, best first.
     values : dict of str to list of array
-        Reference → for each combination the errors on the plants [%].
+        Reference → for each combination the errors on the plants [% of stroke].
     """
     figure, axes = new_figure(1.2 + 0.26 * len(labels), len(values))
     places = np.arange(len(labels))[::-1]
@@ -53,28 +51,26 @@ def _label_decades(axis) -> None:
 
 
 def errors_figure(errors: dict[str, tuple[np.ndarray, np.ndarray]]):
-    """Return the figure of errors over time, each in a panel of its own scale; µm, or nm where all of it is small.
+    """Return the figure of errors over time, each in a panel of its own scale [% of stroke].
 
     Parameters
     ----------
     errors : dict of str to (array, array)
-        Label → time [s] and error [m], shape (N,) each.
+        Label → time [s] and error as a part of the stroke, shape (N,) each.
     """
     figure, axes = new_figure(1.9 * len(errors), 1, rows=len(errors))
     for number, (axis, (name, (time, error))) in enumerate(zip(axes, errors.items(), strict=True)):
-        small = np.max(np.abs(error)) < 1e-6
         axis.axhline(0.0, color=_BACKGROUND, linewidth=0.8)
-        axis.plot(time, error * (_NANO if small else _MICRO), color=_COLOURS[number % len(_COLOURS)], linewidth=1.0)
-        rms = np.sqrt(np.mean(error**2))
-        text = f"{rms * _NANO:.3g} nm" if small else f"{rms * _MICRO:.3g} µm"
-        axis.set_title(f"{name}: RMS {text}", fontsize=10, loc="left")
-        axis.set(ylabel=f"error [{'nm' if small else 'µm'}]")
+        axis.plot(*envelope(time, 100.0 * error), color=_COLOURS[number % len(_COLOURS)], linewidth=1.0)
+        rms = 100.0 * np.sqrt(np.mean(error**2))
+        axis.set_title(f"{name}: RMS {rms:.3g} % in these periods", fontsize=10, loc="left")
+        axis.set(ylabel="error [% of stroke]")
     axes[-1].set(xlabel="time [s]")
     return figure
 
 
-def write_ranking_page(path, title: str, *, plots, **contents) -> None:
-    """Write a page with a table of ranked combinations that needs nothing beside it.
+def write_ranking_page(path, title: str, *, tables, **contents) -> None:
+    """Write a page with tables of ranked combinations that needs nothing beside it.
 
     Parameters
     ----------
@@ -82,11 +78,11 @@ def write_ranking_page(path, title: str, *, plots, **contents) -> None:
         HTML file.
     title : str
         Heading.
-    plots : sequence of (str, figure)
-        Captions and figures.
+    tables : sequence of dict
+        ``title`` and ``summary`` (str), ``blocks`` (list of (name, list of (heading, unit))), ``rows`` (list of dict
+        with ``cells`` and ``plain``), ``notes`` (list of (heading, list of str)), ``figures`` (captions and figures).
     **contents : object
-        ``summary`` (str), ``blocks`` (list of (name, list of (heading, unit))), ``rows`` (list of dict with ``cells``
-        and ``refused``), ``ranking`` (str), ``refused`` and ``conditions`` (lists of str), ``configuration`` (str).
+        ``ranking`` (str), ``judged`` (list of str), ``configuration`` (str).
 
     Raises
     ------
@@ -95,5 +91,8 @@ def write_ranking_page(path, title: str, *, plots, **contents) -> None:
     RecordingError
         The file cannot be written.
     """
-    drawn = [dict(caption=caption, source=data_uri(figure)) for caption, figure in plots]
-    write_page(path, render_page("ranking.html.j2", title=title, plots=drawn, **contents))
+    drawn = [
+        {**table, "plots": [dict(caption=caption, source=data_uri(figure)) for caption, figure in table["figures"]]}
+        for table in tables
+    ]
+    write_page(path, render_page("ranking.html.j2", title=title, tables=drawn, **contents))

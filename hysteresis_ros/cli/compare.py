@@ -1,13 +1,16 @@
-"""``hysteresis compare``: every controller and compensator on one plant, ranked under honest conditions."""
+"""``hysteresis compare``: every controller and compensator, ranked under honest conditions."""
 
 from __future__ import annotations
 
 import pathlib
-import sys
 
 import click
 
 from hysteresis_ros.cli.data_options import write_json
+from hysteresis_ros.cli.progress import Progress
+
+#: Longest silence of a command that takes minutes [s].
+SILENCE = 10.0
 
 
 @click.command()
@@ -15,39 +18,65 @@ from hysteresis_ros.cli.data_options import write_json
 @click.option("--mismatch", default=0.05, show_default=True, help="Largest relative error of each model parameter.")
 @click.option("--noise", default=5e-9, show_default=True, help="Sensor noise [m rms].")
 @click.option("--bits", default=16, show_default=True, help="Bits of the converters; 0: unlimited.")
-@click.option("--draws", default=20, show_default=True, help="Number of plants drawn.")
+@click.option("--draws", default=20, show_default=True, help="Plants drawn around the configured one; 0: none.")
+@click.option("--others", default=4, show_default=True, help="Plants of other classes than the model; 0: none.")
 @click.option("--seed", default=1, show_default=True, help="Seed of the first plant.")
 @click.option("--sine", default=1.0, show_default=True, help="Frequency of the sine over 90 % of the stroke [Hz].")
 @click.option("--triangle", default=10.0, show_default=True, help="Frequency of the triangle over 20 % of it [Hz].")
 @click.option("--namespace", help="Which axis of the configuration, when it describes several.")
+@click.option("--workers", type=click.IntRange(1), help="Processes that share the work; as many as processors.")
 @click.option("--json", "json_path", metavar="FILE", help="JSON file; '-' prints it instead of the table.")
-@click.option("-o", "--output", type=click.Path(path_type=pathlib.Path), help="HTML file to write.")
-def compare(config, mismatch, noise, bits, draws, seed, sine, triangle, namespace, json_path, output):
+@click.option("--best", is_flag=True, help="-o F.yaml writes CONFIG with the best combination.")
+@click.option(
+    "-o",
+    "--output",
+    "outputs",
+    multiple=True,
+    type=click.Path(path_type=pathlib.Path),
+    help="HTML page; with --best also a YAML file.",
+)
+def compare(config, namespace, workers, json_path, best, outputs, sine, triangle, **others):
     """Rank all controllers and compensators on the plant of CONFIG.
 
     Each is designed on the models in CONFIG, then follows a sine and a triangle on plants drawn around the configured
-    one. -o adds a self-contained HTML file with plots (needs the extra: pip install "hysteresis_ros[report]").
+    one; and designed on what is identified from recordings of plants of other classes, then run on those. -o adds a
+    self-contained HTML file with plots (needs the extra: pip install "hysteresis_ros[report]").
     """
     from hysteresis_ros.comparison import table
-    from hysteresis_ros.comparison.compare import Conditions
     from hysteresis_ros.comparison.compare import compare as run
+    from hysteresis_ros.comparison.tasks import Conditions
     from hysteresis_ros.configuration import load_configuration
+    from hysteresis_ros.identification.parameter_file import write_file
 
-    if output is not None:
+    pages, files = _sorted(outputs, best)
+    if pages:
         from hysteresis_ros.analysis.report import require_page
 
-        require_page(output)  # now and not after minutes
-    conditions = Conditions(mismatch, noise, bits, draws, seed, sine, triangle)
-    configuration = load_configuration(config)
-    quiet = not sys.stderr.isatty()
-
-    def progress(row):
-        if not quiet:
-            click.echo(f"  {table.label(row)}", err=True)
-
-    found = run(configuration, conditions, namespace=namespace, progress=progress)
-    if output is not None:
-        table.write_page(found, output)
+        for page in pages:
+            require_page(page)  # now and not after minutes
+    conditions = Conditions(sine_frequency=sine, triangle_frequency=triangle, **others)
+    progress = Progress(err=True, silence=SILENCE)
+    progress.say(f"  comparing on {conditions.draws} plants around it and {conditions.others} of other classes")
+    with progress.during("comparing"):
+        options = {"namespace": namespace, "workers": workers, "progress": lambda text: progress.say(f"  done: {text}")}
+        found = run(load_configuration(config), conditions, **options)
+    for page in pages:
+        table.write_page(found, page)
     write_json(table.to_json(found), json_path, table.format_comparison(found))
-    if output is not None and json_path != "-":
-        click.echo(f"\nreport: {output}")
+    for file in files:
+        write_file(file, table.best_text(found))
+    if json_path != "-":
+        for what, paths in (("report", pages), ("best", files)):
+            for path in paths:
+                click.echo(f"\n{what}: {path}")
+
+
+def _sorted(outputs, best: bool):
+    """Return the pages and the parameter files among the outputs."""
+    from hysteresis_ros.errors import ConfigurationError
+
+    files = [path for path in outputs if path.suffix in (".yaml", ".yml")]
+    if best != bool(files):
+        given = "--best" if best else str(files[0])
+        raise ConfigurationError(f"{given}: --best and -o FILE.yaml belong together; give both, or neither")
+    return [path for path in outputs if path not in files], files

@@ -1,4 +1,4 @@
-"""Lines that say what a long command does, one at least every two seconds."""
+"""Lines that say what a long command does, one at least every so many seconds."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 
 import click
 
-#: Longest silence [s].
+#: Longest silence of a command that people watch [s].
 SILENCE = 1.5
 
 
@@ -20,10 +20,12 @@ class Progress:
     ----------
     err : bool
         Say it on stderr: stdout is for results.
+    silence : float
+        Longest silence [s].
     """
 
-    def __init__(self, err: bool = False):
-        self._err = err
+    def __init__(self, err: bool = False, silence: float = SILENCE):
+        self._err, self._silence = err, silence
         self._last = time.monotonic()
         self._lock = threading.Lock()
 
@@ -39,8 +41,8 @@ class Progress:
         begun, over = time.monotonic(), threading.Event()
 
         def tell():
-            while not over.wait(max(self._last + SILENCE - time.monotonic(), 0.05)):
-                if time.monotonic() - self._last >= SILENCE:
+            while not over.wait(max(self._last + self._silence - time.monotonic(), 0.05)):
+                if time.monotonic() - self._last >= self._silence:
                     self.say("  … " + ", ".join(filter(None, (f"{what}: {time.monotonic() - begun:.0f} s", state()))))
 
         thread = threading.Thread(target=tell, name="progress", daemon=True)

@@ -1,19 +1,28 @@
-"""The controllers and compensators that are compared, each designed on the models in the configuration alone."""
+"""The controllers and compensators that are compared, each designed on what is known of an axis: its models alone.
+
+Designs take :class:`Known`. It is made of a configuration, of which the plant's section is left out, and no plant that
+was drawn (:mod:`hysteresis_ros.comparison.plants`) fits into it.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from hysteresis_ros.configuration import Configuration
+from hysteresis_ros.comparison.tasks import Conditions, Task
+from hysteresis_ros.configuration import Configuration, parse_configuration
+from hysteresis_ros.control.controller import ControllerParameters
 from hysteresis_ros.control.inversion import sufficient_preview
 from hysteresis_ros.control.law import UNFED
+from hysteresis_ros.control.linearisation import margins
+from hysteresis_ros.control.margins import Margins
 from hysteresis_ros.control.registry import entries
 from hysteresis_ros.errors import HysteresisError
 from hysteresis_ros.loop.axis_parameters import AxisParameters
+from hysteresis_ros.loop.node_parameters import part
 from hysteresis_ros.simulation.axes import single_axis
-from hysteresis_ros.simulation.tuning import tune
+from hysteresis_ros.simulation.tuning import believed_axis, tune
 
 #: A preview is long enough when what the inversion leaves is below this part of the reference, or at its longest.
 INVERSION_ERROR = 1e-4
@@ -24,6 +33,64 @@ LEAST_NOISE = 1e-6
 TUNING_PERIODS = 8
 #: Least mismatch that a design reckons with.
 LEAST_MISMATCH = 1e-3
+
+
+@dataclass(frozen=True)
+class Known:
+    """What is known of an axis: a configuration whose plant is what compensator and controller believe of it.
+
+    Parameters
+    ----------
+    configuration : Configuration
+        One axis.
+    """
+
+    configuration: Configuration
+
+    @property
+    def axis(self) -> AxisParameters:
+        """The axis with its own models as plant."""
+        return single_axis(self.configuration)
+
+    def designed(self, candidate: Candidate, task: Task | None = None) -> AxisParameters:
+        """Return the axis with a candidate's parameters.
+
+        Parameters
+        ----------
+        candidate : Candidate
+        task : Task, optional
+            The reference.
+
+        Raises
+        ------
+        ParameterError
+            The axis cannot be built.
+        """
+        found = self.configuration.override("motion_controller", **candidate.motion_controller)
+        found = found.override("hysteresis_compensator", **candidate.hysteresis_compensator)
+        if task is not None:
+            found = found.override("reference_generator", **task.overrides())
+        return single_axis(found)
+
+
+def known(configuration: Configuration, bits: int) -> Known:
+    """Return what is known of the axis of a configuration, whatever its plant is.
+
+    Parameters
+    ----------
+    configuration : Configuration
+        One axis.
+    bits : int
+        Of the converters; 0: unlimited.
+
+    Raises
+    ------
+    ParameterError
+        A parameter is wrong.
+    """
+    limited = configuration.override("hysteresis_compensator", limits__bits=bits)
+    text = believed_axis(single_axis(limited)).configuration_text()
+    return Known(parse_configuration(text, configuration.source))
 
 
 @dataclass(frozen=True)
@@ -38,6 +105,10 @@ class Candidate:
         Parameters that differ from the configuration's.
     refused : str
         Why it cannot be designed; empty when it can.
+    margins : Margins or None
+        Of its loop on its own model.
+    marked : str
+        Which of the margins that every design is held to its loop misses; empty when it meets them.
     """
 
     controller: str
@@ -45,15 +116,26 @@ class Candidate:
     motion_controller: dict = field(default_factory=dict)
     hysteresis_compensator: dict = field(default_factory=dict)
     refused: str = ""
+    margins: Margins | None = None
+    marked: str = ""
 
 
-def candidates(configuration: Configuration, conditions, tasks, only=None) -> list[Candidate]:
+def names(axis: AxisParameters) -> list[tuple[str, str]]:
+    """Return the names of all combinations for an axis, (controller, compensator).
+
+    Parameters
+    ----------
+    axis : AxisParameters
+    """
+    return [(controller, compensator) for compensator in compensators(axis) for controller in controllers()]
+
+
+def candidates(given: Known, conditions: Conditions, tasks, only=None) -> list[Candidate]:
     """Return every combination, designed or refused by name.
 
     Parameters
     ----------
-    configuration : Configuration
-        One axis.
+    given : Known
     conditions : Conditions
         The noise and the mismatch that the designs reckon with.
     tasks : sequence of Task
@@ -66,19 +148,23 @@ def candidates(configuration: Configuration, conditions, tasks, only=None) -> li
     ParameterError
         The configuration is wrong.
     """
-    axis = single_axis(configuration)
-    found, gains = [], {}
+    axis, found, gains = given.axis, [], {}
     for compensator, changed in compensators(axis).items():
         for controller, design in controllers().items():
             if only is not None and (controller, compensator) not in only:
                 continue
             try:
-                values = design(Given(configuration, axis, conditions, tasks, changed, gains))
+                values = design(Given(given.configuration, axis, conditions, tasks, changed, gains))
+                found.append(_with_margins(given, Candidate(controller, compensator, values, changed)))
             except HysteresisError as error:
                 found.append(Candidate(controller, compensator, refused=" ".join(str(error).split())))
-            else:
-                found.append(Candidate(controller, compensator, values, changed))
     return found
+
+
+def _with_margins(given: Known, candidate: Candidate) -> Candidate:
+    node = given.designed(candidate).motion_controller
+    found = margins(part(node, ControllerParameters), 1.0 / node.sample_rate)
+    return replace(candidate, margins=found, marked="; ".join(found.misses()))
 
 
 def compensators(axis: AxisParameters) -> dict[str, dict]:
@@ -118,8 +204,8 @@ class Given:
 
     configuration: Configuration
     axis: AxisParameters
-    conditions: object
-    tasks: tuple
+    conditions: Conditions
+    tasks: tuple[Task, ...]
     compensator: dict
     gains: dict
 

@@ -1,19 +1,25 @@
-"""The comparison of controllers as a table for people, as JSON and as plots."""
+"""The comparison of controllers as tables for people, as JSON, as plots and as the configuration of the best."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import numpy as np
 
 from hysteresis_ros.analysis.ranking import errors_figure, ranking_figure, write_ranking_page
-from hysteresis_ros.comparison.compare import Comparison, Row
+from hysteresis_ros.comparison.outcome import Comparison, Table, judgement
+from hysteresis_ros.comparison.rows import Row
+from hysteresis_ros.simulation.axes import single_axis
 
-TITLE = "Controllers and compensators on one plant, under honest conditions"
+TITLE = "Controllers and compensators under honest conditions"
 RANKING = "Ranked by the geometric mean over the references of the RMS error on the worst plant."
-#: Columns of a task, in % of the stroke: heading and what it is of a Result.
+#: Columns of a task: heading, unit, and what it is of the row and its result.
 ERRORS = (
-    ("RMS", lambda result: np.median(result.rms)),
-    ("worst RMS", lambda result: np.max(result.rms)),
-    ("worst error", lambda result: np.max(result.maximum)),
+    ("median RMS", "%", lambda row, task: 100.0 * np.median(row.results[task].rms)),
+    ("worst RMS", "%", lambda row, task: 100.0 * row.results[task].worst),
+    ("worst error", "%", lambda row, task: 100.0 * np.max(row.results[task].maximum)),
+    ("undelayed", "%", lambda row, task: 100.0 * np.max(row.results[task].undelayed)),
+    ("× PI", "", lambda row, task: row.better.get(task, 1.0)),
 )
 #: Columns of what it costs, the largest over the references: heading, unit, what it is of a Result.
 COSTS = (
@@ -21,29 +27,50 @@ COSTS = (
     ("chattering", "nm", lambda result: np.max(result.chattering) * 1e9),
     ("at limits", "% of time", lambda result: 100.0 * result.saturated),
 )
+#: Rows of both tables whose errors are plotted besides the best, and the best with this controller.
+SHOWN = "feedforward"
 
 
-def blocks(comparison: Comparison) -> list[tuple[str, list[tuple[str, str]]]]:
+def blocks(table: Table) -> list[tuple[str, list[tuple[str, str]]]]:
     """Return the blocks of columns behind rank, controller and compensator: name, then heading and unit of each."""
-    found = [(task.name, [(heading, "%") for heading, _ in ERRORS]) for task in comparison.tasks]
-    return [*found, ("largest of both", [(heading, unit) for heading, unit, _ in COSTS])]
+    found = [(task, [(heading, unit) for heading, unit, _ in ERRORS]) for task in table.tasks]
+    return [("", [("delay", "ms")]), *found, ("largest of both", [(heading, unit) for heading, unit, _ in COSTS])]
 
 
-def cells(comparison: Comparison, rank: int, row: Row) -> list[str]:
-    """Return the cells of a row; a refused candidate has dashes."""
-    names = [str(rank) if row.results else "–", row.candidate.controller, row.candidate.compensator]
+def cells(tasks: Sequence[str], rank: str, row: Row) -> list[str]:
+    """Return the cells of a row in a table of these tasks; a refused candidate has dashes."""
+    names = [rank, row.controller, row.compensator]
     if row.refused:
-        return names + ["–"] * (len(ERRORS) * len(comparison.tasks) + len(COSTS))
-    results = [row.results[task.name] for task in comparison.tasks]
-    numbers = [comparison.percent(float(value(result))) for result in results for _, value in ERRORS]
-    numbers += [float(max(value(result) for result in results)) for _, _, value in COSTS]
-    return names + [f"{number:.3g}" for number in numbers]
+        return names + ["–"] * (1 + len(ERRORS) * len(tasks) + len(COSTS))
+    numbers = [float(value(row, task)) for task in tasks for _, _, value in ERRORS]
+    numbers += [float(max(value(result) for result in row.results.values())) for _, _, value in COSTS]
+    return [*names, delays(row), *(f"{number:.3g}" for number in numbers)]
 
 
-def format_comparison(comparison: Comparison) -> str:
-    """Return the table for a terminal, with its conditions and what was refused."""
-    rows = [cells(comparison, rank, row) for rank, row in enumerate(comparison.rows, 1)]
-    parts = blocks(comparison)
+def delays(row: Row) -> str:
+    """Return the constant delay of a row [ms], or the range of those of its designs."""
+    ends = [f"{1e3 * delay:.3g}" for delay in (min(row.delays), max(row.delays))]
+    return ends[0] if ends[0] == ends[1] else " … ".join(ends)
+
+
+def ranks(table: Table) -> list[str]:
+    """Return what stands in the first column: the rank, or what keeps a row from having one."""
+    found, rank = [], 0
+    for row in table.rows:
+        rank += row.ranked
+        found.append(str(rank) if row.ranked else "–" if row.refused else "unstable" if row.unstable else "marked")
+    return found
+
+
+def all_cells(table: Table) -> list[list[str]]:
+    """Return the cells of all rows, the yardstick last."""
+    found = [cells(table.tasks, rank, row) for rank, row in zip(ranks(table), table.rows, strict=True)]
+    return [*found, cells(table.tasks, "PI", table.yardstick)]
+
+
+def format_table(table: Table) -> str:
+    """Return a table for a terminal, with what its plants are and what was refused or marked."""
+    rows, parts = all_cells(table), blocks(table)
     heads = ["", "controller", "compensator"] + [heading for _, columns in parts for heading, _ in columns]
     units = ["", "", ""] + [unit for _, columns in parts for _, unit in columns]
     widths = [max(map(len, column)) for column in zip(heads, units, *rows, strict=True)]
@@ -56,28 +83,43 @@ def format_comparison(comparison: Comparison) -> str:
     above, column = " " * (sum(widths[:3]) + 6), 3
     for name, columns in parts:
         width = sum(widths[column : column + len(columns)]) + 2 * (len(columns) - 1)
-        above += f"{name[:width]:-^{width}}  "
+        above += f"{name[:width]:{'-' if name else ' '}^{width}}  "
         column += len(columns)
-    low, high = comparison.reach
-    lines = [
-        TITLE,
-        f"stroke {comparison.stroke * 1e6:.4g} µm: every plant reaches {low * 1e6:.4g} … {high * 1e6:.4g} µm",
-        "",
-        above.rstrip(),
-        line(heads),
-        line(units),
-        *(line(row) for row in rows),
-        "",
-        RANKING,
-    ]
-    refused = refusals(comparison)
-    lines += ["", "Refused", *(f"- {text}" for text in refused)] if refused else []
-    return "\n".join([*lines, "", "Conditions", *(f"- {text}" for text in comparison.assumptions)])
+    lines = [table.title, table.summary, "", above.rstrip(), line(heads), line(units), *map(line, rows)]
+    for heading, texts in (("Unstable", unstable(table)), ("Marked", marks(table)), ("Refused", refusals(table))):
+        lines += ["", heading, *(f"- {text}" for text in texts)] if texts else []
+    return "\n".join([*lines, "", "Plants", *(f"- {text}" for text in table.assumptions)])
 
 
-def refusals(comparison: Comparison) -> list[str]:
+def format_comparison(comparison: Comparison) -> str:
+    """Return the tables for a terminal, and how they are judged."""
+    parts = [TITLE, *map(format_table, comparison.tables)]
+    judged = [RANKING, "", "Judged", *(f"- {text}" for text in judgement(comparison.conditions))]
+    return "\n\n".join([*parts, "\n".join(judged)])
+
+
+def label(row: Row) -> str:
+    """Return the names of a row."""
+    return f"{row.controller}, {row.compensator}"
+
+
+def refusals(table: Table) -> list[str]:
     """Return who was refused and why."""
-    return [f"{label(row)}: {row.refused}" for row in comparison.rows if row.refused]
+    return [f"{label(row)}: {row.refused}" for row in table.rows if row.refused]
+
+
+def marks(table: Table) -> list[str]:
+    """Return who was marked and why."""
+    return [f"{label(row)}: {row.marked}" for row in table.rows if row.marked]
+
+
+def unstable(table: Table) -> list[str]:
+    """Return who was unstable, on how many plants, and whether its own margins had said so."""
+    return [
+        f"{label(row)}: on {row.unstable} plants, {'marked beforehand' if row.marked else 'not marked beforehand'}"
+        for row in table.rows
+        if row.unstable
+    ]
 
 
 def write_page(comparison: Comparison, path) -> None:
@@ -90,70 +132,87 @@ def write_page(comparison: Comparison, path) -> None:
     RecordingError
         The file cannot be written.
     """
-    low, high = comparison.reach
+    tables = [
+        dict(
+            title=table.title,
+            summary=table.summary,
+            blocks=blocks(table),
+            rows=[dict(cells=row, plain=row[0].isdigit()) for row in all_cells(table)],
+            notes=[
+                (heading, texts)
+                for heading, texts in (
+                    ("Unstable", unstable(table)),
+                    ("Marked", marks(table)),
+                    ("Refused", refusals(table)),
+                    ("Plants", table.assumptions),
+                )
+                if texts
+            ],
+            figures=figures(table),
+        )
+        for table in comparison.tables
+    ]
     write_ranking_page(
         path,
         TITLE,
-        summary=f"stroke {comparison.stroke * 1e6:.4g} µm: every plant reaches {low * 1e6:.4g} … {high * 1e6:.4g} µm",
-        blocks=blocks(comparison),
-        rows=[
-            dict(cells=cells(comparison, rank, row), refused=bool(row.refused))
-            for rank, row in enumerate(comparison.rows, 1)
-        ],
+        tables=tables,
         ranking=RANKING,
-        plots=figures(comparison),
-        refused=refusals(comparison),
-        conditions=comparison.assumptions,
-        configuration=comparison.configuration,
+        judged=judgement(comparison.conditions),
+        configuration=comparison.configuration.text,
     )
 
 
 def to_json(comparison: Comparison) -> dict:
-    """Return everything JSON can hold, in SI units; the rows in order of rank under ``rows``."""
+    """Return everything JSON can hold, in SI units and parts of the stroke; rows in order of rank under ``rows``."""
     conditions = comparison.conditions
     return {
-        "stroke_m": comparison.stroke,
-        "reach_m": list(comparison.reach),
         "conditions": {name: getattr(conditions, name) for name in conditions.__dataclass_fields__},
-        "assumptions": list(comparison.assumptions),
-        "tasks": [
+        "judged": list(judgement(conditions)),
+        "tables": [
             {
-                "name": task.name,
-                "waveform": task.waveform,
-                "frequency_hz": task.frequency,
-                "low_m": task.low,
-                "high_m": task.high,
+                "title": table.title,
+                "summary": table.summary,
+                "plants": list(table.assumptions),
+                "rows": [
+                    _row_to_json(rank, row)
+                    for rank, row in zip([*ranks(table), "PI"], (*table.rows, table.yardstick), strict=True)
+                ],
             }
-            for task in comparison.tasks
+            for table in comparison.tables
         ],
-        "rows": [
-            {
-                "rank": rank if row.results else None,
-                "controller": row.candidate.controller,
-                "compensator": row.candidate.compensator,
-                "refused": row.refused or None,
-                "score_m": row.score if row.results else None,
-                "parameters": {
-                    "motion_controller": {
-                        name: _plain(value) for name, value in row.candidate.motion_controller.items()
-                    },
-                    "hysteresis_compensator": dict(row.candidate.hysteresis_compensator),
-                },
-                "results": {
-                    name: {
-                        "rms_m": result.rms.tolist(),
-                        "rms_worst_percent": comparison.percent(float(np.max(result.rms))),
-                        "max_m": result.maximum.tolist(),
-                        "max_worst_percent": comparison.percent(float(np.max(result.maximum))),
-                        "effort_v_s": result.effort.tolist(),
-                        "chattering_m": result.chattering.tolist(),
-                        "saturated": result.saturated,
-                    }
-                    for name, result in row.results.items()
-                },
+    }
+
+
+def _row_to_json(rank: str, row: Row) -> dict:
+    parameters = row.candidate
+    return {
+        "rank": int(rank) if rank.isdigit() else None,
+        "controller": row.controller,
+        "compensator": row.compensator,
+        "refused": row.refused or None,
+        "marked": row.marked or None,
+        "unstable": row.unstable,
+        "score": row.score if np.isfinite(row.score) else None,
+        "delays_s": list(row.delays),
+        "parameters": parameters
+        and {
+            "motion_controller": {name: _plain(value) for name, value in parameters.motion_controller.items()},
+            "hysteresis_compensator": dict(parameters.hysteresis_compensator),
+        },
+        "results": {
+            name: {
+                "rms": result.rms.tolist(),
+                "rms_worst_percent": 100.0 * result.worst,
+                "max": result.maximum.tolist(),
+                "max_worst_percent": 100.0 * float(np.max(result.maximum)),
+                "undelayed_rms": result.undelayed.tolist(),
+                "times_better_than_pi": row.better.get(name),
+                "effort_v_s": result.effort.tolist(),
+                "chattering_m": result.chattering.tolist(),
+                "saturated": result.saturated,
             }
-            for rank, row in enumerate(comparison.rows, 1)
-        ],
+            for name, result in row.results.items()
+        },
     }
 
 
@@ -161,53 +220,53 @@ def _plain(value):
     return list(value) if isinstance(value, tuple) else value
 
 
-def figures(comparison: Comparison) -> list:
-    """Return the plots, captions and figures: ranking, then error and displacement of chosen rows on each reference.
+def figures(table: Table) -> list:
+    """Return the plots of a table, captions and figures: ranking, then the error of chosen rows on each reference.
 
     Raises
     ------
     MissingExtraError
         Matplotlib is not installed.
     """
-    done = [row for row in comparison.rows if row.results]
-    labels = [label(row) for row in done]
-    found = []
-    values = {
-        task.name: [comparison.percent(1.0) * row.results[task.name].rms for row in done] for task in comparison.tasks
-    }
-    found.append(
-        ("RMS error of every combination: each plant a dot, the worst one filled", ranking_figure(labels, values))
-    )
-    for task in comparison.tasks:
-        shown = {label(row): _shown(row, task) for row in chosen_rows(comparison)}
-        found.append((f"Error on the plant where each does worst, {task.name}", errors_figure(shown)))
+    done = [row for row in (*table.rows, table.yardstick) if row.results and not row.unstable]
+    values = {task: [100.0 * row.results[task].rms for row in done] for task in table.tasks}
+    found = [
+        (
+            "RMS error of every combination that stayed stable: each plant a dot, the worst one filled",
+            ranking_figure([label(row) for row in done], values),
+        )
+    ]
+    for task in table.tasks:
+        shown = {label(row): row.errors[task] for row in chosen_rows(table)}
+        found.append((f"Error on the plant where each does worst, {task}", errors_figure(shown)))
     return found
 
 
-def label(row: Row) -> str:
-    """Return the names of a row."""
-    return f"{row.candidate.controller}, {row.candidate.compensator}"
-
-
-def chosen_rows(comparison: Comparison) -> list[Row]:
-    """Return the rows whose errors are worth a plot: open loop and PID alone, the best feedforward, the best of all."""
-    found = []
-    for controller, compensator in (("open loop", "none"), ("PID", "none")):
-        found += [
-            row
-            for row in comparison.rows
-            if row.results and (row.candidate.controller, row.candidate.compensator) == (controller, compensator)
-        ]
-    fed = [row for row in comparison.rows if row.results and row.candidate.controller == "feedforward"]
-    best = [row for row in comparison.rows if row.results]
-    for row in fed[:1] + best[:1]:
+def chosen_rows(table: Table) -> list[Row]:
+    """Return the rows whose errors are worth a plot: the yardstick, the best without feedback, the best of all."""
+    done = [row for row in table.rows if row.results and not row.unstable]
+    found = [table.yardstick]
+    for row in [row for row in done if row.controller == SHOWN][:1] + [row for row in done if row.ranked][:1]:
         if row not in found:
             found.append(row)
     return found
 
 
-def _shown(row: Row, task) -> tuple[np.ndarray, np.ndarray]:
-    """Return time and error of two periods."""
-    time, error = row.errors[task.name]
-    shown = time <= task.settling + 2.0 / task.frequency
-    return time[shown], error[shown]
+def best_text(comparison: Comparison) -> str:
+    """Return the configuration with the best combination, every parameter written out.
+
+    Raises
+    ------
+    ConfigurationError
+        No combination has a rank.
+    """
+    best = comparison.best
+    chosen = comparison.configuration.override("motion_controller", **best.candidate.motion_controller)
+    chosen = chosen.override("hysteresis_compensator", **best.candidate.hysteresis_compensator)
+    figures_ = ", ".join(f"{task}: {100.0 * result.worst:.3g} % RMS" for task, result in best.results.items())
+    source = comparison.configuration.source.replace("\\", "/").rsplit("/", 1)[-1]
+    header = (
+        f"# Best of `hysteresis compare {source} --best`: {label(best)}\n"
+        f"# on the worst plant {figures_}, with a delay of {delays(best)} ms.\n"
+    )
+    return header + single_axis(chosen).configuration_text()

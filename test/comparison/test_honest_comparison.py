@@ -1,0 +1,173 @@
+"""Nothing that a candidate uses comes from the plant that was drawn, and the plants deviate as far as is said."""
+
+from __future__ import annotations
+
+import dataclasses
+import inspect
+import types
+import typing
+
+import numpy as np
+import pytest
+
+from hysteresis_ros.comparison import candidates, others, plants, rows
+from hysteresis_ros.comparison.candidates import known
+from hysteresis_ros.comparison.compare import drawn_around, trial_around, trial_on_other
+from hysteresis_ros.comparison.tasks import Conditions
+from hysteresis_ros.configuration import Configuration, load_configuration, parse_configuration
+from hysteresis_ros.loop.node_parameters import PlantNodeParameters
+from hysteresis_ros.loop.plant import Plant
+from hysteresis_ros.models.foreign import ForeignParameters
+from hysteresis_ros.recordings.dataset import Recording
+from hysteresis_ros.simulation.mismatch import mismatched
+
+OPEN = "open loop", "exact inverse"
+#: A plant whose answer to any voltage is its gain times that; its inverse leaves nothing but what the gain is off.
+PROPORTIONAL = """
+/**:
+  ros__parameters:
+    sample_rate: 2000.0
+/**/plant_simulator:
+  ros__parameters: &plant
+    limits.minimum: 0.0
+    limits.maximum: 100.0
+    hysteresis.type: proportional
+    hysteresis.proportional.gain: 1.0e-7
+/**/hysteresis_compensator:
+  ros__parameters:
+    limits.minimum: 0.0
+    limits.maximum: 100.0
+    inverse.type: exact
+    hysteresis.type: proportional
+    hysteresis.proportional.gain: 1.0e-7
+/**/motion_controller:
+  ros__parameters:
+    type: open_loop
+"""
+
+
+def proportional() -> Configuration:
+    return parse_configuration(PROPORTIONAL.replace(" &plant", ""), "proportional.yaml")
+
+
+def drawn_gains(conditions: Conditions) -> np.ndarray:
+    """Return the factors on the gain as the documentation of a draw has them: 1 + m u, u the first uniform number."""
+    seeds = range(conditions.seed, conditions.seed + conditions.draws)
+    return np.array([1.0 + conditions.mismatch * np.random.default_rng(seed).uniform(-1.0, 1.0) for seed in seeds])
+
+
+@pytest.mark.parametrize("mismatch", [0.01, 0.05])
+def test_in_open_loop_the_error_is_what_the_gain_of_the_drawn_plant_is_off(mismatch):
+    """An inverse of the drawn plant would leave nothing, a mismatch of a tenth a tenth."""
+    conditions = Conditions(mismatch=mismatch, draws=6, others=0, noise=0.0, bits=0)
+    trial = trial_around(proportional(), conditions)
+    (row,), task = trial.rows({OPEN}), trial.tasks[0]
+    swing = np.sqrt(np.mean(task.reference(np.linspace(0.0, 1.0, 1000, endpoint=False)) ** 2))
+    stroke = (task.high - task.low) / conditions.sine_stroke
+    expected = np.abs(drawn_gains(conditions) - 1.0) * swing / stroke
+    assert row.results[task.name].rms == pytest.approx(expected, rel=0.03, abs=2e-4)
+    assert np.max(expected) > 0.3 * mismatch
+
+
+def test_plants_around_the_configured_one_deviate_as_far_as_is_said():
+    conditions = Conditions(draws=20)
+    found = drawn_around(proportional(), conditions)
+    gains = np.array([plant.between(np.full(5, 80.0))[-1, -1] for plant in found]) / 80e-7
+    assert gains == pytest.approx(drawn_gains(conditions), rel=1e-4)
+    assert np.max(np.abs(gains - 1.0)) > 0.9 * conditions.mismatch
+    sensors = [plant.parameters.sensor for plant in found]
+    assert {sensor.noise for sensor in sensors} == {conditions.noise} and len({sensor.seed for sensor in sensors}) == 20
+    assert {plant.parameters.limits.bits for plant in found} == {conditions.bits}
+
+
+@pytest.mark.parametrize("name", ["picma_stage", "kim2009"])
+def test_what_is_known_of_an_axis_does_not_depend_on_its_plant(name):
+    configuration = load_configuration(name)
+    expected = known(configuration, 16)
+    for seed in (1, 2):
+        plant = mismatched(configuration, 0.05, seed).override("plant_simulator", sensor__noise=1e-7, sensor__seed=seed)
+        assert known(plant, 16) == expected
+    trial = trial_around(configuration, Conditions(draws=2))
+    assert trial.given == expected
+    axis = expected.axis
+    assert axis.plant_simulator.hysteresis == axis.hysteresis_compensator.hysteresis
+    assert axis.plant_simulator.dynamics == axis.motion_controller.model.dynamics
+
+
+def test_candidates_run_with_what_is_known_on_every_plant(monkeypatch):
+    """Everything but the plant is the same in all runs of a row, and is what its design says."""
+    seen = []
+    before = rows.Axis
+
+    def axis(parameters, plant):
+        seen.append((parameters, plant))
+        return before(parameters, plant)
+
+    monkeypatch.setattr(rows, "Axis", axis)
+    trial = trial_around(load_configuration("picma_stage"), Conditions(draws=3))
+    trial.rows({("feedforward", "exact inverse with creep")})
+    assert len(seen) == 6 and len({id(plant) for _, plant in seen}) == 6
+    for parameters, plant in seen:
+        believed = trial.given.axis
+        assert parameters.hysteresis_compensator.hysteresis == believed.hysteresis_compensator.hysteresis
+        assert parameters.hysteresis_compensator.creep == believed.hysteresis_compensator.creep
+        assert parameters.motion_controller.model == believed.motion_controller.model
+        assert plant.parameters.hysteresis != believed.hysteresis_compensator.hysteresis
+
+
+def reachable_types(annotation, found: set) -> set:
+    """Return all classes of this package that values of an annotation may hold, fields and all."""
+    for item in typing.get_args(annotation):
+        reachable_types(item, found)
+    if not isinstance(annotation, type) or isinstance(annotation, types.GenericAlias) or annotation in found:
+        return found
+    if annotation.__module__.startswith("hysteresis_ros"):
+        found.add(annotation)
+        if dataclasses.is_dataclass(annotation):
+            for hint in typing.get_type_hints(annotation).values():
+                reachable_types(hint, found)
+    return found
+
+
+@pytest.mark.parametrize(
+    "function", [candidates.candidates, candidates.known, others.identified, candidates.Known, candidates.Given]
+)
+def test_no_design_can_be_handed_a_plant(function):
+    hints = typing.get_type_hints(function)
+    given = [hint for name, hint in hints.items() if name != "return"]
+    found = set().union(*(reachable_types(hint, set()) for hint in given))
+    forbidden = (plants.DrawnPlant, ForeignParameters, Plant)
+    assert not [kind for kind in found if issubclass(kind, forbidden)]
+    names = set(inspect.signature(function).parameters)
+    assert names - {"only", "tasks"} <= set(hints), "an argument without a type could be anything"
+
+
+def test_what_is_identified_follows_from_recording_and_bench_alone():
+    assert typing.get_type_hints(others.identified) == {
+        "recording": Recording,
+        "bench": others.Bench,
+        "return": candidates.Known,
+    }
+    assert set(typing.get_type_hints(others.Bench)) == {"sample_rate", "voltage", "bits", "noise", "resolution"}
+    assert issubclass(plants.ForeignPlant, plants.DrawnPlant) and PlantNodeParameters in reachable_types(
+        plants.ForeignPlant, set()
+    )
+
+
+def test_a_foreign_plant_is_recorded_as_it_is_before_it_deviates(monkeypatch):
+    """Models and references of a trial are those of the recording; the corners come after it."""
+    bench, taken = others.Bench(), []
+    monkeypatch.setattr(
+        "hysteresis_ros.comparison.compare.recorded",
+        lambda plant, bench, seed: taken.append((plant, seed)) or "recording",
+    )
+    axis = known(proportional(), 16)
+    monkeypatch.setattr(
+        "hysteresis_ros.comparison.compare.identified", lambda recording, bench: taken.append(recording) or axis
+    )
+    trial = trial_on_other(5, Conditions(mismatch=0.05))
+    plant = others.drawn(5, bench)
+    assert taken == [(plant, 5), "recording"]
+    assert trial.given is axis and trial.plants == tuple(others.around(plant, 0.05, 5))
+    # the model reaches 0 … 10 µm; what is off by 5 % still has to
+    assert trial.stroke == pytest.approx(9.5e-6, rel=1e-3)
