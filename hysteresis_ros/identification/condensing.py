@@ -20,9 +20,9 @@ from hysteresis_ros.recordings.units import readable
 #: Recordings of more samples than this are condensed, and none has more afterwards …
 MOST_SAMPLES = 100_000
 #: … nor fewer than these, where its signals would allow it.
-ENOUGH_SAMPLES = 12_000
+ENOUGH_SAMPLES = 6000
 #: Full strokes, to and fro counted one by one, that are enough for a fit, and for one of many different loops.
-STROKES = (60.0, 150.0)
+STROKES = (40.0, 100.0)
 #: A stretch that shows this part of the loops that another shows is as good.
 AS_GOOD = 0.9
 #: Stretches among which is chosen.

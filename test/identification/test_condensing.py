@@ -35,7 +35,7 @@ def test_short_data_stays_as_it_is():
 def test_a_sine_is_condensed_to_what_carries_information():
     noise = 1e-3 * np.random.default_rng(1).standard_normal(SIZE)
     data = condense(recording(sine(), sine() + noise))
-    assert ENOUGH_SAMPLES // 2 < len(data) <= 2 * ENOUGH_SAMPLES and data.factor == 2
+    assert ENOUGH_SAMPLES // 2 < len(data) <= 2 * ENOUGH_SAMPLES and data.factor == 3
     assert data.sample_time == pytest.approx(data.factor / RATE)
     # every sample is the mean of those it stands for, at their middle
     first = slice(0, data.factor)
@@ -50,7 +50,7 @@ def test_a_sine_is_condensed_to_what_carries_information():
 def test_a_resonance_keeps_its_samples():
     resonance = scipy.signal.sosfilt(scipy.signal.butter(2, [270, 290], "band", fs=RATE, output="sos"), sine() > 1.8)
     data = condense(recording(sine(), sine() + 0.05 * resonance))
-    assert data.factor == 1 and len(data) == pytest.approx(15 * RATE, rel=0.01)
+    assert data.factor == 1 and len(data) == pytest.approx(10 * RATE, rel=0.01)
 
 
 def test_the_stretch_that_reaches_both_ends_is_taken():
