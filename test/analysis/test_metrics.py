@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hysteresis_ros.analysis.inchworm import MOVE_FIGURES, RUN_FIGURES
 from hysteresis_ros.analysis.metrics import FIGURES, compute_metrics, format_table
 from hysteresis_ros.analysis.steps import step_responses
 from hysteresis_ros.errors import RecordingError
@@ -128,6 +129,60 @@ def test_residual_is_what_is_left_at_the_last_zero():
     assert figures["residual_m"] is None and "return to zero" in figures["notes"]["residual_m"]
 
 
+def test_residual_is_taken_from_the_end_of_the_last_hold_at_zero():
+    time = np.arange(5000) / 1000.0
+    reference = np.repeat([0.0, 1e-6, 0.0, -1e-6, 0.0], 1000)
+    left = np.concatenate([np.full(900, 0.8e-6), np.full(100, 0.3e-6)])
+    displacement = np.concatenate(
+        [np.zeros(1000), np.full(1000, 1e-6), np.full(1000, 0.5e-6), np.full(1000, -1e-6), left]
+    )
+    assert compute_metrics(run(time, reference, displacement))["residual_m"] == pytest.approx(0.3e-6)
+    # a hold at zero before anything moved is none
+    assert compute_metrics(run(time[:2000], reference[:2000], displacement[:2000]))["residual_m"] is None
+
+
+def test_iae_is_the_integral_of_the_size_also_where_the_sign_changes_every_sample():
+    time = np.arange(1001) / 1000.0
+    error = 2e-6 * (-1.0) ** np.arange(1001)
+    assert compute_metrics(run(time, np.zeros(1001), -error))["iae_m_s"] == pytest.approx(2e-6)
+    # trapezes: a triangle of error between three samples
+    figures = compute_metrics(run(time[:3], np.zeros(3), np.array([0.0, 1e-6, 0.0])))
+    assert figures["iae_m_s"] == pytest.approx(1e-9)
+
+
+#: What one of a figure's shown units is in SI.
+SHOWN = {
+    **{"µm": 1e-6, "µm s": 1e-6, "µm/s": 1e-6, "nm rms": 1e-9, "nm": 1e-9, "mm": 1e-3, "ms": 1e-3, "µs": 1e-6},
+    **dict.fromkeys(
+        ("", "%", "% of stroke", "% of samples", "% of extension", "1/s", "V", "V/s rms", "s", "Hz", "N", "1"), 1.0
+    ),
+}
+
+
+@pytest.mark.parametrize("row", [*FIGURES, *MOVE_FIGURES, *RUN_FIGURES], ids=lambda row: row[0])
+def test_every_figure_is_shown_in_the_unit_that_stands_beside_it(row):
+    _, _, unit, factor = row
+    assert factor == pytest.approx(1.0 / SHOWN[unit])
+
+
+def test_the_table_shows_steady_state_error_and_jitter_in_their_units():
+    time, reference = step()
+    timing = {"timing": {"rate_hz": 998.0, "jitter_p99_s": 2e-5}}
+    lines = format_table(compute_metrics(run(time, reference, 0.9 * reference, timing))).splitlines()
+    shown = {line.split("  ")[0]: line.split()[-2:] for line in lines}
+    assert shown["Steady-state error"] == ["0.2", "µm"]
+    assert shown["Jitter p99"] == ["0.02", "ms"]
+
+
+@pytest.mark.parametrize("wild", [np.inf, -np.inf])
+def test_an_infinite_measurement_does_not_count(wild):
+    time = np.arange(100) / 1000.0
+    displacement = np.full(100, 1e-6)
+    displacement[50] = wild
+    figures = compute_metrics(run(time, np.zeros(100), displacement))
+    assert figures["rms_error_m"] == figures["max_error_m"] == pytest.approx(1e-6)
+
+
 @pytest.mark.parametrize("phase", [0.01, 0.1, 0.5, 1.0])
 def test_ellipse_opens_by_twice_the_sine_of_its_phase(phase):
     """y = sin(wt - φ) over u = sin(wt): y = u cos φ ∓ √(1 - u²) sin φ, opening 2 sin φ at u = 0."""
@@ -190,6 +245,25 @@ def test_the_virgin_curve_is_no_branch_of_the_loop():
     y[:1000] += 0.5
     assert loop_opening(u, y) == pytest.approx(0.0, abs=1e-3)
     assert loop_opening(u[:2001], y[:2001]) == pytest.approx(0.5, abs=1e-3)
+
+
+@pytest.mark.parametrize("order", [(0.1, 0.4, 0.2), (0.4, 0.1, 0.2), (0.2, 0.1, 0.4)])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_the_opening_is_that_of_the_widest_loop_wherever_it_stands(order, sign):
+    u = triangle(len(order))
+    falling = np.append(np.diff(u) < 0.0, False)
+    opened = np.repeat(order, 2000)
+    y = u + 0.5 * sign * np.append(opened, 0.0) * np.where(falling, 1.0, -1.0) * (1.0 - u**2)
+    # the first branch is none of a loop: the second one falls in the cycle of the first opening
+    widest = max(0.5 * (a + b) for a, b in zip(np.repeat(order, 2)[1:-1], np.repeat(order, 2)[2:], strict=True))
+    assert loop_opening(u, y) == pytest.approx(widest, rel=0.02)
+
+
+def test_branches_are_compared_where_both_are():
+    u = np.concatenate(
+        [np.linspace(a, b, 200) for a, b in [(0.0, 1.0), (1.0, 0.0), (0.0, 1.0), (1.0, 0.8), (0.8, 1.0)]]
+    )
+    assert loop_opening(u, 3.0 * u) == pytest.approx(0.0, abs=1e-9)
 
 
 def test_an_axis_at_rest_has_figures_without_meaning_and_says_why():

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import scipy.signal
 
+from hysteresis_ros.configuration import parse_configuration
 from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.reading import Columns, read_data
@@ -83,3 +85,15 @@ def test_columns_are_guessed_by_name_and_it_is_said(tmp_path):
     assert len(chosen.data) == 400 and chosen.data.input_name == "monitor_V" and chosen.data.output.max() <= 0.0
     with pytest.raises(IdentificationError, match="must be a length"):
         read_data(path, Columns(input="control_V:V", output="monitor_V:V"))
+
+
+def test_the_file_says_for_which_sample_time_its_dynamics_are():
+    time = np.arange(2000) / 500.0
+    voltage = 2.0 - 2.0 * np.cos(2 * np.pi * time)
+    output = 1e-6 * scipy.signal.lfilter([0.05], [1.0, -0.95], voltage)
+    found = identify(IdentificationData(time, voltage, output), "proportional", linear="lag")
+    configuration = parse_configuration(found.text, "identified")
+    for node, name in (("plant_simulator", "dynamics"), ("motion_controller", "model.dynamics")):
+        section = configuration.node(node)
+        assert section[f"{name}.A"] and section[f"{name}.sample_time"] == pytest.approx(1.0 / section["sample_rate"])
+        assert section["sample_rate"] == pytest.approx(500.0)

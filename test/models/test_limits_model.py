@@ -66,6 +66,16 @@ def test_nan_holds_and_counts_as_limited():
     assert block.saturated
 
 
+def test_quantisation_is_no_saturation():
+    block = Limits(LimitsParameters(minimum=0.0, maximum=10.0, bits=4), 1.0)
+    for voltage in (3.3, 7.1, 3.3):
+        block.step(voltage)
+        assert block.x[model.FLAGS] == model.QUANTISED and model.is_limited(block.x) == 0.0
+        assert not block.saturated and block.limited_samples == 0
+    block.step(11.0)
+    assert model.is_limited(block.x) == 1.0 and block.saturated and block.limited_samples == 1
+
+
 def test_empty_range_is_refused():
     with pytest.raises(ParameterError, match="minimum = 5.0: must be below maximum"):
         Limits(LimitsParameters(minimum=5.0, maximum=5.0), 1.0)

@@ -164,6 +164,18 @@ def test_inverse_beyond_a_parabola_is_its_extremum():
     assert voltage == pytest.approx(0.2e-6 / (2 * 0.8e-9))
 
 
+def test_a_new_peak_moves_the_lower_end_back_to_zero():
+    """A fall below 0 V sets the lower end; a larger peak forgets it, and its loops close at 0 V again."""
+    for turns in ([60.0, -20.0, 120.0, 90.0], [60.0, -20.0, 120.0, 60.0, 90.0]):
+        block = walked([*turns, 0.0])
+        assert block.x[model.DISPLACEMENT] == pytest.approx(model.falling_curve(block.p, 120.0, 0.0), abs=1e-16)
+        block = walked([*turns, 0.0, 120.0])
+        assert block.x[model.DISPLACEMENT] == pytest.approx(0.1025e-6 * 120.0, rel=1e-12)
+    # without the larger peak they close where the fall ended
+    block = walked([60.0, -20.0, 40.0, 50.0, 20.0, -20.0])
+    assert block.x[model.DISPLACEMENT] == pytest.approx(model.falling_curve(block.p, 60.0, -20.0), rel=1e-12)
+
+
 def test_nan_holds():
     block = walked([50.0])
     before = block.state

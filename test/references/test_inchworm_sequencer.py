@@ -165,6 +165,18 @@ def test_without_a_measurement_both_clamps_close_until_it_is_back():
     motor.never_both_open()
 
 
+@pytest.mark.parametrize("wild", [math.inf, -math.inf])
+@pytest.mark.parametrize("which", ["slider", "extender"])
+def test_an_infinite_measurement_is_a_missing_one(wild, which):
+    motor = Motor()
+    motor.run(3e-6, 1.0, lambda: motor.sequencer.arrived)
+    s = motor.sequencer
+    before = s.x[at.SLIDER], s.x[at.EXTENDER]
+    s.step(3e-6, *({"slider": motor.slider, "extender": motor.extender} | {which: wild}).values())
+    assert s.x[at.BAD] == 1.0 and (s.x[at.SLIDER], s.x[at.EXTENDER]) == before
+    assert s.x[at.ERROR] == at.SENSOR_ERROR and np.isfinite(s.x).all()
+
+
 def test_a_motor_that_does_not_move_gives_up_after_as_many_steps_and_holds():
     motor = Motor()
     motor.carried = 0.0
