@@ -158,7 +158,8 @@ def _messages(progress: Progress, libraries: dict, latest: float) -> dict:
         return {}
     from hysteresis_ros.nodes.trial import answers, message_rate
 
-    axis, found = _axis(3e3), {}
+    axis = _axis(3e3)
+    found: dict[str, dict] = {}
     for name, samples, composed in (("composed", COMPOSED, True), ("processes", PROCESSES, False)):
         if time.monotonic() > latest:
             progress.say(f"nodes, {name}: not measured, compiling took the time; once more, it is quick")

@@ -2,7 +2,7 @@
 
 A hysteresis remembers, and a recording does not show what was before. Where the voltage reaches both ends of its range
 and a cycle follows, the memory is wiped out, and what came before is left out. Elsewhere the whole recording counts,
-and three pasts are tried: rest at 0 V; the input had repeated before; the actuator was left remanent by a larger voltage.
+and three pasts are tried: rest at 0 V; the input had repeated before; a larger voltage had left the actuator remanent.
 """
 
 from __future__ import annotations
