@@ -67,7 +67,12 @@ class FitProgress:
 
 @click.command(short_help="Identify a model from a recording.")
 @click.argument("data", type=click.Path(path_type=pathlib.Path))
-@click.option("--model", default="prandtl_ishlinskii", show_default=True, help="Model; see `hysteresis models`.")
+@click.option(
+    "--model",
+    default="prandtl_ishlinskii",
+    show_default=True,
+    help="Model, see `hysteresis models`; auto: by held-out data.",
+)
 @click.option(
     "--linear", help="auto (default), none, lag,delay,creep,modes, second_order, arx …; see `hysteresis models`."
 )

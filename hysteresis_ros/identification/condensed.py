@@ -40,6 +40,8 @@ class Condensed:
         Which of the samples that count are no outliers.
     remembers : bool
         The past before the recording matters to the samples that count.
+    drifts : bool
+        Beside a constant the displacement may hold one that grows with time.
     history : tuple of float
         Voltages [V] that the hysteresis went through, from rest at 0 V, before the first sample.
     """
@@ -51,11 +53,18 @@ class Condensed:
     factor: int
     kept: np.ndarray
     remembers: bool = False
+    drifts: bool = False
     history: tuple[float, ...] = ()
 
     def counted(self, values) -> np.ndarray:
         """Return of values, shape (N, ...), those whose residual counts."""
         return values[self.first :][self.kept]
+
+    @property
+    def constants(self) -> np.ndarray:
+        """What is not moved by the voltage, shape (N, 1 or 2): a constant, and a drift that is 1 at the end."""
+        places = np.arange(len(self.voltage)) / len(self.voltage)
+        return np.column_stack([np.ones(len(places)), places] if self.drifts else [np.ones(len(places))])
 
     @property
     def reach(self) -> float:
@@ -137,7 +146,7 @@ def condense(
     remembers = wiped is None or first < wiped
     first = math.ceil(first / factor)
     y = y / np.maximum(used, 1.0)
-    return Condensed(v, y, factor * sample_time, first, factor, used[first:] > 0.0, remembers, history)
+    return Condensed(v, y, factor * sample_time, first, factor, used[first:] > 0.0, remembers, history=history)
 
 
 def wiped_out(voltage) -> int | None:

@@ -27,7 +27,8 @@ def finished(fit, voltage, displacement, sample_time, kept=None) -> HammersteinF
     Parameters
     ----------
     fit : object
-        With ``part``, ``data``, ``parameters()``, ``deviations``, ``warnings``, ``converged`` and ``numbers``.
+        With ``part``, ``data``, ``constants``, ``parameters()``, ``deviations``, ``warnings``, ``converged`` and
+        ``numbers``.
     voltage, displacement : array_like, shape (N,)
         [V] and [m].
     sample_time : float
@@ -42,6 +43,7 @@ def finished(fit, voltage, displacement, sample_time, kept=None) -> HammersteinF
     used = np.ones(len(voltage), dtype=bool) if kept is None else kept.copy()
     used[:first] = False
     synchronous = fit.part.synchronous(sample_time)
+    drift = float(fit.constants[1]) / (len(data.voltage) * data.sample_time) if data.drifts else 0.0
 
     def error_of(part, last=None):
         predicted = simulate_chain(
@@ -54,7 +56,7 @@ def finished(fit, voltage, displacement, sample_time, kept=None) -> HammersteinF
             synchronous,
             data.history,
         )
-        return (displacement[:last] - predicted)[used[:last]]
+        return (displacement[:last] - drift * sample_time * np.arange(len(predicted)) - predicted)[used[:last]]
 
     part = fit.part
     if part.lag > 0.0 and not synchronous and not part.hold:
@@ -80,7 +82,8 @@ def finished(fit, voltage, displacement, sample_time, kept=None) -> HammersteinF
         synchronous=synchronous,
         history=data.history,
         skipped=first,
-        numbers=dict(fit.numbers),
+        drift=drift,
+        numbers={**fit.numbers, **({"drift_m_per_s": drift} if data.drifts else {})},
     )
 
 
@@ -107,7 +110,8 @@ def without_outliers(once, voltage, displacement) -> HammersteinFit:
     """
     kept, fit = None, once(None)
     for _ in range(ROUNDS):
-        error = np.asarray(displacement, dtype=float) - fit.simulate(voltage)
+        drift = fit.drift * fit.sample_time * np.arange(len(voltage))
+        error = np.asarray(displacement, dtype=float) - drift - fit.simulate(voltage)
         counts = error[fit.skipped :]
         error = np.abs(error - np.median(counts))
         spread = 1.4826 * float(np.median(error[fit.skipped :]))

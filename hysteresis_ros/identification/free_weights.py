@@ -92,15 +92,15 @@ class FreeWeights:
         x = self.plays @ self.weights
         if self.zone_count:
             x = x + _zones(x, self.thresholds) @ self.zone_weights
-        return self.part.apply(x, self.data.sample_time) + self.offset
+        return self.part.apply(x, self.data.sample_time) + self.data.constants @ self.constants
 
     def _solve(self, part, strength: float | None, steps: int):
         data = self.data
         target = data.counted(data.displacement)
         moved = data.counted(part.apply(self.plays, data.sample_time))
-        one = np.ones((len(target), 1))
-        weights, free, residual, used = smooth_weights(moved, one, target, self.roughness, strength)
-        self.weights, self.offset, self.strength = weights, float(free[0]), used
+        constants = data.counted(data.constants)
+        weights, free, residual, used = smooth_weights(moved, constants, target, self.roughness, strength)
+        self.weights, self.constants, self.strength = weights, free, used
         self.thresholds = self.zone_weights = np.zeros(0)
         if self.zone_count:
             residual = self._bend(part, target, used, residual, steps)
@@ -112,7 +112,8 @@ class FreeWeights:
         x = self.plays @ self.weights
         thresholds = x.min() + np.ptp(x) * np.arange(1, self.zone_count + 1) / (self.zone_count + 1)
         zone_weights = np.zeros(self.zone_count)
-        best = (np.std(residual), self.weights, zone_weights, self.offset, residual)
+        constants = data.counted(data.constants)
+        best = (np.std(residual), self.weights, zone_weights, self.constants, residual)
         ridge = ZONE_RIDGE * data.stroke * np.sqrt(len(target))
         for _ in range(steps):
             zones = _zones(x, thresholds)
@@ -121,23 +122,23 @@ class FreeWeights:
             # linearised: S'(x) Z w + d(x) s has to be y - offset - [S(x) - S'(x) x - d(x) s], a term of filtered zones
             kink = data.counted(part.apply((zones - (zones != 0.0) * x[:, None]) @ zone_weights, data.sample_time))
             zone_part = data.counted(part.apply(zones @ zone_weights, data.sample_time))
-            free = np.column_stack([table[:, len(self.radii) :], np.ones(len(target))])
+            free = np.column_stack([table[:, len(self.radii) :], constants])
             weights, coefficients, _, _ = smooth_weights(
                 table[:, : len(self.radii)],
                 free,
                 target - kink + zone_part,
                 self.roughness,
                 strength,
-                ridge=np.append(np.full(self.zone_count, ridge), 0.0),
+                ridge=np.append(np.full(self.zone_count, ridge), np.zeros(constants.shape[1])),
             )
-            zone_weights = _monotone(coefficients[:-1], thresholds)
+            zone_weights = _monotone(coefficients[: self.zone_count], thresholds)
             x = self.plays @ weights
             bent = data.counted(part.apply(x + _zones(x, thresholds) @ zone_weights, data.sample_time))
-            offset = float(np.mean(target - bent))
-            residual = target - bent - offset
+            still = np.linalg.lstsq(constants, target - bent, rcond=None)[0]
+            residual = target - bent - constants @ still
             if np.std(residual) < best[0]:
-                best = (np.std(residual), weights, zone_weights, offset, residual)
-        _, self.weights, self.zone_weights, self.offset, residual = best
+                best = (np.std(residual), weights, zone_weights, still, residual)
+        _, self.weights, self.zone_weights, self.constants, residual = best
         self.thresholds = thresholds
         return residual
 
@@ -152,7 +153,7 @@ class FreeWeights:
             weights=tuple(weights[moving].tolist()),
             thresholds=tuple(self.thresholds[used].tolist()),
             zone_weights=tuple(self.zone_weights[used].tolist()),
-            offset=self.offset / self.part.settled_gain,
+            offset=float(self.constants[0]) / self.part.settled_gain,
         )
         return HysteresisParameters(type="prandtl_ishlinskii", prandtl_ishlinskii=parameters)
 

@@ -70,10 +70,10 @@ class HammersteinFit:
         Voltages [V] that the hysteresis was found to have gone through before the recording, from rest at 0 V.
     skipped : int
         First samples of the recording left out of the fit.
+    drift : float
+        What grew beside all that the voltage moves [m/s]; no part of the model.
     numbers : dict of str to float
         Further figures of the fit, names with units.
-    notes : tuple of str
-        What was done or held, in sentences.
     """
 
     hysteresis: HysteresisParameters
@@ -91,8 +91,20 @@ class HammersteinFit:
     synchronous: bool = False
     history: tuple[float, ...] = ()
     skipped: int = 0
+    drift: float = 0.0
     numbers: dict[str, float] = field(default_factory=dict)
-    notes: tuple[str, ...] = ()
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """What was kept out of the model, in sentences."""
+        found = []
+        if self.drift:
+            found.append(
+                f"the output drifts by {1e6 * self.drift:.3g} µm/s beside creep: fitted too, but no part of the model"
+            )
+        if outliers := int(self.numbers.get("outliers", 0)):
+            found.append(f"{outliers} outliers left out of the fit")
+        return tuple(found)
 
     @property
     def actuator(self) -> ActuatorParameters:

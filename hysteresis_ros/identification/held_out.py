@@ -56,3 +56,15 @@ def survivor(fits):
         if sizes[-1] < (1.0 - WORTH_IT) * np.sqrt(np.mean(least**2)) and sure:
             chosen, least = fit, errors
     return chosen, sizes
+
+
+def without_drift(fit, data):
+    """Return ``fit(data)``, or the same with a drift beside it if that survives.
+
+    Parameters
+    ----------
+    fit : callable
+        Returns a fit to a Condensed.
+    data : Condensed
+    """
+    return survivor([fit(data), fit(replace(data, drifts=True))])[0]

@@ -113,6 +113,8 @@ class Identification:
         First samples left out of the fit; None: those before the memory is wiped out.
     start : str
         How the recording was taken to begin, in a sentence.
+    drift : float
+        What grew in the recording beside all that the voltage moves [m/s]; no part of the model.
     trajectory : (tuple of str, ndarray of shape (K, n)), optional
         Names and values of the parameters after each iteration of the best run.
     """
@@ -128,6 +130,7 @@ class Identification:
     converged: bool = True
     skipped: int | None = None
     start: str = ""
+    drift: float = 0.0
     trajectory: tuple[tuple[str, ...], np.ndarray] | None = None
 
 

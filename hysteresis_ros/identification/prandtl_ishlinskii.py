@@ -12,7 +12,7 @@ from hysteresis_ros.identification.condensed import Condensed, condense
 from hysteresis_ros.identification.finished import finished, without_outliers
 from hysteresis_ros.identification.free_weights import FreeWeights
 from hysteresis_ros.identification.hammerstein import HammersteinFit
-from hysteresis_ros.identification.held_out import survivor
+from hysteresis_ros.identification.held_out import survivor, without_drift
 from hysteresis_ros.identification.smooth_density import SmoothDensity
 
 PLAYS = 20
@@ -78,18 +78,19 @@ def fit_prandtl_ishlinskii(
 def _chosen(data: Condensed, play_count: int, zone_count: int | None, density: str, linear, progress):
     """Return the fit of the structure that predicts best what it has not seen."""
     if zone_count is not None:
-        return FreeWeights(data, play_count, zone_count).fit(linear, progress)
-    free = [FreeWeights(data, play_count, count) for count in (0, ZONES)]
-    if density != "free":
-        smooth = SmoothDensity(data, play_count).fit(linear, progress)
-        if density == "exponential":
-            return smooth
+        return without_drift(lambda data: FreeWeights(data, play_count, zone_count).fit(linear, progress), data)
+    if density == "free":
+        counts = [ZONES]
+        simple = without_drift(lambda data: FreeWeights(data, play_count, 0).fit(linear, progress), data)
     else:
-        smooth = free.pop(0).fit(linear, progress)
+        counts = [0, ZONES]
+        simple = without_drift(lambda data: SmoothDensity(data, play_count).fit(linear, progress), data)
+        if density == "exponential":
+            return simple
     # the others behind the same linear part; one that is taken gets a search of its own
-    rivals = [smooth, *(fit.behind(smooth.part) for fit in free)]
+    rivals = [simple, *(FreeWeights(simple.data, play_count, count).behind(simple.part) for count in counts)]
     chosen, errors = survivor(rivals)
-    if chosen is not smooth:
+    if chosen is not simple:
         chosen.fit(linear, progress)
     chosen.numbers["held_out_rmse_m"] = errors[rivals.index(chosen)]
     return chosen

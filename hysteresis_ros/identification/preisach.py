@@ -17,6 +17,7 @@ from hysteresis_ros.identification.condensed import condense
 from hysteresis_ros.identification.finished import finished, without_outliers
 from hysteresis_ros.identification.free_weights import SEARCH_STRENGTH
 from hysteresis_ros.identification.hammerstein import HammersteinFit, fit_linear_part
+from hysteresis_ros.identification.held_out import without_drift
 from hysteresis_ros.identification.weights import plays, radii, smooth_weights
 from hysteresis_ros.models.hysteresis import HysteresisParameters
 from hysteresis_ros.models.hysteresis.preisach import PreisachParameters
@@ -70,7 +71,7 @@ def fit_preisach(
 
     def once(kept):
         data = condense(voltage, displacement, sample_time, skip, kept=kept, history=history)
-        fit = Density(data, widths, nodes).fit(linear, progress)
+        fit = without_drift(lambda data: Density(data, widths, nodes).fit(linear, progress), data)
         return finished(fit, voltage, displacement, sample_time, kept)
 
     return without_outliers(once, voltage, displacement)
@@ -111,10 +112,9 @@ class Density:
         target = data.counted(data.displacement)
         self.bias = shape["bias"]
         moved = data.counted(part.apply(self.columns(self.bias), data.sample_time))
-        self.weights, free, residual, self.strength = smooth_weights(
-            moved, np.ones((len(target), 1)), target, self.roughness, strength
+        self.weights, self.constants, residual, self.strength = smooth_weights(
+            moved, data.counted(data.constants), target, self.roughness, strength
         )
-        self.offset = float(free[0])
         return residual
 
     def fit(self, linear, progress):
@@ -158,7 +158,9 @@ class Density:
 
     def output(self) -> np.ndarray:
         """Return the modelled displacement [m], shape (N,)."""
-        return self.part.apply(self.columns(self.bias), self.data.sample_time) @ self.weights + self.offset
+        return self.part.apply(self.columns(self.bias), self.data.sample_time) @ self.weights + (
+            self.data.constants @ self.constants
+        )
 
     def parameters(self) -> HysteresisParameters:
         """Return slope and Everett map E(a, b) = Σ w max(0, g(a) - g(b) - 2 r)."""
@@ -176,6 +178,6 @@ class Density:
             voltage_high=self.high,
             everett=tuple(table[np.tril_indices(nodes)].tolist()),
             slope=slope,
-            offset=self.offset / self.part.settled_gain - rest,
+            offset=float(self.constants[0]) / self.part.settled_gain - rest,
         )
         return HysteresisParameters(type="preisach", preisach=parameters)

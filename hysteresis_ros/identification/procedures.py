@@ -9,6 +9,7 @@ import numpy as np
 
 from hysteresis_ros.compensation.inverses import InverseParameters
 from hysteresis_ros.errors import IdentificationError
+from hysteresis_ros.identification.ambiguity import find_ambiguity
 from hysteresis_ros.identification.bouc_wen_mechanical import FREE, fit_bouc_wen_mechanical
 from hysteresis_ros.identification.bouc_wen_static import NAMES as BOUC_WEN_NAMES
 from hysteresis_ros.identification.bouc_wen_static import default_guess, identify_bouc_wen_static
@@ -26,6 +27,7 @@ from hysteresis_ros.identification.preisach import WIDTHS, Density, fit_preisach
 from hysteresis_ros.identification.request import FittedHysteresis, Request
 from hysteresis_ros.identification.restarted_nelder_mead import SimplexSettings
 from hysteresis_ros.identification.separation import separated
+from hysteresis_ros.identification.smooth_density import PRIOR_DECAY
 from hysteresis_ros.identification.start import find_start
 from hysteresis_ros.models.creep import CreepParameters
 from hysteresis_ros.models.hysteresis import HysteresisParameters, hysteresis_block
@@ -37,6 +39,8 @@ from hysteresis_ros.models.linear import LinearParameters
 POLYNOMIAL_FREE = 9
 #: Widths of the densities that trials of the past fit.
 TRIED = 10
+#: To how many samples data is made coarser for what it cannot tell.
+COARSE = 2000
 #: The voltage counts as 0 V within this part of its range.
 AT_ZERO = 0.002
 #: A stage must lower the residual by this part to be taken without being asked for.
@@ -69,8 +73,12 @@ def _hammerstein(fit_function, data, request, count, structure=None) -> Identifi
     else:
         chain = _chain(data, request, fit.hysteresis, fit.linear_part, fit.dynamics, fit.synchronous)
         result = _identified(chain, request, found, fit.linear_part)
-    numbers = {**result.numbers, **fit.numbers}
-    return replace(result, numbers=numbers, skipped=start.skip, start=start.note)
+    request.progress(0, "what the recording cannot tell")
+    coarse = condense(voltage, displacement, data.sample_time, skip, history=start.history, enough=COARSE)
+    doubt = find_ambiguity(coarse, fit.linear_part, fit.hysteresis, fit.numbers.get("density_decay") == PRIOR_DECAY)
+    numbers = {**result.numbers, **fit.numbers, **(doubt.numbers if doubt else {})}
+    warnings = (*result.warnings, *fit.doubts, *(doubt.warnings if doubt else ()))
+    return replace(result, numbers=numbers, warnings=warnings, skipped=start.skip, start=start.note, drift=fit.drift)
 
 
 def polynomial(data: IdentificationData, request: Request) -> Identification:

@@ -13,6 +13,8 @@ from hysteresis_ros.models.declaration import PARTS, HysteresisModel
 from hysteresis_ros.models.hysteresis import MODELS
 from hysteresis_ros.registry import resolved
 
+#: Name that stands for the model which predicts best.
+AUTO = "auto"
 #: Words for sets of parts.
 WORDS = {"none": (), "auto": PARTS}
 
@@ -26,7 +28,8 @@ def find_model(name: str) -> HysteresisModel:
         There is none; the message lists what there is.
     """
     if name not in MODELS:
-        raise IdentificationError(f"model {name!r}: must be one of {', '.join(MODELS)}{did_you_mean(name, MODELS)}")
+        near = did_you_mean(name, MODELS)
+        raise IdentificationError(f"model {name!r}: must be one of {', '.join(MODELS)}, or {AUTO} to identify{near}")
     return MODELS[name]
 
 
@@ -84,6 +87,10 @@ def parse_options(model: str, pairs) -> dict:
     IdentificationError
         An option is unknown or has a wrong value.
     """
+    if model == AUTO:
+        if given := list(pairs):
+            raise IdentificationError(f"option {given[0]!r}: model {AUTO} has none; name a model to set its options")
+        return {}
     options, entry = {}, find_model(model)
     for pair in pairs:
         name, mark, text = pair.partition("=")

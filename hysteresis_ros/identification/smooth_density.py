@@ -83,6 +83,21 @@ class SmoothDensity:
         self.numbers = {"density_decay": self.shape.get("decay", PRIOR_DECAY)}
         return self
 
+    def behind(self, part, decay: float):
+        """Fit the shape for a κ and a linear part that are known.
+
+        Parameters
+        ----------
+        part : LinearPart
+        decay : float
+            κ.
+        """
+        self.decay, self.part = decay, part
+        search = PartSearch(lambda _, shape: self.solve(part, shape), self.data, SHAPE, None)
+        self.shape = search.run([], {}, part).values
+        self.rms = float(np.std(self.solve(part, self.shape)))
+        return self
+
     def solve(self, part, shape) -> np.ndarray:
         """Return the residual [m] of the best scale and constant.
 
@@ -92,10 +107,10 @@ class SmoothDensity:
         shape : dict of str to float
         """
         data = self.data
-        table = np.column_stack([part.apply(self.moved(shape), data.sample_time), np.ones(len(data.voltage))])
+        table = np.column_stack([part.apply(self.moved(shape), data.sample_time), data.constants])
         table, target = data.counted(table), data.counted(data.displacement)
         solution = np.linalg.lstsq(table, target, rcond=None)[0]
-        self.scale, self.offset = float(solution[0]), float(solution[1])
+        self.scale, self.constants = float(solution[0]), solution[1:]
         return target - table @ solution
 
     def moved(self, shape) -> np.ndarray:
@@ -142,7 +157,8 @@ class SmoothDensity:
 
     def output(self) -> np.ndarray:
         """Return the modelled displacement [m], shape (N,)."""
-        return self.scale * self.part.apply(self.moved(self.shape), self.data.sample_time) + self.offset
+        moved = self.part.apply(self.moved(self.shape), self.data.sample_time)
+        return self.scale * moved + self.data.constants @ self.constants
 
     def parameters(self) -> HysteresisParameters:
         """Return density and map as plays and dead zones.
@@ -169,7 +185,7 @@ class SmoothDensity:
             weights=tuple(weights.tolist()),
             thresholds=tuple((first * corners[bends]).tolist()),
             zone_weights=tuple(steps[bends].tolist()),
-            offset=self.offset / self.part.settled_gain,
+            offset=float(self.constants[0]) / self.part.settled_gain,
         )
         return HysteresisParameters(type="prandtl_ishlinskii", prandtl_ishlinskii=parameters)
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.identification import registry
+from hysteresis_ros.identification.auto import choose_model
 from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.identified import Identification, PlantModel
 from hysteresis_ros.identification.inverse import InverseValidation
@@ -155,7 +156,8 @@ def identify(
         A bag, CSV or NPZ whose columns name their units (``control_V``, ``gauge_um``), or data that was read. For other
         columns: ``read_data("x.csv", Columns("ch1:V", "ch2:um"))``.
     model : str
-        Name of the model; ``hysteresis models`` lists them.
+        Name of the model; ``hysteresis models`` lists them. ``auto``: what predicts best the thirds of the recording
+        that it was not fitted to.
     linear : str, optional
         What stands behind the hysteresis: ``auto`` (the default: lag, delay, creep and up to two resonances where they
         predict better), ``none``, ``lag,delay,creep,modes``, ``second_order``, ``arx`` …
@@ -191,6 +193,9 @@ def identify(
     skip = _averaged(given.get("skip"), data)
     # between samples that are averages the input ran on, whoever held it
     intersample, initial = given.get("intersample") or ("zoh" if data.factor == 1 else "linear"), given.get("initial")
+    tried: dict[str, float] = {}
+    if model == registry.AUTO:
+        model, tried = choose_model(data, linear, progress, intersample=intersample, initial=initial)
     result = registry.identify(
         data,
         model,
@@ -202,6 +207,8 @@ def identify(
         initial=initial,
         progress=progress,
     )
+    others = {f"held_out_{name}_rmse_m": error for name, error in tried.items()}
+    result = replace(result, numbers={**result.numbers, **others})
     if result.skipped is not None:
         skip = result.skipped
     elif skip is None:
@@ -210,8 +217,10 @@ def identify(
     if free:
         plant = replace(result.chain, offset=0.0)
         result = replace(result, chain=plant, assumptions=(*result.assumptions, CONSTANT_REMOVED))
-    predicted = predict(result.chain, data.input, data.sample_time, measured=data.output)
-    found, back, reason = judge(result.chain, data, predicted, skip=skip, free_offset=free, fitted=result.fitted)
+    drift = result.drift * data.sample_time * np.arange(len(data))
+    still = replace(data, output=data.output - drift)
+    predicted = predict(result.chain, still.input, still.sample_time, measured=still.output)
+    found, back, reason = judge(result.chain, still, predicted, skip=skip, free_offset=free, fitted=result.fitted)
     figures = found.to_dict()
     judged = figures.pop("warnings")
     figures |= inverse_figures(back)
@@ -224,7 +233,7 @@ def identify(
     text = file_text(result, identification_section(result, data, figures, skip))
     named = {"model": model, "linear": result.linear, **figures, **result.numbers, "converged": result.converged}
     named |= {"sensor_zero_m": result.chain.offset} | ({"start": result.start} if result.start else {})
-    compared = Compared(data, result.chain, predicted, found, back, finite(named), result.warnings)
+    compared = Compared(data, result.chain, predicted + drift, found, back, finite(named), result.warnings)
     return Identified(**vars(compared), identification=result, text=text)
 
 
