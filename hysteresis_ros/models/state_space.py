@@ -13,9 +13,9 @@ import numpy as np
 from hysteresis_ros.block import kernel
 from hysteresis_ros.linear_algebra import product, solve
 
-#: A state nearer to 0 than this becomes 0. What dies out would end as a denormal number, with which processors reckon up
-#: to thirty times more slowly, and stay there: 0.9 · 2.5e-323 rounds to itself. The kernels see to it because a mode of
-#: the processor would not be the same in all threads and processes.
+#: A state nearer to 0 than this becomes 0. What dies out would end as a denormal number, with which processors reckon
+#: up to thirty times more slowly, and stay there: 0.9 · 2.5e-323 rounds to itself. The kernels see to it because a mode
+#: of the processor would not be the same in all threads and processes.
 NOTHING = 1e-290
 #: A pole or zero nearer to the unit circle than this counts as on it.
 BOUNDARY = 1e-9
