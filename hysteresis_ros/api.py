@@ -19,6 +19,7 @@ from numpy.typing import ArrayLike
 from hysteresis_ros.configuration import Configuration, load_configuration, normalised_namespace, parse_configuration
 from hysteresis_ros.control.controller import ControllerParameters
 from hysteresis_ros.control.margins import Margins
+from hysteresis_ros.control.uncertainty import Uncertainty
 from hysteresis_ros.errors import ConfigurationError, HysteresisError
 from hysteresis_ros.identification import workflow
 from hysteresis_ros.identification.data import IdentificationData
@@ -411,6 +412,8 @@ def design(
     duration: float | None = None,
     feedforward: bool = False,
     preview: int | None = None,
+    noise: float | None = None,
+    robust: Uncertainty | None = None,
     namespace: str | None = None,
 ) -> Design:
     """Design a controller for the model in a configuration (``motion_controller: model.dynamics``; never the plant's).
@@ -433,6 +436,11 @@ def design(
         Add the inverse of the dynamics.
     preview : int, optional
         Samples that the reference is ahead, with ``feedforward``; by default what the inverse needs.
+    noise : float, optional
+        RMS noise of the sensor [m], by which the fastest design is chosen; by default 0.01 % of the stroke.
+    robust : Uncertainty, optional
+        Plants around the model on each of which the margins are to be kept
+        (:class:`hysteresis_ros.control.uncertainty.Uncertainty`).
     namespace : str, optional
         Which axis of a configuration with several.
 
@@ -456,7 +464,7 @@ def design(
     """
     configuration = _configuration(config)
     axis = single_axis(configuration, namespace)
-    request = DesignRequest(controller, bandwidth, q, criterion, duration, feedforward, preview)
+    request = DesignRequest(controller, bandwidth, q, criterion, duration, feedforward, preview, noise, robust)
     found = design_axis(axis, request)
     text = design_file(configuration, found, normalised_namespace(axis.namespace))
     return Design(found.parameters, found.margins, tuple(doubts(found)), tuple(design_lines(found)), text)

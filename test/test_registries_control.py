@@ -118,6 +118,7 @@ def test_its_block_keeps_the_contract_of_controllers(law):
     block.reset()
     assert block.simulate(reference, measured).tolist() == first.tolist()
     assert np.all(np.isfinite(block.simulate(np.full(20, 1e300), np.full(20, -1e300))))
+    block.reset()
     assert (
         np.any(block.simulate(0.0 * reference, measured) != block.simulate(0.0 * reference, -measured)) == law.feedback
     )

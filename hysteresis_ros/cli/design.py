@@ -17,6 +17,7 @@ from hysteresis_ros.control.registry import DESIGNS
 )
 @click.option("--bandwidth", type=float, help="-3 dB bandwidth from reference to displacement [Hz].")
 @click.option("--q", type=float, help="Kalman filter: variance of the input's noise over that of the measurement.")
+@click.option("--noise", type=float, help="RMS noise of the sensor [m], by which the fastest design is chosen.")
 @click.option(
     "--criterion",
     type=click.Choice(["iae", "ise", "itae"]),
@@ -25,9 +26,16 @@ from hysteresis_ros.control.registry import DESIGNS
 @click.option("--duration", type=float, help="Length of the run that --criterion judges [s].")
 @click.option("--feedforward", is_flag=True, help="Add the inverse of the dynamics as feedforward.")
 @click.option("--preview", type=int, help="Samples that the reference is ahead, with --feedforward.")
+@click.option("--robust", is_flag=True, help="Gains for the worst of plants drawn around the model, by these ranges:")
+@click.option("--gain-range", type=float, help="Part by which the gain may be off.  [default: 0.05]")
+@click.option("--hysteresis-range", type=float, help="Part by which the slope left may be off.  [default: 0.1]")
+@click.option("--resonance-range", type=float, help="Part by which resonances and lags may be off.  [default: 0.1]")
+@click.option("--delay-range", type=float, help="Delay beyond the model's [samples].  [default: 1]")
+@click.option("--draws", type=int, help="Plants drawn, besides the model and the corners.  [default: 20]")
+@click.option("--seed", type=int, help="Seed of the plants.  [default: 1]")
 @click.option("--namespace", default="", help="Which axis of the configuration, when it describes several.")
 @click.option("-o", "--output", required=True, help="Parameter file to write.")
-def design(config, controller, bandwidth, q, criterion, duration, feedforward, preview, namespace, output):
+def design(config, namespace, output, **options):
     """Design a controller for the model in CONFIG (motion_controller: model.dynamics; never the plant's).
 
     Prints gains, margins and closed-loop poles, and writes CONFIG with the new controller to OUTPUT.
@@ -36,18 +44,18 @@ def design(config, controller, bandwidth, q, criterion, duration, feedforward, p
     from hysteresis_ros.identification.parameter_file import write_file
     from hysteresis_ros.loop.inchworm_checks import design_warnings
     from hysteresis_ros.simulation.axes import single_axis
-    from hysteresis_ros.simulation.design import DesignRequest, design_axis, design_file, design_lines
+    from hysteresis_ros.simulation.design import (
+        OPTIONS,
+        DesignRequest,
+        design_axis,
+        design_file,
+        design_lines,
+        drawn_around,
+    )
 
     configuration = load_configuration(config)
-    request = DesignRequest(
-        controller=controller,
-        bandwidth=bandwidth,
-        q=q,
-        criterion=criterion,
-        duration=duration,
-        feedforward=feedforward,
-        preview=preview,
-    )
+    ranges = {name: options.pop(option.replace("-", "_")) for name, option in OPTIONS.items()}
+    request = DesignRequest(**options | {"robust": drawn_around(options["robust"], ranges)})
     axis = single_axis(configuration, namespace or None)
     result = design_axis(axis, request)
     write_file(output, design_file(configuration, result, normalised_namespace(axis.namespace)))

@@ -12,8 +12,9 @@ import numpy as np
 from hysteresis_ros.control import design
 from hysteresis_ros.control.law import DesignTask
 from hysteresis_ros.control.linearisation import linear_loop, margins
-from hysteresis_ros.control.margins import Margins
+from hysteresis_ros.control.margins import AIMED, Margins, Requirements
 from hysteresis_ros.control.registry import design_of
+from hysteresis_ros.control.uncertainty import PossiblePlant
 from hysteresis_ros.errors import ParameterError
 
 
@@ -57,7 +58,14 @@ def require_minimal(dynamics) -> None:
 
 
 def design_gains(
-    parameters, controller: str, sample_time: float, bandwidth: float | None = None, q: float | None = None
+    parameters,
+    controller: str,
+    sample_time: float,
+    bandwidth: float | None = None,
+    q: float | None = None,
+    *,
+    aimed: Requirements = AIMED,
+    plants: tuple[PossiblePlant, ...] = (),
 ) -> Designed:
     """Return the controller of the given name for the model in ``parameters``.
 
@@ -73,6 +81,10 @@ def design_gains(
         Frequency at which the response to the reference, without feedforward, falls by 3 dB [Hz].
     q : float, optional
         Variance of the input's noise over that of the measurement in the Kalman filter.
+    aimed : Requirements, optional
+        What a design is to meet, where neither bandwidth nor q leave it no choice.
+    plants : tuple of PossiblePlant, optional
+        On which it is to meet that, the model first; by default the model alone.
 
     Raises
     ------
@@ -90,5 +102,6 @@ def design_gains(
             "bandwidth", bandwidth, f"must be above 0 and below half the sample rate, {0.5 / sample_time:g} Hz"
         )
     chosen = replace(parameters, type=law.name)
-    found = designed(DesignTask(chosen, sample_time, bandwidth, q, lambda one: linear_loop(one, sample_time)))
+    task = DesignTask(chosen, sample_time, bandwidth, q, lambda one: linear_loop(one, sample_time), aimed, plants)
+    found = designed(task)
     return Designed(found, margins(found, sample_time))

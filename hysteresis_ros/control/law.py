@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from hysteresis_ros.control.base import Controller
-from hysteresis_ros.control.margins import REQUIRED, Requirements
+from hysteresis_ros.control.margins import AIMED, FASTEST, Judged, Requirements
+from hysteresis_ros.control.uncertainty import PossiblePlant, judge_worst
 from hysteresis_ros.models.state_space import StateSpace
 from hysteresis_ros.parameters import Parameters
 
@@ -32,6 +33,10 @@ class DesignTask:
     loop : callable
         ``loop(parameters)`` returns controller and model, two :class:`StateSpace`, close to rest; for
         :func:`hysteresis_ros.control.margins.judge`.
+    aimed : Requirements, optional
+        What a design of its own accord, without a bandwidth, has to meet.
+    plants : tuple of PossiblePlant, optional
+        Plants on which it has to meet that, the model first; by default the model alone.
     """
 
     parameters: Any
@@ -39,6 +44,18 @@ class DesignTask:
     bandwidth: float | None
     q: float | None
     loop: Callable[[Any], tuple[StateSpace, StateSpace]]
+    aimed: Requirements = AIMED
+    plants: tuple[PossiblePlant, ...] = ()
+
+    def judge(self, parameters) -> Judged:
+        """Return bandwidth on the model, and the worst of everything else on all plants up to one that misses the aim.
+
+        Parameters
+        ----------
+        parameters : ControllerParameters
+        """
+        controller, model = self.loop(parameters)
+        return judge_worst(controller, self.plants or (PossiblePlant(model),), self.sample_time, self.aimed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +77,7 @@ class Tuning:
     gains: tuple[str, ...]
     start: Callable[[Any, float], Any]
     loop: Callable[[Any, float], tuple[StateSpace, StateSpace]]
-    required: Requirements = REQUIRED
+    required: Requirements = FASTEST
 
 
 def _no_check(parameters, sample_time: float | None) -> None:

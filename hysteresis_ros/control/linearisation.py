@@ -12,7 +12,6 @@ from dataclasses import replace
 import numpy as np
 
 from hysteresis_ros.control.base import APPLIED, COMMAND, FEEDFORWARD
-from hysteresis_ros.control.controller import controller_block
 from hysteresis_ros.control.feedforward import FeedforwardParameters
 from hysteresis_ros.control.margins import Margins, margins_of, plant_state_space
 from hysteresis_ros.models.preload import PreloadParameters
@@ -91,8 +90,9 @@ def linear_loop(parameters, sample_time: float) -> tuple[StateSpace, StateSpace]
     ParameterError
         No controller can be built of the parameters.
     """
-    controller = linearise(controller_block(at_rest(parameters), sample_time))
-    return controller, plant_state_space(parameters.model.dynamics)
+    resting = at_rest(parameters).validated()
+    resting.model.dynamics.require_sample_time(sample_time, "model.dynamics.sample_time")
+    return linearise(resting.law.block(resting, sample_time)), plant_state_space(parameters.model.dynamics)
 
 
 def margins(parameters, sample_time: float) -> Margins:

@@ -29,6 +29,10 @@ from hysteresis_ros.models.state_space import BOUNDARY, StateSpace
 #: Frequencies of the grid, and how many are added around each pole.
 GRID = 3000
 AROUND_POLE = 61
+#: Steps of bisection for the bandwidth in a search, to 1e-7 of the distance between two points of the grid.
+SEARCHED_STEPS = 24
+#: −3 dB.
+HALF_POWER = np.sqrt(0.5)
 #: Lowest angle of the grid.
 LOWEST = 1e-7
 
@@ -45,17 +49,28 @@ class Requirements:
         Least factor by which the gain may grow [dB].
     delay_margin : float
         Least delay beyond the modelled one that the loop bears [samples].
+    command_noise_gain : float
+        Largest RMS of the command per RMS of the sensor's noise; nothing is asked of it unless the noise is known.
+    late_sensitivity_peak : float
+        Largest M_s with a sample of delay beyond the modelled one, of designs of their own accord.
     """
 
     sensitivity_peak: float = 2.0
     gain_margin: float = 6.0
     delay_margin: float = 1.0
+    command_noise_gain: float = np.inf
+    late_sensitivity_peak: float = np.inf
 
 
 #: Part by which a requirement may be missed: designs end where they just meet it.
 ROUNDING = 1e-3
 #: What every design is held to.
 REQUIRED = Requirements()
+#: What a design of its own accord aims at: with a sample more than modelled it still has the delay margin of one. Usual
+#: values of M_s are 1.2 to 2 [1]_.
+AIMED = Requirements(sensitivity_peak=1.6, delay_margin=2.0, late_sensitivity_peak=3.0)
+#: What gains aim at that a criterion or a comparison wants as fast as may be: a sample later they are still stable.
+FASTEST = Requirements(delay_margin=1.3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,17 +210,24 @@ class Judged(NamedTuple):
         M_s.
     delay_margin : float
         [samples]
-    noise_gain : float
-        RMS of displacement per RMS of white noise of the sensor.
+    noise_gain, command_noise_gain : float
+        RMS of displacement and of command per RMS of white noise of the sensor.
     rejection : float
-        Lowest frequency at which |S| reaches −3 dB [Hz]; 0 where a constant disturbance stays by more than that.
+        Frequency up to which disturbances are rejected, |S| below −3 dB [Hz]; 0 where a constant one is not.
+    feedback : float
+        Frequency up to which the feedback acts, |T| above −3 dB [Hz]; 0 where it does not at rest.
+    late_sensitivity_peak : float
+        M_s with a sample of delay more.
     """
 
     bandwidth: float
     sensitivity_peak: float
     delay_margin: float
     noise_gain: float
+    command_noise_gain: float
     rejection: float
+    feedback: float
+    late_sensitivity_peak: float
 
     def meets(self, required: Requirements = REQUIRED) -> bool:
         """Whether the loop meets the requirements; M_s ≤ 2 brings the gain margin of 6 dB with it.
@@ -216,11 +238,13 @@ class Judged(NamedTuple):
         """
         least = 1.0 / (1.0 - 10.0 ** (-required.gain_margin / 20.0))
         bounded = self.sensitivity_peak <= min(required.sensitivity_peak, least)
-        return bounded and self.delay_margin >= required.delay_margin
+        quiet = self.command_noise_gain <= required.command_noise_gain
+        bounded = bounded and self.late_sensitivity_peak <= required.late_sensitivity_peak
+        return bounded and quiet and self.delay_margin >= required.delay_margin
 
 
 #: An unstable loop.
-UNSTABLE = Judged(0.0, np.inf, 0.0, np.inf, 0.0)
+UNSTABLE = Judged(0.0, np.inf, 0.0, np.inf, np.inf, 0.0, 0.0, np.inf)
 
 
 def judge(controller: StateSpace, plant: StateSpace, sample_time: float, grid: int = 300) -> Judged:
@@ -242,15 +266,25 @@ def judge(controller: StateSpace, plant: StateSpace, sample_time: float, grid: i
     values = loop_transfer(controller, plant, np.exp(1j * angles))
     sensitivity = 1.0 / np.abs(1.0 + values)
     hertz = 1.0 / (2.0 * np.pi * sample_time)
-    passed = np.flatnonzero(sensitivity >= np.sqrt(0.5))
-    rejected = angles[passed[0]] if len(passed) else np.pi
+    complementary = np.abs(values) * sensitivity
     return Judged(
-        _bandwidth(whole, angles) * hertz,
+        _bandwidth(whole, angles, SEARCHED_STEPS) * hertz,
         float(np.max(sensitivity)),
         _coarse_delay_margin(angles, values),
-        _noise_gain(angles, np.abs(values) * sensitivity),
-        float(rejected * hertz) if len(passed) == 0 or passed[0] > 0 else 0.0,
+        _noise_gain(angles, complementary),
+        _noise_gain(angles, _feedback(controller, angles) * sensitivity),
+        _up_to(angles, sensitivity >= HALF_POWER) * hertz,
+        _up_to(angles, complementary < HALF_POWER) * hertz,
+        float(np.max(1.0 / np.abs(1.0 + values * np.exp(-1j * angles)))),
     )
+
+
+def _up_to(angles, begun) -> float:
+    """Return the angle at which something has first begun: 0 where it has from the start, π where it never has."""
+    first = int(np.argmax(begun))
+    if not begun[first]:
+        return np.pi
+    return float(angles[first]) if first else 0.0
 
 
 def _coarse_delay_margin(angles, values) -> float:
@@ -346,12 +380,12 @@ def _flat_and_negative(values) -> bool:
     return bool(values[0].real < 0.0 and abs(values[1] - values[0]) < 1e-3 * abs(values[0]))
 
 
-def _crossings(function, angles, values) -> np.ndarray:
-    """Return where a function that is sampled at ``angles`` passes zero, refined by bisection."""
+def _crossings(function, angles, values, steps: int = 60) -> np.ndarray:
+    """Return where a function that is sampled at ``angles`` passes zero, refined by steps of bisection."""
     found = []
     for i in np.flatnonzero((values[:-1] < 0.0) != (values[1:] < 0.0)):
         low, high, below = angles[i], angles[i + 1], values[i] < 0.0
-        for _ in range(60):
+        for _ in range(steps):
             middle = 0.5 * (low + high)
             if (function(middle) < 0.0) == below:
                 low = middle
@@ -361,7 +395,7 @@ def _crossings(function, angles, values) -> np.ndarray:
     return np.array(found)
 
 
-def _bandwidth(whole: StateSpace, angles) -> float:
+def _bandwidth(whole: StateSpace, angles, steps: int = 60) -> float:
     def level(angle):
         return np.abs(whole.response(np.exp(1j * np.atleast_1d(angle)))[:, 0, 0])
 
@@ -373,6 +407,5 @@ def _bandwidth(whole: StateSpace, angles) -> float:
     i = below[0]
     if i == 0:
         return float(angles[0])
-    return float(
-        _crossings(lambda angle: level(angle)[0] - wanted, angles[i - 1 : i + 1], values[i - 1 : i + 1] - wanted)[0]
-    )
+    around = slice(i - 1, i + 1)
+    return float(_crossings(lambda angle: level(angle)[0] - wanted, angles[around], values[around] - wanted, steps)[0])

@@ -5,16 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
 
-from hysteresis_ros import elementary
 from hysteresis_ros.control import design
-from hysteresis_ros.control.kalman import filter_gain
-from hysteresis_ros.control.law import DesignTask
-from hysteresis_ros.control.margins import judge
+from hysteresis_ros.control.law import UNFED, DesignTask
+from hysteresis_ros.control.linearisation import linear_loop
+from hysteresis_ros.control.margins import FASTEST, judge
 from hysteresis_ros.control.sliding_design import design_sliding_mode
+from hysteresis_ros.control.sliding_search import FASTEST_FILTER, SLOWEST_FILTER, GainSearch, solved, wandering
 from hysteresis_ros.linear_algebra import eigenvalues, product
 
 #: Input weight of the LQ problem as a part of the squared DC gain.
@@ -24,11 +25,9 @@ SLOWEST = 0.99999
 PRECISION = 1e-5
 #: Part of the bandwidth asked by which the slowest pole may be too fast.
 TOLERANCE = 0.01
-#: Bandwidth of the reaching law in a comparison, as a part of the sample rate.
-COMPARED_BANDWIDTH = 0.1
 
 
-def sliding_gains(task: DesignTask, name: str, place: Callable[[Any, float], Any], disturbed: bool = True):
+def sliding_gains(task: DesignTask, name: str, place: Callable[[Any, float], Any] | None, disturbed: bool = True):
     """Return the parameters of a sliding mode controller with an LQ hyperplane.
 
     Parameters
@@ -36,8 +35,8 @@ def sliding_gains(task: DesignTask, name: str, place: Callable[[Any, float], Any
     task : DesignTask
     name : str
         Of the design, for messages.
-    place : callable
-        ``place(parameters, pole)`` returns them with the pole that sets the bandwidth.
+    place : callable or None
+        ``place(parameters, pole)`` returns them with the pole that sets the bandwidth; None where there is none.
     disturbed : bool
         Whether the Kalman filter is to estimate a disturbance.
 
@@ -49,33 +48,34 @@ def sliding_gains(task: DesignTask, name: str, place: Callable[[Any, float], Any
     given, dynamics = task.parameters, task.parameters.model.dynamics
     if not dynamics.order:
         design.refuse("model.dynamics.A", dynamics.A, f"{name} needs a model with a state; choose pid")
-    gain = dynamics.state_space.dc_gain
-    found = replace(
-        given,
-        kalman=_kalman(given.kalman, disturbed, task.q),
-        sliding_mode=replace(
-            given.sliding_mode,
-            tracking="target",
-            hyperplane="lq",
-            S=(),
-            poles=(),
-            poles_imaginary=(),
-            lq_state_weight=(),
-            lq_input_weight=INPUT_WEIGHT * gain * gain,
-        ),
-    )
-    if task.bandwidth is None:
-        return found
-    solved = _solved(found, task.sample_time)
-    return place(found, _pole_for(task, lambda pole: place(solved, pole)))
-
-
-def _kalman(given, disturbed: bool, q: float | None):
-    """Return the filter: a given gain only survives where it fits and no q is asked."""
-    kept = given.disturbance if given.disturbance != "none" else "constant"
+    found = replace(given, sliding_mode=_lq_surface(given.sliding_mode, dynamics))
+    kept = given.kalman.disturbance if given.kalman.disturbance != "none" else "constant"
     disturbance = kept if disturbed else "none"
-    fits = given.gain == "given" and disturbance == given.disturbance and q is None
-    if fits:
+    fixed = replace(found, kalman=_kalman(given.kalman, disturbance, task.q))
+    if task.bandwidth is not None and place is not None:
+        pole = _pole_for(task, partial(place, solved(fixed, task.sample_time)))
+        fixed, found, place = place(fixed, pole), place(found, pole), None
+    if task.q is not None or fixed.kalman.gain == "given":
+        search = GainSearch(fixed, task.sample_time, task.judge, place, task.aimed)
+        point = search.best((0.0, 0.0))
+        if task.q is not None or search.score(point)[0]:
+            return search.at(*point)
+    noise = math.sqrt(given.kalman.r) or 1.0
+    kalman = wandering(replace(given.kalman, r=noise * noise), disturbance, noise / abs(dynamics.matrices.dc_gain))
+    search = GainSearch(replace(found, kalman=kalman), task.sample_time, task.judge, place, task.aimed)
+    return search.at(*search.best((SLOWEST_FILTER, FASTEST_FILTER)))
+
+
+def _lq_surface(given, dynamics):
+    """Return the hyperplane of an LQ problem on output and input."""
+    gain = dynamics.matrices.dc_gain
+    empty: dict[str, Any] = {name: () for name in ("S", "poles", "poles_imaginary", "lq_state_weight")}
+    return replace(given, tracking="target", hyperplane="lq", lq_input_weight=INPUT_WEIGHT * gain * gain, **empty)
+
+
+def _kalman(given, disturbance: str, q: float | None):
+    """Return the filter: a given gain only survives where it fits and no q is asked."""
+    if given.gain == "given" and disturbance == given.disturbance and q is None:
         return given
     noise = given.q if q is None else q * given.r
     Q = given.Q if q is None else ()
@@ -110,18 +110,6 @@ def sliding_pole(parameters, pole: float):
     poles = (pole, *fastest)
     chosen = replace(parameters.sliding_mode, hyperplane="poles", S=(), poles=poles, poles_imaginary=())
     return replace(parameters, sliding_mode=chosen)
-
-
-def _solved(parameters, sample_time: float):
-    """Return the same design with hyperplane and filter gain as numbers: a search solves no Riccati equation."""
-    model = parameters.model.dynamics.state_space
-    S = design_sliding_mode(parameters.sliding_mode, model).S
-    L = filter_gain(parameters.kalman, model, sample_time)
-    return replace(
-        parameters,
-        sliding_mode=replace(parameters.sliding_mode, hyperplane="given", S=tuple(S.tolist())),
-        kalman=replace(parameters.kalman, gain="given", L=tuple(L.tolist())),
-    )
 
 
 def _pole_for(task: DesignTask, with_pole) -> float:
@@ -187,29 +175,34 @@ def reaching_rows(parameters, sample_time: float):
     return [surface_row(found), ("linear gain K", gains), ("phi", f"{law.phi:.6g}"), filter_row(parameters)]
 
 
-def compared_surface(given, **more) -> dict:
-    """Return hyperplane and law of a comparison: the reaching pole has the same bandwidth for all.
+def compared_gains(given, changes: dict, place: Callable[[Any, float], Any] | None = None) -> dict:
+    """Return what differs from the configuration in a comparison: hyperplane, law and filter that keep the margins.
+
+    The filter is never faster than noise and mismatch, as they are known, make it.
 
     Parameters
     ----------
     given : comparison.candidates.Given
-    **more
-        Further parameters of ``sliding_mode``.
+    changes : dict
+        Type, filter and further parameters of the motion controller.
+    place : callable, optional
+        As for :func:`sliding_gains`.
     """
-    gain = given.dynamics.state_space.dc_gain
-    law = {
-        "tracking": "target",
-        "hyperplane": "lq",
-        "S": (),
-        "lq_state_weight": (),
-        "lq_input_weight": INPUT_WEIGHT * gain * gain,
-        "phi": elementary.exp(-2.0 * np.pi * COMPARED_BANDWIDTH),
-        "eta": 0.0,
-        "beta": 0.0,
-        "delta": 1.0,
-        **more,
-    }
-    return {f"sliding_mode.{name}": value for name, value in law.items()}
+    node = given.axis.motion_controller
+    surface = replace(_lq_surface(node.sliding_mode, node.model.dynamics), eta=0.0, beta=0.0, delta=1.0)
+    law = replace(node, sliding_mode=surface).to_mapping()
+    parameters = type(node).from_mapping({**law, **UNFED, **changes})
+    found = _compared(parameters, 1.0 / node.sample_rate, place)
+    groups = ("sliding_mode.", "kalman.")
+    return {**changes, **{name: value for name, value in found.to_mapping().items() if name.startswith(groups)}}
+
+
+@lru_cache(maxsize=64)
+def _compared(parameters, sample_time: float, place):
+    """Search only once for what several compensators are compared with."""
+    task = DesignTask(parameters, sample_time, None, None, lambda one: linear_loop(one, sample_time), FASTEST)
+    search = GainSearch(parameters, sample_time, task.judge, place, task.aimed)
+    return search.at(*search.best((SLOWEST_FILTER, 0.0)))
 
 
 def integration_warning(parameters, prefix: str) -> tuple[str, ...]:

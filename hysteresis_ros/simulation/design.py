@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -12,18 +12,37 @@ from hysteresis_ros.control.feedforward import FeedforwardParameters
 from hysteresis_ros.control.gain_design import Designed, design_gains
 from hysteresis_ros.control.inversion import sufficient_preview
 from hysteresis_ros.control.linearisation import margins
-from hysteresis_ros.control.margins import REQUIRED, Margins
+from hysteresis_ros.control.margins import AIMED, REQUIRED, Margins
 from hysteresis_ros.control.registry import DESIGNS, design_of
-from hysteresis_ros.errors import ConfigurationError
+from hysteresis_ros.control.robust import Robustness, design_robust
+from hysteresis_ros.control.uncertainty import Uncertainty
+from hysteresis_ros.errors import ConfigurationError, ParameterError
 from hysteresis_ros.loop.axis import Axis
 from hysteresis_ros.loop.axis_parameters import AxisParameters
 from hysteresis_ros.loop.node_parameters import part
 from hysteresis_ros.simulation.axes import single_axis
 from hysteresis_ros.simulation.design_file import design_text
+from hysteresis_ros.simulation.reach import reachable_displacements
 from hysteresis_ros.simulation.tuning import Tuned, tune
 
 #: Poles below this, delays, are not printed; several of them at 0 are computed no closer.
 AT_ZERO = 1e-3
+
+
+#: RMS of the noise of a sensor that is not known, and how much of the command may be noise, as parts of the stroke.
+ASSUMED_NOISE = 1e-4
+NOISY_COMMAND = 2e-3
+
+
+#: Option of the command for each range of the plants of a robust design.
+OPTIONS = {
+    "gain": "gain-range",
+    "hysteresis": "hysteresis-range",
+    "resonance": "resonance-range",
+    "delay": "delay-range",
+    "draws": "draws",
+    "seed": "seed",
+}
 
 
 @dataclass(frozen=True)
@@ -46,6 +65,11 @@ class DesignRequest:
         Add the inverse of the dynamics.
     preview : int, optional
         Samples of preview of it; by default what the inverse needs.
+    noise : float, optional
+        RMS of the sensor's noise [m], for how fast a design of its own accord may be; by default
+        :data:`ASSUMED_NOISE` of the stroke.
+    robust : Uncertainty, optional
+        Plants on each of which the requirements are to be met; by default the model alone.
     """
 
     controller: str
@@ -55,6 +79,8 @@ class DesignRequest:
     duration: float | None = None
     feedforward: bool = False
     preview: int | None = None
+    noise: float | None = None
+    robust: Uncertainty | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +96,8 @@ class AxisDesign:
         [s]
     tuned : Tuned, optional
         What the tuning did.
+    robustness : Robustness, optional
+        What the loop is worth on the plants of a robust design.
     """
 
     request: DesignRequest
@@ -77,6 +105,40 @@ class AxisDesign:
     margins: Margins
     sample_time: float
     tuned: Tuned | None = None
+    robustness: Robustness | None = None
+
+    def misses(self) -> tuple[str, ...]:
+        """Return what the loop misses of what every design is held to, on the model or on a plant that was drawn."""
+        return self.margins.misses() or (() if self.robustness is None else self.robustness.misses())
+
+
+def drawn_around(robust: bool, ranges: dict) -> Uncertainty | None:
+    """Return the plants of a robust design, from the options of the command.
+
+    Parameters
+    ----------
+    robust : bool
+        Whether one is asked.
+    ranges : dict
+        Values by the names of :data:`OPTIONS`; None where nothing is given.
+
+    Raises
+    ------
+    ConfigurationError
+        A range is given without a robust design.
+    ParameterError
+        A range is out of bounds; it is named by its option.
+    """
+    given = {name: value for name, value in ranges.items() if value is not None}
+    if not robust:
+        if given:
+            raise ConfigurationError(f"--{OPTIONS[next(iter(given))]} belongs to --robust; give both")
+        return None
+    try:
+        return Uncertainty(**given)
+    except ParameterError as error:
+        named = [replace(problem, name=f"--{OPTIONS[problem.name]}") for problem in error.problems]
+        raise ParameterError(named) from None
 
 
 def design_axis(axis: AxisParameters, request: DesignRequest) -> AxisDesign:
@@ -108,12 +170,21 @@ def design_axis(axis: AxisParameters, request: DesignRequest) -> AxisDesign:
         raise ConfigurationError(f"--q is of the Kalman filter, which {request.controller} has not; leave it out")
     if request.q is not None and not request.q > 0.0:
         raise ConfigurationError(f"--q {request.q:g}: must be above 0")
+    for name, given in (("--bandwidth", request.bandwidth), ("--criterion", request.criterion)):
+        if request.robust is not None and given is not None:
+            raise ConfigurationError(f"--robust and {name} exclude each other: the plants decide; give one of them")
     if request.preview is not None and not request.feedforward:
         raise ConfigurationError("--preview belongs to --feedforward; give both")
     sample_time = 1.0 / axis.motion_controller.sample_rate
     control = part(axis.motion_controller, ControllerParameters)
     control = replace(control, feedforward=_feedforward(control, request))
-    found = design_gains(control, request.controller, sample_time, request.bandwidth, request.q)
+    quiet = _quiet(axis, request.noise)
+    if request.robust is not None:
+        aimed = replace(REQUIRED, command_noise_gain=quiet)
+        found, robust = design_robust(control, request.controller, sample_time, request.robust, request.q, aimed=aimed)
+        return AxisDesign(request, found.parameters, found.margins, sample_time, robustness=robust)
+    aimed = replace(AIMED, command_noise_gain=quiet)
+    found = design_gains(control, request.controller, sample_time, request.bandwidth, request.q, aimed=aimed)
     if not request.criterion:
         return AxisDesign(request, found.parameters, found.margins, sample_time)
     start = getattr(found.parameters, law.name)
@@ -123,6 +194,14 @@ def design_axis(axis: AxisParameters, request: DesignRequest) -> AxisDesign:
     final = replace(found.parameters, **{law.name: tuned.gains})
     found = Designed(final, margins(final, sample_time))
     return AxisDesign(request, found.parameters, found.margins, sample_time, tuned)
+
+
+def _quiet(axis: AxisParameters, noise: float | None) -> float:
+    """Return by which factor the sensor's noise may reach the command."""
+    if noise is not None and not noise > 0.0:
+        raise ConfigurationError(f"--noise {noise:g}: must be a noise in metres above 0")
+    low, high = reachable_displacements(axis)
+    return NOISY_COMMAND * (high - low) / (ASSUMED_NOISE * (high - low) if noise is None else noise)
 
 
 def _feedforward(control: ControllerParameters, request: DesignRequest) -> FeedforwardParameters:
@@ -154,17 +233,19 @@ def design_file(configuration: Configuration, result: AxisDesign, namespace: str
     """
     request = result.request
     words = [f"--controller {request.controller}"]
-    for name in ("bandwidth", "q", "criterion", "duration", "preview"):
+    for name in ("bandwidth", "q", "noise", "criterion", "duration", "preview"):
         value = getattr(request, name)
         if value is not None:
             words.append(f"--{name} {value:g}" if isinstance(value, float) else f"--{name} {value}")
     if request.feedforward:
         words.append("--feedforward")
+    if request.robust is not None:
+        words += ["--robust", *_range_words(request.robust)]
     source = configuration.source.replace("\\", "/").rsplit("/", 1)[-1]
     reached = (
         "none below half the sample rate" if np.isinf(result.margins.bandwidth) else _hertz(result.margins.bandwidth)
     )
-    misses = "" if result.margins.meets else f"; MISSES {'; '.join(result.margins.misses())}"
+    misses = "".join(f"; MISSES {text}" for text in result.misses())
     header = (
         f"Controller designed by `hysteresis design {source} {' '.join(words)}`\n"
         f"on the model in motion_controller: bandwidth {reached}, M_s {result.margins.sensitivity_peak:.3g}, "
@@ -205,15 +286,22 @@ def design_lines(result: AxisDesign) -> list[str]:
         ("complementary peak M_t", f"{found.complementary_peak:.3f}"),
         ("noise in displacement", f"{found.noise_gain:.3g} of the sensor's"),
         ("noise in command", f"{found.command_noise_gain:.3g} of the sensor's"),
-        ("requirements", f"met ({_required()})" if found.meets else f"NOT MET: {'; '.join(found.misses())}"),
+        ("requirements", f"NOT MET: {'; '.join(result.misses())}" if result.misses() else f"met ({_required()})"),
         (
             "closed-loop poles",
             ", ".join(_pole(pole) for pole in found.poles if pole.imag >= 0.0 and abs(pole) > AT_ZERO),
         ),
     ]
+    if result.robustness is not None:
+        rows += result.robustness.rows()
     width = max(len(name) for name, _ in rows)
     lines = [f"{name:<{width}}  {'none' if text == ' Hz' else text}" for name, text in rows]
     return lines + [f"note: {text}" for text in doubts(result)]
+
+
+def _range_words(given: Uncertainty) -> list[str]:
+    """Return the options by which a command has these plants."""
+    return [f"--{OPTIONS[item.name]} {getattr(given, item.name):g}" for item in fields(given)]
 
 
 def _required() -> str:
@@ -246,7 +334,7 @@ def doubts(result: AxisDesign) -> list[str]:
     found = list(parameters.warnings())
     if not parameters.model.dynamics.order:
         found.append("model.dynamics.A is empty: designed for an axis that answers within a sample; identify its model")
-    misses = result.margins.misses()
+    misses = result.misses()
     if misses:
         found.append(
             f"marked, a comparison does not rank it: {'; '.join(misses)}; little room for a wrong model or delay, "

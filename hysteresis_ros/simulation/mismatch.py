@@ -10,10 +10,9 @@ from __future__ import annotations
 import numpy as np
 
 from hysteresis_ros.configuration import Configuration
+from hysteresis_ros.control.uncertainty import slowed
 from hysteresis_ros.errors import ParameterError, Problem
-from hysteresis_ros.linear_algebra import product, rounded, solve
 from hysteresis_ros.models.declaration import Deviation
-from hysteresis_ros.models.linear import LinearParameters
 from hysteresis_ros.simulation.axes import single_axis
 
 #: Largest mismatch that leaves every drawn parameter its sign with a margin.
@@ -58,37 +57,3 @@ def mismatched(configuration: Configuration, mismatch: float, seed: int) -> Conf
     elif plant.creep.type == "operators":
         changed["creep.operators.weights"] = (np.array(plant.creep.operators.weights) * creeping).tolist()
     return configuration.override("plant_simulator", **changed)
-
-
-def slowed(dynamics: LinearParameters, slowness: float) -> dict:
-    """Return what changes of the dynamics with all times longer by a factor: poles z^(1/slowness), and the delay.
-
-    The DC gain stays. Dynamics with a pole on the negative real axis or at zero belong to no continuous model; there
-    only the other poles move.
-
-    Parameters
-    ----------
-    dynamics : LinearParameters
-        Discrete dynamics.
-    slowness : float
-        Factor on every time constant and period.
-
-    Returns
-    -------
-    dict
-        ``A`` and ``B`` as lists where there are matrices, ``delay`` where there is one.
-    """
-    delayed = {"delay": dynamics.delay * slowness} if dynamics.delay else {}
-    model = dynamics.matrices
-    if not model.order:
-        return delayed
-    A, B = model.A, model.B[:, 0]
-    poles, vectors = np.linalg.eig(A.astype(complex))
-    continuous = (poles.imag != 0.0) | (poles.real > 0.0)
-    moved = np.where(continuous, np.exp(np.log(np.where(continuous, poles, 1.0)) / slowness), poles)
-    exact = np.real(vectors @ np.diag(moved) @ np.linalg.inv(vectors))
-    # logarithms and eigenvectors differ in the last digits from processor to processor
-    changed = rounded(exact)
-    identity = np.eye(len(A))
-    rest = solve(identity - A, B)  # the state at rest per unit of input, which is to stay
-    return {"A": changed.ravel().tolist(), "B": product(identity - changed, rest).tolist(), **delayed}

@@ -4,7 +4,7 @@ What is tuned on is never the plant, at which a design may not look: the plant o
 controller side believes, the compensator's hysteresis, creep and limits and the dynamics and preload of the
 controller's model, without noise. With a perfect inverse of that hysteresis little but linear dynamics and limits
 remains, and a criterion alone would drive the gains to the edge of stability: gains that miss the margins
-which every design is held to count as infinitely bad.
+of every design, and a delay margin of 1.3 samples, count as infinitely bad.
 """
 
 from __future__ import annotations
@@ -180,7 +180,7 @@ def tune(
         controller_block(with_gains(control, first), sample_time)  # names what is wrong with them
         raise ConfigurationError(
             f"the initial gains have a sensitivity peak above {required.sensitivity_peak:g} or a delay margin below "
-            f"{required.delay_margin:g} sample; start from lower ones"
+            f"{required.delay_margin:g} samples; start from lower ones"
         )
     result = restarted_nelder_mead(cost, begin, settings=SimplexSettings(iterations=iterations, tolerance=TOLERANCE))
     history = _history(result.runs[result.best], initial, tuned)

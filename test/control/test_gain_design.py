@@ -48,8 +48,14 @@ def test_zeros_stand_where_they_are_wanted():
 def test_q_sets_the_filter_and_offset_free_estimates_a_disturbance(parameters):
     found = design_gains(parameters(), "offset_free", T, q=0.5).parameters.kalman
     assert (found.gain, found.disturbance, found.q / found.r) == ("riccati", "constant", 0.5)
-    kept = design_gains(parameters({"kalman.gain": "given", "kalman.L": (0.004, 0.5771, 0.3558)}), "smc", T).parameters
-    assert kept.kalman.L == (0.004, 0.5771, 0.3558)
+
+
+def test_a_given_filter_stays_where_it_keeps_the_margins(parameters):
+    slow = {"kalman.gain": "given", "kalman.L": (1e-4, 1e-3, 1e-3)}
+    assert design_gains(parameters(slow), "smc", T).parameters.kalman.L == (1e-4, 1e-3, 1e-3)
+    published = {"kalman.gain": "given", "kalman.L": (0.004, 0.5771, 0.3558)}
+    found = design_gains(parameters(published), "smc", T)
+    assert found.parameters.kalman.L == () and found.margins.meets
 
 
 def model(**changes):

@@ -208,3 +208,33 @@ def test_feedforward_and_tuning_from_the_command_line(tmp_path):
     configuration = parse_configuration((tmp_path / "f.yaml").read_text(encoding="utf-8"), "f")
     values = configuration.node("motion_controller")
     assert values["feedforward.type"] == "inverse_dynamics" and values["feedforward.preview"] >= 1
+
+
+def test_a_robust_design_says_for_which_plants_it_is(tmp_path):
+    ranges = ["--draws", 2, "--seed", 7, "--gain-range", 0.1]
+    result = run(PICMA, "--controller", "pid", "--robust", *ranges, "-o", tmp_path / "f.yaml")
+    assert result.exit_code == 0, result.output
+    lines = {line[:24].strip(): line[24:].strip() for line in result.output.splitlines()}
+    assert lines["plants"].startswith("11: gain ±10 %, hysteresis ±10 %, times ±10 %, up to 1 samples later, seed 7")
+    assert lines["worst plant"].startswith("gain +21 %") and float(lines["M_s there"]) < 2.003
+    assert lines["requirements"].startswith("met")
+    header = (tmp_path / "f.yaml").read_text(encoding="utf-8").splitlines()[0]
+    assert header.endswith(
+        "--robust --gain-range 0.1 --hysteresis-range 0.1 --resonance-range 0.1 --delay-range 1 --draws 2 --seed 7`"
+    )
+
+
+@pytest.mark.parametrize(
+    ("options", "text"),
+    [
+        (["--seed", 3], "--seed belongs to --robust"),
+        (["--robust", "--gain-range", 0.9], "--gain-range = 0.9: must be within 0 … 0.5"),
+        (["--robust", "--bandwidth", 5.0], "--robust and --bandwidth exclude each other"),
+        (["--robust", "--criterion", "iae"], "--robust and --criterion exclude each other"),
+        (["--noise", 0.0], "--noise 0: must be a noise in metres above 0"),
+    ],
+)
+def test_plants_and_noise_that_make_no_sense_are_refused_in_one_line(tmp_path, options, text):
+    result = run(PICMA, "--controller", "pid", *options, "-o", tmp_path / "f.yaml")
+    assert result.exit_code == 2 and text in result.output, result.output
+    assert not (tmp_path / "f.yaml").exists()

@@ -36,7 +36,7 @@ from hysteresis_ros.control.kalman import ESTIMATE, OFFSET, KalmanParameters
 from hysteresis_ros.control.law import ControllerLaw
 from hysteresis_ros.control.sliding_design import SlidingModeParameters
 from hysteresis_ros.control.sliding_gains import (
-    compared_surface,
+    compared_gains,
     integration_warning,
     reaching_law,
     reaching_rows,
@@ -141,8 +141,8 @@ def compared(given) -> dict:
     ----------
     given : comparison.candidates.Given
     """
-    law = {"type": "integral_sliding_mode", **compared_surface(given)}
-    return {**law, **given.kalman("constant"), **given.preview()}
+    changes = {"type": "integral_sliding_mode", **given.kalman("constant")}
+    return {**compared_gains(given, changes, reaching_law), **given.preview()}
 
 
 CONTROLLER = ControllerLaw(

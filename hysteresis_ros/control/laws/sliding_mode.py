@@ -20,7 +20,7 @@ from hysteresis_ros.block import kernel
 from hysteresis_ros.control.kalman import OFFSET, KalmanParameters
 from hysteresis_ros.control.law import UNFED, ControllerLaw
 from hysteresis_ros.control.sliding_design import SlidingModeParameters
-from hysteresis_ros.control.sliding_gains import compared_surface, reaching_law, reaching_rows, sliding_gains
+from hysteresis_ros.control.sliding_gains import compared_gains, reaching_law, reaching_rows, sliding_gains
 from hysteresis_ros.control.sliding_surface import (
     LINEAR,
     OBSERVER,
@@ -95,7 +95,13 @@ def compared(disturbance: str, **more):
     **more
         Further parameters of ``sliding_mode``.
     """
-    return lambda given: {"type": "sliding_mode", **compared_surface(given, **more), **given.kalman(disturbance)}
+
+    def designed(given):
+        changes = {"type": "sliding_mode", **given.kalman(disturbance)}
+        changes |= {f"sliding_mode.{name}": value for name, value in more.items()}
+        return compared_gains(given, changes, reaching_law)
+
+    return designed
 
 
 CONTROLLER = ControllerLaw(

@@ -41,7 +41,7 @@ from hysteresis_ros.control.kalman import OFFSET, KalmanParameters
 from hysteresis_ros.control.law import ControllerLaw, DesignTask
 from hysteresis_ros.control.sliding_design import SlidingModeParameters, design_sliding_mode
 from hysteresis_ros.control.sliding_gains import (
-    compared_surface,
+    compared_gains,
     filter_row,
     integration_warning,
     sliding_gains,
@@ -222,7 +222,8 @@ def designed(task: DesignTask):
             "a model of one state leaves super_twisting no pole to place; leave it out, or take another controller"
         )
         design.refuse("bandwidth", task.bandwidth, allowed)
-    return sliding_gains(task, "super_twisting", sliding_pole)
+    place = sliding_pole if task.parameters.model.dynamics.order > 1 else None
+    return sliding_gains(task, "super_twisting", place)
 
 
 def rows(parameters, sample_time: float):
@@ -260,9 +261,10 @@ def compared(given) -> dict:
     ----------
     given : comparison.candidates.Given
     """
-    law = {"type": "super_twisting", **compared_surface(given), "super_twisting.gains": "from_bound"}
-    law["super_twisting.bound"] = given.change() * given.axis.plant_simulator.sample_rate
-    return {**law, **given.kalman("constant"), **given.preview()}
+    changes = {"type": "super_twisting", "super_twisting.gains": "from_bound", **given.kalman("constant")}
+    changes["super_twisting.bound"] = given.change() * given.axis.plant_simulator.sample_rate
+    place = sliding_pole if given.dynamics.order > 1 else None
+    return {**compared_gains(given, changes, place), **given.preview()}
 
 
 CONTROLLER = ControllerLaw(

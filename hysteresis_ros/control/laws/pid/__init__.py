@@ -23,7 +23,9 @@ def designed(task: DesignTask):
     task : DesignTask
     """
     given = task.parameters
-    return replace(given, pid=design_pid(given.pid, given.model.dynamics, task.sample_time, task.bandwidth))
+    dynamics, T = given.model.dynamics, task.sample_time
+    gains = design_pid(given.pid, dynamics, T, task.bandwidth, plants=task.plants, aimed=task.aimed)
+    return replace(given, pid=gains)
 
 
 def near_rest(parameters):

@@ -23,12 +23,13 @@ import numpy as np
 from hysteresis_ros import elementary
 from hysteresis_ros.control import design
 from hysteresis_ros.control.laws.pid.law import PidParameters, pid_state_space
-from hysteresis_ros.control.margins import REQUIRED, Requirements, judge, plant_state_space
+from hysteresis_ros.control.margins import AIMED, REQUIRED, Requirements, judge, plant_state_space
+from hysteresis_ros.control.uncertainty import PossiblePlant, judge_worst
 from hysteresis_ros.linear_algebra import eigenvalues, polynomial, solve
 from hysteresis_ros.models.state_space import StateSpace
 
-#: What a design is held to for which no bandwidth is asked: a lower sensitivity peak.
-USUAL = replace(REQUIRED, sensitivity_peak=1.4)
+#: What an integrator alone is held to.
+CALM = replace(REQUIRED, sensitivity_peak=1.4)
 #: Poles below this are those of a delay; several of them at 0 are computed no closer.
 AT_ZERO = 1e-3
 #: Cut-off of the derivative filter as a part of the sampling angular frequency, when none is given.
@@ -88,7 +89,15 @@ def _slowness(pole: complex) -> float:
     return pole.real * pole.real + pole.imag * pole.imag  # abs() is hypot of the C library
 
 
-def design_pid(given: PidParameters, dynamics, sample_time: float, bandwidth: float | None = None) -> PidParameters:
+def design_pid(
+    given: PidParameters,
+    dynamics,
+    sample_time: float,
+    bandwidth: float | None = None,
+    *,
+    plants: tuple[PossiblePlant, ...] = (),
+    aimed: Requirements = AIMED,
+) -> PidParameters:
     """Return the gains of a PID for a model.
 
     Parameters
@@ -100,7 +109,11 @@ def design_pid(given: PidParameters, dynamics, sample_time: float, bandwidth: fl
     sample_time : float
         [s]
     bandwidth : float, optional
-        Frequency at which the response to the reference falls by 3 dB [Hz]; by default what M_s = 1.4 allows.
+        Frequency at which the response to the reference falls by 3 dB [Hz]; by default what the plants allow.
+    plants : tuple of PossiblePlant, optional
+        On which that is to be met, the model first; by default the model alone.
+    aimed : Requirements, optional
+        What is to be met where no bandwidth is asked; with one it is what every design is held to.
 
     Raises
     ------
@@ -111,7 +124,10 @@ def design_pid(given: PidParameters, dynamics, sample_time: float, bandwidth: fl
     cut_off = given.derivative_filter
     if len(zeros) == 2 and cut_off == 0.0:
         cut_off = FILTER * 2.0 * np.pi / sample_time
-    plant = plant_state_space(dynamics, scaled=False)
+    scale = dynamics.resolved_input_scale / dynamics.output_scale
+    plants = plants or (PossiblePlant(plant_state_space(dynamics)),)
+    if bandwidth is not None:
+        plants, aimed = plants[:1], REQUIRED
 
     def gains(g):
         Kp, Ki, Kd = pid_with_zeros(zeros, g, sample_time, cut_off)
@@ -119,17 +135,17 @@ def design_pid(given: PidParameters, dynamics, sample_time: float, bandwidth: fl
         return replace(given, Kp=Kp, Ki=Ki, Kd=Kd, derivative_filter=cut_off, **weights)
 
     def judged(g):
-        return judge(pid_state_space(gains(g), sample_time), plant, sample_time)
+        return judge_worst(pid_state_space(gains(g), sample_time).scaled(scale), plants, sample_time)
 
-    wanted = REQUIRED if bandwidth is not None else USUAL
-    most = _largest_gain(judged, wanted, sign=1.0 if _leading(plant) > 0.0 else -1.0, start=1.0 / abs(_leading(plant)))
+    leading = dynamics.matrices.dc_gain
+    most = _largest_gain(judged, aimed, sign=1.0 if leading > 0.0 else -1.0, start=1.0 / abs(leading))
     if bandwidth is None:
         return gains(most)
     reachable = judged(most).bandwidth
     if not bandwidth <= reachable:
         allowed = (
-            f"a PID reaches at most {reachable:.4g} Hz on this model with M_s ≤ {wanted.sensitivity_peak:g} and "
-            f"a delay margin of {wanted.delay_margin:g} sample"
+            f"a PID reaches at most {reachable:.4g} Hz on this model with M_s ≤ {aimed.sensitivity_peak:g} and "
+            f"a delay margin of {aimed.delay_margin:g} sample"
         )
         design.refuse("bandwidth", bandwidth, allowed)
     low, high = 0.0, 1.0
@@ -161,7 +177,7 @@ def design_integral(given: PidParameters, dynamics, sample_time: float) -> PidPa
     ParameterError
         There is none.
     """
-    plant = plant_state_space(dynamics, scaled=False)
+    plant, leading = plant_state_space(dynamics, scaled=False), dynamics.matrices.dc_gain
 
     def gains(Ki):
         return replace(given, Kp=0.0, Ki=Ki, Kd=0.0)
@@ -169,13 +185,7 @@ def design_integral(given: PidParameters, dynamics, sample_time: float) -> PidPa
     def judged(Ki):
         return judge(pid_state_space(gains(Ki), sample_time), plant, sample_time)
 
-    leading = _leading(plant)
-    return gains(_largest_gain(judged, USUAL, sign=1.0 if leading > 0.0 else -1.0, start=1.0 / abs(leading)))
-
-
-def _leading(plant: StateSpace) -> float:
-    """Return the gain at low frequency: of the sign, and a size of the size, of what the loop needs."""
-    return plant.dc_gain
+    return gains(_largest_gain(judged, CALM, sign=1.0 if leading > 0.0 else -1.0, start=1.0 / abs(leading)))
 
 
 def _largest_gain(judged, required: Requirements, sign: float, start: float) -> float:
