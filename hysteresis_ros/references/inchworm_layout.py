@@ -36,8 +36,9 @@ from __future__ import annotations
     SENSOR_SAMPLES,
     CYCLE_SAMPLES,
     WINDOW,
-) = range(32)
-PARAMETERS = 32
+    DRIFT,  # [m/s]
+) = range(33)
+PARAMETERS = 33
 
 #: State x: first what others read and write, then what the sequencer keeps for itself.
 (
@@ -104,11 +105,12 @@ PARAMETERS = 32
     GIVEN_WAY,  # sum over the samples of a step of how far the extender is from where it should be [m]
     FELT,  # how many samples those are
     WEIGHED,  # steps from which the load was learned so far
-) = range(63)
+    FINE_DRIFT,  # the part of the slip that is taken for drift [m]
+) = range(64)
 #: Learned step models, forward and backward (see :mod:`hysteresis_ros.references.step_model`).
-FORWARD_MODEL = 63
-BACKWARD_MODEL = 68
-STATES = 73
+FORWARD_MODEL = 64
+BACKWARD_MODEL = 69
+STATES = 74
 
 #: Phases.
 (

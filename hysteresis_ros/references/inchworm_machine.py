@@ -119,6 +119,7 @@ def begin_positioning(x):
     x[at.FINE_VELOCITY] = 0.0
     x[at.FINE_ERROR] = x[at.TARGET] - x[at.SLIDER]
     x[at.FINE_SLIP] = 0.0
+    x[at.FINE_DRIFT] = 0.0
     x[at.FINE_LATE] = 0.0
     x[at.FINE_GOAL] = x[at.TARGET]
     enter(x, at.POSITIONING)
@@ -145,6 +146,10 @@ def position(p, x):
     x[at.FINE_ERROR] += p[at.SMOOTHING] * (x[at.TARGET] - x[at.SLIDER] - x[at.FINE_ERROR])
     slip = x[at.SLIDER] - x[at.EXTENDER] + x[at.PRETENSION] - x[at.ORIGIN]
     x[at.FINE_SLIP] += p[at.SMOOTHING] * (slip - x[at.FINE_SLIP])
+    # sensors and creep drift for as long as they like; a clamp slips faster
+    ahead = x[at.FINE_SLIP] - x[at.FINE_DRIFT]
+    most = p[at.DRIFT] * p[at.SAMPLE_TIME]
+    x[at.FINE_DRIFT] += min(max(ahead, -most), most)
     x[at.ARRIVED] = 1.0 if abs(x[at.FINE_ERROR]) <= p[at.TOLERANCE] else 0.0
     if x[at.TARGET] != x[at.FINE_GOAL]:
         x[at.FINE_GOAL] = x[at.TARGET]
@@ -156,7 +161,7 @@ def position(p, x):
         x[at.DIRECTION] = 0.0
     else:
         x[at.FINE_LATE] += 1.0
-    slips = abs(x[at.FINE_SLIP]) > p[at.SLIP_LIMIT]
+    slips = abs(x[at.FINE_SLIP] - x[at.FINE_DRIFT]) > p[at.SLIP_LIMIT]
     if slips or x[at.FINE_LATE] > p[at.FINE_TIMEOUT]:
         x[at.SLIP] = -x[at.FINE_SLIP]
         x[at.MISSED] += 1.0
@@ -303,7 +308,7 @@ def sequence(p, x, setpoint, slider, extender):
 
     Parameters
     ----------
-    p, x : ndarray, shapes (32,) and (73,)
+    p, x : ndarray, shapes (33,) and (74,)
         Parameters and state, see :mod:`hysteresis_ros.references.inchworm_layout`. Others may write ``x[REQUEST]`` and
         ``x[SPEED]`` before the call.
     setpoint : float

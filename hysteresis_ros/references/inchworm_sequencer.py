@@ -119,6 +119,14 @@ class GuardParameters(Parameters):
         read_only=True,
         description="slip of the front clamp in fine positioning after which the motor grips anew",
     )
+    drift: float = parameter(
+        2.0e-8,
+        unit="m/s",
+        low=0.0,
+        high=1.0,
+        read_only=True,
+        description="slower than this the grip of the front clamp only seems to slip: sensors drift and creep",
+    )
     sensor_timeout: float = parameter(
         1.0e-3,
         unit="s",
@@ -200,7 +208,7 @@ class InchwormSequencer(Block):
     kernel = staticmethod(sequence)
 
     def pack(self, parameters: InchwormSequencerParameters) -> np.ndarray:
-        """Return p, shape (32,); the layout is in :mod:`hysteresis_ros.references.inchworm_layout`."""
+        """Return p, shape (33,); the layout is in :mod:`hysteresis_ros.references.inchworm_layout`."""
         gait, fine, guard = parameters.gait, parameters.fine, parameters.guard
         p = np.zeros(at.PARAMETERS)
 
@@ -238,13 +246,14 @@ class InchwormSequencer(Block):
         p[at.MISSED_PART] = guard.missed_part
         p[at.RUNAWAY] = guard.runaway
         p[at.SLIP_LIMIT] = guard.slip
+        p[at.DRIFT] = guard.drift
         p[at.SENSOR_SAMPLES] = samples(guard.sensor_timeout, 0)
         exchange = p[at.RELEASE_SAMPLES] + p[at.GRIP_SAMPLES] - p[at.OVERLAP_SAMPLES] + p[at.SETTLE_SAMPLES]
         p[at.CYCLE_SAMPLES] = 2.0 * exchange + p[at.EXTEND_SAMPLES] + p[at.CONTRACT_SAMPLES]
         return p
 
     def initial_state(self) -> np.ndarray:
-        """Return x, shape (73,): nothing has closed yet, both clamps are about to."""
+        """Return x, shape (74,): nothing has closed yet, both clamps are about to."""
         parameters = self.parameters
         gait, learning = parameters.gait, parameters.learning
         x = np.zeros(at.STATES)

@@ -30,6 +30,8 @@ class Motor:
         self.sequencer = InchwormSequencer(replace(parameters, **changes), 1.0 / RATE)
         self.slider = self.extender = 0.0
         self.carried = 1.0
+        self.drift = 0.0  # of the extender's sensor [m a sample]
+        self.drifted = 0.0
         self.blind = False
         self.log = []
 
@@ -40,7 +42,8 @@ class Motor:
     def step(self, setpoint):
         s = self.sequencer
         measured = math.nan if self.blind else self.slider
-        reference = s.step(setpoint, measured, self.extender)
+        self.drifted += self.drift
+        reference = s.step(setpoint, measured, self.extender + self.drifted)
         if s.x[at.SOURCE] == at.FOLLOWING:
             wanted = reference + s.origin - (self.slider - self.extender)
         else:
@@ -200,6 +203,26 @@ def test_a_front_clamp_that_slips_in_fine_positioning_is_gripped_anew_then_given
     motor.run(0.9e-6, 0.1)
     assert motor.sequencer.phase == "holding"
     motor.never_both_open()
+
+
+@pytest.mark.parametrize(("part", "direction"), [(0.5, 1.0), (0.5, -1.0), (3.0, 1.0), (3.0, -1.0)])
+def test_drift_is_no_slip_however_far_it_goes(part, direction):
+    guard = replace(PARAMETERS.guard, slip=20e-9, drift=1e-6)
+    motor = Motor(guard=guard)
+    motor.run(0.9e-6, 1.0, lambda: motor.sequencer.arrived and motor.sequencer.phase == "positioning")
+    motor.run(0.9e-6, 0.1)
+    motor.log.clear()
+    motor.drift = direction * part * guard.drift / RATE
+    motor.run(0.9e-6, 1.0)
+    assert abs(motor.drifted) > 20.0 * guard.slip
+    # slower than the guard's drift it may go on for ever; faster the clamp must be slipping
+    assert (phases(motor.log) == [at.POSITIONING]) == (part < 1.0)
+    if part < 1.0:
+        assert np.ptp([row[3] for row in motor.log]) < 1e-12
+        # a slip is found all the same
+        motor.extender += 1.5 * guard.slip
+        motor.run(0.9e-6, 0.1)
+        assert at.GRIPPING_REAR in phases(motor.log)
 
 
 def test_slip_is_learned_reported_and_made_good_by_more_steps():
