@@ -130,6 +130,21 @@ class ClampParameters(Parameters):
     )
     static_friction: float = parameter(description="coefficient of static friction", low=0.0, high=10.0)
     kinetic_friction: float = parameter(description="coefficient of kinetic friction", low=0.0, high=10.0)
+    compliance: float = parameter(
+        0.0,
+        description="tangential compliance of the contact before it slides; 0: rigid",
+        unit="m/N",
+        low=0.0,
+        high=1e-3,
+        read_only=True,
+    )
+    kick: float = parameter(
+        0.0,
+        description="how far the closing clamp pushes the contact along the travel, for each newton it presses with",
+        unit="m/N",
+        low=-1e-6,
+        high=1e-6,
+    )
     wear: float = parameter(1.0, description="factor on the normal force; 0.8: 20 % weaker", low=0.0, high=1.0)
     initial_voltage: float = parameter(0.0, description="voltage at which the clamp rests at the start", unit="V")
     sensor: SensorParameters = group(SensorParameters)
@@ -139,6 +154,8 @@ class ClampParameters(Parameters):
         if self.kinetic_friction > self.static_friction:
             allowed = f"must not be above static_friction = {self.static_friction:g}"
             yield Problem("kinetic_friction", self.kinetic_friction, allowed)
+        if self.kick != 0.0 and not self.compliance > 0.0:
+            yield Problem("kick", self.kick, "needs a contact that gives way: set compliance, e.g. 2e-8 m/N")
         low, high = self.limits.minimum, self.limits.maximum
         if not low <= self.initial_voltage <= high:
             allowed = f"must lie within limits.minimum … limits.maximum = {low:g} … {high:g} V"

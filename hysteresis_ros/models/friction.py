@@ -15,8 +15,17 @@ kinetic μ_k N; one that lets go at its static limit gets the kinetic one within
 by exactly nothing; the grip is remembered as a distance and not as a sum, so nothing drifts. End stops are rigid and
 take all of the speed.
 
+Real contacts give way before they slide, and push the slider aside as they close. With a compliance c of each contact
+the rear one is a spring k_r = 1/c_r to an anchor a, the front one in series with the extender, k_f = 1/(1/k_e + c_f):
+
+* λ_r = clip(k_r (a - q⁺) - d_r v⁺, ±R_r),  λ_f = clip(k_f (u + g - q⁺) + d_f (u̇ - v⁺), ±R_f)
+
+with dampers d = 2 ζ √(k m). A contact that slides takes its anchor (a, g) along, and one whose normal force grows by ΔN
+moves it by κ ΔN: the kick of a clamp. All is falling in v⁺ again, with four kinks.
+
 The scheme is unconditionally stable. Like every implicit Euler step it damps: slider and extender, while the front
 clamp sticks, oscillate at ω = √(k_e/m) with the damping ratio ω h/2, which stands for the damping of the real joint.
+With compliant contacts that damping is ζ, and a sample is divided into as many steps as make ω h/2 small beside it.
 """
 
 from __future__ import annotations
@@ -39,12 +48,19 @@ FORCE = 2  # external force and gravity [N], positive: toward larger displacemen
 STIFFNESS = 3  # of the extender [N/m]
 MINIMUM = 4  # end stops [m]
 MAXIMUM = 5
+SUBSTEPS = 6  # steps within a sample; 0: the contacts are rigid, and there is one
+FRONT_STIFFNESS = 7  # of compliant contacts, the front one with the extender [N/m]
+REAR_STIFFNESS = 8
+FRONT_DAMPING = 9  # [N s/m]
+REAR_DAMPING = 10
+FRONT_KICK = 11  # motion of the contact [m] for each newton of the static limit
+REAR_KICK = 12
 
 # Layout of x.
 POSITION = 0  # of the slider [m]
 VELOCITY = 1  # [m/s]
 TIP = 2  # displacement of the extender under its load [m]
-GRIP = 3  # slider - tip while the front contact sticks [m]
+GRIP = 3  # slider - tip while the front contact sticks [m]; with compliant contacts that of its anchor
 FRONT_STUCK = 4  # 1 when the contact stuck in the last step
 REAR_STUCK = 5
 FRONT_FORCE = 6  # friction on the slider in the last step [N]; the extender carries -FRONT_FORCE
@@ -57,10 +73,16 @@ FRONT_STATIC = 12  # friction limits of this step [N]: inputs, written by whoeve
 FRONT_KINETIC = 13
 REAR_STATIC = 14
 REAR_KINETIC = 15
-STATES = 16
+FREE = 16  # of compliant contacts: free displacement of the extender after the last step [m]
+ANCHOR = 17  # of the rear contact [m]
+BEFORE = 18  # the four friction limits at the last sample [N]
+STATES = 22
 
 #: Two contacts can each go once from static to kinetic friction within a step.
 PASSES = 3
+#: Steps within a sample are so many that what they damp is below this part of the damping of the joint.
+CONVERGED = 0.1
+MOST_SUBSTEPS = 1000
 
 
 @dataclass(frozen=True)
@@ -82,6 +104,20 @@ class SliderParameters(Parameters):
     minimum: float = parameter(description="end stop at the smallest displacement", unit="m")
     maximum: float = parameter(description="end stop at the largest displacement", unit="m")
     start: float = parameter(0.0, description="displacement at the start", unit="m")
+    damping: float = parameter(
+        0.0,
+        description="damping ratio of the slider on compliant contacts",
+        low=0.0,
+        high=10.0,
+        read_only=True,
+    )
+    substeps: int = parameter(
+        1,
+        description="steps of the friction within a sample, with compliant contacts; 0: as many as converge",
+        low=0,
+        high=1000,
+        read_only=True,
+    )
     sensor: SensorParameters = group(SensorParameters)
 
     @property
@@ -96,6 +132,32 @@ class SliderParameters(Parameters):
         elif not self.minimum <= self.start <= self.maximum:
             allowed = f"must lie within the travel minimum … maximum = {self.minimum:g} … {self.maximum:g} m"
             yield Problem("start", self.start, allowed)
+        if self.substeps == 0 and not self.damping > 0.0:
+            allowed = "steps converge to the damping of the joint: needs slider.damping above 0, e.g. 0.03"
+            yield Problem("substeps", self.substeps, allowed)
+
+
+@dataclass(frozen=True)
+class Contacts:
+    """What the contacts are besides friction; all 0: rigid.
+
+    Parameters
+    ----------
+    front_compliance, rear_compliance : float
+        [m/N]
+    front_kick, rear_kick : float
+        Motion of the contact for each newton of its static friction limit [m/N].
+    """
+
+    front_compliance: float = 0.0
+    rear_compliance: float = 0.0
+    front_kick: float = 0.0
+    rear_kick: float = 0.0
+
+    @property
+    def rigid(self) -> bool:
+        """Whether neither contact gives way."""
+        return not (self.front_compliance > 0.0 and self.rear_compliance > 0.0)
 
 
 @kernel
@@ -189,6 +251,119 @@ def slide(p, x, u):
     return following
 
 
+@kernel
+def elastic_velocity(p, step, velocity, a_f, b_f, front, a_r, b_r, rear):
+    """Velocity [m/s] at the end of a step between compliant contacts, without end stops.
+
+    ``velocity`` [m/s] is that before; the contacts would carry a − b v [N], limited to ±``front`` and ±``rear``.
+    """
+    inertia = p[MASS] / step
+    drive = inertia * velocity + p[FORCE]
+    # what is missing to balance rises with v; between two kinks it is a straight line
+    low, high = -math.inf, math.inf
+    for kink in ((a_f - front) / b_f, (a_f + front) / b_f, (a_r - rear) / b_r, (a_r + rear) / b_r):
+        if inertia * kink - drive - _clip(a_f - b_f * kink, front) - _clip(a_r - b_r * kink, rear) <= 0.0:
+            low = max(low, kink)
+        else:
+            high = min(high, kink)
+    if low == -math.inf:
+        inside = high - 1.0
+    elif high == math.inf:
+        inside = low + 1.0
+    else:
+        inside = 0.5 * (low + high)
+    for a, b, bound in ((a_f, b_f, front), (a_r, b_r, rear)):
+        carried = a - b * inside
+        if carried > bound:
+            drive += bound
+        elif carried < -bound:
+            drive -= bound
+        else:
+            drive += a
+            inertia += b
+    return min(max(drive / inertia, low), high)
+
+
+@kernel
+def elastic_step(p, x, step, u, rate, front_static, front_kinetic, rear_static, rear_kinetic):
+    """One step between compliant contacts: the extender's free displacement goes to ``u`` [m] at ``rate`` [m/s]."""
+    k_f, k_r, d_f, d_r = p[FRONT_STIFFNESS], p[REAR_STIFFNESS], p[FRONT_DAMPING], p[REAR_DAMPING]
+    position, before = x[POSITION], x[VELOCITY]
+    a_f, b_f = k_f * (u + x[GRIP] - position) + d_f * rate, step * k_f + d_f
+    a_r, b_r = k_r * (x[ANCHOR] - position), step * k_r + d_r
+    front = front_static if x[FRONT_STUCK] > 0.0 else front_kinetic
+    rear = rear_static if x[REAR_STUCK] > 0.0 else rear_kinetic
+    v, following = before, position
+    for _ in range(PASSES):
+        v = elastic_velocity(p, step, before, a_f, b_f, front, a_r, b_r, rear)
+        following = min(max(position + step * v, p[MINIMUM]), p[MAXIMUM])
+        v = (following - position) / step
+        lets_go = False
+        if math.fabs(a_f - b_f * v) > front and front > front_kinetic:
+            front = front_kinetic
+            lets_go = True
+        if math.fabs(a_r - b_r * v) > rear and rear > rear_kinetic:
+            rear = rear_kinetic
+            lets_go = True
+        if not lets_go:
+            break
+    front_force, rear_force = _clip(a_f - b_f * v, front), _clip(a_r - b_r * v, rear)
+    x[FRONT_STUCK] = 1.0 if front > 0.0 and math.fabs(a_f - b_f * v) <= front else 0.0
+    x[REAR_STUCK] = 1.0 if rear > 0.0 and math.fabs(a_r - b_r * v) <= rear else 0.0
+    # a contact that slides takes its anchor along; an open one has neither spring nor damper
+    if x[FRONT_STUCK] == 0.0:
+        spring = front_force - d_f * (rate - v) if front > 0.0 else 0.0
+        slid = spring / k_f - u + following - x[GRIP]
+        x[GRIP] += slid
+        x[FRONT_SLIP] += slid
+        x[DISSIPATED] -= front_force * slid
+    if x[REAR_STUCK] == 0.0:
+        spring = rear_force + d_r * v if rear > 0.0 else 0.0
+        slid = spring / k_r + following - x[ANCHOR]
+        x[ANCHOR] += slid
+        x[REAR_SLIP] += slid
+        x[DISSIPATED] -= rear_force * slid
+    at_stop = following == p[MAXIMUM] or following == p[MINIMUM]
+    inertia = p[MASS] * (v - before) / step
+    x[STOP_FORCE] = inertia - p[FORCE] - front_force - rear_force if at_stop else 0.0
+    x[FRONT_FORCE], x[REAR_FORCE] = front_force, rear_force
+    x[VELOCITY], x[POSITION] = v, following
+
+
+@kernel
+def slide_elastically(p, x, u):
+    """Position [m] of the slider one sample on, between compliant contacts; as :func:`slide` otherwise.
+
+    Within the sample the free displacement and the friction limits go straight from the last values to these.
+    """
+    steps = int(p[SUBSTEPS])
+    step = p[STEP] / steps
+    rise = (u - x[FREE]) / steps
+    free = x[FREE]
+    x[FRONT_SLIP] = x[REAR_SLIP] = 0.0
+    for i in range(steps):
+        part = (i + 1.0) / steps
+        free += rise
+        x[GRIP] += p[FRONT_KICK] * (x[FRONT_STATIC] - x[BEFORE]) / steps
+        x[ANCHOR] += p[REAR_KICK] * (x[REAR_STATIC] - x[BEFORE + 2]) / steps
+        elastic_step(
+            p,
+            x,
+            step,
+            free,
+            rise / step,
+            x[BEFORE] + part * (x[FRONT_STATIC] - x[BEFORE]),
+            x[BEFORE + 1] + part * (x[FRONT_KINETIC] - x[BEFORE + 1]),
+            x[BEFORE + 2] + part * (x[REAR_STATIC] - x[BEFORE + 2]),
+            x[BEFORE + 3] + part * (x[REAR_KINETIC] - x[BEFORE + 3]),
+        )
+    for i in range(4):
+        x[BEFORE + i] = x[FRONT_STATIC + i]
+    x[FREE] = u
+    x[TIP] = u - x[FRONT_FORCE] / p[STIFFNESS]
+    return x[POSITION]
+
+
 class Slider(Block):
     """Slider between two friction contacts; write their limits [N] to ``x[12:16]`` before each step.
 
@@ -200,23 +375,37 @@ class Slider(Block):
         Sample time [s].
     stiffness : float
         Stiffness of the extender that carries the front contact [N/m].
+    contacts : Contacts, optional
+        Rigid by default.
     """
 
-    kernel = staticmethod(slide)
-
-    def __init__(self, parameters: SliderParameters, sample_time: float, stiffness: float):
+    def __init__(
+        self, parameters: SliderParameters, sample_time: float, stiffness: float, contacts: Contacts | None = None
+    ):
         self.stiffness = float(stiffness)
+        self.contacts = contacts or Contacts()
+        self.kernel = slide if self.contacts.rigid else slide_elastically
         super().__init__(parameters, sample_time)
 
     def pack(self, parameters: SliderParameters) -> np.ndarray:
-        """Return p, shape (6,)."""
+        """Return p, shape (13,)."""
         travel = (parameters.minimum, parameters.maximum)
-        return np.array([self.sample_time, parameters.mass, parameters.force, self.stiffness, *travel])
+        head = [self.sample_time, parameters.mass, parameters.force, self.stiffness, *travel]
+        contacts = self.contacts
+        if contacts.rigid:
+            return np.array([*head, *np.zeros(7)])
+        springs = [1.0 / (1.0 / self.stiffness + contacts.front_compliance), 1.0 / contacts.rear_compliance]
+        dampers = [2.0 * parameters.damping * math.sqrt(spring * parameters.mass) for spring in springs]
+        steps = parameters.substeps
+        if steps == 0:
+            numerical = 0.5 * self.sample_time * math.sqrt(springs[0] / parameters.mass)
+            steps = min(max(math.ceil(numerical / (CONVERGED * parameters.damping)), 1), MOST_SUBSTEPS)
+        return np.array([*head, steps, *springs, *dampers, contacts.front_kick, contacts.rear_kick])
 
     def initial_state(self) -> np.ndarray:
-        """Return x, shape (16,): at rest at the start, both contacts open, the extender at 0."""
+        """Return x, shape (22,): at rest at the start, both contacts open, the extender at 0."""
         x = np.zeros(STATES)
-        x[POSITION] = x[GRIP] = self.parameters.start
+        x[POSITION] = x[GRIP] = x[ANCHOR] = self.parameters.start
         return x
 
     def settle(self, free: float) -> None:
@@ -233,6 +422,11 @@ class Slider(Block):
         x[REAR_STUCK], x[FRONT_STUCK] = float(x[REAR_STATIC] > 0.0), float(x[FRONT_STATIC] > 0.0)
         x[TIP] = free - x[FRONT_FORCE] / self.p[STIFFNESS]
         x[GRIP] = x[POSITION] - x[TIP]
+        if not self.contacts.rigid:
+            x[GRIP] = x[POSITION] - free + x[FRONT_FORCE] / self.p[FRONT_STIFFNESS]
+            x[ANCHOR] = x[POSITION] + x[REAR_FORCE] / self.p[REAR_STIFFNESS]
+            x[FREE] = free
+            x[BEFORE : BEFORE + 4] = x[FRONT_STATIC : FRONT_STATIC + 4]
 
     def check_travel(self, parameters: SliderParameters) -> None:
         """Raise ParameterError when a new travel leaves the slider outside."""

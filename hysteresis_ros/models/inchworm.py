@@ -21,7 +21,7 @@ from hysteresis_ros.models import friction
 from hysteresis_ros.models.actuator import PRELOAD, Actuator, ActuatorParameters
 from hysteresis_ros.models.clamp import Clamp, ClampParameters, contact
 from hysteresis_ros.models.creep import creep
-from hysteresis_ros.models.friction import Slider, SliderParameters, slide
+from hysteresis_ros.models.friction import Slider, SliderParameters, slide, slide_elastically
 from hysteresis_ros.models.limits import limits
 from hysteresis_ros.models.linear import linear, linear_advance, linear_output
 from hysteresis_ros.models.sensor import Sensor, sensor
@@ -83,6 +83,25 @@ class InchwormParameters(Parameters):
     front_clamp: ClampParameters = group(ClampParameters)
     rear_clamp: ClampParameters = group(ClampParameters)
     slider: SliderParameters = group(SliderParameters)
+
+    def check(self):
+        """Yield a Problem when only one contact gives way, or what belongs to compliant contacts has rigid ones."""
+        compliant = [clamp.compliance > 0.0 for clamp in (self.front_clamp, self.rear_clamp)]
+        if compliant[0] != compliant[1]:
+            name = "rear_clamp" if compliant[0] else "front_clamp"
+            yield Problem(f"{name}.compliance", 0.0, "the other contact gives way: both or none, e.g. 2e-8 m/N")
+        elif not compliant[0]:
+            for name, rest in (("damping", 0.0), ("substeps", 1)):
+                if getattr(self.slider, name) != rest:
+                    allowed = f"is for contacts that give way: set compliance of both clamps, or leave it at {rest}"
+                    yield Problem(f"slider.{name}", getattr(self.slider, name), allowed)
+
+    @property
+    def contacts(self) -> friction.Contacts:
+        """What the contacts are besides friction."""
+        front, rear = self.front_clamp, self.rear_clamp
+        kicks = [clamp.kick / clamp.static_friction if clamp.static_friction else 0.0 for clamp in (front, rear)]
+        return friction.Contacts(front.compliance, rear.compliance, *kicks)
 
     def holding_force(self, front_voltage: float, rear_voltage: float) -> tuple[float, float]:
         """Return the loads [N] that front and rear clamp, each alone, hold at rest at their grip voltages [V]."""
@@ -207,7 +226,10 @@ def inchworm_advance(laws, ps, xs, voltage, front_voltage, rear_voltage):
     xs.slider[friction.REAR_STATIC] = ps.rear_contact[clamping.STATIC] * normal
     xs.slider[friction.REAR_KINETIC] = ps.rear_contact[clamping.KINETIC] * normal
 
-    slide(ps.slider, xs.slider, free)
+    if ps.slider[friction.SUBSTEPS] > 0.0:
+        slide_elastically(ps.slider, xs.slider, free)
+    else:
+        slide(ps.slider, xs.slider, free)
     return applied
 
 
@@ -237,7 +259,7 @@ class Inchworm(Chain):
         self.extender = Actuator(_extender(parameters), sample_time)
         self.front_clamp = Clamp(motor.front_clamp, sample_time)
         self.rear_clamp = Clamp(motor.rear_clamp, sample_time)
-        self.slider = Slider(motor.slider, sample_time, motor.extender_stiffness)
+        self.slider = Slider(motor.slider, sample_time, motor.extender_stiffness, motor.contacts)
         self.slider_sensor = Sensor(motor.slider.sensor, sample_time)
         own = (self.slider.p, self.slider_sensor.p, np.array([1.0 / self.sample_time]))
         clamps = *self.front_clamp.ps, *self.rear_clamp.ps
@@ -320,7 +342,7 @@ class Inchworm(Chain):
         self.extender.retune(_extender(parameters))  # the last that may refuse
         self.front_clamp.retune(motor.front_clamp)
         self.rear_clamp.retune(motor.rear_clamp)
-        self.slider.stiffness = motor.extender_stiffness
+        self.slider.stiffness, self.slider.contacts = motor.extender_stiffness, motor.contacts
         self.slider.retune(motor.slider)
         self.slider_sensor.retune(motor.slider.sensor)
         self.parameters = parameters

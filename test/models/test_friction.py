@@ -218,7 +218,7 @@ def test_same_bits_compiled_and_interpreted():
         1e-5 * random.random(300), 5 * random.random(300), 5 * random.integers(0, 2, 300), strict=True
     ):
         for made in (one, other):
-            made.x[friction.FRONT_STATIC :] = front, 0.8 * front, rear, 0.8 * rear
+            made.x[friction.FRONT_STATIC : friction.REAR_KINETIC + 1] = front, 0.8 * front, rear, 0.8 * rear
         one.step(u)
         interpreted(slide)(other.p, other.x, u)
         assert np.array_equal(one.x, other.x)
