@@ -41,7 +41,9 @@ def choose_dynamics(spectra: SegmentSpectra, parts=("lag", "delay"), most_modes:
     plain = [_without_modes(search, *both) for both in itertools.product(*(_choices(part, parts) for part in PAIR))]
     largest = [min(plain, key=lambda trial: search.cost(trial.response))]
     search.weigh(largest[0].response)
-    for _ in range(most_modes):
+    low, high = search.mode_range
+    # few samples a cycle leave no room for a mode between the drive and half of the sample rate
+    for _ in range(most_modes if 1.2 * low < high else 0):
         largest.append(_with_mode(search, largest[-1]))
     search.weigh(largest[-1].response)
     judged = [_left_out(search, search.fit(trial.structure, [trial.values])) for trial in plain]

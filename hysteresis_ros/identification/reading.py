@@ -24,11 +24,11 @@ from hysteresis_ros.recordings.units import si_unit, split_choice
 #: Names under which recordings elsewhere keep the voltage and the displacement, the most telling first.
 INPUT_NAMES = (
     *("voltage", "control", "command", "drive", "input", "excitation", "u", "v", "volt", "amp", "piezo"),
-    *("spannung", "ao0", "ao1"),
+    *("spannung", "ao0", "ao1", "in"),
 )
 OUTPUT_NAMES = (
     *("measured", "displacement", "position", "sensor", "cap", "gauge", "interferometer", "output"),
-    *("y", "x", "z", "d", "pos", "disp", "um", "nm", "weg", "ai0", "ai1"),
+    *("y", "x", "z", "d", "pos", "disp", "um", "nm", "weg", "ai0", "ai1", "out"),
 )
 
 

@@ -87,7 +87,11 @@ def resample(data: IdentificationData, sample_time: float | None = None) -> Iden
     if np.count_nonzero(finite) < 2:
         raise DataError("short", f"{np.count_nonzero(finite)} samples are there; resampling needs two")
     time = data.time[finite]
-    median = float(np.median(np.diff(time)))
+    distances = np.diff(time)
+    median = float(np.median(distances))
+    if np.ptp(distances) > GRID_TOLERANCE * median:
+        # jitter moves the median, but not the mean
+        median = float(np.mean(distances[~_gaps(distances, median)]))
     target = median if sample_time is None else float(sample_time)
     if not 0.0 < target < time[-1] - time[0]:
         raise DataError("resample", f"sample time {target:g} s: must be in 0 … {time[-1] - time[0]:g} s")
@@ -96,30 +100,35 @@ def resample(data: IdentificationData, sample_time: float | None = None) -> Iden
     columns = [np.interp(grid, time, values[finite]) for values in (data.input, data.output)]
     if factor > 1:
         columns = [_decimated(values, factor) for values in columns]
-    note = f"resampled from {readable(median, 's')} (median) to {readable(target, 's')}"
+    note = f"resampled from {readable(median, 's')} to {readable(target, 's')}"
     grid = grid[::factor]
-    warnings = (*data.warnings, *_bridged(time, median), *_jittering(time, median))
+    rows = data.first + np.flatnonzero(finite)
+    warnings = (*data.warnings, *_bridged(time, median, rows), *_jittering(time, median))
     notes = (*data.notes, note)
     return replace(data, time=grid, input=columns[0], output=columns[1], first=0, notes=notes, warnings=warnings)
 
 
-def _bridged(time, median):
+def _gaps(distances, median):
+    """Return which distances are gaps: jitter alone, three of its standard deviations, makes none."""
+    jitter = 1.5 * float(np.median(np.abs(distances - median)))
+    return distances > max(GAP * median, median + 3.0 * jitter)
+
+
+def _bridged(time, median, rows):
     """Yield a warning about the gaps that straight lines bridge."""
     distances = np.diff(time)
-    # jitter alone makes distances longer: three of its standard deviations do not count
-    jitter = 1.5 * float(np.median(np.abs(distances - median)))
-    gaps = distances > max(GAP * median, median + 3.0 * jitter)
+    gaps = _gaps(distances, median)
     if not gaps.any():
         return
     longest = int(np.argmax(distances))
     lost = int(np.sum(np.rint(distances[gaps] / median) - 1.0))
     stretches = np.flatnonzero(np.r_[True, gaps, True])
     widest = int(np.argmax(np.diff(stretches)))
-    whole = time[stretches[widest]], time[stretches[widest + 1] - 1]
+    first, last = rows[stretches[widest]], rows[stretches[widest + 1] - 1] + 1
     yield (
         f"{np.count_nonzero(gaps)} gaps ({lost} samples) bridged by straight lines, the longest "
         f"{distances[longest]:.4g} s at {time[longest]:.6g} s; what happened in them is unknown (longest part without "
-        f"one: {whole[0]:.6g} … {whole[1]:.6g} s)"
+        f"one: --range {first}:{last})"
     )
 
 

@@ -21,9 +21,9 @@ from hysteresis_ros.recordings.text_tables import find_layout, read_columns
 from hysteresis_ros.recordings.units import column_unit, conversion, known_conversion, si_unit, split_choice
 
 #: Kinds of files that are read as tables: text, NPZ and MATLAB.
-TABLE_SUFFIXES = (".csv", ".txt", ".dat", ".tsv", ".asc", ".npz", ".mat")
+TABLE_SUFFIXES = (".csv", ".txt", ".dat", ".tsv", ".asc", ".lvm", ".npz", ".mat")
 
-_TIME_NAMES = ("time", "t", "timestamp", "time_s", "t_s", "time_ms", "t_ms", "time_us", "t_us", "zeit", "elapsed")
+_TIME_NAMES = ("time", "t", "timestamp", "time_s", "t_s", "time_ms", "t_ms", "time_us", "t_us", "zeit", "x_value")
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +79,7 @@ def open_table(path) -> Table:
     Parameters
     ----------
     path : path-like
-        ``.csv``, ``.txt``, ``.dat``, ``.tsv``, ``.asc``, ``.npz`` or ``.mat``.
+        ``.csv``, ``.txt``, ``.dat``, ``.tsv``, ``.asc``, ``.lvm``, ``.npz`` or ``.mat``.
 
     Raises
     ------

@@ -238,9 +238,11 @@ def _fitting(text, delimiter, width):
     """Return the cells of a header, None where no delimiter makes as many as there are columns."""
     for mark in (*([] if delimiter is None else [delimiter]), ",", ";", "\t", None):
         row = _split(text, mark)
-        if len(row) in (width - 1, width + 1) and mark == delimiter and width > 2:
-            # a delimiter at the end of the header or of the rows only
-            row = row[:width] if len(row) > width and not row[-1] else [*row, ""] if len(row) < width else row
+        if mark == delimiter and width > 1:
+            # the rows lack a last column (a comment), or end with a delimiter that the header lacks
+            row = (
+                row[:width] if len(row) == width + 1 else [*row, ""] if len(row) == width - 1 > 1 and all(row) else row
+            )
         if len(row) == width and any(cell and _number(cell, False) is None for cell in row):
             return row
     return None
