@@ -27,6 +27,8 @@ FAST_SAMPLES = 12000
 #: Samples on which creep is searched, and on which weights are settled, in fast recordings.
 SEARCHED, SETTLED = 40000, 120000
 TURNS = 2
+#: Dynamics found later are taken when they lower the RMS residual by this part.
+WORTH_IT = 0.03
 
 
 def found_with(fit_function, voltage, displacement, sample_time: float, parts, skip: int | None = None):
@@ -77,7 +79,10 @@ class TurnSearch:
             raise IdentificationError(
                 "no hysteresis goes with the dynamics that were found; try --linear lag,delay,creep"
             )
-        return min(found, key=lambda fit: fit.rmse)
+        best, *others = found
+        for fit in others:  # the simplest comes first
+            best = fit if fit.rmse < (1.0 - WORTH_IT) * best.rmse else best
+        return best
 
     def fit(self, longest: int | None = None, **options) -> HammersteinFit:
         """Fit the hysteresis, to no more than the first ``longest`` samples in which the range is gone through."""

@@ -40,8 +40,7 @@ def finished(fit, voltage, displacement, sample_time, kept=None) -> HammersteinF
     data = fit.data
     hysteresis: HysteresisParameters = fit.parameters()
     first = data.first * data.factor
-    used = np.ones(len(voltage), dtype=bool) if kept is None else kept.copy()
-    used[:first] = False
+    used = slice(first, None) if kept is None else np.flatnonzero(kept[first:]) + first
     synchronous = fit.part.synchronous(sample_time)
     drift = float(fit.constants[1]) / (len(data.voltage) * data.sample_time) if data.drifts else 0.0
 
@@ -56,15 +55,19 @@ def finished(fit, voltage, displacement, sample_time, kept=None) -> HammersteinF
             synchronous,
             data.history,
         )
-        return (displacement[:last] - drift * sample_time * np.arange(len(predicted)) - predicted)[used[:last]]
+        return displacement[:last] - drift * sample_time * np.arange(len(predicted)) - predicted
 
     part = fit.part
     if part.lag > 0.0 and not synchronous and not part.hold:
-        part = _retimed(part, sample_time, lambda other: float(np.std(error_of(other, first + RETIMED_ON))))
+        last = first + RETIMED_ON
+        looked = used if kept is None else used[used < last]
+        part = _retimed(part, sample_time, lambda other: float(np.std(error_of(other, last)[looked])))
     error = error_of(part)
+    constant = float(error[used].mean())
+    error = error[first:] - constant
     # what the half sample and the table leave of a constant belongs to the offset
     chosen = hysteresis.chosen
-    chosen = replace(chosen, offset=chosen.offset + float(error.mean()) / part.settled_gain)
+    chosen = replace(chosen, offset=chosen.offset + constant / part.settled_gain)
     hysteresis = replace(hysteresis, **{hysteresis.type: chosen})
     return HammersteinFit(
         hysteresis=hysteresis,
@@ -72,7 +75,7 @@ def finished(fit, voltage, displacement, sample_time, kept=None) -> HammersteinF
         dynamics=part.dynamics(sample_time),
         linear_part=part,
         sample_time=sample_time,
-        rmse=float(np.std(error)),
+        rmse=float(np.sqrt(np.mean(error**2))),
         stroke=data.stroke,
         voltage_low=float(np.min(voltage)),
         voltage_high=float(np.max(voltage)),

@@ -52,7 +52,7 @@ class HammersteinFit:
     sample_time : float
         Of the recording [s].
     rmse : float
-        RMS residual of the fit [m].
+        RMS residual of the fit [m], outliers and all.
     stroke : float
         Peak-to-peak displacement of the fitted samples [m].
     voltage_low, voltage_high : float
