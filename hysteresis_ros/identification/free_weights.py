@@ -44,7 +44,7 @@ class FreeWeights:
         self.radii = radii(data.voltage_range, play_count, data.reach)
         self.plays = data.plays(self.radii)
         self.roughness = np.diff(np.eye(len(self.radii)), 2, axis=0)[1:] * play_count**0.5
-        self.zone_count = zone_count
+        self.play_count, self.zone_count = play_count, zone_count
         self.numbers: dict[str, float] = {}
 
     def behind(self, part):
@@ -74,6 +74,15 @@ class FreeWeights:
             solve, self.data, linear=linear, progress=progress
         )
         return self.behind(part)
+
+    def like(self, data: Condensed):
+        """Return the same structure for other data, not fitted yet.
+
+        Parameters
+        ----------
+        data : Condensed
+        """
+        return FreeWeights(data, self.play_count, self.zone_count)
 
     def refitted(self, data: Condensed):
         """Return the model with weights for other samples of the recording, behind the same linear part.

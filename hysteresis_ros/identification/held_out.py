@@ -1,4 +1,8 @@
-"""Structures compared on what they were not fitted to: each block of a recording is predicted by the rest of it."""
+"""Structures compared on what they were not fitted to: each part of a recording is predicted by the rest of it.
+
+A part is several stretches spread over the recording. One stretch alone could be the only one with large loops, and
+what is asked is not how a structure extrapolates.
+"""
 
 from __future__ import annotations
 
@@ -6,15 +10,15 @@ from dataclasses import replace
 
 import numpy as np
 
-#: Blocks of equal length that are left out one after the other.
-BLOCKS = 5
+#: Parts that are left out one after the other, and stretches of each.
+PARTS, STRETCHES = 5, 4
 #: A more flexible structure must lower the RMS error on them by this part, and by so many standard errors.
 WORTH_IT = 0.03
 STANDARD_ERRORS = 1.0
 
 
 def held_out(fit) -> np.ndarray:
-    """Return the errors [m] on samples that the fit had not seen, shape (samples counted,), block after block.
+    """Return the errors [m] on samples that the fit had not seen, shape (samples counted,).
 
     Parameters
     ----------
@@ -24,21 +28,28 @@ def held_out(fit) -> np.ndarray:
     data = fit.data
     places = np.arange(len(data.kept))
     errors = np.zeros(len(places))
-    for block in np.array_split(places, BLOCKS):
-        left_out = np.isin(places, block)
+    for part in _parts(places):
+        left_out = np.zeros(len(places), dtype=bool)
+        left_out[part] = True
         other = fit.refitted(replace(data, kept=data.kept & ~left_out))
-        errors[block] = (data.displacement - other.output())[data.first :][block]
+        errors[part] = (data.displacement - other.output())[data.first :][part]
     return errors[data.kept]
 
 
+def _parts(places) -> list[np.ndarray]:
+    """Return the places of each part."""
+    stretches = np.array_split(places, PARTS * STRETCHES)
+    return [np.concatenate(stretches[part::PARTS]) for part in range(PARTS)]
+
+
 def survivor(fits):
-    """Return the fit to keep, and the RMS errors on blocks held out [m] of all.
+    """Return the fit to keep, and the RMS errors on parts held out [m] of all.
 
     Parameters
     ----------
     fits : sequence of object
         The simplest first; a later one is taken only where it predicts what it has not seen better by
-        :data:`WORTH_IT`, and in more than one block by chance.
+        :data:`WORTH_IT`, and by more than the parts differ.
 
     Returns
     -------
@@ -51,8 +62,9 @@ def survivor(fits):
         if least is None:
             least = errors
             continue
-        gains = np.array([part.mean() for part in np.array_split(least**2 - errors**2, BLOCKS)])
-        sure = gains.mean() > STANDARD_ERRORS * gains.std(ddof=1) / np.sqrt(BLOCKS)
+        gain = least**2 - errors**2
+        gains = np.array([np.mean(gain[part]) for part in _parts(np.arange(len(gain)))])
+        sure = gains.mean() > STANDARD_ERRORS * gains.std(ddof=1) / np.sqrt(PARTS)
         if sizes[-1] < (1.0 - WORTH_IT) * np.sqrt(np.mean(least**2)) and sure:
             chosen, least = fit, errors
     return chosen, sizes

@@ -7,6 +7,8 @@ where it predicts blocks of the recording better that it was not fitted to (:mod
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.identification.condensed import Condensed, condense
 from hysteresis_ros.identification.finished import finished, without_outliers
@@ -67,10 +69,17 @@ def fit_prandtl_ishlinskii(
     if density == "exponential" and zone_count is not None:
         raise IdentificationError("zone_count goes with density=free; an exponential density has a map of its own")
 
+    found: list = []
+
     def once(kept):
         data = condense(voltage, displacement, sample_time, skip, kept=kept, history=history)
-        fit = _chosen(data, play_count, zone_count, density, linear, progress)
-        return finished(fit, voltage, displacement, sample_time, kept)
+        if not found:
+            found.append(_chosen(data, play_count, zone_count, density, linear, progress))
+        else:  # without outliers, the same structure
+            before = found.pop()
+            found.append(before.like(replace(data, drifts=before.data.drifts)).fit(linear, progress))
+            found[0].numbers = {**before.numbers, **found[0].numbers}
+        return finished(found[0], voltage, displacement, sample_time, kept)
 
     return without_outliers(once, voltage, displacement)
 
@@ -80,17 +89,18 @@ def _chosen(data: Condensed, play_count: int, zone_count: int | None, density: s
     if zone_count is not None:
         return without_drift(lambda data: FreeWeights(data, play_count, zone_count).fit(linear, progress), data)
     if density == "free":
-        counts = [ZONES]
-        simple = without_drift(lambda data: FreeWeights(data, play_count, 0).fit(linear, progress), data)
+        rivals = [without_drift(lambda data: FreeWeights(data, play_count, 0).fit(linear, progress), data)]
     else:
-        counts = [0, ZONES]
-        simple = without_drift(lambda data: SmoothDensity(data, play_count).fit(linear, progress), data)
+        rivals = [without_drift(lambda data: SmoothDensity(data, play_count).fit(linear, progress), data)]
         if density == "exponential":
-            return simple
-    # the others behind the same linear part; one that is taken gets a search of its own
-    rivals = [simple, *(FreeWeights(simple.data, play_count, count).behind(simple.part) for count in counts)]
+            return rivals[0]
+        rivals.append(FreeWeights(rivals[0].data, play_count, 0).fit(linear, progress))
+    # dead zones behind the linear part that suits best without them; if they survive they get a search of their own
+    part = min(rivals, key=lambda fit: fit.rms).part
+    zones = FreeWeights(rivals[0].data, play_count, ZONES).behind(part)
+    rivals.append(zones)
     chosen, errors = survivor(rivals)
-    if chosen is not simple:
-        chosen.fit(linear, progress)
+    if chosen is zones:
+        zones.fit(linear, progress)
     chosen.numbers["held_out_rmse_m"] = errors[rivals.index(chosen)]
     return chosen

@@ -51,7 +51,7 @@ class SmoothDensity:
     """
 
     def __init__(self, data: Condensed, play_count: int):
-        self.data = data
+        self.data, self.play_count = data, play_count
         step = 0.5 * data.voltage_range / play_count
         self.half = 0.5 * data.voltage_range
         self.radii = radii(data.voltage_range, play_count, data.reach) + 0.5 * step
@@ -139,6 +139,15 @@ class SmoothDensity:
         bent = 0.5 * shape["map_slope"] * (inside**2 - 1.0) + 0.5 * shape["map_curvature"] * (inside**3 - inside)
         end = shape["map_slope"] * inside + shape["map_curvature"] * (1.5 * inside**2 - 0.5)
         return u + bent + end * (u - inside)
+
+    def like(self, data: Condensed):
+        """Return the same structure for other data, not fitted yet.
+
+        Parameters
+        ----------
+        data : Condensed
+        """
+        return SmoothDensity(data, self.play_count)
 
     def refitted(self, data: Condensed):
         """Return the model fitted to other samples of the recording, from the numbers found.

@@ -7,6 +7,7 @@ import pytest
 
 from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.identification import auto
+from hysteresis_ros.identification.ambiguity import find_ambiguity
 from hysteresis_ros.identification.condensed import condense, wiped_out
 from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.hammerstein import simulate_chain
@@ -206,3 +207,9 @@ def test_auto_rests_on_the_prior_where_blocks_show_nothing_new(monkeypatch, doub
     monkeypatch.setattr(auto, "MODELS", {name: MODELS[name] for name in errors})
     monkeypatch.setattr(auto, "held_out_error", lambda _, name, **request: errors[name])
     assert auto.choose_model(data(DECAYING, recorded(DECAYING)), None)[0] == chosen
+
+
+def test_the_doubt_of_small_loops_is_a_ratio_of_gains():
+    condensed = condense(loops(100.0), hysteresis_block(stack(), T).simulate(loops(100.0)), T, 100)
+    one, other = (find_ambiguity(condensed, LinearPart(), stack().scaled(k), True).gain[1] for k in (0.5, 0.25))
+    assert other == pytest.approx(2.0 * one, rel=1e-9) and one == pytest.approx(2.0, rel=0.02)
