@@ -17,18 +17,20 @@ WORTH_IT = 0.03
 STANDARD_ERRORS = 1.0
 
 
-def held_out(fit) -> np.ndarray:
+def held_out(fit, stretches: int = STRETCHES) -> np.ndarray:
     """Return the errors [m] on samples that the fit had not seen, shape (samples counted,).
 
     Parameters
     ----------
     fit : object
         With ``data`` (Condensed), ``refitted(data)`` and ``output()``, shape (N,).
+    stretches : int
+        Of each part.
     """
     data = fit.data
     places = np.arange(len(data.kept))
     errors = np.zeros(len(places))
-    for part in _parts(places):
+    for part in _parts(places, stretches):
         left_out = np.zeros(len(places), dtype=bool)
         left_out[part] = True
         other = fit.refitted(replace(data, kept=data.kept & ~left_out))
@@ -36,13 +38,13 @@ def held_out(fit) -> np.ndarray:
     return errors[data.kept]
 
 
-def _parts(places) -> list[np.ndarray]:
+def _parts(places, stretches: int) -> list[np.ndarray]:
     """Return the places of each part."""
-    stretches = np.array_split(places, PARTS * STRETCHES)
-    return [np.concatenate(stretches[part::PARTS]) for part in range(PARTS)]
+    found = np.array_split(places, PARTS * stretches)
+    return [np.concatenate(found[part::PARTS]) for part in range(PARTS)]
 
 
-def survivor(fits):
+def survivor(fits, stretches: int = STRETCHES):
     """Return the fit to keep, and the RMS errors on parts held out [m] of all.
 
     Parameters
@@ -50,6 +52,8 @@ def survivor(fits):
     fits : sequence of object
         The simplest first; a later one is taken only where it predicts what it has not seen better by
         :data:`WORTH_IT`, and by more than the parts differ.
+    stretches : int
+        Of each part.
 
     Returns
     -------
@@ -57,13 +61,13 @@ def survivor(fits):
     """
     chosen, least, sizes = fits[0], None, []
     for fit in fits:
-        errors = held_out(fit)
+        errors = held_out(fit, stretches)
         sizes.append(float(np.sqrt(np.mean(errors**2))))
         if least is None:
             least = errors
             continue
         gain = least**2 - errors**2
-        gains = np.array([np.mean(gain[part]) for part in _parts(np.arange(len(gain)))])
+        gains = np.array([np.mean(gain[part]) for part in _parts(np.arange(len(gain)), stretches)])
         sure = gains.mean() > STANDARD_ERRORS * gains.std(ddof=1) / np.sqrt(PARTS)
         if sizes[-1] < (1.0 - WORTH_IT) * np.sqrt(np.mean(least**2)) and sure:
             chosen, least = fit, errors
@@ -71,7 +75,7 @@ def survivor(fits):
 
 
 def without_drift(fit, data):
-    """Return ``fit(data)``, or the same with a drift beside it if that survives.
+    """Return ``fit(data)``, or the same with a drift beside it if that survives: a drift has to go on in whole blocks.
 
     Parameters
     ----------
@@ -79,4 +83,4 @@ def without_drift(fit, data):
         Returns a fit to a Condensed.
     data : Condensed
     """
-    return survivor([fit(data), fit(replace(data, drifts=True))])[0]
+    return survivor([fit(data), fit(replace(data, drifts=True))], stretches=1)[0]
