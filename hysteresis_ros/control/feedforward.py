@@ -17,15 +17,17 @@ from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.models.state_space import accumulate, advance
 from hysteresis_ros.parameters import Parameters, parameter
 
-# Parameter array: a head, the weights of the references (preview + 1 places), then of the causal part A (n·n, row by
-# row), B, C and its state at rest under a reference of one (n each).
+# Parameter array: a head, the weights of the references (as many places as the ring has), those that drive the causal
+# part, then of that A (n·n, row by row), B, C and its state at rest under a reference of one (n each).
 PREVIEW = 0
 ORDER = 1
-DEGREE = 2  # how far ahead of the delayed reference the first weight stands
+FIRST = 2  # how far the first weight stands behind the oldest reference in the ring
 TAPS = 3  # weights in use
-WEIGHTS = 4
+PAST = 4  # references before the delayed one
+DRIVES = 5  # weights that drive the causal part
+WEIGHTS = 6
 
-# State array: a head, then the references r(k) … r(k + N) in a ring, n states and n numbers of scratch.
+# State array: a head, then the references r(k - past) … r(k + N) in a ring, n states and n numbers of scratch.
 COMMAND = 0  # command of the feedforward for the delayed reference [m]
 STARTED = 1  # 0.0 makes the next call take the reference for one that has always been there
 NEXT = 2  # place of the ring for the next reference
@@ -35,9 +37,11 @@ RING = 3
 @kernel
 def feedforward(p, x, reference):
     """Return the delayed reference [m] for ``reference`` [m]; the feedforward's command [m] is left in ``x[0]``."""
-    length = int(p[PREVIEW]) + 1
+    length = int(p[PREVIEW]) + 1 + int(p[PAST])
     n = int(p[ORDER])
-    matrix = WEIGHTS + length
+    drive = WEIGHTS + length
+    drives = int(p[DRIVES])
+    matrix = drive + drives
     inputs = matrix + n * n
     outputs = inputs + n
     rest = outputs + n
@@ -55,10 +59,16 @@ def feedforward(p, x, reference):
     if oldest == length:
         oldest = 0
     x[NEXT] = float(oldest)
-    place = oldest + int(p[DEGREE])
+    place = oldest + int(p[FIRST])
     if place >= length:
         place -= length
-    ahead = x[RING + place]
+    ahead = p[drive] * x[RING + place]
+    driving = place
+    for i in range(1, drives):
+        driving += 1
+        if driving == length:
+            driving = 0
+        ahead += p[drive + i] * x[RING + driving]
     command = 0.0
     for i in range(int(p[TAPS])):
         command += p[WEIGHTS + i] * x[RING + place]
@@ -67,7 +77,10 @@ def feedforward(p, x, reference):
             place = 0
     x[COMMAND] = accumulate(command, p, outputs, x, state, n)
     advance(p, matrix, inputs, x, state, n, ahead)
-    return x[RING + oldest]
+    present = oldest + int(p[PAST])
+    if present >= length:
+        present -= length
+    return x[RING + present]
 
 
 @dataclass(frozen=True)
@@ -112,18 +125,19 @@ class Feedforward(Block):
     kernel = staticmethod(feedforward)
 
     def pack(self, parameters) -> np.ndarray:
-        """Return the parameter array, shape (4 + N + 1 + n² + 3 n,)."""
+        """Return the parameter array."""
         given = parameters.feedforward
         parameters.model.dynamics.require_sample_time(self.sample_time, "model.dynamics.sample_time")
         chosen = _filter(given, parameters.model.dynamics)
-        taps = np.zeros(given.preview + 1)
+        past = max(-chosen.first, 0)
+        taps = np.zeros(given.preview + 1 + past)
         taps[: len(chosen.weights)] = chosen.weights
-        head = [given.preview, len(chosen.B), chosen.degree, len(chosen.weights)]
-        return np.concatenate([head, taps, chosen.A.ravel(), chosen.B, chosen.C, chosen.rest])
+        head = [given.preview, len(chosen.B), chosen.first + past, len(chosen.weights), past, len(chosen.drive)]
+        return np.concatenate([head, taps, chosen.drive, chosen.A.ravel(), chosen.B, chosen.C, chosen.rest])
 
     def initial_state(self) -> np.ndarray:
         """Return the state before the first sample."""
-        return np.zeros(RING + int(self.p[PREVIEW]) + 1 + 2 * int(self.p[ORDER]))
+        return np.zeros(RING + _ring_length(self.p) + 2 * int(self.p[ORDER]))
 
     @property
     def command(self) -> float:
@@ -154,11 +168,15 @@ class Feedforward(Block):
             )
         self.parameters = parameters
         # what rests stays at rest under the new model too
-        length, order = int(packed[PREVIEW]) + 1, int(packed[ORDER])
-        ahead = self.x[RING + (int(self.x[NEXT]) + int(packed[DEGREE])) % length]
+        length, order = _ring_length(packed), int(packed[ORDER])
+        ahead = self.x[RING + (int(self.x[NEXT]) + int(packed[FIRST])) % length]
         rest = len(packed) - order
         self.x[RING + length : RING + length + order] += (packed[rest:] - self.p[rest:]) * ahead
         self.p[:] = packed
+
+
+def _ring_length(p) -> int:
+    return int(p[PREVIEW]) + 1 + int(p[PAST])
 
 
 def _filter(given: FeedforwardParameters, dynamics) -> InverseFilter:
@@ -166,4 +184,4 @@ def _filter(given: FeedforwardParameters, dynamics) -> InverseFilter:
         return inverse_filter(dynamics, given.preview)
     nothing = np.zeros(0)
     weights = np.ones(1) if given.type == "static" else nothing
-    return InverseFilter(0, weights, np.zeros((0, 0)), nothing, nothing, nothing, nothing, 0.0)
+    return InverseFilter(0, weights, np.ones(1), np.zeros((0, 0)), nothing, nothing, nothing, nothing, 0.0)

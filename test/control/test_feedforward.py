@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -61,12 +63,12 @@ def followed(dynamics, preview, reference, kind="inverse_dynamics"):
 
 def commands_of(found, reference):
     """Return the commands u(0) … u(K-1) [m] of an inverse filter from rest, for a reference that stays at its last."""
-    last = found.degree + max(len(found.weights), 1) - 1
+    last = found.first + max(len(found.weights), 1) - 1
     ahead = np.concatenate([reference, np.full(last, reference[-1])])
     state, commands = found.rest * reference[0], np.empty(len(reference))
     for k in range(len(reference)):
-        commands[k] = found.weights @ ahead[k + found.degree : k + last + 1] + found.C @ state
-        state = found.A @ state + found.B * ahead[k + found.degree]
+        commands[k] = found.weights @ ahead[k + found.first : k + last + 1] + found.C @ state
+        state = found.A @ state + found.B * ahead[k + found.first]
     return commands
 
 
@@ -211,6 +213,28 @@ def models(draw):
     mix = np.eye(len(A)) + 0.3 * np.tri(len(A), k=-1)
     A, B, C = mix @ A @ np.linalg.inv(mix), mix @ B, C @ np.linalg.inv(mix) / gain
     return LinearParameters(A=tuple(A.ravel()), B=tuple(B.ravel()), C=tuple(C.ravel()), output_scale=1e-6)
+
+
+@pytest.mark.parametrize("samples", [2.0, 0.25, 1.5, 0.9])
+@pytest.mark.parametrize("dynamics", [LAG, LinearParameters()], ids=["lag", "nothing"])
+def test_a_delay_is_taken_back_also_by_parts_of_a_sample(dynamics, samples):
+    """Whole samples exactly; of a part f the amplitude misses (4 f (1 - f) sin²(ω/2))⁴, and no phase."""
+    late, part = replace(dynamics, sample_time=1e-3, delay=samples * 1e-3), samples % 1.0
+    preview = sufficient_preview(late)
+    assert preview == relative_degree(late) + (4 if part else 0) == 1 + int(samples) + (4 if part else 0)
+    for cycles in (1.0 / 20.0, 1.0 / 6.0):
+        reference = 1e-5 * np.sin(2.0 * np.pi * cycles * np.arange(400))
+        delayed, outputs = followed(late, preview, reference)
+        missed = (4.0 * part * (1.0 - part) * np.sin(np.pi * cycles) ** 2) ** 4
+        assert outputs[200:] == pytest.approx((1.0 - missed) * delayed[200:], abs=1e-8 * 1e-5)
+    with pytest.raises(ParameterError, match=f"must be at least {preview}"):
+        inverse_filter(late, preview - 1)
+
+
+def test_a_reference_at_rest_is_held_under_half_a_sample_of_delay():
+    late = replace(LAG, sample_time=1e-3, delay=0.5e-3)
+    delayed, outputs = followed(late, sufficient_preview(late), np.full(30, 2e-6))
+    assert delayed == pytest.approx(np.full(30, 2e-6)) and outputs == pytest.approx(np.full(30, 2e-6), rel=1e-9)
 
 
 @settings(max_examples=40, deadline=None)

@@ -80,17 +80,17 @@ def test_inverse_dynamics_with_preview_are_the_same_in_the_nodes(processes, tmp_
     from hysteresis_ros.simulation.run import differences
 
     axis = shortened(real_axis(), 300)
-    ahead = replace(axis.motion_controller.feedforward, type="inverse_dynamics", preview=3)
+    ahead = replace(axis.motion_controller.feedforward, type="inverse_dynamics", preview=8)
     axis = replace(axis, motion_controller=replace(axis.motion_controller, type="open_loop", feedforward=ahead))
     path = write_axis(tmp_path / "axis.yaml", axis)
     run = processes.command("up", path, "--composed", "--record", str(tmp_path / "bag"), "--verify")
     assert run.wait() == 0, run.output
     assert "300 samples equal the offline twin bit for bit" in run.output
-    assert "warning: motion_controller: feedforward.preview = 3" in run.output
+    assert "warning: motion_controller: feedforward.preview = 8" in run.output
     recorded = load_run(tmp_path / "bag")
     assert differences(recorded, axis) == {}
     # the commands are those of the inverse: neither the received nor the delayed reference
-    delayed = np.concatenate([np.full(3, recorded["reference"][0]), recorded["reference"][:-3]])
+    delayed = np.concatenate([np.full(8, recorded["reference"][0]), recorded["reference"][:-8]])
     assert np.max(np.abs(recorded["command"] - delayed)) > 1e-8
     assert np.max(np.abs(recorded["command"] - recorded["reference"])) > 1e-8
 
