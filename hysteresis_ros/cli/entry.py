@@ -12,11 +12,16 @@ from hysteresis_ros.cli.interrupt import INTERRUPTED, WORDS
 
 #: Seconds after which an interrupt that was lost is repeated.
 AGAIN = 0.05
+#: Linear algebra takes one thread, unless these say otherwise: its tables are narrow, and threads that wait for each
+#: other on a busy machine made an identification three times as long.
+ONE_THREAD = ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS")
 
 
 def main() -> None:
     """Run the command; it ends in :class:`SystemExit`."""
     dropped: list[type] = []
+    for name in ONE_THREAD:  # before anybody imports NumPy
+        os.environ.setdefault(name, "1")
 
     def repeat_interrupt(unraisable: Any) -> None:
         """Repeat an interrupt that came where Python cannot raise (a callback, a finalizer): it would be lost."""

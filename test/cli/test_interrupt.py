@@ -12,6 +12,8 @@ import sys
 import pytest
 from waiting import until
 
+from hysteresis_ros.cli import entry
+
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 
 #: What the executable runs; it says so and waits where it is about to import the module that the first word names.
@@ -123,9 +125,10 @@ def test_ctrl_c_while_a_command_works(tmp_path, words):
     process = start("-m", "hysteresis_ros.cli.entry", *[word.format(tmp_path, pipe=pipe) for word in words])
     end = opened_for_writing(pipe, process)
     try:
-        assert interrupted(process) == (130, "hysteresis: interrupted\n")
+        code, said = interrupted(process)
     finally:
         os.close(end)
+    assert code == 130 and said.splitlines()[-1] == "hysteresis: interrupted" and "Traceback" not in said
     assert list(tmp_path.iterdir()) == [pipe], "nothing half-made is left"
 
 
@@ -147,3 +150,14 @@ def test_ctrl_c_where_python_cannot_raise_is_not_lost(afterwards):
     process = start("-c", WAITING_IN_A_FINALIZER, afterwards)
     assert process.stdout.readline() == "there\n"
     assert interrupted(process) == (130, "hysteresis: interrupted\n")
+
+
+@pytest.mark.parametrize("asked", [None, "2"])
+def test_linear_algebra_has_one_thread_unless_somebody_says_otherwise(asked):
+    code = "import os, sys; from hysteresis_ros.cli import entry; print('numpy' in sys.modules)\n"
+    code += "sys.argv[1:] = ['--help']\ntry: entry.main()\nexcept SystemExit: print(os.environ['OPENBLAS_NUM_THREADS'])"
+    environment = {name: value for name, value in os.environ.items() if name not in entry.ONE_THREAD}
+    environment |= {} if asked is None else {"OPENBLAS_NUM_THREADS": asked}
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment, check=True)
+    first, *_, last = done.stdout.splitlines()
+    assert (first, last) == ("False", asked or "1")
