@@ -50,7 +50,7 @@ def data_options(command):
     return command
 
 
-def read(path, *, input_, output_, time, sample_time, namespace, range_, resample, negate, all_samples):
+def read(path, *, input_, output_, time, sample_time, namespace, range_, resample, negate, all_samples, whole=False):
     """Return the checked data of a command; say on stderr how far it is, what was guessed and what was done.
 
     Raises
@@ -70,6 +70,7 @@ def read(path, *, input_, output_, time, sample_time, namespace, range_, resampl
         resample=None if resample is None else _seconds(resample),
         negate=negate,
         all_samples=all_samples,
+        whole=whole,
     )
     state = [""]
 

@@ -24,7 +24,7 @@ def validate(params, data, report_path, no_inverse, skip, offset, intersample, i
     from hysteresis_ros.identification import workflow
 
     namespace = columns["namespace"] or ""
-    reading = read(data, **columns)
+    reading = read(data, whole=True, **columns)
     conditions = dict(skip=skip, offset=offset, intersample=intersample, initial=initial)
     found = workflow.validate(params, reading, namespace=namespace, inverse=not no_inverse, **conditions)
     summary = {**found.figures, "warnings": list(found.warnings)}

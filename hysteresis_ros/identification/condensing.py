@@ -17,31 +17,33 @@ from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.recordings.loops import turning_points
 from hysteresis_ros.recordings.units import readable
 
-#: Recordings of more samples than this are condensed, and none has more afterwards …
+#: Recordings of more samples than this are condensed, and have no more afterwards but for sweeps …
 MOST_SAMPLES = 100_000
 #: … nor fewer than these, where its signals would allow it.
 ENOUGH_SAMPLES = 6000
-#: Full strokes, to and fro counted one by one, that are enough for a fit, and for one of many different loops.
-STROKES = (40.0, 100.0)
+#: Full strokes, to and fro counted one by one, and samples that are tried one after the other until they show as much
+#: as all: enough for a fit, for one of many different loops, and for sweeps, of which every part says something else.
+STRETCHES = ((40.0, MOST_SAMPLES), (100.0, MOST_SAMPLES), (math.inf, 4 * MOST_SAMPLES))
 #: A stretch that shows this part of the loops that another shows is as good.
 AS_GOOD = 0.9
-#: Stretches among which is chosen.
-STRETCHES = 20
+#: Beginnings of a stretch among which is chosen.
+TRIED = 20
 #: Levels at which turning points count as different.
 LEVELS = 20
 #: What is lost above the new band must be below this part of the signal …
 LOST = 3e-4
 #: … and the new rate so many times the highest frequency that is kept.
 OVERSAMPLING = 8.0
-#: Samples over which turning points are looked for, and of a segment of the spectrum; how many segments at least.
+#: Samples over which turning points are looked for, and of a segment of the spectrum; fewest and most segments.
 OVERVIEW = 500_000
 SEGMENT = 1 << 14
 SEGMENTS = 24
+MOST_SEGMENTS = 256
 #: Power above this many noise floors is signal.
 ABOVE_FLOOR = 3.0
 
 
-def condense(data: IdentificationData) -> IdentificationData:
+def condense(data: IdentificationData, whole: bool = False) -> IdentificationData:
     """Return a stretch of long data, with neighbouring samples averaged, and a note about both; short data as it is.
 
     Each sample stands for the middle of those that were averaged; :attr:`IdentificationData.factor` says how many.
@@ -50,24 +52,26 @@ def condense(data: IdentificationData) -> IdentificationData:
     ----------
     data : IdentificationData
         Uniform, without missing samples.
+    whole : bool
+        Average only: all of the data is to be judged.
     """
     if len(data) <= MOST_SAMPLES:
         return data
-    first, last, strokes = _telling_stretch(data.input, len(data))
-    highest = max(_highest_frequency(values[first:last], data.sample_time) for values in (data.input, data.output))
-    allowed = max(1, int(1.0 / (OVERSAMPLING * highest * data.sample_time))) if highest > 0.0 else last - first
+    size, rate = len(data), 1.0 / data.sample_time
+    highest = max(_highest_frequency(values, data.sample_time) for values in (data.input, data.output))
+    allowed = max(1, int(rate / (OVERSAMPLING * highest))) if highest > 0.0 else size
+    first, last, strokes = (0, size, 0.0) if whole else _telling_stretch(data.input, allowed)
     factor = min(allowed, max(1, (last - first) // ENOUGH_SAMPLES))
-    if (last - first) // factor > MOST_SAMPLES:
-        first, last, strokes = _telling_stretch(data.input, MOST_SAMPLES * factor)
-    whole, rate = len(data), 1.0 / data.sample_time
     count = (last - first) // factor
     last = first + count * factor
+    if (count, factor) == (size, 1):
+        return data
     columns = {
         name: getattr(data, name)[first:last].reshape(count, factor).mean(axis=1)
         for name in ("time", "input", "output")
     }
-    words = [f"{whole} samples condensed to {count}"]
-    if last - first < whole - factor:
+    words = [f"{size} samples condensed to {count}"]
+    if last - first < size - factor:
         begin, end = data.time[first] - data.time[0], data.time[last - 1] - data.time[0]
         words.append(f"the stretch from {begin:.4g} to {end:.4g} s shows the loops ({strokes:.0f} full strokes in all)")
     if factor > 1:
@@ -77,17 +81,19 @@ def condense(data: IdentificationData) -> IdentificationData:
     return replace(data, **columns, first=data.first + first, factor=factor, notes=(*data.notes, note))
 
 
-def _telling_stretch(voltage, longest: int):
-    """Return first and last sample of the stretch of so many that shows most, and the strokes of all."""
+def _telling_stretch(voltage, averaged: int):
+    """Return first and last sample of the stretch that shows most, of which so many become one, and all strokes."""
     block = math.ceil(voltage.size / OVERVIEW)
     coarse = voltage[: voltage.size // block * block].reshape(-1, block).mean(axis=1)
     turns = turning_points(coarse)
     span = np.ptp(coarse)
     strokes = np.append(0.0, np.cumsum(np.abs(np.diff(coarse[turns])))) / span
     levels = np.rint((coarse[turns] - coarse.min()) / span * LEVELS).astype(int)
-    everything = _shown(levels)
+    speeds = np.rint(2.0 * np.log2(np.maximum(np.diff(turns), 1))).astype(int)
+    everything = _shown(levels, speeds)
     start, end = 0, len(turns) - 1
-    for most in STROKES:
+    for most, samples in STRETCHES:
+        longest = samples * averaged
         if strokes[-1] <= most and voltage.size <= longest:
             return 0, voltage.size, strokes[-1]
         latest = max(
@@ -95,7 +101,7 @@ def _telling_stretch(voltage, longest: int):
             int(np.searchsorted(turns, max(coarse.size - longest // block, 0))),
         )
         found = []
-        for first in np.unique(np.linspace(0, latest, STRETCHES).astype(int)):
+        for first in np.unique(np.linspace(0, latest, TRIED).astype(int)):
             last = (
                 min(
                     int(np.searchsorted(strokes, strokes[first] + most, side="right")),
@@ -103,7 +109,7 @@ def _telling_stretch(voltage, longest: int):
                 )
                 - 1
             )
-            found.append((_shown(levels[first : last + 1]), first, last))
+            found.append((_shown(levels[first : last + 1], speeds[first:last]), first, last))
         best = max(found)[0]
         # of those that show about as much the earliest: it is nearest to rest, and shows how creep begins
         shown, start, end = next(item for item in found if item[0] >= AS_GOOD * best)
@@ -114,19 +120,20 @@ def _telling_stretch(voltage, longest: int):
     return begin, min((int(turns[end]) + 1) * block if end > start else voltage.size, begin + longest), strokes[-1]
 
 
-def _shown(levels) -> float:
-    """Return how much turning points at these levels show: different loops, and most of all those to both ends."""
-    pairs = {*zip(levels[:-1].tolist(), levels[1:].tolist(), strict=True)}
-    reach = np.ptp(levels) / LEVELS
-    return reach**4 * len(pairs)
+def _shown(levels, speeds) -> float:
+    """Return how much turning points at these levels show: different loops and speeds, most of all to both ends."""
+    loops = {*zip(levels[:-1].tolist(), levels[1:].tolist(), speeds.tolist(), strict=True)}
+    reach = np.ptp(levels) / LEVELS if levels.size else 0.0
+    return reach**4 * len(loops)
 
 
 def _highest_frequency(values, sample_time: float) -> float:
     """Return the frequency [Hz] above which there is nothing but noise; 0 where all is."""
     size = min(SEGMENT, values.size // SEGMENTS)
-    # more than this tells nothing new about the band
-    values = values[: 256 * size]
-    frequencies, power = scipy.signal.welch(values, 1.0 / sample_time, nperseg=size, detrend="linear")
+    # segments from all over: more of them tell nothing new about the band
+    starts = np.linspace(0, values.size - size, min(MOST_SEGMENTS, values.size // size)).astype(int)
+    values = np.concatenate([values[start : start + size] for start in starts])
+    frequencies, power = scipy.signal.welch(values, 1.0 / sample_time, nperseg=size, noverlap=0, detrend="linear")
     floor = float(np.quantile(power, 0.1))
     signal = np.where(power > ABOVE_FLOOR * floor, power, 0.0)
     above = np.cumsum(signal[::-1])[::-1] * frequencies[1]

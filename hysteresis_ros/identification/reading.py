@@ -54,6 +54,8 @@ class Columns:
     all_samples : bool
         Take every sample; by default long data is condensed to what carries information
         (:func:`~hysteresis_ros.identification.condensing.condense`).
+    whole : bool
+        Of long data leave no stretch out: neighbours are averaged only. What is to be judged is judged whole.
     """
 
     input: str | None = None
@@ -65,6 +67,7 @@ class Columns:
     resample: float | str | None = None
     negate: bool = False
     all_samples: bool = False
+    whole: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,10 +126,10 @@ def read_data(source, columns: Columns | None = None, progress=None) -> Reading:
         data = resample(data, None if columns.resample == "auto" else columns.resample)
     if columns.negate:
         data = replace(data, output=-data.output, notes=(*data.notes, "output counted in the other direction"))
-    return Reading(*(data.checked() if columns.all_samples else _condensed(data)), guessed)
+    return Reading(*(data.checked() if columns.all_samples else _condensed(data, columns.whole)), guessed)
 
 
-def _condensed(data: IdentificationData) -> tuple[IdentificationData, DataReport]:
+def _condensed(data: IdentificationData, whole: bool) -> tuple[IdentificationData, DataReport]:
     """Return checked data without the samples that say nothing new, and the report of all."""
     data = data.trimmed()
     if len(data) <= MOST_SAMPLES:
@@ -134,7 +137,7 @@ def _condensed(data: IdentificationData) -> tuple[IdentificationData, DataReport
     units = data.input_unit, data.output_unit
     report = check_samples(data.time, data.input, data.output, units)
     report.raise_errors()
-    data = condense(data)
+    data = condense(data, whole)
     return data, check_behaviour(report, data.time, data.input, data.output, units).warned(data.warnings)
 
 

@@ -26,7 +26,7 @@ from hysteresis_ros.identification.parameter_file import (
 )
 from hysteresis_ros.identification.prediction import at_rate, judge, predict
 from hysteresis_ros.identification.procedures import automatic_skip
-from hysteresis_ros.identification.reading import read_data
+from hysteresis_ros.identification.reading import Columns, read_data
 from hysteresis_ros.identification.validation import Validation
 from hysteresis_ros.parameters import Parameters
 
@@ -271,7 +271,7 @@ def validate(
     """
     given = _checked(conditions)
     plant, section = load_chain(parameters, namespace)
-    reading = read_data(source)
+    reading = read_data(source, Columns(whole=True))
     data = reading.data
     if plant.rate_independent:
         plant = at_rate(plant, data.sample_time)

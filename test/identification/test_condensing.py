@@ -54,12 +54,21 @@ def test_a_resonance_keeps_its_samples():
 
 
 def test_the_stretch_that_reaches_both_ends_is_taken():
-    voltage = np.where(TIME < 60.0, sine(2.0, 1.0, 2.0), np.where(TIME < 110.0, sine(), sine(2.0, 0.0, 3.0)))
+    voltage = np.where(TIME < 60.0, sine(2.0, 1.0, 2.0), sine())
     data = condense(recording(voltage))
     assert data.first > 0 and np.ptp(data.input) == pytest.approx(3.6, rel=2e-3)
     assert "the stretch from" in data.notes[-1]
     growing = condense(recording(sine() * np.minimum(TIME / TIME[-1], 1.0)))
     assert np.ptp(growing.input) > 0.95 * 3.6
+
+
+def test_a_sweep_is_taken_whole_and_so_is_what_is_judged():
+    """Every part of a sweep shows another frequency: no stretch of it stands for the rest."""
+    sweep = 1.8 + 1.8 * scipy.signal.chirp(TIME, 1.0, TIME[-1], 40.0)
+    data = condense(recording(sweep))
+    assert len(data) * data.factor > 0.99 * SIZE
+    judged = condense(recording(sine()), whole=True)
+    assert len(judged) * judged.factor > 0.99 * SIZE and judged.factor > 1
 
 
 def test_what_is_found_is_what_all_samples_say_at_the_recorded_rate(tmp_path):
