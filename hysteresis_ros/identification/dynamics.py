@@ -21,12 +21,16 @@ from hysteresis_ros.identification.modal_choice import PAIR, choose_dynamics
 from hysteresis_ros.identification.segment_spectra import segment_spectra
 from hysteresis_ros.models.creep import Creep
 from hysteresis_ros.models.hysteresis import hysteresis_block
+from hysteresis_ros.recordings.loops import turning_points
 
 #: A recording that cannot be made coarser than to so many samples is a fast one.
 FAST_SAMPLES = 12000
 #: Samples on which creep is searched, and on which weights are settled, in fast recordings.
 SEARCHED, SETTLED = 40000, 120000
 TURNS = 2
+#: Up to this harmonic of the drive loops have a shape of their own; a resonance there needs this part of the voltage's
+#: power within this part of its frequency.
+HARMONICS, LEAST_POWER, BAND = 10, 1e-3, 0.1
 #: Dynamics found later are taken when they lower the RMS residual by this part.
 WORTH_IT = 0.03
 
@@ -96,7 +100,24 @@ class TurnSearch:
     def choose(self, moved, late: int = 0) -> LinearPart:
         """Choose the dynamics between a movement before them, shape (N,), and the measured one."""
         spectra = segment_spectra(moved, self.displacement, self.sample_time, self.first, late)
-        return choose_dynamics(spectra, tuple(part for part in PAIR if part in self.parts)).part
+        parts = tuple(part for part in PAIR if part in self.parts)
+        found = choose_dynamics(spectra, parts).part
+        if all(self.excited(mode.frequency) for mode in found.modes):
+            return found
+        return choose_dynamics(spectra, parts, most_modes=0).part
+
+    def excited(self, frequency: float) -> bool:
+        """Return whether a resonance there can be told from the shape of the loops.
+
+        Among the first harmonics of the drive the hysteresis moves by itself: the voltage has to have power there.
+        """
+        v = self.voltage[self.first :]
+        cycles = 0.5 * max(len(turning_points(v)) - 1, 1)
+        if frequency > HARMONICS * cycles / (len(v) * self.sample_time):
+            return True
+        power = np.abs(np.fft.rfft((v - v.mean()) * np.hanning(len(v)))) ** 2
+        near = np.abs(np.fft.rfftfreq(len(v), self.sample_time) / frequency - 1.0) < BAND
+        return float(power[near].sum()) > LEAST_POWER * float(power.sum())
 
     def settled(self, fit: HammersteinFit, only_with_modes: bool = False) -> list[HammersteinFit]:
         """Choose the dynamics anew behind the hysteresis, and fit it again in front of them, in turns."""

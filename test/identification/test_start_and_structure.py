@@ -10,6 +10,7 @@ from hysteresis_ros.identification import auto
 from hysteresis_ros.identification.ambiguity import find_ambiguity
 from hysteresis_ros.identification.condensed import condense, wiped_out
 from hysteresis_ros.identification.data import IdentificationData
+from hysteresis_ros.identification.dynamics import TurnSearch
 from hysteresis_ros.identification.hammerstein import simulate_chain
 from hysteresis_ros.identification.linear_part import LinearPart
 from hysteresis_ros.identification.prandtl_ishlinskii import fit_prandtl_ishlinskii
@@ -213,3 +214,10 @@ def test_the_doubt_of_small_loops_is_a_ratio_of_gains():
     condensed = condense(loops(100.0), hysteresis_block(stack(), T).simulate(loops(100.0)), T, 100)
     one, other = (find_ambiguity(condensed, LinearPart(), stack().scaled(k), True).gain[1] for k in (0.5, 0.25))
     assert other == pytest.approx(2.0 * one, rel=1e-9) and one == pytest.approx(2.0, rel=0.02)
+
+
+def test_a_resonance_among_the_harmonics_of_a_sine_is_the_shape_of_the_loops():
+    multisine = np.sum([np.sin(2.0 * np.pi * f * TIME + f**2) for f in np.arange(0.25, 10.0, 0.25)], axis=0)
+    sine, rich = (TurnSearch(None, v, v, T, ("lag", "modes"), 0) for v in (loops(100.0), multisine))
+    assert not sine.excited(4.2) and sine.excited(40.0)
+    assert rich.excited(4.2)
