@@ -18,6 +18,7 @@ from hysteresis_ros.errors import ConfigurationError
 from hysteresis_ros.loop.axis import Axis
 from hysteresis_ros.loop.node_parameters import part
 from hysteresis_ros.simulation.axes import single_axis
+from hysteresis_ros.simulation.reach import reachable_displacements
 from hysteresis_ros.simulation.run import simulate
 from hysteresis_ros.simulation.tuning import believed_axis, criterion_of, tune
 
@@ -238,3 +239,15 @@ def test_plants_and_noise_that_make_no_sense_are_refused_in_one_line(tmp_path, o
     result = run(PICMA, "--controller", "pid", *options, "-o", tmp_path / "f.yaml")
     assert result.exit_code == 2 and text in result.output, result.output
     assert not (tmp_path / "f.yaml").exists()
+
+
+def test_a_noisy_sensor_makes_a_calmer_design(tmp_path):
+    """0.2 % of the stroke may be noise of the command; a nanometre of it decides nothing."""
+    reached = {}
+    for noise in (1e-9, 1e-7):
+        result = run(PICMA, "--controller", "pid", "--noise", noise, "-o", tmp_path / "f.yaml")
+        rows = {line[:24].strip(): line[24:].strip() for line in result.output.splitlines()}
+        reached[noise] = float(rows["noise in command"].split()[0])
+    low, high = reachable_displacements(picma())
+    stroke = high - low
+    assert reached[1e-7] == pytest.approx(2e-3 * stroke / 1e-7, rel=0.06) and reached[1e-9] > 1.5 * reached[1e-7]
