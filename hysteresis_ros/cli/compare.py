@@ -21,6 +21,7 @@ SILENCE = 10.0
 @click.option("--draws", default=20, show_default=True, help="Plants drawn around the configured one; 0: none.")
 @click.option("--others", default=4, show_default=True, help="Plants of other classes than the model; 0: none.")
 @click.option("--seed", default=1, show_default=True, help="Seed of the first plant.")
+@click.option("--robust", is_flag=True, help="Sliding modes for the worst of plants around the model.")
 @click.option("--sine", default=1.0, show_default=True, help="Frequency of the sine over 90 % of the stroke [Hz].")
 @click.option("--triangle", default=10.0, show_default=True, help="Frequency of the triangle over 20 % of it [Hz].")
 @click.option("--namespace", help="Which axis of the configuration, when it describes several.")

@@ -36,6 +36,9 @@ class Conditions:
         Number of plants of other classes.
     seed : int
         Seed of the first plant; the others follow.
+    robust : bool
+        Whether sliding modes are designed for the worst of plants as far from the model as the mismatch, and a sample
+        later.
     sine_frequency, triangle_frequency : float
         Frequencies of the two references [Hz].
     sine_stroke, triangle_stroke : float
@@ -53,6 +56,7 @@ class Conditions:
     draws: int = 20
     others: int = 4
     seed: int = 1
+    robust: bool = False
     sine_frequency: float = 1.0
     triangle_frequency: float = 10.0
     sine_stroke: float = 0.9

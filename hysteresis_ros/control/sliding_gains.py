@@ -13,9 +13,10 @@ import numpy as np
 from hysteresis_ros.control import design
 from hysteresis_ros.control.law import UNFED, DesignTask
 from hysteresis_ros.control.linearisation import linear_loop
-from hysteresis_ros.control.margins import FASTEST, judge
+from hysteresis_ros.control.margins import FASTEST, REQUIRED, judge
 from hysteresis_ros.control.sliding_design import design_sliding_mode
 from hysteresis_ros.control.sliding_search import FASTEST_FILTER, SLOWEST_FILTER, GainSearch, solved, wandering
+from hysteresis_ros.control.uncertainty import PossiblePlant, Uncertainty, drawn_plants
 from hysteresis_ros.linear_algebra import eigenvalues, product
 
 #: Input weight of the LQ problem as a part of the squared DC gain.
@@ -178,7 +179,8 @@ def reaching_rows(parameters, sample_time: float):
 def compared_gains(given, changes: dict, place: Callable[[Any, float], Any] | None = None) -> dict:
     """Return what differs from the configuration in a comparison: hyperplane, law and filter that keep the margins.
 
-    The filter is never faster than noise and mismatch, as they are known, make it.
+    The filter is never faster than noise and mismatch, as they are known, make it. A robust comparison has the margins
+    kept on the corners of the mismatch, with and without a sample of delay more.
 
     Parameters
     ----------
@@ -192,15 +194,21 @@ def compared_gains(given, changes: dict, place: Callable[[Any, float], Any] | No
     surface = replace(_lq_surface(node.sliding_mode, node.model.dynamics), eta=0.0, beta=0.0, delta=1.0)
     law = replace(node, sliding_mode=surface).to_mapping()
     parameters = type(node).from_mapping({**law, **UNFED, **changes})
-    found = _compared(parameters, 1.0 / node.sample_rate, place)
+    size = given.conditions.mismatch
+    around = Uncertainty(size, size, size, draws=0) if given.conditions.robust else None
+    found = _compared(parameters, 1.0 / node.sample_rate, place, around)
     groups = ("sliding_mode.", "kalman.")
     return {**changes, **{name: value for name, value in found.to_mapping().items() if name.startswith(groups)}}
 
 
 @lru_cache(maxsize=64)
-def _compared(parameters, sample_time: float, place):
-    """Search only once for what several compensators are compared with."""
-    task = DesignTask(parameters, sample_time, None, None, lambda one: linear_loop(one, sample_time), FASTEST)
+def _compared(parameters, sample_time: float, place, around: Uncertainty | None):
+    """Search only once for what several compensators are compared with; around the model if that is asked."""
+    aimed = FASTEST
+    plants: tuple[PossiblePlant, ...] = ()
+    if around is not None:
+        aimed, plants = REQUIRED, drawn_plants(parameters.model.dynamics, sample_time, around)
+    task = DesignTask(parameters, sample_time, None, None, lambda one: linear_loop(one, sample_time), aimed, plants)
     search = GainSearch(parameters, sample_time, task.judge, place, task.aimed)
     return search.at(*search.best((SLOWEST_FILTER, 0.0)))
 

@@ -1,0 +1,24 @@
+"""A robust comparison designs its sliding modes for the corners of the mismatch, a sample later too."""
+
+from __future__ import annotations
+
+from hysteresis_ros.comparison.candidates import candidates
+from hysteresis_ros.comparison.compare import trial_around
+from hysteresis_ros.comparison.tasks import Conditions
+from hysteresis_ros.configuration import load_configuration
+from hysteresis_ros.control.controller import ControllerParameters
+from hysteresis_ros.control.robust import robustness
+from hysteresis_ros.control.uncertainty import Uncertainty
+from hysteresis_ros.loop.node_parameters import part
+
+NAME = "offset-free + feedforward", "none"
+
+
+def test_robust_candidates_keep_their_margins_on_the_corners_and_others_do_not():
+    corners = Uncertainty(0.05, 0.05, 0.05, draws=0)
+    for robust in (False, True):
+        trial = trial_around(load_configuration("picma_stage"), Conditions(draws=1, others=0, robust=robust))
+        (found,) = candidates(trial.given, trial.conditions, trial.tasks, {NAME})
+        node = trial.given.designed(found).motion_controller
+        worth = robustness(part(node, ControllerParameters), 1.0 / node.sample_rate, corners)
+        assert not found.marked and (worth.misses() == ()) == robust
