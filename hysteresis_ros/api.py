@@ -30,6 +30,7 @@ from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.files import load_run, save_run
 from hysteresis_ros.simulation.axes import single_axis
 from hysteresis_ros.simulation.design import DesignRequest, design_axis, design_file, design_lines, doubts
+from hysteresis_ros.simulation.design_certainty import response_uncertainty
 from hysteresis_ros.simulation.reach import reach_warnings
 from hysteresis_ros.simulation.run import simulate as simulate_axis
 
@@ -465,7 +466,7 @@ def design(
     configuration = _configuration(config)
     axis = single_axis(configuration, namespace)
     request = DesignRequest(controller, bandwidth, q, criterion, duration, feedforward, preview, noise, robust)
-    found = design_axis(axis, request)
+    found = design_axis(axis, request, response_uncertainty(configuration))
     text = design_file(configuration, found, normalised_namespace(axis.namespace))
     return Design(found.parameters, found.margins, tuple(doubts(found)), tuple(design_lines(found)), text)
 

@@ -43,7 +43,7 @@ MAY_IMPORT = {
     "recordings": BASE | {"configuration"},
     "compensation": BASE | {"models"},
     "control": BASE | {"models"},
-    "identification": BASE | {"configuration", "models", "recordings", "compensation"},
+    "identification": BASE | {"configuration", "models", "recordings", "compensation", "control"},
     "hardware": BASE | {"models"},
     "loop": METHODS - {"identification"} | {"hardware"},
     "simulation": METHODS | {"loop"},

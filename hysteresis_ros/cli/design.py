@@ -52,12 +52,13 @@ def design(config, namespace, output, **options):
         design_lines,
         drawn_around,
     )
+    from hysteresis_ros.simulation.design_certainty import response_uncertainty
 
     configuration = load_configuration(config)
     ranges = {name: options.pop(option.replace("-", "_")) for name, option in OPTIONS.items()}
     request = DesignRequest(**options | {"robust": drawn_around(options["robust"], ranges)})
     axis = single_axis(configuration, namespace or None)
-    result = design_axis(axis, request)
+    result = design_axis(axis, request, response_uncertainty(configuration))
     write_file(output, design_file(configuration, result, normalised_namespace(axis.namespace)))
     for line in design_lines(result):
         click.echo(line)

@@ -14,6 +14,8 @@ from hysteresis_ros.cli.progress import Progress
 
 #: Exit code of a fit that did not converge: the best point was written.
 NOT_CONVERGED = 3
+#: Exit code of a model that may do for an inverse, but not for feedback: the recording shows what it misses.
+UNFIT = 4
 #: Figures that are shown first.
 FIRST = ("model", "linear", "rmse_m", "rmse_percent_of_stroke", "fit_percent", "inverse_rmse_v")
 #: Steps of a progress bar; a fit whose length nobody knows fills it ever more slowly.
@@ -101,7 +103,8 @@ def identify(
     """Identify a model from DATA (CSV, text, NPZ, MATLAB file or bag) and write it as ROS 2 parameter file.
 
     The file loads unchanged into plant, compensator and controller. Exit code 3: the fit did not converge, the best
-    point was written. 2: wrong input.
+    point was written. 4: the recording shows that the model is not fit for feedback as fast as it would allow by
+    itself; one line says at which frequency, and a design keeps below. 2: wrong input.
     """
     from hysteresis_ros.identification import workflow
     from hysteresis_ros.identification.registry import parse_options
@@ -123,3 +126,6 @@ def identify(
     if not found.converged:
         click.echo(f"hysteresis: the fit did not converge; {params} holds the best point", err=True)
         ctx.exit(NOT_CONVERGED)
+    if found.response is not None and not found.response.fit_for_feedback:
+        click.echo(f"hysteresis: {found.response.reason}", err=True)
+        ctx.exit(UNFIT)

@@ -26,13 +26,15 @@ from hysteresis_ros.recordings.loops import turning_points
 #: A recording that cannot be made coarser than to so many samples is a fast one.
 FAST_SAMPLES = 12000
 #: Samples on which creep is searched, and on which weights are settled, in fast recordings.
-SEARCHED, SETTLED = 40000, 120000
+SEARCHED, SETTLED = 8000, 24000
 TURNS = 2
 #: Up to this harmonic of the drive loops have a shape of their own; a resonance there needs this part of the voltage's
 #: power within this part of its frequency.
 HARMONICS, LEAST_POWER, BAND = 10, 1e-3, 0.1
 #: Dynamics found later are taken when they lower the RMS residual by this part.
 WORTH_IT = 0.03
+#: Damping below which a mode is a resonance, which no lag stands for.
+SHARP = 0.3
 
 
 def found_with(fit_function, voltage, displacement, sample_time: float, parts, skip: int | None = None):
@@ -56,6 +58,35 @@ def found_with(fit_function, voltage, displacement, sample_time: float, parts, s
     return fit_function(voltage, displacement, sample_time, linear=parts)
 
 
+def gain_and_dynamics(u, y, sample_time: float, parts, skip: int = 0) -> tuple[float, LinearPart, float]:
+    """Return gain, linear part and constant between two signals without hysteresis between them.
+
+    Parameters
+    ----------
+    u, y : ndarray, shape (N,)
+    sample_time : float
+        [s]
+    parts : tuple of str
+        Of ``lag`` and ``delay``, beside modes.
+    skip : int
+        First samples left out.
+
+    Raises
+    ------
+    IdentificationError
+        The gain is not above 0.
+    """
+    late, pair = 0, tuple(part for part in PAIR if part in parts)
+    for _ in range(TURNS):
+        found = choose_dynamics(segment_spectra(u, y, sample_time, skip, late), pair)
+        late = max(round(found.part.group_delay / sample_time), 0)
+    if not found.gain > 0.0:
+        raise IdentificationError(f"the gain is {found.gain:.3g} m/V; it must be above 0")
+    part = replace(found.part, settled=True)
+    constant = float(np.mean((y - found.gain * part.apply(u, sample_time))[skip:]))
+    return found.gain, part, constant
+
+
 class TurnSearch:
     """The search on one recording, see :func:`found_with`."""
 
@@ -73,7 +104,7 @@ class TurnSearch:
             found.append(together)
             # where no step is resolved, nothing faster is
             if not together.synchronous:
-                found += self.settled(together, only_with_modes=True)
+                found += self.settled(together, sharp=True)
         start = self.choose(self.voltage)
         if start.modes or not found:
             creep = tuple(part for part in self.parts if part == "creep")
@@ -119,13 +150,16 @@ class TurnSearch:
         near = np.abs(np.fft.rfftfreq(len(v), self.sample_time) / frequency - 1.0) < BAND
         return float(power[near].sum()) > LEAST_POWER * float(power.sum())
 
-    def settled(self, fit: HammersteinFit, only_with_modes: bool = False) -> list[HammersteinFit]:
-        """Choose the dynamics anew behind the hysteresis, and fit it again in front of them, in turns."""
+    def settled(self, fit: HammersteinFit, sharp: bool = False) -> list[HammersteinFit]:
+        """Choose the dynamics anew behind the hysteresis, and fit it again in front of them, in turns.
+
+        With ``sharp`` only where there is a resonance that the fit so far had no place for.
+        """
         found = []
         for _ in range(TURNS):
             late = max(round(fit.linear_part.group_delay / self.sample_time), 0)
             part = self.choose(output_of(fit, self.voltage), late)
-            if only_with_modes and not part.modes:
+            if sharp and not any(mode.damping < SHARP for mode in part.modes):
                 break
             before = fit.linear_part
             creep = dict(creep_rate=before.creep_rate, longest_time=before.longest_time, settled=before.settled)

@@ -16,7 +16,7 @@ from hysteresis_ros.identification.bouc_wen_static import default_guess, identif
 from hysteresis_ros.identification.condensed import condense
 from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.duhem import identify_duhem, identify_inverse_duhem
-from hysteresis_ros.identification.dynamics import found_with
+from hysteresis_ros.identification.dynamics import found_with, gain_and_dynamics
 from hysteresis_ros.identification.identified import Identification, PlantModel, grounded
 from hysteresis_ros.identification.linear_part import LinearPart
 from hysteresis_ros.identification.linear_stage import LinearStage, fit_stage
@@ -149,6 +149,12 @@ def proportional(data: IdentificationData, request: Request) -> Identification:
     """A gain, and dynamics behind it."""
     u, y = data.input, data.output
     skip = request.skip or 0
+    if "modes" in request.parts:
+        gain, part, constant = gain_and_dynamics(u, y, data.sample_time, request.parts, skip)
+        if part.modes or part.delay:
+            hysteresis = HysteresisParameters(type="proportional", proportional=ProportionalParameters(gain=gain))
+            chain = _chain(data, request, hysteresis, part, part.dynamics(data.sample_time), False, constant)
+            return _identified(chain, request, FittedHysteresis(hysteresis, 2), part)
     gain, constant = np.polyfit(u[skip:], y[skip:], 1)
     if not gain > 0.0:
         raise IdentificationError(f"the gain is {gain:.3g} m/V; it must be above 0")

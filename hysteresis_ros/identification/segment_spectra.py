@@ -80,6 +80,13 @@ class SegmentSpectra:
         """
         return self.smooth(self.errors(response).mean(axis=0))
 
+    def incoherent(self) -> np.ndarray:
+        """Return the mean |Y|² of a segment that no linear response to w explains, smooth over the frequency, (n,)."""
+        tiny = np.finfo(float).tiny
+        explained = np.abs(self.cross.sum(axis=0)) ** 2 / np.maximum(self.input.sum(axis=0), tiny)
+        left = np.maximum(self.output.sum(axis=0) - explained, 0.0)
+        return self.smooth(left) / max(self.segments - 1, 1)
+
     def smooth(self, values, octave: float = NOISE_OCTAVE) -> np.ndarray:
         """Return values, shape (n,), averaged over part of an octave to both sides, shape (n,).
 

@@ -27,6 +27,7 @@ from hysteresis_ros.identification.parameter_file import (
 from hysteresis_ros.identification.prediction import at_rate, judge, predict
 from hysteresis_ros.identification.procedures import automatic_skip
 from hysteresis_ros.identification.reading import Columns, read_data
+from hysteresis_ros.identification.response_check import ResponseCheck, check_response
 from hysteresis_ros.identification.validation import Validation
 from hysteresis_ros.parameters import Parameters
 
@@ -102,10 +103,13 @@ class Identified(Compared):
         The result with deviations, assumptions and, for searches, the path of the parameters.
     text : str
         The parameter file: a whole axis, as plant, compensator and controller load it.
+    response : ResponseCheck, optional
+        How well the recording knows the frequency response; None for a model with dynamics inside its hysteresis.
     """
 
     identification: Identification
     text: str
+    response: ResponseCheck | None = None
 
     @property
     def parameters(self) -> Parameters:
@@ -227,14 +231,17 @@ def identify(
     notes = [*reading.report.warnings, *result.warnings, *model_warnings(result), *judged]
     if back is None:
         notes.append(f"no inverse validation: {reason}")
+    checked = check_response(result.chain, data, skip)
+    notes += checked.warnings if checked else ()
     if not result.converged:
         notes.insert(0, NOT_CONVERGED)
     result = replace(result, chain=_at_recorded_rate(result.chain, data), warnings=tuple(dict.fromkeys(notes)))
-    text = file_text(result, identification_section(result, data, figures, skip))
+    text = file_text(result, identification_section(result, data, figures, skip, checked.entries if checked else None))
     named = {"model": model, "linear": result.linear, **figures, **result.numbers, "converged": result.converged}
+    named |= checked.figures if checked else {}
     named |= {"sensor_zero_m": result.chain.offset} | ({"start": result.start} if result.start else {})
     compared = Compared(data, result.chain, predicted + drift, found, back, finite(named), result.warnings)
-    return Identified(**vars(compared), identification=result, text=text)
+    return Identified(**vars(compared), identification=result, text=text, response=checked)
 
 
 def validate(

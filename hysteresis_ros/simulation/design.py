@@ -14,6 +14,7 @@ from hysteresis_ros.control.inversion import sufficient_preview
 from hysteresis_ros.control.linearisation import margins
 from hysteresis_ros.control.margins import AIMED, REQUIRED, Margins
 from hysteresis_ros.control.registry import DESIGNS, design_of
+from hysteresis_ros.control.response_uncertainty import ResponseUncertainty
 from hysteresis_ros.control.robust import Robustness, design_robust
 from hysteresis_ros.control.uncertainty import Uncertainty
 from hysteresis_ros.errors import ConfigurationError, ParameterError
@@ -21,6 +22,7 @@ from hysteresis_ros.loop.axis import Axis
 from hysteresis_ros.loop.axis_parameters import AxisParameters
 from hysteresis_ros.loop.node_parameters import part
 from hysteresis_ros.simulation.axes import single_axis
+from hysteresis_ros.simulation.design_certainty import certain_design
 from hysteresis_ros.simulation.design_file import design_text
 from hysteresis_ros.simulation.reach import reachable_displacements
 from hysteresis_ros.simulation.tuning import Tuned, tune
@@ -98,6 +100,8 @@ class AxisDesign:
         What the tuning did.
     robustness : Robustness, optional
         What the loop is worth on the plants of a robust design.
+    limited : ResponseUncertainty, optional
+        What the design was kept slower for.
     """
 
     request: DesignRequest
@@ -106,6 +110,7 @@ class AxisDesign:
     sample_time: float
     tuned: Tuned | None = None
     robustness: Robustness | None = None
+    limited: ResponseUncertainty | None = None
 
     def misses(self) -> tuple[str, ...]:
         """Return what the loop misses of what every design is held to, on the model or on a plant that was drawn."""
@@ -141,18 +146,23 @@ def drawn_around(robust: bool, ranges: dict) -> Uncertainty | None:
         raise ParameterError(named) from None
 
 
-def design_axis(axis: AxisParameters, request: DesignRequest) -> AxisDesign:
+def design_axis(
+    axis: AxisParameters, request: DesignRequest, response: ResponseUncertainty | None = None
+) -> AxisDesign:
     """Design the controller of an axis from the model in its own parameters.
 
     Parameters
     ----------
     axis : AxisParameters
     request : DesignRequest
+    response : ResponseUncertainty, optional
+        Of the model's response, see :func:`.response_uncertainty`: what was not asked for is slowed down until the loop
+        is stable for all plants within it.
 
     Raises
     ------
     ConfigurationError
-        There is no such controller, or requests exclude each other.
+        There is no such controller, requests exclude each other, or the model is not fit for what is asked.
     ParameterError
         No design follows from the model; names what keeps it.
     """
@@ -179,20 +189,29 @@ def design_axis(axis: AxisParameters, request: DesignRequest) -> AxisDesign:
     control = part(axis.motion_controller, ControllerParameters)
     control = replace(control, feedforward=_feedforward(control, request))
     quiet = _quiet(axis, request.noise)
+
+    def design(bandwidth, q):
+        aimed = replace(AIMED, command_noise_gain=quiet)
+        return design_gains(control, request.controller, sample_time, bandwidth, q, aimed=aimed)
+
     if request.robust is not None:
         aimed = replace(REQUIRED, command_noise_gain=quiet)
-        found, robust = design_robust(control, request.controller, sample_time, request.robust, request.q, aimed=aimed)
-        return AxisDesign(request, found.parameters, found.margins, sample_time, robustness=robust)
-    aimed = replace(AIMED, command_noise_gain=quiet)
-    found = design_gains(control, request.controller, sample_time, request.bandwidth, request.q, aimed=aimed)
+        first, robust = design_robust(control, request.controller, sample_time, request.robust, request.q, aimed=aimed)
+        found = certain_design(first, design, request, response, sample_time)
+        if found is first:
+            return AxisDesign(request, found.parameters, found.margins, sample_time, robustness=robust)
+        return AxisDesign(request, found.parameters, found.margins, sample_time, limited=response)
+    first = found = design(request.bandwidth, request.q)
     if not request.criterion:
-        return AxisDesign(request, found.parameters, found.margins, sample_time)
+        found = certain_design(first, design, request, response, sample_time)
+        limited = None if found is first else response
+        return AxisDesign(request, found.parameters, found.margins, sample_time, limited=limited)
     start = getattr(found.parameters, law.name)
     node = replace(axis.motion_controller, feedforward=control.feedforward, type=law.name, **{law.name: start})
     fed = replace(axis, motion_controller=node)
     tuned = tune(fed, law.name, request.criterion, start=start, duration=request.duration)
     final = replace(found.parameters, **{law.name: tuned.gains})
-    found = Designed(final, margins(final, sample_time))
+    found = certain_design(Designed(final, margins(final, sample_time)), design, request, response, sample_time)
     return AxisDesign(request, found.parameters, found.margins, sample_time, tuned)
 
 
@@ -339,6 +358,13 @@ def doubts(result: AxisDesign) -> list[str]:
         found.append(
             f"marked, a comparison does not rank it: {'; '.join(misses)}; little room for a wrong model or delay, "
             "ask for another bandwidth or q"
+        )
+    if result.limited is not None:
+        known = result.limited.known_to
+        why = f"nothing is known of the plant above {known:.3g} Hz" if np.isfinite(known) else "the identification says"
+        found.append(
+            f"slowed down to a bandwidth of {_hertz(result.margins.bandwidth)}: {why}, and this is stable even so; "
+            "a recording with content there (hysteresis excite --recipe multisine) may allow a faster one"
         )
     found += parameters.law.doubts(parameters, result.sample_time, result.tuned is not None)
     return found

@@ -81,5 +81,5 @@ MODEL = HysteresisModel(
     deviated=_deviated,
     inverses=("exact", "none"),
     identify="hysteresis_ros.identification.procedures:proportional",
-    parts=("lag",),
+    parts=("lag", "delay", "modes"),
 )

@@ -1,0 +1,141 @@
+"""How far the response of a plant may be from its model's at each frequency, and whether a loop bears that.
+
+A plant P (1 + Δ) with |Δ| ≤ l at each frequency keeps a loop stable as long as l |T| < 1, and then the distance of its
+loop transfer from −1 is at least |1 + L| − l |L|, whose inverse is the worst sensitivity [1]_.
+
+References
+----------
+.. [1] Skogestad & Postlethwaite, Multivariable Feedback Control, 2nd ed. 2005, section 7.5.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from hysteresis_ros.control.margins import REQUIRED, loop_transfer
+from hysteresis_ros.models.state_space import StateSpace
+
+#: What may stand, as a multiple of the model's response, where nothing is known: a resonance of 3 % damping. One nearer
+#: to what is known than this factor would show there, by half of the response.
+UNKNOWN, UNSEEN = 1.0 / (2.0 * 0.03), 1.0 / (1.0 - 1.0 / 1.5) ** 0.5
+#: Distance from −1 that a loop keeps whatever the plant is within its uncertainty.
+KEPT = 0.2
+#: Points of the grid, over so many decades below half the sample rate, and around each pole.
+POINTS, DECADES, AROUND = 500, 5.0, 41
+#: Steps in which the fastest loop is searched for, over the same decades.
+STEPS = 100
+
+
+class Borne(NamedTuple):
+    """How a loop bears an uncertainty.
+
+    Parameters
+    ----------
+    distance : float
+        Least distance of the loop transfer from −1 that is certain; not above 0: stability is not.
+    frequency : float
+        Where that is [Hz].
+    uncertainty : float
+        l there.
+    nominal : float
+        Least distance on the model itself, 1/M_s.
+    """
+
+    distance: float
+    frequency: float
+    uncertainty: float
+    nominal: float
+
+
+@dataclass(frozen=True, eq=False)
+class ResponseUncertainty:
+    """Largest relative error l of a model's frequency response.
+
+    Parameters
+    ----------
+    frequencies : ndarray, shape (n,)
+        [Hz], rising.
+    relative : ndarray, shape (n,)
+        l at each; below the first it is that of the first, above the last nothing is known.
+    known_to : float
+        Frequency [Hz] above which l is assumed.
+    """
+
+    frequencies: np.ndarray
+    relative: np.ndarray
+    known_to: float
+
+    def at(self, frequencies) -> np.ndarray:
+        """Return l, shape (n,), straight between the points.
+
+        Parameters
+        ----------
+        frequencies : array_like, shape (n,)
+            [Hz]
+        """
+        f = np.asarray(frequencies, dtype=float)
+        known = np.interp(f, self.frequencies, self.relative)
+        return np.where(f > UNSEEN * self.known_to, UNKNOWN, known)
+
+    def borne_by(self, controller: StateSpace, plant: StateSpace, sample_time: float) -> Borne:
+        """Return what is certain of a loop.
+
+        Parameters
+        ----------
+        controller : StateSpace
+            Inputs (reference, measured), output command.
+        plant : StateSpace
+            The model.
+        sample_time : float
+            [s]
+        """
+        angles = np.pi * 10.0 ** np.linspace(-DECADES, 0.0, POINTS)
+        poles = plant.poles[np.abs(plant.poles) > 0.1]
+        near = [abs(np.angle(pole)) + 5.0 * abs(np.log(abs(pole))) * np.linspace(-1.0, 1.0, AROUND) for pole in poles]
+        angles = np.unique(np.concatenate([angles, *near]))
+        angles = angles[(angles > 0.0) & (angles <= np.pi)]
+        values = loop_transfer(controller, plant, np.exp(1j * angles))
+        frequencies = angles / (2.0 * np.pi * sample_time)
+        uncertain = self.at(frequencies)
+        distance = np.abs(1.0 + values) - uncertain * np.abs(values)
+        place = int(np.argmin(distance))
+        nominal = float(np.min(np.abs(1.0 + values)))
+        return Borne(float(distance[place]), float(frequencies[place]), float(uncertain[place]), nominal)
+
+
+def integral_controller(crossover: float, sample_time: float) -> StateSpace:
+    """Return an integrator whose loop would cross gain one at a frequency, were the plant one.
+
+    Parameters
+    ----------
+    crossover : float
+        [Hz]
+    sample_time : float
+        [s]
+    """
+    gain = 2.0 * np.pi * crossover * sample_time
+    both = np.array([[gain, -gain]])
+    return StateSpace(np.eye(1), both, np.eye(1), both)
+
+
+def fastest_integral(plant: StateSpace, sample_time: float, uncertainty: ResponseUncertainty) -> float:
+    """Return the highest crossover [Hz] of integral control with M_s ≤ 2 that is certain to be stable, or 0.
+
+    Parameters
+    ----------
+    plant : StateSpace
+        The model, of unit DC gain.
+    sample_time : float
+        [s]
+    uncertainty : ResponseUncertainty
+    """
+    fastest = 0.0
+    for crossover in 0.25 / sample_time * 10.0 ** np.linspace(-DECADES, 0.0, STEPS):
+        borne = uncertainty.borne_by(integral_controller(crossover, sample_time), plant, sample_time)
+        if borne.nominal < 1.0 / REQUIRED.sensitivity_peak or borne.distance < KEPT:
+            break
+        fastest = float(crossover)
+    return fastest

@@ -1,0 +1,214 @@
+"""What a recording says of a model's frequency response: how uncertain it is, up to where it is known, what rings.
+
+The response is judged by the movement before the dynamics, which the model's hysteresis and creep put out, and by what
+was measured, as averages over parts of an octave. So the errors of the hysteresis are in it, which feedback meets too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hysteresis_ros.control.margins import plant_state_space
+from hysteresis_ros.control.response_uncertainty import (
+    UNKNOWN,
+    ResponseUncertainty,
+    fastest_integral,
+    integral_controller,
+)
+from hysteresis_ros.identification.data import IdentificationData
+from hysteresis_ros.identification.identified import PlantModel, group_delay
+from hysteresis_ros.identification.linear_part import LinearPart
+from hysteresis_ros.identification.prediction import predict
+from hysteresis_ros.identification.segment_spectra import SegmentSpectra, segment_spectra
+from hysteresis_ros.models.linear import LinearParameters
+
+#: Bands in an octave, and narrow ones for resonances.
+BANDS, NARROW_BANDS = 6, 24
+#: The response counts as known where two standard deviations are below this part of it.
+KNOWN = 0.5
+#: A deviation of so many times two standard deviations is known too.
+CLEARLY = 2.0
+#: Overlapping windows: so many sums say what one independent does.
+OVERLAP = 2.0
+#: Bands without content between two that have some are known as these are, up to so many octaves apart.
+GAP = 1.5
+#: A recording with content up to this part of the sample rate tells all that a loop at that rate asks.
+WHOLE = 0.35
+#: The residual rings where its spectrum stands out of its surroundings (a band against two octaves) by this factor.
+STANDS_OUT = 8.0
+NARROW, WIDE = 1.0 / 20.0, 1.0
+#: What is left of a movement that the model explains to more than this part does not count.
+RINGS = 0.3
+#: A loop of the speed that the model alone allows must not be faster than what is certain by this factor.
+FASTER = 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class ResponseCheck:
+    """The frequency response of a model beside a recording.
+
+    Parameters
+    ----------
+    uncertainty : ResponseUncertainty
+    believed, seen, certain : float
+        Crossover of integral control [Hz] with M_s ≤ 2 if the model were exact, for what the recording shows of its
+        errors, and for all that it may be where nothing is known.
+    unfit_at : float
+        Frequency [Hz] at which the recording shows the error that keeps the loop from being as fast.
+    ringing : tuple of float
+        Frequencies [Hz] at which something is left in the residual.
+    """
+
+    uncertainty: ResponseUncertainty
+    believed: float
+    seen: float
+    certain: float
+    unfit_at: float
+    ringing: tuple[float, ...] = ()
+
+    @property
+    def fit_for_feedback(self) -> bool:
+        """Whether the recording shows nothing against a loop about as fast as the model alone would allow."""
+        return self.seen * FASTER >= self.believed
+
+    @property
+    def reason(self) -> str:
+        """Why not, in a line; empty otherwise."""
+        if self.fit_for_feedback:
+            return ""
+        there = self.unfit_at
+        percent = 100.0 * float(self.uncertainty.at([there])[0])
+        why = f"the response at {there:.4g} Hz is known to {percent:.0f} % only"
+        if there > self.uncertainty.known_to and self.ringing:
+            why = f"the residual rings at {self.ringing[0]:.4g} Hz, where the model has nothing"
+        slower = f"up to {self.certain:.3g} Hz it is" if self.certain else "no slower one is known to be safe either"
+        crossover = f"with a crossover of {self.believed:.3g} Hz, which the model would allow"
+        return f"not fit for feedback {crossover}: {why}; {slower}"
+
+    @property
+    def figures(self) -> dict:
+        """The figures by names with units; what has no bound is left out."""
+        found = {"fit_for_feedback": self.fit_for_feedback, "certain_crossover_hz": self.certain}
+        known = self.uncertainty.known_to
+        return found | ({"response_known_to_hz": known} if np.isfinite(known) else {})
+
+    @property
+    def entries(self) -> dict:
+        """What a parameter file keeps of it, for a design."""
+        found = self.uncertainty
+        known = {"response.known_to": found.known_to} if np.isfinite(found.known_to) else {}
+        return {
+            "response.frequencies": tuple(float(f"{value:.4g}") for value in found.frequencies),
+            "response.uncertainty": tuple(float(f"{value:.3g}") for value in found.relative),
+            **known,
+            **{f"response.{name}": value for name, value in self.figures.items() if "known_to" not in name},
+        }
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What is left in the residual and up to where the dynamics are known, in sentences."""
+        found = [f"the residual rings at {frequency:.4g} Hz" for frequency in self.ringing]
+        known = self.uncertainty.known_to
+        if not np.isinf(known):
+            found.append(
+                f"dynamics above {known:.3g} Hz are unknown, the voltage has hardly any content there: a design keeps to "
+                f"a crossover of about {self.certain:.2g} Hz"
+            )
+        return (*found, *([self.reason] if self.reason else []))
+
+
+def check_response(chain: PlantModel, data: IdentificationData, skip: int = 0) -> ResponseCheck | None:
+    """Return how well a recording knows the response of a chain; None for one with dynamics inside the hysteresis.
+
+    Parameters
+    ----------
+    chain : PlantModel
+    data : IdentificationData
+    skip : int
+        First samples left out.
+    """
+    if not chain.rate_independent:
+        return None
+    part = chain.continuous
+    creeping = LinearPart(creep_rate=part.creep_rate, longest_time=part.longest_time, settled=part.settled)
+    bare = replace(
+        chain, dynamics=LinearParameters(), linear_part=creeping, transfer_function=None, synchronous=True, offset=0.0
+    )
+    moved = predict(bare, data.input, data.sample_time, "zoh", measured=data.output)
+    late = max(round(group_delay(chain.dynamics)) + 1 - chain.synchronous, 0)
+    spectra = segment_spectra(moved, data.output, data.sample_time, skip, late)
+    z = np.exp(2j * np.pi * spectra.frequencies * data.sample_time)
+    plant = plant_state_space(replace(chain.dynamics, input_scale=0.0))
+    response = plant.response(z)[:, 0, 0] * z ** int(chain.synchronous)
+    uncertainty, shown = _uncertainty(spectra, response)
+    ringing = _ringing(spectra, response)
+    # what nobody has looked at speaks neither for nor against a model, what rings there speaks against it
+    shown = replace(shown, known_to=uncertainty.known_to if ringing else np.inf)
+    exact = ResponseUncertainty(np.ones(1), np.zeros(1), np.inf)
+    believed, seen, certain = (
+        fastest_integral(plant, data.sample_time, errors) for errors in (exact, shown, uncertainty)
+    )
+    worst = shown.borne_by(integral_controller(believed, data.sample_time), plant, data.sample_time)
+    return ResponseCheck(uncertainty, believed, seen, certain, worst.frequency, ringing)
+
+
+def _uncertainty(spectra: SegmentSpectra, response) -> tuple[ResponseUncertainty, ResponseUncertainty]:
+    """Return how far the response may be from the model's, and how far it is at least, in bands."""
+    centres, deviation, spread = _in_bands(spectra, response, BANDS)
+    clear = deviation > CLEARLY * 2.0 * spread
+    known = (2.0 * spread < KNOWN) | clear
+    none = np.array([0.0])
+    if not np.any(known):
+        return ResponseUncertainty(centres[:1], np.array([UNKNOWN]), 0.0), ResponseUncertainty(
+            centres[:1], none, np.inf
+        )
+    last = np.flatnonzero(known)[0]
+    for place in np.flatnonzero(known):
+        if centres[place] > 2.0**GAP * centres[last]:
+            break
+        last = place
+    # a resonance narrower than a band averages out over it
+    places, narrow, wide = _in_bands(spectra, response, NARROW_BANDS)
+    band = np.searchsorted(0.5 * (centres[1:] + centres[:-1]), places)
+    seen = (2.0 * wide < KNOWN) | clear[band]
+    most, least = deviation + 2.0 * spread, np.maximum(deviation - 2.0 * spread, 0.0)
+    np.maximum.at(most, band[seen], (narrow + 2.0 * wide)[seen])
+    np.maximum.at(least, band[clear[band]], narrow[clear[band]])
+    kept = known & (np.arange(len(centres)) <= last)
+    known_to = float(centres[last]) * 2.0 ** (0.5 / BANDS)
+    known_to = np.inf if known_to * spectra.sample_time >= WHOLE else known_to
+    most, least = (np.minimum(size, UNKNOWN)[kept] for size in (most, least))
+    return ResponseUncertainty(centres[kept], most, known_to), ResponseUncertainty(centres[kept], least, np.inf)
+
+
+def _in_bands(spectra: SegmentSpectra, response, bands: int):
+    """Return centres [Hz] of bands, how far the measured response is from the model's, and the standard deviation."""
+    f = spectra.frequencies
+    count = int(bands * np.log2(f[-1] / f[0])) + 1
+    edges = np.searchsorted(f, f[0] * 2.0 ** (np.arange(count + 1) / bands))
+    edges = np.unique(np.append(edges[:-1], len(f)))[:-1]
+    expected = np.abs(response) ** 2 * spectra.input.sum(axis=0)
+    # errors that repeat with the movement, as those of a hysteresis do, are one error however often they are seen
+    repeated = np.abs(spectra.cross.sum(axis=0) - response * spectra.input.sum(axis=0)) ** 2
+    repeated = spectra.smooth(repeated / np.maximum(spectra.input.sum(axis=0), np.finfo(float).tiny))
+    noise = spectra.incoherent() + repeated
+    size = np.maximum(np.add.reduceat(expected, edges), np.finfo(float).tiny)
+    ratio = np.add.reduceat(np.conj(response) * spectra.cross.sum(axis=0), edges) / size
+    spread = np.sqrt(OVERLAP * np.add.reduceat(expected * noise, edges)) / size
+    centres = np.add.reduceat(f, edges) / np.diff(np.append(edges, len(f)))
+    return centres, np.abs(ratio - 1.0), spread
+
+
+def _ringing(spectra: SegmentSpectra, response) -> tuple[float, ...]:
+    """Return where the spectrum of the residual stands out, and that of the input does not."""
+    left, given = spectra.errors(response).sum(axis=0), spectra.input.sum(axis=0)
+    tiny = np.finfo(float).tiny
+    outstanding = [spectra.smooth(power, NARROW) / (spectra.smooth(power, WIDE) + tiny) for power in (left, given)]
+    ratio = outstanding[0] / np.maximum(outstanding[1], 1.0)
+    ratio[spectra.frequencies < 20.0 * spectra.resolution] = 0.0
+    explained = spectra.smooth(np.abs(response) ** 2 * given, NARROW)
+    ratio[spectra.smooth(left, NARROW) < RINGS**2 * explained] = 0.0
+    place = int(np.argmax(ratio))
+    return (float(spectra.frequencies[place]),) if ratio[place] > STANDS_OUT else ()

@@ -1,0 +1,159 @@
+"""What a recording knows of the frequency response, what it says of the rest, and what designs make of it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from foreign_plant import ForeignPlant
+
+from hysteresis_ros.cli.main import main
+from hysteresis_ros.control.margins import plant_state_space
+from hysteresis_ros.control.response_uncertainty import (
+    UNKNOWN,
+    UNSEEN,
+    ResponseUncertainty,
+    fastest_integral,
+    integral_controller,
+)
+from hysteresis_ros.identification.data import IdentificationData
+from hysteresis_ros.identification.identified import PlantModel
+from hysteresis_ros.identification.linear_part import LinearPart, Mode
+from hysteresis_ros.identification.response_check import check_response
+from hysteresis_ros.models.creep import CreepParameters
+from hysteresis_ros.models.hysteresis import HysteresisParameters
+from hysteresis_ros.models.hysteresis.proportional import ProportionalParameters
+from hysteresis_ros.models.linear import LinearDynamics
+
+RATE = 2000.0
+STEP = 1.0 / RATE
+EXACT = ResponseUncertainty(np.ones(1), np.zeros(1), np.inf)
+MODE = LinearPart(modes=(Mode(280.0, 0.03),), hold=STEP)
+
+
+def multisine(length: int, highest: int = 800, seed: int = 0) -> np.ndarray:
+    """Lines of 1 Hz up to ``highest`` around 50 V."""
+    spectrum = np.zeros(1001, dtype=complex)
+    spectrum[1:highest] = np.exp(2j * np.pi * np.random.default_rng(seed).uniform(size=highest - 1))
+    one = np.fft.irfft(spectrum)
+    return 50.0 + 40.0 * np.resize(one / np.abs(one).max(), length)
+
+
+def chain(part: LinearPart) -> PlantModel:
+    """0.1 µm/V before a linear part."""
+    gain = HysteresisParameters(type="proportional", proportional=ProportionalParameters(gain=1e-7))
+    return PlantModel(gain, CreepParameters(), part.dynamics(STEP), STEP, linear_part=part, voltage_high=100.0)
+
+
+def recording(part: LinearPart, voltage, noise: float = 2e-9) -> IdentificationData:
+    after = LinearDynamics(part.dynamics(STEP), STEP).simulate(1e-7 * voltage)
+    measured = np.append(0.0, after[:-1]) + noise * np.random.default_rng(1).standard_normal(voltage.size)
+    return IdentificationData(np.arange(voltage.size) * STEP, voltage, measured)
+
+
+def test_a_true_model_is_known_as_far_as_the_voltage_has_content():
+    whole = check_response(chain(MODE), recording(MODE, multisine(16000)), 1000)
+    assert np.isinf(whole.uncertainty.known_to) and whole.fit_for_feedback and whole.warnings == ()
+    assert np.max(whole.uncertainty.at([2.0, 20.0, 280.0, 600.0])) < 0.05
+    half = check_response(chain(MODE), recording(MODE, multisine(16000, 100)), 1000)
+    assert half.uncertainty.known_to == pytest.approx(100.0, rel=0.2)
+    assert half.uncertainty.at([90.0])[0] < 0.1
+    assert half.uncertainty.at([1.01 * UNSEEN * half.uncertainty.known_to])[0] == UNKNOWN
+    assert "dynamics above" in half.warnings[0] and "are unknown" in half.warnings[0]
+    # nobody has looked there: that is said and limits designs, but the recording shows nothing against the model
+    assert half.fit_for_feedback and half.certain < 0.5 * half.believed
+
+
+def test_a_resonance_that_the_model_lacks_rings_and_is_named():
+    missed = check_response(chain(LinearPart(hold=STEP)), recording(MODE, multisine(16000)), 1000)
+    assert missed.ringing and missed.ringing[0] == pytest.approx(280.0, abs=8.0)
+    assert not missed.fit_for_feedback and missed.unfit_at == pytest.approx(280.0, rel=0.15)
+    assert f"the residual rings at {missed.ringing[0]:.4g} Hz" in missed.warnings
+    assert missed.certain < 0.5 * missed.believed and "% only" in missed.reason
+    # the loop that the model alone would allow is unstable on the plant, the one that is certain is not
+    for crossover, stable in ((missed.believed, False), (missed.certain, True)):
+        plant, controller = plant_state_space(MODE.dynamics(STEP)), integral_controller(crossover, STEP)
+        column, row = controller.B[:, 1:], controller.C
+        through = controller.D[:, 1:]
+        closed = np.block([[plant.A + plant.B @ through @ plant.C, plant.B @ row], [column @ plant.C, controller.A]])
+        assert bool(np.all(np.abs(np.linalg.eigvals(closed)) < 1.0)) == stable
+
+
+def test_the_certain_crossover_shrinks_with_the_uncertainty():
+    plant = plant_state_space(LinearPart(lag=0.01, hold=STEP).dynamics(STEP))
+    fastest = [
+        fastest_integral(plant, STEP, ResponseUncertainty(np.ones(1), np.array([size]), known))
+        for size, known in ((0.0, np.inf), (0.4, np.inf), (0.4, 30.0), (0.4, 3.0), (0.4, 0.0))
+    ]
+    assert fastest[0] >= fastest[1] > fastest[2] > fastest[3] > fastest[4] == 0.0
+    # M_s of 2 with nothing uncertain: an integrator and a lag, known to the sample
+    peak = EXACT.borne_by(integral_controller(fastest[0], STEP), plant, STEP)
+    assert 0.5 <= peak.nominal < 0.56
+
+
+@pytest.fixture(scope="module")
+def slow(tmp_path_factory):
+    """Slow triangles of a stage with a resonance, identified by the command: folder and result."""
+    folder = tmp_path_factory.mktemp("slow")
+    time = np.arange(7000) / RATE
+    voltage = 50.0 * (1.0 - (2.0 * np.abs(2.0 * ((1.0 * time) % 1.0) - 1.0) - 1.0) * np.exp(-time / 6.0))
+    plant = ForeignPlant(RATE, amplifier=0.0015, modes=((280.0, 0.03, 1.0),), rate=0.02, creep=0.02, noise=5e-9)
+    table = np.column_stack([time, voltage, 1e6 * plant.record(voltage)])
+    np.savetxt(folder / "slow.csv", table, delimiter=",", header="time_s,voltage_V,position_um", comments="")
+    arguments = [
+        "identify",
+        str(folder / "slow.csv"),
+        "-o",
+        str(folder / "axis.yaml"),
+        "-p",
+        "zone_count=0",
+        "-p",
+        "play_count=8",
+    ]
+    return folder, CliRunner().invoke(main, arguments)
+
+
+def test_what_slow_triangles_do_not_show_is_said(slow):
+    folder, result = slow
+    assert result.exit_code in (0, 4)
+    assert "Hz are unknown, the voltage has hardly any content there: a design keeps to" in result.stdout
+    assert "known_to:" in (folder / "axis.yaml").read_text(encoding="utf-8")
+
+
+def test_identify_says_by_line_and_exit_code_that_a_model_is_not_fit_for_feedback(tmp_path):
+    plant, voltage = ForeignPlant(RATE, hysteresis=0.0, lag=0.002, modes=((300.0, 0.03, 0.5),)), multisine(8000)
+    table = np.column_stack([np.arange(8000) * STEP, voltage, 1e6 * plant.record(voltage)])
+    np.savetxt(tmp_path / "fast.csv", table, delimiter=",", header="time_s,voltage_V,position_um", comments="")
+    arguments = ["identify", str(tmp_path / "fast.csv"), "--model", "proportional", "-o", str(tmp_path / "axis.yaml")]
+    without = CliRunner().invoke(main, [*arguments, "--linear", "lag"])
+    assert without.exit_code == 4 and "fit_for_feedback: false" in (tmp_path / "axis.yaml").read_text(encoding="utf-8")
+    lines = [line for line in without.stderr.splitlines() if "not fit for feedback with a crossover of" in line]
+    assert len(lines) == 1 and "rings at 30" in lines[0] and "up to" in lines[0]
+    assert CliRunner().invoke(main, arguments).exit_code == 0
+
+
+def design(folder, name: str, *options: str):
+    return CliRunner().invoke(main, ["design", str(folder / name), "-o", str(folder / "designed.yaml"), *options])
+
+
+def test_a_design_keeps_below_what_is_unknown_or_is_refused_with_the_frequency(slow):
+    folder, _ = slow
+    slowed = design(folder, "axis.yaml", "--controller", "pid")
+    assert slowed.exit_code == 0 and "note: slowed down to a bandwidth of" in slowed.stdout
+    reached = next(line for line in slowed.stdout.splitlines() if line.startswith("bandwidth reached"))
+    assert float(reached.split()[2]) < 10.0
+    refused = design(folder, "axis.yaml", "--controller", "pid", "--bandwidth", "60")
+    assert refused.exit_code == 2 and "is not fit for this feedback at" in refused.stderr
+    assert len(refused.stderr.strip().splitlines()) == 1
+    # without what the identification wrote nothing is kept back
+    text = (folder / "axis.yaml").read_text(encoding="utf-8")
+    (folder / "bare.yaml").write_text(text[: text.index("/identification:")], encoding="utf-8")
+    assert "slowed down" not in design(folder, "bare.yaml", "--controller", "pid").stdout
+
+
+def test_an_uncertainty_that_is_none_is_refused_by_name(slow):
+    folder, _ = slow
+    text = (folder / "axis.yaml").read_text(encoding="utf-8")
+    (folder / "wrong.yaml").write_text(text.replace("uncertainty: [", "uncertainty: [-1.0, "), encoding="utf-8")
+    result = design(folder, "wrong.yaml", "--controller", "pid")
+    assert result.exit_code == 2 and "response.uncertainty must be as many numbers" in result.stderr
