@@ -177,6 +177,8 @@ def test_units_that_make_no_sense_are_asked_about(changes, words):
         assert asked == []  # 43 nm at 3.6 V: as a small stack has it
     else:
         assert any(words in text for text in asked), asked
+    if changes.get("voltage") is not None and changes["voltage"][0] < 1.0:
+        assert any("12 mm/V" in text for text in asked), "a gain that no actuator has"
 
 
 def test_too_few_samples_a_cycle_are_warned_of():
@@ -201,7 +203,8 @@ def test_a_gap_that_is_bridged_is_warned_of_with_its_length():
 
 def test_stamps_that_jitter_are_told_from_samples_that_do():
     late = TIME + np.random.default_rng(5).uniform(-2e-3, 2e-3, TIME.size)
-    steady = read_data(IdentificationData(late, VOLTAGE, DISPLACEMENT))
+    noise = np.random.default_rng(6).standard_normal((2, TIME.size))
+    steady = read_data(IdentificationData(late, VOLTAGE + 5e-3 * noise[0], DISPLACEMENT + 20e-9 * noise[1]))
     assert "stamps jitter by up to 2" in steady.report.warnings[0] and steady.report.jitter < 1e-9
     voltage = 1.8 + 1.8 * np.sin(2 * np.pi * late)
     with pytest.raises(HysteresisError, match="not uniformly sampled"):
