@@ -156,9 +156,9 @@ def excitation(bench: Bench) -> np.ndarray:
     rate = bench.sample_rate
     sample_time, parts = 1.0 / rate, []
     for name, changes in (
-        ("decaying", {"frequency": 4.0}),
-        ("multisine", {"frequency": 1.0, "duration": 3.0}),
-        ("steps", {"duration": 3.0}),
+        ("decaying", {"frequency": 6.0}),
+        ("multisine", {"frequency": 1.0, "duration": 2.0}),
+        ("steps", {"duration": 1.5}),
     ):
         made = recipe(name, 0.0, bench.voltage, rate, **changes)
         if made.samples is None:

@@ -233,7 +233,7 @@ def figures(table: Table) -> list:
     found = [
         (
             "RMS error of every combination that stayed stable: each plant a dot, the worst one filled",
-            ranking_figure([label(row) for row in done], values),
+            ranking_figure([label(row) + (" (marked)" if row.marked else "") for row in done], values),
         )
     ]
     for task in table.tasks:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import multiprocessing
+import os
 import signal
 import threading
 from collections.abc import Callable, Iterator
@@ -11,6 +12,9 @@ from multiprocessing.connection import Connection, wait
 from typing import Any, NamedTuple
 
 from hysteresis_ros.errors import HysteresisError
+
+#: How many threads multiply matrices: processes with several each would be in each other's way.
+THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 class Job(NamedTuple):
@@ -50,7 +54,7 @@ def done(jobs: list[Job], workers: int) -> Iterator[tuple[str, Any]]:
     waiting, busy, processes = list(reversed(jobs)), [], []
     context = multiprocessing.get_context("spawn")
     try:
-        with _deaf():
+        with _alone():
             for _ in range(min(workers, len(jobs))):
                 ours, theirs = context.Pipe()
                 processes.append(context.Process(target=_work, args=(theirs,), daemon=True))
@@ -73,16 +77,22 @@ def done(jobs: list[Job], workers: int) -> Iterator[tuple[str, Any]]:
 
 
 @contextlib.contextmanager
-def _deaf() -> Iterator[None]:
-    """Let processes that are started meanwhile not hear an interrupt: it is for the one that started them."""
+def _alone() -> Iterator[None]:
+    """Let processes that are started meanwhile not hear an interrupt, and compute with one thread each."""
     if threading.current_thread() is not threading.main_thread():  # only that one may
         yield
         return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # an interrupt is for the one that started them
+    given = {name: os.environ.get(name) for name in THREADS}
+    os.environ.update(dict.fromkeys(THREADS, "1"))
     try:
         yield
     finally:
         signal.signal(signal.SIGINT, before)
+        for name, value in given.items():
+            os.environ.pop(name)
+            if value is not None:
+                os.environ[name] = value
 
 
 def _received(connection: Connection) -> tuple[str, Any]:
