@@ -20,7 +20,7 @@ RATE = 2000.0
 STEP = 1e-3
 PARTS = (
     LinearPart(lag=3e-3, hold=STEP),
-    LinearPart(lag=2e-3, delay=2.5e-3, modes=(Mode(100.0, 0.03, 0.4, 0.1),), hold=STEP),
+    LinearPart(lag=2e-3, delay=2.3e-3, modes=(Mode(100.0, 0.03, 0.4, 0.1),), hold=STEP),
     LinearPart(modes=(Mode(100.0, 0.03), Mode(190.0, 0.1, 0.0, 0.2)), hold=STEP),
     LinearPart(delay=1e-3, modes=(Mode(100.0, 0.03, 0.6),), hold=STEP),
 )
