@@ -113,8 +113,8 @@ class ResponseCheck:
         known = self.uncertainty.known_to
         if not np.isinf(known):
             found.append(
-                f"dynamics above {known:.3g} Hz are unknown, the voltage has hardly any content there: a design keeps to "
-                f"a crossover of about {self.certain:.2g} Hz"
+                f"dynamics above {known:.3g} Hz are unknown, the voltage has hardly any content there: a design keeps "
+                f"to a crossover of about {self.certain:.2g} Hz"
             )
         return (*found, *([self.reason] if self.reason else []))
 

@@ -47,8 +47,8 @@ def response_uncertainty(configuration: Configuration) -> ResponseUncertainty | 
     rising = frequencies.shape == relative.shape and frequencies.ndim == 1 and bool(np.all(np.diff(frequencies) > 0.0))
     if not rising or not np.all(relative >= 0.0) or np.isnan(known_to):
         raise ConfigurationError(
-            f"{configuration.source}: {SECTION}: response.frequencies and response.uncertainty must be as many numbers, "
-            "frequencies rising, uncertainties not below 0; identify again, or remove the entries response.*"
+            f"{configuration.source}: {SECTION}: response.frequencies and response.uncertainty must be as many numbers,"
+            " frequencies rising, uncertainties not below 0; identify again, or remove the entries response.*"
         )
     return ResponseUncertainty(frequencies, relative, known_to)
 
