@@ -57,8 +57,9 @@ def compare(config, namespace, workers, json_path, best, outputs, sine, triangle
             require_page(page)  # now and not after minutes
     conditions = Conditions(sine_frequency=sine, triangle_frequency=triangle, **others)
     progress = Progress(err=True, silence=SILENCE)
-    progress.say(f"  comparing on {conditions.draws} plants around it and {conditions.others} of other classes")
-    with progress.during("comparing"):
+    # said after a while only: what is refused at once is one line
+    comparing = f"comparing on {conditions.draws} plants around it and {conditions.others} of other classes"
+    with progress.during(comparing):
         options = {"namespace": namespace, "workers": workers, "progress": lambda text: progress.say(f"  done: {text}")}
         found = run(load_configuration(config), conditions, **options)
     for page in pages:
