@@ -18,6 +18,8 @@ ENOUGH_SAMPLES = 6000
 #: The fit starts where the input has come within this part of its range of both ends: the past is wiped out there.
 WIPED_OUT = 0.05
 
+#: Swings above this part of the range are all of one size.
+ONE_SIZE = 0.8
 #: What comes after must rise and fall by this part of the range.
 LEAST_SWING = 0.5
 
@@ -167,3 +169,15 @@ def wiped_out(voltage) -> int | None:
     swings = np.diff(voltage[first:][turning_points(voltage[first:])])
     large = swings[np.abs(swings) >= LEAST_SWING * span]
     return first if np.any(large > 0.0) and np.any(large < 0.0) else None
+
+
+def simple_loops(data: Condensed) -> bool:
+    """Return whether all loops that count are of one size: nothing is seen of what happens inside of them.
+
+    Parameters
+    ----------
+    data : Condensed
+    """
+    voltage = data.voltage[data.first :]
+    swings = np.abs(np.diff(voltage[turning_points(voltage)]))[1:-1]  # the ends may be cut
+    return not data.remembers and bool(np.all(swings > ONE_SIZE * data.voltage_range))

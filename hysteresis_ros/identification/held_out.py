@@ -44,16 +44,18 @@ def _parts(places, stretches: int) -> list[np.ndarray]:
     return [np.concatenate(found[part::PARTS]) for part in range(PARTS)]
 
 
-def survivor(fits, stretches: int = STRETCHES):
+def survivor(fits, stretches: int = STRETCHES, worth_it: float = WORTH_IT):
     """Return the fit to keep, and the RMS errors on parts held out [m] of all.
 
     Parameters
     ----------
     fits : sequence of object
         The simplest first; a later one is taken only where it predicts what it has not seen better by
-        :data:`WORTH_IT`, and by more than the parts differ.
+        ``worth_it``, and by more than the parts differ.
     stretches : int
         Of each part.
+    worth_it : float
+        Part of the RMS error.
 
     Returns
     -------
@@ -69,7 +71,7 @@ def survivor(fits, stretches: int = STRETCHES):
         gain = least**2 - errors**2
         gains = np.array([np.mean(gain[part]) for part in _parts(np.arange(len(gain)), stretches)])
         sure = gains.mean() > STANDARD_ERRORS * gains.std(ddof=1) / np.sqrt(PARTS)
-        if sizes[-1] < (1.0 - WORTH_IT) * np.sqrt(np.mean(least**2)) and sure:
+        if sizes[-1] < (1.0 - worth_it) * np.sqrt(np.mean(least**2)) and sure:
             chosen, least = fit, errors
     return chosen, sizes
 

@@ -10,15 +10,17 @@ from __future__ import annotations
 from dataclasses import replace
 
 from hysteresis_ros.errors import IdentificationError
-from hysteresis_ros.identification.condensed import Condensed, condense
+from hysteresis_ros.identification.condensed import Condensed, condense, simple_loops
 from hysteresis_ros.identification.finished import finished, without_outliers
 from hysteresis_ros.identification.free_weights import FreeWeights
 from hysteresis_ros.identification.hammerstein import HammersteinFit
-from hysteresis_ros.identification.held_out import survivor, without_drift
+from hysteresis_ros.identification.held_out import WORTH_IT, survivor, without_drift
 from hysteresis_ros.identification.smooth_density import SmoothDensity
 
 PLAYS = 20
 ZONES = 5
+#: Where all loops are of one size nothing held out is new, and freedom has to lower the error by this part.
+ALONE = 0.3
 #: How the weights of the plays may run over the radius.
 DENSITIES = ("auto", "exponential", "free")
 
@@ -99,7 +101,7 @@ def _chosen(data: Condensed, play_count: int, zone_count: int | None, density: s
     part = min(rivals, key=lambda fit: fit.rms).part
     zones = FreeWeights(rivals[0].data, play_count, ZONES).behind(part)
     rivals.append(zones)
-    chosen, errors = survivor(rivals)
+    chosen, errors = survivor(rivals, worth_it=ALONE if simple_loops(data) and density == "auto" else WORTH_IT)
     if chosen is zones:
         zones.fit(linear, progress)
     chosen.numbers["held_out_rmse_m"] = errors[rivals.index(chosen)]

@@ -8,7 +8,7 @@ import pytest
 from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.identification import auto
 from hysteresis_ros.identification.ambiguity import find_ambiguity
-from hysteresis_ros.identification.condensed import condense, wiped_out
+from hysteresis_ros.identification.condensed import condense, simple_loops, wiped_out
 from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.dynamics import TurnSearch
 from hysteresis_ros.identification.hammerstein import simulate_chain
@@ -159,6 +159,11 @@ def test_decaying_loops_settle_the_density_and_one_major_loop_does_not():
 
     assert decay(DECAYING, 4.0) == pytest.approx(4.0, abs=0.8)
     assert decay(loops(100.0), 2.4) == PRIOR_DECAY
+
+
+def test_loops_of_one_size_are_seen():
+    sizes = [condense(v, recorded(v), T) for v in (loops(100.0), DECAYING, GROWING)]
+    assert [simple_loops(size) for size in sizes] == [True, False, False]
 
 
 def test_what_one_major_loop_cannot_tell_is_said_and_covers_the_truth():
