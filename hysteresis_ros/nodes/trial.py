@@ -68,8 +68,11 @@ def answers(parameters: AxisParameters, samples: int, composed: bool) -> Answers
 
     Parameters
     ----------
-    parameters, samples, composed
-        As in :func:`message_rate`.
+    parameters : AxisParameters
+    samples : int
+        Length of the run.
+    composed : bool
+        All nodes in one process, instead of one for each.
 
     Raises
     ------
