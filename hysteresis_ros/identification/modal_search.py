@@ -193,7 +193,7 @@ class ModalSearch:
         """Return the linear part of unit gain, and the gain."""
         lag, delay, pairs = self.unpack(structure, values)
         if structure.series:
-            modes, gain = _in_series(lag, pairs), float(coefficients[0])
+            modes, gain = in_series(lag, pairs), float(coefficients[0])
         else:
             shares = np.reshape(coefficients[1:], (-1, 2))
             gain = float(coefficients[0] + shares[:, 0].sum())
@@ -205,7 +205,7 @@ class ModalSearch:
         """Return what the response is linear in, shape (n, k)."""
         lag, delay, pairs = self.unpack(structure, values)
         if structure.series:
-            return part_response(LinearPart(lag=lag, delay=delay, modes=_in_series(lag, pairs), hold=self.T), self.f)[
+            return part_response(LinearPart(lag=lag, delay=delay, modes=in_series(lag, pairs), hold=self.T), self.f)[
                 :, None
             ]
         found = [_lag_column(lag, self.f, self.T, delay)[:, None]]
@@ -272,8 +272,16 @@ def part_response(part: LinearPart, frequencies) -> np.ndarray:
     return found
 
 
-def _in_series(lag: float, pairs) -> tuple[Mode, ...]:
-    """Return lag and modes one behind the other as modes beside the lag: partial fractions."""
+def in_series(lag: float, pairs) -> tuple[Mode, ...]:
+    """Return lag and modes one behind the other as modes beside the lag: partial fractions.
+
+    Parameters
+    ----------
+    lag : float
+        [s]
+    pairs : sequence of (float, float)
+        Frequency [Hz] and damping of each mode.
+    """
     modes = []
     for i, (frequency, damping) in enumerate(pairs):
         omega = 2.0 * np.pi * frequency

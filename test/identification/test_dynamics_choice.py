@@ -11,7 +11,7 @@ from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.inverse import undo
 from hysteresis_ros.identification.linear_part import LinearPart, Mode
 from hysteresis_ros.identification.modal_choice import choose_dynamics
-from hysteresis_ros.identification.modal_search import part_response
+from hysteresis_ros.identification.modal_search import in_series, part_response
 from hysteresis_ros.identification.prandtl_ishlinskii import fit_prandtl_ishlinskii
 from hysteresis_ros.identification.segment_spectra import segment_spectra
 from hysteresis_ros.identification.workflow import identify, validate
@@ -69,6 +69,18 @@ def test_the_block_of_a_node_is_the_continuous_part_under_a_held_input(part):
     frequencies = np.array([3.0, 90.0, 200.0, 430.0])
     block = part.dynamics(STEP).state_space.held().response(np.exp(2j * np.pi * frequencies * STEP))[:, 0, 0]
     np.testing.assert_allclose(part_response(part, frequencies), block, rtol=1e-9)
+
+
+def test_lag_and_modes_one_behind_the_other_are_the_product_of_their_responses():
+    lag, pairs, step = 0.002, [(120.0, 0.05), (300.0, 0.02)], 1e-7
+    frequencies = np.array([5.0, 110.0, 250.0, 400.0])
+    s = 2j * np.pi * frequencies
+    product = 1.0 / (1.0 + lag * s)
+    for frequency, damping in pairs:
+        omega = 2.0 * np.pi * frequency
+        product *= omega**2 / (s**2 + 2.0 * damping * omega * s + omega**2)
+    found = part_response(LinearPart(lag=lag, modes=in_series(lag, pairs), hold=step), frequencies)
+    np.testing.assert_allclose(found, product, rtol=1e-3)
 
 
 def chosen(plant: ForeignPlant, voltage) -> LinearPart:
