@@ -14,6 +14,8 @@ import numpy as np
 PARTS, STRETCHES = 5, 4
 #: A more flexible structure must lower the RMS error on them by this part, and by so many standard errors.
 WORTH_IT = 0.03
+#: A drift must lower it by this part: it is no part of the model, and the shape of loops may look like a little of it.
+DRIFTING = 0.2
 STANDARD_ERRORS = 1.0
 
 
@@ -85,4 +87,4 @@ def without_drift(fit, data):
         Returns a fit to a Condensed.
     data : Condensed
     """
-    return survivor([fit(data), fit(replace(data, drifts=True))], stretches=1)[0]
+    return survivor([fit(data), fit(replace(data, drifts=True))], stretches=1, worth_it=DRIFTING)[0]

@@ -199,7 +199,7 @@ def test_auto_takes_what_predicts_held_out_thirds(monkeypatch):
     monkeypatch.setattr(auto, "MODELS", {name: MODELS[name] for name in tried})
     found = identify(data(DECAYING, recorded(DECAYING)), "auto", linear="none")
     errors = [found.figures[f"held_out_{name}_rmse_m"] for name in tried]
-    assert errors[0] > 5.0 * errors[1] and found.figures["model"] == "prandtl_ishlinskii"
+    assert errors[0] > 3.0 * errors[1] and found.figures["model"] == "prandtl_ishlinskii"
     with pytest.raises(IdentificationError, match="auto has none"):
         parse_options("auto", ["widths=3"])
 
