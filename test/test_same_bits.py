@@ -121,6 +121,7 @@ JUDGES = {
     # scores, and the plants that gains are tried on
     "control/sliding_search.py": {"math.log", "np.log"},
     "control/uncertainty.py": {"np.linalg", "np.exp", "np.log", "@"},
+    "control/response_uncertainty.py": {"np.exp", "np.log"},
     "models/creep.py": {"math.log10"},
     "models/state_space.py": {"np.linalg", "@"},
     "models/linear.py": {"np.linalg"},
