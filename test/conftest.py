@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
+import os
+
 import pytest
 from hypothesis import settings
+
+# Before NumPy is there, and for every process of a test: workers whose linear algebra has threads wait for each other.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 # Properties are not timed: the first example of a test may compile kernels.
 settings.register_profile("untimed", deadline=None)
@@ -11,16 +16,14 @@ settings.load_profile("untimed")
 
 #: Tests that start graphs of nodes: one after the other in one worker, since they need the time they have.
 GRAPHS = ("test/nodes/", "test/cli/test_excite_command.py")
-#: Those in lockstep need no time of their own: the other worker may run them.
-LOCKSTEP = ("lockstep", "faulty_nodes", "batch_recording", "processors", "graph_runner")
+#: Those in lockstep, or whose axis may miss any deadline, need no time of their own: the other worker may run them.
+BESIDE = ("lockstep", "faulty_nodes", "batch_recording", "processors", "graph_runner", "fused_driver", "fused_mishaps")
 
 
 def group_of(nodeid: str) -> str:
     """Return with what a test shares its worker: the tests of its file, or all that start graphs in real time."""
     file = nodeid.split("::", 1)[0]
-    return (
-        "graphs" if nodeid.startswith(GRAPHS) and not file.endswith(tuple(f"test_{n}.py" for n in LOCKSTEP)) else file
-    )
+    return "graphs" if nodeid.startswith(GRAPHS) and not file.endswith(tuple(f"test_{n}.py" for n in BESIDE)) else file
 
 
 def pytest_collection_modifyitems(config, items):
