@@ -59,7 +59,7 @@ def hold(device, voltage: float, samples: int = 20) -> float:
     """Hold a voltage for some samples and return the last position of the first joint."""
     for _ in range(samples):
         device.write([voltage])
-        time.sleep(1.0 / RATE)
+        time.sleep(1.0 / RATE)  # the sample that a device with a clock of its own needs
         position = device.read()[0]
     return position
 
@@ -148,7 +148,7 @@ def test_what_machine_code_calls_is_what_python_calls(opened):
     voltages[0] = 0.5 * (can.minimum + can.maximum)
     for _ in range(30):
         assert call_with(link, WRITE, voltages) == 0
-        time.sleep(1.0 / RATE)
+        time.sleep(1.0 / RATE)  # the sample that a device with a clock of its own needs
         assert call_with(link, READ, positions) in (0, NOTHING_NEW)
     there = hold(opened, voltages[0])
     assert positions[0] == pytest.approx(there, abs=0.02 * abs(there))

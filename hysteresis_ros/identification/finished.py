@@ -51,9 +51,9 @@ def finished(fit, voltage, displacement, sample_time, kept=None) -> HammersteinF
             part.dynamics(sample_time),
             voltage[:last],
             sample_time,
-            part.settled,
-            synchronous,
-            data.history,
+            settled=part.settled,
+            synchronous=synchronous,
+            history=data.history,
         )
         return displacement[:last] - drift * sample_time * np.arange(len(predicted)) - predicted
 

@@ -132,9 +132,9 @@ class HammersteinFit:
             dynamics,
             voltage,
             sample_time,
-            self.linear_part.settled and settled,
-            self.synchronous and sample_time == self.sample_time,
-            self.history if settled else (),
+            settled=self.linear_part.settled and settled,
+            synchronous=self.synchronous and sample_time == self.sample_time,
+            history=self.history if settled else (),
         )
 
 
@@ -144,6 +144,7 @@ def simulate_chain(
     dynamics: LinearParameters,
     voltage,
     sample_time: float,
+    *,
     settled: bool = False,
     synchronous: bool = False,
     history: tuple[float, ...] = (),

@@ -155,9 +155,9 @@ def _forced(chain: PlantModel, voltage, intersample, settled, history=()) -> np.
             chain.dynamics,
             voltage,
             chain.sample_time,
-            settled,
-            chain.synchronous,
-            history,
+            settled=settled,
+            synchronous=chain.synchronous,
+            history=history,
         )
     if chain.linear_part is None and chain.transfer_function is None and chain.dynamics.order:
         raise IdentificationError(

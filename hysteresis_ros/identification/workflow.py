@@ -217,7 +217,11 @@ def identify(
         skip = result.skipped
     elif skip is None:
         skip = automatic_skip(data) if result.chain.rate_independent else 0
-    free = given.get("offset") == "free"
+    return _finished(model, result, data, skip, given.get("offset") == "free", reading.report.warnings)
+
+
+def _finished(model: str, result: Identification, data: IdentificationData, skip: int, free: bool, read) -> Identified:
+    """Return an identification with what it is worth, its file and its figures; ``read``: warnings of the reading."""
     if free:
         plant = replace(result.chain, offset=0.0)
         result = replace(result, chain=plant, assumptions=(*result.assumptions, CONSTANT_REMOVED))
@@ -228,7 +232,7 @@ def identify(
     figures = found.to_dict()
     judged = figures.pop("warnings")
     figures |= inverse_figures(back)
-    notes = [*reading.report.warnings, *result.warnings, *model_warnings(result), *judged]
+    notes = [*read, *result.warnings, *model_warnings(result), *judged]
     if back is None:
         notes.append(f"no inverse validation: {reason}")
     checked = check_response(result.chain, data, skip)

@@ -252,17 +252,19 @@ def slide(p, x, u):
 
 
 @kernel
-def elastic_velocity(p, step, velocity, a_f, b_f, front, a_r, b_r, rear):
+def elastic_velocity(p, step, velocity, front, rear):
     """Velocity [m/s] at the end of a step between compliant contacts, without end stops.
 
-    ``velocity`` [m/s] is that before; the contacts would carry a − b v [N], limited to ±``front`` and ±``rear``.
+    ``velocity`` [m/s] is that before. ``front`` and ``rear`` are a [N], b [N s/m] and a bound [N] each: such a contact
+    would carry a − b v, limited to ± its bound.
     """
+    (a_f, b_f, most_f), (a_r, b_r, most_r) = front, rear
     inertia = p[MASS] / step
     drive = inertia * velocity + p[FORCE]
     # what is missing to balance rises with v; between two kinks it is a straight line
     low, high = -math.inf, math.inf
-    for kink in ((a_f - front) / b_f, (a_f + front) / b_f, (a_r - rear) / b_r, (a_r + rear) / b_r):
-        if inertia * kink - drive - _clip(a_f - b_f * kink, front) - _clip(a_r - b_r * kink, rear) <= 0.0:
+    for kink in ((a_f - most_f) / b_f, (a_f + most_f) / b_f, (a_r - most_r) / b_r, (a_r + most_r) / b_r):
+        if inertia * kink - drive - _clip(a_f - b_f * kink, most_f) - _clip(a_r - b_r * kink, most_r) <= 0.0:
             low = max(low, kink)
         else:
             high = min(high, kink)
@@ -272,7 +274,7 @@ def elastic_velocity(p, step, velocity, a_f, b_f, front, a_r, b_r, rear):
         inside = low + 1.0
     else:
         inside = 0.5 * (low + high)
-    for a, b, bound in ((a_f, b_f, front), (a_r, b_r, rear)):
+    for a, b, bound in (front, rear):
         carried = a - b * inside
         if carried > bound:
             drive += bound
@@ -285,8 +287,12 @@ def elastic_velocity(p, step, velocity, a_f, b_f, front, a_r, b_r, rear):
 
 
 @kernel
-def elastic_step(p, x, step, u, rate, front_static, front_kinetic, rear_static, rear_kinetic):
-    """One step between compliant contacts: the extender's free displacement goes to ``u`` [m] at ``rate`` [m/s]."""
+def elastic_step(p, x, step, u, rate, front_bounds, rear_bounds):
+    """One step between compliant contacts: the extender's free displacement goes to ``u`` [m] at ``rate`` [m/s].
+
+    ``front_bounds`` and ``rear_bounds`` are what a contact carries at most [N], at rest and sliding.
+    """
+    (front_static, front_kinetic), (rear_static, rear_kinetic) = front_bounds, rear_bounds
     k_f, k_r, d_f, d_r = p[FRONT_STIFFNESS], p[REAR_STIFFNESS], p[FRONT_DAMPING], p[REAR_DAMPING]
     position, before = x[POSITION], x[VELOCITY]
     a_f, b_f = k_f * (u + x[GRIP] - position) + d_f * rate, step * k_f + d_f
@@ -295,7 +301,7 @@ def elastic_step(p, x, step, u, rate, front_static, front_kinetic, rear_static, 
     rear = rear_static if x[REAR_STUCK] > 0.0 else rear_kinetic
     v, following = before, position
     for _ in range(PASSES):
-        v = elastic_velocity(p, step, before, a_f, b_f, front, a_r, b_r, rear)
+        v = elastic_velocity(p, step, before, (a_f, b_f, front), (a_r, b_r, rear))
         following = min(max(position + step * v, p[MINIMUM]), p[MAXIMUM])
         v = (following - position) / step
         lets_go = False
@@ -352,10 +358,14 @@ def slide_elastically(p, x, u):
             step,
             free,
             rise / step,
-            x[BEFORE] + part * (x[FRONT_STATIC] - x[BEFORE]),
-            x[BEFORE + 1] + part * (x[FRONT_KINETIC] - x[BEFORE + 1]),
-            x[BEFORE + 2] + part * (x[REAR_STATIC] - x[BEFORE + 2]),
-            x[BEFORE + 3] + part * (x[REAR_KINETIC] - x[BEFORE + 3]),
+            (
+                x[BEFORE] + part * (x[FRONT_STATIC] - x[BEFORE]),
+                x[BEFORE + 1] + part * (x[FRONT_KINETIC] - x[BEFORE + 1]),
+            ),
+            (
+                x[BEFORE + 2] + part * (x[REAR_STATIC] - x[BEFORE + 2]),
+                x[BEFORE + 3] + part * (x[REAR_KINETIC] - x[BEFORE + 3]),
+            ),
         )
     for i in range(4):
         x[BEFORE + i] = x[FRONT_STATIC + i]

@@ -31,7 +31,7 @@ def read_matlab(path: pathlib.Path) -> dict[str, np.ndarray]:
 
     try:
         content = scipy.io.loadmat(path, simplify_cells=True)
-    except NotImplementedError:
+    except NotImplementedError:  # what SciPy raises at HDF5
         raise RecordingError(f"{path}: a MATLAB file of version 7.3; save it with save(…, '-v7')") from None
     except Exception as error:  # SciPy raises whatever damaged bytes lead to
         raise RecordingError(f"{path}: not a readable MATLAB file: {error or type(error).__name__}") from None

@@ -41,7 +41,7 @@ def stack(decay=1.9, bent=-0.15):
 
 def recorded(voltage, history=(), noise=2e-9, lag=0.01):
     part = LinearPart(lag=lag, settled=bool(history))
-    y = simulate_chain(stack(), part.creep, part.dynamics(T), voltage, T, part.settled, history=history)
+    y = simulate_chain(stack(), part.creep, part.dynamics(T), voltage, T, settled=part.settled, history=history)
     return y + noise * np.random.default_rng(1).standard_normal(y.size)
 
 

@@ -40,6 +40,7 @@ class Stage(Node):
             message.header.stamp = self.get_clock().now().to_msg()
             self.samples.publish(message)
             deadline += 1.0 / RATE
+            # a device keeps its own time: this is its clock
             time.sleep(max(deadline - time.monotonic(), 0.0))
 
 

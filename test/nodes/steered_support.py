@@ -79,7 +79,7 @@ def at_random(steered: Steered, observer, changes: int, random, pause: float = 0
             observer.keep_client(Trigger, f"/{node}/{action}")
     took = []
     for _ in range(changes):
-        time.sleep(pause * random.random())
+        time.sleep(pause * random.random())  # spreads what is asked for over the samples; nothing is awaited
         steered.ask(random.uniform(0.0, 10e-6))
         asked = random.integers(6)
         begun = time.monotonic()

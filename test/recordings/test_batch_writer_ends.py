@@ -152,7 +152,7 @@ while True:
     writer.write(np.arange(count, until) * 1_000_000, np.zeros((ACTUATOR_ROW, until - count)))
     count = until
     print(count, time.monotonic(), flush=True)
-    time.sleep(0.02)
+    time.sleep(0.02)  # the pace of the samples that are written, until the kill
 """
 
 

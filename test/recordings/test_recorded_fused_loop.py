@@ -38,7 +38,7 @@ def record(loop, bag, writer):
             first += count
         if not running:
             break
-        time.sleep(0.01)
+        loop.join(0.01)
     assert not loop.failure
 
 
