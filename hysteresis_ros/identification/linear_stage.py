@@ -10,8 +10,9 @@ from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.identification.frequency_response import welch_response
 from hysteresis_ros.identification.least_squares import ArxOrders, fit_arx, suggest_arx_orders
 from hysteresis_ros.identification.matrix_fraction import identify_matrix_fraction
-from hysteresis_ros.identification.output_error import Structure, fit_transfer_function
+from hysteresis_ros.identification.output_error import fit_transfer_function
 from hysteresis_ros.identification.state_space import FitError, LinearModel
+from hysteresis_ros.identification.transfer_function import Structure
 from hysteresis_ros.models.linear import LinearParameters
 
 #: Poles and zeros of the named continuous models.

@@ -23,11 +23,11 @@ import numpy as np
 from hysteresis_ros.block import compiled, run_kernel
 from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.identification.branches import (
-    FEWEST_BRANCH_SAMPLES,
     checked_signals,
     require_both_directions,
     split_branches,
 )
+from hysteresis_ros.identification.polynomial_loops import LoopCoefficients, distinct_peaks, in_units, loop_table
 from hysteresis_ros.models.hysteresis.polynomial.law import (
     DIRECTION,
     ON_VIRGIN,
@@ -46,8 +46,6 @@ SINGLE_PEAK_FREE = 6
 #: Those that are taken as small where the recording says nothing about them, and the weight of that.
 SMALL = ("C_v2", "D_1", "D_2", "C_r2 slope", "C_f2 slope")
 SMALL_WEIGHT = 1e-6
-#: Peaks that differ by more than this part of the largest are different loops.
-DIFFERENT_PEAKS = 0.02
 #: Where a branch parabola is sampled when quadratics of V_max are drawn through the loops, in parts of V_max.
 NODES = np.array([0.0, 0.25, 0.5, 0.75, 1.0])
 #: A recording may go below 0 V by this part of its highest voltage; further down the model has no branches.
@@ -61,33 +59,6 @@ LEAST_WEIGHT = 0.15
 STRUCTURE = 2.0
 
 _NAMES = ("virgin", "rising_D", "rising_C1", "rising_C2", "falling_D", "falling_C1", "falling_C2")
-
-
-@dataclass(frozen=True)
-class LoopCoefficients:
-    """Branch parabolas of one loop (eqs 1-2; figure 4 of the paper), SI units.
-
-    Parameters
-    ----------
-    v_max : float
-        Peak [V].
-    D : float
-        Lower corner D_r = D_f [m].
-    C_r1, C_r2 : float
-        Rising branch [m/V, m/V²]; NaN where the recording does not rise again after this peak.
-    C_f1, C_f2 : float
-        Falling branch.
-    rms : float
-        Residual [m].
-    """
-
-    v_max: float
-    D: float
-    C_r1: float
-    C_r2: float
-    C_f1: float
-    C_f2: float
-    rms: float
 
 
 @dataclass(frozen=True)
@@ -174,47 +145,6 @@ def _slopes(basis, v_low) -> np.ndarray:
             rows += [curve(1, v_max, v, 1) - start / (v_max - bottom) for v in (bottom, v_max)]
             rows += [curve(4, v_max, v, 1) for v in (bottom, v_max)]
     return np.array(rows)
-
-
-def _loop_table(voltage, displacement, branches):
-    """Return the loops (normalised units) and the virgin samples as (v, x)."""
-    loops, virgin, reached = [], [], 0.0
-    for place, branch in enumerate(branches):
-        if not branch.rising or branch.high <= reached:
-            continue
-        rise = slice(branch.start, branch.stop + 1)
-        fresh = voltage[rise] >= reached
-        virgin.append(np.stack([voltage[rise][fresh], displacement[rise][fresh]]))
-        grown = branch.high > (1.0 + DIFFERENT_PEAKS) * reached
-        reached = branch.high
-        after = branches[place + 1 : place + 3]
-        if not grown or not after or len(after[0]) < FEWEST_BRANCH_SAMPLES:
-            continue
-        fall, again = after[0], after[1] if len(after) == 2 and len(after[1]) >= FEWEST_BRANCH_SAMPLES else None
-        loops.append(_one_loop(voltage, displacement, reached, fall, again))
-    return loops, np.concatenate(virgin, axis=1) if virgin else np.zeros((2, 0))
-
-
-def _one_loop(voltage, displacement, v_max, fall, rise) -> LoopCoefficients:
-    """Fit D, the upper corner X and the bends: x = D + (X - D) V/V_max + C2 V (V - V_max) on each branch."""
-    parts = [(2, fall)] + ([(3, rise)] if rise is not None else [])
-    rows, wanted = [], []
-    for column, branch in parts:
-        v, x = voltage[branch.samples], displacement[branch.samples]
-        below = v <= v_max
-        v = v[below]
-        matrix = np.zeros((v.size, 4))
-        matrix[:, 0], matrix[:, 1], matrix[:, column] = 1.0 - v / v_max, v / v_max, v * (v - v_max)
-        rows.append(matrix)
-        wanted.append(x[below])
-    matrix, wanted = np.concatenate(rows), np.concatenate(wanted)
-    found = np.linalg.lstsq(matrix, wanted, rcond=None)[0]
-    corner, top, c_f2, c_r2 = found
-    rms = float(np.sqrt(np.mean((matrix @ found - wanted) ** 2)))
-    mean = (top - corner) / v_max
-    if rise is None:
-        c_r2 = np.nan
-    return LoopCoefficients(v_max, corner, mean - c_r2 * v_max, c_r2, mean - c_f2 * v_max, c_f2, rms)
 
 
 def _through_loops(loops, virgin, basis) -> np.ndarray:
@@ -328,7 +258,7 @@ def identify_polynomial(
     branches = split_branches(voltage / v_unit, reversal)
     require_both_directions(branches, "loop model")
 
-    loops, virgin = _loop_table(v[recorded], x, branches)
+    loops, virgin = loop_table(v[recorded], x, branches)
     count, warnings = _free_numbers(v, voltage, reversal)
     basis = _basis(count)
     matrix = np.stack([_simulated(v, column)[recorded] for column in basis.T], axis=1)
@@ -352,7 +282,7 @@ def identify_polynomial(
         parameters.validated()
     return PolynomialIdentification(
         parameters=parameters,
-        loops=tuple(_in_units(loop, v_unit, x_unit) for loop in loops),
+        loops=tuple(in_units(loop, v_unit, x_unit) for loop in loops),
         covariance=_covariance(matrix, basis, residual) * np.outer(scale, scale),
         rms=x_unit * float(np.sqrt(np.mean(residual**2))),
         maximum=x_unit * float(np.max(np.abs(residual))),
@@ -381,7 +311,7 @@ def _check_request(voltage, method: str, criterion: str) -> None:
 def _free_numbers(v, voltage, reversal) -> tuple[int, list[str]]:
     """Return how many numbers the path (in parts of its peak) lets free, and what to doubt."""
     count, warnings = len(FREE), []
-    peaks = _distinct_peaks(v, reversal)
+    peaks = distinct_peaks(v, reversal)
     if len(peaks) < 3:
         count = SINGLE_PEAK_FREE
         warnings.append(
@@ -432,25 +362,3 @@ def _covariance(matrix, basis, residual) -> np.ndarray:
     variance = float(residual @ residual) / max(residual.size - basis.shape[1], 1)
     spread = basis @ np.linalg.pinv(matrix.T @ matrix, rcond=1e-20) @ basis.T
     return variance * spread
-
-
-def _distinct_peaks(v, reversal) -> list[float]:
-    """Return the values V_max takes, those that hardly differ once."""
-    peaks = []
-    for branch in split_branches(v, reversal):
-        if branch.high > (1.0 + DIFFERENT_PEAKS) * (peaks[-1] if peaks else 0.0):
-            peaks.append(branch.high)
-    return peaks
-
-
-def _in_units(loop, v_unit, x_unit) -> LoopCoefficients:
-    one, two = x_unit / v_unit, x_unit / v_unit**2
-    return LoopCoefficients(
-        v_max=float(loop.v_max * v_unit),
-        D=float(loop.D * x_unit),
-        C_r1=float(loop.C_r1 * one),
-        C_r2=float(loop.C_r2 * two),
-        C_f1=float(loop.C_f1 * one),
-        C_f2=float(loop.C_f2 * two),
-        rms=float(loop.rms * x_unit),
-    )

@@ -20,7 +20,7 @@ from hysteresis_ros.identification.dynamics import found_with, gain_and_dynamics
 from hysteresis_ros.identification.identified import Identification, PlantModel, grounded
 from hysteresis_ros.identification.linear_part import LinearPart
 from hysteresis_ros.identification.linear_stage import LinearStage, fit_stage
-from hysteresis_ros.identification.output_error import Structure, fit_transfer_function
+from hysteresis_ros.identification.output_error import fit_transfer_function
 from hysteresis_ros.identification.polynomial import identify_polynomial
 from hysteresis_ros.identification.prandtl_ishlinskii import fit_prandtl_ishlinskii
 from hysteresis_ros.identification.preisach import WIDTHS, Density, fit_preisach
@@ -29,6 +29,7 @@ from hysteresis_ros.identification.restarted_nelder_mead import SimplexSettings
 from hysteresis_ros.identification.separation import separated
 from hysteresis_ros.identification.smooth_density import PRIOR_DECAY
 from hysteresis_ros.identification.start import find_start
+from hysteresis_ros.identification.transfer_function import Structure
 from hysteresis_ros.models.creep import CreepParameters
 from hysteresis_ros.models.hysteresis import HysteresisParameters, hysteresis_block
 from hysteresis_ros.models.hysteresis.bouc_wen_mechanical import BoucWenMechanicalParameters

@@ -7,7 +7,7 @@ import time
 from array import array
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
@@ -18,11 +18,13 @@ from std_srvs.srv import Trigger
 from hysteresis_ros import signals
 from hysteresis_ros.errors import HysteresisError, ParameterError
 from hysteresis_ros.loop.node_parameters import NODE_PARAMETERS
+from hysteresis_ros.nodes.diagnostics import diagnostics, warn_of_others
 from hysteresis_ros.nodes.fused import Fused
 from hysteresis_ros.nodes.lockstep import Lockstep, Partners
 from hysteresis_ros.nodes.parameters import ParameterInterface
 from hysteresis_ros.nodes.qos import diagnostics_qos, latched_qos, loop_qos
 from hysteresis_ros.nodes.realtime import RealTime
+from hysteresis_ros.nodes.services import answered
 from hysteresis_ros.nodes.timing import Pace
 
 
@@ -76,7 +78,7 @@ class AxisNode(LifecycleNode):
         self._warned: dict[str, int] = {}
         self._reported: dict[str, int] = {}
         for service in self.triggers:
-            self.create_service(Trigger, f"~/{service}", self._answered(getattr(self, f"_on_{service}")))
+            self.create_service(Trigger, f"~/{service}", answered(getattr(self, f"_on_{service}")))
 
     # -- what subclasses provide -------------------------------------------------------------------------------
 
@@ -211,7 +213,7 @@ class AxisNode(LifecycleNode):
     def _connect(self) -> None:
         self.pace = self.runner.make_pace()
         names = self.state_names = tuple(self.state_signals()) if self.has_state else ()
-        self._state = self._make_state(names)
+        self._state = JointState(name=list(names), position=array("d", bytes(8 * len(names))))
         self._state_publisher = self.publisher(JointState, "~/state", self.qos()) if names else None
         self._diagnostics = self.publisher(DiagnosticArray, "/diagnostics", diagnostics_qos())
         self._changes = self.publisher(String, "changes", self.changes_qos()) if names else None
@@ -234,7 +236,7 @@ class AxisNode(LifecycleNode):
         try:
             self.active = True
             self.pace.restart()
-            self.timer(1.0, self._publish_diagnostics)
+            self.timer(1.0, self._tell_health)
             self.runner.begin()
             self.begin()
         except HysteresisError as error:
@@ -316,13 +318,6 @@ class AxisNode(LifecycleNode):
         self._work_timers.append(made)
         return made
 
-    @staticmethod
-    def _make_state(names: tuple[str, ...]) -> JointState:
-        message = JointState()
-        message.name = list(names)
-        message.position = array("d", bytes(8 * len(names)))
-        return message
-
     def all_matched(self) -> bool:
         """Tell whether every publisher of the loop has a subscription."""
         return all(publisher.get_subscription_count() > 0 for publisher in self._loop_publishers)
@@ -354,19 +349,6 @@ class AxisNode(LifecycleNode):
                 handle.wait_for_all_acked(Duration(seconds=max(deadline - time.monotonic(), 0.0)))
 
     # -- services and parameters -------------------------------------------------------------------------------
-
-    @staticmethod
-    def _answered(serve):
-        """Return a service that says why nothing could be done."""
-
-        def answer(request, response):
-            try:
-                return serve(request, response)
-            except HysteresisError as error:
-                response.success, response.message = False, str(error)
-                return response
-
-        return answer
 
     def _on_start(self, request, response):
         return self._set_running(response, True)
@@ -459,43 +441,7 @@ class AxisNode(LifecycleNode):
         before, self._reported[key] = self._reported.get(key, 0), count
         return max(count - before, 0)
 
-    def _warn_of_others(self) -> None:
-        """Real time: say when somebody else publishes what this node publishes. In lockstep that ends the run."""
-        for publisher in () if self.runner.exact else self._loop_publishers:
-            count = self.count_publishers(publisher.topic_name)
-            if count > 1:
-                self.warn(
-                    "others",
-                    f"{publisher.topic_name} has {count} publishers: another graph runs in this ROS domain; "
-                    "stop it, or give one of them another namespace or ROS_DOMAIN_ID",
-                    every=10.0,
-                )
-
-    def _publish_diagnostics(self) -> None:
-        self._warn_of_others()
-        rate, jitter = self.pace.read()
-        level, text, values = self.health()
-        overruns = self.since_report("overruns", self.pace.overruns)
-        if self.failure:
-            level, text = 2, self.failure
-        elif not self.running:
-            level, text = max(level, 1), text or "stopped"
-        elif overruns and not level:
-            level, text = 1, f"{overruns} periods overrun"
-        status = DiagnosticStatus()
-        status.name = f"{self.get_fully_qualified_name()}: axis"
-        status.hardware_id = self.parameters.joint
-        status.level = (DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR)[level]
-        status.message = text or "OK"
-        table = {"rate_hz": f"{rate:.3f}", "jitter_p99_s": f"{jitter:.6f}", "samples": self.pace.total}
-        table |= {"overruns": self.pace.overruns} | values
-        status.values = [KeyValue(key=key, value=str(value)) for key, value in table.items()]
-        message = DiagnosticArray()
-        message.header.stamp = self.get_clock().now().to_msg()
-        message.status = [status]
-        self._diagnostics.publish(message)
-
-
-def sample_index(stamp, rate: float) -> int:
-    """Return the number of the sample with this stamp: lockstep time starts at zero."""
-    return round((stamp.sec + stamp.nanosec * 1e-9) * rate)
+    def _tell_health(self) -> None:
+        if not self.runner.exact:  # in lockstep that ends the run
+            warn_of_others(self, self._loop_publishers)
+        self._diagnostics.publish(diagnostics(self))

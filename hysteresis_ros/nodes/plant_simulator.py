@@ -31,40 +31,10 @@ from hysteresis_ros.nodes.plant_runners import LockstepPlant, RealTimePlant
 from hysteresis_ros.nodes.qos import latched_qos, setpoint_qos
 from hysteresis_ros.nodes.responder import TRIPPED_FRAME
 from hysteresis_ros.nodes.spin import run
-
-
-class VoltageInput:
-    """One voltage of the plant, as it comes over its topic.
-
-    Parameters
-    ----------
-    topic : str
-    signal : int
-        Place in the row.
-    partner : str
-        Who publishes it.
-    """
-
-    def __init__(self, topic: str, signal: int, partner: str):
-        self.topic, self.signal, self.partner = topic, signal, partner
-        self.clear()
-
-    def clear(self) -> None:
-        """Begin anew."""
-        self.value = math.nan
-        self.received = 0.0
-        self.full_name = self.topic
-
+from hysteresis_ros.nodes.voltage_input import VOLTAGES, VoltageInput
 
 #: Seconds in which the voltage of a device goes to its safe value before the node leaves the device to itself.
 RETURN = 1.0
-
-#: Voltages of an axis, and who publishes them; an actuator has the first only.
-VOLTAGES = (
-    ("voltage", signals.VOLTAGE, "hysteresis_compensator"),
-    ("front_clamp/voltage", signals.FRONT_VOLTAGE, "inchworm_sequencer"),
-    ("rear_clamp/voltage", signals.REAR_VOLTAGE, "inchworm_sequencer"),
-)
 
 _SENSE, _ACTUATE = interpreted(sense), interpreted(actuate)
 

@@ -9,7 +9,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
 from hysteresis_ros import signals
-from hysteresis_ros.nodes.base import AxisNode, sample_index
+from hysteresis_ros.nodes.base import AxisNode
 from hysteresis_ros.nodes.lockstep import LockstepResponder
 from hysteresis_ros.nodes.realtime import RealTimeResponder
 
@@ -135,7 +135,7 @@ class Responder(AxisNode):
 
     def sample_of(self, stamp) -> int:
         """Return the number of the sample with this stamp."""
-        return sample_index(stamp, self.parameters.sample_rate)
+        return round((stamp.sec + stamp.nanosec * 1e-9) * self.parameters.sample_rate)
 
     def read(self, message, row) -> bool:
         """Put the measurement of the joint into a row, NaN when there is none; False when the run is broken by it."""

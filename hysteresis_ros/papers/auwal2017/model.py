@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from hysteresis_ros.identification.continuous import simulate_transfer_function
-from hysteresis_ros.identification.output_error import Search, Structure, TransferFunctionFit, fit_transfer_function
+from hysteresis_ros.identification.output_error import fit_transfer_function
 from hysteresis_ros.identification.reduction import dominant_second_order
+from hysteresis_ros.identification.transfer_function import Search, Structure, TransferFunctionFit
 from hysteresis_ros.identification.validation import Validation, validate
 from hysteresis_ros.models.hysteresis.bouc_wen import ALPHA, BETA, GAMMA, BoucWenHysteresis
 from hysteresis_ros.papers.auwal2017 import axis as auwal

@@ -18,9 +18,10 @@ from hysteresis_ros.configuration import Configuration, load_configuration
 from hysteresis_ros.identification.duhem import identify_inverse_duhem
 from hysteresis_ros.identification.duhem_hammerstein import DuhemHammerstein, identify_duhem_hammerstein
 from hysteresis_ros.identification.duhem_loops import MajorLoop
-from hysteresis_ros.identification.output_error import Structure, fit_transfer_function
+from hysteresis_ros.identification.output_error import fit_transfer_function
 from hysteresis_ros.identification.prandtl_ishlinskii import fit_prandtl_ishlinskii
 from hysteresis_ros.identification.shape_functions import LoopOperator, fit_networks
+from hysteresis_ros.identification.transfer_function import Structure
 from hysteresis_ros.models.hysteresis.duhem import DuhemHysteresis, DuhemParameters
 from hysteresis_ros.models.hysteresis.prandtl_ishlinskii import PrandtlIshlinskiiHysteresis, PrandtlIshlinskiiParameters
 from hysteresis_ros.models.linear import LinearParameters

@@ -1,0 +1,43 @@
+"""What a node says of itself on /diagnostics."""
+
+from __future__ import annotations
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+
+
+def warn_of_others(node, publishers) -> None:
+    """Say when somebody else publishes what a node publishes."""
+    for publisher in publishers:
+        count = node.count_publishers(publisher.topic_name)
+        if count > 1:
+            node.warn(
+                "others",
+                f"{publisher.topic_name} has {count} publishers: another graph runs in this ROS domain; "
+                "stop it, or give one of them another namespace or ROS_DOMAIN_ID",
+                every=10.0,
+            )
+
+
+def diagnostics(node) -> DiagnosticArray:
+    """Return what a node says of itself: level, words and numbers."""
+    rate, jitter = node.pace.read()
+    level, text, values = node.health()
+    overruns = node.since_report("overruns", node.pace.overruns)
+    if node.failure:
+        level, text = 2, node.failure
+    elif not node.running:
+        level, text = max(level, 1), text or "stopped"
+    elif overruns and not level:
+        level, text = 1, f"{overruns} periods overrun"
+    status = DiagnosticStatus()
+    status.name = f"{node.get_fully_qualified_name()}: axis"
+    status.hardware_id = node.parameters.joint
+    status.level = (DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR)[level]
+    status.message = text or "OK"
+    table = {"rate_hz": f"{rate:.3f}", "jitter_p99_s": f"{jitter:.6f}", "samples": node.pace.total}
+    table |= {"overruns": node.pace.overruns} | values
+    status.values = [KeyValue(key=key, value=str(value)) for key, value in table.items()]
+    message = DiagnosticArray()
+    message.header.stamp = node.get_clock().now().to_msg()
+    message.status = [status]
+    return message
