@@ -23,7 +23,7 @@ SOURCES = sorted(PACKAGE.rglob("*.py"))
 TESTS = sorted((ROOT / "test").rglob("*.py"))
 
 #: What every folder may use of the package besides itself: imports go one way, in the order in which data flows.
-BASE = {"", "errors", "parameters", "block", "keywords", "registry", "signals", "linear_algebra", "elementary"}
+BASE = {"", "errors", "parameters", "block", "keywords", "registry", "signals", "linear_algebra", "elementary", "units"}
 FORWARD = BASE | {"configuration", "models", "references", "recordings"}
 METHODS = FORWARD | {"compensation", "control", "identification"}
 MAY_IMPORT = {
@@ -38,6 +38,7 @@ MAY_IMPORT = {
     "elementary": {"", "block"},
     "block": {"", "errors", "parameters"},
     "signals": set(),
+    "units": {"", "errors"},
     "models": BASE,
     "references": BASE,
     "recordings": BASE | {"configuration"},

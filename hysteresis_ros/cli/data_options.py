@@ -134,7 +134,7 @@ def format_figures(figures: dict, first: tuple[str, ...] = ()) -> str:
     Where the name of a figure ends in its unit, the value stands in the part of the unit that people use: ``rmse_m`` of
     2.148e-7 is shown as ``rmse  0.2148 µm``.
     """
-    from hysteresis_ros.recordings.units import readable
+    from hysteresis_ros.units import readable
 
     order = [*(name for name in first if name in figures), *(name for name in figures if name not in first)]
     endings = {name: next((ending for ending in ENDINGS if name.endswith(ending)), "") for name in order}

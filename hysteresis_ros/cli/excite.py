@@ -7,21 +7,14 @@ import pathlib
 
 import click
 
+from hysteresis_ros.cli.reference_options import reference_options
 from hysteresis_ros.references.recipes import RECIPES
 
 
 @click.command(short_help="Drive an axis with what an identification needs.")
 @click.argument("config", type=click.Path(path_type=str))
-@click.option(
-    "--recipe",
-    "name",
-    required=True,
-    type=click.Choice(list(RECIPES)),
-    help="What to drive it with.",
-)
+@click.option("--recipe", "name", type=click.Choice(list(RECIPES)), help="What to drive it with; or give --reference.")
 @click.option("--record", required=True, metavar="DIR", type=click.Path(path_type=pathlib.Path), help="New bag folder.")
-@click.option("--frequency", type=float, help="Of triangles and decaying, lines of the multisine, start of the chirp.")
-@click.option("--amplitude", type=float, default=1.0, show_default=True, help="Part of the recipe's own amplitude.")
 @click.option("--duration", type=float, help="Length of the run [s of the axis]; the recipe's own by default.")
 @click.option("--rate", type=click.Choice(["realtime", "lockstep"]), help="Time mode; the configuration's by default.")
 @click.option("--processes/--composed", "processes", default=True, help="Four processes (default) or one.")
@@ -33,19 +26,26 @@ from hysteresis_ros.references.recipes import RECIPES
     help="external: a node of yours, which runs already, stands in plant_simulator's place.",
 )
 @click.option("--namespace", help="Drive only the axis in this namespace.")
-def excite(config, name, record, frequency, amplitude, duration, rate, processes, plant, namespace):
+@reference_options
+def excite(config, name, record, duration, rate, processes, plant, namespace, reference):
     """Drive an axis of CONFIG in open loop without inverse, within the compensator's limits, and record a bag.
 
     The bag goes into `hysteresis identify` as it is. Recipes: triangles (growing peaks), decaying (minor loops),
-    multisine and chirp (dynamics), steps, creep.
+    multisine and chirp (dynamics), steps, creep. With one, --amplitude is the part of its own amplitude (0.5), and
+    --frequency that of triangles and decaying, of the lines of the multisine, of the chirp's start. With --reference
+    lengths may be given in volts too (60V), or in metres at the gain of the compensator's model (5um).
     """
     from hysteresis_ros.configuration import load_configuration
     from hysteresis_ros.errors import ConfigurationError
+    from hysteresis_ros.models.hysteresis import hysteresis_block
     from hysteresis_ros.nodes.domain import Domain
     from hysteresis_ros.nodes.launcher import Graph
-    from hysteresis_ros.references.recipes import recipe
+    from hysteresis_ros.references.asked import played
+    from hysteresis_ros.references.recipes import in_metres, recipe
     from hysteresis_ros.simulation.axes import axes, single_axis
 
+    if bool(name) == bool(reference.kind):
+        raise click.UsageError(f"give one of --recipe ({', '.join(RECIPES)}) and --reference")
     if record.exists():
         raise ConfigurationError(f"{record}: exists already; choose another folder for the recording or remove it")
     configuration = load_configuration(config)
@@ -58,11 +58,24 @@ def excite(config, name, record, frequency, amplitude, duration, rate, processes
             "drives the recipes; excite the extender alone: a plant_simulator of type actuator, without sequencer"
         )
     limits, sample_rate = given.hysteresis_compensator.limits, given.plant_simulator.sample_rate
-    excitation = recipe(name, limits.minimum, limits.maximum, sample_rate, frequency, amplitude, duration)
-    axis = axes(_driven(configuration, given, excitation, record, rate), given.namespace)[0]
-    length = duration or excitation.duration
+    gain = hysteresis_block(given.hysteresis_compensator.hysteresis, 1.0 / sample_rate).gain
+    if name:
+        excitation = recipe(
+            name, limits.minimum, limits.maximum, sample_rate, duration=duration, **_of_recipe(reference)
+        )
+        waveform, length = in_metres(excitation, gain), duration or excitation.duration
+        if excitation.samples is not None:
+            waveform["file.path"] = _write_samples(record, excitation.samples * gain, sample_rate)
+    else:
+        waveform = reference.values(gain)
+        with reference.named():
+            length = duration or played(waveform, 1.0 / sample_rate)
+    with reference.named():
+        axis = axes(_driven(configuration, limits, gain, waveform, rate), given.namespace)[0]
     axis = axis.with_duration(length)
-    click.echo(f"{name}: {length:.4g} s at {sample_rate:g} Hz, {limits.minimum:g} … {limits.maximum:g} V …")
+    click.echo(
+        f"{name or reference.kind}: {length:.4g} s at {sample_rate:g} Hz, {limits.minimum:g} … {limits.maximum:g} V …"
+    )
     options = {"composed": not processes, "record": record, "log_level": "warn"}
     with contextlib.ExitStack() as stack:
         if plant == "own":
@@ -72,16 +85,42 @@ def excite(config, name, record, frequency, amplitude, duration, rate, processes
     click.echo(f"recorded: {record}")
 
 
-def _driven(configuration, given, excitation, record: pathlib.Path, rate):
-    """Return the configuration in open loop without inverse, with the excitation as waveform."""
+def _of_recipe(reference) -> dict:
+    """Return what the options say about a recipe."""
+    from hysteresis_ros.errors import ConfigurationError
+    from hysteresis_ros.units import quantity
+
+    reference.refuse_others(("amplitude", "frequency"))
+    units = {"amplitude": ("", "a part of the recipe's own, such as 0.5"), "frequency": ("Hz", "a frequency")}
+    found = {}
+    for option, text in reference.given.items():
+        unit, words = units[option]
+        try:
+            found[option], given = quantity(text)
+            if given not in ("", unit):
+                raise ValueError(f"must be {words}")
+        except ValueError as error:
+            raise ConfigurationError(f"--{option} = {text!r}: {error}") from None
+    return found
+
+
+def _write_samples(record: pathlib.Path, reference, sample_rate: float) -> str:
+    """Write a reference [m] beside the recording and return the path of the file."""
     import numpy as np
 
     from hysteresis_ros.errors import ConfigurationError
-    from hysteresis_ros.models.hysteresis import hysteresis_block
-    from hysteresis_ros.references.recipes import in_metres
 
-    compensator = given.hysteresis_compensator
-    gain = hysteresis_block(compensator.hysteresis, 1.0 / given.plant_simulator.sample_rate).gain
+    path = record.with_name(record.name + "_waveform.npz").resolve()
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        np.savez(path, time=np.arange(reference.size) / sample_rate, reference=reference)
+    except OSError as error:
+        raise ConfigurationError(f"{path}: cannot be written: {error.strerror}; choose another place") from None
+    return str(path)
+
+
+def _driven(configuration, limits, gain: float, waveform: dict, rate):
+    """Return the configuration in open loop without inverse, with this waveform [m]."""
     # whatever the configuration's own waveform says besides
     plain = {
         "cycles": 0,
@@ -90,18 +129,7 @@ def _driven(configuration, given, excitation, record: pathlib.Path, rate):
         "multisine.first_harmonic": 1,
         "multisine.harmonic_step": 1,
     }
-    values = {**plain, **in_metres(excitation, gain)}
-    waveform = {f"waveform__{name.replace('.', '__')}": value for name, value in values.items()}
-    if excitation.samples is not None:
-        path = record.with_name(record.name + "_waveform.npz").resolve()
-        time = np.arange(excitation.samples.size) / given.plant_simulator.sample_rate
-        try:
-            path.parent.mkdir(parents=True, exist_ok=True)
-            np.savez(path, time=time, reference=excitation.samples * gain)
-        except OSError as error:
-            raise ConfigurationError(f"{path}: cannot be written: {error.strerror}; choose another place") from None
-        waveform["waveform__file__path"] = str(path)
-    low, high = (gain * end for end in (compensator.limits.minimum, compensator.limits.maximum))
+    low, high = (gain * end for end in (limits.minimum, limits.maximum))
     configuration = configuration.override("", exit_at_end=True, autostart=True)
     if rate:
         configuration = configuration.override("", time_mode=rate)
@@ -115,5 +143,5 @@ def _driven(configuration, given, excitation, record: pathlib.Path, rate):
         approach__maximum_velocity=0.0,
         approach__maximum_acceleration=0.0,
         approach__maximum_jerk=0.0,
-        **waveform,
+        **{f"waveform.{name}": value for name, value in {**plain, **waveform}.items()},
     )

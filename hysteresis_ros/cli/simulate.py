@@ -6,6 +6,8 @@ from typing import Any
 
 import click
 
+from hysteresis_ros.cli.reference_options import reference_options
+
 
 @click.command(short_help="Simulate a configuration without ROS.")
 @click.argument("config", type=click.Path(path_type=str))
@@ -22,8 +24,9 @@ import click
     metavar="NAME:START:DURATION[:VALUE]",
     help="Make this go wrong; may be repeated.",
 )
+@reference_options
 @click.option("--namespace", help="Which axis of the configuration, when it describes several.")
-def simulate(config, output, duration, setpoints, faults, namespace):
+def simulate(config, output, duration, setpoints, faults, namespace, reference):
     """Run the blocks of CONFIG in closed loop, bit for bit what the nodes do in lockstep, and write all signals."""
     from hysteresis_ros.configuration import load_configuration
     from hysteresis_ros.recordings.align import setpoints_per_sample
@@ -34,7 +37,9 @@ def simulate(config, output, duration, setpoints, faults, namespace):
     from hysteresis_ros.simulation.reach import reach_warnings
     from hysteresis_ros.simulation.run import simulate as run_offline
 
-    parameters = single_axis(load_configuration(config), namespace)
+    configuration = reference.put_into(load_configuration(config))
+    with reference.named():
+        parameters = single_axis(configuration, namespace)
     for warning in reach_warnings(parameters):
         click.echo(f"hysteresis: warning: {warning}", err=True)
     if faults:

@@ -6,6 +6,8 @@ import signal
 
 import click
 
+from hysteresis_ros.cli.reference_options import reference_options
+
 #: Samples per second of the wall clock up to which nodes that exchange messages answer in time nearly always.
 MESSAGE_RATE = 300.0
 
@@ -46,6 +48,7 @@ MESSAGE_RATE = 300.0
     metavar="NAME:START:DURATION[:VALUE]",
     help="Make this go wrong; may be repeated.",
 )
+@reference_options
 @click.option(
     "--log-level",
     type=click.Choice(["debug", "info", "warn", "error", "fatal"]),
@@ -53,7 +56,22 @@ MESSAGE_RATE = 300.0
     help="Log level of the nodes.",
     show_default=True,
 )
-def up(config, processes, record, duration, rate, fused, factor, force, plant, namespace, verify, faults, log_level):
+def up(
+    config,
+    processes,
+    record,
+    duration,
+    rate,
+    fused,
+    factor,
+    force,
+    plant,
+    namespace,
+    verify,
+    faults,
+    log_level,
+    reference,
+):
     """Start all nodes of CONFIG and bring them down together.
 
     Ends with exit code 0 after --duration or Ctrl-C, with 1 when a node dies, with 2 for wrong input.
@@ -66,7 +84,7 @@ def up(config, processes, record, duration, rate, fused, factor, force, plant, n
     from hysteresis_ros.simulation.axes import axes
     from hysteresis_ros.simulation.reach import reach_warnings
 
-    configuration = load_configuration(config)
+    configuration = reference.put_into(load_configuration(config))
     if fused and (rate not in (None, "fused") or processes is not None):
         other = f"--rate {rate}" if processes is None else "--processes or --composed"
         raise click.UsageError(f"--fused and {other} exclude each other")
@@ -80,7 +98,8 @@ def up(config, processes, record, duration, rate, fused, factor, force, plant, n
     configuration = configuration.override("", exit_at_end=True, autostart=True)
     if plant == "external":
         configuration = configuration.override("", external_plant=True)
-    found = axes(configuration, namespace)
+    with reference.named():
+        found = axes(configuration, namespace)
     for axis in found:
         for warning in reach_warnings(axis):
             click.echo(f"hysteresis: warning: {warning}", err=True)

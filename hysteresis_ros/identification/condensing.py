@@ -15,7 +15,7 @@ import scipy.signal
 
 from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.recordings.loops import turning_points
-from hysteresis_ros.recordings.units import readable
+from hysteresis_ros.units import readable
 
 #: Recordings of more samples than this are condensed, and have no more afterwards but for sweeps …
 MOST_SAMPLES = 100_000

@@ -9,7 +9,7 @@ import scipy.signal
 
 from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.identification.plausibility import few_samples_a_cycle, implausible_units
-from hysteresis_ros.recordings.units import readable
+from hysteresis_ros.units import readable
 
 #: A sample may lie this much beside its place on the uniform grid, in sample times.
 GRID_TOLERANCE = 0.1

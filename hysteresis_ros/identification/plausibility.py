@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from hysteresis_ros.recordings.units import readable
+from hysteresis_ros.units import readable
 
 #: Range of the voltage [V], of the displacement [m] and of both together [m/V] that are not asked about.
 VOLTAGES = (0.02, 2000.0)

@@ -10,7 +10,7 @@ import scipy.signal
 
 from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.data_checks import GRID_TOLERANCE, DataError
-from hysteresis_ros.recordings.units import readable
+from hysteresis_ros.units import readable
 
 #: Samples are taken as uniform when that makes the signals this much smoother than their stamps do.
 SMOOTHER = 0.7

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hysteresis_ros.errors import RecordingError
-from hysteresis_ros.recordings.units import readable
+from hysteresis_ros.units import readable
 
 #: Instants may lie this many roundings beside a uniform grid.
 ROUNDED = 1.01

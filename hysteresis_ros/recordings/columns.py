@@ -18,7 +18,8 @@ from hysteresis_ros.recordings.clock import Clock, mend_clock
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.matlab_files import read_matlab
 from hysteresis_ros.recordings.text_tables import find_layout, read_columns
-from hysteresis_ros.recordings.units import column_unit, conversion, known_conversion, si_unit, split_choice
+from hysteresis_ros.recordings.units import column_unit, known_conversion, si_unit, split_choice
+from hysteresis_ros.units import conversion
 
 #: Kinds of files that are read as tables: text, NPZ and MATLAB.
 TABLE_SUFFIXES = (".csv", ".txt", ".dat", ".tsv", ".asc", ".lvm", ".npz", ".mat")

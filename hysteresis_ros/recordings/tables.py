@@ -15,20 +15,7 @@ import numpy as np
 from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.signals import UNITS as SIGNAL_UNITS
-
-#: Units read beside the SI ones: name → (SI unit, number of them in one SI unit).
-SUBUNITS = {
-    "mm": ("m", 1e3),
-    "um": ("m", 1e6),
-    "µm": ("m", 1e6),
-    "μm": ("m", 1e6),
-    "nm": ("m", 1e9),
-    "ms": ("s", 1e3),
-    "us": ("s", 1e6),
-    "µs": ("s", 1e6),
-    "μs": ("s", 1e6),
-    "mV": ("V", 1e3),
-}
+from hysteresis_ros.units import SUBUNITS
 
 _HEADER = re.compile(r"^\s*(?P<name>[^\[\]]+?)\s*\[(?P<unit>[^\[\]]*)\]\s*$")
 

@@ -16,7 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from hysteresis_ros.errors import RecordingError
-from hysteresis_ros.recordings.units import column_unit, conversion, named_column
+from hysteresis_ros.recordings.units import column_unit, named_column
+from hysteresis_ros.units import conversion
 
 #: The layout is found from this many bytes.
 HEAD = 1 << 18

@@ -10,7 +10,8 @@ from hysteresis_ros.errors import HysteresisError
 from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.reading import Columns, read_data
 from hysteresis_ros.identification.sampling import resample
-from hysteresis_ros.recordings.units import conversion, named_column, readable
+from hysteresis_ros.recordings.units import named_column
+from hysteresis_ros.units import conversion, readable
 
 RATE = 200.0
 TIME = np.arange(1000) / RATE

@@ -1,0 +1,138 @@
+"""Units as people write them, ``70um``, ``5 Hz``, ``10um/V``, brought to SI, and numbers in SI for people."""
+
+from __future__ import annotations
+
+import math
+import re
+
+from hysteresis_ros.errors import did_you_mean
+
+#: Units read beside the SI ones: name → (SI unit, number of them in one SI unit).
+SUBUNITS = {
+    "mm": ("m", 1e3),
+    "um": ("m", 1e6),
+    "µm": ("m", 1e6),
+    "μm": ("m", 1e6),
+    "nm": ("m", 1e9),
+    "ms": ("s", 1e3),
+    "us": ("s", 1e6),
+    "µs": ("s", 1e6),
+    "μs": ("s", 1e6),
+    "mV": ("V", 1e3),
+}
+
+#: Units a column may have: name → (SI unit, number of them in one SI unit); ``1`` is dimensionless.
+UNITS = {
+    **SUBUNITS,
+    **{unit: (unit, 1.0) for unit in ("s", "m", "V", "A", "N", "rad", "K", "Pa", "Hz", "1", "m/s", "m/s^2")},
+    "min": ("s", 1 / 60),
+    "ns": ("s", 1e9),
+    "cm": ("m", 1e2),
+    "pm": ("m", 1e12),
+    "uV": ("V", 1e6),
+    "µV": ("V", 1e6),
+    "kV": ("V", 1e-3),
+    "mA": ("A", 1e3),
+    "mN": ("N", 1e3),
+    "kN": ("N", 1e-3),
+    "mrad": ("rad", 1e3),
+    "urad": ("rad", 1e6),
+    "µrad": ("rad", 1e6),
+    "deg": ("rad", 180 / math.pi),
+    "%": ("1", 1e2),
+    "mHz": ("Hz", 1e3),
+    "kHz": ("Hz", 1e-3),
+}
+
+#: Words for units, in small letters.
+WORDS = {
+    **dict.fromkeys(("volt", "volts"), "V"),
+    **dict.fromkeys(("millivolt", "millivolts"), "mV"),
+    **dict.fromkeys(("second", "seconds", "sec", "secs", "sekunde", "sekunden"), "s"),
+    **dict.fromkeys(("millisecond", "milliseconds", "msec", "millisekunden"), "ms"),
+    **dict.fromkeys(("microsecond", "microseconds", "usec", "µsec", "mikrosekunden"), "us"),
+    **dict.fromkeys(("metre", "metres", "meter", "meters"), "m"),
+    **dict.fromkeys(("millimetre", "millimetres", "millimeter", "millimeters"), "mm"),
+    **dict.fromkeys(
+        ("micrometre", "micrometres", "micrometer", "micrometers", "micron", "microns", "mikrometer", "mikron"), "um"
+    ),
+    **dict.fromkeys(("nanometre", "nanometres", "nanometer", "nanometers"), "nm"),
+    **dict.fromkeys(("newton", "newtons"), "N"),
+    **dict.fromkeys(("ampere", "amperes", "amps"), "A"),
+    **dict.fromkeys(("degree", "degrees", "°"), "deg"),
+}
+
+_SENSITIVITY = re.compile(
+    r"^(?P<factor>[0-9.]+(?:[eE][-+]?[0-9]+)?)?\s*(?P<unit>[^\d\s/*]+)\s*/\s*(?P<per>[^\d\s/*]+)$"
+)
+_QUANTITY = re.compile(r"^\s*(?P<number>[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(?P<unit>.*?)\s*$")
+
+
+def conversion(unit: str) -> tuple[str, float] | None:
+    """Return SI unit of a unit and the number of them in one SI unit; None where the unit is unknown.
+
+    ``10um/V`` is a sensitivity: what stands in the column is in V, and 1 V is 10 µm.
+
+    Parameters
+    ----------
+    unit : str
+        A key of :data:`UNITS`, a word for one, or a sensitivity.
+    """
+    unit = unit.strip()
+    unit = WORDS.get(unit.lower(), unit)
+    if unit in UNITS:
+        return UNITS[unit]
+    parts = _SENSITIVITY.match(unit)
+    if parts is None:
+        return None
+    of, per = (UNITS.get(WORDS.get(parts[name].lower(), parts[name])) for name in ("unit", "per"))
+    factor = float(parts["factor"] or 1.0)
+    if of is None or per is None or per[0] != "V" or not factor > 0.0:
+        return None
+    return of[0], of[1] / (per[1] * factor)
+
+
+def quantity(text: str) -> tuple[float, str]:
+    """Return a number with its unit, as people write it, in SI, and the SI unit; the unit is empty where none stands.
+
+    Parameters
+    ----------
+    text : str
+        ``70um``, ``5 Hz``, ``-1e-6``.
+
+    Raises
+    ------
+    ValueError
+        It is no finite number, or the unit is unknown; the text says which.
+    """
+    parts = _QUANTITY.match(text)
+    value = float(parts["number"]) if parts else math.nan
+    if parts is None or not math.isfinite(value):
+        raise ValueError("must be a finite number, with its unit behind it")
+    if not parts["unit"]:
+        return value, ""
+    found = conversion(parts["unit"])
+    if found is None or "/" in parts["unit"] and parts["unit"] not in UNITS:
+        raise ValueError(f"unknown unit '{parts['unit']}'{did_you_mean(parts['unit'], UNITS)}")
+    return value / found[1], found[0]
+
+
+def readable(value: float, unit: str) -> str:
+    """Return a number for people: four digits and the part of the unit that leaves few zeros, as ``0.2148 µm``.
+
+    Parameters
+    ----------
+    value : float
+        In SI.
+    unit : str
+        SI unit; lengths from nm to mm are in µm, so that one column compares.
+    """
+    if unit == "m":
+        size = abs(value)
+        if 0.0 < size < 1e-9:
+            return f"{1e9 * value:.4g} nm"
+        return f"{1e3 * value:.4g} mm" if size >= 1e-3 else f"{1e6 * value:.4g} µm"
+    if unit in ("s", "V") and 0.0 < abs(value) < 1.0:
+        milli = abs(value) >= 1e-3
+        return f"{1e3 * value:.4g} m{unit}" if milli else f"{1e6 * value:.4g} µ{unit}"
+    return f"{value:.4g} {unit}".rstrip()

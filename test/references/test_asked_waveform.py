@@ -1,0 +1,94 @@
+"""A waveform in words is the waveform that the same numbers in SI give; what is no waveform is refused by name."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hysteresis_ros.errors import ParameterError
+from hysteresis_ros.references.asked import asked_waveform, played
+from hysteresis_ros.references.waveforms import WAVEFORMS, WaveformParameters
+from hysteresis_ros.units import quantity
+
+
+@given(
+    st.floats(-1e6, 1e6), st.sampled_from([("um", "m", 1e6), ("nm", "m", 1e9), ("kHz", "Hz", 1e-3), ("mV", "V", 1e3)])
+)
+def test_a_quantity_is_its_number_over_how_many_make_one_in_si(number, unit):
+    written, si, many = unit
+    assert quantity(f"{number!r}{written}") == quantity(f" {number!r} {written} ") == (number / many, si)
+
+
+@pytest.mark.parametrize("text", ["", "um", "nan", "inf m", "1e999", "5 furlongs", "1,5um", "10um/V"])
+def test_what_is_no_quantity_is_refused(text):
+    with pytest.raises(ValueError, match="finite number|unknown unit"):
+        quantity(text)
+
+
+def test_units_as_people_write_them_are_the_numbers_in_si():
+    words = {"amplitude": "70um", "frequency": "5", "offset": "-20 nm", "cycles": "3", "polarity": "symmetric"}
+    values = asked_waveform("triangle", words)
+    assert values["amplitude"] == 7e-5 and values["frequency"] == 5.0 and values["offset"] == -2e-8
+    assert values["cycles"] == 3 and values["polarity"] == "symmetric" and values["type"] == "triangle"
+    assert played(values, 1e-3) == pytest.approx(0.6)
+    steps = asked_waveform("steps", {"values": "2um,0,1um", "times": "0,100ms,0.2s", "steps.period": "300ms"})
+    assert steps["steps.values"] == [2e-6, 0.0, 1e-6] and steps["steps.times"] == [0.0, 0.1, 0.2]
+    assert steps["steps.period"] == 0.3
+
+
+@pytest.mark.parametrize("kind", WAVEFORMS)
+def test_nothing_of_the_waveform_before_stays(kind, tmp_path):
+    """All parameters that a waveform has are said, so that an override leaves none of a file's own."""
+    example = WAVEFORMS[kind].example
+    own = {} if example is None else {f"{kind}.{name}": value for name, value in example.to_mapping().items()}
+    own = {"file.path": str(tmp_path / "a.csv")} if kind == "file" else own
+    common = {"amplitude": 1e-6} if WAVEFORMS[kind].extent == "amplitude" else {}
+    common |= {"cycles": 2} if kind == "decreasing_triangle" else {}
+    text = {
+        name: ",".join(map(repr, value)) if isinstance(value, tuple) else str(value)
+        for name, value in {**common, **own}.items()
+    }
+    values = asked_waveform(kind, text)
+    built = WaveformParameters.from_mapping(values)
+    assert built == WaveformParameters.from_mapping({"type": kind, **common, **own})
+    rows = [row.name for row in WaveformParameters.table() if row.name.startswith(f"{kind}.")]
+    assert {*rows, "offset", "cycles"} <= values.keys()
+
+
+def test_lengths_are_voltages_where_a_gain_makes_them_lengths():
+    values = asked_waveform("triangle", {"amplitude": "60V", "offset": "1um"}, gain=1e-7)
+    assert values["amplitude"] == 60.0 * 1e-7 and values["offset"] == 1e-6
+    with pytest.raises(ParameterError, match="60V or 5um"):
+        asked_waveform("triangle", {"amplitude": "60"}, gain=1e-7)
+    with pytest.raises(ParameterError, match="is in V"):
+        asked_waveform("triangle", {"amplitude": "60V"})
+    with pytest.raises(ParameterError, match=r"frequency.*is in V"):
+        asked_waveform("triangle", {"amplitude": "60V", "frequency": "5V"}, gain=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("kind", "given_", "expected"),
+    [
+        ("trinagle", {}, "did you mean triangle"),
+        ("triangle", {}, "waveform.amplitude = None: missing"),
+        ("steps", {"values": "1um"}, "waveform.steps.times = None: missing"),
+        ("steps", {"values": "1um", "times": "0,1,2s"}, "1 of which unit"),
+        ("steps", {"values": "1um", "times": "0", "amplitude": "1um"}, "steps has no such parameter"),
+        ("sine", {"amplitude": "1um", "polarity": "symmetric"}, "sine has no such parameter"),
+        ("square", {"amplitude": "1um", "duti": "0.2"}, "did you mean duty"),
+        ("square", {"amplitude": "1um", "duty": "1.5"}, "out of range"),
+        ("sine", {"amplitude": "-1um"}, "out of range"),
+        ("sine", {"amplitude": "1um", "cycles": "1.5"}, "whole number"),
+        ("sine", {"amplitude": "1Hz"}, "is in Hz, allowed: double ≥ 0 m"),
+    ],
+)
+def test_what_a_waveform_is_not_is_refused_by_name(kind, given_, expected):
+    with pytest.raises(ParameterError) as refused:
+        asked_waveform(kind, given_)
+    assert expected in str(refused.value)
+
+
+def test_what_never_ends_has_no_length():
+    with pytest.raises(ParameterError, match="has no end"):
+        played(asked_waveform("sine", {"amplitude": "1um"}), 1e-3)
