@@ -9,7 +9,6 @@ import pathlib
 import shutil
 import statistics
 import subprocess
-import sys
 import tempfile
 import time
 from dataclasses import dataclass
@@ -17,7 +16,6 @@ from dataclasses import dataclass
 import common
 import numpy as np
 
-from hysteresis_ros.block import COMPILED
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.loop.axis import Axis
 from hysteresis_ros.loop.axis_parameters import AxisParameters
@@ -172,25 +170,15 @@ def growth(ticks: int) -> common.Result:
 
 def main() -> int:
     """Run the benchmark; returns the exit code."""
-    parser = common.parser(__doc__)
-    parser.add_argument("--seconds", type=float, default=4.0, help="length of a turn of each (default 4)")
-    parser.add_argument("--turns", type=int, default=3, help="turns (default 3)")
-    parser.add_argument("--priority", type=int, default=80, help="of both, SCHED_FIFO; 0: normal (default 80)")
-    parser.add_argument("--cpu", type=int, default=-1, help="core of both, -1: any (default -1)")
+    parser = common.realtime_parser(__doc__, seconds=4.0, turns=3)
     parser.add_argument("--ticks", type=int, default=10**7, help="ticks without waiting (default 10^7)")
     options = parser.parse_args()
-    if not COMPILED:
-        raise common.BenchmarkError("Numba is missing or switched off: there is no compiled loop to measure")
+    common.require_compiled()
     results = [growth(options.ticks)]
-    busy = subprocess.Popen([sys.executable, "-c", "while True: pass"])
-    try:
-        with tempfile.TemporaryDirectory() as folder:
-            program = built(pathlib.Path(folder))
-            for name in AXES:
-                results += paced(program, name, options)
-    finally:
-        busy.kill()
-        busy.wait()
+    with tempfile.TemporaryDirectory() as folder, common.busy_core():
+        program = built(pathlib.Path(folder))
+        for name in AXES:
+            results += paced(program, name, options)
     return common.report(results, options)
 
 

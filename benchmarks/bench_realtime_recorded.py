@@ -21,7 +21,6 @@ import bench_realtime
 import common
 import numpy as np
 
-from hysteresis_ros.block import COMPILED
 from hysteresis_ros.configuration import Configuration, load_configuration, parse_configuration
 from hysteresis_ros.recordings.align import read_recording
 from hysteresis_ros.simulation.axes import single_axis
@@ -172,25 +171,14 @@ def judged(program, name: str, configuration: Configuration, folder: pathlib.Pat
 
 def main() -> int:
     """Run the benchmark; returns the exit code."""
-    parser = common.parser(__doc__)
-    parser.add_argument("--seconds", type=float, default=10.0, help="length of a turn of each (default 10)")
-    parser.add_argument("--turns", type=int, default=2, help="turns (default 2)")
-    parser.add_argument("--priority", type=int, default=80, help="of both, SCHED_FIFO; 0: normal (default 80)")
-    parser.add_argument("--cpu", type=int, default=-1, help="core of both, -1: any (default -1)")
-    options = parser.parse_args()
-    if not COMPILED:
-        raise common.BenchmarkError("Numba is missing or switched off: there is no compiled loop to measure")
+    options = common.realtime_parser(__doc__, seconds=10.0, turns=2).parse_args()
+    common.require_compiled()
     results = []
-    busy = subprocess.Popen([sys.executable, "-c", "while True: pass"])
-    try:
-        with tempfile.TemporaryDirectory() as made, contextlib.ExitStack() as stack:
-            folder = pathlib.Path(made)
-            program = bench_realtime.built(folder)
-            for name, configuration in configurations(folder, stack).items():
-                results += judged(program, name, configuration, folder, options)
-    finally:
-        busy.kill()
-        busy.wait()
+    with tempfile.TemporaryDirectory() as made, contextlib.ExitStack() as stack, common.busy_core():
+        folder = pathlib.Path(made)
+        program = bench_realtime.built(folder)
+        for name, configuration in configurations(folder, stack).items():
+            results += judged(program, name, configuration, folder, options)
     return common.report(results, options)
 
 

@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import datetime
 import json
 import os
 import pathlib
 import platform
 import statistics
+import subprocess
+import sys
 import time
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
+
+from hysteresis_ros.block import COMPILED
 
 #: The axis that everything is measured on: Kim, Kim & Park 2009, complete with quantiser, compensator and observer.
 CONFIGURATION = pathlib.Path(__file__).parent.parent / "config" / "kim2009.yaml"
@@ -58,6 +64,32 @@ def parser(description: str, **defaults) -> argparse.ArgumentParser:
     if repeats:
         made.add_argument("--repeats", type=int, default=repeats, help=f"repeats (default {repeats})")
     return made
+
+
+def realtime_parser(description: str, seconds: float, turns: int) -> argparse.ArgumentParser:
+    """Return the command line of benchmarks that run loops in real time, in turns with a C loop."""
+    made = parser(description)
+    made.add_argument("--seconds", type=float, default=seconds, help=f"length of a turn of each (default {seconds:g})")
+    made.add_argument("--turns", type=int, default=turns, help=f"turns (default {turns})")
+    made.add_argument("--priority", type=int, default=80, help="of both, SCHED_FIFO; 0: normal (default 80)")
+    made.add_argument("--cpu", type=int, default=-1, help="core of both, -1: any (default -1)")
+    return made
+
+
+def require_compiled() -> None:
+    """Raise when there is no compiled loop to measure."""
+    if not COMPILED:
+        raise BenchmarkError("Numba is missing or switched off: there is no compiled loop to measure")
+
+
+@contextlib.contextmanager
+def busy_core() -> Iterator[None]:
+    """Keep one core busy with another program."""
+    with subprocess.Popen([sys.executable, "-c", "while True: pass"]) as busy:
+        try:
+            yield
+        finally:
+            busy.kill()
 
 
 def machine() -> dict:

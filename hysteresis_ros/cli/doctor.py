@@ -5,10 +5,14 @@ from __future__ import annotations
 import pathlib
 import time
 from dataclasses import asdict
+from typing import TYPE_CHECKING
 
 import click
 
 from hysteresis_ros.cli.progress import Progress
+
+if TYPE_CHECKING:
+    from hysteresis_ros.nodes.trial import Answers
 
 #: Rates that are tried [Hz], and for how long each [s].
 RATES, SECONDS = (1e3, 3e3, 1e4, 2e4, 5e4), 0.8
@@ -156,7 +160,7 @@ def _messages(progress: Progress, libraries: dict, latest: float) -> dict:
     if importlib.util.find_spec("rclpy") is None or libraries["rosbags"] == "not installed":
         progress.say("nodes: not measured, rclpy or rosbags is not installed")
         return {}
-    from hysteresis_ros.nodes.trial import answers, message_rate
+    from hysteresis_ros.nodes.trial import Trial
 
     axis = _axis(3e3)
     found: dict[str, dict] = {}
@@ -165,15 +169,21 @@ def _messages(progress: Progress, libraries: dict, latest: float) -> dict:
             progress.say(f"nodes, {name}: not measured, compiling took the time; once more, it is quick")
             continue
         with progress.during(f"nodes, {name}"):
-            found[name] = {"lockstep_hz": message_rate(axis, samples, composed)}
+            found[name] = {"lockstep_hz": Trial(axis, samples, composed).message_rate()}
         progress.say(f"nodes, {name}: {found[name]['lockstep_hz']:.0f} samples a second in lockstep, recorded")
         with progress.during(f"nodes, {name}, in real time"):
-            took = answers(_axis(MESSAGE_RATE), ANSWERED, composed)
+            took = Trial(_axis(MESSAGE_RATE), ANSWERED, composed).answers()
         found[name]["realtime"] = asdict(took)
-        late = f"{took.late} of {took.samples} voltages late ({100.0 * took.late / max(took.samples, 1):.2g} %)"
-        delay = f"answered after p50 {1e3 * took.p50:.2g}, p99 {1e3 * took.p99:.2g}, max {1e3 * took.max:.2g} ms"
-        progress.say(f"nodes, {name}, in real time at {took.rate:g} Hz: {delay}; {late}")
+        progress.say(f"nodes, {name}, in real time at {took.rate:g} Hz: {_answered(took)}")
     return found
+
+
+def _answered(took: Answers) -> str:
+    """Say how soon nodes answered."""
+    if took.p50 is None or took.p99 is None or took.max is None:
+        return f"not one of {took.samples} measurements was answered; the machine has no time for it"
+    late = f"{took.late} of {took.samples} voltages late ({100.0 * took.late / max(took.samples, 1):.2g} %)"
+    return f"answered after p50 {1e3 * took.p50:.2g}, p99 {1e3 * took.p99:.2g}, max {1e3 * took.max:.2g} ms; {late}"
 
 
 def _write(found: dict, path: pathlib.Path) -> None:

@@ -28,80 +28,77 @@ class Answers:
         Of the samples [Hz].
     samples, late : int
         Samples, and how many of their voltages came too late.
-    p50, p99, max : float
+    p50, p99, max : float or None
         Time from a measurement to its voltage that half, 99 % and all of the samples do not exceed [s], as the recorder
-        hears both.
+        hears both; None when no voltage came at all before the run was over.
     """
 
     rate: float
     samples: int
     late: int
-    p50: float
-    p99: float
-    max: float
+    p50: float | None
+    p99: float | None
+    max: float | None
 
 
-def message_rate(parameters: AxisParameters, samples: int, composed: bool) -> float:
-    """Return how many samples a second the nodes of an axis make in lockstep, recorded [Hz].
-
-    They run in a ROS domain that nobody else uses.
-
-    Parameters
-    ----------
-    parameters : AxisParameters
-    samples : int
-        Length of the run.
-    composed : bool
-        All nodes in one process, instead of one for each.
-
-    Raises
-    ------
-    GraphError
-        A node died.
-    """
-    with _recorded(parameters.with_time_mode("lockstep"), samples, composed) as bag:
-        return float(load_run(bag).metadata["timing"]["rate_hz"])
-
-
-def answers(parameters: AxisParameters, samples: int, composed: bool) -> Answers:
-    """Let the nodes of an axis run in real time, recorded, and return how soon they answer.
+@dataclass(frozen=True)
+class Trial:
+    """Runs of an axis as nodes, recorded, in a ROS domain that nobody else uses.
 
     Parameters
     ----------
-    parameters : AxisParameters
+    axis : AxisParameters
+        What runs.
     samples : int
-        Length of the run.
+        Length of a run.
     composed : bool
         All nodes in one process, instead of one for each.
-
-    Raises
-    ------
-    GraphError
-        A node died.
     """
-    with _recorded(parameters.with_time_mode("realtime"), samples, composed) as path:
-        bag = read_bag(path)
-        late = int(load_run(path).metadata["late_commands"])
-    measured, voltage = (
-        next(topic for name, topic in bag.topics.items() if name.endswith(ending)).received()
-        for ending in ("/joint_states", "/voltage")
-    )
-    # a voltage answers the last measurement before it
-    asked = np.searchsorted(measured, voltage, side="right") - 1
-    took = 1e-9 * (voltage - measured[np.maximum(asked, 0)])[asked >= 0]
-    p50, p99, longest = np.quantile(took, [0.5, 0.99, 1.0]) if took.size else (np.nan,) * 3
-    rate = parameters.plant_simulator.sample_rate
-    return Answers(rate, measured.size, late, float(p50), float(p99), float(longest))
 
+    axis: AxisParameters
+    samples: int
+    composed: bool
 
-@contextlib.contextmanager
-def _recorded(axis: AxisParameters, samples: int, composed: bool) -> Iterator[pathlib.Path]:
-    """Run an axis and yield its bag, which is removed afterwards."""
-    # a namespace of its own as well: another graph may enter the domain while this one runs
-    plant = replace(axis.plant_simulator, samples=samples, late_limit=-1)
-    axis = replace(axis, namespace=f"/doctor_{os.getpid()}", plant_simulator=plant)
-    with tempfile.TemporaryDirectory(prefix="hysteresis_") as folder, Domain() as domain:
-        options = {"composed": composed, "record": pathlib.Path(folder) / "bag"}
-        with Graph([axis], **options, environment=domain.environment) as graph:
-            graph.wait()
-        yield graph.bags[0]
+    def message_rate(self) -> float:
+        """Return how many samples a second the nodes make in lockstep [Hz].
+
+        Raises
+        ------
+        GraphError
+            A node died.
+        """
+        with self._recorded("lockstep") as bag:
+            return float(load_run(bag).metadata["timing"]["rate_hz"])
+
+    def answers(self) -> Answers:
+        """Let the nodes run in real time and return how soon they answer.
+
+        Raises
+        ------
+        GraphError
+            A node died.
+        """
+        with self._recorded("realtime") as path:
+            bag = read_bag(path)
+            late = int(load_run(path).metadata["late_commands"])
+        measured, voltage = (
+            next(topic for name, topic in bag.topics.items() if name.endswith(ending)).received()
+            for ending in ("/joint_states", "/voltage")
+        )
+        # a voltage answers the last measurement before it
+        asked = np.searchsorted(measured, voltage, side="right") - 1
+        took = 1e-9 * (voltage - measured[np.maximum(asked, 0)])[asked >= 0]
+        within = np.quantile(took, [0.5, 0.99, 1.0]).tolist() if took.size else (None,) * 3
+        return Answers(self.axis.plant_simulator.sample_rate, measured.size, late, *within)
+
+    @contextlib.contextmanager
+    def _recorded(self, time_mode: str) -> Iterator[pathlib.Path]:
+        """Run the axis and yield its bag, which is removed afterwards."""
+        # a namespace of its own as well: another graph may enter the domain while this one runs
+        plant = replace(self.axis.plant_simulator, samples=self.samples, late_limit=-1)
+        axis = replace(self.axis, namespace=f"/doctor_{os.getpid()}", plant_simulator=plant).with_time_mode(time_mode)
+        with tempfile.TemporaryDirectory(prefix="hysteresis_") as folder, Domain() as domain:
+            options = {"composed": self.composed, "record": pathlib.Path(folder) / "bag"}
+            with Graph([axis], **options, environment=domain.environment) as graph:
+                graph.wait()
+            yield graph.bags[0]

@@ -43,13 +43,26 @@ def test_what_was_measured_is_said_and_written(tmp_path, short):
     for name in ("composed", "processes"):
         real = found["messages"][name]["realtime"]
         assert real["rate"] == 300.0 and 0 <= real["late"] <= real["samples"] <= 30
-        assert 0.0 < real["p50"] <= real["p99"] <= real["max"]
-        assert f"nodes, {name}, in real time at 300 Hz: answered after p50" in result.output
+        answered = real["p50"] is not None  # a machine that is busy may answer none of them
+        assert not answered or 0.0 < real["p50"] <= real["p99"] <= real["max"]
+        said = "answered after p50" if answered else "not one of"
+        assert f"nodes, {name}, in real time at 300 Hz: {said}" in result.output
     assert found["middleware"].startswith("rmw_") and found["middleware"] in result.output
     assert found["kernel_cache"]["bytes"] > 0 and found["kernel_cache"]["folder"] in result.output
     assert found["libraries"]["numpy"] != "not installed"
     permitted = not any(row["warning"] for row in found["fused"])
     assert ("limits.conf" in result.output) != permitted
+
+
+def test_nodes_that_answer_nothing_are_said_to(monkeypatch, tmp_path, short):
+    trial = pytest.importorskip("hysteresis_ros.nodes.trial", reason="rosbags is not installed")
+    monkeypatch.setattr("hysteresis_ros.block.COMPILED", False)
+    monkeypatch.setattr(trial.Trial, "message_rate", lambda self: 1000.0)
+    monkeypatch.setattr(trial.Trial, "answers", lambda self: trial.Answers(300.0, 30, 0, None, None, None))
+    path = tmp_path / "found.json"
+    result = CliRunner().invoke(main, ["doctor", "--json", str(path)])
+    assert result.exit_code == 0 and "not one of 30 measurements was answered" in result.output
+    assert json.loads(path.read_text(encoding="utf-8"))["messages"]["composed"]["realtime"]["p50"] is None
 
 
 def test_without_a_compiler_nothing_is_measured_and_the_reason_is_said(monkeypatch, short):
