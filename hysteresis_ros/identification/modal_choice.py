@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from hysteresis_ros.identification.linear_part import Mode
 from hysteresis_ros.identification.modal_search import (
     MOST_MODES,
     ModalSearch,
@@ -73,15 +74,13 @@ def _chosen(judged, spectra: SegmentSpectra) -> Trial:
     best, least = order[0]
     for trial, errors in order[1:]:
         gain = least - errors
-        near = [np.abs(np.log(spectra.frequencies / mode.frequency)) < np.log(NEARBY) for mode in trial.part.modes]
+        added = _added_modes(trial.part.modes, best.part.modes)
+        near = [np.abs(np.log(spectra.frequencies / mode.frequency)) < np.log(NEARBY) for mode in added]
         more = trial.structure.numbers - best.structure.numbers
         if (
             gain.sum() > price * more
             and np.count_nonzero(gain.sum(axis=1) > 0.0) >= min(MAJORITY, len(gain))
-            and all(
-                gain[:, place].sum() > 2.0 * price or mode in best.part.modes
-                for mode, place in zip(trial.part.modes, near, strict=True)
-            )
+            and all(gain[:, place].sum() > 2.0 * price for place in near)
         ):
             best, least = trial, errors
     if best.structure.delay and not best.structure.lag:
@@ -91,6 +90,14 @@ def _chosen(judged, spectra: SegmentSpectra) -> Trial:
             if same and errors.sum() - least.sum() < price:
                 return trial
     return best
+
+
+def _added_modes(modes, present) -> list[Mode]:
+    """Return those of the modes that were not present before; one that was is the next in frequency of each present."""
+    left = list(modes)
+    for mode in present if len(modes) > len(present) else ():
+        left.remove(min(left, key=lambda other: abs(np.log(other.frequency / mode.frequency))))
+    return left
 
 
 def _without_modes(search: ModalSearch, lag: bool, delay: bool) -> Trial:

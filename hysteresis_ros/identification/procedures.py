@@ -156,12 +156,16 @@ def proportional(data: IdentificationData, request: Request) -> Identification:
             hysteresis = HysteresisParameters(type="proportional", proportional=ProportionalParameters(gain=gain))
             chain = _chain(data, request, hysteresis, part, part.dynamics(data.sample_time), False, constant)
             return _identified(chain, request, FittedHysteresis(hysteresis, 2), part)
+    if request.stage:
+        # a size to start from: the gain is the stage's, behind whose dynamics no line through the samples shows it
+        size = ProportionalParameters(gain=data.stroke / float(np.ptp(u)))
+        return _with_stage(
+            data, request, FittedHysteresis(HysteresisParameters(type="proportional", proportional=size), 1)
+        )
     gain, constant = np.polyfit(u[skip:], y[skip:], 1)
     if not gain > 0.0:
         raise IdentificationError(f"the gain is {gain:.3g} m/V; it must be above 0")
     hysteresis = HysteresisParameters(type="proportional", proportional=ProportionalParameters(gain=float(gain)))
-    if request.stage:
-        return _with_stage(data, request, FittedHysteresis(hysteresis, 1))
     if not request.parts:
         chain = _chain(data, request, hysteresis, LinearPart(), LinearParameters(), True, float(constant))
         return _identified(chain, request, FittedHysteresis(hysteresis, 2), LinearPart())

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from hysteresis_ros.errors import IdentificationError, did_you_mean
 from hysteresis_ros.identification.data import IdentificationData
+from hysteresis_ros.identification.direction import slow_gain
 from hysteresis_ros.identification.identified import Identification
 from hysteresis_ros.identification.linear_stage import STAGES
 from hysteresis_ros.identification.request import Request
 from hysteresis_ros.models.declaration import PARTS, HysteresisModel
 from hysteresis_ros.models.hysteresis import MODELS
+from hysteresis_ros.recordings.units import readable
 from hysteresis_ros.registry import resolved
 
 #: Name that stands for the model which predicts best.
@@ -156,10 +156,11 @@ def identify(
 
 def _refuse_falling(data: IdentificationData) -> None:
     """Refuse an output that falls with rising input: no model of this package describes it."""
-    # summed up, so that slow movement counts: above a resonance the output moves against the input
-    u, y = np.cumsum(data.input - data.input.mean()), np.cumsum(data.output - data.output.mean())
-    if float((u - u.mean()) @ (y - y.mean())) <= 0.0:
+    found = slow_gain(data.input, data.output, data.sample_time)
+    if found.told and found.gain < 0.0:
+        size, deviation = (readable(value, data.output_unit) for value in (-found.gain, found.deviation))
         raise IdentificationError(
-            f"the output {data.output_name} falls with rising input {data.input_name}; count it the other way round "
-            "(--negate), or check that the columns belong together"
+            f"the output {data.output_name} falls with rising input {data.input_name}, by {size}/{data.input_unit} "
+            f"(± {deviation}) below {readable(found.highest, 'Hz')}; count it the other way round (--negate), or check "
+            "that the columns belong together"
         )

@@ -41,6 +41,9 @@ STANDS_OUT = 8.0
 NARROW, WIDE = 1.0 / 20.0, 1.0
 #: What is left of a movement that the model explains to more than this part does not count.
 RINGS = 0.3
+#: Something else moves the output where at least this part of its power goes with no linear response to the input.
+FOREIGN = 0.25
+NO_CONTENT = "the voltage has hardly any content there"
 #: A loop of the speed that the model alone allows must not be faster than what is certain by this factor.
 FASTER = 2.0
 
@@ -59,6 +62,9 @@ class ResponseCheck:
         Frequency [Hz] at which the recording shows the error that keeps the loop from being as fast.
     ringing : tuple of float
         Frequencies [Hz] at which something is left in the residual.
+    foreign : float
+        Part of the power of the measured movement that no linear response to the modelled one explains; 0 where most of
+        it is slower than the segments of the spectra.
     """
 
     uncertainty: ResponseUncertainty
@@ -67,6 +73,7 @@ class ResponseCheck:
     certain: float
     unfit_at: float
     ringing: tuple[float, ...] = ()
+    foreign: float = 0.0
 
     @property
     def fit_for_feedback(self) -> bool:
@@ -110,11 +117,18 @@ class ResponseCheck:
     def warnings(self) -> tuple[str, ...]:
         """What is left in the residual and up to where the dynamics are known, in sentences."""
         found = [f"the residual rings at {frequency:.4g} Hz" for frequency in self.ringing]
+        if self.foreign > FOREIGN:
+            found.append(
+                f"{100.0 * self.foreign:.0f} % of the movement (in squares) goes with no linear response to the "
+                "voltage: something else moves the output too (other inputs, vibration, noise); keep the other axes still "
+                "and record again"
+            )
         known = self.uncertainty.known_to
         if not np.isinf(known):
+            why = "what else moves the output hides them" if self.foreign > FOREIGN else NO_CONTENT
             found.append(
-                f"dynamics above {known:.3g} Hz are unknown, the voltage has hardly any content there: a design keeps "
-                f"to a crossover of about {self.certain:.2g} Hz"
+                f"dynamics above {known:.3g} Hz are unknown, {why}: a design keeps to a crossover of about "
+                f"{self.certain:.2g} Hz"
             )
         return (*found, *([self.reason] if self.reason else []))
 
@@ -151,7 +165,8 @@ def check_response(chain: PlantModel, data: IdentificationData, skip: int = 0) -
         fastest_integral(plant, data.sample_time, errors) for errors in (exact, shown, uncertainty)
     )
     worst = shown.borne_by(integral_controller(believed, data.sample_time), plant, data.sample_time)
-    return ResponseCheck(uncertainty, believed, seen, certain, worst.frequency, ringing)
+    foreign = _foreign(spectra, data.output[skip:])
+    return ResponseCheck(uncertainty, believed, seen, certain, worst.frequency, ringing, foreign)
 
 
 def _uncertainty(spectra: SegmentSpectra, response) -> tuple[ResponseUncertainty, ResponseUncertainty]:
@@ -199,6 +214,18 @@ def _in_bands(spectra: SegmentSpectra, response, bands: int):
     spread = np.sqrt(OVERLAP * np.add.reduceat(expected * noise, edges)) / size
     centres = np.add.reduceat(f, edges) / np.diff(np.append(edges, len(f)))
     return centres, np.abs(ratio - 1.0), spread
+
+
+def _foreign(spectra: SegmentSpectra, output) -> float:
+    """Return the part of the output's power that goes with no linear response; 0 where the spectra hold too little."""
+    # the spectra are of differences
+    undone = 1.0 / (2.0 - 2.0 * np.cos(2.0 * np.pi * spectra.frequencies * spectra.sample_time))
+    power = np.abs(np.fft.rfft(output - output.mean())) ** 2
+    held = np.fft.rfftfreq(len(output), spectra.sample_time) >= spectra.frequencies[0]
+    if power[held].sum() < 0.5 * power.sum():
+        return 0.0
+    whole = spectra.output.sum(axis=0) / spectra.segments
+    return float(undone @ spectra.incoherent() / (undone @ whole))
 
 
 def _ringing(spectra: SegmentSpectra, response) -> tuple[float, ...]:
