@@ -120,8 +120,8 @@ class ResponseCheck:
         if self.foreign > FOREIGN:
             found.append(
                 f"{100.0 * self.foreign:.0f} % of the movement (in squares) goes with no linear response to the "
-                "voltage: something else moves the output too (other inputs, vibration, noise); keep the other axes still "
-                "and record again"
+                "voltage: something else moves the output too (other inputs, vibration, noise); keep the other "
+                "axes still and record again"
             )
         known = self.uncertainty.known_to
         if not np.isinf(known):
