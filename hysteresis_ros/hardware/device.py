@@ -76,7 +76,7 @@ class Device:
             raise DriverError(self.name, text, "look at the device, its connection and its driver") from error
 
     def read(self) -> tuple[float, ...]:
-        """Return the position of each joint [m], NaN where there is none.
+        """Return the position of each joint [position_unit], NaN where there is none.
 
         Raises
         ------
@@ -97,7 +97,7 @@ class Device:
         Parameters
         ----------
         voltages : sequence of float
-            [V]
+            [voltage_unit]
 
         Raises
         ------
@@ -110,7 +110,8 @@ class Device:
                 raise ValueError(f"{len(voltages)} voltages for {self.capabilities.voltages}")
             for voltage in voltages:
                 if not (math.isfinite(voltage) and low <= voltage <= high):
-                    raise ValueError(f"{voltage:g} V is not within {low:g} … {high:g} V")
+                    unit = self.capabilities.voltage_unit
+                    raise ValueError(f"{voltage:g} {unit} is not within {low:g} … {high:g} {unit}")
             self._driver.write(voltages)
 
     def compiled(self) -> Compiled | None:

@@ -44,7 +44,7 @@ class Capabilities:
     voltages : int
         Voltages that it puts out; an axis uses the first ones.
     minimum, maximum : float
-        Range of the voltages [V].
+        Range of what it can be told to put out [voltage_unit].
     highest_rate : float
         Samples per second that it can be read and written [Hz].
     watchdog : float or None
@@ -53,7 +53,8 @@ class Capabilities:
         Whether the device decides when a sample is, and :meth:`Driver.read` waits for it. The package has no loop that
         follows a device: one that insists is refused.
     position_unit, voltage_unit : str
-        Units of what is read and put out; a driver converts, others than ``m`` and ``V`` are refused.
+        Units of what is read and put out. Others than ``m`` and ``V`` are those of a device that knows nothing of what
+        stands behind it: the parameters ``calibration`` of the plant's node, which have to name them, make m and V.
     """
 
     joints: int
@@ -89,7 +90,7 @@ NOTHING_NEW = -1
 class Reading(NamedTuple):
     """What a device measures at a sample."""
 
-    #: Position of each joint [m]; NaN where there is none. What is not finite is not used.
+    #: Position of each joint [position_unit]; NaN where there is none. What is not finite is not used.
     positions: tuple[float, ...]
 
 
@@ -133,7 +134,7 @@ class Driver(ABC):
         Parameters
         ----------
         voltages : sequence of float
-            [V], finite and within the range of the capabilities.
+            [voltage_unit], finite and within the range of the capabilities.
 
         Raises
         ------

@@ -25,12 +25,12 @@ struct hysteresis_capabilities {
     int32_t voltages;      /* voltages that are put out */
     int32_t keeps_time;    /* 1: the device decides when a sample is; the package has no such loop and refuses it */
     int32_t reserved;
-    double minimum;        /* range of the voltages [V] */
+    double minimum;        /* range of what it can be told to put out [voltage_unit] */
     double maximum;
     double highest_rate;   /* samples per second [Hz] */
     double watchdog;       /* time without hysteresis_write after which the device goes to its safe state [s]; 0: none */
-    char position_unit[8]; /* "m" */
-    char voltage_unit[8];  /* "V" */
+    char position_unit[8]; /* "m", or what the parameters calibration.sensor.unit and calibration.amplifier.unit */
+    char voltage_unit[8];  /* "V"  of the plant's node have to name, for instance "count" */
 };
 
 /* Takes the device, which nobody else may use from now on, and leaves it in its safe state. `options` are what the
@@ -38,10 +38,10 @@ struct hysteresis_capabilities {
 int32_t hysteresis_open(const char *const *options, double sample_rate, struct hysteresis_capabilities *can,
                         void **device);
 
-/* Fills in the position of each joint [m]. */
+/* Fills in the position of each joint [position_unit]. */
 int32_t hysteresis_read(void *device, double *positions);
 
-/* Puts out the voltages [V] and holds them; all voltages of the device, those that the axis does not use are 0. */
+/* Puts out the voltages [voltage_unit] and holds them; all voltages of the device, those that the axis does not use are 0. */
 int32_t hysteresis_write(void *device, const double *voltages);
 
 /* Brings the device to its safe state, from any state; twice changes nothing. */

@@ -28,6 +28,7 @@ from hysteresis_ros.loop.plant import (
     watched_voltage,
 )
 from hysteresis_ros.loop.watch import FOLLOWS, GIVEN, HELD, HELD_AGE, HELD_BEGUN, SAFE
+from hysteresis_ros.models.calibration import amplifier_value, sensor_displacement
 from hysteresis_ros.models.limits import OUTPUT, UNQUANTISED, limits
 
 # What leads to the device, int64: the addresses of its functions and of itself, and that of this very array. In a copy
@@ -47,11 +48,14 @@ class DevicePlantArrays(NamedTuple):
 
     link: np.ndarray
     answer: np.ndarray
-    #: Where the device finds all its voltages and leaves all its positions.
+    #: Where the device finds all its voltages and leaves all its positions, both in its own units.
     positions: np.ndarray
     voltages: np.ndarray
     limits_p: np.ndarray
     limits_x: np.ndarray
+    sensor_p: np.ndarray
+    sensor_x: np.ndarray
+    amplifier_p: np.ndarray
     watch_p: PlantWatchArrays
     watch_x: PlantWatchArrays
 
@@ -149,7 +153,7 @@ def fail_device(arrays, failed, code):
 def read_device(arrays):
     """Return the measurement [m] of the device, NaN when there is none."""
     code = call_with(arrays.link, READ, arrays.positions)
-    measured = arrays.positions[0]
+    reading = arrays.positions[0]
     if code == NOTHING_NEW:
         return math.nan
     if code != 0:
@@ -159,7 +163,7 @@ def read_device(arrays):
         if not math.isfinite(arrays.positions[i]):
             fail_device(arrays, NONSENSE, 0)
             return math.nan
-    return measured
+    return sensor_displacement(arrays.sensor_p, arrays.sensor_x, reading)
 
 
 @nested
@@ -187,7 +191,7 @@ def actuate_device(laws, arrays, row):
         rest_device(arrays.limits_x, arrays.watch_p, arrays.watch_x)
         row[at.PLANT_VOLTAGE] = arrays.limits_x[OUTPUT]
         return
-    arrays.voltages[0] = limits(arrays.limits_p, arrays.limits_x, held)
+    arrays.voltages[0] = amplifier_value(arrays.amplifier_p, limits(arrays.limits_p, arrays.limits_x, held))
     row[at.PLANT_VOLTAGE] = arrays.limits_x[OUTPUT]
     if is_linked(arrays.link) and row[at.SKIPPED] == 0.0:
         code = call_with(arrays.link, WRITE, arrays.voltages)

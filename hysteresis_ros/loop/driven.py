@@ -40,6 +40,7 @@ from hysteresis_ros.loop.plant import (
 )
 from hysteresis_ros.loop.plants import PLANTS
 from hysteresis_ros.loop.watch import FOLLOWS, HELD, hold_state, hold_voltage
+from hysteresis_ros.models.calibration import AmplifierCalibration, SensorCalibration
 from hysteresis_ros.models.limits import FLAGS, LIMITED_SAMPLES, OUTPUT, UNQUANTISED, Limits, LimitsParameters, limits
 
 
@@ -66,6 +67,8 @@ class DrivenPlant(Plant):
 
     def __init__(self, parameters: PlantNodeParameters):
         self.limits = Limits(_without_grid(parameters.limits), 1.0 / parameters.sample_rate)
+        self.sensor = SensorCalibration(parameters.calibration.sensor, 1.0 / parameters.sample_rate)
+        self.amplifier = AmplifierCalibration(parameters.calibration.amplifier)
         super().__init__(parameters)
         self.arrays = self
         self._device: Device | None = None
@@ -92,17 +95,20 @@ class DrivenPlant(Plant):
         if can.keeps_time:
             remedy = "the package has its own: let the driver sample it, or write a node (docs/hardware.md)"
             raise DriverError(device, "the device insists on keeping the time", remedy)
-        units = can.position_unit, can.voltage_unit
-        if units != ("m", "V"):
-            remedy = "an axis has m and V: let the driver convert"
+        units, given = (can.position_unit, can.voltage_unit), parameters.calibration
+        if units != (given.sensor.unit, given.amplifier.unit):
+            remedy = f"calibration.sensor.unit is {given.sensor.unit!r} and calibration.amplifier.unit "
+            remedy += f"{given.amplifier.unit!r}: give the device's units there, with scale, offset and sign"
             raise DriverError(device, f"the device reads {units[0]!r} and puts out {units[1]!r}", remedy)
         if can.joints != 1:
             raise DriverError(device, f"the device has {can.joints} joints", "an axis has 1: choose another device")
         if can.voltages < 1:
             raise DriverError(device, "the device puts out no voltage", "an axis needs 1: choose another device")
-        if not (can.minimum <= low and high <= can.maximum):
-            problem = f"the device's range of {can.minimum:g} … {can.maximum:g} V does not contain limits.minimum … "
-            problem += f"limits.maximum = {low:g} … {high:g} V"
+        least, most = sorted(map(self.amplifier.value, (low, high)))
+        if not (can.minimum <= least and most <= can.maximum):
+            problem = f"the device's range of {can.minimum:g} … {can.maximum:g} {units[1]} does not contain "
+            problem += f"limits.minimum … limits.maximum = {low:g} … {high:g} V"
+            problem += "" if (least, most) == (low, high) else f", which are {least:g} … {most:g} {units[1]}"
             raise DriverError(device, problem, "narrow the limits of plant_simulator and hysteresis_compensator")
         if not rate <= can.highest_rate:
             raise DriverError(device, f"the device makes at most {can.highest_rate:g} Hz", "lower sample_rate")
@@ -152,7 +158,7 @@ class DrivenPlant(Plant):
         row[at.MEASURED] = math.nan
         if not self.failure:
             try:
-                row[at.MEASURED] = self._device.read()[0]
+                row[at.MEASURED] = self.sensor.step(self._device.read()[0])
             except DriverError as error:
                 self._fail(error)
         row[at.DISPLACEMENT] = math.nan
@@ -171,7 +177,7 @@ class DrivenPlant(Plant):
     def _put_out(self, voltage: float) -> None:
         if not self.failure:
             try:
-                self._device.write((self.limits.step(voltage),))
+                self._device.write((self.amplifier.value(self.limits.step(voltage)),))
             except DriverError as error:
                 self._fail(error)
 
@@ -194,7 +200,9 @@ class DrivenPlant(Plant):
     # -- beginning and end ---------------------------------------------------------------------------------------
 
     def start(self) -> None:
-        """Let the axis go on; a device that has failed is tried again."""
+        """Let the axis go on; a device that has failed is tried again, and has lost the zero of a relative sensor."""
+        if self.failure:
+            self.sensor.begin_homing()
         super().start()
         self._failure = ""
 
@@ -206,6 +214,31 @@ class DrivenPlant(Plant):
         self.limits.x[FLAGS] = self.limits.x[LIMITED_SAMPLES] = 0.0
         self._failure = ""
 
+    def home(self) -> None:
+        """Take the place where the actuator stands for that of home.
+
+        Raises
+        ------
+        ParameterError
+            The sensor is absolute, or the axis is not stopped at its safe voltage.
+        """
+        sensor, safe = self.parameters.calibration.sensor, self.parameters.safe_voltage
+        if sensor.reference != "relative":
+            allowed = "knows its place by itself; only a relative sensor is homed"
+            raise ParameterError([Problem("calibration.sensor.reference", sensor.reference, allowed)])
+        if not self.tripped or self.held() != safe:
+            allowed = (
+                f"home is the place at safe_voltage = {safe:g} V: stop the axis (true on estop), wait until it is "
+            )
+            allowed += "there, then home it"
+            raise ParameterError([Problem("voltage", self.held(), allowed)])
+        self.sensor.begin_homing()
+
+    @property
+    def complaint(self) -> str:
+        """What is wrong with the last reading of the sensor; empty: nothing."""
+        return "the sensor is being homed" if self.sensor.homing else self.sensor.complaint
+
     def retune(self, parameters: PlantNodeParameters) -> None:
         """Take new limits, time-outs and safe voltages while running."""
         before, after = self.parameters.driver_parameters, parameters.driver_parameters
@@ -215,8 +248,9 @@ class DrivenPlant(Plant):
                 raise ParameterError([Problem(name, value, allowed)])
         low, high = self._range
         for name in ("minimum", "maximum"):
-            if not low <= getattr(parameters.limits, name) <= high:
-                allowed = f"must lie within the device's range of {low:g} … {high:g} V"
+            if not low <= self.amplifier.value(getattr(parameters.limits, name)) <= high:
+                unit = parameters.calibration.amplifier.unit
+                allowed = f"must lie within the device's range of {low:g} … {high:g} {unit}"
                 raise ParameterError([Problem(f"limits.{name}", getattr(parameters.limits, name), allowed)])
         self.limits.retune(_without_grid(parameters.limits))
         super().retune(parameters)
@@ -233,7 +267,7 @@ class DrivenPlant(Plant):
         """Put the voltage out again, for the device's watchdog."""
         if not self.failure:
             try:
-                self._device.write((float(self.limits.x[OUTPUT]),))
+                self._device.write((self.amplifier.value(self.limits.x[OUTPUT]),))
             except DriverError as error:
                 self._fail(error)
 
@@ -292,6 +326,9 @@ class CompiledPlant(DrivenPlant):
             *map(np.zeros, sizes),
             self.limits.p,
             self.limits.x,
+            self.sensor.p,
+            self.sensor.x,
+            self.amplifier.p,
             self._watch_p,
             self._watch_x,
         )

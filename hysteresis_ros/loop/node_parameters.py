@@ -16,6 +16,7 @@ from hysteresis_ros.hardware.driver import Driver, DriverError
 from hysteresis_ros.hardware.located import driver_of, options_of
 from hysteresis_ros.hardware.registry import DRIVERS
 from hysteresis_ros.models.actuator import ActuatorParameters
+from hysteresis_ros.models.calibration import AmplifierCalibration, CalibrationParameters
 from hysteresis_ros.models.inchworm import JOINT_NAMES, InchwormParameters, seed_problems
 from hysteresis_ros.parameters import Parameters, group, parameter, variants
 from hysteresis_ros.references.generator import ReferenceParameters
@@ -124,6 +125,7 @@ class PlantNodeParameters(NodeParameters, ActuatorParameters):
     driver_options: tuple[str, ...] = parameter(
         (), read_only=True, description="what a driver that is given by its path is opened with, 'NAME=VALUE' each"
     )
+    calibration: CalibrationParameters = group(CalibrationParameters)
     real_time_factor: float = parameter(
         1.0, low=1.0e-6, high=1.0e3, read_only=True, description="realtime: simulated seconds per second of wall clock"
     )
@@ -218,6 +220,13 @@ class PlantNodeParameters(NodeParameters, ActuatorParameters):
             # those of the registry stand in the table and have been looked at
             yield from error.problems if self.driver not in DRIVERS else ()
 
+    def _amplifier_problems(self):
+        try:
+            amplifier = AmplifierCalibration(self.calibration.amplifier)
+            amplifier.require_range(self.limits.minimum, self.limits.maximum, "calibration.amplifier.")
+        except ParameterError as error:
+            yield from error.problems
+
     def _unfit_for_a_driver(self):
         if self.external_plant:
             yield Problem("driver", self.driver, "the plant is external already: give driver: ''")
@@ -250,6 +259,7 @@ class PlantNodeParameters(NodeParameters, ActuatorParameters):
             yield Problem("safe_voltage", self.safe_voltage, allowed)
         if self.driver:
             yield from self._driver_problems()
+            yield from self._amplifier_problems()
             yield from self._unfit_for_a_driver()
         elif self.driver_options:
             yield Problem("driver_options", self.driver_options, "belong to a driver: give its path as driver")

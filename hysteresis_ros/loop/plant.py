@@ -16,6 +16,7 @@ import numpy as np
 
 from hysteresis_ros import signals as at
 from hysteresis_ros.block import by_part, kernel, nested
+from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.loop import faults as faulty
 from hysteresis_ros.loop.node_parameters import PlantNodeParameters
 from hysteresis_ros.loop.watch import (
@@ -312,8 +313,8 @@ class Plant:
         """Between which measurements [m] the axis may go on; an inchworm's sequencer watches over its slider."""
         return -math.inf, math.inf
 
-    #: What is wrong with a device that has stopped the axis.
-    failure = ""
+    #: What is wrong with a device that has stopped the axis, and with the last reading of its sensor.
+    failure = complaint = ""
 
     #: Places in the row of what a run is given for this plant, beside what every run is.
     given: tuple[int, ...] = ()
@@ -399,6 +400,16 @@ class Plant:
     def step_to_safe(self) -> bool:
         """Take the voltage of a device a sample further towards its safe one; False when it is there."""
         return False
+
+    def home(self) -> None:
+        """Find the zero of a relative sensor.
+
+        Raises
+        ------
+        ParameterError
+            It cannot be homed, or not now.
+        """
+        raise ParameterError([Problem("driver", "", "a simulated sensor knows its place; there is nothing to home")])
 
     def refresh(self) -> None:
         """Tell a device again what it puts out: its watchdog must not take a pause between samples for a failure."""

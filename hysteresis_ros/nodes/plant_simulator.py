@@ -47,6 +47,7 @@ class PlantSimulatorNode(AxisNode):
     """
 
     share = 0.95
+    triggers = (*AxisNode.triggers, "home")
 
     def __init__(self, **options):
         self.part = None
@@ -91,7 +92,8 @@ class PlantSimulatorNode(AxisNode):
 
     def _tell_device(self) -> None:
         can = self.part.capabilities
-        text = f"driver {self.parameters.driver}: {can.minimum:g} … {can.maximum:g} V, up to {can.highest_rate:g} Hz"
+        text = f"driver {self.parameters.driver}: {can.minimum:g} … {can.maximum:g} {can.voltage_unit}, up to "
+        text += f"{can.highest_rate:g} Hz"
         if can.watchdog is None:
             self.get_logger().warning(
                 f"{text}; no watchdog of its own: killed, this node leaves the last voltage on it"
@@ -206,6 +208,15 @@ class PlantSimulatorNode(AxisNode):
                 self.runner.align()
                 self.log_change("start")
         return super()._on_start(request, response)
+
+    def _on_home(self, request, response):
+        if self.is_fused:
+            self.fused.apply(self.kind, "home")
+        elif self.part is not None:
+            with self.lock:
+                self.part.home()
+                self.log_change("home")
+        return self._answer_service(response, "homing")
 
     def on_running(self, running: bool) -> None:
         """``~/stop`` holds the time of the axis; ``~/start`` lets it go on, also after the plant has stopped it."""
@@ -359,6 +370,8 @@ class PlantSimulatorNode(AxisNode):
             return 2, f"axis stopped: {self.explain_trip()}", values
         if self.silent:
             return 2, f"{' or '.join(input_.topic for input_ in self.inputs)} is stale", values
+        if self.part.complaint:
+            return 1, self.part.complaint, values
         if self.part.saturated:
             return 1, "voltage saturated", values
         return (1, f"{late} commands late", values) if late else (0, "", values)

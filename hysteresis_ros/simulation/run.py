@@ -86,7 +86,7 @@ def _padded(values, samples: int, rest: float) -> np.ndarray:
 
 #: What the log of a run may say of each node.
 LOGGED = {
-    "plant_simulator": ("start", "halt", "reset", "retune"),
+    "plant_simulator": ("start", "halt", "reset", "retune", "home"),
     "reference_generator": ("start", "stop", "reset", "retune"),
     "inchworm_sequencer": ("reset", "retune"),
     "motion_controller": ("start", "stop", "reset", "retune"),

@@ -331,7 +331,7 @@ def test_between_samples_it_is_told_its_voltage_again_and_nothing_else_moves(lib
     ("options", "words"),
     [
         (("keeps_time=1",), "the device insists on keeping the time; the package has its own"),
-        (("unit=mm",), "the device reads 'mm' and puts out 'V'; an axis has m and V"),
+        (("unit=mm",), "the device reads 'mm' and puts out 'V'; calibration.sensor.unit is 'm' and"),
         (("joints=2",), "the device has 2 joints; an axis has 1"),
         (("depth=2",), "cannot be opened: liblisted.so: does not know an option; look at the device"),
     ],

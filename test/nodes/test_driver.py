@@ -199,3 +199,26 @@ def test_up_refuses_a_driver_in_lockstep(processes, tmp_path):
     assert command.wait() == 2
     lines = command.output.splitlines()
     assert len(lines) == 1 and "driver = 'simulated': a device does not wait for anybody" in lines[0]
+
+
+def test_a_relative_sensor_is_homed_by_the_service_where_the_axis_is_safe(inside, observer, stage):
+    from sensor_msgs.msg import JointState
+    from std_msgs.msg import Bool, Float64
+
+    relative = {"calibration__sensor__reference": "relative", "calibration__sensor__home": 1.0e-6}
+    plant, *_ = compose(inside, driven(**relative))
+    inside.spin()
+    joints = observer.listen(JointState, "/joint_states")
+    setpoint, estop = observer.talk(Float64, "/setpoint"), observer.talk(Bool, "/estop")
+    until(lambda: joints and setpoint.get_subscription_count() and estop.get_subscription_count())
+    setpoint.publish(Float64(data=TARGET))
+    until(lambda: joints[-1].position[0] > 4.0e-6, what="the axis to move")
+    refused = observer.trigger("/plant_simulator/home")
+    assert not refused.success and "home is the place at safe_voltage = 0 V: stop the axis" in refused.message
+    estop.publish(Bool(data=True))
+    until(lambda: plant.part.tripped and plant.part.held() == 0.0, what="the axis at its safe voltage")
+    until(lambda: abs(joints[-1].position[0] - 1.0e-6) > 1e-8, what="the place where hysteresis leaves it")
+    assert observer.trigger("/plant_simulator/home").success
+    until(lambda: abs(joints[-1].position[0] - 1.0e-6) < 5e-9, what="home under its name")
+    assert observer.trigger("/plant_simulator/start").success
+    until(lambda: joints[-1].position[0] > 4.0e-6, what="the axis to move again")
