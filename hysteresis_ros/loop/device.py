@@ -19,6 +19,8 @@ from hysteresis_ros.hardware.driver import NOTHING_NEW, Compiled
 from hysteresis_ros.loop import faults as faulty
 from hysteresis_ros.loop.plant import (
     DEVICE_FAILED,
+    FINDING_HOME,
+    NOT_TRIPPED,
     TRIP,
     PlantWatchArrays,
     actuate,
@@ -28,7 +30,7 @@ from hysteresis_ros.loop.plant import (
     watched_voltage,
 )
 from hysteresis_ros.loop.watch import FOLLOWS, GIVEN, HELD, HELD_AGE, HELD_BEGUN, SAFE
-from hysteresis_ros.models.calibration import amplifier_value, sensor_displacement
+from hysteresis_ros.models.calibration import HOMING, amplifier_value, sensor_displacement
 from hysteresis_ros.models.limits import OUTPUT, UNQUANTISED, limits
 
 # What leads to the device, int64: the addresses of its functions and of itself, and that of this very array. In a copy
@@ -167,6 +169,15 @@ def read_device(arrays):
 
 
 @nested
+def stop_for_homing(trip, homing):
+    """Keep the axis at its safe voltage while its sensor is homed, and let it go on afterwards."""
+    if homing and trip[TRIP] == NOT_TRIPPED:
+        trip[TRIP] = FINDING_HOME
+    elif not homing and trip[TRIP] == FINDING_HOME:
+        trip[TRIP] = NOT_TRIPPED
+
+
+@nested
 def sense_device(laws, arrays, row):
     """Read a device; without one, what the row was given stands for what it answered."""
     faulty.begin_sample(arrays.watch_x.faults)
@@ -174,8 +185,11 @@ def sense_device(laws, arrays, row):
     if is_linked(arrays.link):
         asked = trip[TRIP] != DEVICE_FAILED and row[at.SKIPPED] == 0.0
         row[at.MEASURED] = read_device(arrays) if asked else math.nan
+        stop_for_homing(trip, arrays.sensor_x[HOMING] > 0.0)
     elif row[at.TRIPPED] == DEVICE_FAILED and trip[TRIP] != DEVICE_FAILED:
         fail_device(arrays, READING, 0)
+    else:
+        stop_for_homing(trip, row[at.TRIPPED] == FINDING_HOME)
     row[at.DISPLACEMENT] = math.nan
     row[at.TRIPPED] = trip[TRIP]
 

@@ -28,10 +28,12 @@ from hysteresis_ros.loop.device import (
     SAFE_CODE,
     DevicePlantArrays,
     link_to,
+    stop_for_homing,
 )
 from hysteresis_ros.loop.node_parameters import PlantNodeParameters
 from hysteresis_ros.loop.plant import (
     DEVICE_FAILED,
+    FINDING_HOME,
     TRIP,
     Plant,
     actuate,
@@ -161,6 +163,7 @@ class DrivenPlant(Plant):
                 row[at.MEASURED] = self.sensor.step(self._device.read()[0])
             except DriverError as error:
                 self._fail(error)
+        stop_for_homing(self._watch_x.trip, self.sensor.homing)
         row[at.DISPLACEMENT] = math.nan
         row[at.TRIPPED] = self._watch_x.trip[TRIP]
 
@@ -237,7 +240,12 @@ class DrivenPlant(Plant):
     @property
     def complaint(self) -> str:
         """What is wrong with the last reading of the sensor; empty: nothing."""
-        return "the sensor is being homed" if self.sensor.homing else self.sensor.complaint
+        return self.sensor.complaint
+
+    @property
+    def finding_home(self) -> bool:
+        """Whether the axis stands still because its sensor is homed."""
+        return bool(self._watch_x.trip[TRIP] == FINDING_HOME)
 
     def retune(self, parameters: PlantNodeParameters) -> None:
         """Take new limits, time-outs and safe voltages while running."""

@@ -103,6 +103,8 @@ TRIP_PARAMETERS = 5
 # Why the plant has tripped: too many late voltages; a measurement beyond where it may be; somebody said so; a device
 # that failed, which nothing but a start makes up for.
 NOT_TRIPPED, WITHOUT_VOLTAGE, BEYOND_TRAVEL, HALTED, DEVICE_FAILED = range(5)
+# A relative sensor is being homed: over by itself, and below all others, which take its place.
+FINDING_HOME = -1
 
 # Its state: why it has tripped, late voltages so far, late ones in a row, late ones that are not forgiven yet; what the
 # plant did with the last voltage.
@@ -315,6 +317,9 @@ class Plant:
 
     #: What is wrong with a device that has stopped the axis, and with the last reading of its sensor.
     failure = complaint = ""
+
+    #: Whether the axis stands still because its sensor is homed.
+    finding_home = False
 
     #: Places in the row of what a run is given for this plant, beside what every run is.
     given: tuple[int, ...] = ()

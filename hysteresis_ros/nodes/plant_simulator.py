@@ -202,8 +202,7 @@ class PlantSimulatorNode(AxisNode):
         if self.is_fused and self.part.tripped and self.running:
             self.fused.go_on()
         with self.lock:
-            unfused = self.part is not None and self.parameters is not None and not self.is_fused
-            if unfused and self.part.tripped:
+            if self.part is not None and self.parameters is not None and not self.is_fused and self.part.tripped:
                 self.part.start()
                 self.runner.align()
                 self.log_change("start")
@@ -307,8 +306,7 @@ class PlantSimulatorNode(AxisNode):
         self.sample += 1
 
     def _publish_row(self) -> None:
-        row = self.row
-        self.publish_state(self._message.header.stamp, *[row[place] for place in self._state_places])
+        self.publish_state(self._message.header.stamp, *[self.row[place] for place in self._state_places])
 
     def receive(self, input_: VoltageInput, voltage: float) -> None:
         """Keep a voltage for the present sample; what is not finite has not come."""
@@ -327,6 +325,8 @@ class PlantSimulatorNode(AxisNode):
         """Say why the plant has stopped the axis."""
         if self.part.failure:
             return f"{self.part.failure}; ~/start tries the device again, cleanup and configure open it anew"
+        if self.part.finding_home:
+            return "its relative sensor is homed at the safe voltage; it goes on by itself"
         if self.part.halted:
             return "an emergency stop (~/stop of a fused axis, or estop); ~/start lets it go on"
         if self.part.overtravelled:

@@ -19,7 +19,7 @@ from hysteresis_ros.loop.axis import Axis, Change, sample_times
 from hysteresis_ros.loop.axis_parameters import AxisParameters
 from hysteresis_ros.loop.driven import CompiledPlant, DrivenPlant, fused_plant_of
 from hysteresis_ros.loop.fused import FusedLoop
-from hysteresis_ros.loop.plant import actuate, sense
+from hysteresis_ros.loop.plant import FINDING_HOME, actuate, sense
 from hysteresis_ros.loop.tick import Laws
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.simulation.run import differences
@@ -128,11 +128,15 @@ RELATIVE = {"calibration__sensor__reference": "relative", "calibration__sensor__
 def test_a_relative_sensor_is_homed_at_the_safe_voltage_at_the_start_and_when_asked(library, kind):
     plant = kind(axis_parameters(library, calibration__sensor__homing_samples=5, **RELATIVE).plant_simulator)
     absolute = displacement(1e-7 * told(np.array([5.0, 60.0])))
-    rows = run(plant, [5.0] * 6)[:, at.MEASURED]
+    rows = run(plant, [60.0] * 6)
+    assert rows[:, at.TRIPPED].tolist() == [FINDING_HOME] * 4 + [0.0, 0.0]
+    assert rows[:4, at.PLANT_VOLTAGE].tolist() == [5.0] * 4, "it was moved while it was homed"
+    rows = rows[:, at.MEASURED]
     assert np.isnan(rows[:5]).all() and np.isfinite(rows[5])
     # the library stands at 0 until it is told its first voltage
     first = (4 * absolute[0] + displacement(0.0)) / 5
-    assert rows[5] == pytest.approx(absolute[0] - first + 2.0e-6, abs=1e-15)
+    step = displacement(1e-7 * told(5.0 + 1000.0 / 3000.0)) - first
+    assert rows[5] == pytest.approx(step + 2.0e-6, abs=1e-15)
     run(plant, [60.0] * 400)
     with pytest.raises(
         ParameterError, match=r"voltage = 60\.0: home is the place at safe_voltage = 5 V: stop the axis"
@@ -141,9 +145,9 @@ def test_a_relative_sensor_is_homed_at_the_safe_voltage_at_the_start_and_when_as
     plant.halt()
     run(plant, [60.0] * 400)
     plant.home()
-    assert plant.complaint == "the sensor is being homed"
+    assert plant.sensor.homing and plant.halted
     rows = run(plant, [60.0] * 6)[:, at.MEASURED]
-    assert np.isnan(rows[:5]).all() and rows[5] == pytest.approx(2.0e-6, abs=1e-18) and not plant.complaint
+    assert np.isnan(rows[:5]).all() and rows[5] == pytest.approx(2.0e-6, abs=1e-18) and plant.halted
     plant.start()
     there = run(plant, [60.0] * 400)[-1, at.MEASURED]
     assert there == pytest.approx(absolute[1] - absolute[0] + 2.0e-6, abs=1e-15)
@@ -153,23 +157,22 @@ def test_a_relative_sensor_is_homed_at_the_safe_voltage_at_the_start_and_when_as
 def test_homing_a_fused_axis_is_logged_and_its_twin_agrees(library):
     given = axis_parameters(library, **RELATIVE)
     axis = Axis(given, fused_plant_of(given.plant_simulator))
-    axis.plant.halt()
-    tables = []
-    for _ in range(2):
-        loop = FusedLoop(axis, math.inf, 60)
-        if tables:
-            loop.apply(Change(0, "plant_simulator", "home"))
+    tables, log = [], []
+    for actions in ((), ("halt",), ("home", "start")):
+        loop = FusedLoop(axis, math.inf, 600)
+        for action in actions:
+            loop.apply(Change(0, "plant_simulator", action))
         loop.start()
         assert loop.join(60.0) and not loop.failure
         tables.append(loop.take().table)
+        log += [dict(change._asdict()) for change in loop.changes]
     table = np.concatenate(tables, axis=1)
-    nothing = np.isnan(table[at.MEASURED])
-    assert nothing[:10].all() and nothing[60:70].all() and nothing.sum() == 20
-    assert table[at.MEASURED, -1] == pytest.approx(2.0e-6, abs=1e-18)
-    changes = [Change(0, "plant_simulator", "halt"), *loop.changes]
+    assert np.flatnonzero(np.isnan(table[at.MEASURED])).tolist() == [*range(10), *range(1200, 1210)]
+    assert np.flatnonzero(table[at.TRIPPED] == FINDING_HOME).tolist() == [*range(9), *range(1200, 1209)]
+    assert table[at.PLANT_VOLTAGE, :9].tolist() == [5.0] * 9 and np.ptp(table[at.PLANT_VOLTAGE, 1210:]) > 20.0
+    assert [entry["action"] for entry in log] == ["halt", "home", "start"]
     signals = {signal.name: table[place] for place, signal in enumerate(at.row_signals(motor=False))}
-    log = [dict(change._asdict()) for change in changes]
-    assert differences(Recording(sample_times(0, 120, 3000.0), signals, {}, {"changes": log}), given) == {}
+    assert differences(Recording(sample_times(0, 1800, 3000.0), signals, {}, {"changes": log}), given) == {}
     axis.plant.close()
 
 
