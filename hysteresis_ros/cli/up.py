@@ -84,20 +84,8 @@ def up(
     from hysteresis_ros.simulation.axes import axes
     from hysteresis_ros.simulation.reach import reach_warnings
 
-    configuration = reference.put_into(load_configuration(config))
-    if fused and (rate not in (None, "fused") or processes is not None):
-        other = f"--rate {rate}" if processes is None else "--processes or --composed"
-        raise click.UsageError(f"--fused and {other} exclude each other")
-    rate = "fused" if fused else rate
-    if rate:
-        configuration = configuration.override("", time_mode=rate)
-    if factor is not None:
-        configuration = configuration.override("plant_simulator", real_time_factor=factor)
-    if force:
-        configuration = configuration.override("plant_simulator", realtime__force=True)
-    configuration = configuration.override("", exit_at_end=True, autostart=True)
-    if plant == "external":
-        configuration = configuration.override("", external_plant=True)
+    rate = _time_mode(rate, fused, processes)
+    configuration = _overridden(reference.put_into(load_configuration(config)), rate, factor, force, plant)
     with reference.named():
         found = axes(configuration, namespace)
     for axis in found:
@@ -109,14 +97,7 @@ def up(
         found = [axis.with_duration(duration) for axis in found]
     if rate is None and processes is None:
         found = [_live(axis) for axis in found]
-    repeatable = all(axis.plant_simulator.time_mode in ("lockstep", "fused") for axis in found)
-    if verify and not (record and repeatable):
-        raise click.UsageError(
-            "--verify needs --record DIR, and --fused or --rate lockstep: only these repeat bit for bit"
-        )
-
-    if factor is not None and any(axis.plant_simulator.time_mode == "lockstep" for axis in found):
-        click.echo("hysteresis: warning: --factor has no effect in lockstep, which runs as fast as it can", err=True)
+    _check_together(found, verify, record, factor)
     if requested:
         click.echo("stopping")
         return
@@ -125,14 +106,44 @@ def up(
         for line in (_what_runs(axis, processes is False), *axis.timeouts()):
             click.echo(f"{axis.namespace}{': ' if axis.namespace else ''}{line}")
     with graph:
-        if graph.wait(lambda: bool(requested)):
-            click.echo("the run ended")
-        else:
-            click.echo("stopping")
+        ended = graph.wait(lambda: bool(requested))
+        click.echo("the run ended" if ended else "stopping")
     for bag in graph.bags:
         click.echo(f"recorded: {bag}")
     if verify:
         _verify(graph)
+
+
+def _time_mode(rate: str | None, fused: bool, processes: bool | None) -> str | None:
+    """Return the time mode that was asked for."""
+    if fused and (rate not in (None, "fused") or processes is not None):
+        other = f"--rate {rate}" if processes is None else "--processes or --composed"
+        raise click.UsageError(f"--fused and {other} exclude each other")
+    return "fused" if fused else rate
+
+
+def _overridden(configuration, rate, factor, force, plant):
+    """Return the configuration with what the options say otherwise."""
+    everywhere = {"exit_at_end": True, "autostart": True}
+    if rate:
+        everywhere["time_mode"] = rate
+    if plant == "external":
+        everywhere["external_plant"] = True
+    configuration = configuration.override("", **everywhere)
+    if factor is not None:
+        configuration = configuration.override("plant_simulator", real_time_factor=factor)
+    return configuration.override("plant_simulator", realtime__force=True) if force else configuration
+
+
+def _check_together(found, verify: bool, record: str | None, factor: float | None) -> None:
+    """Refuse, or warn of, options that make no sense in the axes' time modes."""
+    modes = {axis.plant_simulator.time_mode for axis in found}
+    if verify and not (record and modes <= {"lockstep", "fused"}):
+        raise click.UsageError(
+            "--verify needs --record DIR, and --fused or --rate lockstep: only these repeat bit for bit"
+        )
+    if factor is not None and "lockstep" in modes:
+        click.echo("hysteresis: warning: --factor has no effect in lockstep, which runs as fast as it can", err=True)
 
 
 def _live(axis):

@@ -166,6 +166,39 @@ def design_axis(
     ParameterError
         No design follows from the model; names what keeps it.
     """
+    _check_request(axis, request)
+    sample_time = 1.0 / axis.motion_controller.sample_rate
+    control = part(axis.motion_controller, ControllerParameters)
+    control = replace(control, feedforward=_feedforward(control, request))
+    quiet = _quiet(axis, request.noise)
+
+    def design(bandwidth, q):
+        aimed = replace(AIMED, command_noise_gain=quiet)
+        return design_gains(control, request.controller, sample_time, bandwidth, q, aimed=aimed)
+
+    robust = tuned = None
+    if request.robust is not None:
+        aimed = replace(REQUIRED, command_noise_gain=quiet)
+        first, robust = design_robust(control, request.controller, sample_time, request.robust, request.q, aimed=aimed)
+    else:
+        first = design(request.bandwidth, request.q)
+    if request.criterion:
+        law, _ = design_of(request.controller)
+        start = getattr(first.parameters, law.name)
+        node = replace(axis.motion_controller, feedforward=control.feedforward, type=law.name, **{law.name: start})
+        fed = replace(axis, motion_controller=node)
+        tuned = tune(fed, law.name, request.criterion, start=start, duration=request.duration)
+        final = replace(first.parameters, **{law.name: tuned.gains})
+        first = Designed(final, margins(final, sample_time))
+    found = certain_design(first, design, request, response, sample_time)
+    if found is not first:
+        # what was slowed down for what is unknown is no longer what was searched for
+        return AxisDesign(request, found.parameters, found.margins, sample_time, tuned, limited=response)
+    return AxisDesign(request, found.parameters, found.margins, sample_time, tuned, robustness=robust)
+
+
+def _check_request(axis: AxisParameters, request: DesignRequest) -> None:
+    """Refuse requests that exclude each other."""
     law, _ = design_of(request.controller)
     if request.criterion and law.tuning is None:
         tunable = " or ".join(sorted(name for name, (law, _) in DESIGNS.items() if law.tuning is not None))
@@ -185,34 +218,6 @@ def design_axis(
             raise ConfigurationError(f"--robust and {name} exclude each other: the plants decide; give one of them")
     if request.preview is not None and not request.feedforward:
         raise ConfigurationError("--preview belongs to --feedforward; give both")
-    sample_time = 1.0 / axis.motion_controller.sample_rate
-    control = part(axis.motion_controller, ControllerParameters)
-    control = replace(control, feedforward=_feedforward(control, request))
-    quiet = _quiet(axis, request.noise)
-
-    def design(bandwidth, q):
-        aimed = replace(AIMED, command_noise_gain=quiet)
-        return design_gains(control, request.controller, sample_time, bandwidth, q, aimed=aimed)
-
-    if request.robust is not None:
-        aimed = replace(REQUIRED, command_noise_gain=quiet)
-        first, robust = design_robust(control, request.controller, sample_time, request.robust, request.q, aimed=aimed)
-        found = certain_design(first, design, request, response, sample_time)
-        if found is first:
-            return AxisDesign(request, found.parameters, found.margins, sample_time, robustness=robust)
-        return AxisDesign(request, found.parameters, found.margins, sample_time, limited=response)
-    first = found = design(request.bandwidth, request.q)
-    if not request.criterion:
-        found = certain_design(first, design, request, response, sample_time)
-        limited = None if found is first else response
-        return AxisDesign(request, found.parameters, found.margins, sample_time, limited=limited)
-    start = getattr(found.parameters, law.name)
-    node = replace(axis.motion_controller, feedforward=control.feedforward, type=law.name, **{law.name: start})
-    fed = replace(axis, motion_controller=node)
-    tuned = tune(fed, law.name, request.criterion, start=start, duration=request.duration)
-    final = replace(found.parameters, **{law.name: tuned.gains})
-    found = certain_design(Designed(final, margins(final, sample_time)), design, request, response, sample_time)
-    return AxisDesign(request, found.parameters, found.margins, sample_time, tuned)
 
 
 def _quiet(axis: AxisParameters, noise: float | None) -> float:
