@@ -10,8 +10,8 @@ from hysteresis_ros.identification.linear_stage import STAGES
 from hysteresis_ros.identification.request import Request
 from hysteresis_ros.models.declaration import PARTS, HysteresisModel
 from hysteresis_ros.models.hysteresis import MODELS
-from hysteresis_ros.recordings.units import readable
 from hysteresis_ros.registry import resolved
+from hysteresis_ros.units import readable
 
 #: Name that stands for the model which predicts best.
 AUTO = "auto"
