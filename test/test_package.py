@@ -53,7 +53,7 @@ MAY_IMPORT = {
     "papers": METHODS | {"loop", "simulation", "analysis"},
     "api": METHODS | {"loop", "simulation", "analysis"},
     "nodes": METHODS | {"loop", "simulation", "analysis"},
-    "cli": METHODS | {"loop", "simulation", "analysis", "comparison", "papers", "nodes"},
+    "cli": METHODS | {"loop", "simulation", "analysis", "comparison", "papers", "nodes", "hardware"},
 }
 ROS = re.compile(r"^(rclpy|ament_index_python|std_srvs|\w+_(msgs|interfaces))$")
 #: Heavy or special packages, and the only folder that may import them.

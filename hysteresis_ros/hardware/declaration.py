@@ -5,9 +5,27 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass
+from typing import Any
 
 from hysteresis_ros.hardware.driver import Driver
+from hysteresis_ros.hardware.emulation.bench import Bench, Running
 from hysteresis_ros.parameters import Parameters
+
+
+@dataclass(frozen=True, eq=False)
+class EmulatedDevice:
+    """A device that runs by itself, for ``hysteresis emulate``: the driver, or a program of others, is its master.
+
+    Parameters
+    ----------
+    parameters : type of Parameters
+        Options of the command besides the plant and its faults.
+    start : callable
+        ``start(parameters, bench)`` returns a context manager that gives the running device.
+    """
+
+    parameters: type[Parameters]
+    start: Callable[[Any, Bench], AbstractContextManager[Running]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,6 +47,8 @@ class HardwareDriver:
         ``emulator()`` returns a context manager that stands in for the device, or for its like, and gives the
         parameters to open it with: to try the driver without the device, and for the contract test. Only a library
         that is named by its path has none.
+    device : EmulatedDevice, optional
+        The like as a device of its own.
     """
 
     name: str
@@ -36,3 +56,4 @@ class HardwareDriver:
     parameters: type[Parameters]
     driver: type[Driver]
     emulator: Callable[[], AbstractContextManager[Parameters]] | None = None
+    device: EmulatedDevice | None = None

@@ -1,0 +1,327 @@
+"""The driver of controllers that speak GCS 2.0: open-loop voltages out, or targets of their servo; positions back."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from hysteresis_ros.errors import Problem
+from hysteresis_ros.hardware.driver import Capabilities, Driver, DriverError, Reading
+from hysteresis_ros.hardware.drivers.gcs.link import GcsLink
+from hysteresis_ros.hardware.drivers.gcs.protocol import (
+    AXIS_UNIT,
+    GENERATOR_STATUS,
+    MOTION_STATUS,
+    READY,
+    READY_STATUS,
+    UNITS,
+    VOLTAGE_MAXIMUM,
+    VOLTAGE_MINIMUM,
+)
+from hysteresis_ros.parameters import Parameters, parameter
+
+#: Samples that are tried when the device is opened, and the part of them that the highest rate is for.
+TRIALS, SURE = 50, 0.9
+#: How much of a sample a driver may take.
+SHARE = 0.5
+#: Voltages that the output may still be at when it is looked at.
+RECENT = 4
+#: Steps in which the voltage is taken to the safe one.
+STEPS = 20
+
+
+@dataclass(frozen=True)
+class GcsParameters(Parameters):
+    """Which controller and axis, and what is commanded."""
+
+    host: str = parameter("127.0.0.1", description="name or address of the controller", read_only=True)
+    port: int = parameter(50000, description="its TCP port", low=1, high=65535, read_only=True)
+    identification: str = parameter(
+        "", description="what its answer to *IDN? contains, for instance E-754; '': anything", read_only=True
+    )
+    axis: str = parameter("1", description="name of the axis", read_only=True)
+    channel: str = parameter(
+        "", description="name of its output signal channel, for VOL?; '': that of the axis", read_only=True
+    )
+    mode: str = parameter(
+        "open_loop",
+        choices=("open_loop", "servo"),
+        description="open_loop: SVA, servo off; servo: MOV, servo on, a volt being servo_scale",
+        read_only=True,
+    )
+    open_loop_scale: float = parameter(
+        1.0, description="volts at the output for one unit of SVA", unit="V", low=1e-6, high=1e6, read_only=True
+    )
+    servo_scale: float = parameter(
+        1.0e-6, description="servo: target for a volt", unit="m/V", low=1e-12, high=1.0, read_only=True
+    )
+    position_unit: str = parameter(
+        "",
+        choices=("", *UNITS),
+        description="unit of its positions, which it must have when it says one; '': what it says",
+        read_only=True,
+    )
+    safe_voltage: float = parameter(
+        0.0, description="voltage of the safe state", unit="V", low=-1.0e4, high=1.0e4, read_only=True
+    )
+    safe_time: float = parameter(
+        0.2, description="time in which it goes there by itself", unit="s", low=0.0, high=10.0, read_only=True
+    )
+    voltage_range: tuple[float, ...] = parameter(
+        (),
+        description="open_loop: least and greatest voltage of a controller that does not say them",
+        unit="V",
+        read_only=True,
+    )
+    voltage_tolerance: float = parameter(
+        2.0,
+        description="open_loop: largest difference of VOL? and the voltage",
+        unit="V",
+        low=1e-3,
+        high=1e3,
+        read_only=True,
+    )
+    check_period: float = parameter(
+        0.2,
+        description="how often errors, servo and voltage are looked at",
+        unit="s",
+        low=1e-3,
+        high=60.0,
+        read_only=True,
+    )
+    timeout: float = parameter(
+        0.5, description="time within which it answers", unit="s", low=0.001, high=60.0, read_only=True
+    )
+
+    def check(self):
+        """Yield what does not fit together."""
+        if self.voltage_range and not (len(self.voltage_range) == 2 and self.voltage_range[0] < self.voltage_range[1]):
+            yield Problem("voltage_range", self.voltage_range, "give the least and the greatest voltage, or nothing")
+
+
+class GcsDriver(Driver):
+    """One axis of a controller; one that has failed is taken anew when it is read again."""
+
+    _link: GcsLink | None = None
+    _given: GcsParameters
+    _failed = False
+
+    def __init__(self) -> None:
+        self._recent: deque[float] = deque(maxlen=RECENT)
+
+    def open(self, parameters: GcsParameters, sample_rate: float) -> Capabilities:
+        """Connect, look whether it is the right one, bring it to its safe state and try how fast it is.
+
+        Parameters
+        ----------
+        parameters : GcsParameters
+        sample_rate : float
+            [Hz]
+
+        Raises
+        ------
+        DriverError
+            It cannot be reached, is another one, is in motion, busy or in error, or has other units.
+        """
+        self._given = parameters
+        link = self._taken(first=True)
+        low, high = self._range
+        return Capabilities(joints=1, voltages=1, minimum=low, maximum=high, highest_rate=self._highest_rate(link))
+
+    # -- taking the controller -----------------------------------------------------------------------------------
+
+    def _taken(self, first: bool = False) -> GcsLink:
+        """Return the link to the controller, in its safe state when it had to be taken."""
+        given = self._given
+        if self._link is not None and self._link.broken:
+            self.close()
+        if self._link is None or self._failed:
+            self._failed = True
+            self._link = self._link or GcsLink(given.host, given.port, given.timeout)
+            self._take(self._link, first)
+            self._failed = False
+        return self._link
+
+    def _take(self, link: GcsLink, first: bool) -> None:
+        given = self._given
+        said = link.ask("*IDN?")[0][0]
+        if given.identification.lower() not in said.lower():
+            problem = f"says it is {said!r}, which does not contain gcs.identification = {given.identification!r}"
+            raise DriverError(link.name, problem, "give the address of the right one, or its name")
+        link.error()  # what went wrong before is over
+        axes = link.ask("SAI?")[0]
+        if given.axis not in axes:
+            problem = f"has no axis {given.axis!r}, it has {', '.join(axes)}"
+            raise DriverError(link.name, problem, "give one of them as gcs.axis")
+        self._commands = {line.split()[0].upper() for line in link.ask("HLP?")[0] if line.split()}
+        if first:
+            self._require_rest(link)
+        self._unit = self._unit_of(link)
+        low, high = self._range = self._range_of(link)
+        if not low <= given.safe_voltage <= high:
+            problem = f"has a range of {low:g} … {high:g} V without gcs.safe_voltage = {given.safe_voltage:g} V"
+            raise DriverError(link.name, problem, "give one within it")
+        self._make_safe(link)
+        self._check(link, *link.ask(*self._questions()))
+
+    def _require_rest(self, link: GcsLink) -> None:
+        """Refuse a controller that is not ready, or moves an axis for somebody else."""
+        if "#7" in self._commands and link.ask_single(READY_STATUS).encode("latin-1")[:1] != READY:
+            raise DriverError(link.name, "is busy with something else", "wait until it is ready, or stop that")
+        for command, character in (("#5", MOTION_STATUS), ("#9", GENERATOR_STATUS)):
+            if command in self._commands and link.ask_single(character).lower().lstrip("0x"):
+                remedy = "end the program that moves it, stop its wave generator"
+                raise DriverError(link.name, f"is in motion ({command})", remedy)
+        if "FRF?" in self._commands and link.number("FRF?", self._given.axis) != 1.0:
+            raise DriverError(link.name, f"has not referenced axis {self._given.axis}", "reference it first (FRF)")
+
+    def _unit_of(self, link: GcsLink) -> float:
+        """Return the metres of a unit of the positions."""
+        given, said = self._given, ""
+        if "PUN?" in self._commands:
+            said = link.value("PUN?", given.axis)
+        elif answer := link.ask_maybe(f"SPA? {given.axis} {AXIS_UNIT}"):
+            said = answer[0].partition("=")[2].strip()
+        unit = said.lower() or given.position_unit
+        if unit not in UNITS:
+            problem = f"measures axis {given.axis} in {said}" if said else f"does not say the unit of axis {given.axis}"
+            raise DriverError(link.name, problem, f"an axis needs one of {', '.join(UNITS)} (gcs.position_unit)")
+        if given.position_unit and UNITS[unit] != UNITS[given.position_unit]:
+            problem = f"measures axis {given.axis} in {said}, gcs.position_unit is {given.position_unit}"
+            raise DriverError(link.name, problem, "make them equal")
+        return UNITS[unit]
+
+    def _range_of(self, link: GcsLink) -> tuple[float, float]:
+        """Return the range of what is commanded [V]."""
+        given = self._given
+        if given.mode == "servo":
+            volts = self._unit / given.servo_scale
+            return link.number("TMN?", given.axis) * volts, link.number("TMX?", given.axis) * volts
+        if {"VMI?", "VMA?"} <= self._commands:
+            return link.number("VMI?", self._channel), link.number("VMA?", self._channel)
+        if given.voltage_range:
+            return given.voltage_range[0], given.voltage_range[1]
+        items = [f"{self._channel} {number}" for number in (VOLTAGE_MINIMUM, VOLTAGE_MAXIMUM)]
+        low, high = (link.ask_maybe(f"SPA? {item}") for item in items)
+        if low is None or high is None:
+            raise DriverError(link.name, "does not say its voltages", "give gcs.voltage_range")
+        return link.number("SPA?", items[0], low), link.number("SPA?", items[1], high)
+
+    @property
+    def _channel(self) -> str:
+        return self._given.channel or self._given.axis
+
+    def _highest_rate(self, link: GcsLink) -> float:
+        """Return at which rate nearly all samples leave time for the rest of the axis [Hz]."""
+        durations = []
+        for _ in range(TRIALS):
+            begun = time.perf_counter()
+            link.send(self._command(self._given.safe_voltage))
+            link.number("POS?", self._given.axis)
+            durations.append(time.perf_counter() - begun)
+        return SHARE / sorted(durations)[int(SURE * TRIALS)]
+
+    # -- samples -------------------------------------------------------------------------------------------------
+
+    def read(self) -> Reading:
+        """Ask for the position, and now and then for errors, servo and voltage.
+
+        Raises
+        ------
+        DriverError
+            It does not answer, has an error, or somebody else has switched its servo or commands its voltage.
+        """
+        link, given = self._taken(), self._given
+        due = time.monotonic() - self._checked >= given.check_period
+        try:
+            answers = link.ask(f"POS? {given.axis}", *(self._questions() if due else ()))
+            if due:
+                self._check(link, *answers[1:])
+            return Reading((self._unit * link.number("POS?", given.axis, answers[0]),))
+        except DriverError:
+            self._failed = True
+            raise
+
+    def _questions(self) -> tuple[str, ...]:
+        asked = (f"SVO? {self._given.axis}", "ERR?")
+        looks = self._given.mode == "open_loop" and "VOL?" in self._commands
+        return (*asked, f"VOL? {self._channel}") if looks else asked
+
+    def _check(self, link: GcsLink, servo: list[str], error: list[str], voltage: list[str] | None = None) -> None:
+        """Refuse a controller that is not as this driver left it."""
+        given = self._given
+        on = given.mode == "servo"
+        if bool(link.number("SVO?", given.axis, servo)) != on:
+            problem = f"has its servo switched {'off' if on else 'on'} by somebody else"
+            raise DriverError(link.name, problem, "end the program that does so")
+        link.require(link.code(error), "has an error")
+        if voltage is not None:
+            there, tolerance = link.number("VOL?", self._channel, voltage), given.voltage_tolerance
+            low, high = min(self._recent), max(self._recent)
+            if not low - tolerance <= there <= high + tolerance:
+                problem = f"puts out {there:g} V where {self._recent[-1]:g} V are commanded"
+                remedy = "look at gcs.open_loop_scale, the amplifier, and programs that command it too"
+                raise DriverError(link.name, problem, remedy)
+        self._checked = time.monotonic()
+
+    def write(self, voltages: Sequence[float]) -> None:
+        """Send the voltage, or the target that it stands for.
+
+        Parameters
+        ----------
+        voltages : sequence of float
+            [V]
+
+        Raises
+        ------
+        DriverError
+            The connection is gone.
+        """
+        self._taken().send(self._command(voltages[0]))
+        self._recent.append(voltages[0])
+
+    def _command(self, voltage: float) -> str:
+        given = self._given
+        if given.mode == "servo":
+            return f"MOV {given.axis} {voltage * given.servo_scale / self._unit:.9f}"
+        return f"SVA {given.axis} {voltage / given.open_loop_scale:.9f}"
+
+    # -- end -----------------------------------------------------------------------------------------------------
+
+    def make_safe(self) -> None:
+        """Stop all motion, then go to the safe voltage, or the place that it stands for.
+
+        Raises
+        ------
+        DriverError
+            It does not answer, or refuses.
+        """
+        if self._link is None or self._link.broken:
+            self._taken()
+        else:
+            self._make_safe(self._link)
+
+    def _make_safe(self, link: GcsLink) -> None:
+        given = self._given
+        safe = given.safe_voltage
+        link.stop()
+        if given.mode == "servo":
+            link.do(f"SVO {given.axis} 1", self._command(safe))
+            return
+        link.do(f"SVO {given.axis} 0")
+        now = link.number("SVA?", given.axis) * given.open_loop_scale
+        self._recent = deque([now], RECENT)
+        for step in range(1, STEPS) if now != safe else ():
+            self._recent.append(now + (safe - now) * step / STEPS)
+            link.do(self._command(self._recent[-1]))
+            time.sleep(given.safe_time / STEPS)
+        link.do(self._command(safe))
+        self._recent.append(safe)
+
+    def close(self) -> None:
+        """Hang up."""
+        if self._link is not None:
+            self._link.close()
+            self._link = None

@@ -1,0 +1,107 @@
+"""What an emulated controller says to one of its masters: bytes that came become answers, whatever they are."""
+
+from __future__ import annotations
+
+import re
+
+from hysteresis_ros.hardware.drivers.gcs.emulator import motion_commands, table_commands  # noqa: F401  (they enter)
+from hysteresis_ros.hardware.drivers.gcs.emulator.controller import Controller
+from hysteresis_ros.hardware.drivers.gcs.emulator.dictionary import COMMANDS, Refusal
+from hysteresis_ros.hardware.drivers.gcs.protocol import (
+    GENERATOR_STATUS,
+    MOTION_STATUS,
+    NOT_READY,
+    READY,
+    READY_STATUS,
+    STOP,
+    TOO_LONG,
+    UNKNOWN_COMMAND,
+)
+
+#: Longest command.
+LONGEST = 4096
+_SINGLE = re.compile(rb"[\x00-\x09\x0b-\x1f]")
+
+
+class Session:
+    """What a controller says to one master.
+
+    Parameters
+    ----------
+    controller : Controller
+    """
+
+    def __init__(self, controller: Controller):
+        self._controller, self._rest = controller, b""
+
+    def feed(self, data: bytes) -> bytes:
+        """Return the answers to bytes that came, whatever they are.
+
+        Parameters
+        ----------
+        data : bytes
+        """
+        answers, self._rest = [], self._rest + data
+        while match := re.search(rb"[\x00-\x1f]", self._rest):
+            before, mark, self._rest = self._rest[: match.start()], match.group(), self._rest[match.end() :]
+            if _SINGLE.match(mark):
+                if mark != b"\r":
+                    answers.append(self.answer_single(mark.decode("latin-1")))
+                self._rest = before + self._rest
+            else:
+                answers.append(self._line(before))
+        if len(self._rest) > LONGEST:
+            self._rest = b""
+            self._controller.fail(TOO_LONG)
+        return b"".join(answers)
+
+    def _line(self, line: bytes) -> bytes:
+        if len(line) > LONGEST:
+            self._controller.fail(TOO_LONG)
+            return b""
+        lines = self.answer(line.decode("latin-1"))
+        return " \n".join(lines).encode("latin-1") + b"\n" if lines else b""
+
+    def answer(self, line: str) -> list[str]:
+        """Return the lines with which a command is answered; none when it sets something, or is refused.
+
+        Parameters
+        ----------
+        line : str
+            Without its LF.
+        """
+        words, controller = line.split(), self._controller
+        if not words:
+            return []
+        controller.tick()
+        command = COMMANDS.get(words[0].upper())
+        if command is None:
+            controller.fail(UNKNOWN_COMMAND)
+            return []
+        try:
+            return command(controller, words[1:]) or []
+        except Refusal as refusal:
+            controller.fail(refusal.args[0])
+            return []
+
+    def answer_single(self, character: str) -> bytes:
+        """Return the answer to a command of one character.
+
+        Parameters
+        ----------
+        character : str
+        """
+        controller = self._controller
+        controller.tick()
+        axes = list(controller.axes.values())
+        if character == MOTION_STATUS:
+            return b"%x\n" % sum(axis.moving << place for place, axis in enumerate(axes))
+        if character == READY_STATUS:
+            return (NOT_READY if controller.busy else READY) + b"\n"
+        if character == GENERATOR_STATUS:
+            return b"%x\n" % sum(axis.generating << place for place, axis in enumerate(axes))
+        if character == STOP:
+            controller.stop(axes)
+        else:
+            controller.fail(UNKNOWN_COMMAND)
+        return b""

@@ -1,0 +1,50 @@
+"""What stands behind an emulated device, and what a running one says of itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from hysteresis_ros.hardware.emulation.faults import DeviceFaults
+from hysteresis_ros.hardware.emulation.plant import assumed_stage
+from hysteresis_ros.models.actuator import ActuatorParameters
+from hysteresis_ros.parameters import Parameters
+
+#: Time between two samples of an emulated device [s]: slower than a controller, so that Python keeps up beside an axis.
+CYCLE = 2.0e-4
+
+
+@dataclass(frozen=True)
+class Bench:
+    """The plant behind a device, and what goes wrong with that.
+
+    Parameters
+    ----------
+    plant : ActuatorParameters
+    cycle : float
+        Time between two of its samples [s].
+    faults : tuple of str
+        As :class:`~hysteresis_ros.hardware.emulation.faults.DeviceFaults` takes them.
+    """
+
+    plant: ActuatorParameters = field(default_factory=lambda: assumed_stage(CYCLE))
+    cycle: float = CYCLE
+    faults: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Running:
+    """A device that runs.
+
+    Parameters
+    ----------
+    where : str
+        What it is and where it is found.
+    driver : Parameters
+        With which its driver is opened.
+    faults : DeviceFaults
+        Faults may be added while it runs.
+    """
+
+    where: str
+    driver: Parameters
+    faults: DeviceFaults

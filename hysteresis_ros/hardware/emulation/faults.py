@@ -1,0 +1,94 @@
+"""Faults of an emulated device: it is busy, refuses, answers late or not at all, or its link is cut.
+
+They are written as the faults of an axis are, ``NAME:START:DURATION[:VALUE]``, with times in seconds of the device's
+own clock, counted from where the device begins or where the fault is added.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from typing import NamedTuple
+
+from hysteresis_ros.errors import ConfigurationError, did_you_mean
+
+
+class Kind(NamedTuple):
+    """What a fault of a device is."""
+
+    description: str
+    #: Default of the value; None: it has none.
+    value: float | None = None
+    unit: str = ""
+
+
+FAULTS = {
+    "busy": Kind("commands are refused as long as something else is being done"),
+    "error": Kind("commands are refused with the device's error of that number", 1.0, "code"),
+    "slow": Kind("each answer comes so much later", 0.2, "s"),
+    "silent": Kind("no answer comes"),
+    "cut": Kind("the link is cut and nobody can connect"),
+}
+
+
+class DeviceFaults:
+    """The faults of a device, and when they are there.
+
+    Parameters
+    ----------
+    clock : callable
+        Returns the time [s].
+    texts : iterable of str
+        Faults from the beginning on.
+
+    Raises
+    ------
+    ConfigurationError
+        One is unknown or not written as above.
+    """
+
+    def __init__(self, clock: Callable[[], float], texts: Iterable[str] = ()):
+        self._clock = clock
+        self._entries: list[tuple[str, float, float, float]] = []
+        for text in texts:
+            self.add(text)
+
+    def add(self, text: str) -> None:
+        """Add a fault, its times counted from now on; ``none`` ends all.
+
+        Raises
+        ------
+        ConfigurationError
+            It is unknown or not written as above.
+        """
+        if text == "none":
+            self._entries = []
+            return
+        name, *numbers = text.split(":")
+        if name not in FAULTS:
+            near = did_you_mean(name, FAULTS) or f"; there are {', '.join(FAULTS)}"
+            raise ConfigurationError(f"fault '{text}': a device has no fault '{name}'{near}")
+        kind = FAULTS[name]
+        try:
+            start, duration, *rest = map(float, numbers)
+            sound = all(map(math.isfinite, (start, duration, *rest))) and start >= 0.0 < duration
+        except ValueError:
+            sound = False
+        if not sound or len(rest) > (kind.value is not None) or min(rest, default=0.0) < 0.0:
+            form = f"{name}:START:DURATION" + ("" if kind.value is None else f"[:VALUE in {kind.unit}]")
+            raise ConfigurationError(f"fault '{text}': write {form}, times in seconds, START ≥ 0 and DURATION > 0")
+        begin = self._clock() + start
+        self._entries.append((name, begin, begin + duration, rest[0] if rest else kind.value or 0.0))
+
+    def value(self, name: str) -> float | None:
+        """Return the value of a fault that is there now (0 where it has none), None of one that is not.
+
+        Parameters
+        ----------
+        name : str
+        """
+        now = self._clock()
+        return next((value for kind, begin, end, value in self._entries if kind == name and begin <= now < end), None)
+
+    def __contains__(self, name: str) -> bool:
+        return self.value(name) is not None

@@ -1,0 +1,40 @@
+"""An emulated controller without a link and with a clock of the test."""
+
+from __future__ import annotations
+
+from hysteresis_ros.hardware.drivers.gcs.emulator.controller import MODELS, Controller
+from hysteresis_ros.hardware.drivers.gcs.emulator.session import Session
+from hysteresis_ros.hardware.emulation.faults import DeviceFaults
+from hysteresis_ros.hardware.emulation.plant import assumed_stage
+
+CYCLE = 5.0e-4
+
+
+class Bench:
+    """A controller, a master's session and a clock that goes when the test says so."""
+
+    def __init__(self, model: str = "E-754"):
+        self.now = 0.0
+        self.faults = DeviceFaults(self.clock)
+        self.controller = Controller(MODELS[model], assumed_stage(CYCLE), CYCLE, self.faults, self.clock)
+        self.session = Session(self.controller)
+
+    def clock(self) -> float:
+        return self.now
+
+    def raw(self, data: bytes) -> str:
+        return self.session.feed(data).decode("latin-1")
+
+    def ask(self, text: str) -> str:
+        """Send lines; return the answers."""
+        return self.raw(text.encode() + b"\n").removesuffix("\n")
+
+    def number(self, text: str) -> float:
+        return float(self.ask(text).partition("=")[2])
+
+    def error(self) -> int:
+        return int(self.ask("ERR?"))
+
+    def wait(self, duration: float) -> None:
+        self.now += duration
+        self.controller.tick()

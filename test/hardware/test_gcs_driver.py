@@ -1,0 +1,254 @@
+"""The driver of GCS controllers at an emulated one over TCP: what it needs, what it commands, and what goes wrong."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import socket
+import threading
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from waiting import until
+
+from hysteresis_ros import signals as at
+from hysteresis_ros.errors import ParameterError
+from hysteresis_ros.hardware.device import Device
+from hysteresis_ros.hardware.driver import DriverError
+from hysteresis_ros.hardware.drivers.gcs import MODELS, Controller, DeviceFaults, GcsParameters, Session, serving
+from hysteresis_ros.hardware.drivers.gcs import driver as driving
+from hysteresis_ros.hardware.emulation.plant import assumed_stage
+from hysteresis_ros.hardware.registry import DRIVERS
+from hysteresis_ros.loop.driven import DrivenPlant
+from hysteresis_ros.loop.node_parameters import PlantNodeParameters
+
+RATE, CYCLE = 100.0, 5.0e-4
+
+
+class Stand:
+    """An emulated controller at a port, with its driver's parameters."""
+
+    def __init__(self, model: str):
+        self.faults = DeviceFaults(time.monotonic)
+        self.controller = Controller(MODELS[model], assumed_stage(CYCLE), CYCLE, self.faults)
+        self.heard: list[str] = []
+        self.port = 0
+
+    def given(self, **changes) -> GcsParameters:
+        return GcsParameters(**{"port": self.port, "safe_time": 0.02, "timeout": 0.2, "check_period": 0.01} | changes)
+
+    def open(self, **changes) -> Device:
+        return Device(DRIVERS["gcs"], self.given(**changes).validated(), RATE)
+
+    def say(self, text: str) -> None:
+        """Let somebody at the controller do something."""
+        Session(self.controller).feed(text.encode() + b"\n")
+
+    def session(self) -> Session:
+        """Return a session that notes what is heard."""
+        session = Session(self.controller)
+        answer = session.answer
+        session.answer = lambda line: self.heard.append(line) or answer(line)
+        return session
+
+
+@pytest.fixture
+def stand(request):
+    stand = Stand(getattr(request, "param", "E-754"))
+    with serving(("127.0.0.1", 0), stand.session, stand.controller.tick, stand.faults) as server:
+        stand.port = server.port
+        yield stand
+
+
+@pytest.fixture
+def device(stand):
+    device = stand.open()
+    yield device
+    with contextlib.suppress(DriverError):
+        device.make_safe()
+    device.close()
+
+
+def test_volts_go_out_and_metres_come_back(stand, device):
+    assert (device.capabilities.minimum, device.capabilities.maximum) == (-30.0, 130.0)
+    assert device.capabilities.highest_rate > RATE
+    device.write([50.0])
+    until(lambda: device.read()[0] > 30.0e-6)
+    axis = stand.controller.axes["1"]
+    assert axis.plant.voltage == 50.0 and device.read()[0] == pytest.approx(axis.plant.measured, abs=2e-8)
+
+
+def test_units_and_scales_are_converted(stand):
+    stand.say("SPA 1 0x07000601 MM")
+    device = stand.open(open_loop_scale=0.5, voltage_tolerance=100.0)
+    device.write([20.0])
+    # a unit of SVA is told to be half a volt
+    until(lambda: stand.controller.axes["1"].plant.voltage == 40.0)
+    until(lambda: device.read()[0] > 25.0e-6)
+    device.close()
+
+
+def test_with_the_servo_a_volt_is_a_place(stand):
+    device = stand.open(mode="servo", servo_scale=2.0e-6, safe_voltage=5.0)
+    axis = stand.controller.axes["1"]
+    assert axis.servo and axis.target == pytest.approx(10.0e-6)
+    can = device.capabilities
+    assert (can.minimum, can.maximum) == pytest.approx((-30.0 * axis.plant.gain / 2e-6, 130.0 * axis.plant.gain / 2e-6))
+    device.write([20.0])
+    until(lambda: device.read()[0] == pytest.approx(40.0e-6, abs=1e-7))
+    device.make_safe()
+    until(lambda: device.read()[0] == pytest.approx(10.0e-6, abs=1e-7))
+    device.close()
+
+
+def test_at_the_beginning_and_for_safety_it_does_not_jump(stand):
+    stand.say("SVA 1 80")
+    stand.heard.clear()
+    device = stand.open(safe_voltage=10.0)
+    way = [float(line.split()[2]) for line in stand.heard if line.startswith("SVA 1")]
+    assert way[0] < 80.0 and np.all(np.abs(np.diff(way)) <= 70.0 / 20 + 1e-6) and way[-1] == 10.0
+    device.write([60.0])
+    until(lambda: stand.controller.axes["1"].open_value == 60.0)
+    stand.heard.clear()
+    device.make_safe()
+    way = [float(line.split()[2]) for line in stand.heard if line.startswith("SVA 1")]
+    assert len(way) == 20 and np.all(np.abs(np.diff(way, prepend=60.0)) <= 50.0 / 20 + 1e-6)
+    device.close()
+
+
+@pytest.mark.parametrize("stand", ["E-727"], indirect=True)
+def test_each_axis_is_its_own(stand):
+    device = stand.open(axis="3", identification="e-727")
+    device.write([30.0])
+    until(lambda: device.read()[0] > 15.0e-6)
+    assert [axis.open_value for axis in stand.controller.axes.values()] == [0.0, 0.0, 30.0]
+    device.close()
+
+
+@pytest.mark.parametrize(
+    ("before", "changes", "said"),
+    [
+        (
+            "",
+            {"identification": "E-709"},
+            r"says it is '.*E-754.*', which does not contain gcs.identification = 'E-709'",
+        ),
+        ("", {"axis": "2"}, "has no axis '2', it has 1; give one of them as gcs.axis"),
+        ("", {"position_unit": "mm"}, "measures axis 1 in UM, gcs.position_unit is mm; make them equal"),
+        ("", {"safe_voltage": 200.0}, r"range of -30 … 130 V without gcs.safe_voltage = 200 V"),
+        ("", {"channel": "4"}, r"does not answer 'VMI\? 4'"),
+        ("WAV 1 X PNT 1 2 0 1\nWSL 1 1\nWGO 1 1", {}, r"is in motion \(#9\); end the program"),
+        ("SVO 1 1\nMOV 1 90", {}, r"is in motion \(#5\)"),
+        ("fault busy:0:9", {}, "is busy with something else; wait"),
+        ("fault error:0:9:602", {}, "error 602: a fault of the high voltage; mend the cause"),
+        ("fault silent:0:9", {}, r"does not answer '\*IDN\?' \(timed out\)"),
+        ("fault cut:0:9", {}, r"has hung up at '\*IDN\?': it is off, or has another master"),
+    ],
+)
+def test_what_it_cannot_work_with_is_named_and_nothing_is_commanded(stand, before, changes, said):
+    if before.startswith("fault "):
+        stand.faults.add(before.removeprefix("fault "))
+    elif before:
+        stand.say(before)
+    stand.controller.tick()
+    stand.heard.clear()
+    with pytest.raises(
+        DriverError, match=rf"driver gcs: cannot be opened: controller at 127.0.0.1:{stand.port} .*{said}"
+    ):
+        stand.open(**changes).close()
+    # what it has no range for is said before a voltage goes out
+    assert not any(line.startswith("SVA ") and float(line.split()[2]) != 0.0 for line in stand.heard)
+
+
+def test_a_controller_that_is_not_there_or_is_no_controller_is_named():
+    with socket.create_server(("127.0.0.1", 0)) as nobody:
+        port = nobody.getsockname()[1]
+    with pytest.raises(DriverError, match=rf"controller at 127.0.0.1:{port} cannot be reached .*switch it on"):
+        Device(DRIVERS["gcs"], GcsParameters(port=port), RATE)
+    with socket.create_server(("127.0.0.1", 0)) as other:
+
+        def greet():
+            with other.accept()[0] as link:
+                link.sendall(b"SSH-2.0\nHello\n")
+                link.recv(100)
+
+        threading.Thread(target=greet, daemon=True).start()
+        with pytest.raises(DriverError, match=r"answers 'ERR\?' with 'Hello'; give the address of a controller"):
+            Device(DRIVERS["gcs"], GcsParameters(port=other.getsockname()[1], timeout=0.2), RATE)
+
+
+def test_a_slow_link_has_a_low_rate(stand, monkeypatch):
+    monkeypatch.setattr(driving, "TRIALS", 5)
+    stand.faults.add("slow:0:60:0.02")
+    device = stand.open()
+    assert 5.0 < device.capabilities.highest_rate < 25.0
+    device.close()
+
+
+@pytest.mark.parametrize(
+    ("happens", "said"),
+    [
+        ("SVO 1 1", "has its servo switched on by somebody else; end the program that does so"),
+        ("SVA 1 90", "puts out 90 V where 20 V are commanded; look at gcs.open_loop_scale"),
+        ("fault error:0:0.3:603", "has an error: error 603: the temperature is out of range"),
+        ("fault busy:0:0.3", "has an error: error 1005: busy"),
+        ("fault silent:0:0.3", r"does not answer 'POS\? 1' \(timed out\)"),
+        ("fault cut:0:0.3", "it is off, or has another master"),
+    ],
+)
+def test_what_goes_wrong_in_motion_stops_the_axis_until_it_is_started(stand, happens, said):
+    plant = DrivenPlant(plant_parameters(stand))
+    row = [0.0] * 64
+    step(plant, row, 20.0, 30)
+    assert stand.controller.axes["1"].open_value == pytest.approx(20.0)
+    if happens.startswith("fault "):
+        stand.faults.add(happens.removeprefix("fault "))
+
+    def failed():
+        if not happens.startswith("fault "):
+            stand.say(happens)
+        step(plant, row, 20.0, 1)
+        return plant.failure
+
+    assert re.search(said, until(failed)) and plant.tripped, plant.failure
+    until(lambda: not any(name in stand.faults for name in ("error", "busy", "silent", "cut")))
+    heard = len(stand.heard)
+    step(plant, row, 20.0, 3)
+    assert len(stand.heard) == heard, "it went on by itself"
+    plant.start()
+    step(plant, row, 20.0, 60)
+    axis = stand.controller.axes["1"]
+    assert plant.failure == "" and not axis.servo and axis.open_value == pytest.approx(20.0)
+    plant.make_safe()
+    assert axis.open_value == 0.0
+    plant.close()
+
+
+def plant_parameters(stand) -> PlantNodeParameters:
+    own = {f"gcs.{name}": value for name, value in stand.given().to_mapping().items() if value != ()}
+    return PlantNodeParameters.from_mapping(
+        {"driver": "gcs", "sample_rate": RATE, "late_limit": -1, "safe_slew_rate": 1.0e4, "overtravel": -1.0}
+        | {"hysteresis.type": "proportional", "hysteresis.proportional.gain": 8e-7}
+        | {"limits.minimum": 0.0, "limits.maximum": 100.0}
+        | own
+    )
+
+
+def step(plant, row, voltage: float, samples: int) -> None:
+    for _ in range(samples):
+        plant.sense(row)
+        row[at.VOLTAGE] = voltage
+        plant.actuate(row)
+
+
+def test_a_range_that_the_controller_does_not_have_is_refused(stand):
+    given = plant_parameters(stand)
+    with pytest.raises(DriverError, match=r"range of -30 … 130 V does not contain limits.minimum … limits.maximum"):
+        DrivenPlant(replace(given, limits=replace(given.limits, maximum=150.0)))
+
+
+def test_a_range_of_voltages_is_two_numbers_in_order():
+    with pytest.raises(ParameterError, match=r"voltage_range = \(3.0, 1.0\): give the least and the greatest"):
+        GcsParameters(voltage_range=(3.0, 1.0)).validated()

@@ -1,0 +1,61 @@
+"""An axis whose stage is a GCS controller, over TCP and DDS: it moves, loses its link, and goes on after the repair."""
+
+from __future__ import annotations
+
+import pytest
+
+pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
+
+from nodes_support import axis_parameters, compose, diagnostics, until  # noqa: E402
+
+from hysteresis_ros.hardware.drivers.gcs import EmulatedControllerParameters, start  # noqa: E402
+from hysteresis_ros.hardware.emulation.bench import Bench  # noqa: E402
+
+RATE = 50.0
+GAIN = 8.0e-7
+TARGET = 10.0e-6
+
+
+def axis_at(port: int):
+    """An axis in open loop at a controller's port."""
+    stage = {"hysteresis__type": "proportional", "hysteresis__proportional__gain": GAIN, "limits__minimum": 0.0}
+    plant = {"driver": "gcs", "gcs__port": port, "gcs__timeout": 0.2, "gcs__safe_time": 0.02, "late_limit": -1, **stage}
+    overrides = {
+        "plant_simulator": plant,
+        "hysteresis_compensator": {"inverse__type": "none", **stage},
+        "motion_controller": {"type": "open_loop"},
+    }
+    return axis_parameters(overrides=overrides, sample_rate=RATE, time_mode="realtime")
+
+
+@pytest.fixture
+def running():
+    """A controller that is there longer than the nodes."""
+    with start(EmulatedControllerParameters(port=0), Bench()) as running:
+        yield running
+
+
+def test_an_axis_at_a_controller_moves_is_stopped_by_a_cut_link_and_goes_on_when_started(running, inside, observer):
+    from diagnostic_msgs.msg import DiagnosticArray
+    from sensor_msgs.msg import JointState
+    from std_msgs.msg import Float64
+
+    plant, *_ = compose(inside, axis_at(running.driver.port))
+    inside.spin()
+    joints = observer.listen(JointState, "/joint_states")
+    reports = observer.listen(DiagnosticArray, "/diagnostics")
+    setpoint = observer.talk(Float64, "/setpoint")
+    until(lambda: joints and setpoint.get_subscription_count(), what="the axis to run")
+    setpoint.publish(Float64(data=TARGET))
+    # open loop without inverse: off by the hysteresis of the stage
+    until(lambda: abs(joints[-1].position[0] - TARGET) < 0.4 * TARGET, what="the axis near its setpoint")
+    running.faults.add("cut:0:1")
+    until(lambda: plant.part.tripped, what="the axis to stop")
+    until(lambda: joints[-1].header.frame_id == "tripped" and joints[-1].position[0] != joints[-1].position[0])
+    until(lambda: (diagnostics(reports, "/plant_simulator") or [0])[0] == 2)
+    said = diagnostics(reports, "/plant_simulator")[1]
+    assert f"controller at 127.0.0.1:{running.driver.port}" in said and "~/start" in said
+    until(lambda: "cut" not in running.faults, what="the repair")
+    assert plant.part.tripped, "it went on by itself"
+    assert observer.trigger("/plant_simulator/start").success
+    until(lambda: abs(joints[-1].position[0] - TARGET) < 0.4 * TARGET, what="the axis back at its setpoint")
