@@ -124,6 +124,19 @@ def matches(pattern: str, full_name: str) -> bool:
     return re.fullmatch(expression, full_name) is not None
 
 
+def parse_value(text: str):
+    """Return a value of a parameter from its text, read as in a file; what is no YAML stays a text.
+
+    Parameters
+    ----------
+    text : str
+    """
+    try:
+        return yaml.load(text, Loader=_Loader)
+    except (yaml.YAMLError, _RepeatedKeyError):
+        return text
+
+
 def parse_configuration(text: str, source: str) -> Configuration:
     """Read a ROS 2 parameter file from its text.
 

@@ -25,7 +25,12 @@ COMMANDS = {
         "Show Kim's axis in real time and as four processes, and report it.",
     ),
     "up": ("hysteresis_ros.cli.up:up", "Start the nodes of a configuration, record and report."),
-    "setpoint": ("hysteresis_ros.cli.setpoint:setpoint", "Move an axis by hand, like ros2 topic pub --once."),
+    "setpoint": ("hysteresis_ros.cli.remote:setpoint", "Move an axis by hand, and say whether it takes the setpoint."),
+    "status": ("hysteresis_ros.cli.remote:status", "Say who is there of each running axis, how well, and where it is."),
+    "get": ("hysteresis_ros.cli.remote:get", "Print parameters of a running node."),
+    "set": ("hysteresis_ros.cli.remote:set_", "Set parameters of a running node, all or none."),
+    "call": ("hysteresis_ros.cli.remote:call", "Ask a node to start, stop, reset …, or to change its lifecycle."),
+    "echo": ("hysteresis_ros.cli.remote:echo", "Print what is said on a topic."),
     "simulate": ("hysteresis_ros.cli.simulate:simulate", "Run a configuration offline, without ROS."),
     "verify": ("hysteresis_ros.cli.verify:verify", "Compare a recorded run with its offline twin, bit for bit."),
     "parameters": (

@@ -16,7 +16,7 @@ from hysteresis_ros.block import interpreted
 from hysteresis_ros.loop.source import SequencerSource, sequenced
 from hysteresis_ros.nodes.qos import setpoint_qos
 from hysteresis_ros.nodes.realtime import WATCHDOG_PERIOD
-from hysteresis_ros.nodes.responder import Responder
+from hysteresis_ros.nodes.reference_source import ReferenceSource
 from hysteresis_ros.nodes.spin import run
 from hysteresis_ros.nodes.timing import STALE
 from hysteresis_ros.references import inchworm_layout as at
@@ -38,7 +38,7 @@ ERRORS = {
 _SEQUENCED = interpreted(sequenced)
 
 
-class InchwormSequencerNode(Responder):
+class InchwormSequencerNode(ReferenceSource):
     """Answers every ``joint_states`` with ``reference``, ``origin`` [m] and the voltages of both clamps [V].
 
     Setpoints [m] and speeds [m/s] are taken at any time; requests (start, stop, home, release) take effect one a
@@ -60,7 +60,6 @@ class InchwormSequencerNode(Responder):
 
     def __init__(self, **options):
         super().__init__("inchworm_sequencer", **options)
-        self.refused = 0
 
     @property
     def is_motor(self) -> bool:
@@ -126,8 +125,7 @@ class InchwormSequencerNode(Responder):
         value = message.data
         reason = self.sequencer.refuse(value)
         if reason:
-            self.refused += 1
-            self.warn("setpoint", f"{reason}; {self.setpoint:.6g} m is kept")
+            self.refuse("setpoint", f"{reason}; {self.setpoint:.6g} m is kept")
             return
         x = self.sequencer.x
         if value == x[at.RECEIVED] and (x[at.SPEED] or x[at.WALKED] or value != x[at.TARGET]):
@@ -144,8 +142,7 @@ class InchwormSequencerNode(Responder):
     def _on_speed(self, message) -> None:
         reason = self.sequencer.parameters.gait.refuse_speed(message.data)
         if reason:
-            self.refused += 1
-            self.warn("speed", f"{reason}; {self.sequencer.x[at.SPEED]:.6g} m/s is kept")
+            self.refuse("speed", f"{reason}; {self.sequencer.x[at.SPEED]:.6g} m/s is kept")
         else:
             self._schedule.clear()
             if self.is_fused:

@@ -176,7 +176,7 @@ class Graph:
             command,
             env=self.environment,
             start_new_session=True,
-            preexec_fn=partial(_die_with_parent, os.getpid()),
+            preexec_fn=partial(die_with_parent, os.getpid()),
         )
         return NodeProcess(name, namespace, process)
 
@@ -250,8 +250,14 @@ def _require_creatable(folder: pathlib.Path) -> None:
         ) from None
 
 
-def _die_with_parent(parent: int) -> None:
-    """Linux: a node does not outlive a launcher that is killed."""
+def die_with_parent(parent: int) -> None:
+    """Linux: a child does not outlive the process that started it; for the child's ``preexec_fn``.
+
+    Parameters
+    ----------
+    parent : int
+        Process identifier of the one who starts it.
+    """
     with contextlib.suppress(OSError, AttributeError):
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
         if os.getppid() != parent:

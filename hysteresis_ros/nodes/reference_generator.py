@@ -12,14 +12,14 @@ from hysteresis_ros.loop.source import GeneratorSource, generate
 from hysteresis_ros.loop.tick import Laws
 from hysteresis_ros.nodes.external import ExternalRun
 from hysteresis_ros.nodes.qos import setpoint_qos
-from hysteresis_ros.nodes.responder import Responder
+from hysteresis_ros.nodes.reference_source import ReferenceSource
 from hysteresis_ros.nodes.spin import run
 from hysteresis_ros.nodes.timing import STALE
 
 _GENERATE = interpreted(generate)
 
 
-class ReferenceGeneratorNode(Responder):
+class ReferenceGeneratorNode(ReferenceSource):
     """Answers every ``joint_states`` with one ``reference`` [m]; takes ``setpoint`` [m] at any time."""
 
     #: Without measurements there is nothing to answer: no samples are counted.
@@ -28,7 +28,6 @@ class ReferenceGeneratorNode(Responder):
 
     def __init__(self, **options):
         super().__init__("reference_generator", **options)
-        self.refused = 0
 
     def build(self, parameters) -> None:
         """Make the generator from the parameters."""
@@ -82,8 +81,7 @@ class ReferenceGeneratorNode(Responder):
     def _on_setpoint(self, message) -> None:
         reason = self.part.generator.refuse(message.data)
         if reason:
-            self.refused += 1
-            self.warn("setpoint", f"{reason}; {self.setpoint:.6g} m is kept")
+            self.refuse("setpoint", f"{reason}; {self.setpoint:.6g} m is kept")
             return
         self.setpoint = message.data
         if self.is_fused:

@@ -1,0 +1,152 @@
+"""``hysteresis status|get|set|call|echo|setpoint``: an axis that runs, for people without the command ``ros2``."""
+
+from __future__ import annotations
+
+import math
+import os
+
+import click
+
+
+def steered(timeout: float = 10.0):
+    """Return a decorator that adds the options of all commands that steer a running axis.
+
+    Parameters
+    ----------
+    timeout : float
+        By default [s].
+    """
+    words = "Wait so long for whoever is asked [s]."
+    options = (
+        click.option("--timeout", type=float, default=timeout, show_default=True, help=words),
+        click.option("--namespace", default="", help="Namespace of the axis."),
+    )
+
+    def add(command):
+        for option in options:
+            command = option(command)
+        return command
+
+    return add
+
+
+def in_graph(command: str, namespace: str, timeout: float, **arguments) -> None:
+    """Do something among the nodes and leave with its exit code.
+
+    Parameters
+    ----------
+    command : str
+        Of :data:`hysteresis_ros.nodes.remote.__main__.COMMANDS`.
+    namespace : str
+    timeout : float
+        [s]
+    **arguments
+        Of the command.
+
+    Raises
+    ------
+    SystemExit
+        Always.
+    """
+    import json
+    import subprocess
+    import sys
+    from functools import partial
+
+    from hysteresis_ros.errors import HysteresisError
+    from hysteresis_ros.nodes.launcher import die_with_parent, node_environment, require_ros
+
+    if not 0.0 < timeout < math.inf:
+        raise HysteresisError(f"--timeout {timeout:g}: must be a positive number of seconds")
+    require_ros()
+    request = {"command": command, "namespace": namespace, "timeout": timeout, **arguments}
+    # a process of its own: the pip wheels of ROS restart the interpreter on import
+    words = [sys.executable, "-m", "hysteresis_ros.nodes.remote", json.dumps(request)]
+    # in a session of its own: Ctrl-C in a terminal reaches this process only, which then takes the other one along
+    guard = partial(die_with_parent, os.getpid())
+    child = subprocess.run(words, env=node_environment(), start_new_session=True, preexec_fn=guard)
+    raise SystemExit(child.returncode)
+
+
+@click.command(short_help="Say who is there of each axis, how well, and where it is.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON, in SI.")
+@steered()
+def status(as_json, namespace, timeout):
+    """Print of each axis: its nodes, their lifecycle, rate and health, and the last setpoint, place and voltage.
+
+    Ends with exit code 0 when all is well, 1 when a node is missing, not active or in trouble, 2 when there is no axis.
+    """
+    in_graph("status", namespace, timeout, as_json=as_json)
+
+
+@click.command(short_help="Print parameters of a running node.")
+@click.argument("node")
+@click.argument("names", nargs=-1, metavar="[PARAM]...")
+@steered()
+def get(node, names, namespace, timeout):
+    """Print parameters of NODE as YAML; all of them when none is named."""
+    in_graph("get", namespace, timeout, node=node, names=list(names))
+
+
+@click.command(
+    name="set",
+    short_help="Set parameters of a running node, all or none.",
+    # a negative value is no option
+    context_settings={"ignore_unknown_options": True},
+)
+@click.argument("node")
+@click.argument("pairs", nargs=-1, required=True, metavar="PARAM VALUE [PARAM VALUE]...")
+@steered()
+def set_(node, pairs, namespace, timeout):
+    """Set parameters of NODE, all of them or, when it refuses one, none; values in SI or with a unit (5um)."""
+    if len(pairs) % 2:
+        raise click.UsageError(f"{pairs[-1]} has no value: write PARAM VALUE [PARAM VALUE]...")
+    in_graph("set", namespace, timeout, node=node, values=dict(zip(pairs[::2], pairs[1::2], strict=True)))
+
+
+@click.command(short_help="Ask a node to start, stop, reset …, or to change its lifecycle.")
+@click.argument("node")
+@click.argument("action")
+@steered()
+def call(node, action, namespace, timeout):
+    """Ask NODE for ACTION: a service (start, stop, reset; home, release) or a transition of its lifecycle.
+
+    Transitions: configure, activate, deactivate, cleanup, shutdown.
+    """
+    in_graph("call", namespace, timeout, node=node, action=action)
+
+
+@click.command(short_help="Print what is said on a topic.")
+@click.argument("topic")
+@click.option("--once", is_flag=True, help="End after one message.")
+@click.option("--count", type=click.IntRange(1), help="End after so many messages.")
+@steered()
+def echo(topic, once, count, namespace, timeout):
+    """Print the messages of TOPIC, e.g. joint_states, reference, motion_controller/state; Ctrl-C ends it."""
+    if once and count:
+        raise click.UsageError("--once and --count exclude each other")
+    in_graph("echo", namespace, timeout, topic=topic, count=1 if once else count)
+
+
+@click.command(
+    short_help="Move an axis by hand.",
+    # a negative setpoint is no option
+    context_settings={"ignore_unknown_options": True},
+)
+@click.argument("value")
+@steered(timeout=30.0)  # an axis that is started for the first time compiles
+def setpoint(value, namespace, timeout):
+    """Publish the setpoint VALUE, e.g. 5um or 5.0e-6 [m], and say whether the axis takes it.
+
+    Ends with exit code 2 when it is refused (out of range, axis not active or stopped) or nobody listens.
+    """
+    from hysteresis_ros.errors import HysteresisError
+    from hysteresis_ros.units import quantity
+
+    try:
+        metres, unit = quantity(value)
+        if unit not in ("", "m"):
+            raise ValueError(f"is in {unit}, must be a length")
+    except ValueError as error:
+        raise HysteresisError(f"setpoint {value}: {error}") from None
+    in_graph("setpoint", namespace, timeout, value=metres)

@@ -1,0 +1,37 @@
+"""Do in the graph what a command asks for: ``python -m hysteresis_ros.nodes.remote '{"command": "status", …}'``."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+
+from hysteresis_ros.errors import HysteresisError
+from hysteresis_ros.nodes.remote.client import Client
+from hysteresis_ros.nodes.remote.parameters import get, set_
+from hysteresis_ros.nodes.remote.services import call
+from hysteresis_ros.nodes.remote.setpoint import setpoint
+from hysteresis_ros.nodes.remote.status import status
+from hysteresis_ros.nodes.remote.topics import echo
+
+#: What can be asked for; each gets the client and the further arguments.
+COMMANDS = {"status": status, "get": get, "set": set_, "call": call, "echo": echo, "setpoint": setpoint}
+
+
+def main() -> int:
+    """Do what the only argument says; return the exit code."""
+    request = json.loads(sys.argv[1])
+    command = COMMANDS[request.pop("command")]
+    try:
+        with Client(request.pop("namespace"), request.pop("timeout")) as client:
+            return command(client, **request) or 0
+    except HysteresisError as error:
+        print(f"hysteresis: {' '.join(str(error).split())}", file=sys.stderr)
+        return 2
+    except BrokenPipeError:  # who reads has seen enough
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,181 @@
+"""A node of a command among the nodes of an axis: it looks who is there, asks, listens, and never waits for ever."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from typing import Any
+
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+
+from hysteresis_ros.configuration import NODE_NAMES, OPTIONAL_NODE_NAMES, normalised_namespace
+from hysteresis_ros.errors import HysteresisError, did_you_mean
+
+#: Seconds of one look at the graph.
+LOOK = 0.02
+#: Seconds without news after which the graph is taken as known.
+SETTLED = 0.5
+
+
+class AbsentError(HysteresisError):
+    """Somebody is not there, or does not answer."""
+
+
+class Client:
+    """A node that asks others; use it in a ``with`` statement.
+
+    Parameters
+    ----------
+    namespace : str
+        Of the axis; names without a slash in front are looked for there.
+    timeout : float
+        Longest wait for somebody [s].
+    context : rclpy.context.Context, optional
+        An initialised one; a new one in the domain of the environment by default.
+    """
+
+    def __init__(self, namespace: str = "", timeout: float = 5.0, context: Context | None = None):
+        self.namespace, self.timeout = normalised_namespace(namespace), timeout
+        self._context = context
+        self._own = context is None
+
+    def __enter__(self) -> Client:
+        """Enter the graph."""
+        if self._own:
+            self._context = Context()
+            rclpy.init(args=[], context=self._context)
+        try:
+            self.node = rclpy.create_node(
+                f"_hysteresis_{os.getpid()}",  # hidden, as names with an underscore are
+                namespace=self.namespace or "/",
+                context=self._context,
+                start_parameter_services=False,
+                enable_rosout=False,
+            )
+        except Exception as error:  # rclpy has an error of its own for each thing wrong with a name
+            self._leave()
+            raise HysteresisError(f"namespace {self.namespace}: {str(error).splitlines()[0]}") from None
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self.node)
+        return self
+
+    def __exit__(self, *exception) -> None:
+        """Leave the graph."""
+        self._executor.shutdown()
+        self.node.destroy_node()
+        self._leave()
+
+    def _leave(self) -> None:
+        if self._own and self._context is not None:
+            self._context.try_shutdown()
+
+    def until(self, condition: Callable[[], Any], seconds: float | None = None) -> Any:
+        """Hear and look until a condition holds; return what it says in the end.
+
+        Parameters
+        ----------
+        condition : callable
+        seconds : float, optional
+            At most so long; the client's timeout by default.
+        """
+        deadline = time.monotonic() + (self.timeout if seconds is None else seconds)
+        while True:
+            found = condition()
+            if found or time.monotonic() >= deadline:
+                return found
+            self._executor.spin_once(timeout_sec=LOOK)
+
+    def full_name(self, name: str) -> str:
+        """Return a name with the namespace in front, unless it is a whole one."""
+        return name if name.startswith("/") else f"{self.namespace}/{name}"
+
+    def nodes(self) -> list[str]:
+        """Return the full names of the nodes that are there, without those of commands."""
+        found = self.node.get_node_names_and_namespaces()
+        return sorted({f"{space.rstrip('/')}/{name}" for name, space in found if not name.startswith("_")})
+
+    def settle(self) -> list[str]:
+        """Return the nodes that are there, as soon as somebody is and nobody else comes."""
+        known: list[str] = []
+        since = time.monotonic()
+
+        def still() -> bool:
+            nonlocal known, since
+            found = self.nodes()
+            if found != known:
+                known, since = found, time.monotonic()
+            return bool(axis_nodes(found)) and time.monotonic() - since > SETTLED
+
+        self.until(still)
+        return known
+
+    def find(self, name: str) -> str:
+        """Return the full name of a node when it is there.
+
+        Raises
+        ------
+        AbsentError
+            It is not; names who is.
+        """
+        wanted = self.full_name(name)
+        if not self.until(lambda: wanted in self.nodes()):
+            raise AbsentError(f"no node {wanted} within {self.timeout:g} s; {self.who_is_there(wanted)}")
+        return wanted
+
+    def who_is_there(self, wanted: str = "") -> str:
+        """Return in words which nodes there are, and which of them has nearly the name that was looked for."""
+        found = self.nodes()
+        if not found:
+            return f"there is nobody in the ROS domain {os.environ.get('ROS_DOMAIN_ID', '0')}: does an axis run?"
+        return f"there are {', '.join(found)}{did_you_mean(wanted, found) if wanted else ''}"
+
+    def ask(self, kind, service: str, request=None, seconds: float | None = None):
+        """Return the answer of a service.
+
+        Parameters
+        ----------
+        kind : type
+            Of the service.
+        service : str
+            Full name.
+        request : object, optional
+            An empty one by default.
+        seconds : float, optional
+            At most so long for each of finding it and its answer; the client's timeout by default.
+
+        Raises
+        ------
+        AbsentError
+            Nobody offers it, or nobody answers.
+        """
+        client = self.node.create_client(kind, service)
+        allowed = self.timeout if seconds is None else seconds
+        owner = service.rsplit("/", 1)[0]
+        try:
+            if not self.until(client.service_is_ready, allowed):
+                raise AbsentError(f"{owner} offers no {service} within {allowed:g} s; is it a node of an axis?")
+            future = client.call_async(request or kind.Request())
+            if not self.until(future.done, allowed):
+                raise AbsentError(f"{owner} does not answer within {allowed:g} s: it hangs, or has been killed")
+            return future.result()
+        finally:
+            self.node.destroy_client(client)
+
+
+def axis_nodes(names) -> dict[str, list[str]]:
+    """Return the namespaces in which there are nodes of an axis, with the names of these.
+
+    Parameters
+    ----------
+    names : iterable of str
+        Full names of nodes.
+    """
+    found: dict[str, list[str]] = {}
+    for full in names:
+        namespace, _, name = full.rpartition("/")
+        if name in NODE_NAMES + OPTIONAL_NODE_NAMES:
+            found.setdefault(namespace, []).append(name)
+    return found

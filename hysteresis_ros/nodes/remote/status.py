@@ -1,0 +1,190 @@
+"""``hysteresis status``: who is there of each axis, in which state, how well, and where the axis is."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass, field
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import JointState
+
+from hysteresis_ros.loop.axis_parameters import node_names
+from hysteresis_ros.nodes.qos import diagnostics_qos
+from hysteresis_ros.nodes.remote.client import AbsentError, Client, axis_nodes
+from hysteresis_ros.nodes.remote.services import lifecycle_states
+from hysteresis_ros.units import readable
+
+#: Words of the levels of diagnostics.
+LEVELS = ("ok", "warning", "error", "stale")
+#: Where the last values are heard: node whose ``~/state`` says them, name there, unit.
+LAST = (
+    ("reference_generator", "setpoint", "m"),
+    ("inchworm_sequencer", "setpoint", "m"),
+    ("reference_generator", "reference", "m"),
+    ("inchworm_sequencer", "reference", "m"),
+    ("hysteresis_compensator", "voltage", "V"),
+)
+#: Seconds in which every node says something of itself, and more.
+REPORTED = 1.6
+
+
+@dataclass
+class NodeStatus:
+    """What is known of one node.
+
+    Parameters
+    ----------
+    name : str
+        Full name.
+    state : str
+        Of its lifecycle; ``absent`` where there is no such node, ``silent`` where it does not answer.
+    level, message : str
+        Its health, empty where it has said nothing.
+    rate : float or None
+        Samples per second [Hz].
+    """
+
+    name: str
+    state: str
+    level: str = ""
+    message: str = ""
+    rate: float | None = None
+
+    @property
+    def is_well(self) -> bool:
+        """Whether it is active and says nothing bad of itself."""
+        return self.state == "active" and self.level in ("ok", "")
+
+
+@dataclass
+class AxisStatus:
+    """What is known of one axis.
+
+    Parameters
+    ----------
+    namespace : str
+    nodes : list of NodeStatus
+    plant : str
+        Who publishes ``joint_states`` in the place of ``plant_simulator``; empty where that is there.
+    last : dict of str to float
+        Last values in SI.
+    """
+
+    namespace: str
+    nodes: list[NodeStatus]
+    plant: str = ""
+    last: dict[str, float] = field(default_factory=dict)
+
+
+def survey(client: Client) -> list[AxisStatus]:
+    """Return what is known of the axes that are there, of all namespaces or of the client's.
+
+    Parameters
+    ----------
+    client : Client
+
+    Raises
+    ------
+    AbsentError
+        There is none.
+    """
+    found = axis_nodes(client.settle())
+    if client.namespace:
+        found = {space: names for space, names in found.items() if space == client.namespace}
+    if not found:
+        where = f" in {client.namespace}" if client.namespace else ""
+        raise AbsentError(f"no axis{where} within {client.timeout:g} s; {client.who_is_there()}")
+    reports: dict[str, tuple] = {}
+
+    def hear(message: DiagnosticArray) -> None:
+        for status in message.status:
+            values = {pair.key: pair.value for pair in status.values}
+            reports[status.name.removesuffix(": axis")] = (ord(status.level), status.message, values)
+
+    client.node.create_subscription(DiagnosticArray, "/diagnostics", hear, diagnostics_qos())
+    last = {space: _listen(client, space, names) for space, names in sorted(found.items())}
+    states = lifecycle_states(client, [f"{space}/{name}" for space, names in found.items() for name in names])
+    active = {name for name, state in states.items() if state == "active"}
+    client.until(lambda: active <= reports.keys(), REPORTED)
+    return [_axis(client, space, names, states, reports, last[space]) for space, names in sorted(found.items())]
+
+
+def _axis(client: Client, space: str, names: list[str], states: dict, reports: dict, last: dict) -> AxisStatus:
+    nodes = []
+    plant = ""
+    for name in [*node_names("inchworm_sequencer" in names), *(["recorder"] if "recorder" in names else [])]:
+        full = f"{space}/{name}"
+        level, message, values = reports.get(full, (None, "", {}))
+        word = "" if level is None else LEVELS[min(level, 3)]
+        rate = float(values["rate_hz"]) if "rate_hz" in values else None
+        if name == "plant_simulator" and name not in names:
+            publishers = client.node.get_publishers_info_by_topic(f"{space}/joint_states")
+            plant = ", ".join(f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in publishers)
+            if plant:
+                continue
+        nodes.append(NodeStatus(full, states.get(full, "absent"), word, message, rate))
+    return AxisStatus(space, nodes, plant, last)
+
+
+def _listen(client: Client, space: str, names: list[str]) -> dict[str, float]:
+    """Return a table that is filled with the last values as they come."""
+    last: dict[str, float] = {}
+    newest = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+    def of_joints(message: JointState) -> None:
+        if message.position:
+            last["displacement"] = message.position[0]
+
+    client.node.create_subscription(JointState, f"{space}/joint_states", of_joints, newest)
+    for name in {node for node, _, _ in LAST} & set(names):
+        wanted = [signal for node, signal, _ in LAST if node == name]
+
+        def of_state(message: JointState, wanted=wanted) -> None:
+            said = dict(zip(message.name, message.position, strict=False))
+            last.update({signal: said[signal] for signal in wanted if signal in said})
+
+        client.node.create_subscription(JointState, f"{space}/{name}/state", of_state, newest)
+    return last
+
+
+def status(client: Client, as_json: bool) -> int:
+    """Print what is known of each axis; return 0 when all is well, 1 when something is not.
+
+    Parameters
+    ----------
+    client : Client
+    as_json : bool
+        As JSON, in SI.
+    """
+    found = survey(client)
+    if as_json:
+        table = {axis.namespace or "/": _figures(axis) for axis in found}
+        print(json.dumps(table, indent=2, ensure_ascii=False), flush=True)
+    else:
+        print("\n\n".join("\n".join(_lines(axis)) for axis in found), flush=True)
+    return 0 if all(node.is_well for axis in found for node in axis.nodes) else 1
+
+
+def _figures(axis: AxisStatus) -> dict:
+    nodes = {
+        node.name: {"state": node.state, "level": node.level, "message": node.message, "rate_hz": node.rate}
+        for node in axis.nodes
+    }
+    return {"nodes": nodes, "plant": axis.plant, "last": axis.last}
+
+
+def _lines(axis: AxisStatus):
+    """Yield what is known of an axis, for people."""
+    yield axis.namespace or "/"
+    if axis.plant:
+        yield f"  {axis.plant} publishes joint_states in the place of plant_simulator"
+    width = max(len(node.name.rsplit("/", 1)[-1]) for node in axis.nodes)
+    for node in axis.nodes:
+        rate = "" if node.rate is None else f"{node.rate:.1f} Hz"
+        health = node.message if node.level in ("", "ok") else f"{node.level}: {node.message}"
+        yield f"  {node.name.rsplit('/', 1)[-1]:{width}}  {node.state:12} {rate:>11}  {health}".rstrip()
+    units = {signal: unit for _, signal, unit in LAST} | {"displacement": "m"}
+    order = ("setpoint", "reference", "displacement", "voltage")
+    values = [f"{name} {readable(axis.last[name], units[name])}" for name in order if name in axis.last]
+    yield f"  {', '.join(values) or 'nothing was said of where it is'}"

@@ -1,0 +1,195 @@
+"""An axis that runs, steered without `ros2`: what is asked for is done or refused where it was asked, nothing hangs."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import signal
+import threading
+
+import pytest
+
+pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
+
+from nodes_support import InProcess, axis_parameters, compose  # noqa: E402
+
+from hysteresis_ros.errors import HysteresisError, ParameterError  # noqa: E402
+from hysteresis_ros.nodes.remote.client import AbsentError, Client  # noqa: E402
+from hysteresis_ros.nodes.remote.parameters import get, set_  # noqa: E402
+from hysteresis_ros.nodes.remote.services import call  # noqa: E402
+from hysteresis_ros.nodes.remote.setpoint import setpoint  # noqa: E402
+from hysteresis_ros.nodes.remote.status import status  # noqa: E402
+from hysteresis_ros.nodes.remote.topics import echo  # noqa: E402
+
+RATE = 50.0
+#: A client gives up after so long [s] where it is to find nothing.
+SHORT = 0.3
+
+
+@pytest.fixture(scope="module")
+def axis(domain_of_module):
+    """A composed axis in /left, in real time."""
+    inside = InProcess(domain_of_module)
+    # what a busy machine makes late must not stop the axis here
+    overrides = {"plant_simulator": {"late_limit": -1}}
+    compose(inside, axis_parameters("/left", overrides, sample_rate=RATE, time_mode="realtime"))
+    inside.spin()
+    yield inside
+    inside.close()
+
+
+@pytest.fixture
+def client(axis):
+    with Client("left", timeout=20.0, context=axis.context) as made:
+        yield made
+
+
+@pytest.fixture
+def hasty(axis):
+    with Client("left", timeout=SHORT, context=axis.context) as made:
+        yield made
+
+
+def node(axis, name: str):
+    return next(one for one in axis.nodes if one.kind == name)
+
+
+def test_a_setpoint_is_taken_or_refused_where_it_was_typed(axis, client, capsys):
+    setpoint(client, 5.0e-6)
+    assert "setpoint 5 µm taken by /left/reference_generator" in capsys.readouterr().out
+    assert node(axis, "reference_generator").setpoint == 5.0e-6
+    with pytest.raises(HysteresisError, match=r"5e-05 m refused: out of range, allowed: 0 … 1.2e-05 m"):
+        setpoint(client, 5.0e-5)
+    call(client, "reference_generator", "stop")
+    with pytest.raises(HysteresisError, match=r"is stopped: `hysteresis call /left/reference_generator start`"):
+        setpoint(client, 4.0e-6)
+    call(client, "reference_generator", "start")
+    call(client, "motion_controller", "deactivate")
+    with pytest.raises(HysteresisError, match="/left/motion_controller is inactive, the axis would not move"):
+        setpoint(client, 4.0e-6)
+    assert "active → inactive" in capsys.readouterr().out
+    call(client, "motion_controller", "activate")
+    setpoint(client, 3.0e-6)
+
+
+def test_who_does_not_listen_or_answer_is_named(axis, hasty, client):
+    with Client("right", timeout=SHORT, context=axis.context) as nobody:
+        with pytest.raises(AbsentError, match="nobody listens on /right/setpoint within 0.3 s; there are /left/"):
+            setpoint(nobody, 1e-6)
+        with pytest.raises(AbsentError, match="no axis in /right"):
+            status(nobody, as_json=False)
+    with pytest.raises(AbsentError, match=r"no node /left/motion_controler .* did you mean /left/motion_controller"):
+        get(hasty, "motion_controler", [])
+    with pytest.raises(AbsentError, match=r"nobody publishes /left/jont_states .* did you mean /left/joint_states"):
+        echo(hasty, "jont_states", 1)
+    # a plant that stands still: the subscription is there, and no sample comes
+    call(client, "plant_simulator", "deactivate")
+    patient = client.timeout
+    try:
+        client.timeout = 2.0
+        with pytest.raises(HysteresisError, match="/left/plant_simulator is inactive"):
+            setpoint(client, 2e-6)
+        with pytest.raises(AbsentError, match="nothing came on /left/joint_states for 2 s; .* /left/plant"):
+            echo(client, "joint_states", 1)
+    finally:
+        client.timeout = patient
+        call(client, "plant_simulator", "activate")
+
+
+def test_parameters_are_got_and_set_all_or_none(axis, client, capsys):
+    controller = node(axis, "motion_controller")
+    get(client, "motion_controller", ["sliding_mode.beta", "kalman.form", "kalman.L"])
+    assert capsys.readouterr().out.splitlines() == [
+        "sliding_mode.beta: 0.0002",
+        "kalman.form: predictor",
+        "kalman.L: [0.004, 0.5771, 0.3558]",
+    ]
+    set_(client, "motion_controller", {"sliding_mode.eta": "3e-3", "sliding_mode.phi": "0.94"})
+    assert (controller.parameters.sliding_mode.eta, controller.parameters.sliding_mode.phi) == (0.003, 0.94)
+    set_(client, "plant_simulator", {"sensor.noise": "5nm"})
+    assert node(axis, "plant_simulator").parameters.sensor.noise == 5e-9
+    for values, reason in (
+        ({"sliding_mode.eta": "0.001", "sliding_mode.phi": "2"}, "sliding_mode.phi = 2.* allowed"),
+        ({"sliding_mode.eta": "0.001", "sample_rate": "5"}, "read-only parameter: sample_rate.*nothing was changed"),
+        ({"sliding_mode.eta": "0.001", "sliding_mode.hyperplane": "designed"}, "allowed: .* given, lq, poles"),
+        ({"sliding_mode.et": "0.001"}, "did you mean sliding_mode.eta"),
+        ({"sliding_mode": "0.001"}, "below it there are sliding_mode.S"),
+        ({"sliding_mode.eta": "5V"}, "is in V, allowed"),
+    ):
+        with pytest.raises((HysteresisError, ParameterError), match=reason):
+            set_(client, "motion_controller", values)
+        assert controller.parameters.sliding_mode.eta == 0.003
+    with pytest.raises(HysteresisError, match="generator refuses: waveform.amplitude.* call stop; nothing was changed"):
+        set_(client, "reference_generator", {"waveform.amplitude": "1um"})
+
+
+def test_services_and_transitions_answer_with_the_node_s_reason(client, capsys):
+    call(client, "motion_controller", "stop")
+    call(client, "motion_controller", "start")
+    assert capsys.readouterr().out.splitlines() == [
+        "/left/motion_controller: stopped",
+        "/left/motion_controller: running",
+    ]
+    with pytest.raises(HysteresisError, match="it has reset, start, stop, .*did you mean start"):
+        call(client, "motion_controller", "stat")
+    with pytest.raises(HysteresisError, match="is active: configure is not possible, deactivate and shutdown are"):
+        call(client, "motion_controller", "configure")
+
+
+def test_status_says_who_is_there_and_where_the_axis_is(axis, client, capsys):
+    assert status(client, as_json=True) in (0, 1)  # a busy machine makes voltages late
+    found = json.loads(capsys.readouterr().out)["/left"]
+    assert {name: one["state"] for name, one in found["nodes"].items()} == {
+        f"/left/{one.kind}": "active" for one in axis.nodes
+    }
+    assert all(one["rate_hz"] is not None and one["level"] for one in found["nodes"].values())
+    assert found["last"]["setpoint"] == node(axis, "reference_generator").setpoint
+    assert {"reference", "displacement", "voltage"} <= found["last"].keys()
+    call(client, "hysteresis_compensator", "deactivate")
+    try:
+        assert status(client, as_json=False) == 1
+        text = capsys.readouterr().out
+        assert "hysteresis_compensator  inactive" in text and "displacement" in text
+    finally:
+        call(client, "hysteresis_compensator", "activate")
+
+
+def test_echo_ends_after_as_many_messages_as_were_asked_for(client, capsys):
+    echo(client, "joint_states", 2)
+    lines = capsys.readouterr().out.splitlines()
+    assert len(lines) == 2 and all(" extender " in line and " m/s " in line for line in lines)
+    echo(client, "/diagnostics", 1)
+    assert ": axis: " in capsys.readouterr().out
+    echo(client, "reference", 1)
+    float(capsys.readouterr().out)
+
+
+def test_echo_ends_when_its_publisher_leaves(axis, capsys):
+    from rclpy.node import Node
+    from std_msgs.msg import Float64
+
+    publisher_node = Node("somebody", context=axis.context, namespace="/left")
+    publisher = publisher_node.create_publisher(Float64, "passing", 10)
+    with Client("left", timeout=20.0, context=axis.context) as client:
+        heard = threading.Thread(target=echo, args=(client, "passing", None))
+        heard.start()
+        for number in itertools.count():
+            publisher.publish(Float64(data=float(number)))
+            heard.join(0.02)
+            if publisher.get_subscription_count() and number > 10:
+                break
+        publisher_node.destroy_publisher(publisher)
+        heard.join(20.0)
+        assert not heard.is_alive()
+    publisher_node.destroy_node()
+    assert "nobody publishes /left/passing any more" in capsys.readouterr().out
+
+
+def test_commands_end_with_a_line_and_their_exit_code(processes):
+    """In processes of their own: nobody there is wrong input, Ctrl-C is Ctrl-C."""
+    waiting = processes.command("echo", "joint_states", "--timeout", "100")
+    alone = processes.command("setpoint", "1um", "--timeout", "0.5")
+    assert alone.wait() == 2, alone.output
+    assert "hysteresis: nobody listens on /setpoint within 0.5 s; there is nobody in the ROS domain" in alone.output
+    code, _ = waiting.leave(signal.SIGINT)
+    assert code == 130 and waiting.output == "hysteresis: interrupted\n"
