@@ -20,7 +20,9 @@ def _option(row: ParameterRow) -> click.Option:
     """Return the option that a parameter of a device is."""
     kind = click.Choice(row.choices) if row.choices else row.type
     name = f"--{row.name.replace('_', '-')}"
-    return click.Option([name, row.name], type=kind, default=row.default, show_default=True, help=row.description)
+    unit = f" [{row.unit}]" if row.unit else ""
+    given = {"required": True} if row.required else {"default": row.default, "show_default": True}
+    return click.Option([name, row.name], type=kind, help=row.description + unit, **given)
 
 
 def _command(declared: HardwareDriver, device: EmulatedDevice) -> click.Command:

@@ -15,10 +15,10 @@ from waiting import until
 
 from hysteresis_ros import signals as at
 from hysteresis_ros.errors import ParameterError
+from hysteresis_ros.hardware import bringup
 from hysteresis_ros.hardware.device import Device
 from hysteresis_ros.hardware.driver import DriverError
 from hysteresis_ros.hardware.drivers.gcs import MODELS, Controller, DeviceFaults, GcsParameters, Session, serving
-from hysteresis_ros.hardware.drivers.gcs import driver as driving
 from hysteresis_ros.hardware.emulation.plant import assumed_stage
 from hysteresis_ros.hardware.registry import DRIVERS
 from hysteresis_ros.loop.driven import DrivenPlant
@@ -180,7 +180,7 @@ def test_a_controller_that_is_not_there_or_is_no_controller_is_named():
 
 
 def test_a_slow_link_has_a_low_rate(stand, monkeypatch):
-    monkeypatch.setattr(driving, "TRIALS", 5)
+    monkeypatch.setattr(bringup, "TRIALS", 5)
     stand.faults.add("slow:0:60:0.02")
     device = stand.open()
     assert 5.0 < device.capabilities.highest_rate < 25.0

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from hysteresis_ros.errors import Problem
+from hysteresis_ros.hardware.bringup import highest_rate, ramp
 from hysteresis_ros.hardware.driver import Capabilities, Driver, DriverError, Reading
 from hysteresis_ros.hardware.drivers.gcs.link import GcsLink
 from hysteresis_ros.hardware.drivers.gcs.protocol import (
@@ -22,14 +23,8 @@ from hysteresis_ros.hardware.drivers.gcs.protocol import (
 )
 from hysteresis_ros.parameters import Parameters, parameter
 
-#: Samples that are tried when the device is opened, and the part of them that the highest rate is for.
-TRIALS, SURE = 50, 0.9
-#: How much of a sample a driver may take.
-SHARE = 0.5
 #: Voltages that the output may still be at when it is looked at.
 RECENT = 4
-#: Steps in which the voltage is taken to the safe one.
-STEPS = 20
 
 
 @dataclass(frozen=True)
@@ -128,7 +123,9 @@ class GcsDriver(Driver):
         self._given = parameters
         link = self._taken(first=True)
         low, high = self._range
-        return Capabilities(joints=1, voltages=1, minimum=low, maximum=high, highest_rate=self._highest_rate(link))
+        safe = self._command(parameters.safe_voltage)
+        rate = highest_rate(lambda: link.send(safe), lambda: link.number("POS?", parameters.axis))
+        return Capabilities(joints=1, voltages=1, minimum=low, maximum=high, highest_rate=rate)
 
     # -- taking the controller -----------------------------------------------------------------------------------
 
@@ -212,16 +209,6 @@ class GcsDriver(Driver):
     @property
     def _channel(self) -> str:
         return self._given.channel or self._given.axis
-
-    def _highest_rate(self, link: GcsLink) -> float:
-        """Return at which rate nearly all samples leave time for the rest of the axis [Hz]."""
-        durations = []
-        for _ in range(TRIALS):
-            begun = time.perf_counter()
-            link.send(self._command(self._given.safe_voltage))
-            link.number("POS?", self._given.axis)
-            durations.append(time.perf_counter() - begun)
-        return SHARE / sorted(durations)[int(SURE * TRIALS)]
 
     # -- samples -------------------------------------------------------------------------------------------------
 
@@ -313,12 +300,12 @@ class GcsDriver(Driver):
         link.do(f"SVO {given.axis} 0")
         now = link.number("SVA?", given.axis) * given.open_loop_scale
         self._recent = deque([now], RECENT)
-        for step in range(1, STEPS) if now != safe else ():
-            self._recent.append(now + (safe - now) * step / STEPS)
-            link.do(self._command(self._recent[-1]))
-            time.sleep(given.safe_time / STEPS)
-        link.do(self._command(safe))
-        self._recent.append(safe)
+
+        def put_out(voltage: float) -> None:
+            self._recent.append(voltage)
+            link.do(self._command(voltage))
+
+        ramp(put_out, now, safe, given.safe_time)
 
     def close(self) -> None:
         """Hang up."""

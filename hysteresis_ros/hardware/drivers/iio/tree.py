@@ -1,0 +1,217 @@
+"""Devices of the Linux subsystem *industrial I/O* as they stand in sysfs: folders with a file for each attribute.
+
+Of a channel of voltage ``(raw + offset) · scale`` is the voltage in mV; scale and offset stand in files of the channel
+or of all channels of its direction (kernel documentation, ABI/testing/sysfs-bus-iio).
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import pathlib
+import re
+
+from hysteresis_ros.hardware.driver import DriverError
+
+#: Volts of a unit of scale.
+MILLIVOLT = 1.0e-3
+CHANNEL = re.compile(r"(alt)?voltage\d*")
+
+
+def device_at(directory: pathlib.Path, wanted: str) -> pathlib.Path:
+    """Return the folder of a device.
+
+    Parameters
+    ----------
+    directory : pathlib.Path
+        Where the devices are.
+    wanted : str
+        What its file ``name`` says, or the name of its folder.
+
+    Raises
+    ------
+    DriverError
+        It is not there, or several have the name.
+    """
+    names = {}
+    for folder in sorted(directory.glob("iio:device*")) if directory.is_dir() else ():
+        try:
+            names[folder] = (folder / "name").read_text(encoding="utf-8").strip()
+        except OSError:
+            names[folder] = ""
+    found = [folder for folder, name in names.items() if wanted in (folder.name, name)]
+    if len(found) != 1:
+        there = ", ".join(f"{folder.name} ({name})" for folder, name in names.items()) or "none"
+        what = "is not there" if not found else "is there more than once: give its folder"
+        raise DriverError(
+            f"IIO device {wanted!r} in {directory}", f"{what}; there are {there}", "look at its kernel driver"
+        )
+    return found[0]
+
+
+class Channel:
+    """A channel of voltage of a device.
+
+    Parameters
+    ----------
+    folder : pathlib.Path
+        Of the device.
+    direction : str
+        ``in`` or ``out``.
+    channel : str
+        For instance ``voltage0``.
+
+    Raises
+    ------
+    DriverError
+        It has no such channel, or an attribute that is needed is missing or no number.
+    """
+
+    def __init__(self, folder: pathlib.Path, direction: str, channel: str):
+        self.folder, self.direction, self.channel = folder, direction, channel
+        self.name = f"IIO device {folder.name}"
+        self.raw = folder / f"{direction}_{channel}_raw"
+        if not self.raw.is_file():
+            there = sorted(path.name[len(direction) + 1 : -4] for path in folder.glob(f"{direction}_*_raw"))
+            problem = f"has no channel {direction}_{channel}, it has {', '.join(there) or 'none'}"
+            raise DriverError(self.name, problem, "choose one of them")
+        scale = self.number("scale")
+        if not scale:
+            raise DriverError(self.name, f"does not say a scale of {self.raw.name}", "look at its kernel driver")
+        self.volts, self.offset = scale * MILLIVOLT, self.number("offset") or 0.0
+
+    def attribute(self, name: str) -> str | None:
+        """Return an attribute of the channel, or of all of its direction and kind; None where there is none.
+
+        It is the first line of its file: in a file that is none of sysfs a longer number may be left behind a shorter.
+
+        Parameters
+        ----------
+        name : str
+
+        Raises
+        ------
+        DriverError
+            It is there but cannot be read.
+        """
+        kind = self.channel.rstrip("0123456789")
+        for path in (self.folder / f"{self.direction}_{part}_{name}" for part in dict.fromkeys((self.channel, kind))):
+            try:
+                return path.read_text(encoding="ascii").partition("\n")[0].strip()
+            except FileNotFoundError:
+                continue
+            except (OSError, UnicodeDecodeError) as error:
+                raise self._failed(path, "cannot be read", error) from error
+        return None
+
+    def number(self, name: str) -> float | None:
+        """Return an attribute that is a number.
+
+        Parameters
+        ----------
+        name : str
+
+        Raises
+        ------
+        DriverError
+            It is none.
+        """
+        text = self.attribute(name)
+        try:
+            return None if text is None else float(text)
+        except ValueError:
+            problem = f"says {text!r} as {self.direction}_{self.channel}_{name}, which is no number"
+            raise DriverError(self.name, problem, "look at its kernel driver") from None
+
+    def _failed(self, path: pathlib.Path, what: str, error: Exception) -> DriverError:
+        return DriverError(self.name, f"{what} at {path.name} ({error})", "look at the device and its kernel driver")
+
+    def read(self) -> float:
+        """Return the voltage [V].
+
+        Raises
+        ------
+        DriverError
+            It cannot be read.
+        """
+        raw = self.number("raw")
+        if raw is None:
+            raise DriverError(self.name, f"has lost {self.raw.name}", "look whether the device is still there")
+        return (raw + self.offset) * self.volts
+
+    def put_out(self, voltage: float) -> None:
+        """Put out a voltage, rounded to the converter's grid.
+
+        Parameters
+        ----------
+        voltage : float
+            [V]
+
+        Raises
+        ------
+        DriverError
+            It cannot be written.
+        """
+        self.write(self.raw, round(voltage / self.volts - self.offset))
+
+    def write(self, path: pathlib.Path, value: int) -> None:
+        """Write an attribute.
+
+        Parameters
+        ----------
+        path : pathlib.Path
+        value : int
+
+        Raises
+        ------
+        DriverError
+            It cannot be written.
+        """
+        try:
+            file = os.open(path, os.O_WRONLY)
+            try:
+                os.write(file, b"%d\n" % value)
+            finally:
+                os.close(file)
+        except OSError as error:
+            raise self._failed(path, f"does not take {value}", error) from error
+
+    def range(self, given: tuple[float, ...]) -> tuple[float, float]:
+        """Return the least and the greatest voltage [V], as the device or a file says them in raw numbers.
+
+        Parameters
+        ----------
+        given : tuple of float
+            Least and greatest raw number of a device that does not say them.
+
+        Raises
+        ------
+        DriverError
+            Nobody says them.
+        """
+        said = re.fullmatch(r"\[\s*(\S+)\s+(\S+)\s+(\S+)\s*\]", self.attribute("raw_available") or "")
+        ends = (float(said[1]), float(said[3])) if said else given
+        if not ends:
+            raise DriverError(self.name, f"does not say the range of {self.raw.name}", "give iio.output_raw_range")
+        low, high = sorted((raw + self.offset) * self.volts for raw in ends)
+        return low, high
+
+    def claim(self) -> int:
+        """Take the channel for this process and return what holds it.
+
+        Raises
+        ------
+        DriverError
+            Another process has it.
+        """
+        try:
+            file = os.open(self.raw, os.O_RDONLY)
+        except OSError as error:
+            raise self._failed(self.raw, "cannot be opened", error) from error
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            os.close(file)
+            problem = f"has another master at {self.raw.name}"
+            raise DriverError(self.name, problem, "end the other program first") from None
+        return file
