@@ -25,6 +25,7 @@ NODES = {
     "reference_generator": "hysteresis_ros.nodes.reference_generator:main",
     "inchworm_sequencer": "hysteresis_ros.nodes.inchworm_sequencer:main",
     "recorder": "hysteresis_ros.nodes.recorder:main",
+    "displacement_camera": "hysteresis_ros.nodes.displacement_camera:main",
     "hysteresis_axis": "hysteresis_ros.nodes.axis:main",
 }
 COMMANDS = {"hysteresis": "hysteresis_ros.cli.entry:main"}
@@ -34,6 +35,8 @@ EXTRAS = {
     "ros": ["ros-jazzy-rclpy", "ros-jazzy-common-interfaces", "ros-rclpy[fastrtps]==7.1.6"],
     "fast": ["numba"],
     "report": ["matplotlib", "jinja2"],
+    # reading pictures and videos; the images of a topic need nothing of it
+    "camera": ["opencv-python-headless"],
     "notebook": ["pandas"],
 }
 EXTRAS["all"] = sorted({requirement for requirements in EXTRAS.values() for requirement in requirements})

@@ -15,7 +15,7 @@ from hysteresis_ros.errors import ConfigurationError
 #: The nodes every axis has.
 NODE_NAMES = ("plant_simulator", "reference_generator", "motion_controller", "hysteresis_compensator")
 #: Nodes an axis may have besides.
-OPTIONAL_NODE_NAMES = ("recorder", "inchworm_sequencer")
+OPTIONAL_NODE_NAMES = ("recorder", "inchworm_sequencer", "displacement_camera")
 
 
 class _Loader(yaml.SafeLoader):

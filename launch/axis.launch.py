@@ -92,8 +92,11 @@ def axis(context):
         said.append(LogInfo(msg=text))
     fused = not external and (given["rate"] == "fused" or describes(config, "time_mode", "fused"))
     composed = given["composed"] == "true" or fused
-    source = "inchworm_sequencer" if describes_inchworm(config, given["namespace"]) else "reference_generator"
+    motor = has_section(config, given["namespace"], "inchworm_sequencer")
+    source = "inchworm_sequencer" if motor else "reference_generator"
     names = ["hysteresis_axis"] if composed else [*NODES[external:], source]
+    if has_section(config, given["namespace"], "displacement_camera"):
+        names.append("displacement_camera")
     if given["record"] and not fused:
         names.append("recorder")
     folder = pathlib.Path(tempfile.mkdtemp(prefix="axis_launch_"))
@@ -188,13 +191,13 @@ def too_fast_for_messages(config: str) -> bool:
     return modes <= {"realtime"} and not drivers and compiled and rate > MESSAGE_RATE
 
 
-def describes_inchworm(config: str, namespace: str) -> bool:
-    """Tell whether the parameter file has a section of ``inchworm_sequencer`` for this namespace.
+def has_section(config: str, namespace: str, node: str) -> bool:
+    """Tell whether the parameter file has a section of a node for this namespace.
 
-    That node takes the place of the reference generator. Sections stand under ``/**/inchworm_sequencer``, or under the
-    full name of the node, also as one mapping within the other.
+    An ``inchworm_sequencer`` takes the place of the reference generator, a ``displacement_camera`` comes besides.
+    Sections stand under ``/**/NODE``, or under the full name of the node, also as one mapping within the other.
     """
-    full = "/".join(["", *namespace.strip("/").split("/"), "inchworm_sequencer"]).replace("//", "/")
+    full = "/".join(["", *namespace.strip("/").split("/"), node]).replace("//", "/")
 
     def sections(name, content):
         for key, value in content.items() if isinstance(content, dict) else ():
@@ -205,7 +208,7 @@ def describes_inchworm(config: str, namespace: str) -> bool:
 
     with open(config, encoding="utf-8") as stream:
         found = list(sections("", yaml.safe_load(stream)))
-    return any(name.rsplit("/", 1)[-1] == "inchworm_sequencer" and (name == full or "*" in name) for name in found)
+    return any(name.rsplit("/", 1)[-1] == node and (name == full or "*" in name) for name in found)
 
 
 def configuration(text: str) -> str:

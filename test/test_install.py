@@ -20,6 +20,7 @@ EXECUTABLES = {
     "reference_generator",
     "inchworm_sequencer",
     "recorder",
+    "displacement_camera",
     "hysteresis_axis",
     "hysteresis",
 }

@@ -45,15 +45,16 @@ MAY_IMPORT = {
     "compensation": BASE | {"models"},
     "control": BASE | {"models"},
     "identification": BASE | {"configuration", "models", "recordings", "compensation", "control"},
+    "sensing": BASE | {"models", "recordings"},
     "hardware": BASE | {"models"},
-    "loop": METHODS - {"identification"} | {"hardware"},
+    "loop": METHODS - {"identification"} | {"hardware", "sensing"},
     "simulation": METHODS | {"loop"},
     "analysis": METHODS,
     "comparison": METHODS | {"loop", "simulation", "analysis"},
     "papers": METHODS | {"loop", "simulation", "analysis"},
     "api": METHODS | {"loop", "simulation", "analysis"},
-    "nodes": METHODS | {"loop", "simulation", "analysis"},
-    "cli": METHODS | {"loop", "simulation", "analysis", "comparison", "papers", "nodes", "hardware"},
+    "nodes": METHODS | {"sensing", "loop", "simulation", "analysis"},
+    "cli": METHODS | {"sensing", "loop", "simulation", "analysis", "comparison", "papers", "nodes", "hardware"},
 }
 ROS = re.compile(r"^(rclpy|ament_index_python|std_srvs|\w+_(msgs|interfaces))$")
 #: Heavy or special packages, and the only folder that may import them.
@@ -63,6 +64,7 @@ ONLY_IN = {
     "click": "cli",
     "rosbags": "recordings",
     "mcap": "recordings",
+    "cv2": "sensing",
 }
 #: What neither the blocks nor their parameters may bring into a node.
 HEAVY = ("scipy.signal", "scipy.optimize", "matplotlib", "jinja2", "rclpy", "click", "rosbags")

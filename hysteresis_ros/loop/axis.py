@@ -11,10 +11,11 @@ import numpy as np
 from hysteresis_ros import signals
 from hysteresis_ros.block import specialised
 from hysteresis_ros.loop.axis_parameters import AxisParameters
+from hysteresis_ros.loop.camera import CameraPart, SeenPlant
 from hysteresis_ros.loop.compensator import CompensatorPart
 from hysteresis_ros.loop.controller import ControllerPart
 from hysteresis_ros.loop.plant import Plant
-from hysteresis_ros.loop.plants import PLANTS
+from hysteresis_ros.loop.plant_types import PLANTS
 from hysteresis_ros.loop.source import GeneratorSource, SequencerSource
 from hysteresis_ros.loop.tick import ANSWER, ANSWERED, BEFORE, CONFIRM, MEASURE, MEASURED, WHOLE, Laws, Parts, ticks
 
@@ -81,6 +82,9 @@ class Axis:
         self.parameters = parameters
         self.motor = parameters.inchworm_sequencer is not None
         self.plant = plant or PLANTS[parameters.plant_simulator.type](parameters.plant_simulator)
+        self.camera = None
+        if isinstance(self.plant, SeenPlant):
+            self.camera = self.plant.eye.part = CameraPart(parameters.displacement_camera)
         if self.motor:
             self.source = SequencerSource(parameters.inchworm_sequencer)
         else:
@@ -102,6 +106,7 @@ class Axis:
             "inchworm_sequencer" if self.motor else "reference_generator": self.source,
             "motion_controller": self.controller,
             "hysteresis_compensator": self.compensator,
+            **({"displacement_camera": self.camera} if self.camera is not None else {}),
         }
 
     def default_samples(self) -> int:
@@ -200,7 +205,7 @@ class Axis:
         whole = np.ascontiguousarray(columns)
         row = np.zeros(len(columns)) if row is None else row
         arguments = self.laws, self.parts, self.given, whole, row, what
-        specialised(ticks, *arguments)(*arguments)
+        (specialised(ticks, *arguments) if self.plant.is_compiled else ticks)(*arguments)
         if whole is not columns:
             columns[:] = whole
 

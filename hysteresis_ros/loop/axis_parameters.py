@@ -13,6 +13,7 @@ from hysteresis_ros.loop.node_parameters import (
     NODE_PARAMETERS,
     CompensatorNodeParameters,
     ControllerNodeParameters,
+    DisplacementCameraNodeParameters,
     InchwormSequencerNodeParameters,
     NodeParameters,
     PlantNodeParameters,
@@ -41,6 +42,17 @@ def _inchworm_mismatches(plant, parts) -> list[Problem]:
         allowed = "must be true with an inchworm_sequencer and false without one"
         problems.append(Problem("motion_controller: use_origin", not sequencer, allowed))
     return problems + list(inchworm_problems(plant, parts) if sequencer else ())
+
+
+def _camera_mismatches(plant, camera) -> list[Problem]:
+    """Return what does not fit between the plant's type and who looks at its images."""
+    if plant.type == "camera" and not plant.external_plant and camera is None:
+        allowed = "publishes images: a section displacement_camera has to say how the tip is found in them"
+        return [Problem("plant_simulator: type", plant.type, allowed)]
+    if camera is not None and plant.type != "camera" and not plant.external_plant:
+        allowed = "publishes joint_states itself: leave displacement_camera out, or give type: camera"
+        return [Problem("plant_simulator: type", plant.type, allowed)]
+    return []
 
 
 #: Time-outs of the nodes, what happens after them, and where the output then goes.
@@ -82,6 +94,8 @@ class AxisParameters:
         Typed parameters of each node.
     reference_generator, inchworm_sequencer : NodeParameters or None
         One of the two: an axis with a section ``inchworm_sequencer`` has no reference generator.
+    displacement_camera : NodeParameters or None
+        Who makes joint_states of images.
     """
 
     namespace: str
@@ -91,6 +105,7 @@ class AxisParameters:
     hysteresis_compensator: CompensatorNodeParameters
     recorder: RecorderNodeParameters
     inchworm_sequencer: InchwormSequencerNodeParameters | None = None
+    displacement_camera: DisplacementCameraNodeParameters | None = None
 
     @classmethod
     def from_configuration(cls, configuration: Configuration, namespace: str = "") -> AxisParameters:
@@ -109,10 +124,12 @@ class AxisParameters:
                 f"{configuration.source}: two sources of the reference: reference_generator and inchworm_sequencer; "
                 "keep the sequencer for an inchworm motor, the generator for anything else"
             )
-        absent = "reference_generator" if inchworm else "inchworm_sequencer"
-        parts, problems = {absent: None}, []
+        absent = {"reference_generator" if inchworm else "inchworm_sequencer"}
+        if not configuration.describes("displacement_camera", namespace):
+            absent.add("displacement_camera")
+        parts, problems = dict.fromkeys(absent), []
         for name, parameters_class in NODE_PARAMETERS.items():
-            if name == absent:
+            if name in absent:
                 continue
             try:
                 values = configuration.node(name, namespace)
@@ -138,11 +155,12 @@ class AxisParameters:
         ParameterError
             Names rates or modes in which the nodes differ, and what does not fit together.
         """
-        parts = {"inchworm_sequencer": None, "reference_generator": None, **parts}
+        parts = {"inchworm_sequencer": None, "reference_generator": None, "displacement_camera": None, **parts}
         problems = []
         inchworm = parts["inchworm_sequencer"] is not None
         plant = parts["plant_simulator"]
-        for name in node_names(inchworm):
+        camera = parts["displacement_camera"]
+        for name in (*node_names(inchworm), *(["displacement_camera"] if camera is not None else [])):
             for shared in ("sample_rate", "time_mode", "joint", "faults", "external_plant"):
                 value, awaited = getattr(parts[name], shared), getattr(plant, shared)
                 if value != awaited:
@@ -160,6 +178,7 @@ class AxisParameters:
         problems += _fault_problems(plant, inchworm)
         problems += _short_timeouts(parts)
         problems += _inchworm_mismatches(plant, parts)
+        problems += _camera_mismatches(plant, camera)
         if problems:
             raise ParameterError(problems)
         return cls(namespace=namespace, **parts)
@@ -227,7 +246,8 @@ class AxisParameters:
         if limit and not external:
             many = f"more than {limit} late voltages in a row or within {rate:g} samples (1 s)"
             lines.append(f"plant_simulator late_limit = {limit}: {many}: axis to safe until ~/start")
-        if self.inchworm_sequencer is None and self.plant_simulator.overtravel >= 0.0 and not external:
+        watched = self.plant_simulator.type == "actuator" and self.plant_simulator.overtravel >= 0.0
+        if watched and not external:
             low, high = self.plant_simulator.allowed_travel
             text = f"plant_simulator overtravel: measured beyond {1e6 * low:.4g} … {1e6 * high:.4g} µm: axis to safe"
             lines.append(f"{text} until ~/start")

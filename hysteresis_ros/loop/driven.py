@@ -40,7 +40,7 @@ from hysteresis_ros.loop.plant import (
     sense,
     watched_voltage,
 )
-from hysteresis_ros.loop.plants import PLANTS
+from hysteresis_ros.loop.plant_types import PLANTS
 from hysteresis_ros.loop.watch import FOLLOWS, HELD, hold_state, hold_voltage
 from hysteresis_ros.models.calibration import AmplifierCalibration, SensorCalibration
 from hysteresis_ros.models.limits import FLAGS, LIMITED_SAMPLES, OUTPUT, UNQUANTISED, Limits, LimitsParameters, limits
@@ -122,6 +122,16 @@ class DrivenPlant(Plant):
     def capabilities(self) -> Capabilities:
         """What the device is able to do."""
         return self._device.capabilities
+
+    @property
+    def description(self) -> str:
+        """What stands there, in a line."""
+        can = self.capabilities
+        text = f"driver {self.parameters.driver}: {can.minimum:g} … {can.maximum:g} {can.voltage_unit}, up to "
+        text += f"{can.highest_rate:g} Hz; "
+        if can.watchdog is None:
+            return f"{text}no watchdog of its own: killed, this node leaves the last voltage on it"
+        return f"{text}its watchdog acts after {can.watchdog:g} s"
 
     @property
     def _range(self) -> tuple[float, float]:

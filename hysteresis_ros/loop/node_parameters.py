@@ -21,6 +21,8 @@ from hysteresis_ros.models.inchworm import JOINT_NAMES, InchwormParameters, seed
 from hysteresis_ros.parameters import Parameters, group, parameter, variants
 from hysteresis_ros.references.generator import ReferenceParameters
 from hysteresis_ros.references.inchworm_sequencer import InchwormSequencerParameters
+from hysteresis_ros.sensing.simulated_camera import SimulatedCameraParameters
+from hysteresis_ros.sensing.tracker import CameraParameters
 
 #: Late voltages that are allowed by default: part of the samples of a second, and the least number.
 LATE_PART, LEAST_LATE = 0.05, 20
@@ -111,8 +113,13 @@ class PlantNodeParameters(NodeParameters, ActuatorParameters):
     """Parameters of ``plant_simulator``; an inchworm's extender is the actuator."""
 
     type: str = parameter(
-        "actuator", choices=("actuator", "inchworm"), read_only=True, description="one actuator, or an inchworm motor"
+        "actuator",
+        choices=("actuator", "inchworm", "camera"),
+        read_only=True,
+        description="one actuator; an inchworm motor; or an actuator that a camera sees: the plant publishes images, "
+        "of which displacement_camera makes joint_states",
     )
+    camera: SimulatedCameraParameters = group(SimulatedCameraParameters, variant_of="type")
     inchworm: InchwormParameters = group(InchwormParameters, variant_of="type")
     driver: str = parameter(
         "",
@@ -246,7 +253,9 @@ class PlantNodeParameters(NodeParameters, ActuatorParameters):
                 "real_time_factor", self.real_time_factor, "must be 1 with a driver: a device has its own time"
             )
         if self.type != "actuator":
-            allowed = "drives one actuator; an inchworm motor needs a node of its own, see docs/hardware.md"
+            allowed = (
+                "drives one actuator (type: actuator); an inchworm motor needs a node of its own, see docs/hardware.md"
+            )
             yield Problem("driver", self.driver, allowed)
 
     def check(self):
@@ -263,6 +272,9 @@ class PlantNodeParameters(NodeParameters, ActuatorParameters):
             yield from self._unfit_for_a_driver()
         elif self.driver_options:
             yield Problem("driver_options", self.driver_options, "belong to a driver: give its path as driver")
+        if self.type == "camera" and self.time_mode == "fused":
+            allowed = "the thread of a fused loop has no time to look at frames: give time_mode: realtime or lockstep"
+            yield Problem("time_mode", self.time_mode, allowed)
         if self.type == "inchworm":
             yield from seed_problems(self)
             others = JOINT_NAMES[1:]
@@ -336,6 +348,15 @@ class CompensatorNodeParameters(NodeParameters, CompensatorParameters):
 
 
 @dataclass(frozen=True)
+class DisplacementCameraNodeParameters(NodeParameters, CameraParameters):
+    """Parameters of ``displacement_camera``."""
+
+    image_timeout: float = parameter(
+        1.0, unit="s", low=1.0e-3, high=3600.0, description="realtime: silence of image after which it says so"
+    )
+
+
+@dataclass(frozen=True)
 class RecorderNodeParameters(NodeParameters):
     """Parameters of ``recorder``."""
 
@@ -369,6 +390,7 @@ NODE_PARAMETERS: dict[str, type[NodeParameters]] = {
     "hysteresis_compensator": CompensatorNodeParameters,
     "recorder": RecorderNodeParameters,
     "inchworm_sequencer": InchwormSequencerNodeParameters,
+    "displacement_camera": DisplacementCameraNodeParameters,
 }
 
 

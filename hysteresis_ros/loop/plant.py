@@ -321,6 +321,9 @@ class Plant:
     #: Whether the axis stands still because its sensor is homed.
     finding_home = False
 
+    #: Whether machine code makes its samples.
+    is_compiled = True
+
     #: Places in the row of what a run is given for this plant, beside what every run is.
     given: tuple[int, ...] = ()
 

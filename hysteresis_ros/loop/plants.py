@@ -119,7 +119,3 @@ class MotorPlant(Plant):
         """Take new parameters of the same structure while running."""
         self.motor.retune(part(parameters, InchwormPlantParameters))
         super().retune(parameters)
-
-
-#: Plant of each ``type``.
-PLANTS = {"actuator": ActuatorPlant, "inchworm": MotorPlant}

@@ -416,6 +416,10 @@ class AxisNode(LifecycleNode):
         if self.active and not self.runner.exact:
             self.leave_when_done()
 
+    def sample_of(self, stamp) -> int:
+        """Return the number of the sample with this stamp."""
+        return round((stamp.sec + stamp.nanosec * 1e-9) * self.parameters.sample_rate)
+
     def is_done(self) -> bool:
         """Tell whether the last sample of the run has been answered."""
         return self.sample >= self.end_of_run
@@ -433,8 +437,6 @@ class AxisNode(LifecycleNode):
         self.get_logger().error(text)
         if announce and self.runner is not None:
             self.runner.announce(text)
-
-    # -- diagnostics -------------------------------------------------------------------------------------------
 
     def since_report(self, key: str, count: int) -> int:
         """Return by how much a counter has grown since it was last reported."""

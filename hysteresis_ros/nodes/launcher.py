@@ -26,6 +26,7 @@ STOP_ORDER = (
     "hysteresis_compensator",
     "hysteresis_axis",
     "plant_simulator",
+    "displacement_camera",
     "recorder",
 )
 
@@ -157,6 +158,8 @@ class Graph:
                 more = [EXTERNAL_PLANT] if external else []
             elif external:
                 names.remove("plant_simulator")
+            if axis.displacement_camera is not None:
+                names.append("displacement_camera")
             if self.record is not None and fused:
                 more.append("--recorder")
             elif self.record is not None:

@@ -27,6 +27,7 @@ from hysteresis_ros.loop.plant import actuate, sense
 from hysteresis_ros.loop.tick import MEASURED, Laws
 from hysteresis_ros.models.inchworm import EFFORT, JOINT_NAMES, POSITION, VELOCITY
 from hysteresis_ros.nodes.base import AxisNode
+from hysteresis_ros.nodes.images import output_of
 from hysteresis_ros.nodes.plant_runners import LockstepPlant, RealTimePlant
 from hysteresis_ros.nodes.qos import latched_qos, setpoint_qos
 from hysteresis_ros.nodes.responder import TRIPPED_FRAME
@@ -64,6 +65,11 @@ class PlantSimulatorNode(AxisNode):
         return self.parameters.type == "inchworm"
 
     @property
+    def is_seen(self) -> bool:
+        """Whether a camera sees the plant: it publishes images in the place of joint_states."""
+        return self.parameters.type == "camera"
+
+    @property
     def holds_time(self) -> bool:
         """``~/stop`` holds the time of the axis."""
         return not self.running
@@ -91,15 +97,11 @@ class PlantSimulatorNode(AxisNode):
         self._clear()
 
     def _tell_device(self) -> None:
-        can = self.part.capabilities
-        text = f"driver {self.parameters.driver}: {can.minimum:g} … {can.maximum:g} {can.voltage_unit}, up to "
-        text += f"{can.highest_rate:g} Hz"
-        if can.watchdog is None:
-            self.get_logger().warning(
-                f"{text}; no watchdog of its own: killed, this node leaves the last voltage on it"
-            )
+        # two lines, because rclpy ties a place in the source to one severity
+        if self.part.capabilities.watchdog is None:
+            self.get_logger().warning(self.part.description)
         else:
-            self.get_logger().info(f"{text}; its watchdog acts after {can.watchdog:g} s")
+            self.get_logger().info(self.part.description)
 
     def unbuild(self) -> None:
         """Let go of the device."""
@@ -122,7 +124,7 @@ class PlantSimulatorNode(AxisNode):
         """Make the topics."""
         self._message = self._joint_states_message()
         self._state_places = [signals.place(name) for name in self.state_signals().values()]
-        self._joint_states = self.publisher(JointState, "joint_states", self.qos(), loop=True)
+        self._output = output_of(self)
         self._end = self.publisher(UInt64, "end_of_run", latched_qos())
         self._clock_publisher = (
             self.publisher(Clock, "/clock", latched_qos()) if self.parameters.publish_clock else None
@@ -137,11 +139,9 @@ class PlantSimulatorNode(AxisNode):
             self.subscriber(UInt64, topic, self.runner.acknowledged_by_recorder, qos, partner="recorder")
 
     def state_signals(self) -> dict[str, str]:
-        """Return what stands in ``~/state``; nobody knows the true displacement of a device."""
-        found = super().state_signals()
-        return {
-            name: signal for name, signal in found.items() if not (self.parameters.driver and name == "displacement")
-        }
+        """Return what stands in ``~/state``; nobody knows the true displacement of a device, nor here what is seen."""
+        unknown = "displacement" if self.parameters.driver else "measured" if self.is_seen else ""
+        return {name: signal for name, signal in super().state_signals().items() if name != unknown}
 
     @property
     def joint_names(self) -> tuple[str, ...]:
@@ -292,7 +292,7 @@ class PlantSimulatorNode(AxisNode):
                 self.warn("tripped", f"axis stopped: {self.explain_trip()}", error=True, every=0.0)
             elif not quiet:
                 self.get_logger().info("the axis goes on")
-        self._joint_states.publish(message)
+        self._output.publish(message)
         if self._clock_publisher is not None:
             self._clock_publisher.publish(Clock(clock=message.header.stamp))
 
@@ -339,7 +339,7 @@ class PlantSimulatorNode(AxisNode):
 
     def readers(self) -> int:
         """Return how many hear ``joint_states``."""
-        return self._joint_states.get_subscription_count()
+        return self._output.get_subscription_count()
 
     @property
     def silent(self) -> bool:

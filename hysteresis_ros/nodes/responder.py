@@ -133,10 +133,6 @@ class Responder(AxisNode):
         """What takes ``joint_states``."""
         return self.runner.measurement
 
-    def sample_of(self, stamp) -> int:
-        """Return the number of the sample with this stamp."""
-        return round((stamp.sec + stamp.nanosec * 1e-9) * self.parameters.sample_rate)
-
     def read(self, message, row) -> bool:
         """Put the measurement of the joint into a row, NaN when there is none; False when the run is broken by it."""
         joint, names, index = self.parameters.joint, message.name, self._joint_index

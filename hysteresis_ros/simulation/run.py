@@ -91,6 +91,7 @@ LOGGED = {
     "inchworm_sequencer": ("reset", "retune"),
     "motion_controller": ("start", "stop", "reset", "retune"),
     "hysteresis_compensator": ("start", "stop", "reset", "retune"),
+    "displacement_camera": ("reset", "retune"),
 }
 
 
@@ -142,6 +143,8 @@ def differences(recorded: Recording, parameters: AxisParameters) -> dict[str, in
     columns = {"time": (recorded.time, twin.time)}
     # nobody knows where a device really is
     unknown = {"displacement"} if parameters.plant_simulator.driver else set()
+    if parameters.displacement_camera is not None:
+        unknown = {"measured"}  # the plant's; what the controller took stands in for it in a recording
     known = {name: values for name, values in recorded.signals.items() if name in twin and name not in unknown}
     columns |= {name: (values, twin.signals[name]) for name, values in known.items()}
     found = {}

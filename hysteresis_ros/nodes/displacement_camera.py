@@ -1,0 +1,118 @@
+"""Node ``displacement_camera``: ``image`` → ``joint_states``; it sees where the tip is.
+
+Images come from the camera's driver, or from ``plant_simulator`` with ``type: camera``. A frame that shows no place
+gives a sample without a measurement, and the reason in the log and on ``/diagnostics``: what the axis then does is what
+it does when measurements are missing.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+
+from sensor_msgs.msg import Image, JointState
+
+from hysteresis_ros.loop.camera import CameraPart
+from hysteresis_ros.nodes.base import AxisNode
+from hysteresis_ros.nodes.images import TOPIC, camera_qos
+from hysteresis_ros.nodes.responder import TRIPPED_FRAME
+from hysteresis_ros.nodes.spin import run
+from hysteresis_ros.sensing.edge import nowhere
+from hysteresis_ros.sensing.images import FrameError, grey_image
+
+#: What stands in ``~/state``, and its unit in docs/topics.md.
+STATE = ("displacement", "pixels", "uncertainty", "contrast", "blur")
+
+
+class DisplacementCameraNode(AxisNode):
+    """Makes ``joint_states`` of images, one of each."""
+
+    def __init__(self, **options):
+        self.part = None
+        super().__init__("displacement_camera", **options)
+
+    def build(self, parameters) -> None:
+        """Make the tracker from the parameters."""
+        self.part = CameraPart(parameters)
+        self.part.tracker.rehearse()
+        self._clear()
+
+    def _clear(self) -> None:
+        self.part.reset()
+        self._reason = ""
+        self._heard = time.monotonic()
+
+    def state_signals(self) -> dict[str, str]:
+        """Return what stands in ``~/state``: nothing of it is a signal of the loop."""
+        return dict.fromkeys(STATE, "")
+
+    def connect(self) -> None:
+        """Make the topics."""
+        self._message = JointState(name=[self.parameters.joint], position=[math.nan])
+        self._joint_states = self.publisher(JointState, "joint_states", self.qos(), loop=True)
+        self.subscribe_end()
+        qos = self.qos() if self.runner.exact else camera_qos()
+        self.subscriber(Image, TOPIC, self._on_image, qos, partner="plant_simulator")
+
+    def reset_blocks(self) -> None:
+        """Begin again with the next frame."""
+        self._clear()
+
+    def retune(self, parameters) -> None:
+        """Take other limits of what is refused."""
+        self.part.retune(parameters)
+
+    def _on_image(self, message) -> None:
+        if not self.active or self.failure:
+            return
+        if self.runner.exact:
+            if not self.runner.expected(self.sample_of(message.header.stamp)):
+                return
+            self.runner.heard()
+        self._heard = time.monotonic()
+        self.pace.tick()
+        if self.running:
+            self._see(message)
+        else:
+            self._answer(message.header, math.nan, nowhere("stopped"))
+        self.sample += 1
+
+    def _see(self, message) -> None:
+        try:
+            shape = message.height, message.width
+            grey = grey_image(message.data, message.encoding, shape, message.step, bool(message.is_bigendian))
+            displacement, place = self.part.tracker.see(grey)
+        except FrameError as error:
+            displacement, place = math.nan, nowhere(str(error))
+        if place.refusal:
+            self.warn("refused", f"frame refused: {place.refusal}")
+        self._reason = place.refusal
+        self._answer(message.header, displacement, place)
+
+    def _answer(self, header, displacement: float, place) -> None:
+        told = self._message
+        told.header.stamp = header.stamp
+        # the frame of a camera's image is the camera's; only that the plant has stopped the axis is handed on
+        told.header.frame_id = TRIPPED_FRAME if header.frame_id == TRIPPED_FRAME else ""
+        told.position[0] = displacement
+        self._joint_states.publish(told)
+        self.publish_state(header.stamp, displacement, place.pixels, place.uncertainty, place.contrast, place.blur)
+
+    def health(self):
+        """Report why frames are refused, and that none comes."""
+        tracker = self.part.tracker
+        values = {"refused_frames": tracker.refused, "homing": tracker.calibration.homing}
+        silent = time.monotonic() - self._heard
+        if not self.runner.exact and silent > self.parameters.image_timeout:
+            text = f"no image on {self.resolve_topic_name(TOPIC)} for {silent:.1f} s: is the camera's driver there?"
+            return 2, text, values
+        return (2, f"frame refused: {self._reason}", values) if self._reason else (0, "", values)
+
+
+def main(arguments=None) -> int:
+    """Run the node; returns the exit code."""
+    return run([DisplacementCameraNode], arguments)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

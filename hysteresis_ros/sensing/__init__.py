@@ -1,0 +1,1 @@
+"""Displacements out of images: a rendered tip, its sub-pixel place in a frame, and folders and videos of them."""
