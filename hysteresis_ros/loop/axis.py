@@ -47,9 +47,10 @@ class Change(NamedTuple):
     node : str
         Name of the node whose part it concerns.
     action : str
-        ``start``, ``stop``, ``retune``, or, of the plant, ``halt``.
+        ``start``, ``stop``, ``retune``, or, of the plant, ``halt``; of a reference generator ``follow`` and ``hold``.
     parameters : dict
-        With ``retune``: flat dotted parameters with their new values.
+        With ``retune``: flat dotted parameters with their new values. With ``follow``: ``times``, ``positions``,
+        ``velocities``, ``accelerations`` of the points of a trajectory.
     after : str
         What of the sample was done before, so that only what follows is concerned: ``measured`` of the plant,
         ``answered`` of a controller that does not know yet what was carried out; empty: nothing.
@@ -231,7 +232,7 @@ class Axis:
             present = part.parameters
             part.retune(type(present).from_mapping({**present.to_mapping(), **change.parameters}))
         else:
-            getattr(part, change.action)()
+            getattr(part, change.action)(**change.parameters)
 
     def inject(self, faults: tuple[str, ...]) -> None:
         """Let these faults happen, their times counted from the present sample on, and no others.

@@ -307,7 +307,7 @@ class FusedLoop:
             if change.action == "retune":
                 self._retune(change.node, part, parameters)
             else:
-                getattr(part, change.action)()
+                getattr(part, change.action)(**change.parameters)
             self._log.append((sample, 0, Change(sample, change.node, change.action, change.parameters)))
             if not _same(before, (self.axis.laws, self.axis.parts)):
                 self._state[at.LEAVE] = 1

@@ -18,11 +18,14 @@ from hysteresis_ros.references.generator import (
     GeneratorArrays,
     ReferenceGenerator,
     ReferenceParameters,
+    abandon,
     reference_step,
+    setpoint_in_force,
 )
 from hysteresis_ros.references.inchworm_machine import sequence
 from hysteresis_ros.references.inchworm_sequencer import InchwormSequencer, InchwormSequencerParameters
 from hysteresis_ros.references.step_model import GAIN, OFFSET
+from hysteresis_ros.references.trajectory import HELD, NOWHERE, brake
 
 
 @by_part
@@ -33,6 +36,11 @@ def refer(laws, part, row):
 @by_part
 def rest(laws, part, column):
     """Let a source of this kind hold from this sample on, of which ``column``, shape (row length, 1), is given."""
+
+
+@by_part
+def hold(laws, part, column):
+    """Let a motion end from this sample on; setpoints are taken on."""
 
 
 class GeneratorSourceArrays(NamedTuple):
@@ -48,12 +56,14 @@ def generate(laws, arrays, row):
     x = arrays.x.range
     mode = RUNNING
     if row[at.TRIPPED] != 0.0:
+        abandon(arrays.p, arrays.x)
         row[at.REFERENCE] = x[generating.OUTPUT]
         mode = TRIPPED
     else:
         row[at.REFERENCE] = reference_step(laws.waveform, arrays.p, arrays.x, row[at.SETPOINT])
         if x[generating.RUNNING] == 0.0:
             mode = STOPPED
+    row[at.SETPOINT] = setpoint_in_force(arrays.x, row[at.SETPOINT])
     row[at.SOURCE_MODE] = mode
 
 
@@ -61,9 +71,17 @@ def generate(laws, arrays, row):
 def rest_generator(laws, arrays, column):
     """Hold the reference."""
     arrays.x.range[generating.RUNNING] = 0.0
+    abandon(arrays.p, arrays.x)
+
+
+@nested
+def hold_generator(laws, arrays, column):
+    """Let what moves come to rest, and stay there."""
+    brake(arrays.p.trajectory, arrays.x.trajectory, NOWHERE, HELD)
 
 
 refer.kinds[GeneratorSourceArrays], rest.kinds[GeneratorSourceArrays] = generate, rest_generator
+hold.kinds[GeneratorSourceArrays] = hold_generator
 
 
 class GeneratorSource:
@@ -114,6 +132,25 @@ class GeneratorSource:
     def stop(self) -> None:
         """Hold the reference where it is."""
         self.generator.stop()
+
+    def follow(self, **points) -> None:
+        """Follow a trajectory from the next sample on.
+
+        Parameters
+        ----------
+        **points
+            As :meth:`~hysteresis_ros.references.generator.ReferenceGenerator.follow` takes them.
+
+        Raises
+        ------
+        ParameterError
+            It is refused; nothing is changed then.
+        """
+        self.generator.follow(**points)
+
+    def hold(self) -> None:
+        """Let what moves come to rest, and stay there."""
+        self.generator.hold()
 
     def start(self) -> None:
         """Start the waveform from its beginning, without a jump."""
@@ -202,6 +239,7 @@ def rest_sequencer(laws, arrays, column):
 
 
 refer.kinds[SequencerSourceArrays], rest.kinds[SequencerSourceArrays] = sequenced, rest_sequencer
+hold.kinds[SequencerSourceArrays] = rest_sequencer
 
 
 class SequencerSource:

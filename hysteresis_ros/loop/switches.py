@@ -1,7 +1,7 @@
 """What is started and stopped within a sample while an axis runs, in compiled code.
 
 Everything else that changes takes Python (:meth:`hysteresis_ros.loop.axis.Axis.apply`). What stands here does the same
-as the methods ``start``, ``stop`` and ``halt`` of the parts.
+as the methods ``start``, ``stop``, ``halt`` and ``hold`` of the parts.
 """
 
 from __future__ import annotations
@@ -10,11 +10,11 @@ from hysteresis_ros.block import nested
 from hysteresis_ros.loop import compensator as compensating
 from hysteresis_ros.loop import controller as controlling
 from hysteresis_ros.loop import plant as planting
-from hysteresis_ros.loop.source import rest
+from hysteresis_ros.loop.source import hold, rest
 
 # Codes of what can be switched; HALT is the emergency stop, all that can be stopped.
 NOTHING, START_PLANT, HALT_PLANT, START_CONTROLLER, STOP_CONTROLLER, START_COMPENSATOR, STOP_COMPENSATOR = range(7)
-STOP_GENERATOR, HALT = 7, 8
+STOP_GENERATOR, HALT, HOLD_GENERATOR = 7, 8, 9
 
 #: Node and action of each code.
 SWITCHES = {
@@ -25,6 +25,7 @@ SWITCHES = {
     START_COMPENSATOR: ("hysteresis_compensator", "start"),
     STOP_COMPENSATOR: ("hysteresis_compensator", "stop"),
     STOP_GENERATOR: ("reference_generator", "stop"),
+    HOLD_GENERATOR: ("reference_generator", "hold"),
 }
 
 #: Code of each node and action.
@@ -56,6 +57,8 @@ def switch(laws, parts, column, code):
         compensator[compensating.STOP] = 1.0
     if code in (STOP_GENERATOR, HALT):
         rest(laws, parts.source, column)
+    if code == HOLD_GENERATOR:
+        hold(laws, parts.source, column)
     if code == START_CONTROLLER:
         controller[controlling.STOP] = 0.0
         controller[controlling.RETURNING] = 1.0

@@ -15,6 +15,8 @@ from hysteresis_ros.nodes.qos import setpoint_qos
 from hysteresis_ros.nodes.reference_source import ReferenceSource
 from hysteresis_ros.nodes.spin import run
 from hysteresis_ros.nodes.timing import STALE
+from hysteresis_ros.nodes.trajectories import Trajectories
+from hysteresis_ros.nodes.trajectory_action import TrajectoryAction, action_type
 
 _GENERATE = interpreted(generate)
 
@@ -28,6 +30,8 @@ class ReferenceGeneratorNode(ReferenceSource):
 
     def __init__(self, **options):
         super().__init__("reference_generator", **options)
+        self.trajectories: Trajectories | None = None
+        self.action: TrajectoryAction | None = None
 
     def build(self, parameters) -> None:
         """Make the generator from the parameters."""
@@ -39,6 +43,13 @@ class ReferenceGeneratorNode(ReferenceSource):
     def step(self) -> None:
         """Run the source of the loop on the row."""
         _GENERATE(self._laws, self._arrays, self.row)
+
+    def after_step(self) -> None:
+        """Look at moves that somebody waits for, and at the setpoint that a trajectory may have put in force."""
+        self.setpoint = self.row[signals.SETPOINT]
+        self.trajectories.look()
+        if self.action is not None:
+            self.action.tell()
 
     def retune(self, parameters) -> None:
         """Take another waveform while stopped."""
@@ -58,12 +69,48 @@ class ReferenceGeneratorNode(ReferenceSource):
         self._run = ExternalRun(self) if self.parameters.external_plant else None
         super().connect()
         self.subscriber(Float64, "setpoint", self._on_setpoint, setpoint_qos())
+        self.trajectories = Trajectories(self)
+        kind = action_type()
+        self.action = TrajectoryAction(self, self.trajectories, kind) if kind else None
 
     def begin(self) -> None:
         """Go to work, and look after the plant of somebody else."""
         super().begin()
+        self.trajectories.begin()
         if self._run is not None:
             self._run.begin()
+
+    def release(self) -> None:
+        """Let go of moves that are under way."""
+        if self.trajectories is not None:
+            self.trajectories.give_up("the node has stopped working")
+
+    def unbuild(self) -> None:
+        """Let go of the action."""
+        if self.action is not None:
+            self.action.server.destroy()
+        self.trajectories = self.action = None
+
+    def steer(self, action: str, parameters: dict | None = None) -> None:
+        """Let the reference follow a trajectory, or come to rest, from the next sample on, and log it.
+
+        Parameters
+        ----------
+        action : str
+            ``follow`` or ``hold``.
+        parameters : dict, optional
+            The points of a trajectory.
+
+        Raises
+        ------
+        HysteresisError
+            It is refused; nothing is changed then.
+        """
+        if self.is_fused:
+            self.fused.apply(self.kind, action, parameters)
+        else:
+            getattr(self.part, action)(**(parameters or {}))
+            self.log_change(action, parameters)
 
     @property
     def take_measurement(self):

@@ -146,6 +146,17 @@ def approach(p, x, u):
     return (x[WHOLE] + x[REST] / weight) * p[QUANTUM]
 
 
+@kernel
+def rest(p, x, position, setpoint):
+    """Be at ``position`` [m] with velocity zero, before the way to ``setpoint`` [m]."""
+    for i in range(x.shape[0]):
+        x[i] = 0.0
+    x[SETPOINT] = setpoint
+    x[SLEWED] = math.floor(position / p[QUANTUM] + 0.5)
+    x[WHOLE] = x[SLEWED]
+    x[ARRIVED] = p[WINDOW1] + p[WINDOW2]
+
+
 class Approach(Block):
     """Jerk-limited approach to setpoints within ``minimum`` … ``maximum``.
 
@@ -204,18 +215,13 @@ class Approach(Block):
 
     def initial_state(self) -> np.ndarray:
         """Return the state at rest at the initial setpoint."""
-        return self._rest_state(self._initial, self._initial)
-
-    def _rest_state(self, position: float, setpoint: float) -> np.ndarray:
         x = np.zeros(RINGS + int(self.p[WINDOW1]) + 2 * int(self.p[WINDOW2]))
-        x[SETPOINT] = setpoint
-        x[SLEWED] = x[WHOLE] = math.floor(position / self.p[QUANTUM] + 0.5)
-        x[ARRIVED] = self.p[WINDOW1] + self.p[WINDOW2]
+        rest(self.p, x, self._initial, self._initial)
         return x
 
     def rest_at(self, position: float) -> None:
         """Stop at ``position`` [m] with velocity zero; the setpoint stays."""
-        self.x[:] = self._rest_state(position, self.x[SETPOINT])
+        rest(self.p, self.x, position, self.x[SETPOINT])
 
     def duration(self, distance: float) -> float:
         """Time [s] from a new setpoint at ``distance`` [m], at rest, to the exact arrival."""

@@ -1,4 +1,4 @@
-"""Reference generator: jerk-limited approach to the setpoint plus a waveform, within a range."""
+"""Reference generator: jerk-limited approach to the setpoint, or a trajectory, plus a waveform, within a range."""
 
 from __future__ import annotations
 
@@ -11,7 +11,26 @@ import numpy as np
 from hysteresis_ros.block import Chain, compiled, composite, interpreted, nested
 from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.parameters import Parameters, group, parameter
-from hysteresis_ros.references.approach import HIGH, LOW, SETPOINT, Approach, ApproachParameters, approach
+from hysteresis_ros.references import trajectory as following
+from hysteresis_ros.references.approach import (
+    HIGH,
+    LOW,
+    SETPOINT,
+    Approach,
+    ApproachParameters,
+    approach,
+    effective_limits,
+    rest,
+)
+from hysteresis_ros.references.trajectory import (
+    Bounds,
+    Points,
+    TrajectoryParameters,
+    advance,
+    begin_trajectory,
+    brake,
+    note_motion,
+)
 from hysteresis_ros.references.waveforms import Waveform, WaveformParameters
 
 #: Parameters and state of the range: FADE is what start() found between the held reference and the setpoint with an
@@ -31,6 +50,7 @@ class ReferenceParameters(Parameters):
     )
     waveform: WaveformParameters = group(WaveformParameters)
     approach: ApproachParameters = group(ApproachParameters)
+    trajectory: TrajectoryParameters = group(TrajectoryParameters)
 
     def check(self):
         """The range is not empty and contains the initial setpoint."""
@@ -47,11 +67,66 @@ class GeneratorArrays(NamedTuple):
     approach: np.ndarray
     waveform: np.ndarray
     range: np.ndarray
+    trajectory: np.ndarray
+
+
+@nested
+def base(ps, xs, setpoint):
+    """Return the position [m] of this sample under the waveform: that of the approach, or of a trajectory.
+
+    Where a trajectory has ended the axis stays, until a setpoint comes that is another than before.
+    """
+    p, x = ps.trajectory, xs.trajectory
+    is_new = setpoint != x[following.GIVEN] and setpoint != x[following.TARGET]
+    is_new = is_new and ps.approach[LOW] <= setpoint <= ps.approach[HIGH]
+    x[following.GIVEN] = setpoint
+    smooth = p[following.SMOOTH]
+    if x[following.ACTIVE] != following.IDLE:
+        if is_new and x[following.PENDING] == 0.0:
+            if x[following.ACTIVE] == following.FOLLOWING:
+                brake(p, x, setpoint, following.REPLACED)
+            x[following.AFTER] = setpoint
+        position = advance(p, x)
+        smooth = 1.0
+        if x[following.ACTIVE] == following.IDLE:
+            after = x[following.AFTER]
+            if after < following.NOWHERE:
+                x[following.TARGET] = following.NOWHERE
+            rest(ps.approach, xs.approach, position, after if after < following.NOWHERE else position)
+    else:
+        if is_new:
+            x[following.TARGET] = following.NOWHERE
+        held = x[following.TARGET] < following.NOWHERE
+        position = approach(ps.approach, xs.approach, math.nan if held else setpoint)
+    note_motion(p, x, position, smooth)
+    return position
+
+
+@nested
+def setpoint_in_force(xs, setpoint):
+    """Return the setpoint [m] that counts: the end of a trajectory takes the place of the one before."""
+    x = xs.trajectory
+    target, after = x[following.TARGET], x[following.AFTER]
+    if x[following.ACTIVE] != following.IDLE and after < following.NOWHERE:
+        return after
+    return target if target < following.NOWHERE else setpoint
+
+
+@nested
+def abandon(ps, xs):
+    """Give up a trajectory, and stay where it has led."""
+    x = xs.trajectory
+    if x[following.ACTIVE] != following.IDLE:
+        if x[following.ACTIVE] == following.FOLLOWING:
+            x[following.OUTCOME] = following.STOPPED
+        x[following.ACTIVE] = following.IDLE
+        x[following.TARGET] = x[following.POSITION]
+        rest(ps.approach, xs.approach, x[following.POSITION], x[following.POSITION])
 
 
 @nested
 def reference_step(waveform, ps, xs, setpoint):
-    """Return the reference [m] of this sample: approach(setpoint) + waveform, clipped to minimum … maximum.
+    """Return the reference [m] of this sample: approach or trajectory + waveform, clipped to minimum … maximum.
 
     ``ps``, ``xs`` are :class:`GeneratorArrays`. While stopped the reference does not change and
     nothing advances.
@@ -59,7 +134,7 @@ def reference_step(waveform, ps, xs, setpoint):
     p, x = ps.range, xs.range
     if x[RUNNING] == 0.0:
         return x[OUTPUT]
-    reference = approach(ps.approach, xs.approach, setpoint) + waveform(ps.waveform, xs.waveform, 0.0)
+    reference = base(ps, xs, setpoint) + waveform(ps.waveform, xs.waveform, 0.0)
     if x[FADE_COUNT] < p[FADE_SAMPLES]:
         # Minimum-jerk blend 1 → 0.
         s = x[FADE_COUNT] / p[FADE_SAMPLES]
@@ -90,7 +165,7 @@ class ReferenceGenerator(Chain):
     Attributes
     ----------
     ps, xs : GeneratorArrays
-        Parameters and states of approach, waveform and range, for :func:`reference_step`.
+        Parameters and states of approach, waveform, range and trajectory, for :func:`reference_step`.
     waveform : Waveform
         The waveform, with ``crest_factor``, ``period``, ``lowest`` and ``highest``.
 
@@ -110,6 +185,10 @@ class ReferenceGenerator(Chain):
         if parameters.approach.unlimited:
             fade = round(parameters.approach.start_time / self.sample_time)
         self._range = np.array([low, high, float(fade)]), np.zeros(4)
+        deceleration = effective_limits(parameters.approach, high - low)[1]
+        smooth = float(not parameters.approach.unlimited)
+        path = [self.sample_time, smooth, deceleration if math.isfinite(deceleration) else 0.0, low, high]
+        self._trajectory = np.array(path), following.initial_state(parameters.initial_setpoint)
         self._adopt()
         self.reset()
 
@@ -134,8 +213,9 @@ class ReferenceGenerator(Chain):
         # With the waveform on top the sum stays inside.
         self.approach.p[LOW] = low - self.waveform.lowest
         self.approach.p[HIGH] = high - self.waveform.highest
-        self.ps = GeneratorArrays(self.approach.p, self.waveform.p, self._range[0])
-        self.xs = GeneratorArrays(self.approach.x, self.waveform.x, self._range[1])
+        self._trajectory[0][following.LOWEST :] = self.approach.p[LOW], self.approach.p[HIGH]
+        self.ps = GeneratorArrays(self.approach.p, self.waveform.p, self._range[0], self._trajectory[0])
+        self.xs = GeneratorArrays(self.approach.x, self.waveform.x, self._range[1], self._trajectory[1])
 
     @property
     def waveform_kernel(self):
@@ -178,6 +258,62 @@ class ReferenceGenerator(Chain):
     def stop(self) -> None:
         """Freeze the reference at its last value; setpoints are without effect until :meth:`start`."""
         self._range[1][RUNNING] = 0.0
+        interpreted(abandon)(self.ps, self.xs)
+
+    def follow(self, times, positions, velocities=(), accelerations=()) -> None:
+        """Follow a trajectory from the next sample on, in the place of whatever moved before.
+
+        Where it ends is the setpoint from then on. Lines join positions alone, cubics positions and velocities,
+        quintics all three.
+
+        Parameters
+        ----------
+        times : sequence of float, shape (N,)
+            Of each point since the beginning [s]; a first point at 0 must be where the axis is.
+        positions : sequence of float, shape (N,)
+            [m]; the waveform comes on top.
+        velocities, accelerations : sequence of float, shape (N,), optional
+            [m/s], [m/s²]
+
+        Raises
+        ------
+        ParameterError
+            The generator is stopped, the points are no trajectory, or its path leaves the range, or the velocity and
+            acceleration of the approach where these are limited; nothing is changed then.
+        """
+        if not self.running:
+            raise ParameterError([Problem("trajectory", len(times), "refused: the generator is stopped; call start")])
+        points = Points(times, positions, velocities, accelerations)
+        own = self.parameters
+        x = self.xs.trajectory
+        if points.times[0] == 0.0 and not abs(points.positions[0] - x[following.POSITION]) <= self.start_tolerance:
+            text = (
+                f"m at 0 s: the axis is at {x[following.POSITION]:g} m, allowed: within {self.start_tolerance:g} m of "
+                "that (trajectory.start_tolerance); give the way there a time"
+            )
+            raise ParameterError([Problem("trajectory positions", float(points.positions[0]), text)])
+        segments = points.segments(*x[following.POSITION : following.ACCELERATION + 1].tolist())
+        low, high = self.approach.p[LOW], self.approach.p[HIGH]
+        limits = own.approach.maximum_velocity, own.approach.maximum_acceleration
+        bounds = Bounds(float(low), float(high), *limits, self.sample_time)
+        bounds.check(segments, points.times[-1], x[following.VELOCITY])
+        begin_trajectory(x, segments, points, self.sample_time)
+
+    @property
+    def start_tolerance(self) -> float:
+        """How far a first point at time 0 may be from the axis [m]."""
+        own = self.parameters
+        return own.trajectory.start_tolerance or 0.01 * (own.maximum - own.minimum)
+
+    def hold(self) -> None:
+        """Come to rest from the next sample on, whatever moves under the waveform, and stay there."""
+        interpreted(brake)(self.ps.trajectory, self.xs.trajectory, following.NOWHERE, following.HELD)
+
+    @property
+    def trajectory(self) -> tuple[int, int]:
+        """Number of the last trajectory, from 1 on, and how it has ended (a code of ``trajectory``)."""
+        x = self.xs.trajectory
+        return int(x[following.NUMBER]), int(x[following.OUTCOME])
 
     def start(self) -> None:
         """Run the waveform from its beginning, from the present reference without a jump.
@@ -197,6 +333,7 @@ class ReferenceGenerator(Chain):
             self.approach.rest_at(difference)
             x[FADE], x[FADE_COUNT] = 0.0, 0.0
         x[RUNNING] = 1.0
+        self.xs.trajectory[following.POSITION] = difference - x[FADE]
 
     def _first_value(self) -> float:
         return self.waveform.kernel(self.waveform.p, np.zeros(1), 0.0)
@@ -205,6 +342,9 @@ class ReferenceGenerator(Chain):
         """Return to the state at construction: at rest at the initial setpoint, waveform at its beginning."""
         self.approach.reset()
         self.waveform.reset()
+        number = self.xs.trajectory[following.NUMBER]
+        self.xs.trajectory[:] = following.initial_state(self.parameters.initial_setpoint)
+        self.xs.trajectory[following.NUMBER], self.xs.trajectory[following.OUTCOME] = number, following.STOPPED
         first = self.parameters.initial_setpoint + self._first_value()
         output = min(max(first, self.parameters.minimum), self.parameters.maximum)
         self._range[1][:] = (1.0, output, 0.0, 0.0)

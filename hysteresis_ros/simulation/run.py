@@ -87,7 +87,7 @@ def _padded(values, samples: int, rest: float) -> np.ndarray:
 #: What the log of a run may say of each node.
 LOGGED = {
     "plant_simulator": ("start", "halt", "reset", "retune", "home"),
-    "reference_generator": ("start", "stop", "reset", "retune"),
+    "reference_generator": ("start", "stop", "hold", "follow", "reset", "retune"),
     "inchworm_sequencer": ("reset", "retune"),
     "motion_controller": ("start", "stop", "reset", "retune"),
     "hysteresis_compensator": ("start", "stop", "reset", "retune"),

@@ -1,0 +1,41 @@
+"""When a move has arrived: the measurement stays near its target for a while."""
+
+from __future__ import annotations
+
+import math
+
+
+class Arrival:
+    """Tells when an error has stayed within a tolerance for a dwell; fed with samples, no clock of its own.
+
+    Parameters
+    ----------
+    tolerance : float
+        Largest error [m].
+    dwell : float
+        How long the error has to stay within it [s]; 0: one sample is enough.
+    """
+
+    def __init__(self, tolerance: float, dwell: float):
+        self.tolerance, self.dwell = float(tolerance), float(dwell)
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin a move: nothing that came before counts."""
+        self._since = math.inf
+
+    def take(self, time: float, error: float) -> bool:
+        """Take a sample and tell whether the move has arrived.
+
+        Parameters
+        ----------
+        time : float
+            Of the sample, on any clock that goes forward [s].
+        error : float
+            Measurement minus target [m]; NaN, a missing measurement, is no arrival.
+        """
+        if not abs(error) <= self.tolerance:
+            self._since = math.inf
+        else:
+            self._since = min(self._since, time)
+        return time - self._since >= self.dwell * (1.0 - 1e-9)

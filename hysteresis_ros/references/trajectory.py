@@ -1,0 +1,334 @@
+"""Trajectories of points: followed sample by sample in the approach's place, from rest or out of a motion.
+
+Between two points the path is a polynomial of the time whose degree follows from what both give, as
+``joint_trajectory_controller`` of ros2_controllers chooses it: a line for positions alone, a cubic with velocities, a
+quintic with accelerations. The first segment begins at the position of the sample before, with its velocity and
+acceleration, so that a trajectory that takes over from a motion goes on from there.
+
+All that changes from sample to sample stands in one array of fixed size: it is taken whole between two samples, by the
+nodes, by the fused loop and by the offline twin alike.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from hysteresis_ros.block import kernel
+from hysteresis_ros.errors import ParameterError, Problem
+from hysteresis_ros.parameters import Parameters, parameter
+
+#: Parameters: SMOOTH 1 where the approach is limited, and so its velocity one of the motion; DECELERATION 0: at once.
+SAMPLE_TIME, SMOOTH, DECELERATION, LOWEST, HIGHEST = range(5)
+
+#: State. ACTIVE is one of the codes below; PENDING 1: taken, but no sample made; ELAPSED and LENGTH in samples;
+#: POSITION, VELOCITY, ACCELERATION are those of the last sample, GIVEN its setpoint; TARGET is where the trajectory
+#: ends, which then stands in the setpoint's place; AFTER is the setpoint that comes after braking;
+#: NUMBER counts trajectories, OUTCOME says how the last one ended. Behind it: segments of WIDTH numbers.
+ACTIVE, PENDING, ELAPSED, LENGTH, SEGMENT, COUNT, POSITION, VELOCITY, ACCELERATION = range(9)
+GIVEN, TARGET, AFTER, NUMBER, OUTCOME = range(9, 14)
+SEGMENTS = 14
+#: A TARGET and an AFTER that are none.
+NOWHERE = math.inf
+#: Of each segment: its beginning [s], and the coefficients of the powers of the time since.
+BEGIN, COEFFICIENTS, WIDTH = 0, 1, 7
+
+#: Codes of ACTIVE.
+IDLE, FOLLOWING, BRAKING = range(3)
+#: Codes of OUTCOME: not over yet, at its end, replaced by a trajectory or a setpoint, held, stopped with the axis.
+OPEN, ENDED, REPLACED, HELD, STOPPED = range(5)
+
+#: Largest number of points.
+MOST_POINTS = 1000
+#: Parts of a segment at whose ends position, velocity and acceleration are compared with what is allowed.
+LOOKS = 64
+#: Of a limit, for rounding.
+ROUNDING = 1e-9
+
+
+@dataclass(frozen=True)
+class TrajectoryParameters(Parameters):
+    """When a trajectory is taken and when it has arrived."""
+
+    start_tolerance: float = parameter(
+        0.0,
+        description="how far a first point at time 0 may be from the reference; 0: a hundredth of minimum … maximum",
+        unit="m",
+        low=0.0,
+        read_only=True,
+    )
+    goal_tolerance: float = parameter(
+        0.0,
+        description="a move has arrived within that of its last point; 0: a hundredth of minimum … maximum",
+        unit="m",
+        low=0.0,
+        read_only=True,
+    )
+    dwell: float = parameter(
+        0.02, description="and stays there so long", unit="s", low=0.0, high=3600.0, read_only=True
+    )
+    goal_time: float = parameter(
+        1.0,
+        description="time after its last point within which a move has to arrive",
+        unit="s",
+        low=0.0,
+        high=3600.0,
+        read_only=True,
+    )
+
+
+@kernel
+def advance(p, x):
+    """Return the position [m] of the next sample of a trajectory; its last sample ends it."""
+    x[PENDING] = 0.0
+    x[ELAPSED] += 1.0
+    if x[ELAPSED] >= x[LENGTH]:
+        if x[ACTIVE] == FOLLOWING:
+            x[OUTCOME] = ENDED
+        x[ACTIVE] = IDLE
+        return x[TARGET]
+    time = x[ELAPSED] * p[SAMPLE_TIME]
+    segment = int(x[SEGMENT])
+    while segment + 1 < x[COUNT] and time >= x[SEGMENTS + WIDTH * (segment + 1) + BEGIN]:
+        segment += 1
+    x[SEGMENT] = segment
+    first = SEGMENTS + WIDTH * segment
+    tau = time - x[first + BEGIN]
+    position = 0.0
+    for i in range(first + WIDTH - 1, first + COEFFICIENTS - 1, -1):
+        position = position * tau + x[i]
+    return min(max(position, p[LOWEST]), p[HIGHEST])
+
+
+@kernel
+def note_motion(p, x, position, smooth):
+    """Keep position, velocity and acceleration of a sample; those of a motion that jumps are zero."""
+    velocity, acceleration = 0.0, 0.0
+    if smooth != 0.0:
+        velocity = (position - x[POSITION]) / p[SAMPLE_TIME]
+        acceleration = (velocity - x[VELOCITY]) / p[SAMPLE_TIME]
+    x[POSITION], x[VELOCITY], x[ACCELERATION] = position, velocity, acceleration
+
+
+@kernel
+def brake(p, x, after, outcome):
+    """Come to rest out of any motion, within one sample or at the allowed deceleration.
+
+    Parameters
+    ----------
+    p, x : ndarray
+        Parameters and state of the trajectory.
+    after : float
+        Setpoint to go to then [m]; NOWHERE: stay.
+    outcome : int
+        How a trajectory that is followed has ended.
+    """
+    if x[ACTIVE] == FOLLOWING:
+        x[OUTCOME] = outcome
+    velocity = x[VELOCITY]
+    duration = abs(velocity) / p[DECELERATION] if p[DECELERATION] > 0.0 else 0.0
+    for i in range(SEGMENTS, SEGMENTS + WIDTH):
+        x[i] = 0.0
+    if duration > 0.0:
+        x[SEGMENTS + COEFFICIENTS] = x[POSITION]
+        x[SEGMENTS + COEFFICIENTS + 1] = velocity
+        x[SEGMENTS + COEFFICIENTS + 2] = -0.5 * velocity / duration
+    rest = x[POSITION] + 0.5 * velocity * duration
+    x[TARGET] = min(max(rest, p[LOWEST]), p[HIGHEST])
+    x[ACTIVE], x[PENDING], x[AFTER] = BRAKING, 1.0, after
+    x[ELAPSED], x[SEGMENT], x[COUNT] = 0.0, 0.0, 1.0
+    x[LENGTH] = math.ceil(duration / p[SAMPLE_TIME])
+
+
+def initial_state(position: float) -> np.ndarray:
+    """Return the state at rest at a position [m], with room for every trajectory; shape (N,)."""
+    x = np.zeros(SEGMENTS + WIDTH * MOST_POINTS)
+    x[POSITION] = x[GIVEN] = position
+    x[TARGET] = x[AFTER] = NOWHERE
+    return x
+
+
+def begin_trajectory(x: np.ndarray, segments: np.ndarray, points: Points, sample_time: float) -> None:
+    """Put a path into the state, to be followed from the next sample on.
+
+    Parameters
+    ----------
+    x : ndarray
+        State of the trajectory.
+    segments : ndarray, shape (N, WIDTH)
+    points : Points
+        Of which it is made.
+    sample_time : float
+        [s]
+    """
+    x[SEGMENTS : SEGMENTS + segments.size] = segments.ravel()
+    x[ACTIVE], x[PENDING], x[AFTER] = FOLLOWING, 1.0, NOWHERE
+    x[ELAPSED], x[SEGMENT], x[COUNT] = 0.0, 0.0, len(segments)
+    x[LENGTH] = math.ceil(points.times[-1] / sample_time * (1.0 - ROUNDING))
+    x[TARGET] = points.positions[-1]
+    x[NUMBER] += 1.0
+    x[OUTCOME] = OPEN
+
+
+class Points:
+    """The points of a trajectory, checked by themselves.
+
+    Parameters
+    ----------
+    times : sequence of float, shape (N,)
+        Of each point since the beginning [s].
+    positions : sequence of float, shape (N,)
+        [m]
+    velocities, accelerations : sequence of float, shape (N,), optional
+        [m/s], [m/s²]; accelerations only with velocities. The last velocity must be 0.
+
+    Raises
+    ------
+    ParameterError
+        Lengths differ, a number is not finite, times do not rise, the last velocity is not 0, or there are too many
+        points.
+    """
+
+    def __init__(self, times, positions, velocities=(), accelerations=()):
+        given = {"times": times, "positions": positions, "velocities": velocities, "accelerations": accelerations}
+        self.given = {name: tuple(map(float, values)) for name, values in given.items()}
+        values = {name: np.array(numbers) for name, numbers in self.given.items()}
+        self.times, self.positions = values["times"], values["positions"]
+        self.velocities, self.accelerations = values["velocities"], values["accelerations"]
+        count = len(self.times)
+        if not 0 < count <= MOST_POINTS:
+            raise _refused("points", count, f"allowed: 1 … {MOST_POINTS}; join what hardly bends, or send it in pieces")
+        for name, numbers in values.items():
+            needed = name in ("times", "positions")
+            if len(numbers) != count and (needed or len(numbers)):
+                raise _refused(
+                    name, len(numbers), f"of {count} points: give one for every point{'' if needed else ' or none'}"
+                )
+            for number in numbers[~np.isfinite(numbers)][:1]:
+                raise _refused(name, number, "not a finite number")
+        if len(self.accelerations) and not len(self.velocities):
+            raise _refused("accelerations", count, "without velocities: give both, velocities alone, or neither")
+        self._check_times()
+        if len(self.velocities) and self.velocities[-1] != 0.0:
+            raise _refused("velocities", self.velocities[-1], "of the last point: must be 0 m/s, there the axis rests")
+
+    def _check_times(self) -> None:
+        times = self.times
+        if times[0] < 0.0:
+            raise _refused("times", times[0], "s of point 0: must not be negative")
+        for index in np.flatnonzero(np.diff(times) <= 0.0)[:1]:
+            raise _refused("times", times[index + 1], f"s of point {index + 1}: must be later than {times[index]:g} s")
+        if times[-1] == 0.0:
+            raise _refused("times", 0.0, "s of the last point: must be later than 0 s, the beginning")
+
+    def segments(self, position: float, velocity: float, acceleration: float) -> np.ndarray:
+        """Return the segments of the path from a present motion on, shape (segments, WIDTH).
+
+        A first point at time 0 is where the sender believes the axis to be: the path begins where it really is.
+        """
+        first = 1 if self.times[0] == 0.0 else 0
+        knots = [np.concatenate([[0.0], self.times[first:]]), np.concatenate([[position], self.positions[first:]])]
+        for present, values in ((velocity, self.velocities), (acceleration, self.accelerations)):
+            knots.append(np.concatenate([[present], values[first:]]) if len(values) else np.zeros(0))
+        times, positions, velocities, accelerations = knots
+        duration = np.diff(times)
+        made = np.zeros((len(duration), WIDTH))
+        made[:, BEGIN], made[:, COEFFICIENTS] = times[:-1], positions[:-1]
+        rise = np.diff(positions) / duration
+        own = made[:, COEFFICIENTS:]
+        if not len(velocities):
+            own[:, 1] = rise
+            return made
+        own[:, 1] = velocities[:-1]
+        # velocities beside those of a straight line; no powers, which C libraries round each in its way
+        start, end = velocities[:-1] - rise, velocities[1:] - rise
+        if not len(accelerations):
+            own[:, 2] = -(2.0 * start + end) / duration
+            own[:, 3] = (start + end) / (duration * duration)
+            return made
+        before, after = accelerations[:-1] * duration, accelerations[1:] * duration
+        own[:, 2] = 0.5 * accelerations[:-1]
+        own[:, 3] = (-6.0 * start - 4.0 * end - 1.5 * before + 0.5 * after) / (duration * duration)
+        own[:, 4] = (8.0 * start + 7.0 * end + 1.5 * before - after) / (duration * duration * duration)
+        own[:, 5] = (-3.0 * start - 3.0 * end - 0.5 * before + 0.5 * after) / (
+            duration * duration * duration * duration
+        )
+        return made
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """What a trajectory must keep.
+
+    Parameters
+    ----------
+    low, high : float
+        Positions [m].
+    velocity, acceleration : float
+        Largest ones [m/s], [m/s²]; 0: any.
+    sample_time : float
+        [s]
+    """
+
+    low: float
+    high: float
+    velocity: float
+    acceleration: float
+    sample_time: float
+
+    def check(self, segments: np.ndarray, length: float, velocity: float) -> None:
+        """Refuse a path that leaves the bounds, between its points too.
+
+        Parameters
+        ----------
+        segments : ndarray, shape (N, WIDTH)
+        length : float
+            Of the whole path [s].
+        velocity : float
+            Of the motion before it [m/s].
+
+        Raises
+        ------
+        ParameterError
+            Names the time, the value and what is allowed.
+        """
+        ends = np.concatenate([segments[1:, BEGIN], [length]])
+        tau = np.linspace(0.0, 1.0, LOOKS + 1)[:, None] * (ends - segments[:, BEGIN])
+        times = tau + segments[:, BEGIN]
+        orders = [segments[:, COEFFICIENTS:].T]
+        for _ in range(2):
+            orders.append(orders[-1][1:] * np.arange(1.0, len(orders[-1]))[:, None])
+        position, speed, acceleration = (_polynomials(coefficients, tau) for coefficients in orders)
+        slack = ROUNDING * (self.high - self.low)
+        for bad in np.argwhere((position < self.low - slack) | (position > self.high + slack))[:1]:
+            text = f"m at {times[tuple(bad)]:g} s: out of range, allowed: {self.low:g} … {self.high:g} m"
+            raise _refused("positions", position[tuple(bad)], text)
+        _within("velocities", "m/s", np.abs(speed), self.velocity, times)
+        _within("accelerations", "m/s²", np.abs(acceleration), self.acceleration, times)
+        corners = np.abs(np.concatenate([speed[0], [0.0]]) - np.concatenate([[velocity], speed[-1]]))
+        steep = corners[None, :] / self.sample_time
+        at = np.concatenate([segments[:, BEGIN], [length]])[None, :]
+        _within("accelerations", "m/s² at a corner (give velocities, which round it)", steep, self.acceleration, at)
+
+
+def _within(name: str, unit: str, values: np.ndarray, limit: float, times: np.ndarray) -> None:
+    """Refuse the largest of these values when it is larger than a limit that is not 0."""
+    worst = np.unravel_index(np.argmax(values), values.shape)
+    if limit > 0.0 and values[worst] > limit * (1.0 + ROUNDING):
+        raise _refused(
+            name, values[worst], f"{unit} at {times[worst]:g} s: too high, allowed: ≤ {limit:g}; give more time"
+        )
+
+
+def _polynomials(coefficients: np.ndarray, tau: np.ndarray) -> np.ndarray:
+    """Return the polynomials of these coefficients, shape (degree + 1, N), at times of each, shape (M, N)."""
+    value = np.zeros_like(tau)
+    for row in coefficients[::-1]:
+        value = value * tau + row
+    return value
+
+
+def _refused(name: str, value, text: str) -> ParameterError:
+    return ParameterError([Problem(f"trajectory {name}", float(value), text)])

@@ -1,0 +1,219 @@
+"""Trajectories over ROS: followed to their end, answered when they have arrived, replaced, cancelled, refused."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import pytest
+
+pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
+
+from action_msgs.msg import GoalStatus  # noqa: E402
+from builtin_interfaces.msg import Duration  # noqa: E402
+from nodes_support import axis_parameters, compose, until  # noqa: E402
+from rclpy.action import CancelResponse  # noqa: E402
+from std_msgs.msg import Float64, String  # noqa: E402
+from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint  # noqa: E402
+
+from hysteresis_ros.nodes.trajectory_action import TrajectoryAction, action_type  # noqa: E402
+
+SOURCE = "reference_generator"
+#: Slow enough for a busy machine, and no trips.
+SLOW = {
+    "plant_simulator": {"late_limit": -1},
+    "motion_controller": {"type": "open_loop"},
+    SOURCE: {"trajectory__goal_time": 20.0, "initial_setpoint": 0.0},
+}
+
+
+def trajectory(*points, joint="extender", velocities=()) -> JointTrajectory:
+    """Return a message of points (time [s], position [m])."""
+    message = JointTrajectory(joint_names=[joint] if isinstance(joint, str) else joint)
+    for index, (time, position) in enumerate(points):
+        point = JointTrajectoryPoint(positions=[position], velocities=list(velocities[index : index + 1]))
+        point.time_from_start = Duration(sec=int(time), nanosec=round(1e9 * (time % 1.0)))
+        message.points.append(point)
+    return message
+
+
+class Axis:
+    """A composed axis at 200 Hz in real time, with somebody who sends it trajectories."""
+
+    def __init__(self, inside, observer):
+        axis = axis_parameters(overrides=SLOW, sample_rate=200.0, time_mode="realtime")
+        self.plant, *_, self.source = compose(inside, axis)
+        self.said = observer.listen(String, f"/{SOURCE}/trajectory")
+        self.sender = observer.talk(JointTrajectory, "/joint_trajectory")
+        self.setpoints = observer.talk(Float64, "/setpoint")
+        inside.spin()
+        until(lambda: self.sender.get_subscription_count() and self.setpoints.get_subscription_count())
+        until(lambda: self.source.count_subscribers(f"/{SOURCE}/trajectory") and self.source.sample > 3)
+
+    def send(self, message, *words: str) -> str:
+        """Send a trajectory and return the next answer that has one of these words in it."""
+        known = len(self.said)
+        self.sender.publish(message)
+        return self.hear(known, *words)
+
+    def hear(self, known: int, *words: str) -> str:
+        heard = lambda: [m.data for m in self.said[known:] if any(word in m.data for word in words)]  # noqa: E731
+        until(heard, what=f"an answer with {words} among {self.said}")
+        return heard()[-1]
+
+
+@pytest.fixture
+def axis(inside, observer):
+    return Axis(inside, observer)
+
+
+def test_a_trajectory_is_followed_answered_when_arrived_and_its_end_is_the_setpoint(axis):
+    said = axis.send(trajectory((0.1, 3e-6), (0.2, 5e-6), velocities=(4e-5, 0.0)), "arrived")
+    assert said.startswith("1 arrived: ") and "1 taken: 2 points, 0.2 s" in [m.data for m in axis.said]
+    assert axis.source.part.generator.step(float("nan")) == 5e-6
+    until(lambda: axis.source.setpoint == 5e-6)
+
+    known = len(axis.said)
+    axis.send(trajectory((60.0, 11e-6)), "2 taken")
+    assert axis.send(trajectory((0.05, 4e-6)), "2 replaced") and axis.hear(known, "3 arrived")
+    axis.send(trajectory((60.0, 11e-6)), "4 taken")
+    assert axis.send(JointTrajectory(joint_names=["extender"]), "4 cancelled: held")
+    axis.send(trajectory((60.0, 11e-6)), "5 taken")
+    known = len(axis.said)
+    axis.setpoints.publish(Float64(data=2e-6))
+    assert axis.hear(known, "5 replaced")
+    until(lambda: axis.source.setpoint == 2e-6)
+
+
+def test_what_is_refused_is_named_and_moves_nothing(axis):
+    for message, words in (
+        (trajectory((0.1, 3e-6), joint="elbow"), "joint_names = ['elbow']"),
+        (trajectory((0.1, 3e-6), joint=["extender", "elbow"]), "allowed: ['extender']"),
+        (trajectory((0.2, 3e-6), (0.1, 4e-6)), "must be later than 0.2 s"),
+        (trajectory((0.1, 3e-5)), "out of range"),
+        (trajectory((0.1, 3e-6), velocities=(1e-5,)), "there the axis rests"),
+    ):
+        assert words in axis.send(message, "refused")
+    late = trajectory((0.1, 3e-6))
+    late.header.stamp.sec = 5
+    assert "must be 0" in axis.send(late, "refused")
+    wide = trajectory((0.1, 3e-6))
+    wide.points[0].positions = [1e-6, 2e-6]
+    assert "points[0].positions" in axis.send(wide, "refused")
+    assert axis.source.part.generator.trajectory[0] == 0 and axis.source.setpoint == 0.0
+
+
+class Goal:
+    """Stands in for a goal handle of rclpy: what was asked of it, and the states it may be in."""
+
+    def __init__(self, server, message, **tolerances):
+        self.request = SimpleNamespace(
+            trajectory=message,
+            path_tolerance=tolerances.get("path", []),
+            goal_tolerance=tolerances.get("goal", []),
+            goal_time_tolerance=Duration(sec=20),
+        )
+        self.is_cancel_requested, self.status, self.result, self.feedback = False, None, None, []
+        self._server = server
+
+    def execute(self):
+        assert self.status is None, "executed twice"
+        self.result = self._server._answer(self)
+
+    def succeed(self):
+        self.status = GoalStatus.STATUS_SUCCEEDED
+
+    def abort(self):
+        self.status = GoalStatus.STATUS_ABORTED
+
+    def canceled(self):
+        self.status = GoalStatus.STATUS_CANCELED
+
+    def publish_feedback(self, feedback):
+        self.feedback.append(feedback)
+
+
+class StandIn:
+    """The part of control_msgs/FollowJointTrajectory that is used."""
+
+    class Result(SimpleNamespace):
+        SUCCESSFUL, INVALID_GOAL, INVALID_JOINTS, PATH_TOLERANCE_VIOLATED, GOAL_TOLERANCE_VIOLATED = 0, -1, -2, -4, -5
+
+    Feedback = SimpleNamespace
+
+
+def test_goals_of_the_action_end_as_their_moves_do(axis, monkeypatch):
+    """With a stand-in for the message class and rclpy's server, in the thread of the node."""
+    import hysteresis_ros.nodes.trajectory_action as module
+
+    monkeypatch.setattr(module, "ActionServer", lambda *arguments, **options: SimpleNamespace(destroy=lambda: None))
+    source = axis.source
+    action = TrajectoryAction(source, source.trajectories, StandIn)
+    source.action = action
+    inbox, ended = [], {}
+
+    def turn():
+        while inbox:
+            inbox.pop(0)()
+
+    source.create_timer(0.01, turn, clock=source.steady)
+
+    def ask(message, **tolerances):
+        goal = Goal(action, message, **tolerances)
+        inbox.append(lambda: action.take(goal))
+        return goal
+
+    def end(goal):
+        until(lambda: goal.status is not None, what="the end of a goal")
+        ended[goal.status] = goal.result.error_string
+        return goal.status, goal.result.error_code
+
+    arrived = ask(trajectory((0.2, 5e-6), velocities=(0.0,)))
+    assert end(arrived) == (GoalStatus.STATUS_SUCCEEDED, 0) and "from the last point" in arrived.result.error_string
+    assert arrived.feedback and arrived.feedback[-1].joint_names == ["extender"]
+    assert end(ask(trajectory((0.1, 5e-6), joint="elbow"))) == (GoalStatus.STATUS_ABORTED, -2)
+    assert end(ask(trajectory((0.1, 5e-5)))) == (GoalStatus.STATUS_ABORTED, -1)
+    elbow = SimpleNamespace(name="elbow", position=1e-6)
+    assert end(ask(trajectory((0.1, 5e-6)), goal=[elbow])) == (GoalStatus.STATUS_ABORTED, -2)
+    tight = SimpleNamespace(name="extender", position=1e-12)
+    assert end(ask(trajectory((60.0, 9e-6)), path=[tight])) == (GoalStatus.STATUS_ABORTED, -4)
+
+    first = ask(trajectory((60.0, 11e-6)))
+    second = ask(trajectory((60.0, 1e-6)))
+    assert end(first) == (GoalStatus.STATUS_ABORTED, -1) and "taken its place" in first.result.error_string
+    second.is_cancel_requested = True
+    inbox.append(lambda: answers.append(action.cancel(second)))
+    answers: list = []
+    assert end(second)[0] == GoalStatus.STATUS_CANCELED and answers == [CancelResponse.ACCEPT]
+    last = ask(trajectory((60.0, 11e-6)))
+    until(lambda: action._goals == [last])
+    inbox.append(source.part.stop)
+    assert end(last)[0] == GoalStatus.STATUS_ABORTED and "stopped" in last.result.error_string
+    assert not action._goals and not action._results
+
+
+def test_the_real_action_moves_the_axis(axis, observer):
+    kind = action_type()
+    if kind is None:
+        pytest.skip("control_msgs is not installed: no action")
+    from rclpy.action import ActionClient
+
+    client = ActionClient(observer.node, kind, "/follow_joint_trajectory")
+    until(client.server_is_ready, what="the action")
+
+    def send(message):
+        sent = client.send_goal_async(kind.Goal(trajectory=message))
+        until(sent.done, what="a goal that is accepted")
+        result = sent.result().get_result_async()
+        return sent.result(), result
+
+    _, result = send(trajectory((0.2, 5e-6), velocities=(0.0,)))
+    until(result.done, what="the result")
+    assert result.result().status == GoalStatus.STATUS_SUCCEEDED and result.result().result.error_code == 0
+    handle, result = send(trajectory((60.0, 11e-6)))
+    handle.cancel_goal_async()
+    until(result.done, what="the end of a cancelled goal")
+    assert result.result().status == GoalStatus.STATUS_CANCELED
+    _, result = send(trajectory((0.1, 1.0)))
+    until(result.done, what="the refusal")
+    assert result.result().status == GoalStatus.STATUS_ABORTED
+    assert "out of range" in result.result().result.error_string
