@@ -62,6 +62,9 @@ WORDS = {
     **dict.fromkeys(("degree", "degrees", "°"), "deg"),
 }
 
+#: Numbers below this are shown in the next finer part of their unit: 12.3 nm and not 0.0123 µm.
+FINE = 0.1
+
 _SENSITIVITY = re.compile(
     r"^(?P<factor>[0-9.]+(?:[eE][-+]?[0-9]+)?)?\s*(?P<unit>[^\d\s/*]+)\s*/\s*(?P<per>[^\d\s/*]+)$"
 )
@@ -125,11 +128,11 @@ def readable(value: float, unit: str) -> str:
     value : float
         In SI.
     unit : str
-        SI unit; lengths from nm to mm are in µm, so that one column compares.
+        SI unit; lengths from a tenth of a micrometre to a millimetre are in µm, below in nm.
     """
     if unit == "m":
         size = abs(value)
-        if 0.0 < size < 1e-9:
+        if 0.0 < size < FINE * 1e-6:
             return f"{1e9 * value:.4g} nm"
         return f"{1e3 * value:.4g} mm" if size >= 1e-3 else f"{1e6 * value:.4g} µm"
     if unit in ("s", "V") and 0.0 < abs(value) < 1.0:

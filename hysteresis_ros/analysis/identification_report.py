@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from hysteresis_ros.analysis.metrics import shown_row
 from hysteresis_ros.analysis.plots import add_legend, data_uri, envelope, new_figure
 from hysteresis_ros.analysis.report import render_page, write_page
 from hysteresis_ros.identification.data import IdentificationData
@@ -11,6 +12,7 @@ from hysteresis_ros.identification.inverse import InverseValidation
 from hysteresis_ros.identification.parameter_file import assumptions
 from hysteresis_ros.identification.validation import CorrelationTest, Validation
 from hysteresis_ros.identification.workflow import Compared, Identified
+from hysteresis_ros.units import readable
 
 _MEASURED, _MODEL, _RESIDUAL, _LIMIT = "#1f3b73", "#d1495b", "#2a9d8f", "#444444"
 _MICRO = 1e6
@@ -77,12 +79,11 @@ def _write(path, title: str, found: Compared, plots, stated) -> None:
     for name, label, unit, factor in ROWS:
         value = found.figures.get(name)
         if value is not None:
-            text = str(value) if isinstance(value, int) else f"{value * factor:.4g}"
-            rows.append(dict(label=label, value=text, unit=unit))
+            rows.append(shown_row(label, value, unit, factor))
     html = render_page(
         "identification.html.j2",
         title=title,
-        summary=f"{len(data)} samples at {1.0 / data.sample_time:.6g} Hz; RMS error {1e6 * errors.rmse:.4g} µm, "
+        summary=f"{len(data)} samples at {1.0 / data.sample_time:.6g} Hz; RMS error {readable(errors.rmse, 'm')}, "
         f"{errors.rmse_percent_of_stroke:.3g} % of stroke, fit {errors.fit_percent:.4g} %",
         warnings=list(found.warnings),
         rows=rows,

@@ -5,7 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from hysteresis_ros.analysis.inchworm_moves import InchwormRun, Move, Steps, inchworm_run
-from hysteresis_ros.analysis.metrics import FIGURES, TIMELINESS, chattering_figures, format_value, sampling_figures
+from hysteresis_ros.analysis.metrics import (
+    FIGURES,
+    TIMELINESS,
+    chattering_figures,
+    format_value,
+    sampling_figures,
+    shown,
+)
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.references import inchworm_layout as at
 
@@ -121,9 +128,12 @@ def format_inchworm(figures: dict) -> str:
         rows.append((label, [format_value(move[name], factor) for move in moves], unit))
     lines = _aligned(rows) if moves else ["no moves: nothing was asked for"]
     lines.append("")
-    of_run = [(label, [format_value(figures["run"][name], f)], unit) for name, label, unit, f in RUN_FIGURES]
-    of_all = [(label, [format_value(figures[name], f)], unit) for name, label, unit, f in COMMON_FIGURES]
-    lines += _aligned(of_run + of_all)
+    of_run = []
+    for values, names in ((figures["run"], RUN_FIGURES), (figures, COMMON_FIGURES)):
+        for name, label, unit, factor in names:
+            value, finer = shown(values[name], unit, factor)
+            of_run.append((label, [value], finer))
+    lines += _aligned(of_run)
     return "\n".join([*lines, *(f"note: {note}" for note in figures["notes"]["recording"])])
 
 

@@ -7,9 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from hysteresis_ros.errors import HysteresisError, RecordingError
-from hysteresis_ros.recordings.configured import configured
+from hysteresis_ros.recordings.configured import configured, described
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.references import inchworm_layout as at
+from hysteresis_ros.signals import MOTOR_SOURCE as SEQUENCER
 
 #: What a run needs beside ``setpoint`` and ``displacement`` (or ``measured``): signals of the sequencer.
 REQUIRED = (
@@ -120,7 +121,7 @@ def is_inchworm(recording: Recording) -> bool:
     """Tell whether a recording is an inchworm's: by its signals, or by its configuration."""
     if any(recording.has(name) for name in DISTINCTIVE):
         return True
-    return bool(_configured(recording))
+    return _described(recording)
 
 
 def inchworm_run(recording: Recording) -> InchwormRun:
@@ -217,17 +218,20 @@ def _arrival(arrived, first: int, last: int) -> int | None:
     return start if start < last else None
 
 
-def _configured(recording: Recording) -> dict:
-    return configured(recording.configuration, "inchworm_sequencer", str(recording.metadata.get("namespace", "")))
+def _described(recording: Recording) -> bool:
+    """Tell whether the configuration has a sequencer: values for every node reach one that is not there, too."""
+    return described(recording.configuration, SEQUENCER, str(recording.metadata.get("namespace", "")))
 
 
 def _parameters(recording: Recording):
     """Return the sequencer's parameters, None when the recording does not hold them."""
     from hysteresis_ros.references.inchworm_sequencer import InchwormSequencerParameters as Given
 
-    values = _configured(recording)
+    if not _described(recording):
+        return None
+    values = configured(recording.configuration, SEQUENCER, str(recording.metadata.get("namespace", "")))
     names = {row.name for row in Given.table()}
     try:
-        return Given.from_mapping({name: value for name, value in values.items() if name in names}) if values else None
+        return Given.from_mapping({name: value for name, value in values.items() if name in names})
     except HysteresisError:
         return None

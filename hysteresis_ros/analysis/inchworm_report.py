@@ -10,9 +10,9 @@ from hysteresis_ros.analysis.inchworm import (
 )
 from hysteresis_ros.analysis.inchworm_moves import inchworm_run
 from hysteresis_ros.analysis.inchworm_plots import INCHWORM_PLOTS
-from hysteresis_ros.analysis.metrics import format_value
+from hysteresis_ros.analysis.metrics import format_value, shown_row
 from hysteresis_ros.analysis.plots import data_uri
-from hysteresis_ros.analysis.report import render_page, write_page
+from hysteresis_ros.analysis.report import origin, render_page, write_page
 from hysteresis_ros.recordings.dataset import Recording
 
 
@@ -41,7 +41,7 @@ def render_inchworm_report(recording: Recording, title: str, figures: dict | Non
     ]
     remarks = figures["notes"]
     rows = [
-        dict(label=label, value=format_value(values[name], factor), unit=unit, remark=remarks.get(name, ""))
+        shown_row(label, values[name], unit, factor) | dict(remark=remarks.get(name, ""))
         for values, names in ((figures["run"], RUN_FIGURES), (figures, COMMON_FIGURES))
         for name, label, unit, factor in names
     ]
@@ -54,7 +54,7 @@ def render_inchworm_report(recording: Recording, title: str, figures: dict | Non
         plots=[dict(caption=caption, source=data_uri(draw(run))) for caption, draw in INCHWORM_PLOTS],
         notes=remarks["recording"],
         configuration=recording.configuration,
-        namespace=recording.metadata.get("namespace") or "/",
+        origin=origin(recording),
     )
 
 

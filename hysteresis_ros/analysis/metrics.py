@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from hysteresis_ros.analysis.settings import axis_settings, judged_reference
-from hysteresis_ros.analysis.steps import HOLD_SAMPLES, find_holds, step_responses
+from hysteresis_ros.analysis.steps import HOLD_SAMPLES, JUMP, find_holds, scan_start, step_responses
 from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.loops import loop_opening
+from hysteresis_ros.units import FINE
 
-#: A reference whose movement changes by more than this part of its stroke from one sample to the next jumps.
-JUMP = 0.01
 #: Figures that come from command and voltage alone.
 SMOOTHNESS = {
     "command": ("chattering_m", "chattering_m_s", "command_reversals_hz"),
@@ -63,7 +62,9 @@ def compute_metrics(recording: Recording) -> dict:
 
     The error is e = reference - displacement, the displacement being the true one (the measured one on hardware, which
     the recording's notes then say) less the preload offset W of the controller's model. With ``feedforward.preview``
-    every figure is about the reference so many samples later. Samples where either is missing do not count.
+    every figure is about the reference so many samples later. Samples where either is missing do not count, and in the
+    errors none before the first reversal of a scan into which a jump leads
+    (:func:`hysteresis_ros.analysis.steps.scan_start`).
 
     ======================================= ==========================================================================
     ``rms_error_m``                         √(mean e²)
@@ -150,8 +151,12 @@ def compute_metrics(recording: Recording) -> dict:
 
 
 def _error_figures(time, reference, displacement, notes) -> dict:
-    error = reference - displacement
     stroke = float(np.ptp(reference))
+    start = scan_start(reference, displacement)
+    if start:
+        text = f"errors count from {time[start]:.4g} s on: before the first reversal the axis jumps into the scan"
+        notes["recording"] = [*notes["recording"], text]
+    time, error = time[start:], (reference - displacement)[start:]
     figures = {
         "rms_error_m": float(np.sqrt(np.mean(error**2))),
         "max_error_m": float(np.max(np.abs(error))),
@@ -315,9 +320,45 @@ def _plain(value):
     return None if isinstance(value, float) and not np.isfinite(value) else value
 
 
+#: Units of figures and the next finer ones, a thousand times as many.
+FINER = {"µm": "nm", "µm s": "nm s", "µm/s": "nm/s", "ms": "µs"}
+
+
+def shown(value, unit: str, factor: float) -> tuple[str, str]:
+    """Return a figure for people and its unit: small ones in the finer unit, 12.3 nm and not 0.0123 µm.
+
+    Parameters
+    ----------
+    value : float, int or None
+        In SI.
+    unit : str
+        Of the table of figures.
+    factor : float
+        Number of them in one SI unit.
+    """
+    if value and unit in FINER and abs(value) * factor < FINE:
+        return format_value(value, 1e3 * factor), FINER[unit]
+    return format_value(value, factor), unit
+
+
+def shown_row(label: str, value, unit: str, factor: float) -> dict:
+    """Return a row of a page's table: label, value and unit for people, see :func:`shown`.
+
+    Parameters
+    ----------
+    label : str
+    value : float, int or None
+        In SI.
+    unit : str
+    factor : float
+    """
+    text, finer = shown(value, unit, factor)
+    return dict(label=label, value=text, unit=finer)
+
+
 def format_table(figures: dict) -> str:
-    """Return the figures as aligned lines for a terminal, in µm and ms; below them why one has no meaning."""
-    rows = [(label, format_value(figures[name], factor), unit) for name, label, unit, factor in FIGURES]
+    """Return the figures as aligned lines for a terminal, in the units people use; below why one has no meaning."""
+    rows = [(label, *shown(figures[name], unit, factor)) for name, label, unit, factor in FIGURES]
     width = max(len(label) for label, *_ in rows)
     lines = [f"{label:<{width}}  {value:>9} {unit}".rstrip() for label, value, unit in rows]
     reasons: dict[str, list[str]] = {}

@@ -8,9 +8,11 @@ import io
 import numpy as np
 
 from hysteresis_ros.analysis.settings import axis_settings, judged_reference
+from hysteresis_ros.analysis.steps import scan_start
 from hysteresis_ros.errors import HysteresisError
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.loops import loop_opening
+from hysteresis_ros.units import FINE
 
 #: Points of a line on paper; longer signals are drawn as the minimum and maximum of as many intervals.
 LINE_POINTS = 3000
@@ -117,27 +119,48 @@ def traces_figure(recording: Recording):
 def error_figure(recording: Recording):
     """Return the figure of reference - displacement over time [µm, s]."""
     figure, (axis,) = new_figure(2.6)
-    error = judged_reference(recording) - (_displacement(recording) - axis_settings(recording).offset)
-    time, values = envelope(recording.time, error * _MICRO)
+    reference, displacement = judged_reference(recording), _displacement(recording) - axis_settings(recording).offset
+    error = reference - displacement
+    good = np.flatnonzero(np.isfinite(error))
+    start = scan_start(reference[good], displacement[good]) if good.size else 0
+    largest = float(np.max(np.abs(error[good[start:]]))) if good.size else 0.0
+    unit, factor = ("nm", 1e9) if 0.0 < largest * _MICRO < FINE else ("µm", _MICRO)
+    time, values = envelope(recording.time, error * factor)
     axis.axhline(0.0, color=_COLOURS["limit"], linewidth=0.8)
     axis.plot(time, values, color=_COLOURS["error"], linewidth=1.0)
-    axis.set(xlabel="time [s]", ylabel="error [µm]")
+    if start:
+        ends = recording.time[0], recording.time[good[start]]
+        axis.axvspan(*ends, color=_COLOURS["setpoint"], alpha=0.25, label="not counted: jump into the scan")
+        # what does not count does not make the rest small
+        axis.set_ylim(-1.5 * largest * factor, 1.5 * largest * factor)
+        add_legend(axis)
+    axis.set(xlabel="time [s]", ylabel=f"error [{unit}]")
     return figure
 
 
 def loop_figure(recording: Recording):
-    """Return the figure of the loop before compensation (over voltage) and after it (over reference) [µm, V]."""
-    figure, (before, after) = new_figure(4.2, 2)
+    """Return the figure of the loop before compensation (over voltage) and after it (over reference) [µm, V].
+
+    A voltage that does not go to and fro has no loop and is not drawn; None when the reference does not.
+    """
     displacement = _displacement(recording) - axis_settings(recording).offset
     reference = judged_reference(recording)
     stroke = float(np.nanmax(reference) - np.nanmin(reference))
-    if recording.has("voltage"):
-        _loop(before, recording["voltage"], displacement, 1.0, _COLOURS["voltage"])
-    _title(before, "before compensation", recording.run_columns()["voltage"], displacement, stroke)
-    before.set(xlabel="voltage [V]", ylabel="displacement [µm]")
-    _loop(after, reference, displacement, _MICRO, _COLOURS["reference"])
-    _title(after, "after compensation", reference, displacement, stroke)
-    after.set(xlabel="reference [µm]", ylabel="displacement [µm]")
+    voltage = recording.run_columns()["voltage"]
+    loops = (
+        ("before compensation", "voltage [V]", voltage, 1.0, _COLOURS["voltage"]),
+        ("after compensation", "reference [µm]", reference, _MICRO, _COLOURS["reference"]),
+    )
+    before, after = (loop_opening(u, displacement) if stroke > 0.0 else None for _, _, u, _, _ in loops)
+    if after is None:
+        return None
+    openings = (after,) if before is None else (before, after)
+    figure, axes = new_figure(4.2, len(openings))
+    for axis, opening, (text, label, u, factor, colour) in zip(axes, openings, loops[-len(openings) :], strict=True):
+        stride = max(1, u.size // LOOP_POINTS)
+        axis.plot(u[::stride] * factor, displacement[::stride] * _MICRO, color=colour, linewidth=0.9)
+        axis.set_title(f"{text}: {100.0 * opening / stroke:.3g} % of stroke", fontsize=11)
+        axis.set(xlabel=label, ylabel="displacement [µm]")
     return figure
 
 
@@ -156,7 +179,7 @@ def voltage_figure(recording: Recording):
     return figure
 
 
-#: Plots of a report: caption and function.
+#: Plots of a report: caption and function; one that has nothing to show returns None.
 FIGURES = (
     ("Displacement over time", traces_figure),
     ("Error (reference − displacement) over time", error_figure),
@@ -179,17 +202,6 @@ def data_uri(figure) -> str:
 
 def _displacement(recording: Recording):
     return recording["displacement" if recording.has("displacement") else "measured"]
-
-
-def _loop(axis, u, displacement, factor, colour) -> None:
-    stride = max(1, u.size // LOOP_POINTS)
-    axis.plot(u[::stride] * factor, displacement[::stride] * _MICRO, color=colour, linewidth=0.9)
-
-
-def _title(axis, text, u, displacement, stroke) -> None:
-    opening = loop_opening(u, displacement) if stroke > 0.0 else None
-    width = f": {100.0 * opening / stroke:.3g} % of stroke" if opening is not None else " (no loop in this run)"
-    axis.set_title(f"{text}{width}", fontsize=11)
 
 
 def add_legend(axis) -> None:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import os
 import pathlib
+import sys
+import time
 from collections.abc import Sequence
 
-from hysteresis_ros.analysis.metrics import FIGURES, compute_metrics, format_value
+from hysteresis_ros.analysis.metrics import FIGURES, compute_metrics, shown_row
 from hysteresis_ros.analysis.plots import FIGURES as PLOTS
 from hysteresis_ros.analysis.plots import MissingExtraError, data_uri
 from hysteresis_ros.errors import RecordingError
@@ -31,7 +33,31 @@ def render_page(template: str, **values) -> str:
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("hysteresis_ros.analysis"), autoescape=True, trim_blocks=True, lstrip_blocks=True
     )
-    return environment.get_template(template).render(**values)
+    # not imported: the package imports this module
+    version = sys.modules[__name__.partition(".")[0]].__version__
+    made = f"hysteresis_ros {version}, {_date(time.time())}"
+    return environment.get_template(template).render(made=made, **values)
+
+
+def _date(seconds: float) -> str:
+    """Return an instant of the clock in words."""
+    return time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime(seconds))
+
+
+def origin(recording: Recording) -> str:
+    """Return where a run comes from: its axis, what it is stored in, and when it was recorded.
+
+    Parameters
+    ----------
+    recording : Recording
+    """
+    said = [
+        f"Axis in namespace {recording.metadata.get('namespace') or '/'}",
+        str(recording.metadata.get("source", "")),
+    ]
+    recorded = recording.metadata.get("recorded_ns")
+    said.append(f"recorded {_date(1e-9 * recorded)}" if recorded else "")
+    return " · ".join(filter(None, said))
 
 
 def require_page(path) -> None:
@@ -84,10 +110,11 @@ def render_report(
     """
     figures = figures or compute_metrics(recording)
     rows = [
-        dict(label=label, value=format_value(figures[name], factor), unit=unit, remark=figures["notes"].get(name, ""))
+        shown_row(label, figures[name], unit, factor) | dict(remark=figures["notes"].get(name, ""))
         for name, label, unit, factor in FIGURES
     ]
-    pictures = [*first, *((caption, data_uri(draw(recording))) for caption, draw in PLOTS)]
+    drawn = [(caption, draw(recording)) for caption, draw in PLOTS]
+    pictures = [*first, *((caption, data_uri(figure)) for caption, figure in drawn if figure is not None)]
     return render_page(
         "report.html.j2",
         title=title,
@@ -95,7 +122,7 @@ def render_report(
         plots=[dict(caption=caption, source=source) for caption, source in pictures],
         notes=figures["notes"]["recording"],
         configuration=recording.configuration,
-        namespace=recording.metadata.get("namespace") or "/",
+        origin=origin(recording),
     )
 
 

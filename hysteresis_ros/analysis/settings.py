@@ -52,7 +52,7 @@ def judged_reference(recording: Recording) -> np.ndarray:
     """Return the reference that the displacement is judged by, shape (N,) [m].
 
     With a preview of P samples that is the recorded one P samples later. What came before the recording is taken to
-    be its first reference; where the sample to look back to is missing, NaN.
+    be its first reference; where the sample to look back to is missing, or left out of an excerpt, NaN.
 
     Parameters
     ----------
@@ -66,7 +66,8 @@ def judged_reference(recording: Recording) -> np.ndarray:
     numbers = np.rint((recording.time - recording.time[0]) / recording.sample_time).astype(np.int64)
     places = np.minimum(np.searchsorted(numbers, numbers - preview), len(numbers) - 1)
     found = np.where(numbers[places] == numbers - preview, reference[places], np.nan)
-    return np.where(numbers < preview, reference[0], found)
+    before = np.nan if recording.metadata.get("excerpt") else reference[0]
+    return np.where(numbers < preview, before, found)
 
 
 def delayed(reference, preview: int) -> np.ndarray:

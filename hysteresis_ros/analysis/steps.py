@@ -6,10 +6,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hysteresis_ros.recordings.loops import turning_points
+
 #: Samples a reference must stand still to count as a hold.
 HOLD_SAMPLES = 10
 #: Part of a hold, at its end, whose mean is the value finally reached.
 FINAL_PART = 0.1
+#: A reference whose movement changes by more than this part of its stroke from one sample to the next jumps.
+JUMP = 0.01
+#: A reversal of a scan is at least this part of its stroke.
+REVERSAL = 0.1
 #: Half width of the band of the settling time, as a part of the step.
 SETTLING_BAND = 0.02
 
@@ -67,6 +73,28 @@ def find_holds(reference) -> list[Hold]:
     edges = np.concatenate(([0], np.flatnonzero(moving | np.isnan(np.diff(reference))) + 1, [reference.size]))
     long = np.flatnonzero(np.diff(edges) >= HOLD_SAMPLES)
     return [Hold(int(edges[i]), int(edges[i + 1]), float(reference[edges[i]])) for i in long]
+
+
+def scan_start(reference, displacement) -> int:
+    """Return the sample from which on a scan is judged: its first reversal where a jump leads into it, 0 elsewhere.
+
+    A reference that goes to and fro may begin away from where the axis rests. How far that is says nothing of how well
+    the scan is followed. It is a jump when the error then is larger than any after the first reversal. Steps from hold
+    to hold are what is judged there: all of them count.
+
+    Parameters
+    ----------
+    reference, displacement : array, shape (N,)
+        [m], finite.
+    """
+    points = turning_points(reference, REVERSAL)
+    if len(points) < 3 or len(find_holds(reference)) > 1:
+        return 0
+    first = int(points[1])
+    begins = int(np.argmax(reference != reference[0]))
+    error = np.abs(reference - displacement)
+    jump = max(error[0], error[begins])
+    return first if jump > JUMP * np.ptp(reference) and jump > np.max(error[first:]) else 0
 
 
 def step_responses(time, reference, displacement) -> list[StepResponse]:

@@ -23,6 +23,8 @@ from hysteresis_ros.signals import (
     state_signals,
 )
 
+#: Times [ns] after this, September 2001, are those of a clock, before it seconds since something.
+CLOCK = 10**18
 #: Samples at the end of which the last messages may not have reached the recorder when it was stopped.
 TAIL = 100
 
@@ -142,6 +144,7 @@ def align(bag: Bag, namespace: str | None = None, *, further: bool = False) -> R
         "complete": bag.complete,
         "changes": _changes(bag, prefix),
         "start_time_ns": int(stamps[0]) if stamps.size else 0,
+        "recorded_ns": _recorded(bag, prefix),
         "missing_samples": missing,
         "missing": per_signal,
         "messages": {name: len(bag.topics[name].data) for name in sorted(bag.topics) if name.startswith(f"{prefix}/")},
@@ -358,6 +361,13 @@ def _missing(stamps, columns, present, notes):
     if per_signal:
         notes.append("samples without a value: " + ", ".join(f"{name} {count}" for name, count in per_signal.items()))
     return gaps + int(np.sum(holes)), per_signal
+
+
+def _recorded(bag: Bag, prefix: str) -> int:
+    """Return when the first sample was received [ns of the clock]; 0 where times are no clock's."""
+    topic = bag.of_type(f"{prefix}/joint_states", cdr.JOINT_STATE)
+    first = topic.times[0] if topic and topic.times else 0
+    return first if first > CLOCK else 0
 
 
 def _late_commands(bag: Bag, prefix: str) -> int:

@@ -118,6 +118,9 @@ def _read_folder(path: pathlib.Path) -> Bag:
     streams = sorted(path.glob("*.mcap"), key=_natural)
     databases = sorted(path.glob("*.db3"), key=_natural)
     reason = None
+    within = _recordings_within(path, [*streams, *databases])
+    if within:
+        raise RecordingError(f"{path}: no bag itself, give one of the recordings in it: {', '.join(map(str, within))}")
     if (path / "metadata.yaml").exists():
         try:
             bag = Bag(path)
@@ -136,6 +139,14 @@ def _read_folder(path: pathlib.Path) -> Bag:
             _read_with_rosbags(bag, database)
         return bag
     raise RecordingError(f"{path}: not a bag: neither metadata.yaml nor .mcap or .db3 files in it")
+
+
+def _recordings_within(path: pathlib.Path, files: list[pathlib.Path]) -> list[pathlib.Path]:
+    """Return the recordings in a folder that is no bag itself; none where its files are parts of one (run_0, run_1)."""
+    if (path / "metadata.yaml").exists() or len({re.sub(r"_\d+$", "", file.stem) for file in files}) == 1:
+        return []
+    bags = [child for child in path.iterdir() if (child / "metadata.yaml").exists() or any(child.glob("*.mcap"))]
+    return sorted([*bags, *files, *path.glob("*.npz")])
 
 
 def _read_with_rosbags(bag: Bag, path: pathlib.Path) -> None:

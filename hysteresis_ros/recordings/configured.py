@@ -2,7 +2,14 @@
 
 from __future__ import annotations
 
+from hysteresis_ros.configuration import Configuration, parse_configuration
 from hysteresis_ros.errors import HysteresisError
+
+
+def described(text: str, node: str, namespace: str = "") -> bool:
+    """Tell whether the configuration in a recording has a section of ``node`` itself, not only one for every node."""
+    configuration = _parsed(text)
+    return configuration is not None and configuration.describes(node, namespace)
 
 
 def configured(text: str, node: str, namespace: str = "") -> dict:
@@ -10,11 +17,14 @@ def configured(text: str, node: str, namespace: str = "") -> dict:
 
     A recording must stay readable whatever text somebody published on ``configuration``, so nothing is raised.
     """
-    if not text:
-        return {}
-    from hysteresis_ros.configuration import parse_configuration
+    configuration = _parsed(text)
+    return {} if configuration is None else configuration.node(node, namespace)
 
+
+def _parsed(text: str) -> Configuration | None:
+    if not text:
+        return None
     try:
-        return parse_configuration(text, "configuration of the recording").node(node, namespace)
+        return parse_configuration(text, "configuration of the recording")
     except HysteresisError:
-        return {}
+        return None

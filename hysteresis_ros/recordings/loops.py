@@ -6,6 +6,8 @@ import numpy as np
 
 #: Reversals smaller than this part of the input's range belong to noise and quantisation, not to the loop.
 REVERSAL = 0.01
+#: Reversals that are tried one after the other, until there are branches.
+REVERSALS = (REVERSAL, 0.03, 0.1)
 #: Different input values a branch must have to count: a jump between two levels is no branch.
 BRANCH_LEVELS = 10
 
@@ -69,7 +71,13 @@ def loop_opening(u, y) -> float | None:
     u, y = np.asarray(u, dtype=np.float64), np.asarray(y, dtype=np.float64)
     finite = np.isfinite(u) & np.isfinite(y)
     u, y = u[finite], y[finite]
-    points = turning_points(u)
+    # noise may reverse an input further than the smallest reversal: its branches are then too short, of the loop not
+    return next((opening for part in REVERSALS if (opening := _opening(u, y, part)) is not None), None)
+
+
+def _opening(u, y, reversal: float) -> float | None:
+    """Return the opening of the loops between reversals of at least a part of the range of ``u``."""
+    points = turning_points(u, reversal)
     branches = [_branch(u[a : b + 1], y[a : b + 1]) for a, b in zip(points[:-1], points[1:], strict=True)]
     if len(branches) > 2:
         branches = branches[1:]

@@ -39,7 +39,7 @@ def bag(tmp_path_factory):
 def test_report_prints_a_table_and_writes_html_and_json(bag, tmp_path):
     result = hysteresis("report", bag, "-o", tmp_path / "report.html", "--json", tmp_path / "metrics.json")
     assert result.returncode == 0, result.stderr
-    assert "RMS error" in result.stdout and "0.001 µm" in result.stdout
+    assert "RMS error" in result.stdout and "1 nm" in result.stdout
     assert (tmp_path / "report.html").read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
     figures = json.loads((tmp_path / "metrics.json").read_text(encoding="utf-8"))
     assert figures["rms_error_m"] == pytest.approx(1e-9)

@@ -1,0 +1,97 @@
+"""A part of a run that is to be judged: from here to there, without its beginning, or its last periods."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from hysteresis_ros.analysis.steps import REVERSAL
+from hysteresis_ros.errors import RecordingError
+from hysteresis_ros.recordings.dataset import Recording
+from hysteresis_ros.recordings.loops import turning_points
+from hysteresis_ros.units import quantity
+
+#: Periods of a reference that repeats differ by at most this part.
+EQUAL = 0.05
+
+
+def seconds(text: str, option: str) -> float:
+    """Return an instant of the run [s].
+
+    Parameters
+    ----------
+    text : str
+        A number in seconds, or with its unit.
+    option : str
+        Where it stands, for the message.
+
+    Raises
+    ------
+    RecordingError
+        It is none.
+    """
+    try:
+        value, unit = quantity(text)
+        if unit not in ("", "s") or value < 0.0:
+            raise ValueError("must be a time of 0 or more")
+    except ValueError as error:
+        raise RecordingError(f"{option} {text}: {error}; write e.g. 0.5 or 500ms") from None
+    return value
+
+
+def within(recording: Recording, first: float, last: float) -> Recording:
+    """Return the samples from one instant to another.
+
+    Parameters
+    ----------
+    recording : Recording
+    first, last : float
+        [s] since the first sample; both belong to it.
+
+    Raises
+    ------
+    RecordingError
+        There are fewer than two samples.
+    """
+    time = recording.time - recording.time[0]
+    chosen = (time >= first - 1e-9) & (time <= last + 1e-9)
+    if np.count_nonzero(chosen) < 2:
+        raise RecordingError(f"from {first:g} s to {last:g} s there is nothing to judge: the run lasts {time[-1]:g} s")
+    if np.all(chosen):
+        return recording
+    note = f"judged from {time[chosen][0]:.6g} s to {time[chosen][-1]:.6g} s of {time[-1]:.6g} s"
+    metadata = {**recording.metadata, "notes": [*recording.notes, note]}
+    if not chosen[0]:
+        # what a preview looks back to is another than the first reference
+        metadata["excerpt"] = True
+    signals = {name: values[chosen] for name, values in recording.signals.items()}
+    return replace(recording, time=recording.time[chosen], signals=signals, metadata=metadata)
+
+
+def last_periods(recording: Recording, count: int) -> Recording:
+    """Return the last periods of a reference that repeats, up to its last reversal and no rest after it.
+
+    Parameters
+    ----------
+    recording : Recording
+    count : int
+        Number of periods.
+
+    Raises
+    ------
+    RecordingError
+        The reference does not repeat, or not so often.
+    """
+    time, reference = recording.time - recording.time[0], recording["reference"]
+    finite = np.isfinite(reference)
+    points = np.flatnonzero(finite)[turning_points(reference[finite], REVERSAL)]
+    # the ends are no reversals; of each kind, high and low, every second one
+    ends = time[points[1:-1]][::-1][::2]
+    periods = -np.diff(ends)
+    if periods.size < 1 or np.ptp(periods) > EQUAL * np.median(periods):
+        raise RecordingError("--last-periods: the reference does not repeat; choose a part with --range or --skip")
+    if count > periods.size:
+        raise RecordingError(f"--last-periods {count}: the run has {periods.size} whole periods between reversals")
+    # a sample at the end begins the next period
+    return within(recording, float(ends[count]), float(ends[0]) - 0.5 * recording.sample_time)

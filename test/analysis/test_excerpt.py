@@ -1,0 +1,181 @@
+"""What of a run is judged: a part, the last periods, no jump into a scan; and how it is said."""
+
+from __future__ import annotations
+
+import importlib.util
+import pathlib
+import sys
+from unittest.mock import MagicMock
+
+import numpy as np
+import pytest
+
+pytest.importorskip("matplotlib", reason="matplotlib is not installed: no plots")
+pytest.importorskip("jinja2", reason="jinja2 is not installed: no pages")
+
+from click.testing import CliRunner
+
+from hysteresis_ros.analysis import plots
+from hysteresis_ros.analysis.excerpt import last_periods, seconds, within
+from hysteresis_ros.analysis.metrics import compute_metrics, format_table
+from hysteresis_ros.analysis.report import render_report
+from hysteresis_ros.cli.main import main
+from hysteresis_ros.configuration import config_path, parse_configuration
+from hysteresis_ros.errors import RecordingError
+from hysteresis_ros.recordings import Recording, load_run, save_run
+from hysteresis_ros.recordings.run_bag import write_recording
+
+RATE = 1000.0
+#: Amplitude of the error of the scan [m], below the size at which it is told in nanometres.
+RIPPLE = 20e-9
+
+
+def scan(seconds_: float = 1.0, start: float = 0.0, noise: float = 0.0):
+    """A 5 Hz triangle over 10 µm that is followed with a ripple, and reached from ``start`` [m] within 20 ms."""
+    time = np.arange(round(seconds_ * RATE)) / RATE
+    turn = (5.0 * time + 1e-9) % 1.0
+    reference = 5e-6 + 10e-6 * (1.0 - np.abs(1.0 - 2.0 * turn))
+    jump = (start - reference[0]) * np.exp(-time / 4e-3) if start else 0.0
+    displacement = reference + jump - np.sqrt(2.0) * RIPPLE * np.sin(2 * np.pi * 25.0 * time)
+    voltage = reference / 0.1e-6 + noise * np.random.default_rng(1).normal(size=time.size)
+    columns = {"time": time, "reference": reference, "displacement": displacement, "voltage": voltage}
+    return Recording.from_columns(columns)
+
+
+def test_the_jump_into_a_scan_does_not_count_and_is_said():
+    figures = compute_metrics(scan(start=1e-9))
+    assert figures["rms_error_m"] == pytest.approx(RIPPLE, rel=1e-3)
+    assert figures["max_error_m"] == pytest.approx(np.sqrt(2.0) * RIPPLE, rel=1e-2)
+    assert figures["stroke_m"] == pytest.approx(10e-6)
+    assert any("errors count from 0.1 s on" in note for note in figures["notes"]["recording"])
+    (axis,) = plots.error_figure(scan(start=1e-9)).axes
+    assert axis.get_legend() is not None and axis.get_ylabel() == "error [nm]"
+    assert np.ptp(axis.get_ylim()) < 200.0, "what does not count makes the rest small"
+
+
+def test_steps_and_a_scan_without_a_jump_count_from_the_beginning():
+    assert compute_metrics(scan())["notes"]["recording"] == []
+    steps = np.repeat([0.0, 5e-6, 0.0, 5e-6, 0.0], 100)
+    late = np.concatenate([np.zeros(10), steps[:-10]])
+    run = Recording.from_columns({"time": np.arange(500) / RATE, "reference": steps, "displacement": late})
+    assert compute_metrics(run)["max_error_m"] == 5e-6
+
+
+def test_parts_of_a_run_are_those_samples():
+    run = scan()
+    part = within(run, 0.25, 0.5)
+    np.testing.assert_array_equal(part.time, run.time[250:501])
+    np.testing.assert_array_equal(part["reference"], run["reference"][250:501])
+    assert part.notes == ["judged from 0.25 s to 0.5 s of 0.999 s"]
+    assert within(run, 0.0, np.inf) is run
+    with pytest.raises(RecordingError, match="from 3 s to 4 s there is nothing to judge: the run lasts 0.999 s"):
+        within(run, 3.0, 4.0)
+
+
+@pytest.mark.parametrize("count", [1, 2, 4])
+def test_the_last_periods_are_whole_ones_up_to_the_last_reversal(count):
+    part = last_periods(scan(), count)
+    assert len(part) == count * 200 and part.time[0] == pytest.approx(0.9 - 0.2 * count)
+    assert np.mean(part["reference"]) == pytest.approx(10e-6, rel=1e-9)
+
+
+def test_what_has_no_last_periods_is_refused():
+    with pytest.raises(RecordingError, match="--last-periods 5: the run has 4 whole periods"):
+        last_periods(scan(), 5)
+    time = np.arange(1000) / RATE
+    sweep = Recording.from_columns({"time": time, "reference": np.sin(40 * time**2), "displacement": time})
+    with pytest.raises(RecordingError, match="does not repeat"):
+        last_periods(sweep, 1)
+
+
+@pytest.mark.parametrize(("text", "value"), [("0.5", 0.5), ("500ms", 0.5), ("0", 0.0)])
+def test_times_have_units(text, value):
+    assert seconds(text, "--skip") == value
+
+
+@pytest.mark.parametrize("text", ["-1", "5um", "soon"])
+def test_what_is_no_time_is_refused(text):
+    with pytest.raises(RecordingError, match=f"--skip {text}: "):
+        seconds(text, "--skip")
+
+
+def test_small_lengths_are_nanometres_and_large_ones_are_not():
+    table = format_table(compute_metrics(scan()))
+    assert "20 nm" in table and "0.02 µm" not in table and "10 µm" in table
+
+
+def test_a_loop_that_is_drawn_has_a_width_also_where_the_voltage_is_noisy():
+    """Noise that reverses the voltage by more than a hundredth of its range hides no loop."""
+    run = scan(noise=3.0)
+    assert compute_metrics(run)["voltage_loop_width_percent"] is not None
+    assert [axis.get_title().split(":")[0] for axis in plots.loop_figure(run).axes] == [
+        "before compensation",
+        "after compensation",
+    ]
+
+
+def test_no_loop_is_drawn_where_there_is_none():
+    reference = np.repeat([0.0, 5e-6, 0.0, 5e-6], 100)
+    columns = {"reference": reference, "displacement": reference + 1e-9, "voltage": reference * 1e7}
+    run = Recording.from_columns({"time": np.arange(400) / RATE, **columns})
+    assert plots.loop_figure(run) is None
+    page = render_report(run, "steps")
+    assert "loop before and after" not in page and page.count("<figure>") == 3
+
+
+def test_a_page_says_what_when_and_with_which_version(tmp_path):
+    from hysteresis_ros import __version__
+
+    path = tmp_path / "run.npz"
+    metadata = {"recorded_ns": 1_700_000_000 * 10**9, "source": "first"}
+    save_run(Recording.from_columns({"time": scan().time, **scan().signals}, metadata), path)
+    page = tmp_path / "page.html"
+    result = CliRunner().invoke(main, ["report", str(path), "-o", str(page), "--title", "A stage", "--skip", "200ms"])
+    assert result.exit_code == 0, result.output
+    text = page.read_text(encoding="utf-8")
+    assert "<h1>A stage</h1>" in text and "first · recorded 2023-11-14 22:13 UTC" in text
+    assert f"<footer>hysteresis_ros {__version__}, 20" in text and "judged from 0.2 s" in text
+    for words in (["--skip", "0.1", "--range", "0:1"], ["--range", "1"], ["--skip", "later"], ["--last-periods", "9"]):
+        refused = CliRunner().invoke(main, ["report", str(path), *words])
+        assert refused.exit_code == 2 and len(refused.output.splitlines()) == 1, refused.output
+
+
+def test_a_bag_with_a_raw_file_is_an_axis_and_a_folder_names_its_bags(tmp_path):
+    """A section for every node makes nobody an inchworm."""
+    for name in ("left", "right"):
+        write_recording(scan(), tmp_path / name, config_path("kim2009").read_text(encoding="utf-8"))
+    result = CliRunner().invoke(main, ["report", str(tmp_path / "left")])
+    assert result.exit_code == 0 and "RMS error" in result.output, result.output
+    exported = CliRunner().invoke(main, ["export", str(tmp_path / "left"), "-o", str(tmp_path / "left.npz")])
+    assert exported.exit_code == 0 and len(load_run(tmp_path / "left.npz")) == 1000
+    (tmp_path / "left.npz").unlink()
+    refused = CliRunner().invoke(main, ["report", str(tmp_path)])
+    assert refused.exit_code == 2 and f"{tmp_path / 'left'}, {tmp_path / 'right'}" in refused.output
+
+
+def test_a_launched_recording_holds_the_numbers_of_its_file(tmp_path, monkeypatch):
+    """`ros2 launch … record:=` puts two files together: 5e-6 stays a number, and no inchworm comes of it."""
+    launch = load_launch_file(monkeypatch)
+    path = tmp_path / "axis.yaml"
+    text = config_path("kim2009").read_text(encoding="utf-8").replace("maximum: 12.0e-6", "maximum: 12e-6")
+    path.write_text(text, encoding="utf-8")
+    given = {"rate": "", "plant": "own", "samples": "", "record": str(tmp_path / "bag")}
+    merged = launch.merged(str(path), launch.override(given, "described.yaml"))
+    write_recording(scan(), tmp_path / "bag", merged)
+    result = CliRunner().invoke(main, ["report", str(tmp_path / "bag")])
+    assert result.exit_code == 0 and "RMS error" in result.output, result.output
+    values = parse_configuration(load_run(tmp_path / "bag").configuration, "bag").node("reference_generator")
+    assert values["maximum"] == 12e-6
+
+
+def load_launch_file(monkeypatch):
+    """Return the launch file as a module; it imports nothing of the package, and of ROS what is not needed here."""
+    for name in ("launch", "launch.actions", "launch.event_handlers", "launch.events", "launch.substitutions"):
+        monkeypatch.setitem(sys.modules, name, MagicMock())
+    for name in ("launch_ros", "launch_ros.actions"):
+        monkeypatch.setitem(sys.modules, name, MagicMock())
+    path = pathlib.Path(__file__).resolve().parents[2] / "launch" / "axis.launch.py"
+    specification = importlib.util.spec_from_file_location("axis_launch", path)
+    module = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(module)
+    return module
