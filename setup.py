@@ -38,6 +38,8 @@ EXTRAS = {
     # reading pictures and videos; the images of a topic need nothing of it
     "camera": ["opencv-python-headless"],
     "notebook": ["pandas"],
+    # the makers' package has wheels for 3.12 and 3.13 only
+    "nv200": ["nv200>=1.6,<2; python_version >= '3.12'"],
 }
 EXTRAS["all"] = sorted({requirement for requirements in EXTRAS.values() for requirement in requirements})
 # setuptools below 80 is what colcon needs; both are here because the tests build and install the package.

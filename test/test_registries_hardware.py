@@ -32,7 +32,10 @@ drivers = pytest.mark.parametrize("name", [*DRIVERS, pytest.param(C_STAGE, marks
 @pytest.fixture
 def declared(name):
     """The declaration; of the example that which its file gives."""
-    return driver_of(str(built() / "stage.py")) if name == C_STAGE else DRIVERS[name]
+    declared = driver_of(str(built() / "stage.py")) if name == C_STAGE else DRIVERS[name]
+    if declared.package:
+        pytest.importorskip(declared.package, reason=f"{declared.package} is not installed: no driver {name}")
+    return declared
 
 
 @pytest.fixture

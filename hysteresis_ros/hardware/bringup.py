@@ -1,14 +1,45 @@
-"""What a driver does when it takes a device: go to the safe voltage without a jump, and try how fast the device is."""
+"""What a driver does when it takes a device: claim it, go to the safe voltage without a jump, try how fast it is."""
 
 from __future__ import annotations
 
+import fcntl
+import os
+import pathlib
 import time
 from collections.abc import Callable
+
+from hysteresis_ros.hardware.driver import DriverError
 
 #: Steps of a ramp.
 STEPS = 20
 #: Samples that are tried, the part of them that the highest rate is for, and how much of a sample a driver may take.
 TRIALS, SURE, SHARE = 50, 0.9, 0.5
+
+
+def claim(path: pathlib.Path, name: str) -> int:
+    """Take the file of a device for this process and return what holds it, until that is closed.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+    name : str
+        Of the device, for messages.
+
+    Raises
+    ------
+    DriverError
+        It cannot be opened, or another process has it.
+    """
+    try:
+        file = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY)
+    except OSError as error:
+        raise DriverError(name, f"cannot be opened ({error})", "look at its address and its cable") from error
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        os.close(file)
+        raise DriverError(name, f"has another master at {path.name}", "end the other program first") from None
+    return file
 
 
 def ramp(put_out: Callable[[float], None], start: float, end: float, duration: float) -> None:

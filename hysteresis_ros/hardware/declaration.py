@@ -49,6 +49,8 @@ class HardwareDriver:
         that is named by its path has none.
     device : EmulatedDevice, optional
         The like as a device of its own.
+    package : str
+        Module that it needs beyond those of the package, which the extra of the driver's name installs; '': none.
     """
 
     name: str
@@ -57,3 +59,4 @@ class HardwareDriver:
     driver: type[Driver]
     emulator: Callable[[], AbstractContextManager[Parameters]] | None = None
     device: EmulatedDevice | None = None
+    package: str = ""

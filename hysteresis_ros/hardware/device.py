@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import importlib.util
 import math
 from collections.abc import Callable, Iterator, Sequence
 
@@ -47,6 +48,9 @@ class Device:
         suits: Callable[[Capabilities], None] = lambda capabilities: None,
     ):
         self.name = f"driver {declared.name}:"
+        if declared.package and importlib.util.find_spec(declared.package) is None:
+            remedy = f"pip install 'hysteresis_ros[{declared.name}]'; docs/hardware.md says with which Python"
+            raise DriverError(self.name, f"needs the package {declared.package}, which is not installed", remedy)
         self._driver = declared.driver()
         self._open = True
         try:

@@ -6,11 +6,11 @@ or of all channels of its direction (kernel documentation, ABI/testing/sysfs-bus
 
 from __future__ import annotations
 
-import fcntl
 import os
 import pathlib
 import re
 
+from hysteresis_ros.hardware.bringup import claim
 from hysteresis_ros.hardware.driver import DriverError
 
 #: Volts of a unit of scale.
@@ -204,14 +204,4 @@ class Channel:
         DriverError
             Another process has it.
         """
-        try:
-            file = os.open(self.raw, os.O_RDONLY)
-        except OSError as error:
-            raise self._failed(self.raw, "cannot be opened", error) from error
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except OSError:
-            os.close(file)
-            problem = f"has another master at {self.raw.name}"
-            raise DriverError(self.name, problem, "end the other program first") from None
-        return file
+        return claim(self.raw, self.name)

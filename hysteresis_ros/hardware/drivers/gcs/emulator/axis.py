@@ -22,9 +22,10 @@ from hysteresis_ros.hardware.drivers.gcs.protocol import (
     VOLTAGE_MINIMUM,
 )
 from hysteresis_ros.hardware.emulation.plant import EmulatedPlant
+from hysteresis_ros.hardware.emulation.servo import Servo
 
-#: Assumed: how fast the servo takes up an error [1/s], its largest velocity [m/s], its window [m] and time in it [s].
-INTEGRAL_RATE, VELOCITY, WINDOW, SETTLED = 60.0, 1.0e-3, 20.0e-9, 5.0e-3
+#: Assumed: largest velocity of the servo [m/s], its window [m] and the time in it until it has arrived [s].
+VELOCITY, WINDOW, SETTLED = 1.0e-3, 20.0e-9, 5.0e-3
 
 
 class Axis:
@@ -51,8 +52,8 @@ class Axis:
             SETTLING: SETTLED,
         }
         self.servo, self.velocity = False, VELOCITY
-        self.open_value = self._voltage = plant.voltage
-        self.target = self._way = plant.measured
+        self._servo = Servo(plant)
+        self.open_value, self.target = plant.voltage, plant.measured
         self.wave: list[float] = []
         self._played, self._cycles, self._rate, self._inside = 0, 0, 1, 0
         plant.control = self._control
@@ -85,10 +86,14 @@ class Axis:
         servo : bool
         """
         if servo and not self.servo:
-            self.target = self._way = self.plant.measured
+            self._hold_here()
         if self.servo and not servo:
-            self.open_value = self._voltage
+            self.open_value = self._servo.voltage
         self.servo, self._inside = servo, 0
+
+    def _hold_here(self) -> None:
+        self._servo.begin()
+        self.target = self._servo.way
 
     def move(self, target: float) -> None:
         """Let the servo go to a place.
@@ -118,9 +123,9 @@ class Axis:
         """Stop the wave generator, and the servo where the axis is."""
         if self.generating:
             self.wave = []
-            self.open_value = self._voltage
+            self.open_value = self._servo.voltage
         if self.servo:
-            self.target = self._way = self.plant.measured
+            self._hold_here()
 
     def _wanted(self) -> float:
         """Return what the generator or the master wants in this sample."""
@@ -139,28 +144,25 @@ class Axis:
 
     def _control(self, measured: float) -> float:
         """Return the voltage of a sample."""
-        wanted, plant = self._wanted(), self.plant
+        wanted = self._wanted()
         if self.servo:
-            reach = self.velocity * plant.cycle
-            self._way += min(max(wanted - self._way, -reach), reach)
-            self._voltage += INTEGRAL_RATE * plant.cycle * (self._way - measured) / plant.gain
+            voltage = self._servo.follow(wanted, self.velocity)
             inside = abs(wanted - measured) <= float(self.values[TOLERANCE]) * self.unit
             self._inside = self._inside + 1 if inside else 0
         else:
-            self._voltage = wanted
-        self._voltage = min(max(self._voltage, plant.limits.minimum), plant.limits.maximum)
+            voltage = self._servo.put_out(wanted)
         if self._recorder.running:
-            self._record(wanted, measured)
-        return self._voltage
+            self._record(wanted, measured, voltage)
+        return voltage
 
-    def _record(self, wanted: float, measured: float) -> None:
+    def _record(self, wanted: float, measured: float, voltage: float) -> None:
         target, position = (wanted if self.servo else math.nan) / self.unit, measured / self.unit
         signals = {
             TARGET: target,
             POSITION: position,
             POSITION_ERROR: target - position,
-            CONTROL_VOLTAGE: self._voltage,
+            CONTROL_VOLTAGE: voltage,
             OPEN_LOOP: self.open_value if self.servo else wanted,
-            VOLTAGE: self._voltage,
+            VOLTAGE: voltage,
         }
         self._recorder.record(self.name, signals)

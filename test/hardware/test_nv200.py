@@ -1,0 +1,206 @@
+"""The NV200 amplifier: the emulated one by its protocol, and the driver through the makers' package where that is."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from waiting import until
+
+from hysteresis_ros.errors import ParameterError
+from hysteresis_ros.hardware import device as devices
+from hysteresis_ros.hardware.device import Device
+from hysteresis_ros.hardware.driver import DriverError
+from hysteresis_ros.hardware.drivers.nv200 import (
+    Amplifier,
+    Bench,
+    DeviceFaults,
+    EmulatedAmplifierParameters,
+    EmulatedPlant,
+    Nv200Parameters,
+    start,
+)
+from hysteresis_ros.hardware.drivers.nv200.emulator import SETTINGS
+from hysteresis_ros.hardware.emulation.plant import assumed_stage
+from hysteresis_ros.hardware.registry import DRIVERS
+
+CYCLE = 5.0e-4
+
+
+class Line:
+    """An amplifier without a link and with a clock of the test."""
+
+    def __init__(self):
+        self.now = 0.0
+        clock = lambda: self.now  # noqa: E731
+        self.faults = DeviceFaults(clock)
+        self.amplifier = Amplifier(EmulatedPlant(assumed_stage(CYCLE), CYCLE, clock), self.faults)
+        self.session = self.amplifier.session()
+
+    def ask(self, line: str, wait: float = 0.0) -> str:
+        answer = self.session.feed(line.encode("latin-1") + b"\r\n").decode("latin-1")
+        assert answer[0] == "\x13" and answer[-1] == "\x11"
+        self.now += wait
+        return answer[1:-1].removesuffix("\r\n")
+
+    def number(self, name: str) -> float:
+        return float(self.ask(name).removeprefix(f"{name},"))
+
+
+@pytest.fixture(scope="module")
+def shared():
+    return Line()
+
+
+words = st.sampled_from(
+    ["set", "meas", "cl", "stat", *SETTINGS, ",", "1", "-3", "1e999", "nan", "x", "\r", "\n", "\xff", "\xfb"]
+)
+
+
+@settings(max_examples=300)
+@given(data=st.one_of(st.binary(max_size=60), st.lists(words, max_size=9).map(lambda w: "".join(w).encode("latin-1"))))
+def test_whatever_comes_is_answered_and_the_next_question_too(shared, data):
+    answers = shared.session.feed(data)
+    assert answers.count(b"\x13") == answers.count(b"\x11") <= data.count(b"\r") + 1
+    shared.session.feed(b"\xf0\r")  # the end of a line that was begun, and of what belongs to telnet
+    assert shared.ask("cl") in ("cl,0", "cl,1")
+
+
+def test_it_says_who_it_is_and_telnet_does_not_disturb_it():
+    line = Line()
+    assert line.ask("") == "NV200/D_NET>"
+    assert line.session.feed(b"\xff\xfb\x18\xff\xfa\x18\x00xterm\xff\xf0me\xff\xfd\x01as\r\n").startswith(b"\x13meas,")
+
+
+@pytest.mark.parametrize(
+    ("said", "code"),
+    [
+        ("foo", 2),
+        ("foo,1", 2),
+        ("meas,1", 6),
+        ("set,", 3),
+        ("set,x", 3),
+        ("set,nan", 9),
+        ("set,-31", 9),
+        ("set,131", 10),
+        ("set,1,2", 5),
+        ("cl,2", 10),
+        ("kp,10001", 10),
+    ],
+)
+def test_what_cannot_be_done_is_an_error_and_changes_nothing(said, code):
+    line = Line()
+    before = line.ask("set"), line.ask("cl"), line.ask("kp")
+    assert line.ask(said) == f"error,{code}"
+    assert (line.ask("set"), line.ask("cl"), line.ask("kp")) == before
+
+
+def test_open_and_closed_it_goes_where_it_is_told():
+    line = Line()
+    assert line.ask("set,50", 0.3) == ""
+    assert line.number("set") == 50.0 and 30.0 < line.number("meas") < 45.0
+    there = line.number("meas")
+    line.ask("cl,1", 0.2)
+    assert line.number("meas") == pytest.approx(there, abs=0.1), "it jumped"
+    line.ask("set,60", 1.0)
+    assert line.number("meas") == pytest.approx(60.0, abs=0.02) and int(line.number("stat")) & 8
+    line.ask("cl,0", 0.2)
+    assert line.number("meas") == pytest.approx(60.0, abs=0.5), "it let go"
+    line.faults.add("busy:0:1")
+    assert line.ask("set,3") == "error,1"
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({}, "NV200 has no address; give nv200.host or nv200.serial_port"),
+        ({"serial_port": "/dev/ttyNOWHERE"}, "NV200 at /dev/ttyNOWHERE cannot be opened"),
+    ],
+)
+def test_an_amplifier_that_is_nowhere_is_named(changes, said, monkeypatch):
+    monkeypatch.setattr(devices.importlib.util, "find_spec", lambda name: True)
+    with pytest.raises(DriverError, match=f"driver nv200: cannot be opened: {said}"):
+        Device(DRIVERS["nv200"], Nv200Parameters(**changes), 10.0)
+
+
+def test_without_the_makers_package_it_says_what_to_install(monkeypatch):
+    monkeypatch.setattr(devices.importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(DriverError, match=r"needs the package nv200, .*; pip install 'hysteresis_ros\[nv200\]'"):
+        Device(DRIVERS["nv200"], Nv200Parameters(host="localhost"), 10.0)
+
+
+def test_two_addresses_are_one_too_many():
+    with pytest.raises(ParameterError, match="give either host or serial_port"):
+        Nv200Parameters(host="a", serial_port="b").validated()
+
+
+# -- through the makers' package -------------------------------------------------------------------------------------
+
+
+@pytest.fixture(params=["serial", "tcp"])
+def running(request):
+    pytest.importorskip("nv200", reason="nv200 is not installed (it needs Python 3.12): no driver")
+    with start(EmulatedAmplifierParameters(link=request.param, port=0), Bench()) as running:
+        yield running
+
+
+def opened(running, **changes) -> Device:
+    given = running.driver.to_mapping() | {"safe_time": 0.02, "check_period": 0.01, "timeout": 0.3} | changes
+    return Device(DRIVERS["nv200"], Nv200Parameters(**given).validated(), 10.0)
+
+
+def test_the_makers_package_moves_the_emulated_amplifier(running):
+    device = opened(running, actuator="emu")
+    can = device.capabilities
+    assert (can.minimum, can.maximum) == (-30.0, 130.0) and can.highest_rate > 5.0
+    device.write([50.0])
+    until(lambda: 30.0e-6 < device.read()[0] < 45.0e-6)
+    device.make_safe()
+    until(lambda: device.read()[0] < 10.0e-6)
+    device.close()
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"actuator": "TRITOR"}, "has the actuator 'EMULATED', which does not contain nv200.actuator = 'TRITOR'"),
+        ({"safe_voltage": 200.0}, "range of -30 … 130 V without nv200.safe_voltage = 200 V"),
+        ({"fault": "error:0:9:8"}, "fails when it opens its loop .*Error 8: Overload"),
+        ({"fault": "silent:0:9"}, "is connected"),
+        ({"fault": "cut:0:9"}, "is connected|hung up"),
+    ],
+)
+def test_what_it_cannot_work_with_is_named(running, changes, said):
+    changes = dict(changes)
+    if fault := changes.pop("fault", None):
+        running.faults.add(fault)
+    with pytest.raises(DriverError) as caught:
+        opened(running, **changes).close()
+    assert re.search(said, str(caught.value)), caught.value
+    assert str(caught.value).startswith("driver nv200: cannot be opened: NV200 at ")
+
+
+def test_a_second_master_is_refused_and_the_first_goes_on(running):
+    first = opened(running)
+    with pytest.raises(DriverError, match="cannot be opened: NV200 at .*(another master|is connected)"):
+        opened(running)
+    first.write([20.0])
+    until(lambda: first.read()[0] > 5.0e-6)
+    first.close()
+
+
+@pytest.mark.parametrize("fault", ["silent:0:0.5", "error:0:0.5:8"])
+def test_what_goes_wrong_is_an_error_until_it_is_over(running, fault):
+    device = opened(running)
+    device.write([20.0])
+    running.faults.add(fault)
+    with pytest.raises(
+        DriverError, match="driver nv200: cannot be read: NV200 at .*(does not answer|hardware has an error)"
+    ):
+        until(lambda: device.read() is None)
+    until(lambda: fault.partition(":")[0] not in running.faults)
+    device.write([20.0])
+    until(lambda: device.read()[0] > 5.0e-6)
+    device.close()
