@@ -146,7 +146,7 @@ def test_a_driver_is_one_file(copy):
     document(copy)
     output = run(printed("A driver", "sh"), copy, copy, NUMBA_DISABLE_JIT="1")
     assert "planned.npz: 50 samples at 100 Hz" in output
-    assert re.search(r"^=+ 9 passed, 18 deselected", output, re.MULTILINE), output
+    assert re.search(r"^=+ 9 passed, \d+ deselected", output, re.MULTILINE), output
 
 
 def test_a_driver_may_be_in_a_package_of_its_own(tmp_path):
