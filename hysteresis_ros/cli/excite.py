@@ -43,6 +43,7 @@ def excite(config, name, record, duration, rate, processes, plant, namespace, re
     from hysteresis_ros.references.asked import played
     from hysteresis_ros.references.recipes import in_metres, recipe
     from hysteresis_ros.simulation.axes import axes, single_axis
+    from hysteresis_ros.simulation.driven_axis import driven, write_samples
 
     if bool(name) == bool(reference.kind):
         raise click.UsageError(f"give one of --recipe ({', '.join(RECIPES)}) and --reference")
@@ -65,13 +66,16 @@ def excite(config, name, record, duration, rate, processes, plant, namespace, re
         )
         waveform, length = in_metres(excitation, gain), duration or excitation.duration
         if excitation.samples is not None:
-            waveform["file.path"] = _write_samples(record, excitation.samples * gain, sample_rate)
+            path = record.with_name(record.name + "_waveform.npz")
+            waveform["file.path"] = write_samples(path, excitation.samples * gain, sample_rate)
     else:
         waveform = reference.values(gain)
         with reference.named():
             length = duration or played(waveform, 1.0 / sample_rate)
+    if rate:
+        configuration = configuration.override("", time_mode=rate)
     with reference.named():
-        axis = axes(_driven(configuration, limits, gain, waveform, rate), given.namespace)[0]
+        axis = axes(driven(configuration, limits, gain, waveform), given.namespace)[0]
     axis = axis.with_duration(length)
     click.echo(
         f"{name or reference.kind}: {length:.4g} s at {sample_rate:g} Hz, {limits.minimum:g} … {limits.maximum:g} V …"
@@ -102,46 +106,3 @@ def _of_recipe(reference) -> dict:
         except ValueError as error:
             raise ConfigurationError(f"--{option} = {text!r}: {error}") from None
     return found
-
-
-def _write_samples(record: pathlib.Path, reference, sample_rate: float) -> str:
-    """Write a reference [m] beside the recording and return the path of the file."""
-    import numpy as np
-
-    from hysteresis_ros.errors import ConfigurationError
-
-    path = record.with_name(record.name + "_waveform.npz").resolve()
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        np.savez(path, time=np.arange(reference.size) / sample_rate, reference=reference)
-    except OSError as error:
-        raise ConfigurationError(f"{path}: cannot be written: {error.strerror}; choose another place") from None
-    return str(path)
-
-
-def _driven(configuration, limits, gain: float, waveform: dict, rate):
-    """Return the configuration in open loop without inverse, with this waveform [m]."""
-    # whatever the configuration's own waveform says besides
-    plain = {
-        "cycles": 0,
-        "phase": 0.0,
-        "steps.period": 0.0,
-        "multisine.first_harmonic": 1,
-        "multisine.harmonic_step": 1,
-    }
-    low, high = (gain * end for end in (limits.minimum, limits.maximum))
-    configuration = configuration.override("", exit_at_end=True, autostart=True)
-    if rate:
-        configuration = configuration.override("", time_mode=rate)
-    configuration = configuration.override("motion_controller", type="open_loop")
-    configuration = configuration.override("hysteresis_compensator", inverse__type="none")
-    return configuration.override(
-        "reference_generator",
-        minimum=low,
-        maximum=high,
-        initial_setpoint=min(max(0.0, low), high),
-        approach__maximum_velocity=0.0,
-        approach__maximum_acceleration=0.0,
-        approach__maximum_jerk=0.0,
-        **{f"waveform.{name}": value for name, value in {**plain, **waveform}.items()},
-    )

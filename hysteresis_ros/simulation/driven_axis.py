@@ -1,0 +1,73 @@
+"""An axis that is driven in open loop without inverse: its reference, divided by a gain, is the voltage."""
+
+from __future__ import annotations
+
+import pathlib
+
+import numpy as np
+
+from hysteresis_ros.configuration import Configuration
+from hysteresis_ros.errors import ConfigurationError
+from hysteresis_ros.models.limits import LimitsParameters
+
+
+def write_samples(path, reference, sample_rate: float) -> str:
+    """Write a reference for a waveform of type ``file``, and return its whole path.
+
+    Parameters
+    ----------
+    path : path-like
+        ``.npz``; its folder is made.
+    reference : ndarray, shape (N,)
+        [m]
+    sample_rate : float
+        [Hz]
+
+    Raises
+    ------
+    ConfigurationError
+        It cannot be written.
+    """
+    path = pathlib.Path(path).resolve()
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        np.savez(path, time=np.arange(reference.size) / sample_rate, reference=reference)
+    except OSError as error:
+        raise ConfigurationError(f"{path}: cannot be written: {error.strerror}; choose another place") from None
+    return str(path)
+
+
+def driven(configuration: Configuration, limits: LimitsParameters, gain: float, waveform: dict) -> Configuration:
+    """Return the configuration in open loop without inverse, with this waveform.
+
+    Parameters
+    ----------
+    configuration : Configuration
+    limits : LimitsParameters
+        Of the compensator.
+    gain : float
+        Of the compensator without inverse [m/V].
+    waveform : dict
+        Parameters of the waveform, flat [m]; what the configuration's own says besides does not count.
+    """
+    plain = {
+        "cycles": 0,
+        "phase": 0.0,
+        "steps.period": 0.0,
+        "multisine.first_harmonic": 1,
+        "multisine.harmonic_step": 1,
+    }
+    low, high = (gain * end for end in (limits.minimum, limits.maximum))
+    configuration = configuration.override("", exit_at_end=True, autostart=True)
+    configuration = configuration.override("motion_controller", type="open_loop")
+    configuration = configuration.override("hysteresis_compensator", inverse__type="none")
+    return configuration.override(
+        "reference_generator",
+        minimum=low,
+        maximum=high,
+        initial_setpoint=min(max(0.0, low), high),
+        approach__maximum_velocity=0.0,
+        approach__maximum_acceleration=0.0,
+        approach__maximum_jerk=0.0,
+        **{f"waveform.{name}": value for name, value in {**plain, **waveform}.items()},
+    )
