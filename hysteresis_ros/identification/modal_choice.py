@@ -27,7 +27,9 @@ MAJORITY, NEARBY = 3, 1.4
 FEW_EVALUATIONS = 6
 
 
-def choose_dynamics(spectra: SegmentSpectra, parts=("lag", "delay"), most_modes: int = MOST_MODES) -> Trial:
+def choose_dynamics(
+    spectra: SegmentSpectra, parts=("lag", "delay"), most_modes: int = MOST_MODES, zeros: bool = True
+) -> Trial:
     """Return the dynamics with which left-out segments are predicted best for the numbers they need.
 
     Parameters
@@ -37,6 +39,8 @@ def choose_dynamics(spectra: SegmentSpectra, parts=("lag", "delay"), most_modes:
     parts : tuple of str
         Of ``lag`` and ``delay``: what may be there beside modes.
     most_modes : int
+    zeros : bool
+        Whether modes may stand beside each other and the lag; otherwise all stand one behind the other.
     """
     search = ModalSearch(spectra)
     plain = [_without_modes(search, *both) for both in itertools.product(*(_choices(part, parts) for part in PAIR))]
@@ -49,7 +53,7 @@ def choose_dynamics(spectra: SegmentSpectra, parts=("lag", "delay"), most_modes:
     search.weigh(largest[-1].response)
     judged = [_left_out(search, search.fit(trial.structure, [trial.values])) for trial in plain]
     for trial in largest[1:]:
-        variants = [search.fit(structure, [start]) for structure, start in _variants(search, trial, parts)]
+        variants = [search.fit(structure, [start]) for structure, start in _variants(search, trial, parts, zeros)]
         variants.sort(key=lambda found: search.cost(found.response) + _price(spectra) * found.structure.numbers)
         judged += [_left_out(search, found) for found in variants[:JUDGED]]
     return _chosen(judged, spectra)
@@ -130,11 +134,12 @@ def _with_mode(search: ModalSearch, trial: Trial) -> Trial:
     return search.fit(structure, starts)
 
 
-def _variants(search: ModalSearch, trial: Trial, parts):
+def _variants(search: ModalSearch, trial: Trial, parts, zeros: bool):
     """Yield structures with the same modes, and where their search starts."""
     lag, delay, pairs = search.unpack(trial.structure, trial.values)
     tail = np.log(pairs).ravel()
-    for has_lag, has_delay, series in itertools.product(*(_choices(part, parts) for part in PAIR), (False, True)):
+    places = (False, True) if zeros else (True,)
+    for has_lag, has_delay, series in itertools.product(*(_choices(part, parts) for part in PAIR), places):
         head = [np.log(lag or 2.0 * search.T)] * has_lag + [delay / search.T or 0.3] * has_delay
         yield Structure(has_lag, has_delay, trial.structure.modes, series), np.append(head, tail)
 

@@ -330,6 +330,26 @@ def reading_at_zero(data: IdentificationData) -> float | None:
 
 
 def _identified(chain: PlantModel, request: Request, found: FittedHysteresis, part: LinearPart) -> Identification:
+    numbers, words = described(part)
+    return Identification(
+        model=request.model,
+        linear=", ".join(words) or "none",
+        chain=chain,
+        fitted=found.fitted + len(words) + 3 * len(part.modes),
+        numbers=numbers,
+        deviations=dict(found.deviations),
+        warnings=tuple(found.warnings),
+        converged=found.converged,
+    )
+
+
+def described(part: LinearPart) -> tuple[dict[str, float], list[str]]:
+    """Return the numbers of a linear part, by names with units, and what there is of it, in words.
+
+    Parameters
+    ----------
+    part : LinearPart
+    """
     numbers = {}
     words = []
     if part.lag > 0.0:
@@ -345,16 +365,7 @@ def _identified(chain: PlantModel, request: Request, found: FittedHysteresis, pa
     if part.creep.type != "none":
         numbers["creep_rate_per_decade"] = part.creep_rate
         words.append("creep")
-    return Identification(
-        model=request.model,
-        linear=", ".join(words) or "none",
-        chain=chain,
-        fitted=found.fitted + len(words) + 3 * len(part.modes),
-        numbers=numbers,
-        deviations=dict(found.deviations),
-        warnings=tuple(found.warnings),
-        converged=found.converged,
-    )
+    return numbers, words
 
 
 def automatic_skip(data: IdentificationData) -> int:

@@ -15,6 +15,7 @@ from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.identification import registry
 from hysteresis_ros.identification.auto import choose_model
 from hysteresis_ros.identification.data import IdentificationData
+from hysteresis_ros.identification.fast_part import with_fast_dynamics
 from hysteresis_ros.identification.identified import Identification, PlantModel
 from hysteresis_ros.identification.inverse import InverseValidation
 from hysteresis_ros.identification.parameter_file import (
@@ -25,7 +26,7 @@ from hysteresis_ros.identification.parameter_file import (
     write_file,
 )
 from hysteresis_ros.identification.prediction import at_rate, judge, predict
-from hysteresis_ros.identification.procedures import automatic_skip
+from hysteresis_ros.identification.procedures import automatic_skip, described
 from hysteresis_ros.identification.reading import Columns, read_data
 from hysteresis_ros.identification.response_check import ResponseCheck, check_response
 from hysteresis_ros.identification.validation import Validation
@@ -59,6 +60,22 @@ class Conditions(TypedDict, total=False):
     offset: str
     intersample: str | None
     initial: str | None
+
+
+@dataclass(frozen=True, eq=False)
+class Fast:
+    """A recording of small and fast movements, from rest at 0 V on.
+
+    Parameters
+    ----------
+    data : IdentificationData
+        At the rate of the axis.
+    skip : int
+        First samples that do not count, such as the way to where the small movements are.
+    """
+
+    data: IdentificationData
+    skip: int
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,6 +166,7 @@ def identify(
     linear: str | None = None,
     options: dict | None = None,
     inverse: str | None = None,
+    fast: Fast | None = None,
     progress=None,
     **conditions: Unpack[Conditions],
 ) -> Identified:
@@ -169,6 +187,8 @@ def identify(
         Of the model, such as ``{"play_count": 20}``.
     inverse : str, optional
         Inverse of the compensator; the model's first by default.
+    fast : Fast, optional
+        A second recording, small and fast, that gives lag, delay and modes; the first one, slow, gives all others.
     progress : callable, optional
         Called as ``progress(number, text)`` while the fit runs.
     **conditions
@@ -217,10 +237,18 @@ def identify(
         skip = result.skipped
     elif skip is None:
         skip = automatic_skip(data) if result.chain.rate_independent else 0
-    return _finished(model, result, data, skip, given.get("offset") == "free", reading.report.warnings)
+    if fast is not None:
+        chain, gain = with_fast_dynamics(result.chain, fast.data, fast.skip)
+        numbers, words = described(chain.continuous)
+        kept = {name: value for name, value in result.numbers.items() if name not in ("lag_s", "delay_s")}
+        numbers |= {**kept, "small_gain_over_model": gain}
+        result = replace(result, chain=chain, linear=", ".join(words) or "none", numbers=numbers)
+    return _finished(model, result, data, skip, given.get("offset") == "free", reading.report.warnings, fast)
 
 
-def _finished(model: str, result: Identification, data: IdentificationData, skip: int, free: bool, read) -> Identified:
+def _finished(
+    model: str, result: Identification, data: IdentificationData, skip: int, free: bool, read, fast: Fast | None
+) -> Identified:
     """Return an identification with what it is worth, its file and its figures; ``read``: warnings of the reading."""
     if free:
         plant = replace(result.chain, offset=0.0)
@@ -235,11 +263,13 @@ def _finished(model: str, result: Identification, data: IdentificationData, skip
     notes = [*read, *result.warnings, *model_warnings(result), *judged]
     if back is None:
         notes.append(f"no inverse validation: {reason}")
-    checked = check_response(result.chain, data, skip)
+    judged_on = fast or Fast(data, skip)
+    checked = check_response(result.chain, judged_on.data, judged_on.skip)
     notes += checked.warnings if checked else ()
     if not result.converged:
         notes.insert(0, NOT_CONVERGED)
-    result = replace(result, chain=_at_recorded_rate(result.chain, data), warnings=tuple(dict.fromkeys(notes)))
+    chain = result.chain if fast else _at_recorded_rate(result.chain, data)
+    result = replace(result, chain=chain, warnings=tuple(dict.fromkeys(notes)))
     text = file_text(result, identification_section(result, data, figures, skip, checked.entries if checked else None))
     named = {"model": model, "linear": result.linear, **figures, **result.numbers, "converged": result.converged}
     named |= checked.figures if checked else {}
