@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import hashlib
 import importlib.util
 import pathlib
 import sys
@@ -56,8 +57,8 @@ def _declared_in(path: pathlib.Path) -> HardwareDriver:
     where = f"driver {path}"
     if not path.is_file():
         raise DriverError(where, "is not there", "give the path of a Python file that declares DRIVER")
-    # pickling and dataclasses look their module up by name
-    name = f"hysteresis_driver_{abs(hash(str(path)))}"
+    # pickling, dataclasses and cached machine code look their module up by name, in another process too
+    name = f"hysteresis_driver_{hashlib.sha256(str(path).encode()).hexdigest()[:16]}"
     specification: Any = importlib.util.spec_from_file_location(name, path)
     module = importlib.util.module_from_spec(specification)
     sys.modules[name] = module
