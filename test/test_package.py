@@ -50,11 +50,13 @@ MAY_IMPORT = {
     "loop": METHODS - {"identification"} | {"hardware", "sensing"},
     "simulation": METHODS | {"loop"},
     "analysis": METHODS,
+    "commissioning": METHODS | {"loop", "simulation", "analysis"},
     "comparison": METHODS | {"loop", "simulation", "analysis"},
     "papers": METHODS | {"loop", "simulation", "analysis"},
     "api": METHODS | {"loop", "simulation", "analysis"},
-    "nodes": METHODS | {"sensing", "loop", "simulation", "analysis"},
-    "cli": METHODS | {"sensing", "loop", "simulation", "analysis", "comparison", "papers", "nodes", "hardware"},
+    "nodes": METHODS | {"sensing", "loop", "simulation", "commissioning", "analysis"},
+    "cli": METHODS
+    | {"sensing", "loop", "simulation", "commissioning", "analysis", "comparison", "papers", "nodes", "hardware"},
 }
 ROS = re.compile(r"^(rclpy|ament_index_python|std_srvs|\w+_(msgs|interfaces))$")
 #: Heavy or special packages, and the only folder that may import them.

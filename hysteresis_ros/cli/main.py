@@ -24,6 +24,11 @@ COMMANDS = {
         "hysteresis_ros.cli.demo:demo",
         "Show Kim's axis in real time and as four processes, and report it.",
     ),
+    "new": ("hysteresis_ros.cli.new:new", "Write a safe parameter file for a new axis."),
+    "commission": (
+        "hysteresis_ros.cli.commission:commission",
+        "From a new parameter file to a closed loop that was judged, stage by stage.",
+    ),
     "up": ("hysteresis_ros.cli.up:up", "Start the nodes of a configuration, record and report."),
     "setpoint": ("hysteresis_ros.cli.remote:setpoint", "Move an axis by hand, and say whether it takes the setpoint."),
     "status": ("hysteresis_ros.cli.remote:status", "Say who is there of each running axis, how well, and where it is."),

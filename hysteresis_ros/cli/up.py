@@ -8,9 +8,6 @@ import click
 
 from hysteresis_ros.cli.reference_options import reference_options
 
-#: Samples per second of the wall clock up to which nodes that exchange messages answer in time nearly always.
-MESSAGE_RATE = 300.0
-
 
 @click.command(short_help="Start the nodes of a configuration.")
 @click.argument("config", type=click.Path(path_type=str))
@@ -80,6 +77,7 @@ def up(
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda signum, frame: requested.append(signum))
     from hysteresis_ros.configuration import load_configuration
+    from hysteresis_ros.nodes.bench import in_time
     from hysteresis_ros.nodes.launcher import Graph
     from hysteresis_ros.simulation.axes import axes
     from hysteresis_ros.simulation.reach import reach_warnings
@@ -96,7 +94,7 @@ def up(
     if duration is not None:
         found = [axis.with_duration(duration) for axis in found]
     if rate is None and processes is None:
-        found = [_live(axis) for axis in found]
+        found = [in_time(axis) for axis in found]
     _check_together(found, verify, record, factor)
     if requested:
         click.echo("stopping")
@@ -144,18 +142,6 @@ def _check_together(found, verify: bool, record: str | None, factor: float | Non
         )
     if factor is not None and "lockstep" in modes:
         click.echo("hysteresis: warning: --factor has no effect in lockstep, which runs as fast as it can", err=True)
-
-
-def _live(axis):
-    """Return the axis fused when messages between its nodes are too slow for its rate in real time."""
-    from hysteresis_ros.block import COMPILED
-
-    plant = axis.plant_simulator
-    if plant.time_mode != "realtime" or plant.external_plant or not COMPILED:
-        return axis
-    if plant.driver and not plant.driver_is_compiled:
-        return axis
-    return axis.with_time_mode("fused") if plant.sample_rate * plant.real_time_factor > MESSAGE_RATE else axis
 
 
 def _what_runs(axis, composed: bool) -> str:

@@ -31,7 +31,7 @@ def refusal(*words) -> str:
     [
         (["simulat", "kim2009"], "did you mean simulate?"),
         (["identfy"], "did you mean identify?"),
-        (["xyzzy"], "there are demo, up"),
+        (["xyzzy"], "there are demo, new"),
         (["--versoin"], "'--version'"),
         (["simulate", "kim2009", "--durati", "1"], "'--duration'"),
         (["compare", "kim2009", "--mismach", "1"], "'--mismatch'"),

@@ -1,0 +1,150 @@
+"""``hysteresis commission``: from a new parameter file to a closed loop that was judged, stage by stage."""
+
+from __future__ import annotations
+
+import pathlib
+import sys
+from dataclasses import replace
+
+import click
+
+from hysteresis_ros.cli.progress import Progress
+
+#: Exit code of a scan whose error is much larger than the predicted one; the files are written.
+UNPREDICTED = 4
+#: Longest silence [s]; stages last for some seconds.
+SILENCE = 5.0
+
+
+@click.command(short_help="From a new parameter file to a closed loop that was judged.")
+@click.argument("file", type=click.Path(path_type=pathlib.Path))
+@click.option("--stage", "stages", metavar="NAME", multiple=True, help="Do this stage only, and anew; may be repeated.")
+@click.option("--resume", is_flag=True, help="Go on: stages that are done are not done again.")
+@click.option("--yes", is_flag=True, help="Ask nothing before a stage moves the axis.")
+@click.option("--directory", metavar="DIR", type=click.Path(path_type=pathlib.Path), help="Where everything is kept.")
+@click.option(
+    "--plant",
+    type=click.Choice(["own", "external"]),
+    help="external: a node of yours, which runs already, stands in plant_simulator's place; the file's by default.",
+)
+@click.option("--offline", is_flag=True, help="Rehearse on the simulated plant of the file, without ROS, at once.")
+@click.option("--model", default="auto", show_default=True, help="Model to identify; auto: by blocks held out.")
+@click.option(
+    "--against", metavar="NAME", multiple=True, help="Another model that the controller has to bear; or `none`."
+)
+@click.option(
+    "--controller", default="auto", show_default=True, help="Controller to design; auto: the best in the scan."
+)
+@click.option("--scan-stroke", metavar="LENGTH", help="Triangle of the scan from peak to peak, such as 70um.")
+@click.option("--scan-frequency", metavar="FREQUENCY", help="Of the triangle, such as 5Hz.")
+@click.option("--namespace", default="", help="Which axis of the file, when it describes several.")
+@click.pass_context
+def commission(ctx, file, stages, resume, yes, directory, plant, offline, **choices):
+    """Measure, model and control the axis of FILE.
+
+    The stages are noise, gain, resonance, hysteresis, creep, identify, design, loop and scan. Says before each what it
+    is about to move, and how far, and asks. Stops with the outputs safe at whatever looks wrong (exit code 2). Leaves
+    commissioned.yaml, all recordings and report.html in DIR, FILE_commissioning by default. Exit code 4: the scan's
+    error is much larger than predicted.
+    """
+    from hysteresis_ros.analysis.commissioning_report import write_commissioning_report
+    from hysteresis_ros.commissioning.commission import commission as do
+    from hysteresis_ros.commissioning.commission import require_stages
+    from hysteresis_ros.commissioning.folder import COMMISSIONED
+    from hysteresis_ros.commissioning.stages import STAGES
+
+    require_stages(stages)
+    directory = directory or file.with_name(f"{file.stem}_commissioning")
+    progress = Progress(silence=SILENCE)
+    busy = {"text": ""}
+    situation, bench = _situation(
+        file, directory, resume or bool(stages) and directory.exists(), plant, offline, choices
+    )
+    situation.progress = lambda number, text: busy.update(text=text)
+    attendant = Terminal(yes, progress)
+    try:
+        with progress.during("still at it", lambda: busy["text"]):
+            whole = do(situation, bench, attendant, stages)
+    finally:
+        if situation.found:
+            page = directory / "report.html"
+            titles = {name: STAGES[name].title for name in situation.found}
+            write_commissioning_report(page, file.name, situation.found, titles)
+            click.echo(f"report: {page}")
+    if whole:
+        click.echo(f"written: {directory / COMMISSIONED}; run it: hysteresis up {directory / COMMISSIONED}")
+        if not situation.found["scan"].figures["as_predicted"]:
+            ctx.exit(UNPREDICTED)
+
+
+def _situation(file, directory, resumed, plant, offline, choices):
+    """Return what the stages know, and the bench."""
+    from hysteresis_ros.commissioning.bench import OfflineBench
+    from hysteresis_ros.commissioning.folder import Folder
+    from hysteresis_ros.commissioning.new_file import parsed
+    from hysteresis_ros.commissioning.plan import plan_of
+    from hysteresis_ros.commissioning.situation import Situation
+    from hysteresis_ros.configuration import load_configuration
+    from hysteresis_ros.nodes.bench import GraphBench
+    from hysteresis_ros.simulation.axes import single_axis
+
+    configuration = load_configuration(file)
+    if plant is not None:
+        configuration = configuration.override("", external_plant=plant == "external")
+    axis = single_axis(configuration, choices["namespace"] or None)
+    asked = {"scan_stroke": (choices["scan_stroke"], "m"), "scan_frequency": (choices["scan_frequency"], "Hz")}
+    given = {
+        name: parsed(f"--{name.replace('_', '-')}", text, unit)
+        for name, (text, unit) in asked.items()
+        if text is not None
+    }
+    plan = replace(plan_of(configuration, axis), **given).validated("/commissioning: ")
+    bench = OfflineBench() if offline else GraphBench(axis.plant_simulator.external_plant)
+    against = tuple(name for name in choices["against"] if name != "none") if choices["against"] else None
+    folder = Folder(directory, configuration.text, bench.name, resumed)
+    return Situation(configuration, axis, plan, folder, choices["model"], choices["controller"], against), bench
+
+
+class Terminal:
+    """Who is asked and told: the person at the terminal. Without one nothing moves that nobody allowed.
+
+    Parameters
+    ----------
+    yes : bool
+        Everything is allowed.
+    progress : Progress
+    """
+
+    def __init__(self, yes: bool, progress: Progress):
+        self._yes, self._progress = yes, progress
+
+    def may_move(self, stage: str, words: str) -> bool:
+        """Say what is about to move, and ask.
+
+        Parameters
+        ----------
+        stage, words : str
+        """
+        from hysteresis_ros.errors import ConfigurationError
+
+        self._progress.say(f"{stage}: {words}")
+        if self._yes:
+            return True
+        if not sys.stdin.isatty():
+            raise ConfigurationError(f"{stage}: nobody is there to allow this movement; give --yes")
+        return click.confirm("  may it move?", default=False)
+
+    def told(self, stage: str, outcome, done_before: bool) -> None:
+        """Print what was found.
+
+        Parameters
+        ----------
+        stage : str
+        outcome : Outcome
+        done_before : bool
+        """
+        if done_before:
+            self._progress.say(f"{stage}: done before")
+            return
+        for text in outcome.lines:
+            self._progress.say(f"  {text}")

@@ -1,0 +1,103 @@
+"""Where the axis of a stage runs: a bench. The one here is offline; that of the nodes is in ``nodes/bench.py``."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+
+import numpy as np
+
+from hysteresis_ros.commissioning.outcome import CommissioningError
+from hysteresis_ros.loop.axis_parameters import AxisParameters
+from hysteresis_ros.loop.plant import BEYOND_TRAVEL, DEVICE_FAILED, HALTED, WITHOUT_VOLTAGE
+from hysteresis_ros.recordings.dataset import Recording
+from hysteresis_ros.simulation.run import simulate
+
+#: Why an axis has stopped itself, and what to do.
+TRIPPED = {
+    WITHOUT_VOLTAGE: "too many voltages came late: this machine does not hold the rate; lower sample_rate, leave a "
+    "core free, or use a compiled driver (docs/hardware.md)",
+    BEYOND_TRAVEL: "the sensor measured farther than the actuator gets: look at its scaling, sign and cable",
+    HALTED: "somebody stopped it; resume when it may go on",
+    DEVICE_FAILED: "the device failed, the line above says how; mend it and resume",
+}
+#: Part of the samples that may be without a measurement.
+MOST_MISSING = 0.05
+
+
+class Bench(ABC):
+    """Runs axes for the stages of a commissioning, from the safe state to the safe state."""
+
+    @abstractmethod
+    def run(self, axis: AxisParameters) -> Recording:
+        """Run an axis once, as long as its parameters say.
+
+        Parameters
+        ----------
+        axis : AxisParameters
+
+        Raises
+        ------
+        HysteresisError
+            It cannot be run, or failed; the outputs are safe then.
+        """
+
+    @property
+    @abstractmethod
+    def name(self) -> str:
+        """What it is, for the file of the state."""
+
+
+class OfflineBench(Bench):
+    """The simulated plant of the file, as fast as the machine can, without ROS."""
+
+    name = "offline"
+
+    def run(self, axis: AxisParameters) -> Recording:
+        """Simulate.
+
+        Parameters
+        ----------
+        axis : AxisParameters
+        """
+        return simulate(axis)
+
+
+def require_sound(recording: Recording, samples: int) -> Recording:
+    """Return a recording in which each sample has its measurement; single ones that are missing are interpolated.
+
+    Parameters
+    ----------
+    recording : Recording
+    samples : int
+        How many were asked for.
+
+    Raises
+    ------
+    CommissioningError
+        The axis stopped itself, too many measurements are missing, or the run was cut off.
+    """
+    if recording.has("tripped"):
+        codes = recording["tripped"]
+        stopped = np.flatnonzero(codes > 0.0)  # below zero: a sensor that is being homed
+        if stopped.size:
+            first = stopped[0]
+            why = TRIPPED.get(int(codes[first]), f"code {codes[first]:g}")
+            raise CommissioningError(f"the axis stopped itself after {recording.time[first]:.3g} s: {why}")
+    if len(recording) < (1.0 - MOST_MISSING) * samples:
+        raise CommissioningError(
+            f"{len(recording)} of {samples} samples were recorded: the run was cut off; look at the device and resume"
+        )
+    measured = recording["measured"]
+    there = np.isfinite(measured)
+    if np.mean(~there) > MOST_MISSING:
+        raise CommissioningError(
+            f"{100.0 * np.mean(~there):.1f} % of the samples have no measurement: look at the sensor and its cable, "
+            "and whether this machine holds the rate (hysteresis doctor)"
+        )
+    if there.all():
+        return recording
+    signals = dict(recording.signals)
+    for name in ("measured", "voltage"):
+        known = np.isfinite(signals[name])
+        signals[name] = np.interp(recording.time, recording.time[known], signals[name][known])
+    return Recording(recording.time, signals, recording.units, recording.metadata)

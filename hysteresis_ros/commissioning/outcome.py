@@ -1,0 +1,49 @@
+"""What a stage found: figures, sentences and pictures for a page, all of which JSON can hold."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from hysteresis_ros.analysis.pictures import Line, Picture
+from hysteresis_ros.errors import HysteresisError
+
+
+class CommissioningError(HysteresisError):
+    """Something looks wrong: nothing goes on before a person has looked."""
+
+    exit_code = 2
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a stage found.
+
+    Parameters
+    ----------
+    lines : list of str
+        What a person is told.
+    figures : dict
+        By names with units.
+    pictures : list of Picture
+    seconds : float
+        How long the axis was driven.
+    """
+
+    lines: list[str]
+    figures: dict = field(default_factory=dict)
+    pictures: list[Picture] = field(default_factory=list)
+    seconds: float = 0.0
+
+    @classmethod
+    def from_mapping(cls, mapping: dict) -> Outcome:
+        """Return the outcome that :func:`dataclasses.asdict` gave.
+
+        Parameters
+        ----------
+        mapping : dict
+        """
+        pictures = [
+            Picture(**{**picture, "lines": [Line(**line) for line in picture["lines"]]})
+            for picture in mapping["pictures"]
+        ]
+        return cls(**{**mapping, "pictures": pictures})

@@ -1,0 +1,81 @@
+"""The bench of the nodes: a stage of a commissioning is a graph of its own, recorded; imports no ROS itself."""
+
+from __future__ import annotations
+
+import contextlib
+import pathlib
+import tempfile
+
+from hysteresis_ros.block import COMPILED
+from hysteresis_ros.commissioning.bench import Bench
+from hysteresis_ros.loop.axis_parameters import AxisParameters
+from hysteresis_ros.nodes.domain import Domain
+from hysteresis_ros.nodes.launcher import Graph, require_ros
+from hysteresis_ros.recordings.dataset import Recording
+from hysteresis_ros.recordings.files import load_run
+
+#: Samples per second of the wall clock up to which nodes that exchange messages answer in time nearly always.
+MESSAGE_RATE = 300.0
+
+
+def in_time(axis: AxisParameters) -> AxisParameters:
+    """Return the axis fused when messages between its nodes are too slow for its rate in real time.
+
+    Parameters
+    ----------
+    axis : AxisParameters
+    """
+    plant = axis.plant_simulator
+    if plant.time_mode != "realtime" or plant.external_plant or not COMPILED:
+        return axis
+    if plant.driver and not plant.driver_is_compiled:
+        return axis
+    return axis.with_time_mode("fused") if plant.sample_rate * plant.real_time_factor > MESSAGE_RATE else axis
+
+
+class GraphBench(Bench):
+    """Runs axes through their nodes in real time, fused where messages are too slow.
+
+    Parameters
+    ----------
+    external : bool
+        A node of the user's own, which runs already in the user's ROS domain, stands in the plant's place.
+
+    Raises
+    ------
+    HysteresisError
+        rclpy is not installed.
+    """
+
+    def __init__(self, external: bool):
+        require_ros()
+        self._external = external
+
+    @property
+    def name(self) -> str:
+        """What it is, for the file of the state."""
+        return "external plant" if self._external else "nodes"
+
+    def run(self, axis: AxisParameters) -> Recording:
+        """Run an axis once; its nodes bring the outputs to safe when they leave, also when it is interrupted.
+
+        Parameters
+        ----------
+        axis : AxisParameters
+
+        Raises
+        ------
+        GraphError
+            A node died or refused to start, such as one whose device is not there.
+        RecordingError
+            Nothing was recorded.
+        """
+        with contextlib.ExitStack() as stack:
+            folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="hysteresis_"))
+            options = {"composed": True, "record": pathlib.Path(folder) / "bag"}
+            if not self._external:
+                # nobody steers this graph: a running axis of the user must not hear its commands
+                options["environment"] = stack.enter_context(Domain()).environment
+            with Graph([in_time(axis)], **options) as graph:
+                graph.wait()
+            return load_run(graph.bags[0], further=True)

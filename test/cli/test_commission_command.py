@@ -1,0 +1,114 @@
+"""``hysteresis commission``: asks before anything moves, names what is wrong, leaves a page; through nodes as well."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from hysteresis_ros.cli.main import main
+from hysteresis_ros.commissioning.bench import require_sound
+from hysteresis_ros.commissioning.new_file import NewAxis, write_new
+from hysteresis_ros.commissioning.plan import plan_of
+from hysteresis_ros.configuration import load_configuration
+from hysteresis_ros.errors import HysteresisError
+from hysteresis_ros.simulation.axes import single_axis
+from hysteresis_ros.simulation.driven_axis import driven, write_samples
+
+DRIVER = """
+from dataclasses import replace
+
+from hysteresis_ros.hardware.driver import DriverError
+from hysteresis_ros.hardware.drivers.simulated import DRIVER, SimulatedDriver
+
+
+class Absent(SimulatedDriver):
+    def open(self, parameters, sample_rate):
+        raise DriverError("port /dev/ttyUSB7", "is not there", "plug it in")
+
+
+DRIVER = replace(DRIVER, driver=Absent)
+"""
+needs_ros = pytest.mark.skipif(importlib.util.find_spec("rclpy") is None, reason="rclpy is not installed: no nodes")
+
+
+def written(folder, **values):
+    """Return the path of a new axis."""
+    path = folder / "stage.yaml"
+    write_new(path, NewAxis(**{"stroke": 20e-6, "minimum": 0.0, "maximum": 100.0, "sample_rate": 500.0} | values))
+    return path
+
+
+def called(*words):
+    """Run the command as a process without a terminal would."""
+    return CliRunner().invoke(main, ["commission", *map(str, words)])
+
+
+def test_stages_alone_offline_say_what_they_move_and_leave_a_page(tmp_path):
+    path = written(tmp_path)
+    answer = called(path, "--offline", "--yes", "--stage", "noise", "--stage", "gain")
+    assert answer.exit_code == 0, answer.output
+    assert "a step of +5 V from 0 V and back, about 1 µm; 2.35 s" in answer.output
+    assert "+5 V moved it by 1 µm: 0.2 µm/V, the sign is right" in answer.output
+    folder = tmp_path / "stage_commissioning"
+    page = (folder / "report.html").read_text()
+    assert "the sign is right" in page and page.count("data:image/png") == 2 and "Commissioning of stage.yaml" in page
+    assert json.loads((folder / "gain.json").read_text())["figures"]["gain_m_per_v"] == pytest.approx(2e-7, rel=1e-3)
+
+
+WRONG = {
+    "nobody there": ((), "noise: nobody is there to allow this movement; give --yes"),
+    "no such stage": (("--yes", "--stage", "nois"), "no stage nois; there are noise, gain"),
+    "before its time": (("--yes", "--stage", "creep"), "creep needs what noise, gain"),
+    "nothing to resume": (("--resume",), "no commissioning to resume"),
+    "unit": (("--yes", "--scan-stroke", "70V"), "--scan-stroke '70V': is in V"),
+    "no frequency": (("--yes", "--scan-frequency", "0Hz"), "/commissioning: scan_frequency"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_wrong_input_is_named(tmp_path, case):
+    words, said = WRONG[case]
+    answer = called(written(tmp_path), "--offline", *words)
+    assert answer.exit_code == 2 and said in answer.output, answer.output
+    assert not list(tmp_path.glob("*/noise.npz"))
+
+
+@needs_ros
+def test_a_device_that_is_not_there_is_named_by_its_node_and_ends_it(tmp_path, capfd):
+    (tmp_path / "mine.py").write_text(DRIVER)
+    options = ("hysteresis.type=proportional", "hysteresis.proportional.gain=2e-7")
+    options += ("limits.minimum=0", "limits.maximum=100")
+    path = written(tmp_path, driver="./mine.py", driver_options=options)
+    answer = called(path, "--yes")
+    assert answer.exit_code == 2 and "noise: /hysteresis_axis ended with exit code 2" in answer.output
+    assert "port /dev/ttyUSB7 is not there; plug it in" in capfd.readouterr().err
+    assert not (tmp_path / "stage_commissioning/noise.json").exists()
+
+
+@needs_ros
+def test_a_run_through_the_nodes_is_what_was_asked_for(tmp_path):
+    from hysteresis_ros.nodes.bench import GraphBench
+
+    configuration = load_configuration(written(tmp_path, sample_rate=100.0))
+    axis = single_axis(configuration)
+    voltages = np.concatenate([np.zeros(20), np.linspace(0.0, 5.0, 60), np.zeros(20)])
+    gain = plan_of(configuration, axis).gain
+    waveform = {"type": "file", "cycles": 1, "file.path": write_samples(tmp_path / "v.npz", gain * voltages, 100.0)}
+    # a busy machine may be late: that is not what is tried here
+    configuration = configuration.override("plant_simulator", late_limit=-1)
+    asked = single_axis(driven(configuration, axis.hysteresis_compensator.limits, gain, waveform)).with_duration(1.0)
+    found = require_sound(GraphBench(external=False).run(asked), 100)
+    assert len(found) == 100 and np.nanmax(found["measured"]) == pytest.approx(1e-6, rel=0.05)
+
+
+def test_the_bench_of_an_external_plant_is_known_from_the_file(tmp_path):
+    path = written(tmp_path, external=True)
+    with pytest.raises(HysteresisError, match="exists already"):
+        written(tmp_path)
+    assert called(path, "--offline", "--plant", "own", "--yes", "--stage", "noise").exit_code == 0
+    state = json.loads((tmp_path / "stage_commissioning/state.json").read_text())
+    assert state["bench"] == "offline"

@@ -1,0 +1,106 @@
+"""``hysteresis new`` writes a file that is safe and whole, asks only on terminals, and overwrites nothing."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import yaml
+from click.testing import CliRunner
+
+from hysteresis_ros.cli.main import main
+from hysteresis_ros.commissioning.plan import plan_of
+from hysteresis_ros.configuration import load_configuration
+from hysteresis_ros.simulation.axes import single_axis
+from hysteresis_ros.simulation.run import simulate
+
+STAGE = ("--stroke", "100um", "--voltage", "-20..80 V", "--rate", "2kHz")
+
+DRIVER = """
+from hysteresis_ros.hardware.drivers.simulated import DRIVER
+"""
+
+
+def called(*words):
+    """Run the command as a process without a terminal would."""
+    return CliRunner().invoke(main, ["new", *map(str, words)])
+
+
+def test_the_file_is_an_axis_in_open_loop_within_a_tenth_of_the_range(tmp_path):
+    path = tmp_path / "stage.yaml"
+    answer = called(path, *STAGE)
+    assert answer.exit_code == 0, answer.output
+    configuration = load_configuration(path)
+    axis = single_axis(configuration)
+    limits = axis.hysteresis_compensator.limits
+    assert (limits.minimum, limits.maximum) == (-10.0, 10.0) and limits.slew_rate == 100.0
+    assert axis.plant_simulator.limits == limits
+    assert axis.motion_controller.type == "open_loop" and axis.hysteresis_compensator.inverse.type == "none"
+    assert axis.plant_simulator.sample_rate == 2000.0 and axis.plant_simulator.driver == ""
+    assert (axis.reference_generator.minimum, axis.reference_generator.maximum) == (-1e-5, 1e-5)
+    plan = plan_of(configuration, axis)
+    assert (plan.minimum, plan.maximum, plan.stroke) == (-20.0, 80.0, 1e-4)
+    assert all("#" in line for line in path.read_text().splitlines() if "slew_rate:" in line and "limits" in line)
+    # a setpoint beyond what is allowed moves no farther, and not faster
+    run = simulate(axis, duration=0.5, setpoints=np.full(1000, 1.0))
+    assert run["voltage"].max() <= 10.0
+    assert np.abs(np.diff(run["voltage"])).max() <= 100.0 / 2000.0 * (1.0 + 1e-9)
+
+
+@pytest.mark.parametrize(("voltage", "safe", "limits"), [("20:120V", 20.0, (20.0, 30.0)), ("100", 0.0, (0.0, 10.0))])
+def test_the_safe_voltage_is_zero_or_what_is_nearest_to_it(tmp_path, voltage, safe, limits):
+    path = tmp_path / "stage.yaml"
+    assert called(path, "--stroke", "20 um", "--voltage", voltage, "--rate", "500").exit_code == 0
+    compensator = single_axis(load_configuration(path)).hysteresis_compensator
+    assert compensator.safe_voltage == safe
+    assert (compensator.limits.minimum, compensator.limits.maximum) == limits
+
+
+def test_a_driver_beside_the_file_is_taken_with_its_options(tmp_path):
+    (tmp_path / "mine.py").write_text(DRIVER)
+    path = tmp_path / "stage.yaml"
+    options = ("hysteresis.type=proportional", "hysteresis.proportional.gain=1e-6")
+    options += ("limits.minimum=-20", "limits.maximum=80")
+    words = [word for option in options for word in ("--driver-option", option)]
+    answer = called(path, *STAGE, "--driver", "./mine.py", *words, "--joint", "x: y")
+    assert answer.exit_code == 0, answer.output
+    plant = single_axis(load_configuration(path)).plant_simulator
+    assert plant.driver == str(tmp_path / "mine.py") and plant.driver_options == options and plant.joint == "x: y"
+    assert yaml.safe_load(path.read_text())["/**/plant_simulator"]["ros__parameters"]["driver"] == "./mine.py"
+
+
+def test_an_external_plant_is_named_in_the_file(tmp_path):
+    path = tmp_path / "stage.yaml"
+    assert called(path, *STAGE, "--plant", "external").exit_code == 0
+    assert single_axis(load_configuration(path)).plant_simulator.external_plant
+
+
+WRONG = {
+    "missing": (STAGE[:4], "--rate is missing"),
+    "unit": (("--stroke", "100V", *STAGE[2:]), "--stroke '100V': is in V"),
+    "number": (("--stroke", "far", *STAGE[2:]), "--stroke 'far'"),
+    "falling": (("--stroke", "1um", "--voltage", "100:0V", "--rate", "1kHz"), "must rise"),
+    "negative": (("--stroke", "-1um", *STAGE[2:]), "must be above 0"),
+    "driver": ((*STAGE, "--driver", "simulatd"), "did you mean simulated?"),
+    "no driver there": ((*STAGE, "--driver", "./nothing.py"), "nothing.py is not there"),
+    "options alone": ((*STAGE, "--driver-option", "a=1"), "belongs to --driver"),
+    "two plants": ((*STAGE, "--driver", "simulated", "--plant", "external"), "exclude each other"),
+    "rate": ((*STAGE[:4], "--rate", "0Hz"), "sample_rate"),
+}
+
+
+@pytest.mark.parametrize("case", WRONG)
+def test_wrong_input_is_named_and_leaves_no_file(tmp_path, case):
+    words, said = WRONG[case]
+    path = tmp_path / "stage.yaml"
+    answer = called(path, *words)
+    assert answer.exit_code == 2 and said in answer.output, answer.output
+    assert answer.output.count("\n") == 1 and not path.exists()
+
+
+def test_an_existing_file_is_not_touched(tmp_path):
+    path = tmp_path / "stage.yaml"
+    path.write_text("mine")
+    answer = called(path, *STAGE)
+    assert answer.exit_code == 2 and "exists already" in answer.output and path.read_text() == "mine"
+    assert called(tmp_path / "stage.txt", *STAGE).exit_code == 2
+    assert called(tmp_path / "no/stage.yaml", *STAGE).exit_code == 2

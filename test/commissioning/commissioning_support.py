@@ -1,0 +1,83 @@
+"""A stage of another class than any model, driven in process: what it remembers goes on from stage to stage."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from hysteresis_ros.commissioning.bench import Bench
+from hysteresis_ros.commissioning.commission import Attendant
+from hysteresis_ros.comparison.plants import ForeignPlant
+from hysteresis_ros.loop.axis import Axis
+from hysteresis_ros.models.foreign import ForeignParameters
+from hysteresis_ros.models.preload import PreloadParameters
+from hysteresis_ros.recordings.dataset import Recording
+
+RATE = 2000.0
+#: 420 Hz with 1.5 % of damping, one sample of delay, creep, 100 µm over 100 V.
+STAGE = ForeignParameters(
+    hysteresis="bouc_wen",
+    stroke=100e-6,
+    voltage=100.0,
+    opening=0.13,
+    creep=0.02,
+    lag=0.0,
+    delay=1.0 / RATE,
+    frequencies=(420.0, 1700.0),
+    dampings=(0.015, 0.02),
+    share=0.0,
+)
+
+
+class ForeignBench(Bench):
+    """Runs axes with a foreign actuator in the plant's place, as fast as the machine can.
+
+    Parameters
+    ----------
+    actuator : ForeignParameters
+    noise : float
+        RMS [m].
+    spoil : callable, optional
+        ``spoil(signals)`` changes what was recorded.
+    """
+
+    name = "foreign"
+
+    def __init__(self, actuator: ForeignParameters = STAGE, noise: float = 3e-9, spoil=None):
+        self.actuator, self.noise, self.spoil = actuator, noise, spoil
+        self.runs = []
+        self._state = None
+
+    def run(self, axis) -> Recording:
+        """Run an axis from where the last run left the actuator."""
+        # the stage has its own zero, whatever the file says of it
+        plant = replace(axis.plant_simulator, driver="", driver_options=(), preload=PreloadParameters())
+        plant = replace(plant, sensor=replace(plant.sensor, noise=self.noise, seed=len(self.runs) + 1))
+        self.runs.append(axis)
+        in_loop = ForeignPlant(plant, self.actuator).in_loop()
+        state = in_loop.actuator.xs.hysteresis
+        if self._state is not None:
+            state[:] = self._state
+        found = Axis(axis, in_loop)
+        signals = found.run(np.full(plant.samples, axis.reference_generator.initial_setpoint))
+        self._state = state.copy()
+        if self.spoil is not None:
+            self.spoil(signals)
+        return Recording(signals.pop("time"), signals)
+
+
+class Willing(Attendant):
+    """Allows everything and notes it."""
+
+    def __init__(self):
+        self.asked, self.heard = {}, {}
+
+    def may_move(self, stage, words):
+        """Allow."""
+        self.asked[stage] = words
+        return True
+
+    def told(self, stage, outcome, done_before):
+        """Note."""
+        self.heard[stage] = (outcome, done_before)

@@ -1,0 +1,246 @@
+"""From a new file to a judged loop on a stage of another class than any model; and what stops on the way."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from commissioning_support import RATE, STAGE, ForeignBench, Willing
+
+from hysteresis_ros.commissioning import voltages as volts
+from hysteresis_ros.commissioning.commission import NotAllowedError, commission
+from hysteresis_ros.commissioning.folder import COMMISSIONED, Folder
+from hysteresis_ros.commissioning.new_file import NewAxis, write_new
+from hysteresis_ros.commissioning.outcome import CommissioningError
+from hysteresis_ros.commissioning.plan import plan_of
+from hysteresis_ros.commissioning.situation import Situation
+from hysteresis_ros.commissioning.stages import STAGES
+from hysteresis_ros.configuration import load_configuration
+from hysteresis_ros.errors import ConfigurationError, ParameterError
+from hysteresis_ros.simulation.axes import single_axis
+
+#: Entries of the plan that make a commissioning short.
+SHORT = "    noise_duration: 0.5\n    cycle_frequency: 2.0\n    creep_duration: 2.0\n"
+
+
+def sitting(folder, resumed=False, plan="", **choices):
+    """Return what the stages know of a new axis."""
+    path = folder / "stage.yaml"
+    if not path.exists():
+        write_new(path, NewAxis(100e-6, 0.0, 100.0, RATE))
+        path.write_text(path.read_text() + SHORT + plan)
+    configuration = load_configuration(path)
+    axis = single_axis(configuration)
+    kept = Folder(folder / "kept", configuration.text, ForeignBench.name, resumed)
+    choices = {"model": "prandtl_ishlinskii", "controller": "pid", "against": (), **choices}
+    return Situation(configuration, axis, plan_of(configuration, axis), kept, **choices)
+
+
+class Counting(ForeignBench):
+    """A bench that fails in its runs from some number on."""
+
+    def __init__(self, last=99, **options):
+        super().__init__(**options)
+        self.last = last
+
+    def run(self, axis):
+        """Run, or fail."""
+        if len(self.runs) >= self.last:
+            raise CommissioningError("unplugged")
+        return super().run(axis)
+
+
+def swing(bench, signals):
+    """Something loose swings once the loop is closed."""
+    if bench.runs[-1].motion_controller.type != "open_loop":
+        signals["measured"] += 2e-6 * np.sin(0.8 * np.arange(signals["measured"].size))
+
+
+def test_all_stages_lead_to_a_loop_that_follows_the_scan_and_stay_within_what_they_said(tmp_path):
+    situation, attendant, bench = sitting(tmp_path), Willing(), Counting(last=3)
+    with pytest.raises(CommissioningError, match="hysteresis: unplugged"):
+        commission(situation, bench, attendant)
+    assert list(attendant.heard) == ["noise", "gain", "resonance"]
+    # plugged in again: what is done is not done again; but the closed loop rings
+    bench.last, bench.spoil = 99, lambda signals: swing(bench, signals)
+    resumed = Willing()
+    with pytest.raises(CommissioningError, match="loop: the closed loop does not come to rest"):
+        commission(sitting(tmp_path, resumed=True), bench, resumed)
+    assert [name for name, (_, before) in resumed.heard.items() if before] == ["noise", "gain", "resonance"]
+    assert list(resumed.asked) == ["hysteresis", "creep", "loop"]
+    assert "100 V" in resumed.asked["hysteresis"] and "100 µm" in resumed.asked["hysteresis"]
+    # tightened
+    bench.spoil, situation, resumed = None, sitting(tmp_path, resumed=True), Willing()
+    assert commission(situation, bench, resumed)
+    assert list(resumed.heard) == list(STAGES) and list(resumed.asked) == ["loop", "scan"] and len(bench.runs) == 8
+
+    figures = {name: outcome.figures for name, outcome in situation.found.items()}
+    assert figures["noise"]["noise_rms_m"] == pytest.approx(3e-9, rel=0.1)
+    assert figures["gain"]["gain_m_per_v"] == pytest.approx(0.87e-6, rel=0.05)
+    assert figures["resonance"]["resonance_hz"] == pytest.approx(420.0, rel=5e-3)
+    assert figures["resonance"]["damping"] == pytest.approx(0.015, rel=0.2)
+    assert figures["identify"]["mode_1_hz"] == pytest.approx(420.0, rel=2e-3)
+    assert figures["identify"]["delay_s"] == pytest.approx(1.0 / RATE, rel=0.05)
+    assert figures["hysteresis"]["stroke_m"] == pytest.approx(100e-6, rel=0.05)
+    assert 0.08 < figures["hysteresis"]["loop_opening_m"] / 100e-6 < 0.16
+    assert 0.002 < figures["creep"]["creep_per_decade"] < 0.03
+    # without feedback and inverse the loop is open by 11 µm
+    assert figures["scan"]["rms_error_m"] < 0.6e-6
+    assert sum(outcome.seconds for outcome in situation.found.values()) < 40.0
+
+    # every stage was held to its own voltages by the limits of plant and compensator
+    small = [axis.hysteresis_compensator.limits for axis in bench.runs[:2]]
+    assert (small[0].maximum, small[1].maximum) == pytest.approx((0.01, 5.01))
+    assert all(axis.plant_simulator.limits == axis.hysteresis_compensator.limits for axis in bench.runs)
+    written = single_axis(load_configuration(situation.folder.path / COMMISSIONED))
+    assert written.motion_controller.type == "pid" and written.plant_simulator.sensor.noise > 2e-9
+    assert written.hysteresis_compensator.limits.maximum == 100.0 and written.plant_simulator.joint == "stage"
+
+    # one alone, and anew: what rested on it has to be done again
+    alone = Willing()
+    assert not commission(sitting(tmp_path, resumed=True), bench, alone, ["creep"])
+    assert list(alone.asked) == ["creep"] and situation.folder.outcome("identify") is None
+    with pytest.raises(CommissioningError, match="design needs what identify find"):
+        commission(sitting(tmp_path, resumed=True), bench, Willing(), ["design"])
+
+
+def reversed_sign(signals):
+    """The sensor counts backwards."""
+    signals["measured"] *= -1.0
+
+
+def blind(signals):
+    """The sensor sees another thing."""
+    signals["measured"][:] = 3e-9 * np.random.default_rng(1).standard_normal(signals["measured"].size)
+
+
+def in_micrometres(signals):
+    """The driver says micrometres."""
+    signals["measured"] *= 1e6
+
+
+def in_kilometres(signals):
+    """The driver says kilometres."""
+    signals["measured"] *= 1e-3
+
+
+def in_tenths(signals):
+    """The scaling is wrong by a factor of ten."""
+    signals["measured"] *= 0.1
+
+
+def ringing(signals):
+    """Something else swings."""
+    if signals["voltage"].max() > 1.0:
+        signals["measured"] += 3e-6 * np.sin(0.1 * np.arange(signals["measured"].size))
+
+
+def tripping(signals):
+    """The axis stopped itself."""
+    signals["tripped"][100:] = 2.0
+
+
+def losing(signals):
+    """Every tenth sample has no measurement."""
+    signals["measured"][::10] = np.nan
+
+
+def stuck(signals):
+    """The amplifier's limit holds the voltage."""
+    np.minimum(signals["voltage"], 1.0, out=signals["voltage"])
+
+
+def noisy(signals):
+    """The cable is bad."""
+    signals["measured"] += 5e-6 * np.random.default_rng(1).standard_normal(signals["measured"].size)
+
+
+WRONG = {
+    reversed_sign: "gain: the sign is reversed",
+    blind: "gain: the sensor does not move with the actuator",
+    in_micrometres: "noise: the sensor's noise at rest is .* units",
+    in_kilometres: "gain: the sensor does not move .* off by about 0.001: has the driver other units than m and V",
+    in_tenths: "gain: the gain is 0.08",
+    ringing: "gain: the stage does not come to rest",
+    tripping: "noise: the axis stopped itself after 0.05 s: the sensor measured farther",
+    losing: "noise: 10.0 % of the samples have no measurement",
+    stuck: "gain: a step of 5 V was asked for and 1 V were put out",
+    noisy: "noise: the sensor's noise at rest is",
+}
+
+
+@pytest.mark.parametrize("spoil", WRONG, ids=lambda spoil: spoil.__name__)
+def test_what_looks_wrong_is_named_before_anything_large_moves(tmp_path, spoil):
+    bench = ForeignBench(spoil=spoil)
+    with pytest.raises(CommissioningError, match=WRONG[spoil]) as caught:
+        commission(sitting(tmp_path), bench, Willing(), [])
+    assert caught.value.exit_code == 2
+    assert max(axis.hysteresis_compensator.limits.maximum for axis in bench.runs) < 6.0
+
+
+def clipped(signals):
+    """The sensor ends before the actuator."""
+    np.minimum(signals["measured"], 60e-6, out=signals["measured"])
+
+
+def test_a_sensor_that_ends_within_the_stroke_is_named(tmp_path):
+    with pytest.raises(CommissioningError, match="hysteresis: the sensor stays at its highest reading of 60"):
+        commission(sitting(tmp_path), ForeignBench(spoil=clipped), Willing())
+
+
+def test_nothing_moves_that_nobody_allows(tmp_path):
+    class Unwilling(Willing):
+        def may_move(self, stage, words):
+            return stage == "noise"
+
+    bench = ForeignBench()
+    with pytest.raises(NotAllowedError, match="stopped before gain: nothing was moved"):
+        commission(sitting(tmp_path), bench, Unwilling())
+    assert len(bench.runs) == 1
+
+
+def test_a_resumed_sitting_is_of_the_same_file_and_bench(tmp_path):
+    sitting(tmp_path)
+    with pytest.raises(ConfigurationError, match="exists already; go on with --resume"):
+        sitting(tmp_path)
+    path = tmp_path / "stage.yaml"
+    text = path.read_text()
+    with pytest.raises(ConfigurationError, match="it began with 'foreign', not 'offline'"):
+        Folder(tmp_path / "kept", text, "offline", True)
+    path.write_text(text.replace("maximum: 100.0", "maximum: 120.0"))
+    with pytest.raises(ConfigurationError, match="the parameter file has changed"):
+        sitting(tmp_path, resumed=True)
+    with pytest.raises(ConfigurationError, match="no commissioning to resume"):
+        Folder(tmp_path / "other", text, "foreign", True)
+
+
+def test_a_plan_with_a_mistake_is_named(tmp_path):
+    with pytest.raises(ParameterError, match="/commissioning: noise_durations.*did you mean"):
+        sitting(tmp_path, plan="    noise_durations: 1.0\n")
+
+
+@pytest.mark.parametrize("stage", ["small_step", "small_multisine", "decaying_cycles", "creeping_step", "listening"])
+@pytest.mark.parametrize(("low", "high"), [(0.0, 100.0), (-30.0, 120.0), (-100.0, 0.0), (20.0, 60.0)])
+def test_voltages_begin_and_end_at_safe_and_stay_in_the_range(tmp_path, stage, low, high):
+    safe = min(max(0.0, low), high)
+    write_new(tmp_path / "stage.yaml", NewAxis(100e-6, low, high, 1000.0))
+    configuration = load_configuration(tmp_path / "stage.yaml")
+    plan = plan_of(configuration, single_axis(configuration))
+    found = getattr(volts, stage)(plan, safe, 1000.0)
+    assert found[0] == safe and found[-1] == pytest.approx(safe, abs=1e-9)
+    assert low - 1e-9 <= found.min() and found.max() <= high + 1e-9
+    if stage != "small_multisine":  # nothing jumps
+        assert np.abs(np.diff(found)).max() < 0.05 * plan.span
+
+
+def test_the_damping_of_a_resonance_is_read_whatever_it_is(tmp_path):
+    """Measured beside the formula of the mode, at the recording of a stage without hysteresis."""
+    for damping in (0.005, 0.03):
+        stage = replace(STAGE, opening=0.0, dampings=(damping, 0.02))
+        folder = tmp_path / f"{damping}"
+        folder.mkdir()
+        situation = sitting(folder)
+        for name in ("noise", "gain", "resonance"):
+            commission(situation, ForeignBench(stage), Willing(), [name])
+        assert situation.found["resonance"].figures["damping"] == pytest.approx(damping, rel=0.15)
