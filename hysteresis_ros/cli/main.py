@@ -52,6 +52,7 @@ COMMANDS = {
     "report": ("hysteresis_ros.cli.report:report", "Judge a recording: figures, plots, HTML."),
     "compare": ("hysteresis_ros.cli.compare:compare", "Rank all controllers and compensators for an axis."),
     "reproduce": ("hysteresis_ros.cli.reproduce:reproduce", "Repeat a paper's experiments: paper, here, holds."),
+    "camera": ("hysteresis_ros.cli.camera:camera", "Displacements out of a video or a folder of pictures."),
     "doctor": ("hysteresis_ros.cli.doctor:doctor", "Measure what this machine holds, and say what is missing."),
 }
 

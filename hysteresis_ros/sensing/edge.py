@@ -42,6 +42,8 @@ class Place(NamedTuple):
     blur: float
     #: Why there is no place; empty: there is one.
     refusal: str = ""
+    #: Of an edge: columns that it moves on from one row to the next.
+    slope: float = math.nan
 
 
 def nowhere(refusal: str, contrast: float = math.nan, blur: float = math.nan) -> Place:
@@ -88,7 +90,8 @@ def find_edge(grey: np.ndarray, smallest_contrast: float, largest_blur: float) -
     if place.rows < LEAST_ROWS * len(rows):
         text = f"only {place.rows / len(rows):.0%} of the rows show one straight edge"
         return nowhere(text, place.contrast, place.blur)
-    return Place(place.line[0], place.scatter / math.sqrt(place.rows), place.contrast, place.blur)
+    uncertainty = place.scatter / math.sqrt(place.rows)
+    return Place(place.line[0], uncertainty, place.contrast, place.blur, slope=place.line[1])
 
 
 class _Found(NamedTuple):

@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy import fft
+from numpy import fft
 
 from hysteresis_ros.sensing.edge import Place, nowhere
 

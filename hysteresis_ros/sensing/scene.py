@@ -11,7 +11,6 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import erf
 
 from hysteresis_ros.errors import Problem
 from hysteresis_ros.parameters import Parameters, parameter
@@ -136,6 +135,9 @@ class Scene:
 
     def _blurred(self, distance: np.ndarray) -> np.ndarray:
         """Return the integral of a blurred edge up to a distance from it [px]."""
+        # at first use: only who renders needs it, and every node knows the parameters
+        from scipy.special import erf
+
         sigma = self.parameters.blur
         normal = distance / sigma
         density = np.exp(-0.5 * normal**2) / math.sqrt(2.0 * math.pi)

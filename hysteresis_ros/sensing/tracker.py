@@ -78,6 +78,24 @@ class CameraParameters(Parameters):
     calibration: CameraCalibrationParameters = group(CameraCalibrationParameters)
 
 
+def fits(grey: np.ndarray, tracking: TrackingParameters) -> bool:
+    """Tell whether the region lies within a frame."""
+    x, y, width, height = tracking.region or (0, 0, 0, 0)
+    return x + width <= grey.shape[1] and y + height <= grey.shape[0]
+
+
+def turned(grey: np.ndarray, tracking: TrackingParameters) -> tuple[np.ndarray, tuple[int, int, int, int]]:
+    """Return a frame with its motion along the rows, and the region in it."""
+    x, y, width, height = map(int, tracking.region or (0, 0, grey.shape[1], grey.shape[0]))
+    return (grey.T, (y, x, height, width)) if tracking.along == "y" else (grey, (x, y, width, height))
+
+
+def looked_at(grey: np.ndarray, tracking: TrackingParameters) -> np.ndarray:
+    """Return the part of a frame that is looked at, its motion along the rows."""
+    frame, (x, y, width, height) = turned(grey, tracking)
+    return frame[y : y + height, x : x + width]
+
+
 class Tracker:
     """Makes displacements of frames.
 
@@ -145,15 +163,12 @@ class Tracker:
         self._last = grey
         if 0 < tracking.frozen_frames <= self._same:
             return nowhere(f"frozen: {self._same + 1} frames in a row are equal in every bit")
-        x, y, width, height = map(int, tracking.region or (0, 0, grey.shape[1], grey.shape[0]))
-        if x + width > grey.shape[1] or y + height > grey.shape[0]:
+        if not fits(grey, tracking):
             return nowhere(f"region = {tracking.region} does not lie within {grey.shape[1]} x {grey.shape[0]} px")
-        if tracking.along == "y":
-            grey, x, y, width, height = grey.T, y, x, height, width
         if tracking.method == "pattern":
-            return self._seen_again(grey, (x, y, width, height))
-        place = find_edge(grey[y : y + height, x : x + width], tracking.smallest_contrast, tracking.largest_blur)
-        return place._replace(pixels=place.pixels + x)
+            return self._seen_again(*turned(grey, tracking))
+        place = find_edge(looked_at(grey, tracking), tracking.smallest_contrast, tracking.largest_blur)
+        return place._replace(pixels=place.pixels + turned(grey, tracking)[1][0])
 
     def _seen_again(self, grey: np.ndarray, region: tuple[int, int, int, int]) -> Place:
         if self._pattern is None:

@@ -1,0 +1,61 @@
+"""Places in rendered frames of 640 x 480 of known motion: processor time of a frame, and how far off they are."""
+
+from __future__ import annotations
+
+import math
+import statistics
+
+import common
+import numpy as np
+
+from hysteresis_ros.sensing.scene import Scene, SceneParameters
+from hysteresis_ros.sensing.tracker import CameraParameters, Tracker
+
+FRAMES = 100
+#: Milliseconds that a frame may take, and pixels that a place may be off by, rms.
+TIME, ERROR = 10.0, 0.02
+REGION = (60.0, 112.0, 200.0, 256.0)
+#: What the frames show: name, parameters of the scene and of the tracking.
+CONDITIONS = (
+    ("edge", {}, {}),
+    ("edge, no noise, steady light", {"noise": 0.0, "light_drift": 0.0}, {}),
+    ("edge, noise 5", {"noise": 5.0}, {}),
+    ("edge, blur 3 px", {"blur": 3.0}, {}),
+    ("edge, light ± 30 %", {"light_drift": 0.3}, {}),
+    ("edge, noise 5, blur 2.5 px, light ± 30 %", {"noise": 5.0, "blur": 2.5, "light_drift": 0.3}, {}),
+    ("pattern", {"texture": 0.1}, {"tracking.method": "pattern", "tracking.region": REGION}),
+    (
+        "pattern, noise 5, light ± 30 %",
+        {"texture": 0.1, "noise": 5.0, "light_drift": 0.3},
+        {"tracking.method": "pattern", "tracking.region": REGION},
+    ),
+)
+
+
+def measured(scene: Scene, tracking: dict) -> tuple[float, float]:
+    """Return the processor time of a frame [ms] and the error of its place [px rms]."""
+    given = scene.parameters
+    eye = Tracker(CameraParameters.from_mapping({"calibration.scale": given.scale, **tracking}))
+    pixels = np.concatenate([[0.0], np.random.default_rng(1).uniform(-50.0, 50.0, FRAMES)])
+    places, times = [], []
+    for number, place in enumerate(pixels):
+        frame = scene.frame(place * given.scale, number, 0.04 * number)
+        times.append(common.cpu_seconds(lambda frame=frame: places.append(eye.see(frame)[1].pixels)))
+    origin = 0.0 if tracking else given.zero
+    error = np.array(places) - origin - pixels
+    return 1e3 * statistics.median(times), math.sqrt(np.mean(error**2))
+
+
+def main() -> int:
+    """Run the benchmark; returns the exit code."""
+    options = common.parser(__doc__).parse_args()
+    results = []
+    for name, conditions, tracking in CONDITIONS:
+        time, error = measured(Scene(SceneParameters(**conditions)), tracking)
+        results.append(common.Result(f"{name}: ms a frame", time, "at most", TIME))
+        results.append(common.Result(f"{name}: px rms", error, "at most", ERROR))
+    return common.report(results, options)
+
+
+if __name__ == "__main__":
+    common.run(main)

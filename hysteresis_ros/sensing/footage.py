@@ -1,0 +1,158 @@
+"""Folders of pictures and videos as frames, one after the other; they are read by OpenCV, an optional extra."""
+
+from __future__ import annotations
+
+import math
+import pathlib
+import re
+from collections import Counter
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+
+from hysteresis_ros.recordings.dataset import Recording
+from hysteresis_ros.sensing.edge import nowhere
+from hysteresis_ros.sensing.images import FrameError
+from hysteresis_ros.sensing.tracker import Tracker
+
+#: How the names of pictures end.
+PICTURES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".bmp", ".pgm")
+#: Numbers in the names of pictures count frames when at most so many frames of one would be missing.
+GAPS = 10
+
+_NUMBER = re.compile(r"(\d+)\D*$")
+
+
+def opencv() -> Any:
+    """Return OpenCV.
+
+    Raises
+    ------
+    FrameError
+        It is not installed.
+    """
+    try:
+        import cv2
+    except ImportError:
+        text = (
+            'pictures and videos are read by OpenCV, which is not installed: pip install "hysteresis_ros[camera]", or '
+        )
+        raise FrameError(f"{text}python3-opencv with apt") from None
+    return cv2
+
+
+class Footage:
+    """Frames of a folder of pictures or of a video.
+
+    Parameters
+    ----------
+    source : path-like
+        Pictures are taken in the order of the numbers in their names; where all are numbered, a number that is missing
+        is a frame that was lost.
+    rate : float, optional
+        Frames per second [Hz]; that of the video by default.
+
+    Attributes
+    ----------
+    rate : float
+        [Hz]
+    count : int
+        How many frames there should be.
+
+    Raises
+    ------
+    FrameError
+        OpenCV is missing, there are no frames, or nobody says how many of them there are in a second.
+    """
+
+    def __init__(self, source, rate: float | None = None):
+        self._source, self._cv2 = pathlib.Path(source), opencv()
+        if not self._source.exists():
+            raise FrameError(f"{self._source}: there is no such file or folder; give a video or a folder of pictures")
+        if self._source.is_dir():
+            self._pictures = numbered(path for path in self._source.iterdir() if path.suffix.lower() in PICTURES)
+            self.count = self._pictures[-1][0] + 1 if self._pictures else 0
+            said = 0.0
+        else:
+            video = self._cv2.VideoCapture(str(self._source))
+            self.count = max(int(video.get(self._cv2.CAP_PROP_FRAME_COUNT)), 0) if video.isOpened() else 0
+            said = float(video.get(self._cv2.CAP_PROP_FPS)) if video.isOpened() else 0.0
+            video.release()
+        if not self.count:
+            raise FrameError(f"{self._source}: holds no frames; give a video, or a folder of {', '.join(PICTURES)}")
+        self.rate = rate or said
+        if not 0.0 < self.rate < math.inf:
+            raise FrameError(f"{self._source}: does not say how many frames there are in a second: give --rate HZ")
+
+    def __iter__(self) -> Iterator[np.ndarray | None]:
+        """Yield the grey levels of each frame, 0 to 255; None where one is lost or cannot be read."""
+        return self._each_picture() if self._source.is_dir() else self._each_of_video()
+
+    def _each_picture(self) -> Iterator[np.ndarray | None]:
+        kind = self._cv2.IMREAD_GRAYSCALE | self._cv2.IMREAD_ANYDEPTH
+        by_number = dict(self._pictures)
+        for number in range(self.count):
+            path = by_number.get(number)
+            grey = None if path is None else self._cv2.imread(str(path), kind)
+            yield grey if grey is None or grey.dtype == np.uint8 else grey * np.float32(255.0 / 65535.0)
+
+    def _each_of_video(self) -> Iterator[np.ndarray | None]:
+        video = self._cv2.VideoCapture(str(self._source))
+        try:
+            for _ in range(self.count):
+                there, frame = video.read()
+                yield self._cv2.cvtColor(frame, self._cv2.COLOR_BGR2GRAY) if there else None
+        finally:
+            video.release()
+
+
+def numbered(paths) -> list[tuple[int, pathlib.Path]]:
+    """Return pictures with the numbers of their frames from 0 on.
+
+    Parameters
+    ----------
+    paths : iterable of pathlib.Path
+    """
+    paths = list(paths)
+    found = [_NUMBER.search(path.stem) for path in paths]
+    numbers = [int(match[1]) for match in found if match]
+    if len(numbers) < len(paths) or len(set(numbers)) < len(numbers):
+        return list(enumerate(sorted(paths)))
+    ordered = sorted(zip(numbers, paths, strict=True))
+    first, last = ordered[0][0] if ordered else 0, ordered[-1][0] if ordered else 0
+    if last - first >= GAPS * len(ordered):
+        return [(number, path) for number, (_, path) in enumerate(ordered)]
+    return [(number - first, path) for number, path in ordered]
+
+
+def follow(frames: Footage, tracker: Tracker, on_frame: Callable[[int], object] = lambda number: None) -> Recording:
+    """Return what is seen in frames: ``measured`` [m], and of each frame how well.
+
+    Parameters
+    ----------
+    frames : Footage
+    tracker : Tracker
+    on_frame : callable, optional
+        Called with the number of each frame.
+
+    Raises
+    ------
+    FrameError
+        No frame shows a place; the message says why the first one does not.
+    """
+    rows, reasons, first = [], Counter[str](), ""
+    for number, grey in enumerate(frames):
+        on_frame(number)
+        seen, place = (math.nan, nowhere("lost or not readable")) if grey is None else tracker.see(grey)
+        rows.append((seen, place.pixels, place.uncertainty, place.contrast, place.blur))
+        if place.refusal:
+            reasons[place.refusal.partition(":")[0]] += 1
+            first = first or place.refusal
+    if not np.isfinite([row[0] for row in rows]).any():
+        raise FrameError(f"none of {len(rows)} frames shows where the tip is; the first one: {first}")
+    names = ("measured", "pixels", "uncertainty", "contrast", "blur")
+    units = {"pixels": "px", "uncertainty": "px", "contrast": "1", "blur": "px"}
+    notes = [f"{count} of {len(rows)} frames give no displacement: {reason}" for reason, count in reasons.items()]
+    columns = dict(zip(names, np.array(rows).T, strict=True))
+    return Recording(np.arange(len(rows)) / frames.rate, columns, units, {"notes": notes, "source": "frames"})

@@ -1,0 +1,151 @@
+"""Folders and videos become recordings; how many metres a pixel is follows from a known motion or target."""
+
+from __future__ import annotations
+
+import math
+import pathlib
+import sys
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hysteresis_ros.cli.camera import camera
+from hysteresis_ros.errors import HysteresisError
+from hysteresis_ros.recordings.files import load_run
+from hysteresis_ros.sensing.footage import Footage, numbered
+from hysteresis_ros.sensing.images import FrameError
+from hysteresis_ros.sensing.scale import scale_of_motion, scale_of_target
+from hysteresis_ros.sensing.scene import Scene, SceneParameters
+
+SMALL = {"width": 160, "height": 96, "zero": 80.0, "scale": 0.5e-6}
+MOTION = 10.0e-6 * np.sin(np.arange(12) / 2.0)
+
+
+@pytest.fixture(scope="module")
+def footage(tmp_path_factory):
+    """A folder of twelve numbered pictures, the fifth of which is missing, a video of all, and their motion."""
+    cv2 = pytest.importorskip("cv2", reason="OpenCV is not installed: no pictures and videos")
+    folder = tmp_path_factory.mktemp("footage")
+    (folder / "pictures").mkdir()
+    scene = Scene(SceneParameters(**SMALL))
+    video = cv2.VideoWriter(str(folder / "tip.avi"), cv2.VideoWriter_fourcc(*"MJPG"), 25.0, (160, 96))
+    for number, displacement in enumerate(MOTION):
+        frame = scene.frame(displacement, number)
+        video.write(cv2.cvtColor(frame, cv2.COLOR_GRAY2BGR))
+        if number != 4:
+            cv2.imwrite(str(folder / "pictures" / f"tip_{number + 7:03d}.png"), frame)
+    video.release()
+    rows = [f"{0.04 * number:.17g},{1e6 * place:.17g}\n" for number, place in enumerate(MOTION)]
+    (folder / "known.csv").write_text("time [s],displacement [um]\n" + "".join(rows))
+    return folder
+
+
+def called(*words):
+    return CliRunner().invoke(camera, [str(word) for word in words])
+
+
+@pytest.mark.parametrize(("source", "kind"), [("pictures", "csv"), ("tip.avi", "npz"), ("tip.avi", "mcap")])
+def test_a_folder_and_a_video_become_a_recording_and_a_lost_frame_stays_lost(footage, tmp_path, source, kind):
+    path = tmp_path / f"seen.{kind}"
+    done = called(footage / source, "-o", path, "--scale", "0.5um", "--rate", "25")
+    assert done.exit_code == 0 and "12 frames at 25 Hz" in done.output
+    seen = load_run(path)
+    lost = source == "pictures"
+    assert np.flatnonzero(np.isnan(seen["measured"])).tolist() == ([4] if lost else [])
+    assert ("1 of 12 frames give no displacement: lost or not readable" in done.output) == lost
+    error = seen["measured"] - 80.0 * 0.5e-6 - MOTION
+    # a video's compression is a noise, too
+    assert math.sqrt(np.nanmean(error**2)) < (0.02 if lost else 0.05) * 0.5e-6
+    assert seen.sample_time == pytest.approx(0.04)
+
+
+def test_the_command_finds_the_scale_in_a_known_motion_and_a_target(footage, tmp_path):
+    import cv2
+    import yaml
+
+    done = called(footage / "tip.avi", "--known", footage / "known.csv")
+    assert done.exit_code == 0, done.output
+    found = yaml.safe_load(done.output)["/**/displacement_camera"]["ros__parameters"]["calibration"]
+    assert found["scale"] == pytest.approx(0.5e-6, rel=2e-3) and found["sign"] == 1
+    assert found["offset"] == pytest.approx(-40.0e-6, rel=2e-3)
+    frames = [Scene(SceneParameters(**{**SMALL, "zero": zero})).frame(0.0).astype(float) for zero in (120.0, 40.0)]
+    cv2.imwrite(str(tmp_path / "0.png"), np.clip(frames[0] - frames[1] + 40.0, 0.0, 255.0).astype(np.uint8))
+    done = called(tmp_path, "--target", "40um")
+    assert done.exit_code == 0, done.output
+    found = yaml.safe_load(done.output)["/**/displacement_camera"]["ros__parameters"]["calibration"]
+    assert found["scale"] == pytest.approx(40e-6 / (80.0 * math.cos(math.radians(2.0))), rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("{0}/tip.avi",), "give one of -o FILE, --known FILE and --target M"),
+        (("{0}/tip.avi", "-o", "x.npz"), "give --scale or --config; --known and --target find it"),
+        (("{0}/tip.avi", "-o", "x.npz", "--scale", "5 V"), "--scale 5 V: must be a length above 0"),
+        (("{0}/tip.avi", "-o", "x.npz", "--scale", "1um", "--region", "1,b"), "give four numbers, X,Y,W,H"),
+        (
+            ("{0}/tip.avi", "-o", "x.npz", "--scale", "1um", "--region", "0,0,500,9"),
+            "none of 12 frames .* does not lie",
+        ),
+        (("{0}/pictures", "-o", "x.npz", "--scale", "1um"), "does not say how many frames .* give --rate HZ"),
+        (("{0}/known.csv", "-o", "x.npz", "--scale", "1um"), "holds no frames"),
+        (("{0}/nowhere", "-o", "x.npz", "--scale", "1um"), "there is no such file or folder"),
+        (("{0}/tip.avi", "-o", "x.txt", "--scale", "1um"), "unknown kind of file '.txt'"),
+        (("{0}/tip.avi", "--known", "{0}/known.csv", "--rate", "nan"), "--rate nan: must be a number above 0"),
+    ],
+)
+def test_wrong_words_are_named(footage, words, said):
+    done = called(*(word.format(footage) for word in words))
+    assert done.exit_code and (done.exit_code == 2 or isinstance(done.exception, HysteresisError))
+    with pytest.raises(AssertionError, match=said):
+        raise AssertionError(f"{done.output} {done.exception}")
+
+
+def test_without_opencv_the_message_says_what_to_install(monkeypatch, tmp_path):
+    monkeypatch.setitem(sys.modules, "cv2", None)
+    with pytest.raises(FrameError, match=r'pip install "hysteresis_ros\[camera\]", or python3-opencv'):
+        Footage(tmp_path)
+
+
+def test_numbers_in_names_count_frames_unless_they_are_times_or_not_everywhere():
+    def names(*texts):
+        return [(number, path.name) for number, path in numbered(map(pathlib.Path, texts))]
+
+    assert names("a10.png", "a9.png", "a12.png") == [(0, "a9.png"), (1, "a10.png"), (3, "a12.png")]
+    assert names("1700000000.png", "1700000040.png") == [(0, "1700000000.png"), (1, "1700000040.png")]
+    assert names("b.png", "a1.png") == [(0, "a1.png"), (1, "b.png")]
+    assert names() == []
+
+
+@given(st.floats(1e-8, 1e-3), st.sampled_from([-1, 1]), st.floats(-1.0, 1.0), st.lists(st.floats(-50, 50), min_size=4))
+def test_a_known_motion_gives_its_scale_sign_and_offset_back(scale, sign, offset, places):
+    places = np.array([*places, -60.0, 60.0, math.nan])
+    found = scale_of_motion(places, sign * scale * places + offset * scale)
+    assert found.metres_per_pixel == pytest.approx(scale) and found.sign == sign
+    assert found.offset == pytest.approx(offset * scale, abs=1e-9 * scale)
+
+
+@pytest.mark.parametrize(
+    ("pixels", "displacements", "words"),
+    [
+        ([1.0, 2.0, 3.0], [1e-6, 2e-6], "2 known displacements for 3 frames"),
+        ([1.0, math.nan, 3.0], [1e-6, 2e-6, 3e-6], "2 frames show a place .*: 3 are needed"),
+        ([1.0, 2.0, 1.5, 1.2], [1e-6, 1.1e-6, 3e-6, 0.0], "do not follow the known displacements"),
+        ([1.0, 1.0, 1.0], [1e-6, 2e-6, 3e-6], "do not follow the known displacements"),
+        ([1.0, 2.0, 3.0], [1e-6, 1e-6, 1e-6], "do not follow the known displacements"),
+    ],
+)
+def test_a_motion_from_which_no_scale_follows_is_named(pixels, displacements, words):
+    with pytest.raises(FrameError, match=words):
+        scale_of_motion(pixels, displacements)
+
+
+def test_a_target_without_two_edges_is_named():
+    frame = Scene(SceneParameters(**SMALL)).frame(0.0)
+    with pytest.raises(FrameError, match=r"one edge in column 80\.., and no other one"):
+        scale_of_target(frame, 1e-4, 20.0, 4.0)
+    with pytest.raises(FrameError, match="no target: no edge"):
+        scale_of_target(np.full_like(frame, 90), 1e-4, 20.0, 4.0)
