@@ -103,3 +103,10 @@ def without_section(given, name: str):
 def test_what_does_not_fit_together_is_named(change, words):
     with pytest.raises((ConfigurationError, ParameterError), match=words):
         AxisParameters.from_configuration(change(configuration()))
+
+
+def test_the_file_that_comes_with_the_package_sees_to_0_02_pixel_one_frame_late():
+    given = AxisParameters.from_configuration(load_configuration("auwal2017_camera"))
+    made = Axis(given).run(np.zeros(60))
+    off = (made["measured"][1:] - made["displacement"][:-1]) / given.plant_simulator.camera.scale
+    assert np.ptp(made["displacement"]) > 1.0e-6 and np.sqrt(np.mean(off**2)) <= 0.02
