@@ -37,6 +37,8 @@ EXTRAS = {
     "report": ["matplotlib", "jinja2"],
     # reading pictures and videos; the images of a topic need nothing of it
     "camera": ["opencv-python-headless"],
+    # bars on terminals; without it commands say in lines how far they are
+    "progress": ["rich"],
     "notebook": ["pandas"],
     # the makers' package has wheels for 3.12 and 3.13 only
     "nv200": ["nv200>=1.6,<2; python_version >= '3.12'"],

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import yaml
 
-from hysteresis_ros.errors import ConfigurationError
+from hysteresis_ros.errors import ConfigurationError, did_you_mean
 
 #: The nodes every axis has.
 NODE_NAMES = ("plant_simulator", "reference_generator", "motion_controller", "hysteresis_compensator")
@@ -211,6 +211,17 @@ def _flatten(mapping: dict, source: str, prefix: str = "") -> dict:
     return flat
 
 
+def shipped_configurations() -> dict[str, pathlib.Path]:
+    """Return the parameter files that come with the package by their names, such as ``kim2009``."""
+    package = pathlib.Path(__file__).resolve().parent
+    folders = [package.parent / "config"]
+    prefixes = [*package.parents, *map(pathlib.Path, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep))]
+    folders += [prefix / "share" / package.name / "config" for prefix in prefixes]
+    return {
+        path.stem: path for folder in reversed(folders) if folder.is_dir() for path in sorted(folder.glob("*.yaml"))
+    }
+
+
 def config_path(name: str) -> pathlib.Path:
     """Return the parameter file of that name, such as ``kim2009``, which comes with the package.
 
@@ -219,16 +230,11 @@ def config_path(name: str) -> pathlib.Path:
     ConfigurationError
         There is none of that name; the message lists what there is.
     """
-    package = pathlib.Path(__file__).resolve().parent
-    folders = [package.parent / "config"]
-    prefixes = [*package.parents, *map(pathlib.Path, os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep))]
-    folders += [prefix / "share" / package.name / "config" for prefix in prefixes]
-    found = {
-        path.stem: path for folder in reversed(folders) if folder.is_dir() for path in sorted(folder.glob("*.yaml"))
-    }
+    found = shipped_configurations()
     if name not in found:
+        near = did_you_mean(name, found)
         raise ConfigurationError(
-            f"no configuration '{name}' comes with the package; there are: {', '.join(found) or 'none'}"
+            f"no configuration '{name}' comes with the package; there are: {', '.join(found) or 'none'}{near}"
         )
     return found[name]
 

@@ -64,6 +64,7 @@ ONLY_IN = {
     "matplotlib": "analysis",
     "jinja2": "analysis",
     "click": "cli",
+    "rich": "cli",
     "rosbags": "recordings",
     "mcap": "recordings",
     "cv2": "sensing",

@@ -6,6 +6,7 @@ import pathlib
 
 import click
 
+from hysteresis_ros.cli.arguments import ConfigurationName
 from hysteresis_ros.cli.data_options import write_json
 from hysteresis_ros.cli.progress import Progress
 
@@ -14,7 +15,7 @@ SILENCE = 10.0
 
 
 @click.command()
-@click.argument("config", type=click.Path(path_type=str))
+@click.argument("config", type=ConfigurationName())
 @click.option("--mismatch", default=0.05, show_default=True, help="Largest relative error of each model parameter.")
 @click.option("--noise", default=5e-9, show_default=True, help="Sensor noise [m rms].")
 @click.option("--bits", default=16, show_default=True, help="Bits of the converters; 0: unlimited.")

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import click
 
+from hysteresis_ros.cli.arguments import ConfigurationName
 from hysteresis_ros.control.registry import DESIGNS
 
 
 @click.command(short_help="Design a controller from the model in a configuration.")
-@click.argument("config", type=click.Path(path_type=str))
+@click.argument("config", type=ConfigurationName())
 @click.option(
     "--controller",
     required=True,

@@ -7,12 +7,14 @@ import pathlib
 
 import click
 
+from hysteresis_ros.cli.arguments import ConfigurationName
+from hysteresis_ros.cli.progress import Progress
 from hysteresis_ros.cli.reference_options import reference_options
 from hysteresis_ros.references.recipes import RECIPES
 
 
 @click.command(short_help="Drive an axis with what an identification needs.")
-@click.argument("config", type=click.Path(path_type=str))
+@click.argument("config", type=ConfigurationName())
 @click.option("--recipe", "name", type=click.Choice(list(RECIPES)), help="What to drive it with; or give --reference.")
 @click.option("--record", required=True, metavar="DIR", type=click.Path(path_type=pathlib.Path), help="New bag folder.")
 @click.option("--duration", type=float, help="Length of the run [s of the axis]; the recipe's own by default.")
@@ -85,8 +87,23 @@ def excite(config, name, record, duration, rate, processes, plant, namespace, re
         if plant == "own":
             # nobody steers this graph: a running axis of the user must not hear its commands
             options["environment"] = stack.enter_context(Domain()).environment
+        stack.enter_context(Progress(err=True).during(*_stages(axis, length)))
         stack.enter_context(Graph([axis], **options)).wait()
     click.echo(f"recorded: {record}")
+
+
+def _stages(axis, length: float):
+    """Return what goes on, and functions that say the time that has passed and, in real time, the part of the run."""
+    import time
+
+    plant, begun = axis.plant_simulator, time.monotonic()
+    needed = length / plant.real_time_factor if plant.time_mode == "realtime" else None
+
+    def part() -> float | None:
+        # the nodes start first, so that it is less
+        return None if needed is None else min((time.monotonic() - begun) / needed, 1.0)
+
+    return f"the nodes start and run {length:.4g} s", str, part
 
 
 def _of_recipe(reference) -> dict:

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
 import pathlib
-import sys
-from typing import Any
 
 import click
 
@@ -18,53 +15,21 @@ NOT_CONVERGED = 3
 UNFIT = 4
 #: Figures that are shown first.
 FIRST = ("model", "linear", "rmse_m", "rmse_percent_of_stroke", "fit_percent", "inverse_rmse_v")
-#: Steps of a progress bar; a fit whose length nobody knows fills it ever more slowly.
-BAR = 1000
+#: Reports after which the bar of a fit is half full.
+UNKNOWN = 60.0
 
 
-class FitProgress:
-    """Says how far a fit is: a progress bar on terminals, elsewhere a line from time to time.
+class FitState:
+    """How far a fit is: of unknown length, so that each of its reports fills a part of what is left of a bar."""
 
-    A fit is of unknown length: each of its reports fills a part of what is left of the bar.
-
-    Parameters
-    ----------
-    model : str
-    """
-
-    def __init__(self, model: str):
-        self.label, self.filled, self.text = f"identifying {model}", 0, ""
-        self.bar: Any = None
-        self.ending = contextlib.ExitStack()
-
-    def __enter__(self):
-        """Show the bar on a terminal."""
-        if sys.stderr.isatty():
-            self.bar = click.progressbar(
-                length=BAR, label=self.label, file=sys.stderr, show_eta=False, item_show_func=lambda text: text
-            ).__enter__()
-        else:
-            self.ending.enter_context(Progress(err=True).during(self.label, lambda: self.text))
-        return self
-
-    def __exit__(self, *exception):
-        """Fill and leave the bar, or say nothing more."""
-        self.ending.close()
-        if self.bar is None:
-            return
-        if exception[0] is None:
-            self.bar.update(BAR - self.filled)
-        self.bar.__exit__(*exception)
+    def __init__(self) -> None:
+        self.text = ""
+        self.part: float | None = None
 
     def report(self, number: int, text: str) -> None:
         """Take a report of the fit."""
         self.text = text
-        if self.bar is None:
-            return
-        target = int(BAR * number / (number + 60.0)) if number > 0 else 0
-        step = max(target - self.filled, 0)
-        self.filled += step
-        self.bar.update(step, text)
+        self.part = max(self.part or 0.0, number / (number + UNKNOWN)) if number > 0 else self.part
 
 
 @click.command(short_help="Identify a model from a recording.")
@@ -113,14 +78,16 @@ def identify(
     reading = read(data, **columns)
     request = dict(linear=linear, options=chosen, inverse=inverse)
     conditions = dict(skip=skip, offset=offset, intersample=intersample, initial=initial)
-    with FitProgress(model) as progress:
-        found = workflow.identify(reading, model, progress=progress.report, **request, **conditions)
+    progress, state = Progress(err=True), FitState()
+    with progress.during(f"identifying {model}", lambda: state.text, lambda: state.part):
+        found = workflow.identify(reading, model, progress=state.report, **request, **conditions)
     found.save(params)
     summary = {**found.figures, "parameter_file": str(params), "warnings": list(found.warnings)}
     if report_path is not None:
         from hysteresis_ros.analysis.identification_report import write_identification_report
 
-        write_identification_report(report_path, found)
+        with progress.during("writing the page"):
+            write_identification_report(report_path, found)
         summary["report"] = str(report_path)
     write_json(summary, json_path, format_figures(summary, FIRST))
     if not found.converged:

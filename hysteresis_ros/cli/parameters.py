@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import click
 
+from hysteresis_ros.cli.arguments import NodeName
+
 
 @click.command(short_help="List the parameters of the nodes with type, default, unit and range.")
-@click.argument("node", required=False)
+@click.argument("node", required=False, type=NodeName())
 def parameters(node):
     """Print the parameter table of NODE, or of all nodes, in Markdown."""
     from hysteresis_ros.errors import ConfigurationError, did_you_mean

@@ -1,16 +1,35 @@
-"""Lines that say what a long command does, one at least every so many seconds."""
+"""What a long command does: a bar on terminals, elsewhere lines, one at least every so many seconds."""
 
 from __future__ import annotations
 
 import contextlib
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import click
 
 #: Longest silence of a command that people watch [s].
 SILENCE = 1.5
+#: Seconds after which something is long enough for a bar, and between two looks at it.
+SHORT, LOOK = 0.5, 0.1
+
+
+def _bar(err: bool) -> Any:
+    """Return a bar for a terminal, None where there is no terminal or the library is not installed."""
+    if not (sys.stderr if err else sys.stdout).isatty():
+        return None
+    try:
+        from rich.console import Console
+        from rich.progress import BarColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
+    except ImportError:
+        return None
+    words = (TextColumn(text, markup=False) for text in ("  ", "{task.description}", "{task.fields[state]}"))
+    indent, what, state = words
+    columns = (indent, SpinnerColumn(), what, BarColumn(), TimeElapsedColumn(), state)
+    return Progress(*columns, console=Console(stderr=err), transient=True)
 
 
 class Progress:
@@ -21,34 +40,75 @@ class Progress:
     err : bool
         Say it on stderr: stdout is for results.
     silence : float
-        Longest silence [s].
+        Longest silence [s] where there is no bar.
+    bars_only : bool
+        Say nothing where there is no bar: for what is long only now and then.
     """
 
-    def __init__(self, err: bool = False, silence: float = SILENCE):
-        self._err, self._silence = err, silence
+    def __init__(self, err: bool = False, silence: float = SILENCE, bars_only: bool = False):
+        self._err, self._silence, self._bars_only = err, silence, bars_only
         self._last = time.monotonic()
         self._lock = threading.Lock()
+        self._bar: Any = None
 
     def say(self, text: str) -> None:
         """Print a line."""
         with self._lock:
-            click.echo(text, err=self._err)
+            if self._bar is not None:
+                self._bar.console.print(text, markup=False, highlight=False)
+            else:
+                click.echo(text, err=self._err)
             self._last = time.monotonic()
 
     @contextlib.contextmanager
-    def during(self, what: str, state: Callable[[], str] = str) -> Iterator[None]:
-        """Print that something lasts, how long it has and its state, whenever nothing was said for a while."""
-        begun, over = time.monotonic(), threading.Event()
+    def during(
+        self, what: str, state: Callable[[], str] = str, part: Callable[[], float | None] = lambda: None
+    ) -> Iterator[None]:
+        """Show that something lasts, how long it has and its state.
 
-        def tell():
-            while not over.wait(max(self._last + self._silence - time.monotonic(), 0.05)):
-                if time.monotonic() - self._last >= self._silence:
-                    self.say("  … " + ", ".join(filter(None, (f"{what}: {time.monotonic() - begun:.0f} s", state()))))
-
-        thread = threading.Thread(target=tell, name="progress", daemon=True)
+        Parameters
+        ----------
+        what : str
+        state : callable
+            Returns words.
+        part : callable
+            Returns the part that is done, 0 … 1; None where nobody knows.
+        """
+        over = threading.Event()
+        thread = threading.Thread(target=self._tell, args=(what, state, part, over), name="progress", daemon=True)
         thread.start()
         try:
             yield
         finally:
             over.set()
             thread.join()
+
+    def _tell(self, what: str, state, part, over: threading.Event) -> None:
+        begun = time.monotonic()
+        if over.wait(SHORT):
+            return
+        bar = _bar(self._err)
+        if bar is not None:
+            self._show(bar, what, state, part, over)
+        if bar is not None or self._bars_only:
+            return
+        while not over.wait(max(self._last + self._silence - time.monotonic(), 0.05)):
+            if time.monotonic() - self._last >= self._silence:
+                done = part()
+                share = "" if done is None else f"{100.0 * done:.0f} %"
+                words = (f"{what}: {time.monotonic() - begun:.0f} s", share, state())
+                self.say("  … " + ", ".join(filter(None, words)))
+
+    def _show(self, bar, what: str, state, part, over: threading.Event) -> None:
+        """Keep a bar up to date; it leaves no trace."""
+        with bar:
+            task = bar.add_task(what, total=None, state=state())
+            with self._lock:
+                self._bar = bar
+            try:
+                while not over.wait(LOOK):
+                    done = part()
+                    bar.update(task, total=None if done is None else 1.0, completed=done or 0.0, state=state())
+            finally:
+                with self._lock:
+                    self._bar = None

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 
 import click
 
+from hysteresis_ros.cli.arguments import WaveformName
+
 #: Option → parameter of the waveform; of the others ``--waveform NAME=VALUE`` takes care.
 PARAMETERS = {
     "--amplitude": "amplitude",
@@ -153,7 +155,9 @@ def reference_options(command):
         return command(reference=AskedReference(reference, given), **words)
 
     options = [
-        click.option("--reference", metavar="WAVEFORM", help="Follow this: triangle, sine, steps, file …"),
+        click.option(
+            "--reference", type=WaveformName(), metavar="WAVEFORM", help="Follow this: triangle, sine, steps, file …"
+        ),
         *(
             click.option(option, f"reference_{parameter}", metavar="TEXT", help=HELP[option])
             for option, parameter in PARAMETERS.items()

@@ -7,6 +7,8 @@ import os
 
 import click
 
+from hysteresis_ros.cli.arguments import NodeName
+
 
 def steered(timeout: float = 10.0):
     """Return a decorator that adds the options of all commands that steer a running axis.
@@ -80,7 +82,7 @@ def status(as_json, namespace, timeout):
 
 
 @click.command(short_help="Print parameters of a running node.")
-@click.argument("node")
+@click.argument("node", type=NodeName())
 @click.argument("names", nargs=-1, metavar="[PARAM]...")
 @steered()
 def get(node, names, namespace, timeout):
@@ -94,7 +96,7 @@ def get(node, names, namespace, timeout):
     # a negative value is no option
     context_settings={"ignore_unknown_options": True},
 )
-@click.argument("node")
+@click.argument("node", type=NodeName())
 @click.argument("pairs", nargs=-1, required=True, metavar="PARAM VALUE [PARAM VALUE]...")
 @steered()
 def set_(node, pairs, namespace, timeout):
@@ -105,7 +107,7 @@ def set_(node, pairs, namespace, timeout):
 
 
 @click.command(short_help="Ask a node to start, stop, reset …, or to change its lifecycle.")
-@click.argument("node")
+@click.argument("node", type=NodeName())
 @click.argument("action")
 @steered()
 def call(node, action, namespace, timeout):

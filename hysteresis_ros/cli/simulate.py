@@ -6,11 +6,13 @@ from typing import Any
 
 import click
 
+from hysteresis_ros.cli.arguments import ConfigurationName
+from hysteresis_ros.cli.progress import Progress
 from hysteresis_ros.cli.reference_options import reference_options
 
 
 @click.command(short_help="Simulate a configuration without ROS.")
-@click.argument("config", type=click.Path(path_type=str))
+@click.argument("config", type=ConfigurationName())
 @click.option("-o", "--output", required=True, help="File to write: .npz, .csv or .mcap.")
 @click.option("--duration", type=float, help="Length of the run [s]; the configuration's own by default.")
 @click.option(
@@ -50,13 +52,21 @@ def simulate(config, output, duration, setpoints, faults, namespace, reference):
     if setpoints is not None:
         recorded = load_run(setpoints, namespace)
         replay = {"setpoints": setpoints_per_sample(recorded), **requests_per_sample(recorded)}
-    recording = run_offline(parameters, duration=duration, **replay)
+    with Progress(err=True, bars_only=True).during("simulating; the first run of a version compiles"):
+        recording = run_offline(parameters, duration=duration, **replay)
     save_run(recording, output)
     if faults:
         for line in mode_lines(recording):
             click.echo(line)
     rate = parameters.plant_simulator.sample_rate
     click.echo(f"{output}: {recording.time.size} samples at {rate:g} Hz ({recording.time.size / rate:g} s)")
+    generator = parameters.reference_generator
+    if generator is not None and generator.waveform.type == "hold" and setpoints is None:
+        click.echo(
+            "note: the axis held its place: the waveform of the configuration is hold; let it follow something, e.g. "
+            "--reference triangle --frequency 5Hz --amplitude 1um",
+            err=True,
+        )
     if recording.has("error") and recording["error"][-1] != 0.0:
         from hysteresis_ros.references.inchworm_layout import ERROR_NAMES
 

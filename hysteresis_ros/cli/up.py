@@ -6,11 +6,12 @@ import signal
 
 import click
 
+from hysteresis_ros.cli.arguments import ConfigurationName
 from hysteresis_ros.cli.reference_options import reference_options
 
 
 @click.command(short_help="Start the nodes of a configuration.")
-@click.argument("config", type=click.Path(path_type=str))
+@click.argument("config", type=ConfigurationName())
 @click.option(
     "--processes/--composed",
     "processes",

@@ -6,12 +6,13 @@ import pathlib
 
 import click
 
+from hysteresis_ros.cli.arguments import ConfigurationName
 from hysteresis_ros.cli.data_options import data_options, format_figures, read, write_json
 from hysteresis_ros.cli.identify import FIRST
 
 
 @click.command(short_help="Validate a parameter file on a recording.")
-@click.argument("params", type=click.Path(path_type=str))
+@click.argument("params", type=ConfigurationName())
 @click.argument("data", type=click.Path(path_type=pathlib.Path))
 @click.option("--report", "report_path", type=click.Path(path_type=pathlib.Path), help="HTML page to write.")
 @click.option("--no-inverse", is_flag=True, help="Leave the inverse out.")

@@ -1,0 +1,55 @@
+"""Arguments that several commands have, and what a shell offers for them."""
+
+from __future__ import annotations
+
+import pathlib
+
+import click
+from click.shell_completion import CompletionItem
+
+
+class ConfigurationName(click.ParamType):
+    """A parameter file: a path, or the name of one that comes with the package."""
+
+    name = "config"
+
+    def shell_complete(self, ctx, param, incomplete: str) -> list[CompletionItem]:
+        """Return the names that come with the package, and files and folders beside what was typed."""
+        from hysteresis_ros.configuration import shipped_configurations
+
+        folder, _, begun = incomplete.rpartition("/")
+        place = pathlib.Path(folder + "/" if "/" in incomplete else ".").expanduser()
+        found = [] if folder else [CompletionItem(name) for name in shipped_configurations() if name.startswith(begun)]
+        for path in sorted(place.iterdir()) if place.is_dir() else ():
+            if not path.name.startswith(begun) or path.name.startswith(".") and not begun:
+                continue
+            prefix = incomplete[: len(incomplete) - len(begun)]
+            if path.is_dir():
+                found.append(CompletionItem(f"{prefix}{path.name}/"))
+            elif path.suffix in (".yaml", ".yml"):
+                found.append(CompletionItem(f"{prefix}{path.name}"))
+        return found
+
+
+class WaveformName(click.ParamType):
+    """The name of a waveform; what is none is refused where all waveforms are known."""
+
+    name = "waveform"
+
+    def shell_complete(self, ctx, param, incomplete: str) -> list[CompletionItem]:
+        """Return the waveforms whose names begin so."""
+        from hysteresis_ros.references.waveforms import WAVEFORMS
+
+        return [CompletionItem(name) for name in WAVEFORMS if name.startswith(incomplete)]
+
+
+class NodeName(click.ParamType):
+    """The name of a node of an axis, or of any other."""
+
+    name = "node"
+
+    def shell_complete(self, ctx, param, incomplete: str) -> list[CompletionItem]:
+        """Return the nodes of an axis whose names begin so."""
+        from hysteresis_ros.configuration import NODE_NAMES, OPTIONAL_NODE_NAMES
+
+        return [CompletionItem(name) for name in NODE_NAMES + OPTIONAL_NODE_NAMES if name.startswith(incomplete)]

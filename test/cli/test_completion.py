@@ -1,0 +1,89 @@
+"""What a shell offers behind the command, and what is said while it lasts."""
+
+from __future__ import annotations
+
+import io
+import sys
+
+import pytest
+from click.shell_completion import ShellComplete
+from waiting import until
+
+from hysteresis_ros.cli import progress as module
+from hysteresis_ros.cli.identify import FitState
+from hysteresis_ros.cli.main import COMMANDS, main
+from hysteresis_ros.cli.progress import Progress
+
+
+def offered(*words: str) -> list[str]:
+    *before, incomplete = words
+    completer = ShellComplete(main, {}, "hysteresis", "_HYSTERESIS_COMPLETE")
+    return [item.value for item in completer.get_completions(before, incomplete)]
+
+
+def test_commands_options_waveforms_and_nodes_are_offered():
+    assert set(offered("")) >= set(COMMANDS)
+    assert offered("simu") == ["simulate"]
+    assert offered("up", "kim2009", "--ref") == ["--reference"]
+    assert offered("up", "kim2009", "--reference", "st") == ["staircase", "steps"]
+    assert offered("get", "motion") == ["motion_controller"]
+    assert "simulate" in offered("simlate", ""), "a mistyped command ends in words while a shell completes"
+
+
+@pytest.mark.parametrize("command", ["up", "simulate", "excite", "design", "compare", "validate"])
+def test_configurations_are_those_of_the_package_and_files_here(tmp_path, monkeypatch, command):
+    (tmp_path / "kimono.yaml").write_text("")
+    (tmp_path / "kimono.csv").write_text("")
+    (tmp_path / "stages").mkdir()
+    (tmp_path / "stages" / "mine.yml").write_text("")
+    monkeypatch.chdir(tmp_path)
+    assert offered(command, "kim") == ["kim2009", "kimono.yaml"]
+    assert offered(command, "sta") == ["stages/"]
+    assert offered(command, "stages/") == ["stages/mine.yml"]
+    assert offered(command, "nowhere/") == []
+
+
+class Terminal(io.StringIO):
+    """A terminal that remembers what was shown."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.fixture
+def soon(monkeypatch):
+    """Everything is long at once."""
+    monkeypatch.setattr(module, "SHORT", 0.0)
+    monkeypatch.setattr(module, "LOOK", 0.01)
+
+
+def test_a_terminal_shows_a_bar_and_what_is_said_beside_it(monkeypatch, soon):
+    pytest.importorskip("rich", reason="rich is not installed: no bars")
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setattr(sys, "stderr", Terminal())
+    shown = sys.stderr
+    progress = Progress(err=True)
+    with progress.during("identifying", lambda: "residual [1]", lambda: 0.25):
+        until(lambda: "identifying" in shown.getvalue() and "residual [1]" in shown.getvalue())
+        progress.say("half of [it]")
+    assert "half of [it]" in shown.getvalue()
+
+
+def test_without_a_terminal_lines_say_that_it_goes_on(capsys, soon):
+    progress = Progress(err=True, silence=0.01)
+    told = []
+    with progress.during("exciting", lambda: told.append(1) or "well", lambda: 0.5):
+        until(lambda: len(told) > 2)
+    assert "  … exciting: 0 s, 50 %, well\n" in capsys.readouterr().err
+    with Progress(err=True, silence=0.01, bars_only=True).during("simulating", lambda: told.append(1) or "well"):
+        pass
+    assert capsys.readouterr().err == ""
+
+
+def test_a_fit_of_unknown_length_never_goes_back():
+    state = FitState()
+    parts = []
+    for number in (0, 1, 60, 30, 600):
+        state.report(number, "words")
+        parts.append(state.part)
+    assert parts[0] is None and parts[2] == 0.5 and parts[1:] == sorted(parts[1:]) and parts[-1] < 1.0
