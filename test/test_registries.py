@@ -15,10 +15,10 @@ from hysteresis_ros.block import COMPILED
 from hysteresis_ros.compensation.compensator import Compensator, CompensatorParameters
 from hysteresis_ros.compensation.inverses import BROUGHT, NAMES, InverseParameters
 from hysteresis_ros.configuration import dump_configuration, parse_configuration
+from hysteresis_ros.identification.chains import automatic_skip
 from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.parameter_file import example_text
 from hysteresis_ros.identification.prediction import predict
-from hysteresis_ros.identification.procedures import automatic_skip
 from hysteresis_ros.identification.registry import identify
 from hysteresis_ros.models.declaration import PARAMETRIC, Deviation
 from hysteresis_ros.models.hysteresis import MODELS, HysteresisParameters, hysteresis_block

@@ -158,6 +158,7 @@ def fit_bouc_wen_mechanical(
     *,
     intersample: str = "bandlimited",
     initial: str = "zero",
+    skip: int = 0,
     trials: int = TRIALS,
     seed: int = 0,
     progress=None,
@@ -174,6 +175,8 @@ def fit_bouc_wen_mechanical(
         Initial values; they may be off by a factor of two. β, the exponent and the force per input are kept.
     intersample, initial : str
         See :func:`simulate_oscillator`.
+    skip : int
+        First samples left out of the error.
     trials : int
         Trial points around the initial values.
     seed : int
@@ -188,7 +191,9 @@ def fit_bouc_wen_mechanical(
     """
     u, y = (np.ascontiguousarray(values, dtype=np.float64) for values in (u, y))
     _check(u, y, start, intersample, initial)
-    problem = _Problem(u, y, sample_time, start, intersample, initial)
+    if not 0 <= skip < u.size - 100:
+        raise IdentificationError(f"skip = {skip}: must leave at least 100 of the {u.size} samples")
+    problem = _Problem(u, y, sample_time, start, intersample=intersample, initial=initial, skip=skip)
     guesses = problem.guesses(trials, seed)
     results = []
     agreeing = 0
@@ -211,6 +216,11 @@ def _check(u, y, start, intersample, initial):
         raise IdentificationError("input or output has NaN or infinite values; cut them out or resample")
     if np.ptp(u) == 0.0 or np.ptp(y) == 0.0:
         raise IdentificationError("input or output is constant; excite the oscillator")
+    if initial == "estimate":
+        raise IdentificationError(
+            "initial = 'estimate': the state of an oscillator is not fitted, it is forgotten after a few of its turns: "
+            "leave them out (--skip), or use zero or periodic"
+        )
     if intersample not in METHODS or initial not in ("zero", "periodic"):
         raise IdentificationError(
             f"intersample = {intersample!r}, initial = {initial!r}: must be one of {', '.join(METHODS)}; "
@@ -223,7 +233,8 @@ def _check(u, y, start, intersample, initial):
 class _Problem:
     """Output error as a function of the parameters in units of their initial values."""
 
-    def __init__(self, u, y, sample_time, start, intersample, initial):
+    def __init__(self, u, y, sample_time, start, *, intersample, initial, skip):
+        self.skip = skip
         self.u, self.y, self.sample_time, self.start = u, y, sample_time, start
         self.intersample, self.initial = intersample, initial
         products = [start.beta * (value or 0.1) for value in (start.gamma, start.delta)]
@@ -236,9 +247,9 @@ class _Problem:
 
     def residual(self, z, grid, samples=None):
         """Output error over the stroke, without its mean."""
-        n = len(self.y) if samples is None else min(samples, len(self.y))
+        n = len(self.y) if samples is None else min(samples + self.skip, len(self.y))
         parameters = z * self.scale
-        bad = np.full(n, LARGEST_ERROR)
+        bad = np.full(n - self.skip, LARGEST_ERROR)
         if np.any(parameters[[0, 2]] <= 0.0) or np.any(parameters[[1, 3]] < 0.0):
             return bad
         packed = self.packed[grid].copy()
@@ -248,7 +259,7 @@ class _Problem:
             output = _run(packed, self.finer[grid][: n * grid], grid, self.intersample, self.initial == "periodic")
         if not np.all(np.isfinite(output)):
             return bad
-        error = (output - self.y[:n]) / self.stroke
+        error = (output - self.y[:n])[self.skip :] / self.stroke
         return np.clip(error - error.mean(), -LARGEST_ERROR, LARGEST_ERROR)
 
     def guesses(self, trials, seed):
@@ -293,7 +304,7 @@ class _Problem:
         covariance = np.linalg.pinv(found.jac.T @ found.jac) * variance * np.outer(self.scale, self.scale)
         deviations = dict(zip(FREE, np.sqrt(np.diag(covariance)).tolist(), strict=True))
         warnings = list(parameters.warnings())
-        if agreeing < 2:
+        if agreeing < 2 <= starts:
             warnings.append(f"only {agreeing} of {starts} starts came to this residual: there may be a better one")
         warnings += [
             f"{name} = {values[name]:.4g} ± {deviations[name]:.2g}: the data does not settle it"

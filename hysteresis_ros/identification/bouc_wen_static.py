@@ -74,6 +74,7 @@ def identify_bouc_wen_static(
     voltage,
     displacement,
     *,
+    history=(),
     guess: BoucWenParameters | None = None,
     exponent: float = 1.0,
     free_offset: bool = False,
@@ -85,9 +86,11 @@ def identify_bouc_wen_static(
     Parameters
     ----------
     voltage : array_like, shape (N,)
-        Voltage [V]; the actuator is at rest at 0 V before the first sample.
+        Voltage [V].
     displacement : array_like, shape (N,)
         Displacement [m].
+    history : array_like, shape (K,)
+        Voltages [V] the actuator went through before, from rest at 0 V; empty: it is at rest before the first sample.
     guess : BoucWenParameters, optional
         First start, :data:`PUBLISHED_GUESS` for instance; without it one is made from the ranges. Its exponent is
         used.
@@ -115,7 +118,7 @@ def identify_bouc_wen_static(
     settings = settings or SimplexSettings()
     settings = replace(settings, starts=settings.starts or (1 if guess is not None else 4))
     guess = guess or default_guess(voltage, displacement, exponent)
-    problem = _Normalised(voltage, displacement, guess.exponent, free_offset)
+    problem = _Normalised(history, voltage, displacement, exponent=guess.exponent, free_offset=free_offset)
     units = problem.units
     start = np.array([getattr(guess, name) for name in NAMES]) / units
     scale = np.where(start != 0.0, np.abs(start), 1.0)
@@ -139,14 +142,14 @@ def identify_bouc_wen_static(
 class _Normalised:
     """A recording in parts of its ranges, h in that of the displacement, and the element's error on it."""
 
-    def __init__(self, voltage, displacement, exponent: float, free_offset: bool):
-        n, self.free_offset = exponent, free_offset
+    def __init__(self, history, voltage, displacement, *, exponent: float, free_offset: bool):
+        n, self.free_offset, self.first = exponent, free_offset, len(history)
         x_unit, v_unit = float(np.ptp(displacement)), float(np.ptp(voltage))
         self.x_unit = x_unit
         # β and γ have the unit m^(1-n)/V
         bend = x_unit ** (1.0 - n) / v_unit
         self.units = np.array([x_unit / v_unit, x_unit / v_unit, bend, bend])
-        self.v, self.x = voltage / v_unit, displacement / x_unit
+        self.v, self.x = np.concatenate([history, voltage]) / v_unit, displacement / x_unit
         self.y, self.state, self.p = np.empty_like(self.v), np.zeros(STATES), np.empty(5)
         self.p[4] = n
         self.run = compiled(run_kernel)
@@ -155,19 +158,19 @@ class _Normalised:
         """Return the simulated less the measured displacement, shape (N,)."""
         self.p[:4], self.state[:] = theta, 0.0
         self.run(bouc_wen, self.p, self.state, self.v, self.y)
-        error = self.y - self.x
+        error = self.y[self.first :] - self.x
         return error - error.mean() if self.free_offset else error
 
     @property
     def offset(self) -> float:
         """The constant of the measurement that the last simulation left, 0 when it is not free."""
-        return -(float(np.mean(self.y - self.x)) if self.free_offset else 0.0)
+        return -(float(np.mean(self.y[self.first :] - self.x)) if self.free_offset else 0.0)
 
     def cost(self, theta) -> float:
         """Return the mean square error."""
         with np.errstate(over="ignore", invalid="ignore"):
             error = self.residual(theta)
-            return float(np.dot(error, error)) / self.v.size
+            return float(np.dot(error, error)) / self.x.size
 
 
 def _doubts(parameters: BoucWenParameters, search: SimplexSearch, deviations) -> tuple[str, ...]:

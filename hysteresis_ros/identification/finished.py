@@ -6,17 +6,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from hysteresis_ros.identification.cleaning import MOST_OUTLIERS, ROUNDS, matter, near
 from hysteresis_ros.identification.hammerstein import HammersteinFit, simulate_chain
 from hysteresis_ros.identification.linear_part import LinearPart
 from hysteresis_ros.models.hysteresis import HysteresisParameters
 
-#: Outliers are further off than this many standard deviations (of the bulk, from the median) …
-OUTLYING = 5.0
-#: … and are at most this part of the samples; a model that misses more of them is the wrong model.
-MOST_OUTLIERS = 0.1
-#: They are left out, and the fit is repeated, where they make up this part of the squared error.
-MATTERING = 0.01
-ROUNDS = 3
 #: Samples on which the lag is settled with the blocks.
 RETIMED_ON = 20000
 
@@ -115,16 +109,13 @@ def without_outliers(once, voltage, displacement) -> HammersteinFit:
     for _ in range(ROUNDS):
         drift = fit.drift * fit.sample_time * np.arange(len(voltage))
         error = np.asarray(displacement, dtype=float) - drift - fit.simulate(voltage)
-        counts = error[fit.skipped :]
-        error = np.abs(error - np.median(counts))
-        spread = 1.4826 * float(np.median(error[fit.skipped :]))
-        good = error <= OUTLYING * spread
-        good[: fit.skipped] = True
+        good = near(error, fit.skipped)
+        error = error - np.median(error[fit.skipped :])
         known = np.ones(len(good), dtype=bool) if kept is None else kept
         added = known & ~good
         used = np.flatnonzero(known)[np.flatnonzero(known) >= fit.skipped]
-        share = float(np.sum(error[added] ** 2)) / max(float(np.sum(error[used] ** 2)), 1e-300)
-        if share < MATTERING or np.count_nonzero(~good) > MOST_OUTLIERS * len(counts):
+        many = np.count_nonzero(~good) > MOST_OUTLIERS * (len(error) - fit.skipped)
+        if many or not matter(error, added, used):
             break
         kept = good
         fit = once(kept)

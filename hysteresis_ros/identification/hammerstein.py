@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hysteresis_ros.errors import IdentificationError
+from hysteresis_ros.identification.cleaning import doubts
 from hysteresis_ros.identification.condensed import Condensed
 from hysteresis_ros.identification.linear_part import Known, LinearPart
 from hysteresis_ros.models.actuator import ActuatorParameters
@@ -97,14 +98,7 @@ class HammersteinFit:
     @property
     def doubts(self) -> tuple[str, ...]:
         """What was kept out of the model, in sentences."""
-        found = []
-        if self.drift:
-            found.append(
-                f"the output drifts by {1e6 * self.drift:.3g} µm/s beside creep: fitted too, but no part of the model"
-            )
-        if outliers := int(self.numbers.get("outliers", 0)):
-            found.append(f"{outliers} outliers left out of the fit")
-        return tuple(found)
+        return doubts(self.drift, int(self.numbers.get("outliers", 0)))
 
     @property
     def actuator(self) -> ActuatorParameters:
@@ -192,8 +186,19 @@ def pass_through(block, history) -> None:
     history : sequence of float
         [V], the first is reached from 0 V.
     """
-    for low, high in zip((0.0, *history), history, strict=False):
-        block.simulate(np.linspace(low, high, FINE)[1:])
+    block.simulate(stretches(history))
+
+
+def stretches(history) -> np.ndarray:
+    """Return voltages [V] in steps from 0 V through those of a history, shape (K,).
+
+    Parameters
+    ----------
+    history : sequence of float
+        [V]
+    """
+    ends = zip((0.0, *history), history, strict=False)
+    return np.concatenate([np.zeros(0), *(np.linspace(low, high, FINE)[1:] for low, high in ends)])
 
 
 def fit_linear_part(solve, data: Condensed, extra=(), linear=("lag", "delay", "creep"), progress=None):

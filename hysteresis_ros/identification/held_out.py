@@ -10,12 +10,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from hysteresis_ros.identification.cleaning import DRIFTING
+
 #: Parts that are left out one after the other, and stretches of each.
 PARTS, STRETCHES = 5, 4
 #: A more flexible structure must lower the RMS error on them by this part, and by so many standard errors.
 WORTH_IT = 0.03
-#: A drift must lower it by this part: it is no part of the model, and the shape of loops may look like a little of it.
-DRIFTING = 0.2
 STANDARD_ERRORS = 1.0
 
 

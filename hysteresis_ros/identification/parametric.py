@@ -13,7 +13,10 @@ import numpy as np
 
 from hysteresis_ros.errors import HysteresisError, IdentificationError, ParameterError
 from hysteresis_ros.identification.identified import Identification
-from hysteresis_ros.identification.procedures import FittedHysteresis, Request, separated, static_result
+from hysteresis_ros.identification.remanent_past import remembered
+from hysteresis_ros.identification.request import FittedHysteresis, Request
+from hysteresis_ros.identification.separation import Separated, separated
+from hysteresis_ros.identification.static_procedures import static_result
 from hysteresis_ros.identification.validation import parameter_covariance
 from hysteresis_ros.models.declaration import HysteresisModel
 from hysteresis_ros.models.hysteresis import MODELS, HysteresisParameters
@@ -42,27 +45,31 @@ def identify(data, request: Request) -> Identification:
         The initial values are not allowed.
     """
     model = MODELS[request.model]
-    static, part, notes, constant = separated(data, request)
-    skip = request.skip or 0
-    search = _Search(model, static.input, static.output, skip)
+    static = separated(data, request)
     try:
-        start = replace(model.guess(static.input[skip:], static.output[skip:]), **request.options).validated()
+        start = replace(model.guess(static.voltage, static.displacement), **request.options).validated()
     except ParameterError as error:
         raise IdentificationError(f"initial values of {model.name}: {error}") from None
-    found, deviations, offset, converged = search.run(start, request.progress)
+
+    def fit(other: Separated, before):
+        search = _Search(model, other)
+        return search, search.run(before[1][0] if before else start, request.progress)
+
+    (search, (found, deviations, offset, converged)), static = remembered(
+        static, fit, lambda found: model.block(found[1][0], 1.0)
+    )
     hysteresis = HysteresisParameters(type=model.name, **{model.name: found})
-    warnings = (*notes, *search.warnings)
-    fit = FittedHysteresis(hysteresis, len(model.free) + 1, deviations, warnings, converged)
-    return static_result(data, request, fit, part, offset * part.settled_gain + constant)
+    fit = FittedHysteresis(hysteresis, len(model.free) + 1, deviations, search.warnings, converged)
+    return static_result(data, request, fit, static, offset)
 
 
 class _Search:
     """The search on one recording: free parameters, each divided by its size at the start."""
 
-    def __init__(self, model: HysteresisModel, voltage, displacement, skip: int):
-        self.model, self.skip = model, skip
-        self.voltage, self.displacement = voltage, displacement
-        self.stroke = float(np.ptp(displacement))
+    def __init__(self, model: HysteresisModel, static: Separated):
+        self.model, self.first = model, len(static.history)
+        self.voltage, self.displacement = np.concatenate([static.history, static.voltage]), static.displacement
+        self.stroke = float(np.ptp(self.displacement))
         self.evaluations = 0
         self.warnings: tuple[str, ...] = ()
 
@@ -71,8 +78,8 @@ class _Search:
         try:
             predicted = self.model.block(parameters, 1.0).simulate(self.voltage)
         except ParameterError:
-            return np.full(self.displacement.size - self.skip, REFUSED * self.stroke)
-        error = (predicted - self.displacement)[self.skip :]
+            return np.full(self.displacement.size, REFUSED * self.stroke)
+        error = predicted[self.first :] - self.displacement
         return np.nan_to_num(error, nan=REFUSED * self.stroke, posinf=REFUSED * self.stroke, neginf=-self.stroke)
 
     def run(self, start: Parameters, progress):

@@ -1,13 +1,14 @@
-"""Lag and creep taken out of a recording, for models that are fitted to what is left."""
+"""Lag, creep, drift and outliers taken out of a recording, for models that are fitted to what is left."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
 from hysteresis_ros.compensation.creep import creep_inverse
+from hysteresis_ros.identification.cleaning import Cleaned, cleaned
 from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.dynamics import found_with
 from hysteresis_ros.identification.identified import at_rest
@@ -16,11 +17,55 @@ from hysteresis_ros.identification.linear_part import LinearPart
 from hysteresis_ros.identification.prandtl_ishlinskii import fit_prandtl_ishlinskii
 from hysteresis_ros.identification.preisach import fit_preisach
 from hysteresis_ros.identification.request import Request
+from hysteresis_ros.identification.start import Start, find_start
 from hysteresis_ros.models.creep import Creep, creep
 
 
-def separated(data: IdentificationData, request: Request):
-    """Return the data with lag and creep undone, both, and what must be said about them; and the constant taken out.
+@dataclass(frozen=True, eq=False)
+class Separated:
+    """A recording without what stands behind a hysteresis and beside it.
+
+    Parameters
+    ----------
+    cleaned : Cleaned
+        The recording without outliers and drift.
+    output : ndarray, shape (N,)
+        Lag and creep undone too [m].
+    part : LinearPart
+        What stands behind the hysteresis.
+    start : Start
+        How the recording is taken to begin.
+    warnings : tuple of str
+        What is to be doubted of the separation.
+    constant : float
+        What was taken out of the output before creep was undone [m].
+    """
+
+    cleaned: Cleaned
+    output: np.ndarray
+    part: LinearPart
+    start: Start
+    warnings: tuple[str, ...]
+    constant: float = 0.0
+
+    @property
+    def voltage(self) -> np.ndarray:
+        """Voltage [V] of the samples that count."""
+        return self.cleaned.data.input[self.start.skip :]
+
+    @property
+    def displacement(self) -> np.ndarray:
+        """Output of the hysteresis [m] at the samples that count."""
+        return self.output[self.start.skip :]
+
+    @property
+    def history(self) -> np.ndarray:
+        """Voltages [V] from rest at 0 V to the first of these samples."""
+        return self.start.before(self.cleaned.data.input)
+
+
+def separated(data: IdentificationData, request: Request) -> Separated:
+    """Return the data with lag and creep undone, outliers and drift taken out, and what is assumed of its past.
 
     A Preisach or a Prandtl-Ishlinskii model finds them, whichever leaves less: they leave the shape of the loops free.
 
@@ -30,32 +75,32 @@ def separated(data: IdentificationData, request: Request):
     request : Request
     """
     parts = ("lag", "delay") if request.stage else request.parts
-    if not parts:
-        return data, LinearPart(), (), 0.0
+    start = find_start(data, request.skip, request.initial, whole=True)
+    voltage, displacement, skip = start.signals(data)
+    if request.skip is None and request.initial is None and start.kind == "zero":
+        skip = None  # lag, creep and drift are told better without the beginning, which says more of the model
     # creep is always looked for: without it the search takes slow drifts for the noise a lag has to rise above
+    looked_for = tuple(dict.fromkeys((*parts, "creep"))) if parts else ()
+    options = dict(skip=skip, history=start.history, progress=request.report_residual)
     searches = ((fit_preisach, {}), (fit_prandtl_ishlinskii, {"zone_count": 0}))
     fits = [
-        found_with(
-            partial(search, skip=request.skip, progress=request.report_residual, **settings),
-            data.input,
-            data.output,
-            data.sample_time,
-            tuple(dict.fromkeys((*parts, "creep"))),
-            request.skip,
-        )
-        for search, settings in searches
+        found_with(partial(search, **options, **settings), voltage, displacement, data.sample_time, looked_for, skip)
+        for search, settings in (searches if parts else searches[1:])
     ]
     fit = min(fits, key=lambda item: item.rmse)
+    # what repeats does not drift
+    drift = 0.0 if start.kind == "periodic" else fit.drift
+    clean = cleaned(data, fit.simulate(voltage)[-len(data) :], fit.skipped % len(data), drift)
     part = fit.linear_part if "creep" in parts else replace(fit.linear_part, creep_rate=0.0, settled=False)
-    output, constant = data.output, 0.0
-    if part.modes or part.lag + part.delay >= 0.1 * data.sample_time:
+    output, constant = clean.data.output, 0.0
+    if parts and (part.modes or part.lag + part.delay >= 0.1 * data.sample_time):
         output = undo(output, part, data.sample_time)
     else:
         part = replace(part, lag=0.0, delay=0.0)
     if part.creep.type != "none":
         constant = at_rest(fit.hysteresis, data.sample_time) * part.settled_gain
         output = undo_creep(output - constant, part, data.sample_time)
-    return replace(data, output=output), part, fit.warnings, constant
+    return Separated(clean, output, part, start, fit.warnings, constant)
 
 
 def undo_creep(y, part: LinearPart, sample_time: float) -> np.ndarray:

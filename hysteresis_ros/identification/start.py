@@ -16,6 +16,7 @@ from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.identification.condensed import Condensed, condense, wiped_out
 from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.free_weights import FreeWeights
+from hysteresis_ros.identification.hammerstein import stretches
 from hysteresis_ros.identification.linear_part import LinearPart
 
 #: Plays and dead zones of the trials, and to how many samples they make the data coarser.
@@ -25,6 +26,8 @@ COARSE = 1500
 TRIMMED = 0.1
 #: Another past than rest is believed when it lowers the residual by this part.
 WORTH_IT = 0.1
+#: Rest explains a beginning whose error is below so many times that of what follows, or below this part of the stroke.
+AS_WELL, AT_REST = 1.5, 0.01
 #: A recording is closed when input and output come back to their start within this part of their range.
 CLOSED = 0.02
 #: Voltages a remanent actuator may have seen, as parts of the largest of the recording.
@@ -64,8 +67,26 @@ class Start:
             return data.input, data.output, self.skip
         return np.tile(data.input, 2), np.tile(data.output, 2), len(data) + self.skip
 
+    def before(self, voltage) -> np.ndarray:
+        """Return the voltages [V], shape (K,), from rest at 0 V up to the first sample that counts.
 
-def find_start(data: IdentificationData, skip: int | None = None, initial: str | None = None, structure=None) -> Start:
+        Parameters
+        ----------
+        voltage : ndarray, shape (N,)
+            Of the recording [V].
+        """
+        past = voltage if self.kind == "periodic" else stretches(self.history)
+        return np.concatenate([past, voltage[: self.skip]])
+
+
+def find_start(
+    data: IdentificationData,
+    skip: int | None = None,
+    initial: str | None = None,
+    structure=None,
+    *,
+    whole: bool = False,
+) -> Start:
     """Return how the recording begins: as asked for, else as its beginning fits best.
 
     Parameters
@@ -78,6 +99,9 @@ def find_start(data: IdentificationData, skip: int | None = None, initial: str |
     structure : callable, optional
         ``structure(condensed)`` returns what the trials fit, with ``behind(linear_part)`` and ``output()``; plays of
         free weights by default.
+    whole : bool
+        Leave nothing out where rest at 0 V explains the beginning about as well as the rest of the recording: the first
+        rise of a model that starts there says more of it than later loops.
 
     Raises
     ------
@@ -94,10 +118,12 @@ def find_start(data: IdentificationData, skip: int | None = None, initial: str |
     trials = _Trials(data, structure or (lambda condensed: FreeWeights(condensed, PLAYS, ZONES)))
     if initial == "estimate":
         voltage, _ = trials.remanent()
-        return Start("estimate", skip or 0, (voltage, float(data.input[0])), asked + _remanence(voltage))
+        return Start("estimate", skip or 0, (voltage, float(data.input[0])), asked + remanence(voltage))
     wiped = wiped_out(data.input)
     if wiped is None:
         return _remembered(data, trials)
+    if whole and trials.at_rest(wiped):
+        return Start("zero", 0, (), "at rest at 0 V before the recording, which explains its beginning")
     seconds = wiped * data.sample_time
     note = (
         f"the first {wiped} samples ({seconds:.3g} s) left out, until the voltage had been near both ends of its range"
@@ -113,12 +139,19 @@ def _remembered(data: IdentificationData, trials: _Trials) -> Start:
         note = "the input had repeated before: the recording ends where it begins, and fits that better than rest"
         found.append((_trimmed(trials.error(periodic=True)), Start("periodic", 0, (), note)))
     voltage, error = trials.remanent()
-    found.append((error, Start("estimate", 0, (voltage, float(data.input[0])), _remanence(voltage))))
+    found.append((error, Start("estimate", 0, (voltage, float(data.input[0])), remanence(voltage))))
     best = min(found, key=lambda row: row[0])
     return best[1] if best[0] < (1.0 - WORTH_IT) * rest else found[0][1]
 
 
-def _remanence(voltage: float) -> str:
+def remanence(voltage: float) -> str:
+    """Return a past in words.
+
+    Parameters
+    ----------
+    voltage : float
+        [V]
+    """
     return f"remanent before the recording, as after {voltage:.4g} V: found with the fit"
 
 
@@ -140,6 +173,13 @@ class _Trials:
         condensed = self.condensed(history, periodic)
         fit = self.structure(condensed).behind(part or _lag(condensed))
         return np.repeat((condensed.displacement - fit.output())[condensed.first :], condensed.factor)
+
+    def at_rest(self, first: int) -> bool:
+        """Whether rest at 0 V explains the samples before ``first`` about as well as those after it."""
+        error = self.error()
+        return first == 0 or _trimmed(error[:first]) <= max(
+            AS_WELL * _trimmed(error[first:]), AT_REST * self.data.stroke
+        )
 
     def remanent(self) -> tuple[float, float]:
         """Return the voltage [V] whose remanence fits best, and its error [m]."""

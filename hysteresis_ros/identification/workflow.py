@@ -14,6 +14,7 @@ import numpy as np
 from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.identification import registry
 from hysteresis_ros.identification.auto import choose_model
+from hysteresis_ros.identification.chains import automatic_skip, described
 from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.fast_part import with_fast_dynamics
 from hysteresis_ros.identification.identified import Identification, PlantModel
@@ -26,7 +27,6 @@ from hysteresis_ros.identification.parameter_file import (
     write_file,
 )
 from hysteresis_ros.identification.prediction import at_rate, judge, predict
-from hysteresis_ros.identification.procedures import automatic_skip, described
 from hysteresis_ros.identification.reading import Columns, read_data
 from hysteresis_ros.identification.response_check import ResponseCheck, check_response
 from hysteresis_ros.identification.validation import Validation

@@ -306,9 +306,8 @@ def test_wrong_options_are_refused_in_one_line(arguments, words, recording, tmp_
 def test_missing_files_are_refused(recording, tmp_path):
     assert "no such file" in refused(run("identify", tmp_path / "none.csv", "-o", tmp_path / "p.yaml"))
     assert "no such file" in refused(run("validate", tmp_path / "none.yaml", recording))
-    assert "cannot be written" in refused(
-        run("identify", recording, "--model", "proportional", "-o", tmp_path / "none" / "p.yaml")
-    )
+    quick = ("--model", "proportional", "--linear", "none")
+    assert "cannot be written" in refused(run("identify", recording, *quick, "-o", tmp_path / "none" / "p.yaml"))
 
 
 def test_validation_beyond_the_range_of_the_identification_is_warned_of(recording, tmp_path):

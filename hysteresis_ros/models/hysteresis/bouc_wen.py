@@ -287,7 +287,7 @@ MODEL = HysteresisModel(
     deviated=_deviated,
     inverses=("multiplicative", "general", "picard_steps", "none"),
     own_inverses={"multiplicative": OwnInverse(multiplicative, "of bouc_wen")},
-    identify="hysteresis_ros.identification.procedures:bouc_wen",
+    identify="hysteresis_ros.identification.static_procedures:bouc_wen",
     options={
         "d_e": Option(float, "initial guess [m/V]"),
         "alpha": Option(float, "initial guess [m/V]"),

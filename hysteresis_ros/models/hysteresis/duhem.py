@@ -355,7 +355,7 @@ MODEL = HysteresisModel(
             block=DuhemHysteresis,
         )
     },
-    identify="hysteresis_ros.identification.procedures:duhem",
+    identify="hysteresis_ros.identification.static_procedures:duhem",
     options={
         "alpha": Option(float, "α of the normalised input (the paper: 80); from minor loops by default"),
         "shape": Option(str, "how f and g are given", ("network", "spline")),

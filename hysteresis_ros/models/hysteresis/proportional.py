@@ -80,6 +80,6 @@ MODEL = HysteresisModel(
     scaled=_scaled,
     deviated=_deviated,
     inverses=("exact", "none"),
-    identify="hysteresis_ros.identification.procedures:proportional",
+    identify="hysteresis_ros.identification.direct_procedures:proportional",
     parts=("lag", "delay", "modes"),
 )

@@ -47,7 +47,7 @@ MODEL = HysteresisModel(
     shifted=_shifted,
     deviated=_deviated,
     inverses=("exact", "general", "picard_steps", "none"),
-    identify="hysteresis_ros.identification.procedures:polynomial",
+    identify="hysteresis_ros.identification.static_procedures:polynomial",
     options={
         "method": Option(str, "fit to all samples, or through the coefficients of each loop", ("samples", "loops")),
         "criterion": Option(str, "what is made small", ("automatic", "rms", "maximum")),
