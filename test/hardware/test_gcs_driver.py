@@ -19,6 +19,7 @@ from hysteresis_ros.hardware import bringup
 from hysteresis_ros.hardware.device import Device
 from hysteresis_ros.hardware.driver import DriverError
 from hysteresis_ros.hardware.drivers.gcs import MODELS, Controller, DeviceFaults, GcsParameters, Session, serving
+from hysteresis_ros.hardware.drivers.gcs import driver as driving
 from hysteresis_ros.hardware.emulation.plant import assumed_stage
 from hysteresis_ros.hardware.registry import DRIVERS
 from hysteresis_ros.loop.driven import DrivenPlant
@@ -116,6 +117,42 @@ def test_at_the_beginning_and_for_safety_it_does_not_jump(stand):
     way = [float(line.split()[2]) for line in stand.heard if line.startswith("SVA 1")]
     assert len(way) == 20 and np.all(np.abs(np.diff(way, prepend=60.0)) <= 50.0 / 20 + 1e-6)
     device.close()
+
+
+@pytest.fixture
+def driver(stand):
+    """The driver itself, for what is beyond a sample."""
+    driver = driving.GcsDriver()
+    driver.open(stand.given(safe_voltage=10.0), RATE)
+    yield driver
+    driver.close()
+
+
+def test_the_controller_plays_and_records_by_itself(stand, driver):
+    k = np.arange(300)
+    wanted = 30.0 - 20.0 * np.cos(2.0 * np.pi * k / 100.0)
+    played = driver.play(wanted, 2.2 * CYCLE)
+    assert played.time == pytest.approx(2.0 * CYCLE * k) and played.voltage == pytest.approx(wanted, abs=1e-3)
+    # µm and a lag of the stage; the loop is open by its hysteresis
+    assert np.ptp(played.position) > 20.0e-6
+    assert np.corrcoef(played.voltage[10:], played.position[10:])[0, 1] > 0.9
+    # what came before and after is no jump
+    driver.read()
+    driver.make_safe()
+    assert stand.controller.axes["1"].open_value == 10.0
+    with_servo = stand.given(mode="servo", servo_scale=1.0e-6)
+    driver.close()
+    other = driving.GcsDriver()
+    other.open(with_servo, RATE)
+    played = other.play(np.linspace(0.0, 20.0, 100), 10.0 * CYCLE)
+    assert played.position[-1] == pytest.approx(20.0e-6, abs=2.0e-6)
+    other.close()
+
+
+@pytest.mark.parametrize("voltages", [[], [0.0, 131.0], [0.0] * 70000])
+def test_what_the_controller_cannot_play_is_refused(driver, voltages):
+    with pytest.raises(DriverError, match="plays up to 65536 voltages within -30 … 130 V"):
+        driver.play(voltages, CYCLE)
 
 
 @pytest.mark.parametrize("stand", ["E-727"], indirect=True)

@@ -102,6 +102,16 @@ def test_what_cannot_be_done_is_an_error_that_is_told_once(command, code):
     assert bench.number("SVA? 1") == before and meaning(code).startswith(f"error {code}: ")
 
 
+@pytest.mark.parametrize(("model", "inputs"), [("E-709", 2), ("E-727", 7), ("E-754", 3)])
+def test_input_signals_are_those_of_the_axes_and_others_that_measure_nothing(model, inputs):
+    bench = Bench(model)
+    bench.ask("SVA 1 50")
+    bench.wait(0.3)
+    values = [float(line.partition("=")[2]) for line in bench.ask("TSP?").split(" \n")]
+    assert len(values) == inputs and values[0] == bench.number("POS? 1") and values[-1] == 0.0
+    assert bench.ask(f"TAD? {inputs + 1}") == "" and bench.error() == OUT_OF_RANGE
+
+
 def test_open_loop_it_moves_along_the_loop_of_its_stage():
     bench = Bench()
     seen = []

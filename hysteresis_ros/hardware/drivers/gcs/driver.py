@@ -6,6 +6,9 @@ import time
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
 
 from hysteresis_ros.errors import Problem
 from hysteresis_ros.hardware.bringup import highest_rate, ramp
@@ -15,16 +18,23 @@ from hysteresis_ros.hardware.drivers.gcs.protocol import (
     AXIS_UNIT,
     GENERATOR_STATUS,
     MOTION_STATUS,
+    POSITION,
     READY,
     READY_STATUS,
+    RECORD_TABLES,
+    SERVO_CYCLE,
     UNITS,
+    VOLTAGE,
     VOLTAGE_MAXIMUM,
     VOLTAGE_MINIMUM,
+    WAVE_POINTS,
 )
 from hysteresis_ros.parameters import Parameters, parameter
 
 #: Voltages that the output may still be at when it is looked at.
 RECENT = 4
+#: Points of a wave that are sent at a time, and how often is looked whether it has been played [s].
+POINTS, PATIENCE = 40, 0.02
 
 
 @dataclass(frozen=True)
@@ -94,6 +104,17 @@ class GcsParameters(Parameters):
         """Yield what does not fit together."""
         if self.voltage_range and not (len(self.voltage_range) == 2 and self.voltage_range[0] < self.voltage_range[1]):
             yield Problem("voltage_range", self.voltage_range, "give the least and the greatest voltage, or nothing")
+
+
+class Played(NamedTuple):
+    """What a controller has played and recorded by itself, arrays of shape (N,)."""
+
+    #: [s]
+    time: np.ndarray
+    #: At the output [V].
+    voltage: np.ndarray
+    #: [m]
+    position: np.ndarray
 
 
 class GcsDriver(Driver):
@@ -270,10 +291,64 @@ class GcsDriver(Driver):
         self._recent.append(voltages[0])
 
     def _command(self, voltage: float) -> str:
+        name = "MOV" if self._given.mode == "servo" else "SVA"
+        return f"{name} {self._given.axis} {self._value(voltage):.9f}"
+
+    def _value(self, voltage: float) -> float:
+        """Return what the controller is told for a voltage."""
         given = self._given
-        if given.mode == "servo":
-            return f"MOV {given.axis} {voltage * given.servo_scale / self._unit:.9f}"
-        return f"SVA {given.axis} {voltage / given.open_loop_scale:.9f}"
+        return voltage * given.servo_scale / self._unit if given.mode == "servo" else voltage / given.open_loop_scale
+
+    # -- without a sample of the package -------------------------------------------------------------------------
+
+    def play(self, voltages: Sequence[float], period: float) -> Played:
+        """Let the wave generator play voltages and the recorder write down what comes of it, at the controller's pace.
+
+        Parameters
+        ----------
+        voltages : sequence of float
+            [V], or what stands for targets of the servo.
+        period : float
+            Time between two of them [s], rounded to samples of the controller.
+
+        Returns
+        -------
+        Played
+
+        Raises
+        ------
+        DriverError
+            They are out of range or too many, or the controller has no generator or recorder.
+        """
+        link, given = self._taken(), self._given
+        missing = {"WAV", "WGO", "DRC", "DRR?"} - self._commands
+        if missing:
+            raise DriverError(link.name, f"does not know {', '.join(sorted(missing))}", "send the voltages one by one")
+        (low, high), item = self._range, f"{given.axis} {SERVO_CYCLE}"
+        longest = int(link.number("SPA?", f"{given.axis} {WAVE_POINTS}"))
+        if not 0 < len(voltages) <= longest or not low <= min(voltages) <= max(voltages) <= high:
+            problem = f"plays up to {longest} voltages within {low:g} … {high:g} V"
+            raise DriverError(link.name, problem, "give fewer or smaller ones")
+        rate = max(round(period / link.number("SPA?", item)), 1)
+        ramp(lambda voltage: link.do(self._command(voltage)), self._recent[-1], voltages[0], given.safe_time)
+        self._define(link, [self._value(voltage) for voltage in voltages], rate)
+        link.do(f"WGO {given.axis} 1")
+        while link.number("DRL?", "1") < len(voltages) or link.ask_single(GENERATOR_STATUS).lower().lstrip("0x"):
+            time.sleep(PATIENCE)
+        head, rows = link.table(f"DRR? 1 {len(voltages)}")
+        self._recent.extend(voltages[-RECENT:])
+        sample = float(head["SAMPLE_TIME"])
+        return Played(sample * np.arange(len(rows)), rows[:, 0], self._unit * rows[:, 1])
+
+    def _define(self, link: GcsLink, values: list[float], rate: int) -> None:
+        """Write the wave table and say what is recorded."""
+        given = self._given
+        for first in range(0, len(values), POINTS):
+            part = values[first : first + POINTS]
+            points = " ".join(f"{value:.6f}" for value in part)
+            link.do(f"WAV 1 {'&' if first else 'X'} PNT 1 {len(part)} {points}")
+        link.do(f"WSL {given.axis} 1", f"WGC {given.axis} 1", f"WTR 0 {rate} 0", f"RTR {rate}")
+        link.do(f"SPA {given.axis} {RECORD_TABLES} 2", f"DRC 1 {self._channel} {VOLTAGE} 2 {given.axis} {POSITION}")
 
     # -- end -----------------------------------------------------------------------------------------------------
 
@@ -295,6 +370,7 @@ class GcsDriver(Driver):
         safe = given.safe_voltage
         link.stop()
         if given.mode == "servo":
+            self._recent = deque([safe], RECENT)
             link.do(f"SVO {given.axis} 1", self._command(safe))
             return
         link.do(f"SVO {given.axis} 0")

@@ -5,6 +5,8 @@ from __future__ import annotations
 import contextlib
 import socket
 
+import numpy as np
+
 from hysteresis_ros.hardware.driver import DriverError
 from hysteresis_ros.hardware.drivers.gcs.protocol import NO_ERROR, STOP, STOPPED, meaning
 
@@ -188,6 +190,29 @@ class GcsLink:
             return float(text)
         except ValueError:
             problem = f"answers '{question} {item}' with {text!r}, which is no number"
+            raise DriverError(self.name, problem, "look at the controller and its firmware") from None
+
+    def table(self, question: str) -> tuple[dict[str, str], np.ndarray]:
+        """Return the head and the numbers of an answer that is an array, shape (points, tables).
+
+        Parameters
+        ----------
+        question : str
+
+        Raises
+        ------
+        DriverError
+            The answer is none.
+        """
+        lines = self.ask(question)[0]
+        head = dict(line[1:].split("=", 1) for line in lines if line.startswith("#") and "=" in line)
+        head = {name.strip(): text.strip() for name, text in head.items()}
+        try:
+            separator = chr(int(head["SEPARATOR"]))
+            rows = [line.split(separator) for line in lines if not line.startswith("#")]
+            return head, np.array(rows, dtype=float).reshape(int(head["NDATA"]), int(head["DIM"]))
+        except (KeyError, ValueError) as error:
+            problem = f"answers {question!r} with no array ({type(error).__name__}: {error})"
             raise DriverError(self.name, problem, "look at the controller and its firmware") from None
 
     def error(self) -> int:

@@ -21,14 +21,16 @@ class Model:
     #: Answer to ``*IDN?``.
     identification: str
     axes: int
+    #: Input signals of sensors and analog inputs.
+    inputs: int
     #: Whether it leaves leading zeros of the number of a parameter out of its answer.
     strips: bool = False
 
 
 MODELS = {
-    "E-709": Model("Physik Instrumente, E-709.CRG, 0000000000, 1.000 (emulated)", 1),
-    "E-727": Model("Physik Instrumente, E-727.3CDA, 0000000000, 1.000 (emulated)", 3, strips=True),
-    "E-754": Model("Physik Instrumente, E-754.1CD, 0000000000, 1.000 (emulated)", 1),
+    "E-709": Model("Physik Instrumente, E-709.CRG, 0000000000, 1.000 (emulated)", 1, 2),
+    "E-727": Model("Physik Instrumente, E-727.3CDA, 0000000000, 1.000 (emulated)", 3, 7, strips=True),
+    "E-754": Model("Physik Instrumente, E-754.1CD, 0000000000, 1.000 (emulated)", 1, 3),
 }
 
 

@@ -77,9 +77,25 @@ _of_each("CST?", "get stage type", lambda axis: "EMULATED")
 _of_each("PUN?", "get position unit", lambda axis: str(axis.values[AXIS_UNIT]))
 _of_each("ATZ?", "get automatic zero point calibration", lambda axis: "1")
 _of_each("AOS?", "get analog input offset", lambda axis: _fixed(0.0))
-_of_each("TSP?", "get input signal position value", lambda axis: _fixed(axis.plant.measured / axis.unit))
-_of_each("TAD?", "get ADC value of input signal", lambda axis: str(round(axis.plant.measured / 1.0e-9)))
 _of_each("WGO?", "get wave generator start mode", lambda axis: str(int(axis.generating)))
+
+
+def _of_inputs(name: str, text: str, value: Callable[[float], str]) -> None:
+    """Add a question that is asked of the input signals that are named, or of all; one without an axis measures 0."""
+
+    def ask(controller: Controller, words: list[str]) -> list[str]:
+        """Answer it."""
+        numbers = [whole(word, 1, controller.model.inputs) for word in words] or range(1, controller.model.inputs + 1)
+        axes = controller.axes
+        measured = [axes[str(n)].plant.measured / axes[str(n)].unit if str(n) in axes else 0.0 for n in numbers]
+        return [f"{number}={value(item)}" for number, item in zip(numbers, measured, strict=True)]
+
+    ask.__doc__ = text
+    command(name)(ask)
+
+
+_of_inputs("TSP?", "get input signal position value", _fixed)
+_of_inputs("TAD?", "get ADC value of input signal", lambda position: str(round(1000.0 * position)))
 
 
 @command("*IDN?", "IDN?")
