@@ -18,8 +18,15 @@ from hysteresis_ros.references.recipes import RECIPES
 @click.option("--recipe", "name", type=click.Choice(list(RECIPES)), help="What to drive it with; or give --reference.")
 @click.option("--record", required=True, metavar="DIR", type=click.Path(path_type=pathlib.Path), help="New bag folder.")
 @click.option("--duration", type=float, help="Length of the run [s of the axis]; the recipe's own by default.")
-@click.option("--rate", type=click.Choice(["realtime", "lockstep"]), help="Time mode; the configuration's by default.")
-@click.option("--processes/--composed", "processes", default=True, help="Four processes (default) or one.")
+@click.option(
+    "--rate", type=click.Choice(["realtime", "lockstep", "fused"]), help="Time mode; the configuration's by default."
+)
+@click.option(
+    "--processes/--composed",
+    "processes",
+    default=None,
+    help="Four processes or one, which exchange messages; by default four, or fused where these are too slow.",
+)
 @click.option(
     "--plant",
     type=click.Choice(["own", "external"]),
@@ -37,11 +44,14 @@ def excite(config, name, record, duration, rate, processes, plant, namespace, re
     --frequency that of triangles and decaying, of the lines of the multisine, of the chirp's start. With --reference
     lengths may be given in volts too (60V), or in metres at the gain of the compensator's model (5um).
     """
+    from hysteresis_ros.commissioning.bench import require_sound
     from hysteresis_ros.configuration import load_configuration
     from hysteresis_ros.errors import ConfigurationError
     from hysteresis_ros.models.hysteresis import hysteresis_block
+    from hysteresis_ros.nodes.bench import in_time
     from hysteresis_ros.nodes.domain import Domain
     from hysteresis_ros.nodes.launcher import Graph
+    from hysteresis_ros.recordings.files import load_run
     from hysteresis_ros.references.asked import played
     from hysteresis_ros.references.recipes import in_metres, recipe
     from hysteresis_ros.simulation.axes import axes, single_axis
@@ -79,10 +89,12 @@ def excite(config, name, record, duration, rate, processes, plant, namespace, re
     with reference.named():
         axis = axes(driven(configuration, limits, gain, waveform), given.namespace)[0]
     axis = axis.with_duration(length)
-    click.echo(
-        f"{name or reference.kind}: {length:.4g} s at {sample_rate:g} Hz, {limits.minimum:g} … {limits.maximum:g} V …"
-    )
-    options = {"composed": not processes, "record": record, "log_level": "warn"}
+    if rate is None and processes is None:
+        axis = in_time(axis)
+    range_ = f"{limits.minimum:g} … {limits.maximum:g} V"
+    mode = axis.plant_simulator.time_mode
+    click.echo(f"{name or reference.kind}: {length:.4g} s at {sample_rate:g} Hz, {range_}, {mode} …")
+    options = {"composed": processes is False, "record": record, "log_level": "warn"}
     with contextlib.ExitStack() as stack:
         if plant == "own":
             # nobody steers this graph: a running axis of the user must not hear its commands
@@ -90,6 +102,7 @@ def excite(config, name, record, duration, rate, processes, plant, namespace, re
         stack.enter_context(Progress(err=True).during(*_stages(axis, length)))
         stack.enter_context(Graph([axis], **options)).wait()
     click.echo(f"recorded: {record}")
+    require_sound(load_run(record, axis.namespace, further=True), axis.plant_simulator.samples)
 
 
 def _stages(axis, length: float):
@@ -97,7 +110,7 @@ def _stages(axis, length: float):
     import time
 
     plant, begun = axis.plant_simulator, time.monotonic()
-    needed = length / plant.real_time_factor if plant.time_mode == "realtime" else None
+    needed = length / plant.real_time_factor if plant.time_mode != "lockstep" else None
 
     def part() -> float | None:
         # the nodes start first, so that it is less

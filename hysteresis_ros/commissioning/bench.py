@@ -17,8 +17,8 @@ TRIPPED = {
     WITHOUT_VOLTAGE: "too many voltages came late: this machine does not hold the rate; lower sample_rate, leave a "
     "core free, or use a compiled driver (docs/hardware.md)",
     BEYOND_TRAVEL: "the sensor measured farther than the actuator gets: look at its scaling, sign and cable",
-    HALTED: "somebody stopped it; resume when it may go on",
-    DEVICE_FAILED: "the device failed, the line above says how; mend it and resume",
+    HALTED: "somebody stopped it; begin again when it may go on",
+    DEVICE_FAILED: "the device failed, the line above says how; mend it and begin again",
 }
 #: Part of the samples that may be without a measurement.
 MOST_MISSING = 0.05
@@ -85,7 +85,7 @@ def require_sound(recording: Recording, samples: int) -> Recording:
             raise CommissioningError(f"the axis stopped itself after {recording.time[first]:.3g} s: {why}")
     if len(recording) < (1.0 - MOST_MISSING) * samples:
         raise CommissioningError(
-            f"{len(recording)} of {samples} samples were recorded: the run was cut off; look at the device and resume"
+            f"{len(recording)} of {samples} samples were recorded: the run was cut off; look at the device, and begin again"
         )
     measured = recording["measured"]
     there = np.isfinite(measured)

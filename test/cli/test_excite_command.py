@@ -12,9 +12,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hysteresis_ros.block import COMPILED
+from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.errors import ConfigurationError
 from hysteresis_ros.references.recipes import RECIPES, in_metres, recipe
 from hysteresis_ros.references.waveforms import Waveform, WaveformParameters
+from hysteresis_ros.simulation.axes import single_axis
 
 
 def voltages(name, low, high, rate, **options):
@@ -92,3 +95,19 @@ def test_an_excited_axis_is_identified_from_its_bag(tmp_path):
     # the stage's lag, seen through the converter of its axis
     assert figures["lag_s"] == pytest.approx(0.0158, abs=0.003)
     assert figures["rmse_percent_of_stroke"] < 0.5
+
+
+@pytest.mark.skipif(importlib.util.find_spec("rclpy") is None, reason="rclpy is not installed")
+@pytest.mark.skipif(not COMPILED, reason="without Numba no axis runs fused")
+def test_what_is_too_fast_for_messages_is_excited_fused_and_a_run_that_stopped_itself_is_no_recording(tmp_path):
+    configuration = load_configuration("kim2009").override(
+        "plant_simulator", overtravel=1e-9, sensor__noise=1e-4
+    )
+    path = tmp_path / "noisy.yaml"
+    path.write_text(single_axis(configuration).configuration_text(), encoding="utf-8")
+    command = [sys.executable, "-m", "hysteresis_ros.cli.main", "excite", str(path), "--recipe", "steps"]
+    command += ["--duration", "0.5", "--record", str(tmp_path / "bag")]
+    result = subprocess.run(command, capture_output=True, text=True, timeout=180)
+    assert ", fused …" in result.stdout and "recorded: " in result.stdout
+    assert result.returncode == 2 and "the axis stopped itself after" in result.stderr, result.stderr
+    assert "Traceback" not in result.stderr and "farther than the actuator gets" in result.stderr
