@@ -85,7 +85,7 @@ def require_sound(recording: Recording, samples: int) -> Recording:
             raise CommissioningError(f"the axis stopped itself after {recording.time[first]:.3g} s: {why}")
     if len(recording) < (1.0 - MOST_MISSING) * samples:
         raise CommissioningError(
-            f"{len(recording)} of {samples} samples were recorded: the run was cut off; look at the device, and begin again"
+            f"{len(recording)} of {samples} samples were recorded: the run was cut off; see to it, begin again"
         )
     measured = recording["measured"]
     there = np.isfinite(measured)

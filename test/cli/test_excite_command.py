@@ -100,9 +100,7 @@ def test_an_excited_axis_is_identified_from_its_bag(tmp_path):
 @pytest.mark.skipif(importlib.util.find_spec("rclpy") is None, reason="rclpy is not installed")
 @pytest.mark.skipif(not COMPILED, reason="without Numba no axis runs fused")
 def test_what_is_too_fast_for_messages_is_excited_fused_and_a_run_that_stopped_itself_is_no_recording(tmp_path):
-    configuration = load_configuration("kim2009").override(
-        "plant_simulator", overtravel=1e-9, sensor__noise=1e-4
-    )
+    configuration = load_configuration("kim2009").override("plant_simulator", overtravel=1e-9, sensor__noise=1e-4)
     path = tmp_path / "noisy.yaml"
     path.write_text(single_axis(configuration).configuration_text(), encoding="utf-8")
     command = [sys.executable, "-m", "hysteresis_ros.cli.main", "excite", str(path), "--recipe", "steps"]
