@@ -42,6 +42,8 @@ EXTRAS = {
     "notebook": ["pandas"],
     # the makers' package has wheels for 3.12 and 3.13 only
     "nv200": ["nv200>=1.6,<2; python_version >= '3.12'"],
+    # EPICS motor records, in pure Python
+    "epics": ["caproto"],
 }
 EXTRAS["all"] = sorted({requirement for requirements in EXTRAS.values() for requirement in requirements})
 # setuptools below 80 is what colcon needs; both are here because the tests build and install the package.

@@ -37,6 +37,7 @@ COMMANDS = {
     "set": ("hysteresis_ros.cli.remote:set_", "Set parameters of a running node, all or none."),
     "call": ("hysteresis_ros.cli.remote:call", "Ask a node to start, stop, reset …, or to change its lifecycle."),
     "echo": ("hysteresis_ros.cli.remote:echo", "Print what is said on a topic."),
+    "ioc": ("hysteresis_ros.cli.ioc:ioc", "Serve axes as EPICS motor records."),
     "simulate": ("hysteresis_ros.cli.simulate:simulate", "Run a configuration offline, without ROS."),
     "verify": ("hysteresis_ros.cli.verify:verify", "Compare a recorded run with its offline twin, bit for bit."),
     "parameters": (

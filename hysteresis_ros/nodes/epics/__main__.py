@@ -1,0 +1,57 @@
+"""The process of ``hysteresis ioc``: ``python -m hysteresis_ros.nodes.epics '{"motors": […], "interfaces": […]}'``."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import signal
+import sys
+import threading
+
+import rclpy
+from rclpy.signals import SignalHandlerOptions
+
+from hysteresis_ros.nodes.epics.link import AxisLink
+from hysteresis_ros.nodes.epics.server import Motor, serve
+from hysteresis_ros.nodes.epics.settings import MotorSettings
+from hysteresis_ros.nodes.spin import LOOK, make_executor
+
+
+def main() -> int:
+    """Serve what the only argument describes until a signal comes; return the exit code."""
+    request = json.loads(sys.argv[1])
+    over = threading.Event()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda signum, frame: over.set())
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    node = rclpy.create_node("epics_ioc", start_parameter_services=False)
+    executor = make_executor()
+    executor.add_node(node)
+    settings = [MotorSettings(**motor) for motor in request["motors"]]
+    links = [AxisLink(node, motor) for motor in settings]
+    hearing = threading.Thread(target=_hear, args=(executor, over), daemon=True)
+    hearing.start()
+    try:
+        motors = [Motor(motor, link) for motor, link in zip(settings, links, strict=True)]
+        names = ", ".join(motor.name for motor in settings)
+        asyncio.run(serve(motors, request["interfaces"], over.is_set, lambda: print(f"serving {names}", flush=True)))
+    except OSError as error:
+        print(f"hysteresis: {' '.join(request['interfaces'])}: cannot be listened on: {error}", file=sys.stderr)
+        return 2
+    finally:
+        over.set()
+        hearing.join()
+        executor.remove_node(node)
+        node.destroy_node()
+        rclpy.shutdown()
+    return 0
+
+
+def _hear(executor, over: threading.Event) -> None:
+    """Take messages until it is over; the main function of a thread."""
+    while not over.is_set():
+        executor.spin_once(timeout_sec=LOOK)
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

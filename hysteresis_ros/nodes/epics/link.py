@@ -1,0 +1,89 @@
+"""The link of a motor record to the nodes of its axis: setpoints and stops go out, measurements come in."""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+
+from rclpy.node import Node
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64
+from std_srvs.srv import Trigger
+from trajectory_msgs.msg import JointTrajectory
+
+from hysteresis_ros import signals
+from hysteresis_ros.nodes.epics.record import SILENT, STOPPED, UNMEASURED, Alarm, Seen
+from hysteresis_ros.nodes.epics.settings import MotorSettings
+from hysteresis_ros.nodes.qos import setpoint_qos
+
+#: Seconds without a measurement, or without anything of the source, after which an axis is taken for dead.
+SILENCE = 1.0
+
+
+class AxisLink:
+    """Says and hears what a record needs; its methods may be called from any thread.
+
+    Parameters
+    ----------
+    node : Node
+        Which somebody else spins.
+    settings : MotorSettings
+        Of the record.
+    """
+
+    def __init__(self, node: Node, settings: MotorSettings):
+        self._settings = settings
+        space = settings.namespace
+        self._lock = threading.Lock()
+        self._measured = self._setpoint = math.nan
+        self._heard = self._told = -math.inf
+        self._tripped = self._stopped = False
+        self._setpoints = node.create_publisher(Float64, f"{space}/setpoint", setpoint_qos())
+        self._holds = node.create_publisher(JointTrajectory, f"{space}/joint_trajectory", setpoint_qos())
+        source = f"{space}/{settings.source}"
+        self._motor = {name: node.create_client(Trigger, f"{source}/{name}") for name in ("stop", "start")}
+        node.create_subscription(JointState, f"{space}/joint_states", self._on_measurement, 10)
+        node.create_subscription(JointState, f"{source}/state", self._on_state, 10)
+
+    def _on_measurement(self, message) -> None:
+        joint = self._settings.joint
+        position = math.nan
+        if joint in message.name:
+            index = list(message.name).index(joint)
+            position = message.position[index] if index < len(message.position) else math.nan
+        with self._lock:
+            self._measured, self._heard = position, time.monotonic()
+            self._tripped = message.header.frame_id == signals.TRIPPED_FRAME
+
+    def _on_state(self, message) -> None:
+        values = dict(zip(message.name, message.position, strict=False))
+        with self._lock:
+            self._setpoint, self._told = values.get("setpoint", math.nan), time.monotonic()
+
+    def look(self, now: float) -> Seen:
+        """Return what is known of the axis at a time [s] of the monotonic clock."""
+        with self._lock:
+            alarm = Alarm()
+            if now - min(self._heard, self._told) > SILENCE:
+                alarm = SILENT
+            elif self._tripped:
+                alarm = STOPPED
+            elif not math.isfinite(self._measured):
+                alarm = UNMEASURED
+            return Seen(self._measured, self._setpoint, alarm)
+
+    def move(self, setpoint: float) -> None:
+        """Give a setpoint [m]."""
+        if self._stopped:
+            self._motor["start"].call_async(Trigger.Request())
+            self._stopped = False
+        self._setpoints.publish(Float64(data=setpoint))
+
+    def stop(self) -> None:
+        """Let whatever moves come to rest: at the next sample, or at the deceleration of the approach."""
+        if self._settings.source == signals.MOTOR_SOURCE:
+            self._motor["stop"].call_async(Trigger.Request())
+            self._stopped = True
+        else:
+            self._holds.publish(JointTrajectory(joint_names=[self._settings.joint]))
