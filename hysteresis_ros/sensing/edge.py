@@ -117,9 +117,10 @@ def _across(grey: np.ndarray, rows: np.ndarray, line, half: int, smallest_contra
         text = f"no edge: {np.mean(clear):.0%} of the rows have {smallest_contrast:g} grey levels of contrast"
         return nowhere(text, contrast)
     part = (right[clear, np.newaxis] - window[clear]) / step[clear, np.newaxis]
-    level, slope, scatter, count = _line(rows[clear], first[clear] - 0.5 + part.sum(axis=1))
-    blur = _blur(columns[clear] - (level + slope * rows[clear])[:, np.newaxis], part)
-    return _Found((level, slope), scatter, count, contrast, blur)
+    level, slope, scatter, kept = _line(rows[clear], first[clear] - 0.5 + part.sum(axis=1))
+    distance = columns[clear] - (level + slope * rows[clear])[:, np.newaxis]
+    blur = _blur(distance[kept], part[kept]) if kept.any() else math.inf
+    return _Found((level, slope), scatter, int(np.count_nonzero(kept)), contrast, blur)
 
 
 def _coarse(grey: np.ndarray, smallest_contrast: float) -> tuple[np.ndarray, tuple[float, float] | None]:
@@ -144,8 +145,8 @@ def _coarse(grey: np.ndarray, smallest_contrast: float) -> tuple[np.ndarray, tup
     return rows, (float(level), float(slope))
 
 
-def _line(rows: np.ndarray, places: np.ndarray) -> tuple[float, float, float, int]:
-    """Return a line through places over rows: at row 0, its slope, the scatter around it and how many rows it has."""
+def _line(rows: np.ndarray, places: np.ndarray) -> tuple[float, float, float, np.ndarray]:
+    """Return a line through places over rows: at row 0, its slope, the scatter around it, and which rows it has."""
     kept = np.ones(len(rows), dtype=bool)
     slope = place = scatter = 0.0
     for _ in range(LOOKS):
@@ -156,7 +157,7 @@ def _line(rows: np.ndarray, places: np.ndarray) -> tuple[float, float, float, in
         kept = np.abs(distance) <= OUTLIER * robust + 1e-9
         if np.count_nonzero(kept) < 2:
             break
-    return float(place), float(slope), scatter, int(np.count_nonzero(kept))
+    return float(place), float(slope), scatter, kept
 
 
 def _blur(distance: np.ndarray, part: np.ndarray) -> float:

@@ -71,12 +71,13 @@ def test_the_command_finds_the_scale_in_a_known_motion_and_a_target(footage, tmp
     found = yaml.safe_load(done.output)["/**/displacement_camera"]["ros__parameters"]["calibration"]
     assert found["scale"] == pytest.approx(0.5e-6, rel=2e-3) and found["sign"] == 1
     assert found["offset"] == pytest.approx(-40.0e-6, rel=2e-3)
-    frames = [Scene(SceneParameters(**{**SMALL, "zero": zero})).frame(0.0).astype(float) for zero in (120.0, 40.0)]
+    edges = [SceneParameters(**{**SMALL, "zero": zero, "tilt": 8.0}) for zero in (120.0, 40.0)]
+    frames = [Scene(edge).frame(0.0).astype(float) for edge in edges]
     cv2.imwrite(str(tmp_path / "0.png"), np.clip(frames[0] - frames[1] + 40.0, 0.0, 255.0).astype(np.uint8))
     done = called(tmp_path, "--target", "40um")
     assert done.exit_code == 0, done.output
     found = yaml.safe_load(done.output)["/**/displacement_camera"]["ros__parameters"]["calibration"]
-    assert found["scale"] == pytest.approx(40e-6 / (80.0 * math.cos(math.radians(2.0))), rel=1e-3)
+    assert found["scale"] == pytest.approx(40e-6 / (80.0 * math.cos(math.radians(8.0))), rel=1e-3)
 
 
 @pytest.mark.parametrize(
