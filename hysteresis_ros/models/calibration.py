@@ -168,11 +168,10 @@ def rising_problems(coefficients: tuple[float, ...], low: float, high: float, un
     """
     if not coefficients:
         return
-    slope: Any = np.polynomial.Polynomial(coefficients).deriv()
-    turns = slope.deriv().roots()
-    inside = [turn.real for turn in turns if abs(turn.imag) <= 1e-9 * abs(turn) and low < turn.real < high]
-    places = np.array([low, high, *inside])
-    slopes = slope(places)
+    with np.errstate(all="ignore"):  # what overflows does not rise
+        slope: Any = np.polynomial.Polynomial(coefficients).deriv()
+        places = np.array([low, high, *_turns(slope, low, high)])
+        slopes = np.nan_to_num(slope(places), nan=-np.inf)
     worst = int(np.argmin(slopes))
     if not slopes[worst] > 0.0:
         allowed = (
@@ -180,6 +179,19 @@ def rising_problems(coefficients: tuple[float, ...], low: float, high: float, un
             f"{places[worst]:.6g} {unit}: fit a lower order, or narrow the range; a direction is what sign is for"
         )
         yield Problem("polynomial", coefficients, allowed)
+
+
+def _turns(slope: Any, low: float, high: float) -> list[float]:
+    """Return where a polynomial turns between two places."""
+    if not low < high:
+        return []
+    # in a variable from -1 to 1 coefficients of any unit can be compared: what is nothing beside others is left out
+    curve = slope.deriv().convert(domain=[low, high])
+    largest = np.max(np.abs(curve.coef))
+    if not np.isfinite(largest):
+        return []
+    turns = curve.trim(1e-12 * largest).roots()
+    return [float(turn.real) for turn in turns if abs(turn.imag) <= 1e-9 * (high - low) and low < turn.real < high]
 
 
 @kernel

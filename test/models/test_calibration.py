@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from hysteresis_ros.errors import ParameterError
@@ -79,6 +79,8 @@ def test_a_relative_sensor_counts_from_the_mean_of_the_readings_at_home(start, l
     assert block.step(later) == pytest.approx(3e-6, abs=1e-17)
 
 
+@example([0.0, 1.0, 0.0, 0.0], 0.0, 1.0)
+@example([0.0, 0.0, 0.0, -1.0, 5e-324], 0.0, 1.0)
 @given(
     st.lists(st.floats(-2.0, 2.0), min_size=2, max_size=6),
     st.floats(-3.0, 0.0),
@@ -106,6 +108,7 @@ def test_a_polynomial_is_refused_exactly_when_it_does_not_rise(coefficients, low
         # it rises at both ends
         ({"sensor.polynomial": [0.0, 2.5, -3.0, 1.0], "sensor.maximum": 2.0}, r"slope -0\.5 at 1 count"),
         ({"sensor.polynomial": [0.0, -1.0]}, "a direction is what sign is for"),
+        ({"sensor.polynomial": [0.0, 1.0, 1.0e300, 1.0e308]}, "must rise everywhere"),
         ({"sensor.polynomial": [0.0] * 9}, "more than 8 coefficients"),
         ({"amplifier.unit": "count"}, r"amplifier\.scale = 1\.0: is 1 V per count"),
     ],
