@@ -19,6 +19,7 @@ from hysteresis_ros.analysis import plots
 from hysteresis_ros.analysis.excerpt import last_periods, seconds, within
 from hysteresis_ros.analysis.metrics import compute_metrics, format_table
 from hysteresis_ros.analysis.report import render_report
+from hysteresis_ros.analysis.settings import judged_reference
 from hysteresis_ros.cli.main import main
 from hysteresis_ros.configuration import config_path, parse_configuration
 from hysteresis_ros.errors import RecordingError
@@ -179,3 +180,13 @@ def load_launch_file(monkeypatch):
     module = importlib.util.module_from_spec(specification)
     specification.loader.exec_module(module)
     return module
+
+
+def test_what_a_preview_looks_back_to_before_an_excerpt_is_not_made_up():
+    run = scan()
+    text = "/**/motion_controller:\n  ros__parameters:\n    feedforward: {preview: 3}\n"
+    described = Recording.from_columns({"time": run.time, **run.signals}, {"configuration": text})
+    judged = judged_reference(within(described, 0.5, 0.6))
+    assert np.isnan(judged[:3]).all()
+    np.testing.assert_array_equal(judged[3:], run["reference"][500:598])
+    np.testing.assert_array_equal(judged_reference(within(described, 0.0, 0.6))[:3], run["reference"][0])
