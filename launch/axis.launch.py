@@ -10,7 +10,6 @@ from __future__ import annotations
 import importlib.util
 import json
 import pathlib
-import re
 import shutil
 import tempfile
 
@@ -59,15 +58,6 @@ ARGUMENTS = (
         description="external: a node of yours publishes joint_states in plant_simulator's place",
     ),
     DeclareLaunchArgument("samples", default_value="", description="length of the run; empty: as the file says"),
-)
-
-
-class Loader(yaml.SafeLoader):
-    """YAML as ROS reads it: 5e-6 is a number, without a point too; a text of it would stand in the recording."""
-
-
-Loader.add_implicit_resolver(
-    "tag:yaml.org,2002:float", re.compile(r"^[-+]?[0-9]+(?:\.[0-9]*)?[eE][-+]?[0-9]+$"), list("-+0123456789")
 )
 
 
@@ -164,7 +154,7 @@ def override(given: dict, config: str) -> dict:
 def merged(config: str, overrides: dict) -> str:
     """Return the text of a parameter file with what the arguments set: what a recording is a run of."""
     with open(config, encoding="utf-8") as stream:
-        content = yaml.load(stream, Loader=Loader) or {}
+        content = yaml.safe_load(stream) or {}
     for pattern, section in overrides.items():
         place = content.setdefault(pattern, {})
         place["ros__parameters"] = {**place.get("ros__parameters", {}), **section["ros__parameters"]}
