@@ -199,6 +199,15 @@ def test_what_it_cannot_work_with_is_named_and_nothing_is_commanded(stand, befor
     assert not any(line.startswith("SVA ") and float(line.split()[2]) != 0.0 for line in stand.heard)
 
 
+def test_a_second_master_is_refused_until_the_first_has_gone(stand, device):
+    with pytest.raises(DriverError, match="cannot be opened: .* has another master"):
+        stand.open(timeout=5.0)
+    device.write([20.0])
+    until(lambda: device.read()[0] > 5.0e-6)
+    device.close()
+    stand.open(timeout=5.0).close()
+
+
 def test_a_controller_that_is_not_there_or_is_no_controller_is_named():
     with socket.create_server(("127.0.0.1", 0)) as nobody:
         port = nobody.getsockname()[1]
