@@ -129,15 +129,19 @@ def test_limits_units_and_digits_are_those_of_the_record(served):
     until(lambda: served.asked == [pytest.approx(3e-6)], what="the move")
 
 
-def test_the_link_moves_stops_and_judges_running_nodes(inside, observer):
+def test_the_link_moves_stops_and_judges_running_nodes(inside, observer, monkeypatch):
     pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
     import rclpy
     from nodes_support import axis_parameters, compose
     from rclpy.executors import SingleThreadedExecutor
     from std_msgs.msg import Bool
 
-    from hysteresis_ros.nodes.epics.link import SILENCE, AxisLink
+    from hysteresis_ros.nodes.epics import link
+    from hysteresis_ros.nodes.epics import record as recording
 
+    # a busy machine is no axis that is dead or deaf
+    monkeypatch.setattr(link, "SILENCE", 30.0)
+    monkeypatch.setattr(recording, "TAKEN", 30.0)
     slow = {
         "plant_simulator": {"late_limit": -1},
         "motion_controller": {"type": "open_loop"},
@@ -148,8 +152,8 @@ def test_the_link_moves_stops_and_judges_running_nodes(inside, observer):
     node = rclpy.create_node("epics_ioc", context=inside.context)
     executor = SingleThreadedExecutor(context=inside.context)
     executor.add_node(node)
-    settings = motor_settings(axis, RecordOptions("t:", "um", 4, 20.0))
-    record = MotorRecord(settings, AxisLink(node, settings))
+    settings = motor_settings(axis, RecordOptions("t:", "um", 4, 40.0))
+    record = MotorRecord(settings, link.AxisLink(node, settings))
     inside.spin()
 
     def look(condition):
@@ -170,7 +174,7 @@ def test_the_link_moves_stops_and_judges_running_nodes(inside, observer):
         wait(lambda: record.fields["RBV"] > 3.0, "the axis on its way")
         record.put("STOP", 1, time.monotonic())
         wait(lambda: record.fields["DMOV"] == 1, "the stop")
-        assert 3.0 < record.fields["VAL"] < 10.0 and record.alarm == Alarm()
+        assert 2.0 < record.fields["VAL"] < 10.0 and record.alarm == Alarm()  # the measurement is ahead by its error
         assert source.part.generator.setpoint == source.setpoint == pytest.approx(1e-6 * record.fields["VAL"])
         emergency = node.create_publisher(Bool, "/estop", 10)
         wait(lambda: emergency.get_subscription_count(), "who hears emergencies")
@@ -180,7 +184,8 @@ def test_the_link_moves_stops_and_judges_running_nodes(inside, observer):
         wait(lambda: record.fields["DMOV"] == 1, "the refusal")
         assert source.setpoint == pytest.approx(1e-6 * record.fields["VAL"])
         assert observer.transition("/plant_simulator", "deactivate")
-        wait(lambda: record.alarm == SILENT, f"the alarm after {SILENCE} s")
+        monkeypatch.setattr(link, "SILENCE", 0.5)
+        wait(lambda: record.alarm == SILENT, "the alarm of an axis that is silent")
     finally:
         executor.shutdown()
         node.destroy_node()
