@@ -72,6 +72,8 @@ def commission(ctx, file, stages, resume, yes, directory, plant, offline, **choi
             write_commissioning_report(page, file.name, situation.found, titles)
             click.echo(f"report: {page}")
     if whole:
+        seconds = sum(outcome.seconds for outcome in situation.found.values())
+        click.echo(f"all stages: {seconds:.3g} s of the axis")
         click.echo(f"written: {directory / COMMISSIONED}; run it: hysteresis up {directory / COMMISSIONED}")
         if not situation.found["scan"].figures["as_predicted"]:
             ctx.exit(UNPREDICTED)

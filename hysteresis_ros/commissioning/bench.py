@@ -22,6 +22,8 @@ TRIPPED = {
 }
 #: Part of the samples that may be without a measurement.
 MOST_MISSING = 0.05
+#: Distances of samples may differ by this part.
+IRREGULAR = 0.01
 
 
 class Bench(ABC):
@@ -63,7 +65,7 @@ class OfflineBench(Bench):
 
 
 def require_sound(recording: Recording, samples: int) -> Recording:
-    """Return a recording in which each sample has its measurement; single ones that are missing are interpolated.
+    """Return a recording of regular samples in which each has its measurement; the few that miss are interpolated.
 
     Parameters
     ----------
@@ -74,7 +76,7 @@ def require_sound(recording: Recording, samples: int) -> Recording:
     Raises
     ------
     CommissioningError
-        The axis stopped itself, too many measurements are missing, or the run was cut off.
+        The axis stopped itself, or too many measurements are missing.
     """
     if recording.has("tripped"):
         codes = recording["tripped"]
@@ -83,21 +85,24 @@ def require_sound(recording: Recording, samples: int) -> Recording:
             first = stopped[0]
             why = TRIPPED.get(int(codes[first]), f"code {codes[first]:g}")
             raise CommissioningError(f"the axis stopped itself after {recording.time[first]:.3g} s: {why}")
-    if len(recording) < (1.0 - MOST_MISSING) * samples:
+    there = np.isfinite(recording["measured"]) & np.isfinite(recording["voltage"])
+    missing = 1.0 - np.count_nonzero(there) / samples
+    if missing > MOST_MISSING:
         raise CommissioningError(
-            f"{len(recording)} of {samples} samples were recorded: the run was cut off; see to it, begin again"
+            f"{100.0 * missing:.1f} % of {samples} samples have no measurement or no voltage: look at the sensor and "
+            "its cable, at whether the run was cut off, and whether this machine holds the rate (hysteresis doctor)"
         )
-    measured = recording["measured"]
-    there = np.isfinite(measured)
-    if np.mean(~there) > MOST_MISSING:
-        raise CommissioningError(
-            f"{100.0 * np.mean(~there):.1f} % of the samples have no measurement: look at the sensor and its cable, "
-            "and whether this machine holds the rate (hysteresis doctor)"
-        )
-    if there.all():
-        return recording
-    signals = dict(recording.signals)
-    for name in ("measured", "voltage"):
-        known = np.isfinite(signals[name])
-        signals[name] = np.interp(recording.time, recording.time[known], signals[name][known])
-    return Recording(recording.time, signals, recording.units, recording.metadata)
+    distances = np.diff(recording.time)
+    regular = np.ptp(distances) < IRREGULAR * distances.mean()
+    return recording if missing <= 0.0 and regular else _complete(recording, samples)
+
+
+def _complete(recording: Recording, samples: int) -> Recording:
+    """Return a recording with all of its samples, regularly: straight lines between those that are there."""
+    begin, period = recording.time[0], float(np.median(np.diff(recording.time)))
+    time = begin + period * np.arange(min(samples, 1 + round((recording.time[-1] - begin) / period)))
+    signals = {}
+    for name in ("reference", "voltage", "measured"):
+        known = np.isfinite(recording[name])
+        signals[name] = np.interp(time, recording.time[known], recording[name][known])
+    return Recording(time, signals, {}, recording.metadata)

@@ -46,18 +46,21 @@ OWN = {
 def slow_data(situation: Situation) -> IdentificationData:
     """Return what the decaying cycles and the creep say, one behind the other, neighbours averaged.
 
+    The measurement is taken earlier by the delay that the small movements showed: what is left is slow.
+
     Parameters
     ----------
     situation : Situation
     """
     parts = [situation.folder.recording(stage) for stage in ("hysteresis", "creep")]
+    late = situation.figure("resonance", "delay_s")
     factor = max(int(situation.rate / (SAMPLES_A_CYCLE * situation.plan.cycle_frequency)), 1)
-    columns = {
-        name: np.concatenate([_averaged(part[name], factor) for part in parts]) for name in ("voltage", "measured")
-    }
-    time = np.arange(columns["voltage"].size) * factor / situation.rate
-    source = "hysteresis.npz, creep.npz"
-    return IdentificationData(time, columns["voltage"], columns["measured"], source=source, factor=factor)
+    voltage = np.concatenate([_averaged(part["voltage"], factor) for part in parts])
+    measured = np.concatenate(
+        [_averaged(np.interp(part.time + late, part.time, part["measured"]), factor) for part in parts]
+    )
+    time = np.arange(voltage.size) * factor / situation.rate
+    return IdentificationData(time, voltage, measured, source="hysteresis.npz, creep.npz", factor=factor)
 
 
 def _averaged(values: np.ndarray, factor: int) -> np.ndarray:
@@ -96,7 +99,7 @@ def identify_stage(situation: Situation) -> Outcome:
     reading = read_data(slow_data(situation), Columns(all_samples=True))
 
     def fitted(model: str) -> Identified:
-        return identify(reading, model, linear="lag,creep", fast=fast, progress=situation.progress)
+        return identify(reading, model, linear="creep", fast=fast, progress=situation.progress)
 
     found = fitted(situation.model)
     if not found.converged:

@@ -92,6 +92,10 @@ class Situation:
         low = max(float(voltages.min()) - room, self.plan.minimum)
         high = min(float(voltages.max()) + room, self.plan.maximum)
         configuration = self.within(self.configuration, low, high)
+        if "noise" not in self.found:
+            # nothing moves yet: a device whose own range is narrower is refused now
+            whole = {"limits.minimum": self.plan.minimum, "limits.maximum": self.plan.maximum}
+            configuration = configuration.override("plant_simulator", **whole)
         if self.has_device:
             configuration = configuration.override("plant_simulator", **self._watched())
         limits = single_axis(configuration, self.axis.namespace).hysteresis_compensator.limits

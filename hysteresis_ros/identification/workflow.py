@@ -237,12 +237,6 @@ def identify(
         skip = result.skipped
     elif skip is None:
         skip = automatic_skip(data) if result.chain.rate_independent else 0
-    if fast is not None:
-        chain, gain = with_fast_dynamics(result.chain, fast.data, fast.skip)
-        numbers, words = described(chain.continuous)
-        kept = {name: value for name, value in result.numbers.items() if name not in ("lag_s", "delay_s")}
-        numbers |= {**kept, "small_gain_over_model": gain}
-        result = replace(result, chain=chain, linear=", ".join(words) or "none", numbers=numbers)
     return _finished(model, result, data, skip, given.get("offset") == "free", reading.report.warnings, fast)
 
 
@@ -263,6 +257,8 @@ def _finished(
     notes = [*read, *result.warnings, *model_warnings(result), *judged]
     if back is None:
         notes.append(f"no inverse validation: {reason}")
+    if fast is not None:
+        result = _with_fast(result, fast)
     judged_on = fast or Fast(data, skip)
     checked = check_response(result.chain, judged_on.data, judged_on.skip)
     notes += checked.warnings if checked else ()
@@ -276,6 +272,15 @@ def _finished(
     named |= {"sensor_zero_m": result.chain.offset} | ({"start": result.start} if result.start else {})
     compared = Compared(data, result.chain, predicted + drift, found, back, finite(named), result.warnings)
     return Identified(**vars(compared), identification=result, text=text, response=checked)
+
+
+def _with_fast(result: Identification, fast: Fast) -> Identification:
+    """Return an identification with the dynamics of a fast recording."""
+    chain, gain = with_fast_dynamics(result.chain, fast.data, fast.skip)
+    numbers, words = described(chain.continuous)
+    kept = {name: value for name, value in result.numbers.items() if name not in ("lag_s", "delay_s")}
+    numbers |= {**kept, "small_gain_over_model": gain}
+    return replace(result, chain=chain, linear=", ".join(words) or "none", numbers=numbers)
 
 
 def validate(

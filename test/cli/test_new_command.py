@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import io
+
 import numpy as np
 import pytest
 import yaml
 from click.testing import CliRunner
 
 from hysteresis_ros.cli.main import main
+from hysteresis_ros.cli.new import new
 from hysteresis_ros.commissioning.plan import plan_of
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.simulation.axes import single_axis
@@ -104,3 +107,20 @@ def test_an_existing_file_is_not_touched(tmp_path):
     assert answer.exit_code == 2 and "exists already" in answer.output and path.read_text() == "mine"
     assert called(tmp_path / "stage.txt", *STAGE).exit_code == 2
     assert called(tmp_path / "no/stage.yaml", *STAGE).exit_code == 2
+
+
+def test_on_a_terminal_what_is_missing_is_asked_for(tmp_path, monkeypatch):
+    class Terminal(io.StringIO):
+        def isatty(self):
+            return True
+
+    # what the prompts read and write
+    answers = iter(["30um", "-10:90V"])
+    monkeypatch.setattr("click.prompt", lambda words, default: next(answers))
+    monkeypatch.setattr("sys.stdin", Terminal())
+    monkeypatch.setattr("sys.stdout", Terminal())
+    path = tmp_path / "stage.yaml"
+    new.main([str(path), "--rate", "1kHz"], standalone_mode=False)
+    plan = plan_of(load_configuration(path), single_axis(load_configuration(path)))
+    assert (plan.minimum, plan.maximum, plan.stroke) == (-10.0, 90.0, 30e-6)
+    assert not list(answers)

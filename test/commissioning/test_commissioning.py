@@ -9,6 +9,7 @@ import pytest
 from commissioning_support import RATE, STAGE, ForeignBench, Willing
 
 from hysteresis_ros.commissioning import voltages as volts
+from hysteresis_ros.commissioning.bench import require_sound
 from hysteresis_ros.commissioning.commission import NotAllowedError, commission
 from hysteresis_ros.commissioning.folder import COMMISSIONED, Folder
 from hysteresis_ros.commissioning.new_file import NewAxis, write_new
@@ -18,6 +19,7 @@ from hysteresis_ros.commissioning.situation import Situation
 from hysteresis_ros.commissioning.stages import STAGES
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.errors import ConfigurationError, ParameterError
+from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.simulation.axes import single_axis
 
 #: Entries of the plan that make a commissioning short.
@@ -33,7 +35,7 @@ def sitting(folder, resumed=False, plan="", **choices):
     configuration = load_configuration(path)
     axis = single_axis(configuration)
     kept = Folder(folder / "kept", configuration.text, ForeignBench.name, resumed)
-    choices = {"model": "prandtl_ishlinskii", "controller": "pid", "against": (), **choices}
+    choices = {"model": "prandtl_ishlinskii", "controller": "pid", "against": ("polynomial",), **choices}
     return Situation(configuration, axis, plan_of(configuration, axis), kept, **choices)
 
 
@@ -80,6 +82,8 @@ def test_all_stages_lead_to_a_loop_that_follows_the_scan_and_stay_within_what_th
     assert figures["gain"]["gain_m_per_v"] == pytest.approx(0.87e-6, rel=0.05)
     assert figures["resonance"]["resonance_hz"] == pytest.approx(420.0, rel=5e-3)
     assert figures["resonance"]["damping"] == pytest.approx(0.015, rel=0.2)
+    # a sample, half a one for which the voltage is held, and what the mode adds
+    assert figures["resonance"]["delay_s"] == pytest.approx(1.5 / RATE, rel=0.15)
     assert figures["identify"]["mode_1_hz"] == pytest.approx(420.0, rel=2e-3)
     assert figures["identify"]["delay_s"] == pytest.approx(1.0 / RATE, rel=0.05)
     assert figures["hysteresis"]["stroke_m"] == pytest.approx(100e-6, rel=0.05)
@@ -92,9 +96,14 @@ def test_all_stages_lead_to_a_loop_that_follows_the_scan_and_stay_within_what_th
     # every stage was held to its own voltages by the limits of plant and compensator
     small = [axis.hysteresis_compensator.limits for axis in bench.runs[:2]]
     assert (small[0].maximum, small[1].maximum) == pytest.approx((0.01, 5.01))
-    assert all(axis.plant_simulator.limits == axis.hysteresis_compensator.limits for axis in bench.runs)
+    assert all(axis.plant_simulator.limits == axis.hysteresis_compensator.limits for axis in bench.runs[1:])
+    assert bench.runs[0].plant_simulator.limits.maximum == 100.0, "a device's range is looked at before anything moves"
     written = single_axis(load_configuration(situation.folder.path / COMMISSIONED))
     assert written.motion_controller.type == "pid" and written.plant_simulator.sensor.noise > 2e-9
+    # the plant is never the model: what the controller does not know is part of what is predicted
+    assert written.plant_simulator.hysteresis.type == "polynomial"
+    assert written.hysteresis_compensator.hysteresis.type == "prandtl_ishlinskii"
+    assert figures["scan"]["predicted_rms_m"] == figures["design"]["predicted_rms_m"] > 20e-9
     assert written.hysteresis_compensator.limits.maximum == 100.0 and written.plant_simulator.joint == "stage"
 
     # one alone, and anew: what rested on it has to be done again
@@ -164,7 +173,7 @@ WRONG = {
     in_tenths: "gain: the gain is 0.08",
     ringing: "gain: the stage does not come to rest",
     tripping: "noise: the axis stopped itself after 0.05 s: the sensor measured farther",
-    losing: "noise: 10.0 % of the samples have no measurement",
+    losing: "noise: 10.0 % of 1000 samples have no measurement or no voltage",
     stuck: "gain: a step of 5 V was asked for and 1 V were put out",
     noisy: "noise: the sensor's noise at rest is",
 }
@@ -177,6 +186,19 @@ def test_what_looks_wrong_is_named_before_anything_large_moves(tmp_path, spoil):
         commission(sitting(tmp_path), bench, Willing(), [])
     assert caught.value.exit_code == 2
     assert max(axis.hysteresis_compensator.limits.maximum for axis in bench.runs) < 6.0
+
+
+def test_single_samples_that_are_missing_are_bridged():
+    time = np.arange(200) / 100.0
+    kept = np.delete(np.arange(200), [50, 51, 120])
+    signals = {name: np.sin(time) for name in ("reference", "voltage", "measured")}
+    whole = Recording(time, signals)
+    signals = {name: np.where(np.arange(197) == 9, np.nan, values[kept]) for name, values in signals.items()}
+    signals["voltage"][33] = np.nan  # answered too late
+    found = require_sound(Recording(time[kept], signals), 200)
+    assert np.isfinite(found["voltage"]).all()
+    assert found.time == pytest.approx(whole.time) and found["measured"] == pytest.approx(whole["measured"], abs=2e-4)
+    assert require_sound(whole, 200) is whole
 
 
 def clipped(signals):
