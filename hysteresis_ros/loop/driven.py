@@ -76,7 +76,8 @@ class DrivenPlant(Plant):
         self._device: Device | None = None
         for voltage in (0.0, math.nan):  # what is called is compiled now, not at the first sample
             row = {at.VOLTAGE: voltage, at.MEASURED: 0.0, at.SKIPPED: 0.0}
-            self.limits.step(watched_voltage(self._watch_p, self._watch_x, row))
+            self.amplifier.value(self.limits.step(watched_voltage(self._watch_p, self._watch_x, row)))
+        self.sensor.step(math.nan)
         self.reset()
         self._at_rest()
         self._open(parameters)

@@ -97,7 +97,8 @@ def test_images_that_show_no_place_give_no_measurement_and_are_named(inside, obs
 def test_the_graph_of_such_an_axis_has_the_camera_beside_the_others(monkeypatch, tmp_path):
     started = []
     monkeypatch.setattr(Graph, "_spawn", lambda self, name, *rest: started.append(name))
-    for composed in (False, True):
-        Graph([seen_axis()], composed=composed).start()
-    four = ["plant_simulator", "reference_generator", "motion_controller", "hysteresis_compensator"]
-    assert started == [*four, "displacement_camera", "hysteresis_axis", "displacement_camera"]
+    for composed, external in ((False, False), (True, False), (False, True)):
+        Graph([seen_axis(external_plant=external)], composed=composed).start()
+    three = ["reference_generator", "motion_controller", "hysteresis_compensator"]
+    camera = "displacement_camera"
+    assert started == ["plant_simulator", *three, camera, "hysteresis_axis", camera, *three, camera]
