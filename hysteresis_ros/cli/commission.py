@@ -134,7 +134,8 @@ class Terminal:
             return True
         if not sys.stdin.isatty():
             raise ConfigurationError(f"{stage}: nobody is there to allow this movement; give --yes")
-        return click.confirm("  may it move?", default=False)
+        with self._progress.paused():
+            return click.confirm("  may it move?", default=False)
 
     def told(self, stage: str, outcome, done_before: bool) -> None:
         """Print what was found.

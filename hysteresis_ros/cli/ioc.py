@@ -6,9 +6,11 @@ import signal
 
 import click
 
+from hysteresis_ros.cli.arguments import ConfigurationName
+
 
 @click.command(short_help="Serve axes as EPICS motor records.")
-@click.argument("config", type=click.Path(path_type=str))
+@click.argument("config", type=ConfigurationName())
 @click.option("--attach", is_flag=True, help="The axes run already: only serve them.")
 @click.option("--prefix", default="hysteresis:", show_default=True, help="Of the records' names.")
 @click.option("--namespace", help="Only the axis in this namespace.")

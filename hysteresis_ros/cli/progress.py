@@ -50,6 +50,7 @@ class Progress:
         self._last = time.monotonic()
         self._lock = threading.Lock()
         self._bar: Any = None
+        self._paused = False
 
     def say(self, text: str) -> None:
         """Print a line."""
@@ -59,6 +60,22 @@ class Progress:
             else:
                 click.echo(text, err=self._err)
             self._last = time.monotonic()
+
+    @contextlib.contextmanager
+    def paused(self) -> Iterator[None]:
+        """Show nothing while somebody is asked."""
+        with self._lock:
+            self._paused = True
+            if self._bar is not None:
+                self._bar.stop()
+        try:
+            yield
+        finally:
+            with self._lock:
+                self._paused = False
+                self._last = time.monotonic()
+                if self._bar is not None:
+                    self._bar.start()
 
     @contextlib.contextmanager
     def during(
@@ -85,15 +102,16 @@ class Progress:
 
     def _tell(self, what: str, state, part, over: threading.Event) -> None:
         begun = time.monotonic()
-        if over.wait(SHORT):
-            return
+        while over.wait(SHORT) or self._paused:
+            if over.is_set():
+                return
         bar = _bar(self._err)
         if bar is not None:
             self._show(bar, what, state, part, over)
         if bar is not None or self._bars_only:
             return
         while not over.wait(max(self._last + self._silence - time.monotonic(), 0.05)):
-            if time.monotonic() - self._last >= self._silence:
+            if time.monotonic() - self._last >= self._silence and not self._paused:
                 done = part()
                 share = "" if done is None else f"{100.0 * done:.0f} %"
                 words = (f"{what}: {time.monotonic() - begun:.0f} s", share, state())

@@ -69,6 +69,21 @@ def test_a_terminal_shows_a_bar_and_what_is_said_beside_it(monkeypatch, soon):
     assert "half of [it]" in shown.getvalue()
 
 
+def test_nothing_is_shown_while_somebody_is_asked(monkeypatch, soon):
+    pytest.importorskip("rich", reason="rich is not installed: no bars")
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setattr(sys, "stderr", Terminal())
+    shown, told = sys.stderr, []
+    progress = Progress(err=True)
+    with progress.during("measuring", lambda: told.append(1) or f"look {len(told)}"):
+        until(lambda: "look" in shown.getvalue())
+        with progress.paused():
+            asked, looked = shown.getvalue(), len(told)
+            until(lambda: len(told) > looked + 5)
+            assert shown.getvalue() == asked
+        until(lambda: shown.getvalue() != asked)
+
+
 def test_without_a_terminal_lines_say_that_it_goes_on(capsys, soon):
     progress = Progress(err=True, silence=0.01)
     told = []
