@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_measured_data import DATA
+from measured_support import DATA
 
 from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.identification.data import IdentificationData

@@ -4,11 +4,9 @@ The data is not part of the project. It is looked for in the folder that HYSTERE
 repository in ../shared/data.
 """
 
-import os
-import pathlib
-
 import numpy as np
 import pytest
+from measured_support import DATA
 
 from hysteresis_ros.block import COMPILED
 from hysteresis_ros.identification.bouc_wen_mechanical import fit_bouc_wen_mechanical
@@ -17,8 +15,6 @@ from hysteresis_ros.identification.prandtl_ishlinskii import fit_prandtl_ishlins
 from hysteresis_ros.identification.preisach import fit_preisach
 from hysteresis_ros.models.hysteresis.bouc_wen_mechanical import BoucWenMechanicalParameters
 
-REPOSITORY = pathlib.Path(__file__).resolve().parents[2]
-DATA = pathlib.Path(os.environ.get("HYSTERESIS_DATA", REPOSITORY.parent / "shared" / "data"))
 SKIPPED = 400  # samples of both piezo recordings that their README leaves out
 
 
