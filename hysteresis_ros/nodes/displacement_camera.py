@@ -41,6 +41,7 @@ class DisplacementCameraNode(AxisNode):
         self.part.reset()
         self._reason = ""
         self._heard = time.monotonic()
+        self._stamp, self._lost = -1, 0
 
     def state_signals(self) -> dict[str, str]:
         """Return what stands in ``~/state``: nothing of it is a signal of the loop."""
@@ -69,6 +70,8 @@ class DisplacementCameraNode(AxisNode):
             if not self.runner.expected(self.sample_of(message.header.stamp)):
                 return
             self.runner.heard()
+        else:
+            self._count_lost(message.header.stamp)
         self._heard = time.monotonic()
         self.pace.tick()
         if self.running:
@@ -76,6 +79,15 @@ class DisplacementCameraNode(AxisNode):
         else:
             self._answer(message.header, math.nan, nowhere("stopped"))
         self.sample += 1
+
+    def _count_lost(self, stamp) -> None:
+        """Count the frames between the last one and this one that never came: samples without a measurement."""
+        nanoseconds = stamp.sec * 1_000_000_000 + stamp.nanosec
+        lost = round((nanoseconds - self._stamp) * 1e-9 * self.parameters.sample_rate) - 1
+        if self._stamp >= 0 and lost > 0:
+            self._lost += lost
+            self.warn("lost", f"{lost} frames lost, {self._lost} so far: look at the camera, its link and sample_rate")
+        self._stamp = nanoseconds
 
     def _see(self, message) -> None:
         try:
@@ -101,12 +113,15 @@ class DisplacementCameraNode(AxisNode):
     def health(self):
         """Report why frames are refused, and that none comes."""
         tracker = self.part.tracker
-        values = {"refused_frames": tracker.refused, "homing": tracker.calibration.homing}
+        values = {"refused_frames": tracker.refused, "lost_frames": self._lost, "homing": tracker.calibration.homing}
+        lost = self.since_report("lost", self._lost)
         silent = time.monotonic() - self._heard
         if not self.runner.exact and silent > self.parameters.image_timeout:
             text = f"no image on {self.resolve_topic_name(TOPIC)} for {silent:.1f} s: is the camera's driver there?"
             return 2, text, values
-        return (2, f"frame refused: {self._reason}", values) if self._reason else (0, "", values)
+        if self._reason:
+            return 2, f"frame refused: {self._reason}", values
+        return (1, f"{lost} frames lost", values) if lost else (0, "", values)
 
 
 def main(arguments=None) -> int:

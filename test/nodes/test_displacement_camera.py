@@ -74,6 +74,10 @@ def test_images_that_show_no_place_give_no_measurement_and_are_named(inside, obs
         return joints[-1].position[0]
 
     assert shown(scene.frame(3.0e-6, 1)) == pytest.approx(3.0e-6, abs=0.05e-6)
+    assert shown(scene.frame(3.0e-6, 9)) == pytest.approx(3.0e-6, abs=0.05e-6)
+    # stamps a second apart, at 25 frames a second
+    until(lambda: (diagnostics(reports, "/displacement_camera") or [0, ""])[1] == "24 frames lost", what="the loss")
+    assert diagnostics(reports, "/displacement_camera")[2]["lost_frames"] == "24"
     assert list(joints[-1].name) == ["stack"]
     until(lambda: states)
     assert states[0].position[1] == pytest.approx(46.0, abs=0.1) and states[0].name[1] == "pixels"
