@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import json
-import os
-import pathlib
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from measured_data import measured_data
 
 from hysteresis_ros.cli.main import main
 from hysteresis_ros.configuration import load_configuration
@@ -26,8 +25,6 @@ from hysteresis_ros.models.limits import LimitsParameters
 from hysteresis_ros.models.linear import LinearParameters
 from hysteresis_ros.simulation.axes import axes
 
-REPOSITORY = pathlib.Path(__file__).resolve().parents[2]
-DATA = pathlib.Path(os.environ.get("HYSTERESIS_DATA", REPOSITORY.parent / "shared" / "data"))
 RATE = 200.0
 STACK = PrandtlIshlinskiiParameters(
     radii=tuple(np.linspace(0.0, 45.0, 16)), weights=(8e-8, *[3e-9] * 15), thresholds=(6e-6,), zone_weights=(-0.05,)
@@ -336,7 +333,6 @@ def test_unused_creep_leaves_no_trace_in_the_file(recording, tmp_path):
     assert chain.creep == CreepParameters() and chain.dynamics.order == 0
 
 
-@pytest.mark.skipif(not (DATA / "yan9a_dbo").is_dir(), reason=f"measured data is not there: {DATA / 'yan9a_dbo'}")
 def test_measured_piezo_predicts_the_recording_it_has_not_seen(tmp_path):
     columns = [
         "--input",
@@ -351,7 +347,7 @@ def test_measured_piezo_predicts_the_recording_it_has_not_seen(tmp_path):
         "-",
     ]
     path = tmp_path / "params.yaml"
-    source = DATA / "yan9a_dbo"
+    source = measured_data("yan9a_dbo")
     first = run("identify", source / "model_1Hz_major.csv", "--model", "preisach", "-o", path, *columns)
     assert first.exit_code == 0, first.output
     assert json.loads(first.stdout)["rmse_m"] < 0.12e-6

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from measured_support import DATA
+from measured_data import measured_data
 
 from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.identification.data import IdentificationData
@@ -107,8 +107,6 @@ def test_a_fast_steering_mirror_is_fitted_by_default():
 def _mirror(kind: str) -> IdentificationData:
     columns = []
     for name in ("u", "y"):
-        path = DATA / f"fsm_cubespec/{name}_100mV_{kind}.npy"
-        if not path.exists():
-            pytest.skip(f"no {path.name} in {path.parent}; name the folder of the recordings in HYSTERESIS_DATA")
+        path = measured_data(f"fsm_cubespec/{name}_100mV_{kind}.npy")
         columns.append(np.load(path)[:, 2, 0].T.ravel())
     return IdentificationData(np.arange(len(columns[0])) * STEP, *columns)

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import os
-import pathlib
-
 import numpy as np
 import pytest
+from measured_data import measured_data
 
 from hysteresis_ros.identification.data import DataError
 from hysteresis_ros.identification.frequency_response import FrequencyResponse, multisine_response, welch_response
@@ -39,14 +37,6 @@ def noisy(frequency, share, seed=0, known=True):
     deviation = share * np.abs(G)
     noise = deviation * (random.standard_normal(G.shape) + 1j * random.standard_normal(G.shape)) / np.sqrt(2)
     return FrequencyResponse(frequency, G + noise, 1 / RATE, deviation**2 if known else None)
-
-
-def fsm_folder() -> pathlib.Path:
-    root = pathlib.Path(__file__).resolve().parents[2]
-    folder = pathlib.Path(os.environ.get("HYSTERESIS_DATA", root.parent / "shared" / "data")) / "fsm_cubespec"
-    if not folder.is_dir():
-        pytest.skip(f"the recordings fsm_cubespec are not there ({folder}); set HYSTERESIS_DATA to their folder")
-    return folder
 
 
 def test_propagation_is_the_recursion():
@@ -213,7 +203,7 @@ def test_bad_input_is_named():
 
 def test_measured_mirror_response_predicts_new_phases():
     """The response of six realisations predicts three others better than the published linear models (0.114 µm)."""
-    folder = fsm_folder()
+    folder = measured_data("fsm_cubespec")
     arrays = [np.load(folder / f"{signal}_100mV_{part}.npy") for part in ("train", "test") for signal in "uy"]
     u, y, u_test, y_test = (array.transpose(2, 3, 1, 0) for array in arrays)
     estimate = multisine_response(u, y, 1 / 6400.0)

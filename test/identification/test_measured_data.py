@@ -1,12 +1,8 @@
-"""Measured and benchmark recordings: fitted on their training files, judged on files the fit has not seen.
-
-The data is not part of the project. It is looked for in the folder that HYSTERESIS_DATA names, else beside the
-repository in ../shared/data.
-"""
+"""Measured and benchmark recordings: fitted on their training files, judged on files the fit has not seen."""
 
 import numpy as np
 import pytest
-from measured_support import DATA
+from measured_data import measured_data
 
 from hysteresis_ros.block import COMPILED
 from hysteresis_ros.identification.bouc_wen_mechanical import fit_bouc_wen_mechanical
@@ -19,10 +15,7 @@ SKIPPED = 400  # samples of both piezo recordings that their README leaves out
 
 
 def table(name):
-    path = DATA / name
-    if not path.exists():
-        pytest.skip(f"no {name} in {DATA}; name the folder of the recordings in HYSTERESIS_DATA")
-    return np.loadtxt(path, delimiter=",", skiprows=1)
+    return np.loadtxt(measured_data(name), delimiter=",", skiprows=1)
 
 
 def stack_recording(name):

@@ -1,0 +1,21 @@
+"""Measured and benchmark recordings, which are not part of the project.
+
+They are looked for in the folder that HYSTERESIS_DATA names, else beside the repository in ../shared/data.
+"""
+
+from __future__ import annotations
+
+import os
+import pathlib
+
+import pytest
+
+DATA = pathlib.Path(os.environ.get("HYSTERESIS_DATA", pathlib.Path(__file__).resolve().parents[2] / "shared" / "data"))
+
+
+def measured_data(name: str) -> pathlib.Path:
+    """Return the path of a file or folder of the data; where it is not there the test is skipped with a word."""
+    path = DATA / name
+    if not path.exists():
+        pytest.skip(f"no {name} in {DATA}; name the folder of the recordings in HYSTERESIS_DATA")
+    return path
