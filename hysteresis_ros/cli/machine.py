@@ -21,6 +21,7 @@ LIBRARIES = {
     "ros-jazzy-common-interfaces": "ros",
     "matplotlib": "report",
     "jinja2": "report",
+    "rich": "progress",
 }
 #: Modules of those that also come without a wheel, with ROS 2 from apt.
 MODULES = {"ros-jazzy-rclpy": "rclpy", "ros-jazzy-common-interfaces": "sensor_msgs"}

@@ -17,7 +17,7 @@ from hysteresis_ros.errors import HysteresisError, ParameterError  # noqa: E402
 from hysteresis_ros.nodes.remote.client import AbsentError, Client  # noqa: E402
 from hysteresis_ros.nodes.remote.parameters import get, set_  # noqa: E402
 from hysteresis_ros.nodes.remote.services import call  # noqa: E402
-from hysteresis_ros.nodes.remote.setpoint import setpoint  # noqa: E402
+from hysteresis_ros.nodes.remote.setpoint import setpoint, stands  # noqa: E402
 from hysteresis_ros.nodes.remote.status import status  # noqa: E402
 from hysteresis_ros.nodes.remote.topics import echo  # noqa: E402
 
@@ -70,6 +70,22 @@ def test_a_setpoint_is_taken_or_refused_where_it_was_typed(axis, client, capsys)
     assert "active → inactive" in capsys.readouterr().out
     call(client, "motion_controller", "activate")
     setpoint(client, 3.0e-6)
+
+
+@pytest.mark.parametrize(
+    ("state", "words"),
+    [
+        ({"mode": 0.0, "phase": 1.0, "error": 0.0}, ""),
+        ({"mode": 3.0}, "is stopped: `hysteresis call /x/inchworm_sequencer start`"),
+        ({"mode": 4.0}, "`hysteresis call /x/plant_simulator start` lets it go on"),
+        ({"mode": 0.0, "phase": 1.0, "error": 1.0}, ""),
+        ({"mode": 0.0, "phase": 1.0, "error": 4.0}, "stands with the error slip: `hysteresis call /x/inch"),
+        ({"mode": 0.0, "phase": 9.0, "error": 0.0}, "has let the slider go"),
+    ],
+)
+def test_a_source_that_cannot_move_says_why_and_what_to_do(state, words):
+    said = stands("/x/inchworm_sequencer", state)
+    assert words in said and bool(words) == bool(said)
 
 
 def test_who_does_not_listen_or_answer_is_named(axis, hasty, client):

@@ -11,9 +11,11 @@ from std_msgs.msg import Float64, String
 
 from hysteresis_ros import signals
 from hysteresis_ros.errors import HysteresisError
+from hysteresis_ros.loop.watch import STOPPED, TRIPPED
 from hysteresis_ros.nodes.qos import setpoint_qos
 from hysteresis_ros.nodes.remote.client import SETTLED, AbsentError, Client, axis_nodes
 from hysteresis_ros.nodes.remote.services import lifecycle_states
+from hysteresis_ros.references import inchworm_layout as at
 from hysteresis_ros.units import readable
 
 #: Nodes that answer a setpoint: by their state, or on ``~/refused``.
@@ -24,11 +26,6 @@ ACQUAINTANCE = 0.5
 PATIENCE = 2.0
 #: Seconds in which a sample is made.
 ANSWER = 5.0
-#: Why nothing moves: mode of the source's part of the loop → words, and what to do.
-STANDS = {
-    3: "is stopped: `hysteresis call {source} start`",
-    4: "stands still, because the plant has stopped the axis: `hysteresis call {plant} start` lets it go on",
-}
 
 
 def setpoint(client: Client, value: float) -> None:
@@ -104,6 +101,30 @@ def _require_active(client: Client, source: str) -> None:
             raise HysteresisError(f"{name} is {state}, the axis would not move{hint}")
 
 
+def stands(source: str, state: dict[str, float]) -> str:
+    """Return why a source does not move although it has the setpoint, and what to do; empty when it does.
+
+    Parameters
+    ----------
+    source : str
+        Full name of the node.
+    state : dict of str to float
+        Its ``~/state``.
+    """
+    mode, error = round(state.get("mode", 0.0)), round(state.get("error", 0.0))
+    start = f"`hysteresis call {source} start`"
+    if mode == TRIPPED:
+        plant = f"{source.rpartition('/')[0]}/plant_simulator"
+        return f"stands still, because the plant has stopped the axis: `hysteresis call {plant} start` lets it go on"
+    if mode == STOPPED:
+        return f"is stopped: {start}"
+    if error > at.SENSOR_ERROR:  # that one heals itself
+        return f"stands with the error {at.ERROR_NAMES[error]}: {start} after repair"
+    if round(state.get("phase", 0.0)) == at.RELEASED:
+        return f"has let the slider go: {start}"
+    return ""
+
+
 def _answered(client: Client, source: str, value: float, state: dict, said: list[str]) -> None:
     """Wait for the answer of the source, and say it."""
 
@@ -120,8 +141,7 @@ def _answered(client: Client, source: str, value: float, state: dict, said: list
         joints = f"{source.rsplit('/', 1)[0]}/joint_states"
         why = f"nobody publishes {joints}" if not client.node.count_publishers(joints) else "time stands still"
         raise AbsentError(f"{source} has made no sample with the setpoint: {why}; see `hysteresis status`")
-    mode = STANDS.get(round(state.get("mode", 0.0)))
-    if mode:
-        plant = f"{source.rsplit('/', 1)[0]}/plant_simulator"
-        raise HysteresisError(f"{source} has the setpoint but {mode.format(source=source, plant=plant)}")
+    why = stands(source, state)
+    if why:
+        raise HysteresisError(f"{source} has the setpoint but {why}")
     print(f"setpoint {readable(value, 'm')} taken by {source}", flush=True)
