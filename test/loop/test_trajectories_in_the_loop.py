@@ -41,6 +41,17 @@ def test_the_twin_of_a_recorded_run_repeats_it_from_the_log(setpoint):
     assert made["reference"][-1] == (setpoint or 5e-6)
 
 
+def test_the_setpoint_that_ends_a_trajectory_is_recorded_while_the_axis_still_brakes():
+    limits = {"approach__maximum_velocity": 2e-4, "approach__maximum_acceleration": 4e-3}
+    limited = {SOURCE: {**HOLD[SOURCE], **limits}}
+    setpoints = np.where(np.arange(900) < 200, 0.0, 1e-6)
+    change = FOLLOW._replace(parameters={"times": (0.2,), "positions": (9e-6,), "velocities": (0.0,)})
+    made = axis(**limited).run(setpoints, changes=[change])
+    assert np.all(made["setpoint"][50:200] == 9e-6) and np.all(made["setpoint"][200:] == 1e-6)
+    assert made["reference"][201] > made["reference"][200] and made["reference"][-1] == 1e-6
+    assert_same_bits(made, axis(**limited).run(made["setpoint"], changes=[change]))
+
+
 def test_an_axis_that_is_stopped_gives_its_trajectory_up():
     changes = [FOLLOW, Change(120, "plant_simulator", "halt"), Change(200, "plant_simulator", "start")]
     table = axis(**HOLD).run(np.zeros(600), changes=changes)

@@ -213,6 +213,8 @@ def test_a_move_that_somebody_replaces_or_nobody_takes_or_that_never_settles_is_
     bench.axis.deaf = True
     bench.put("VAL", 5.0)
     assert bench.done() == pytest.approx(2.0, abs=0.05) and bench.record.alarm == MISSED
+    bench.put("VAL", 2.01)  # near enough, but nobody has taken it
+    assert bench.done() == pytest.approx(2.0, abs=0.05) and bench.record.alarm == MISSED
     bench.axis.deaf, bench.axis.error = False, 1e-7
     bench.put("VAL", 2.0)
     assert bench.done() == pytest.approx(5.1, abs=0.05) and bench.record.alarm == MISSED

@@ -16,6 +16,7 @@ from std_msgs.msg import Float64, String  # noqa: E402
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint  # noqa: E402
 
 from hysteresis_ros.nodes.trajectory_action import TrajectoryAction, action_type  # noqa: E402
+from hysteresis_ros.references.trajectory import HELD  # noqa: E402
 
 SOURCE = "reference_generator"
 #: Slow enough for a busy machine, and no trips.
@@ -176,6 +177,7 @@ def test_goals_of_the_action_end_as_their_moves_do(axis, monkeypatch):
     assert end(ask(trajectory((0.1, 5e-6)), goal=[elbow])) == (GoalStatus.STATUS_ABORTED, -2)
     tight = SimpleNamespace(name="extender", position=1e-12)
     assert end(ask(trajectory((60.0, 9e-6)), path=[tight])) == (GoalStatus.STATUS_ABORTED, -4)
+    until(lambda: source.part.generator.trajectory[1] == HELD, what="an axis that rests")
 
     first = ask(trajectory((60.0, 11e-6)))
     second = ask(trajectory((60.0, 1e-6)))

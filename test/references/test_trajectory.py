@@ -88,10 +88,14 @@ def test_it_ends_at_a_new_setpoint_of_which_an_old_one_is_none():
     assert made.trajectory == (1, ENDED) and made.step(START) == 9e-6
     assert made.step(9e-6) == 9e-6  # what the trajectory has put in the setpoint's place, echoed
     assert made.step(START) == START  # now it is another one
+    made.follow([0.05], [7e-6])
+    play(made, 1, START)
+    play(made, 49, 7e-6)  # echoed on the way
+    assert made.trajectory == (2, ENDED)
     made.follow([0.05], [9e-6])
     play(made, 10, START)
     made.step(4e-6)
-    assert made.step(4e-6) == 4e-6 and made.trajectory == (2, REPLACED)
+    assert made.step(4e-6) == 4e-6 and made.trajectory == (3, REPLACED)
 
 
 def test_a_limited_axis_brakes_before_it_goes_elsewhere_or_stays():

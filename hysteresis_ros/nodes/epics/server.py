@@ -146,7 +146,7 @@ class Motor(PVGroup):
         self._alarm = alarm
         status = caproto.AlarmStatus[alarm.status]
         severity = getattr(caproto.AlarmSeverity, f"{alarm.severity}_ALARM".replace("NO_ALARM_ALARM", "NO_ALARM"))
-        for name in ("VAL", "RBV", "DVAL", "DRBV", "DMOV", "MOVN"):
+        for name in ("VAL", "RBV"):  # the fields share one
             await self._places[name].alarm.write(status=status, severity=severity)
         await self._places["STAT"].write(alarm.status, verify_value=False)
         await self._places["SEVR"].write(alarm.severity, verify_value=False)
