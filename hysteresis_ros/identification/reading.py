@@ -16,7 +16,7 @@ from hysteresis_ros.identification.data import (
     load_data,
 )
 from hysteresis_ros.identification.data_checks import check_behaviour, check_samples
-from hysteresis_ros.identification.sampling import resample, steadied
+from hysteresis_ros.identification.sampling import resample, steadied, uninterrupted
 from hysteresis_ros.recordings.columns import TABLE_SUFFIXES, Selection, Table, find_time, open_table
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.units import si_unit, split_choice
@@ -124,6 +124,8 @@ def read_data(source, columns: Columns | None = None, progress=None) -> Reading:
     data = steadied(data)
     if columns.resample is not None:
         data = resample(data, None if columns.resample == "auto" else columns.resample)
+    else:
+        data = uninterrupted(data)
     if columns.negate:
         data = replace(data, output=-data.output, notes=(*data.notes, "output counted in the other direction"))
     return Reading(*(data.checked() if columns.all_samples else _condensed(data, columns.whole)), guessed)

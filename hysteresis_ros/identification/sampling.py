@@ -16,6 +16,9 @@ from hysteresis_ros.units import readable
 SMOOTHER = 0.7
 #: Distances above this many medians are gaps.
 GAP = 1.5
+#: Gaps of so many samples are bridged without being asked for; of longer ones the longest part without one is taken, if
+#: it holds this part of the samples.
+SHORT_GAP, LONG_ENOUGH = 3, 0.3
 
 
 def steadied(data: IdentificationData) -> IdentificationData:
@@ -53,6 +56,42 @@ def steadied(data: IdentificationData) -> IdentificationData:
         f"signals do not (with equal distances they are {smoother:.2g} times smoother): taken as uniform"
     )
     return replace(data, time=grid, warnings=(*data.warnings, warning))
+
+
+def uninterrupted(data: IdentificationData) -> IdentificationData:
+    """Return data of a uniform grid without its gaps: short ones bridged, else the longest part without one.
+
+    What happens in a longer gap is unknown, and so is the memory of a hysteresis after it. Samples whose input or output
+    is missing are gaps too. Where no part is long enough, or the samples jitter, the data is returned as it is.
+
+    Parameters
+    ----------
+    data : IdentificationData
+    """
+    finite = np.flatnonzero(np.isfinite(data.input) & np.isfinite(data.output))
+    if finite.size < 50:
+        return data
+    distances = np.diff(data.time[finite])
+    median = float(np.median(distances))
+    steps = np.rint(distances / median)
+    if not median > 0.0 or np.max(steps) < 2 or np.max(np.abs(distances - steps * median)) > GRID_TOLERANCE * median:
+        return data
+    if np.max(steps) <= SHORT_GAP + 1:
+        return resample(data, median)
+    edges = np.flatnonzero(np.r_[True, steps > 1, True])
+    widest = int(np.argmax(np.diff(edges)))
+    first, last = int(finite[edges[widest]]), int(finite[edges[widest + 1] - 1]) + 1
+    part = (last - first) / finite.size
+    if part < LONG_ENOUGH:
+        return data
+    longest = int(np.argmax(steps))
+    warning = (
+        f"{np.count_nonzero(steps > 1)} gaps, the longest {distances[longest]:.4g} s at "
+        f"{data.time[finite][longest]:.6g} s: the longest part without one is taken, samples {data.first + first} to "
+        f"{data.first + last - 1} ({100.0 * part:.0f} %); another part with --range, all with --resample auto, which "
+        "bridges the gaps by straight lines"
+    )
+    return replace(data.part(first, last), warnings=(*data.warnings, warning))
 
 
 def _roughness(time, values) -> float:

@@ -267,10 +267,10 @@ def test_bad_data_is_refused_in_one_line(name, tmp_path):
 
 def test_data_that_is_not_uniform_is_refused_until_it_is_resampled(tmp_path):
     voltage = loops(1000)
-    time = np.arange(1000) / RATE
-    kept = np.setdiff1d(np.arange(1000), [200, 201, 430])
-    table = np.column_stack([time, voltage, measured(voltage) * 1e6])[kept]
-    path = tmp_path / "gaps.csv"
+    time = (np.arange(1000) + np.random.default_rng(3).uniform(-0.3, 0.3, 1000)) / RATE
+    voltage = np.interp(time * RATE, np.arange(1000), voltage)
+    table = np.column_stack([time, voltage, measured(voltage) * 1e6])
+    path = tmp_path / "jitter.csv"
     np.savetxt(path, table, delimiter=",", header="t_s,control_V,gauge_um", comments="")
     assert "not uniformly sampled" in refused(run("identify", path, "-o", tmp_path / "p.yaml"))
     result = run("identify", path, "--model", "preisach", "--resample", "auto", "-o", tmp_path / "p.yaml")

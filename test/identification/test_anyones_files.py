@@ -113,8 +113,8 @@ def test_columns_of_a_matrix_have_numbers(tmp_path):
         ("a.csv", "\n".join(["t_s,u_V,y_um", *lines(time=0 * TIME)]).encode(), "give the sample time"),
         (
             "a.csv",
-            "\n".join(["t_s,u_V,y_um", *lines()[:300], *lines()[600:]]).encode(),
-            "longest gap is 1.505 s at 1.4",
+            "\n".join(["t_s,u_V,y_um", *(row for k, row in enumerate(lines()) if k % 90 > 8)]).encode(),
+            "longest gap is 0.05 s at",
         ),
     ],
 )
@@ -140,9 +140,7 @@ def test_damaged_rows_and_texts_in_cells_are_counted(tmp_path):
     rows = lines()
     rows[400], rows[401] = "2.0,OVER,12.0", rows[401][:6]
     path = table(tmp_path / "a.csv", rows)
-    with pytest.raises(HysteresisError, match="1 of 999 samples are missing"):
-        read_data(path)
-    warnings = read_data(path, Columns(resample="auto")).report.warnings
+    warnings = read_data(path).report.warnings
     assert "1 damaged rows, the first in line 403" in warnings[0]
     assert any("1 gaps (2 samples) bridged" in text for text in warnings)
 
@@ -200,6 +198,37 @@ def test_a_gap_that_is_bridged_is_warned_of_with_its_length():
     assert "1 gaps (300 samples) bridged by straight lines, the longest 1.505 s at 1.495 s" in data.warnings[0]
     assert "longest part without one: --range 300:700" in data.warnings[0]
     assert resample(IdentificationData(TIME, VOLTAGE, DISPLACEMENT)).warnings == ()
+
+
+def gappy(*missing) -> IdentificationData:
+    kept = np.ones(1000, dtype=bool)
+    for first, count in missing:
+        kept[first : first + count] = False
+    return IdentificationData(TIME[kept], VOLTAGE[kept], DISPLACEMENT[kept])
+
+
+def test_short_gaps_are_bridged_and_of_long_ones_the_longest_part_is_taken():
+    short = read_data(gappy((100, 1), (700, 3)))
+    assert len(short.data) == 1000 and "2 gaps (4 samples) bridged" in short.report.warnings[0]
+    there = [99, 101, 699, 703]
+    np.testing.assert_allclose(short.data.output[there], DISPLACEMENT[there], rtol=1e-9)
+    long = read_data(gappy((100, 1), (300, 40)))
+    assert long.data.first == 299 and len(long.data) == 660
+    np.testing.assert_array_equal(long.data.input, VOLTAGE[340:])
+    assert "2 gaps, the longest 0.205 s at 1.495 s" in long.report.warnings[0]
+    assert "samples 299 to 958 (69 %)" in long.report.warnings[0]
+    asked = read_data(gappy((300, 40)), Columns(resample="auto"))
+    assert len(asked.data) == 1000 and "bridged" in asked.report.warnings[0]
+    with pytest.raises(HysteresisError, match="not uniformly sampled"):
+        read_data(gappy(*((start, 9) for start in range(50, 1000, 90))))
+
+
+def test_a_sample_that_is_missing_is_a_gap():
+    spoilt = DISPLACEMENT.copy()
+    spoilt[500] = np.nan
+    found = read_data(IdentificationData(TIME, VOLTAGE, spoilt))
+    assert len(found.data) == 1000 and "1 gaps (1 samples) bridged" in found.report.warnings[0]
+    assert np.all(np.isfinite(found.data.output))
 
 
 def test_stamps_that_jitter_are_told_from_samples_that_do():
