@@ -172,7 +172,7 @@ def compensators(axis: AxisParameters) -> dict[str, dict]:
     given = axis.hysteresis_compensator
     block = given.hysteresis.model.block
     found = {"none": {"inverse.type": "none"}}
-    if not block.rate_independent:
+    if not block.invertible:
         return found
     kind = given.inverse.type
     if kind == "none":

@@ -96,8 +96,8 @@ class InverseParameters(Parameters):
             allowed = f"{model} has no closed-form inverse; use general"
         if brought is not None and brought.inverse.follows_model and brought.model != model:
             allowed = f"is the inverse of {brought.model} only, the model is {model}; use general"
-        if kind != "none" and not block.rate_independent:
-            allowed = f"{model} is not rate independent, no inverse fits it; use none, or a rate-independent model"
+        if kind != "none" and not block.invertible:
+            allowed = f"{model} has dynamics inside, no inverse fits it; use none, or another model"
         if allowed:
             yield Problem("inverse.type", kind, allowed)
 

@@ -41,7 +41,7 @@ def reachable_commands(compensator: CompensatorParameters, sample_time: float) -
 
 def _reached(hysteresis: HysteresisParameters, limits: LimitsParameters, sample_time: float, linear: bool = False):
     block = hysteresis_block(hysteresis, sample_time)
-    if linear or not block.rate_independent:
+    if linear or not block.invertible:
         ends = block.gain * limits.minimum, block.gain * limits.maximum
         return min(ends), max(ends)
     return _sweep(hysteresis, limits.minimum, limits.maximum, sample_time)

@@ -77,15 +77,22 @@ def doubts(drift: float, outliers: int) -> tuple[str, ...]:
 def near(error, first: int) -> np.ndarray:
     """Return which samples are no outliers, shape (N,) of bool; those before ``first`` are none.
 
+    Far off are single samples and short stretches: what is far off for long is what a fit has no shape for.
+
     Parameters
     ----------
     error : ndarray, shape (N,)
     first : int
         First sample that counts.
     """
-    counts = error[first:]
-    error = np.abs(error - np.median(counts))
-    good = error <= OUTLYING * 1.4826 * float(np.median(error[first:]))
+    # what is far off for long is what the fit has no shape for
+    alone = error - scipy.ndimage.median_filter(error, STRETCH, mode="nearest")
+    return _within(error, first) | _within(alone, first)
+
+
+def _within(error, first: int) -> np.ndarray:
+    size = np.abs(error - np.median(error[first:]))
+    good = size <= OUTLYING * 1.4826 * float(np.median(size[first:]))
     good[:first] = True
     return good
 
@@ -146,9 +153,7 @@ def cleaned(data: IdentificationData, predicted, first: int = 0, drift: float | 
         drift = drift_of(error, kept) / data.sample_time
     slope = drift * data.sample_time * places
     error = error - slope
-    # what is far off for long is what the fit has no shape for
-    alone = error - scipy.ndimage.median_filter(error, STRETCH, mode="nearest")
-    good = near(error, first) | near(alone, first)
+    good = near(error, first)
     count = int(np.count_nonzero(~good))
     centred = error - np.median(error[first:])
     if count > MOST_OUTLIERS * (len(data) - first) or not matter(centred, ~good, places >= first):

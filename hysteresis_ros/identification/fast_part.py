@@ -43,10 +43,10 @@ def with_fast_dynamics(chain: PlantModel, fast: IdentificationData, skip: int) -
     IdentificationError
         The chain has dynamics inside its hysteresis.
     """
-    if not chain.rate_independent:
+    if not chain.invertible:
         raise IdentificationError(
             f"model {chain.hysteresis.type}: has dynamics inside its hysteresis, no others can stand behind it; choose "
-            "a rate-independent model"
+            "another model"
         )
     slow = chain.continuous
     creeping = LinearPart(creep_rate=slow.creep_rate, longest_time=slow.longest_time)

@@ -59,9 +59,9 @@ class PlantModel:
     inverse: InverseParameters = field(default_factory=lambda: InverseParameters(type="general"))
 
     @property
-    def rate_independent(self) -> bool:
-        """Whether the hysteresis is rate independent; otherwise dynamics are inside of it."""
-        return self.hysteresis.model.block.rate_independent
+    def invertible(self) -> bool:
+        """Whether the hysteresis is invertible; otherwise dynamics are inside of it."""
+        return self.hysteresis.model.block.invertible
 
     @property
     def continuous(self) -> LinearPart:

@@ -115,7 +115,7 @@ def rate_of(sample_time: float) -> float:
 
 def _reach(chain: PlantModel, low: float, high: float) -> tuple[float, float]:
     """Return the displacements [m] at the ends of the voltage range and between, what it is at rest in it."""
-    if not chain.rate_independent:
+    if not chain.invertible:
         reach = 2.0 * hysteresis_block(chain.hysteresis, chain.sample_time).gain * max(high, -low)
         return (-reach if low < 0.0 else 0.0), reach
     ends = [at_rest(chain.hysteresis, chain.sample_time)]

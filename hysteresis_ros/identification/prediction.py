@@ -77,7 +77,7 @@ def predict(
             f"{', '.join(INITIAL)}"
         )
     voltage = np.ascontiguousarray(voltage, dtype=np.float64)
-    if not chain.rate_independent:
+    if not chain.invertible:
         if initial == "estimate":
             raise IdentificationError("initial = 'estimate': an oscillator starts at zero or periodic; choose one")
         response = resolved(chain.hysteresis.model.response)
@@ -233,8 +233,8 @@ def judge(
     found = validate(data.output, predicted, data.input, parameters=fitted, skip=skip, free_offset=free_offset)
     if not inverse:
         return found, None, "not asked for"
-    if not chain.rate_independent:
-        return found, None, f"{chain.hysteresis.type} is not rate independent, it has no inverse"
+    if not chain.invertible:
+        return found, None, f"{chain.hysteresis.type} has dynamics inside, it has no inverse"
     displacement = data.output - chain.offset
     try:
         back = recover_voltage(chain.as_hammerstein(), displacement, data.input, skip, free_offset)

@@ -10,6 +10,7 @@ from hysteresis_ros.identification.chains import chain_of, identified, with_stag
 from hysteresis_ros.identification.condensed import condense
 from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.dynamics import found_with
+from hysteresis_ros.identification.generalised_play import fit_generalised_play
 from hysteresis_ros.identification.identified import Identification
 from hysteresis_ros.identification.prandtl_ishlinskii import fit_prandtl_ishlinskii
 from hysteresis_ros.identification.preisach import WIDTHS, Density, fit_preisach
@@ -32,6 +33,11 @@ def preisach(data: IdentificationData, request: Request) -> Identification:
     """Everett map with lag, delay and creep, found together."""
     count = int(request.options.get("widths", WIDTHS)) + 3
     return _hammerstein(fit_preisach, data, request, lambda _: count, lambda data: Density(data, TRIED, TRIED))
+
+
+def generalised_play(data: IdentificationData, request: Request) -> Identification:
+    """Plays between envelopes, with thresholds that grow with the rate, with lag, delay and creep."""
+    return _hammerstein(fit_generalised_play, data, request, lambda p: len(p.weights) + 5)
 
 
 def _hammerstein(fit_function, data, request, count, structure=None) -> Identification:

@@ -146,7 +146,7 @@ def identify(
         near = did_you_mean(inverse, entry.inverses)
         raise IdentificationError(f"inverse {inverse!r}: {model} has {', '.join(entry.inverses)}{near}")
     parts, stage = parse_linear(model, linear)
-    if entry.block.rate_independent:
+    if entry.block.invertible:
         _refuse_falling(data)
     request = Request(
         model, parts, stage, dict(options or {}), inverse, skip, intersample, initial, progress or (lambda *_: None)

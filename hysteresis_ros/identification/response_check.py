@@ -143,7 +143,7 @@ def check_response(chain: PlantModel, data: IdentificationData, skip: int = 0) -
     skip : int
         First samples left out.
     """
-    if not chain.rate_independent:
+    if not chain.invertible:
         return None
     part = chain.continuous
     creeping = LinearPart(creep_rate=part.creep_rate, longest_time=part.longest_time, settled=part.settled)

@@ -45,7 +45,8 @@ class Conditions(TypedDict, total=False):
     ----------
     skip : int or None
         The first samples left out of the error, the model sees them all the same. By default :func:`identify` leaves
-        out what comes before the voltage has been near both ends of its range, and :func:`validate` nothing.
+        out what comes before the voltage has been near both ends of its range, and :func:`validate` the same, unless
+        ``initial`` says what was before.
     offset : str
         ``kept``, or ``free``: one constant is removed (a sensor has no zero).
     intersample : str or None
@@ -236,7 +237,7 @@ def identify(
     if result.skipped is not None:
         skip = result.skipped
     elif skip is None:
-        skip = automatic_skip(data) if result.chain.rate_independent else 0
+        skip = automatic_skip(data) if result.chain.invertible else 0
     return _finished(model, result, data, skip, given.get("offset") == "free", reading.report.warnings, fast)
 
 
@@ -319,15 +320,19 @@ def validate(
     plant, section = load_chain(parameters, namespace)
     reading = read_data(source, Columns(whole=True))
     data = reading.data
-    if plant.rate_independent:
+    if plant.invertible:
         plant = at_rate(plant, data.sample_time)
     held, initial = given.get("intersample"), given.get("initial")
     predicted = predict(plant, data.input, data.sample_time, held, initial, measured=data.output)
+    skip = _averaged(given.get("skip"), data)
+    if skip is None:
+        # where the past is not known it is left out, as an identification does
+        skip = automatic_skip(data) if plant.invertible and initial is None else 0
     found, back, reason = judge(
         plant,
         data,
         predicted,
-        skip=_averaged(given.get("skip"), data) or 0,
+        skip=skip,
         free_offset=given.get("offset") == "free",
         inverse=inverse,
     )

@@ -40,6 +40,9 @@ class HysteresisBlock(Block):
     inverse = None  # type: Any
     #: Whether the output depends on the order of the voltages only, not on their speed.
     rate_independent = False
+    #: Whether its output at the end of a step rises with the voltage there, whatever was before: then inverses fit it,
+    #: and linear dynamics stand behind it, not inside.
+    invertible = False
 
     @property
     def gain(self) -> float:
@@ -156,7 +159,7 @@ class HysteresisModel:
         Dataclass of its parameters. Where arrays may have any length it has a property ``structure``: a dict of name
         to size, which is fixed while running.
     block : type
-        Block with its law, its closed-form inverse if any, and whether it is rate independent.
+        Block with its law, its closed-form inverse if any, whether it is rate independent and invertible.
     example : Parameters
         A working set of parameters for 0 … 100 V, of which ``hysteresis models NAME --yaml`` makes an axis.
     scaled : callable
@@ -184,8 +187,8 @@ class HysteresisModel:
     stages : bool
         Linear dynamics of higher order may be identified behind it.
     response : str
-        Of models that are not rate independent: dotted path of ``response(parameters, voltage, sample_time,
-        intersample, initial)``, which returns the displacement [m] at the samples.
+        Of models with dynamics inside, which are not invertible: dotted path of ``response(parameters, voltage,
+        sample_time, intersample, initial)``, which returns the displacement [m] at the samples.
     """
 
     name: str
@@ -217,8 +220,8 @@ class HysteresisModel:
                 raise TypeError(f"{self.name}: free = {self.free}: must be of the single numbers {', '.join(initial)}")
             options = {name: Option(float, f"initial value{_unit(initial[name])}") for name in self.free}
             object.__setattr__(self, "options", options)
-        if not self.block.rate_independent and not self.response:
-            raise TypeError(f"{self.name} is not rate independent: declare response, which predicts it")
+        if not self.block.invertible and not self.response:
+            raise TypeError(f"{self.name} has dynamics inside: declare response, which predicts it")
 
     def rows(self) -> list[ParameterRow]:
         """Return the rows of the table of its parameters."""

@@ -32,18 +32,20 @@ def require_structure(present, wanted) -> None:
         raise ParameterError(problems)
 
 
-class RateIndependentBlock(HysteresisBlock):
-    """Base of the rate-independent hysteresis models, voltage [V] to displacement [m].
+class InvertibleBlock(HysteresisBlock):
+    """Base of the models with memory whose output at the end of a step rises with the voltage there.
+
+    Their parameters change live without a jump, and inverses fit them.
 
     Parameters
     ----------
     parameters : Parameters
         Typed parameters, checked on construction.
     sample_time : float
-        Sample time [s]; not used by the model itself.
+        Sample time [s].
     """
 
-    rate_independent = True
+    invertible = True
 
     def retune(self, parameters) -> None:
         """Take new parameters of the same structure while running; the output stays where it is.
@@ -56,3 +58,17 @@ class RateIndependentBlock(HysteresisBlock):
         require_structure(self.parameters, parameters.validated())
         super().retune(parameters)
         self.rebase()
+
+
+class RateIndependentBlock(InvertibleBlock):
+    """Base of the rate-independent hysteresis models, voltage [V] to displacement [m].
+
+    Parameters
+    ----------
+    parameters : Parameters
+        Typed parameters, checked on construction.
+    sample_time : float
+        Sample time [s]; not used by the model itself.
+    """
+
+    rate_independent = True

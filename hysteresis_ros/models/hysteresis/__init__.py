@@ -85,7 +85,7 @@ def hysteresis_block(parameters: HysteresisParameters, sample_time: float) -> Hy
     """Return the block of the chosen model.
 
     It has, beside what every block has, ``gain`` [m/V], ``inverse`` (closed-form inverse or None),
-    ``rate_independent`` and ``rebase()``.
+    ``rate_independent``, ``invertible`` and ``rebase()``.
 
     Raises
     ------

@@ -1,0 +1,280 @@
+"""Generalised, rate-dependent plays from data, together with lag, delay and creep.
+
+Four structures compete: plain plays, plays whose thresholds grow with the speed, plays between two envelopes, and both.
+The linear part is searched with plain plays and settled again with each; the weights follow by constrained least
+squares. A structure with more freedom is taken only where it predicts blocks of the recording better that it was not
+fitted to (:mod:`.held_out`).
+"""
+
+from __future__ import annotations
+
+from copy import copy
+from dataclasses import replace
+
+import numpy as np
+
+from hysteresis_ros.block import compiled
+from hysteresis_ros.errors import IdentificationError
+from hysteresis_ros.identification.condensed import Condensed, condense, simple_loops
+from hysteresis_ros.identification.finished import finished, without_outliers
+from hysteresis_ros.identification.hammerstein import (
+    HammersteinFit,
+    PartSearch,
+    search_linear_part,
+    split_values,
+    stretches,
+)
+from hysteresis_ros.identification.held_out import WORTH_IT, survivor, without_drift
+from hysteresis_ros.identification.prandtl_ishlinskii import ALONE
+from hysteresis_ros.identification.weights import radii, smooth_weights
+from hysteresis_ros.models.hysteresis import HysteresisParameters
+from hysteresis_ros.models.hysteresis.generalised_play import (
+    LARGEST_RATE,
+    PLAY,
+    GeneralisedPlayHysteresis,
+    GeneralisedPlayParameters,
+    follow_plays,
+)
+from hysteresis_ros.recordings.loops import turning_points
+
+PLAYS = 12
+#: What may be searched besides the weights, for each freedom; the rate up to this part of the time between reversals.
+FREEDOMS = {"none": (), "rate": ("rate",), "envelopes": ("bend", "spread"), "both": ("rate", "bend", "spread")}
+LONGEST_RATE = 0.1
+#: Start and range of the common bend of both envelopes and of what they differ by.
+BENDS = {"bend": (0.0, -0.5, 0.5), "spread": (0.05, 0.0, 0.7)}
+#: Strength of the smoothness while the linear part is searched.
+SEARCH_STRENGTH = 1e-2
+#: The slope without hysteresis is at least this part of the whole.
+LEAST_SLOPE = 1e-6
+
+
+def fit_generalised_play(
+    voltage,
+    displacement,
+    sample_time: float,
+    *,
+    play_count: int = PLAYS,
+    freedom: str = "auto",
+    linear=("lag", "delay", "creep"),
+    skip: int | None = None,
+    history: tuple[float, ...] = (),
+    progress=None,
+) -> HammersteinFit:
+    """Fit voltage → generalised plays → creep → lag and delay.
+
+    Parameters
+    ----------
+    voltage, displacement : array_like, shape (N,)
+        [V] and [m], uniformly sampled.
+    sample_time : float
+        [s]
+    play_count : int
+        Plays, in equal steps up to half the range of the voltage.
+    freedom : str
+        A name of :data:`FREEDOMS`, or ``auto``: what predicts blocks held out.
+    linear : sequence of str
+        Which of ``lag``, ``delay`` and ``creep`` may be there; each is kept only if it lowers the residual.
+    skip : int, optional
+        Samples left out of the fit at the start, see :func:`.condensed.condense`.
+    history : tuple of float
+        Voltages [V] that the hysteresis went through, from rest at 0 V, before the first sample.
+    progress : callable, optional
+        Called as ``progress(evaluations, rmse)``.
+
+    Raises
+    ------
+    IdentificationError
+        The data or the settings cannot be used; the message says why.
+    """
+    if freedom != "auto" and freedom not in FREEDOMS:
+        raise IdentificationError(f"freedom = {freedom!r}: must be one of auto, {', '.join(FREEDOMS)}")
+    found: list[GeneralisedPlays] = []
+
+    def once(kept):
+        data = condense(voltage, displacement, sample_time, skip, kept=kept, history=history)
+        if not found:
+            found.append(_chosen(data, play_count, freedom, linear, progress))
+        else:  # without outliers, the same structure
+            before = found.pop()
+            found.append(before.like(replace(data, drifts=before.data.drifts)).settle(before, progress))
+        return finished(found[0], voltage, displacement, sample_time, kept)
+
+    return without_outliers(once, voltage, displacement)
+
+
+def _chosen(data: Condensed, play_count: int, freedom: str, linear, progress) -> GeneralisedPlays:
+    """Return the fit of the structure asked for, else of that which predicts best what it has not seen."""
+    plain = without_drift(lambda data: GeneralisedPlays(data, play_count).fit(linear, progress), data)
+    if freedom == "none":
+        return plain
+    rivals = [plain]
+    for names in FREEDOMS.values() if freedom == "auto" else (FREEDOMS[freedom],):
+        if names:
+            rivals.append(GeneralisedPlays(plain.data, play_count, names).settle(plain, progress))
+    if freedom != "auto":
+        return rivals[-1]
+    chosen, errors = survivor(rivals, worth_it=ALONE if simple_loops(data) else WORTH_IT)
+    chosen.numbers["held_out_rmse_m"] = errors[rivals.index(chosen)]
+    return chosen
+
+
+class GeneralisedPlays:
+    """Plays with some freedom on one set of data.
+
+    Parameters
+    ----------
+    data : Condensed
+    play_count : int
+        Up to half the range of the voltage.
+    names : tuple of str
+        Of ``rate``, ``bend`` and ``spread``: what is searched besides the weights.
+    """
+
+    def __init__(self, data: Condensed, play_count: int, names: tuple[str, ...] = ()):
+        self.data, self.play_count, self.names = data, play_count, names
+        self.radii = radii(data.voltage_range, play_count, data.reach) + 0.25 * data.voltage_range / play_count
+        self.roughness = np.diff(np.eye(len(self.radii) + 1), 2, axis=0)[1:] * play_count**0.5
+        half_cycle = data.sample_time * len(data.voltage) / max(len(turning_points(data.voltage)) - 1, 1)
+        ranges = {"rate": (0.02 * half_cycle, 0.0, LONGEST_RATE * half_cycle), **BENDS}
+        self.extra = tuple((name, *ranges[name]) for name in names)
+        self.numbers: dict[str, float] = {}
+
+    def shaped(self, shape, weights, slope: float, offset: float = 0.0) -> GeneralisedPlayParameters:
+        """Return parameters of a shape.
+
+        Parameters
+        ----------
+        shape : dict of str to float
+        weights : ndarray, shape (m,)
+            [m/V]
+        slope : float
+            [m/V]
+        offset : float
+            [m]
+        """
+        bend, spread = shape.get("bend", 0.0), shape.get("spread", 0.0)
+        return GeneralisedPlayParameters(
+            radii=tuple(self.radii.tolist()),
+            weights=tuple(np.asarray(weights, dtype=float).tolist()),
+            slope=float(slope),
+            rate=float(shape.get("rate", 0.0)),
+            memory=float(max(self.data.sample_time, shape.get("rate", 0.0) / LARGEST_RATE)),
+            voltage_low=float(self.data.voltage.min()),
+            voltage_high=float(self.data.voltage.max()),
+            rising_bend=float(bend + 0.5 * spread),
+            falling_bend=float(bend - 0.5 * spread),
+            offset=float(offset),
+        )
+
+    def columns(self, shape) -> np.ndarray:
+        """Return the voltage and the plays, shape (N, 1 + m), zero at rest.
+
+        Parameters
+        ----------
+        shape : dict of str to float
+        """
+        data = self.data
+        block = GeneralisedPlayHysteresis(self.shaped(shape, np.ones(len(self.radii)), 1.0), data.sample_time)
+        rest = block.x[PLAY:].copy()
+        block.simulate(stretches(data.history))
+        outputs = np.empty((len(data.voltage), len(self.radii)))
+        compiled(follow_plays)(block.p, block.x, data.voltage, outputs)
+        return np.column_stack([data.voltage, outputs - rest])
+
+    def solve(self, part, shape, strength: float | None = SEARCH_STRENGTH) -> np.ndarray:
+        """Return the residual [m] of the best weights.
+
+        Parameters
+        ----------
+        part : LinearPart
+        shape : dict of str to float
+        strength : float, optional
+            Of the smoothness; chosen by the data when not given.
+        """
+        data = self.data
+        moved = data.counted(part.apply(self.columns(shape), data.sample_time))
+        target = data.counted(data.displacement)
+        self.weights, self.constants, residual, self.strength = smooth_weights(
+            moved, data.counted(data.constants), target, self.roughness, strength
+        )
+        return residual
+
+    def fit(self, linear, progress):
+        """Search the linear part and the shape.
+
+        Parameters
+        ----------
+        linear : sequence of str, or Known
+        progress : callable or None
+        """
+        search = PartSearch(self.solve, self.data, self.extra, progress)
+        self.kept, self.base, found = search_linear_part(search, linear)
+        return self._finish(search, found)
+
+    def settle(self, before: GeneralisedPlays, progress):
+        """Search the shape, and the numbers of the linear part that another fit found.
+
+        Parameters
+        ----------
+        before : GeneralisedPlays
+        progress : callable or None
+        """
+        self.kept, self.base = before.kept, before.base
+        search = PartSearch(self.solve, self.data, self.extra, progress)
+        return self._finish(search, search.run(self.kept, before.found.values, self.base))
+
+    def _finish(self, search: PartSearch, found):
+        self.found = found
+        self.part, self.shape = split_values(self.base, found.values)
+        self.deviations, self.converged = found.deviations or {}, found.converged
+        self.warnings = tuple(search.at_ends(self.kept, found.values))
+        self.rms = float(np.std(self.solve(self.part, self.shape, None)))
+        return self
+
+    def like(self, data: Condensed):
+        """Return the same structure for other data, not fitted yet.
+
+        Parameters
+        ----------
+        data : Condensed
+        """
+        other = GeneralisedPlays(data, self.play_count, self.names)
+        other.numbers = dict(self.numbers)
+        return other
+
+    def refitted(self, data: Condensed):
+        """Return the model with weights for other samples of the recording, of the same shape.
+
+        Parameters
+        ----------
+        data : Condensed
+        """
+        other = copy(self)
+        other.data = data
+        other.solve(self.part, self.shape, self.strength)
+        return other
+
+    def output(self) -> np.ndarray:
+        """Return the modelled displacement [m], shape (N,)."""
+        moved = self.part.apply(self.columns(self.shape), self.data.sample_time)
+        return moved @ self.weights + self.data.constants @ self.constants
+
+    def parameters(self) -> HysteresisParameters:
+        """Return the numbers as parameters of the block; plays without weight are left out."""
+        slope = max(float(self.weights[0]), LEAST_SLOPE * float(self.weights.sum()))
+        found = self.shaped(self.shape, self.weights[1:], slope)
+        moving = self.weights[1:] > 1e-9 * self.weights.sum()
+        moving[0] = True
+        # the plays start between their envelopes, the regressors at zero
+        rest = float(np.sum(self.weights[1:])) * self._middle(found)
+        found = replace(
+            found,
+            radii=tuple(self.radii[moving].tolist()),
+            weights=tuple(self.weights[1:][moving].tolist()),
+            offset=float(self.constants[0]) / self.part.settled_gain - rest,
+        )
+        return HysteresisParameters(type="generalised_play", generalised_play=found)
+
+    def _middle(self, parameters: GeneralisedPlayParameters) -> float:
+        return float(GeneralisedPlayHysteresis(parameters, self.data.sample_time).x[PLAY])

@@ -1,0 +1,294 @@
+"""Generalised, rate-dependent play operators: envelopes for rising and falling, thresholds that grow with the speed.
+
+A generalised play follows two curves instead of one line: ``z = max(γ_r(V) - r, min(γ_f(V) + r, z))``, with
+``γ_r ≤ γ_f`` [1]_. Rate-dependent ones widen with the speed of the voltage, ``r = r_i + β |V'|`` [2]_. The output is
+``slope V + Σ w_i z_i + offset``; with ``γ_r = γ_f = V`` and β = 0 it is the classical Prandtl-Ishlinskii model.
+
+The envelopes are parabolas over a range of voltages, ``γ = V + b h (ν² - 1)/2`` with ν = -1 … 1 over it and h half of
+it, and are γ = V beyond. The speed is that of the steps *before* the present one, averaged over ``memory``. So the
+thresholds are known when a step is made: first they change at the voltage held so far, then the voltage moves, as in a
+rate-independent model. Because all of them grow by the same amount the corners come in the order of the radii, and the
+inverse is a closed form, threshold by threshold, exact at every sample. It is stable as long as the thresholds grow by
+no more than half a volt per volt of a step, averaged: rate ≤ memory/2.
+
+References
+----------
+.. [1] Al Janaideh, Mao, Rakheja, Xie & Su, Generalized Prandtl-Ishlinskii hysteresis model, IEEE CDC 2008.
+.. [2] Al Janaideh & Krejčí, Inverse rate-dependent Prandtl-Ishlinskii model for feedforward compensation of hysteresis
+   in a piezomicropositioning actuator, IEEE/ASME Transactions on Mechatronics 18(5), 2013.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hysteresis_ros import elementary
+from hysteresis_ros.block import composite, kernel
+from hysteresis_ros.errors import Problem
+from hysteresis_ros.linear_algebra import product
+from hysteresis_ros.models.declaration import Deviation, HysteresisModel, Option, plus, times
+from hysteresis_ros.models.rate_independent import DISPLACEMENT, VOLTAGE, InvertibleBlock
+from hysteresis_ros.parameters import Parameters, parameter
+
+# Layout of p, followed by radii and weights of the plays.
+PLAYS = 0
+SLOPE = 1
+OFFSET = 2
+RATE = 3  # V of threshold per V/s
+SHARE = 4  # of the present step in the averaged speed
+PER_STEP = 5  # 1/sample time [1/s]
+CENTRE = 6  # of the envelopes [V]
+HALF = 7
+RISING = 8  # bends
+FALLING = 9
+RADII = 10
+
+# Layout of x, after VOLTAGE and DISPLACEMENT, followed by the plays.
+RESIDUE = 2  # what a retune left [m]
+SPEED = 3  # of the voltage, averaged [V/s]
+PLAY = 4
+
+#: Largest bend of an envelope: its slope stays above a tenth.
+LARGEST_BEND = 0.9
+#: Largest growth with the rate, in parts of the time over which the speed is averaged: with κ of that part an error δ of
+#: the inverse's voltage comes back as κ (δ_k-1 - δ_k-2), which dies out below one half.
+LARGEST_RATE = 0.5
+
+
+@dataclass(frozen=True)
+class GeneralisedPlayParameters(Parameters):
+    """Plays, their envelopes and what they widen by, SI units."""
+
+    radii: tuple[float, ...] = parameter(
+        description="radii r of the plays (half widths) at rest, rising", unit="V", low=0.0
+    )
+    weights: tuple[float, ...] = parameter(description="weights w of the plays", unit="m/V", low=0.0)
+    slope: float = parameter(description="part without hysteresis; above 0", unit="m/V", low=1e-18)
+    rate: float = parameter(0.0, description="what all thresholds grow by, per speed of the voltage", unit="s", low=0.0)
+    memory: float = parameter(2e-3, description="time over which the speed is averaged", unit="s", low=1e-9)
+    voltage_low: float = parameter(0.0, description="lower end of the envelopes' parabolas", unit="V")
+    voltage_high: float = parameter(100.0, description="upper end of the envelopes' parabolas", unit="V")
+    rising_bend: float = parameter(
+        0.0,
+        description="bend b of the envelope for rising: its slope runs from 1 - b to 1 + b",
+        low=-LARGEST_BEND,
+        high=LARGEST_BEND,
+    )
+    falling_bend: float = parameter(
+        0.0, description="the same for falling; not above rising_bend", low=-LARGEST_BEND, high=LARGEST_BEND
+    )
+    offset: float = parameter(0.0, description="constant part of the displacement", unit="m")
+
+    @property
+    def structure(self) -> dict[str, int]:
+        """What cannot change while running."""
+        return {"radii": len(self.radii)}
+
+    def check(self):
+        """Yield what is wrong: sizes, order of the radii, envelopes that cross."""
+        if len(self.radii) != len(self.weights) or not self.radii:
+            yield Problem("weights", self.weights, f"must be as many as radii, {len(self.radii)}, and at least one")
+        if any(after <= before for before, after in zip(self.radii, self.radii[1:], strict=False)):
+            yield Problem("radii", self.radii, "must rise strictly")
+        if self.rate > LARGEST_RATE * self.memory:
+            allowed = (
+                f"must be at most {LARGEST_RATE:g} memory = {LARGEST_RATE * self.memory:g} s: else the voltages of"
+            )
+            yield Problem("rate", self.rate, f"{allowed} an inverse swing from sample to sample and grow")
+        if not self.voltage_low < self.voltage_high:
+            yield Problem("voltage_high", self.voltage_high, f"must be above voltage_low = {self.voltage_low:g}")
+        if self.falling_bend > self.rising_bend:
+            allowed = f"must not be above rising_bend = {self.rising_bend:g}: a rising voltage lags, it does not lead"
+            yield Problem("falling_bend", self.falling_bend, allowed)
+
+
+@kernel
+def envelope(p, bend, voltage):
+    """Envelope γ [V] at a voltage [V]."""
+    place = (voltage - p[CENTRE]) / p[HALF]
+    if abs(place) >= 1.0:
+        return voltage
+    return voltage + 0.5 * bend * p[HALF] * (place * place - 1.0)
+
+
+@kernel
+def envelope_inverse(p, bend, slope, weight, wanted):
+    """Voltage at which ``slope V + weight γ(V)`` is ``wanted``; both factors not below 0, their sum above it."""
+    both = slope + weight
+    if abs(wanted - both * p[CENTRE]) >= both * p[HALF]:
+        return wanted / both
+    # A ν² + B ν + C = 0, B above 0: the root at which it rises
+    a, b = 0.5 * weight * bend * p[HALF], both * p[HALF]
+    c = both * p[CENTRE] - a - wanted
+    return p[CENTRE] - p[HALF] * 2.0 * c / (b + np.sqrt(max(b * b - 4.0 * a * c, 0.0)))
+
+
+@kernel
+def generalised_play(p, x, u):
+    """Displacement [m] after the voltage has moved monotonically to ``u`` [V]; NaN leaves everything as it is."""
+    if not abs(u - x[VOLTAGE]) >= 0.0:
+        return x[DISPLACEMENT]
+    plays = int(p[PLAYS])
+    before = x[VOLTAGE]
+    growth = p[RATE] * x[SPEED]
+    lower, upper = envelope(p, p[RISING], before), envelope(p, p[FALLING], before)
+    rising, falling = envelope(p, p[RISING], u), envelope(p, p[FALLING], u)
+    total = p[SLOPE] * u
+    for i in range(plays):
+        radius = p[RADII + i] + growth
+        z = max(lower - radius, min(upper + radius, x[PLAY + i]))
+        z = max(rising - radius, min(falling + radius, z))
+        x[PLAY + i] = z
+        total += p[RADII + plays + i] * z
+    x[SPEED] += p[SHARE] * (abs(u - before) * p[PER_STEP] - x[SPEED])
+    x[VOLTAGE] = u
+    x[DISPLACEMENT] = total + (p[OFFSET] + x[RESIDUE])
+    return x[DISPLACEMENT]
+
+
+@composite("void", "array", "array", "array", "table")
+def follow_plays(p, x, voltage, outputs):
+    """Fill row k of ``outputs`` [V] with what the plays put out under ``voltage[k]`` [V]."""
+    for k in range(voltage.shape[0]):
+        generalised_play(p, x, voltage[k])
+        for i in range(outputs.shape[1]):
+            outputs[k, i] = x[PLAY + i]
+
+
+@kernel
+def generalised_play_inverse(hysteresis, p_i, x_i, p_h, x_h, displacement):
+    """Voltage [V] at which the model's next output is ``displacement`` [m], in closed form; ``x_h`` is left as it is.
+
+    Parameters
+    ----------
+    hysteresis : kernel
+        Not used.
+    p_i, x_i : ndarray
+        Not used.
+    p_h, x_h : ndarray
+        Parameters and state of :func:`generalised_play`.
+    displacement : float
+        Wanted output [m]; NaN gives the last voltage.
+    """
+    voltage = x_h[VOLTAGE]
+    wanted = displacement - (p_h[OFFSET] + x_h[RESIDUE])
+    plays = int(p_h[PLAYS])
+    growth = p_h[RATE] * x_h[SPEED]
+    lower, upper = envelope(p_h, p_h[RISING], voltage), envelope(p_h, p_h[FALLING], voltage)
+    # the output at the last voltage, once the thresholds have changed; then slope V + moving γ(V) + constant
+    constant = 0.0
+    for i in range(plays):
+        radius = p_h[RADII + i] + growth
+        constant += p_h[RADII + plays + i] * max(lower - radius, min(upper + radius, x_h[PLAY + i]))
+    missing = wanted - constant - p_h[SLOPE] * voltage
+    if not abs(missing) > 0.0:
+        return voltage
+    direction = 1.0 if missing > 0.0 else -1.0
+    bend = p_h[RISING] if missing > 0.0 else p_h[FALLING]
+    moving = 0.0
+    found = envelope_inverse(p_h, bend, p_h[SLOPE], moving, wanted - constant)
+    for i in range(plays):
+        radius = p_h[RADII + i] + growth
+        corner = max(lower - radius, min(upper + radius, x_h[PLAY + i])) + direction * radius
+        if direction * (envelope(p_h, bend, found) - corner) <= 0.0:
+            break
+        constant -= p_h[RADII + plays + i] * corner
+        moving += p_h[RADII + plays + i]
+        found = envelope_inverse(p_h, bend, p_h[SLOPE], moving, wanted - constant)
+    return max(found, voltage) if direction > 0.0 else min(found, voltage)
+
+
+class GeneralisedPlayHysteresis(InvertibleBlock):
+    """Generalised, rate-dependent plays: voltage [V] to displacement [m].
+
+    Parameters
+    ----------
+    parameters : GeneralisedPlayParameters
+        Plays, envelopes, growth with the rate and offset.
+    sample_time : float
+        Sample time [s].
+    """
+
+    kernel = staticmethod(generalised_play)
+    inverse = staticmethod(generalised_play_inverse)
+
+    def pack(self, parameters: GeneralisedPlayParameters) -> np.ndarray:
+        """Return p, shape (10 + 2 plays,)."""
+        low, high = parameters.voltage_low, parameters.voltage_high
+        share = -elementary.expm1(-self.sample_time / parameters.memory)
+        head = [len(parameters.radii), parameters.slope, parameters.offset, parameters.rate, share]
+        shape = [1.0 / self.sample_time, 0.5 * (low + high), 0.5 * (high - low)]
+        bends = [parameters.rising_bend, parameters.falling_bend]
+        return np.concatenate([head, shape, bends, parameters.radii, parameters.weights])
+
+    def initial_state(self) -> np.ndarray:
+        """Return x, shape (4 + plays,): 0 V for ever, every play between its envelopes there."""
+        x = np.zeros(PLAY + len(self.parameters.radii))
+        middle = 0.5 * (envelope(self.p, self.p[RISING], 0.0) + envelope(self.p, self.p[FALLING], 0.0))
+        x[PLAY:] = middle
+        x[DISPLACEMENT] = self._sum(x)
+        return x
+
+    @property
+    def gain(self) -> float:
+        """Nominal gain [m/V]: slope with every play moving, in the middle of the envelopes."""
+        plays = int(self.p[PLAYS])
+        return float(self.p[SLOPE] + product(self.p[RADII + plays : RADII + 2 * plays], np.ones(plays)))
+
+    def rebase(self) -> None:
+        """Keep the output where it is with changed parameters; the difference stays until :meth:`reset`."""
+        self.x[RESIDUE] = 0.0
+        self.x[RESIDUE] = self.x[DISPLACEMENT] - self._sum(self.x)
+
+    def _sum(self, x) -> float:
+        plays = int(self.p[PLAYS])
+        moved = product(self.p[RADII + plays : RADII + 2 * plays], x[PLAY:])
+        return float(self.p[SLOPE] * x[VOLTAGE] + moved + self.p[OFFSET] + x[RESIDUE])
+
+
+def _scaled(parameters: GeneralisedPlayParameters, factor: float) -> GeneralisedPlayParameters:
+    return times(parameters, factor, "weights", "slope", "offset")
+
+
+def _shifted(parameters: GeneralisedPlayParameters, offset: float) -> GeneralisedPlayParameters:
+    return plus(parameters, offset, "offset")
+
+
+def _deviated(parameters: GeneralisedPlayParameters, deviation: Deviation) -> GeneralisedPlayParameters:
+    """Every play has a factor of its own besides the opening's."""
+    factors = deviation.gain * deviation.opening * deviation.factor(len(parameters.weights))
+    weights = np.array(parameters.weights) * factors
+    return replace(times(parameters, deviation.gain, "slope"), weights=tuple(weights.tolist()))
+
+
+MODEL = HysteresisModel(
+    name="generalised_play",
+    title="play operators between two envelopes, whose thresholds grow with the speed of the voltage",
+    data="a voltage that rises and falls at several speeds, in loops of several amplitudes",
+    parameters=GeneralisedPlayParameters,
+    block=GeneralisedPlayHysteresis,
+    example=GeneralisedPlayParameters(
+        radii=(3.0, 8.0, 15.0, 25.0),
+        weights=(8e-9, 8e-9, 7e-9, 6e-9),
+        slope=70e-9,
+        rate=5e-4,
+        rising_bend=0.15,
+        falling_bend=-0.1,
+    ),
+    scaled=_scaled,
+    shifted=_shifted,
+    deviated=_deviated,
+    inverses=("exact", "general", "none"),
+    identify="hysteresis_ros.identification.procedures:generalised_play",
+    options={
+        "play_count": Option(int, "plays", low=1),
+        "freedom": Option(
+            str,
+            "what may differ from plain plays: thresholds that grow with the rate, envelopes, both, or what predicts "
+            "blocks held out",
+            choices=("auto", "none", "rate", "envelopes", "both"),
+        ),
+    },
+)

@@ -1,0 +1,89 @@
+"""Plays with thresholds that grow with the rate and with envelopes, from recordings; and only where they are."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hysteresis_ros.errors import IdentificationError
+from hysteresis_ros.identification import auto
+from hysteresis_ros.identification.data import IdentificationData
+from hysteresis_ros.identification.generalised_play import fit_generalised_play
+from hysteresis_ros.identification.linear_part import LinearPart
+from hysteresis_ros.identification.prandtl_ishlinskii import fit_prandtl_ishlinskii
+from hysteresis_ros.models.hysteresis import MODELS
+from hysteresis_ros.models.hysteresis.generalised_play import GeneralisedPlayHysteresis, GeneralisedPlayParameters
+
+T = 2e-3
+#: Density that falls, plays up to half the range; thresholds widen by 6 V at the highest speed of 10 Hz.
+RADII = 4.0 * np.arange(1, 13)
+PLAIN = GeneralisedPlayParameters(
+    radii=tuple(RADII), weights=tuple(6e-9 * np.exp(-RADII / 30.0)), slope=80e-9, memory=8e-3
+)
+RATED = replace(PLAIN, rate=2e-3)
+ENVELOPES = replace(PLAIN, rising_bend=0.3, falling_bend=-0.2)
+
+
+def drive(frequency: float, cycles: float) -> np.ndarray:
+    """Decaying loops from 0 V on."""
+    phase = 2.0 * np.pi * np.arange(int(cycles / (frequency * T))) * frequency * T
+    return 50.0 * np.exp(-0.1 * phase / (2.0 * np.pi)) * (1.0 - np.cos(phase))
+
+
+#: Slow, fast, and slow again.
+VOLTAGE = np.concatenate([drive(1.0, 3.0), drive(8.0, 16.0), drive(3.0, 6.0)])
+HELD_OUT = drive(5.0, 10.0)
+
+
+def recorded(truth, voltage=VOLTAGE, noise: float = 3e-9):
+    y = GeneralisedPlayHysteresis(truth, T).simulate(voltage)
+    return y + noise * np.random.default_rng(1).standard_normal(y.size)
+
+
+def error(fit, truth) -> float:
+    return float(np.std(fit.simulate(HELD_OUT) - recorded(truth, HELD_OUT, 0.0)))
+
+
+def test_thresholds_that_grow_with_the_rate_are_found_and_predict_another_speed():
+    fit = fit_generalised_play(VOLTAGE, recorded(RATED), T, linear=())
+    plain = fit_prandtl_ishlinskii(VOLTAGE, recorded(RATED), T, linear=())
+    assert fit.hysteresis.chosen.rate == pytest.approx(RATED.rate, rel=0.15)
+    assert error(fit, RATED) < 0.2 * error(plain, RATED)
+    assert fit.numbers["held_out_rmse_m"] < 7e-9
+
+
+def test_envelopes_are_found_where_they_are():
+    fit = fit_generalised_play(VOLTAGE, recorded(ENVELOPES), T, linear=())
+    found = fit.hysteresis.chosen
+    assert found.rising_bend - found.falling_bend == pytest.approx(0.5, abs=0.1)
+    assert error(fit, ENVELOPES) < 0.3 * error(
+        fit_prandtl_ishlinskii(VOLTAGE, recorded(ENVELOPES), T, linear=()), PLAIN
+    )
+
+
+def test_plain_plays_stay_plain():
+    found = fit_generalised_play(VOLTAGE, recorded(PLAIN, noise=2e-8), T, linear=()).hysteresis.chosen
+    assert found.rate == 0.0 and found.rising_bend == found.falling_bend == 0.0
+
+
+def test_a_lag_is_told_from_thresholds_that_grow():
+    late = LinearPart(lag=6e-3).apply(recorded(RATED, noise=0.0), T)
+    fit = fit_generalised_play(VOLTAGE, late, T, freedom="rate", linear=("lag",))
+    assert fit.linear_part.lag == pytest.approx(6e-3, rel=0.15)
+    assert fit.hysteresis.chosen.rate == pytest.approx(RATED.rate, rel=0.4)
+
+
+def test_an_unknown_freedom_is_refused():
+    with pytest.raises(IdentificationError, match="must be one of auto, none, rate"):
+        fit_generalised_play(VOLTAGE, recorded(PLAIN), T, freedom="all")
+
+
+@pytest.mark.parametrize("other, chosen", [(0.99, "preisach"), (0.9, "generalised_play")])
+def test_auto_takes_it_only_where_it_predicts_clearly_better(monkeypatch, other, chosen):
+    errors = {"preisach": (1e-7, 0.0), "generalised_play": (other * 1e-7, 0.0)}
+    monkeypatch.setattr(auto, "MODELS", {name: MODELS[name] for name in errors})
+    monkeypatch.setattr(auto, "held_out_error", lambda _, name, **request: errors[name])
+    data = IdentificationData(np.arange(VOLTAGE.size) * T, VOLTAGE, recorded(PLAIN))
+    assert auto.choose_model(data, None)[0] == chosen
