@@ -61,8 +61,8 @@ def steadied(data: IdentificationData) -> IdentificationData:
 def uninterrupted(data: IdentificationData) -> IdentificationData:
     """Return data of a uniform grid without its gaps: short ones bridged, else the longest part without one.
 
-    What happens in a longer gap is unknown, and so is the memory of a hysteresis after it. Samples whose input or output
-    is missing are gaps too. Where no part is long enough, or the samples jitter, the data is returned as it is.
+    What happens in a longer gap is unknown, and so is the memory of a hysteresis after it. Samples whose input or
+    output is missing are gaps too. Where no part is long enough, or the samples jitter, the data is returned as it is.
 
     Parameters
     ----------

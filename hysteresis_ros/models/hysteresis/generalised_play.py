@@ -52,8 +52,8 @@ PLAY = 4
 
 #: Largest bend of an envelope: its slope stays above a tenth.
 LARGEST_BEND = 0.9
-#: Largest growth with the rate, in parts of the time over which the speed is averaged: with κ of that part an error δ of
-#: the inverse's voltage comes back as κ (δ_k-1 - δ_k-2), which dies out below one half.
+#: Largest growth with the rate, in parts of the time over which the speed is averaged: with κ of that part an error δ
+#: of the inverse's voltage comes back as κ (δ_k-1 - δ_k-2), which dies out below one half.
 LARGEST_RATE = 0.5
 
 
