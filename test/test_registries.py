@@ -164,8 +164,9 @@ def test_new_parameters_do_not_move_the_output(model):
         block.simulate(WAVE)
         block.retune(model.scaled(model.example, 1.05))
         # at rest what widened with the speed narrows again
-        assert abs(block.step(WAVE[-1]) - before) <= (0.0 if model.block.rate_independent else 1e-3 * stroke(model))
-        assert abs(block.step(WAVE[-1] + 1e-6) - before) < 1e-3 * stroke(model)
+        narrowed = 0.0 if model.block.rate_independent else 5e-3 * stroke(model)
+        assert abs(block.step(WAVE[-1]) - before) <= narrowed
+        assert abs(block.step(WAVE[-1] + 1e-6) - before) < 1e-3 * stroke(model) + narrowed
 
 
 @models
