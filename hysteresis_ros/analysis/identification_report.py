@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hysteresis_ros.analysis.metrics import shown_row
-from hysteresis_ros.analysis.plots import add_legend, data_uri, envelope, new_figure
+from hysteresis_ros.analysis.plots import add_legend, data_uri, envelope, length_unit, new_figure
 from hysteresis_ros.analysis.report import render_page, write_page
 from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.inverse import InverseValidation
@@ -126,11 +126,12 @@ def traces_figure(data: IdentificationData, predicted, found: Validation):
 
 
 def residual_figure(data: IdentificationData, found: Validation):
-    """Return the figure of the residual over time [µm, s]."""
+    """Return the figure of the residual over time [µm or nm, s]."""
     figure, (axis,) = new_figure(2.6)
+    unit, factor = length_unit(float(np.max(np.abs(found.residual))))
     axis.axhline(0.0, color=_LIMIT, linewidth=0.8)
-    axis.plot(*envelope(data.time[found.skipped :], found.residual * _MICRO), color=_RESIDUAL, linewidth=0.9)
-    axis.set(xlabel="time [s]", ylabel="residual [µm]")
+    axis.plot(*envelope(data.time[found.skipped :], found.residual * factor), color=_RESIDUAL, linewidth=0.9)
+    axis.set(xlabel="time [s]", ylabel=f"residual [{unit}]")
     return figure
 
 
@@ -141,11 +142,12 @@ def loops_figure(data: IdentificationData, predicted, found: Validation):
     u = data.input[first::stride]
     loops.plot(u, data.output[first::stride] * _MICRO, color=_MEASURED, linewidth=2.0, label="measured")
     loops.plot(u, (predicted[first::stride] + found.offset) * _MICRO, color=_MODEL, linewidth=0.8, label="predicted")
-    left.plot(u, found.residual[::stride] * _MICRO, color=_RESIDUAL, linewidth=0.6)
+    unit, factor = length_unit(float(np.max(np.abs(found.residual))))
+    left.plot(u, found.residual[::stride] * factor, color=_RESIDUAL, linewidth=0.6)
     left.axhline(0.0, color=_LIMIT, linewidth=0.8)
-    unit = f"{data.input_name} [{data.input_unit}]"
-    loops.set(xlabel=unit, ylabel="displacement [µm]")
-    left.set(xlabel=unit, ylabel="residual [µm]")
+    over = f"{data.input_name} [{data.input_unit}]"
+    loops.set(xlabel=over, ylabel="displacement [µm]")
+    left.set(xlabel=over, ylabel=f"residual [{unit}]")
     add_legend(loops)
     return figure
 

@@ -321,7 +321,7 @@ def _plain(value):
 
 
 #: Units of figures and the next finer ones, a thousand times as many.
-FINER = {"µm": "nm", "µm s": "nm s", "µm/s": "nm/s", "ms": "µs"}
+FINER = {"µm": "nm", "µm s": "nm s", "µm/s": "nm/s", "ms": "µs", "V": "mV"}
 
 
 def shown(value, unit: str, factor: float) -> tuple[str, str]:

@@ -116,15 +116,26 @@ def traces_figure(recording: Recording):
     return figure
 
 
+def length_unit(largest: float) -> tuple[str, float]:
+    """Return in which unit lengths are drawn, and how many of it are in a metre: nm where all of them are small.
+
+    Parameters
+    ----------
+    largest : float
+        [m]
+    """
+    return ("nm", 1e9) if 0.0 < largest * _MICRO < FINE else ("µm", _MICRO)
+
+
 def error_figure(recording: Recording):
-    """Return the figure of reference - displacement over time [µm, s]."""
+    """Return the figure of reference - displacement over time [µm or nm, s]."""
     figure, (axis,) = new_figure(2.6)
     reference, displacement = judged_reference(recording), _displacement(recording) - axis_settings(recording).offset
     error = reference - displacement
     good = np.flatnonzero(np.isfinite(error))
     start = scan_start(reference[good], displacement[good]) if good.size else 0
     largest = float(np.max(np.abs(error[good[start:]]))) if good.size else 0.0
-    unit, factor = ("nm", 1e9) if 0.0 < largest * _MICRO < FINE else ("µm", _MICRO)
+    unit, factor = length_unit(largest)
     time, values = envelope(recording.time, error * factor)
     axis.axhline(0.0, color=_COLOURS["limit"], linewidth=0.8)
     axis.plot(time, values, color=_COLOURS["error"], linewidth=1.0)
