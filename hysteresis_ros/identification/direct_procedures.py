@@ -23,6 +23,7 @@ from hysteresis_ros.models.hysteresis import HysteresisParameters
 from hysteresis_ros.models.hysteresis.bouc_wen_mechanical import BoucWenMechanicalParameters
 from hysteresis_ros.models.hysteresis.proportional import ProportionalParameters
 from hysteresis_ros.models.linear import LinearParameters
+from hysteresis_ros.units import readable
 
 #: A lag must lower the residual by this part to be taken without being asked for.
 WORTH_IT = 0.02
@@ -117,7 +118,7 @@ def _oscillator(data: IdentificationData, request: Request, before: Identificati
         start = replace(_oscillator_guess(data, request), **options)
 
     def progress(number, rmse):
-        request.progress(number + 1, f"start {number + 1}, residual {1e6 * rmse:.4g} µm")
+        request.progress(number + 1, f"start {number + 1}, residual {readable(rmse, 'm')}")
 
     initial = request.initial or "zero"
     arguments = {} if trials is None else {"trials": trials}

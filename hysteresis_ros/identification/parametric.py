@@ -21,6 +21,7 @@ from hysteresis_ros.identification.validation import parameter_covariance
 from hysteresis_ros.models.declaration import HysteresisModel
 from hysteresis_ros.models.hysteresis import MODELS, HysteresisParameters
 from hysteresis_ros.parameters import Parameters
+from hysteresis_ros.units import readable
 
 #: Parameters that are refused count as an error of this many strokes everywhere.
 REFUSED = 10.0
@@ -100,7 +101,7 @@ class _Search:
             self.evaluations += 1
             error = self.error(at(values)) / self.stroke
             error -= 0.0 if np.all(error == REFUSED) else error.mean()
-            progress(self.evaluations, f"residual {1e6 * self.stroke * float(np.std(error)):.4g} µm")
+            progress(self.evaluations, f"residual {readable(self.stroke * float(np.std(error)), 'm')}")
             return error
 
         found = least_squares(

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from hysteresis_ros.models.hysteresis import HysteresisParameters
+from hysteresis_ros.units import readable
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,7 @@ class Request:
 
     def report_residual(self, number: int, rmse: float) -> None:
         """Progress of fits that report a residual [m]."""
-        self.progress(number, f"residual {1e6 * rmse:.4g} µm")
+        self.progress(number, f"residual {readable(rmse, 'm')}")
 
 
 @dataclass(frozen=True)
