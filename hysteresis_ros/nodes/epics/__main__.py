@@ -1,4 +1,4 @@
-"""The process of ``hysteresis ioc``: ``python -m hysteresis_ros.nodes.epics '{"motors": […], "interfaces": […]}'``."""
+"""The process of ``hysteresis ioc``; its argument is the JSON of :mod:`hysteresis_ros.nodes.epics.serving`."""
 
 from __future__ import annotations
 
@@ -7,11 +7,13 @@ import json
 import signal
 import sys
 import threading
+import time
 
 import rclpy
 from rclpy.signals import SignalHandlerOptions
 
 from hysteresis_ros.nodes.epics.link import AxisLink
+from hysteresis_ros.nodes.epics.record import SILENT
 from hysteresis_ros.nodes.epics.server import Motor, serve
 from hysteresis_ros.nodes.epics.settings import MotorSettings
 from hysteresis_ros.nodes.spin import LOOK, make_executor
@@ -31,6 +33,8 @@ def main() -> int:
     links = [AxisLink(node, motor) for motor in settings]
     hearing = threading.Thread(target=_hear, args=(executor, over), daemon=True)
     hearing.start()
+    while request["wait"] and not over.is_set() and any(link.look(time.monotonic()).alarm == SILENT for link in links):
+        time.sleep(LOOK)
     try:
         motors = [Motor(motor, link) for motor, link in zip(settings, links, strict=True)]
         names = ", ".join(motor.name for motor in settings)

@@ -80,7 +80,9 @@ def serve(
     """
     require_ros()
     require_caproto()
-    request = json.dumps({"motors": [asdict(motor) for motor in motors], "interfaces": list(addresses)})
+    # clients find axes that are being started once they can be moved
+    served = {"motors": [asdict(motor) for motor in motors], "interfaces": list(addresses), "wait": bool(axes)}
+    request = json.dumps(served)
     with contextlib.ExitStack() as stack:
         graph = stack.enter_context(Graph(list(axes), log_level="warn")) if axes else None
         # a process of its own: the pip wheels of ROS restart the interpreter on import
