@@ -106,6 +106,7 @@ def commission(situation: Situation, bench: Bench, attendant: Attendant, stages:
 
 def _done(situation: Situation, bench: Bench, attendant: Attendant, name: str) -> Outcome:
     stage = STAGES[name]
+    situation.progress(0, name)
     if isinstance(stage, Computation):
         return stage.compute(situation)
     axis = stage.axis(situation)

@@ -46,14 +46,14 @@ OWN = {
 def slow_data(situation: Situation) -> IdentificationData:
     """Return what the decaying cycles and the creep say, one behind the other, neighbours averaged.
 
-    The measurement is taken earlier by the delay that the small movements showed: what is left is slow.
+    Where a resonance shows that nothing slow lags, the measurement is taken earlier by the delay that was found.
 
     Parameters
     ----------
     situation : Situation
     """
     parts = [situation.folder.recording(stage) for stage in ("hysteresis", "creep")]
-    late = situation.figure("resonance", "delay_s")
+    late = situation.figure("resonance", "delay_s") if _is_quick(situation) else 0.0
     factor = max(int(situation.rate / (SAMPLES_A_CYCLE * situation.plan.cycle_frequency)), 1)
     voltage = np.concatenate([_averaged(part["voltage"], factor) for part in parts])
     measured = np.concatenate(
@@ -61,6 +61,11 @@ def slow_data(situation: Situation) -> IdentificationData:
     )
     time = np.arange(voltage.size) * factor / situation.rate
     return IdentificationData(time, voltage, measured, source="hysteresis.npz, creep.npz", factor=factor)
+
+
+def _is_quick(situation: Situation) -> bool:
+    """Whether a resonance is the slowest of the stage: otherwise it lags."""
+    return "resonance_hz" in situation.found["resonance"].figures
 
 
 def _averaged(values: np.ndarray, factor: int) -> np.ndarray:
@@ -97,9 +102,10 @@ def identify_stage(situation: Situation) -> Outcome:
     """
     fast = fast_data(situation, situation.folder.recording("resonance"))
     reading = read_data(slow_data(situation), Columns(all_samples=True))
+    slow = "creep" if _is_quick(situation) else "lag,creep"
 
     def fitted(model: str) -> Identified:
-        return identify(reading, model, linear="creep", fast=fast, progress=situation.progress)
+        return identify(reading, model, linear=slow, fast=fast, progress=situation.progress)
 
     found = fitted(situation.model)
     if not found.converged:

@@ -1,0 +1,68 @@
+"""The example of a stage to try a commissioning on: its two forms are one stage, which remembers where it was."""
+
+from __future__ import annotations
+
+import ctypes
+import pathlib
+
+import numpy as np
+import pytest
+
+from hysteresis_ros.block import COMPILED
+from hysteresis_ros.hardware.driver import DriverError
+from hysteresis_ros.hardware.located import driver_of, options_of
+
+PATH = pathlib.Path(__file__).resolve().parents[2] / "examples" / "foreign_stage.py"
+VOLTAGES = 50.0 + 50.0 * np.sin(np.arange(300) / 20.0)
+
+
+def opened(*options):
+    """Return an open stage."""
+    declared = driver_of(str(PATH))
+    stage = declared.driver()
+    stage.open(options_of(declared, options), 2000.0)
+    return stage
+
+
+def driven(stage):
+    """Return what it reads before each voltage."""
+    found = []
+    for voltage in VOLTAGES:
+        found.append(stage.read().positions[0])
+        stage.write((voltage,))
+    return np.array(found)
+
+
+@pytest.mark.skipif(not COMPILED, reason="Numba is not there: the stage has no compiled form")
+def test_as_machine_code_it_is_the_same_stage():
+    expected, stage = driven(opened()), opened()
+    compiled = stage.compiled()
+    place = ctypes.POINTER(ctypes.c_double)
+    read, write = (ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, place)(one) for one in compiled[:2])
+    value, found = ctypes.c_double(), []
+    for voltage in VOLTAGES:
+        assert read(compiled.device, value) == 0
+        found.append(value.value)
+        assert write(compiled.device, ctypes.c_double(voltage)) == 0
+    assert np.array_equal(found, expected) and np.ptp(expected) > 80e-6
+
+
+def test_it_goes_on_where_it_was_left(tmp_path):
+    memory = f"memory={tmp_path / 'stage.npy'}"
+    stage = opened(memory, "noise=0")
+    driven(stage)
+    stage.make_safe()
+    stage.close()
+    again = opened(memory, "noise=0")
+    stage.write((0.0,))
+    assert again.read() == stage.read()
+    # the same voltages make another way: the first one began at rest
+    assert not np.array_equal(driven(again), driven(opened("noise=0")))
+    (tmp_path / "stage.npy").write_bytes(b"nonsense")
+    with pytest.raises(DriverError, match="holds no state"):
+        opened(memory)
+
+
+def test_its_polarity_and_unit_are_those_that_are_asked_for():
+    plain, turned = driven(opened("noise=0")), driven(opened("noise=0", "polarity=-1", "unit=1e6"))
+    assert turned == pytest.approx(-1e6 * plain, rel=1e-12)
