@@ -97,3 +97,12 @@ def test_the_file_says_for_which_sample_time_its_dynamics_are():
         section = configuration.node(node)
         assert section[f"{name}.A"] and section[f"{name}.sample_time"] == pytest.approx(1.0 / section["sample_rate"])
         assert section["sample_rate"] == pytest.approx(500.0)
+
+
+def test_validation_leaves_out_the_start_as_identification_does(tmp_path):
+    found = identify(loops(), "proportional", linear="none")
+    found.save(tmp_path / "axis.yaml")
+    left_out = found.figures["skipped"]
+    assert left_out > 0 and validate(tmp_path / "axis.yaml", loops()).figures["skipped"] == left_out
+    assert validate(tmp_path / "axis.yaml", loops(), initial="zero").figures["skipped"] == 0
+    assert validate(tmp_path / "axis.yaml", loops(), skip=7).figures["skipped"] == 7

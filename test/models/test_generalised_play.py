@@ -85,6 +85,12 @@ def test_the_branches_follow_the_envelopes():
         np.testing.assert_allclose(y[part], wanted, rtol=1e-12)
 
 
+def test_the_speed_is_averaged_over_the_memory():
+    block = GeneralisedPlayHysteresis(RATED, T)
+    block.simulate(0.5 * np.arange(1, 13))  # 500 V/s for 12 ms
+    assert block.x[SPEED] == pytest.approx(500.0 * (1.0 - np.exp(-0.012 / RATED.memory)), rel=1e-12)
+
+
 def test_held_still_the_thresholds_narrow_to_those_at_rest():
     fast = np.concatenate([np.linspace(0.0, 80.0, 41), np.full(600, 80.0)])
     block, slow = GeneralisedPlayHysteresis(RATED, T), GeneralisedPlayHysteresis(PLAIN, T)
