@@ -34,13 +34,12 @@ def ioc(config, attach, prefix, namespace, egu, precision, tolerance, timeout, i
     from hysteresis_ros.configuration import load_configuration
     from hysteresis_ros.nodes.bench import in_time
     from hysteresis_ros.nodes.epics.serving import interfaces, serve
-    from hysteresis_ros.nodes.epics.settings import RecordOptions, motor_settings
+    from hysteresis_ros.nodes.epics.settings import RecordOptions, at_rest, motor_settings
     from hysteresis_ros.simulation.axes import axes
 
     configuration = load_configuration(config)
     configuration = configuration.override("", autostart=True)
-    configuration = configuration.override("reference_generator", waveform__type="hold", waveform__offset=0.0)
-    found = axes(configuration, namespace)
+    found = [at_rest(axis) for axis in axes(configuration, namespace)]
     record = RecordOptions(prefix, egu, precision, timeout, tolerance)
     motors = [motor_settings(axis, record) for axis in found]
     started = [] if attach else [in_time(axis) for axis in found]

@@ -16,7 +16,7 @@ from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.errors import ConfigurationError
 from hysteresis_ros.nodes.epics import serving
 from hysteresis_ros.nodes.epics.record import MISSED, SILENT, STOPPED, TOO_HIGH, TOO_LOW, Alarm, MotorRecord, Seen
-from hysteresis_ros.nodes.epics.settings import RecordOptions, motor_settings
+from hysteresis_ros.nodes.epics.settings import RecordOptions, at_rest, motor_settings
 from hysteresis_ros.simulation.axes import single_axis
 
 
@@ -243,7 +243,9 @@ def test_settings_follow_from_the_axis():
     own = axis_of("picma_stage").reference_generator
     assert (found.name, found.source, found.velocity) == ("x:m1", "reference_generator", own.approach.maximum_velocity)
     assert found.tolerance == pytest.approx(0.01 * (own.maximum - own.minimum)) and found.metres == pytest.approx(1e-9)
-    motor = motor_settings(axis_of("inchworm_travel"), RecordOptions("x:", "mm", 4, 3.0, tolerance=1e-4))
+    still = motor_settings(at_rest(axis_of("picma_stage")), RecordOptions("x:", "um", 4, 3.0))
+    assert (still.low, still.high) == (own.minimum, own.maximum) != (found.low, found.high)
+    motor = motor_settings(at_rest(axis_of("inchworm_travel")), RecordOptions("x:", "mm", 4, 3.0, tolerance=1e-4))
     assert (motor.source, motor.low, motor.tolerance) == ("inchworm_sequencer", -9e-3, pytest.approx(1e-7))
 
 

@@ -71,7 +71,9 @@ class AxisLink:
                 alarm = STOPPED
             elif not math.isfinite(self._measured):
                 alarm = UNMEASURED
-            return Seen(self._measured, self._setpoint, alarm)
+            # a motor that was stopped keeps its setpoint for later, and stays
+            setpoint = self._measured if self._stopped else self._setpoint
+            return Seen(self._measured, setpoint, alarm)
 
     def move(self, setpoint: float) -> None:
         """Give a setpoint [m]."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from hysteresis_ros import signals
 from hysteresis_ros.errors import ConfigurationError
@@ -104,6 +104,15 @@ class RecordOptions:
     def name(self, axis: AxisParameters) -> str:
         """Return the name of an axis' record: prefix and namespace, ``m1`` for an axis without."""
         return self.prefix + (axis.namespace.strip("/").replace("/", ":") or "m1")
+
+
+def at_rest(axis: AxisParameters) -> AxisParameters:
+    """Return the axis so that it follows setpoints only: without a waveform."""
+    own = axis.reference_generator
+    if own is None:
+        return axis
+    waveform = replace(own.waveform, type="hold", offset=0.0, phase=0.0)
+    return replace(axis, reference_generator=replace(own, waveform=waveform))
 
 
 def motor_settings(axis: AxisParameters, options: RecordOptions) -> MotorSettings:
