@@ -106,3 +106,19 @@ def _complete(recording: Recording, samples: int) -> Recording:
         known = np.isfinite(recording[name])
         signals[name] = np.interp(time, recording.time[known], recording[name][known])
     return Recording(time, signals, {}, recording.metadata)
+
+
+def held_back(recording: Recording) -> list[str]:
+    """Return a line when voltages were late, none when the machine held the rate.
+
+    Parameters
+    ----------
+    recording : Recording
+    """
+    count = int(np.nanmax(recording["late"])) if recording.has("late") else 0
+    if not count:
+        return []
+    return [
+        f"this machine was too busy for {count} of {len(recording)} samples: the voltage before was held, and what "
+        "moves meanwhile is farther off than the model says"
+    ]

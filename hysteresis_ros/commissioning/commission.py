@@ -6,7 +6,7 @@ from collections.abc import Iterable
 from dataclasses import replace
 from typing import Protocol
 
-from hysteresis_ros.commissioning.bench import Bench, require_sound
+from hysteresis_ros.commissioning.bench import Bench, held_back, require_sound
 from hysteresis_ros.commissioning.outcome import CommissioningError, Outcome
 from hysteresis_ros.commissioning.situation import Situation
 from hysteresis_ros.commissioning.stages import STAGES, Computation
@@ -120,9 +120,10 @@ def _done(situation: Situation, bench: Bench, attendant: Attendant, name: str) -
         raise _named(error, f"{name}: {error}") from error
     situation.folder.record(name, recording)
     try:
-        return replace(stage.judge(situation, recording), seconds=seconds)
+        outcome = stage.judge(situation, recording)
     except CommissioningError as error:
         raise CommissioningError(f"{name}: {error}") from error
+    return replace(outcome, lines=[*outcome.lines, *held_back(recording)], seconds=seconds)
 
 
 def _named(error: HysteresisError, text: str) -> CommissioningError:

@@ -223,16 +223,18 @@ def design_stage(situation: Situation) -> Outcome:
     plants = {name: _plant(situation, name) for name in situation.found["identify"].figures["others"]}
     names = list(DESIGNS) if situation.controller == "auto" else [situation.controller]
     design_of(names[0])
-    tried, reasons = [], []
+    tried: list[_Tried] = []
+    reasons: dict[str, list[str]] = {}
     for number, (name, fed) in enumerate((name, fed) for name in names for fed in (False, True)):
         words = f"{name}{' with feedforward' if fed else ''}"
         situation.progress(number, words)
         try:
             tried.append(_tried(situation, configuration, plants, DesignRequest(name, feedforward=fed), words))
         except HysteresisError as error:
-            reasons.append(f"{words}: {' '.join(str(error).split())}")
+            reasons.setdefault(" ".join(str(error).replace(f"{name} ", "it ").split()), []).append(words)
+    left_out = [f"{', '.join(those)}: {reason}" for reason, those in reasons.items()]
     if not tried:
-        raise CommissioningError(f"no controller keeps its margins on this model; {reasons[0]}")
+        raise CommissioningError(f"no controller keeps its margins on this model; {left_out[0]}")
     tried.sort(key=lambda one: one.error)
     best = tried[0]
     write_file(situation.folder.path / COMMISSIONED, best.text)
@@ -242,7 +244,7 @@ def design_stage(situation: Situation) -> Outcome:
         f"{margins.delay_margin_samples:.3g} samples",
         "scan in the simulation, at worst [nm RMS]: "
         + ", ".join(f"{one.words} {1e9 * one.error:.3g} ({one.plant})" for one in tried),
-        *(f"left out: {reason}" for reason in reasons),
+        *(f"left out: {reason}" for reason in left_out),
     ]
     figures = {
         "controller": best.words,

@@ -204,6 +204,21 @@ def test_single_samples_that_are_missing_are_bridged():
     assert require_sound(whole, 200) is whole
 
 
+def test_samples_for_which_the_machine_was_too_busy_are_said_with_what_was_found(tmp_path):
+    def busy(signals):
+        signals["late"][100:] = 7.0
+
+    said = []
+    for name, spoil in (("quiet", None), ("busy", busy)):
+        (tmp_path / name).mkdir()
+        told = Willing()
+        commission(sitting(tmp_path / name), ForeignBench(spoil=spoil), told, ["noise"])
+        outcome, _ = told.heard["noise"]
+        said.append([line for line in outcome.lines if "too busy" in line])
+    (line,) = said[1]
+    assert not said[0] and "too busy for 7 of 8000 samples" in line
+
+
 def clipped(signals):
     """The sensor ends before the actuator."""
     np.minimum(signals["measured"], 60e-6, out=signals["measured"])
