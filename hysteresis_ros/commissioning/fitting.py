@@ -187,7 +187,8 @@ def commissioned_text(situation: Situation, found: Identified) -> str:
     plan, namespace = situation.plan, situation.axis.namespace
     identified = parse_configuration(found.text, "the identified model")
     limits = {"limits.minimum": plan.minimum, "limits.maximum": plan.maximum, "limits.slew_rate": plan.slew_rate}
-    nodes: dict[str, dict] = {}
+    # what is given for all nodes holds for the recorder, too
+    nodes = {f"{namespace}/recorder": situation.configuration.node("recorder", namespace)}
     for node, replaced in OWN.items():
         given = situation.configuration.node(node, namespace)
         kept = {name: value for name, value in given.items() if not name.startswith(replaced)}

@@ -102,6 +102,7 @@ def test_all_stages_lead_to_a_loop_that_follows_the_scan_and_stay_within_what_th
     assert all(axis.plant_simulator.limits == axis.hysteresis_compensator.limits for axis in bench.runs[1:])
     assert bench.runs[0].plant_simulator.limits.maximum == 100.0, "a device's range is looked at before anything moves"
     written = single_axis(load_configuration(situation.folder.path / COMMISSIONED))
+    assert written.recorder.sample_rate == RATE and written.recorder.joint == "stage"
     assert written.motion_controller.type == "pid" and written.plant_simulator.sensor.noise > 2e-9
     # the plant is never the model: what the controller does not know is part of what is predicted
     assert written.plant_simulator.hysteresis.type == "polynomial"
