@@ -217,7 +217,7 @@ def test_samples_for_which_the_machine_was_too_busy_are_said_with_what_was_found
         outcome, _ = told.heard["noise"]
         said.append([line for line in outcome.lines if "too busy" in line])
     (line,) = said[1]
-    assert not said[0] and "too busy for 7 of 8000 samples" in line
+    assert not said[0] and "too busy for 7 of 1000 samples" in line
 
 
 def clipped(signals):
