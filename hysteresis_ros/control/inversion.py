@@ -43,6 +43,8 @@ TERMS = 3
 #: Newton steps for the matrix sign function, and the change at which it has settled.
 SIGN_STEPS = 60
 SETTLED = 1e-14
+#: The circle that divides modes is no nearer to 0 than by the root of this part of the slowest outer mode.
+NEAREST = 0.1
 
 
 @dataclass(frozen=True)
@@ -169,7 +171,9 @@ def _outside(matrix, sizes) -> np.ndarray:
     identity = np.eye(len(matrix))
     if np.all(sizes > 1.0):
         return identity
-    radius = math.sqrt(np.max(sizes[sizes < 1.0]) * np.min(sizes[sizes > 1.0])) or 0.5 * np.min(sizes[sizes > 1.0])
+    # between both, and no closer to 0 than needed: there M - ρ is as good as singular where modes coincide at 0
+    outer = np.min(sizes[sizes > 1.0])
+    radius = math.sqrt(max(np.max(sizes[sizes < 1.0]), NEAREST * outer) * outer)
     sign = product(matrix + radius * identity, inverse(matrix - radius * identity))
     for _ in range(SIGN_STEPS):
         following = 0.5 * (sign + inverse(sign))

@@ -200,14 +200,18 @@ zero = st.one_of(inside, st.floats(1.3, 20.0), st.floats(-20.0, -1.3))
 @st.composite
 def models(draw):
     """Draw a stable model of order 1 to 4 with any zeros away from the circle, in coordinates of any kind."""
-    from scipy.signal import zpk2ss
-
     poles = []
     for _ in range(draw(st.integers(0, 1))):
         radius, phase = draw(st.floats(0.1, 0.9)), draw(angle)
         poles += [radius * np.exp(1j * phase), radius * np.exp(-1j * phase)]
     poles += draw(st.lists(inside, min_size=0 if poles else 1, max_size=2))
-    zeros = draw(st.lists(zero, max_size=len(poles) - 1))
+    return realised(draw(st.lists(zero, max_size=len(poles) - 1)), poles)
+
+
+def realised(zeros, poles):
+    """Return dynamics with these zeros and poles, in coordinates that show none of them."""
+    from scipy.signal import zpk2ss
+
     A, B, C, _ = zpk2ss(zeros, poles, 1.0)
     gain = float((C @ np.linalg.solve(np.eye(len(A)) - A, B))[0, 0])
     mix = np.eye(len(A)) + 0.3 * np.tri(len(A), k=-1)
@@ -243,6 +247,13 @@ def test_any_stable_model_is_followed_exactly_with_enough_preview(dynamics):
     preview = sufficient_preview(dynamics, 1e-14)
     delayed, outputs = followed(dynamics, preview, motion(100))
     assert np.max(np.abs(outputs - delayed)) < 1e-8 * 1e-5
+
+
+def test_modes_that_coincide_at_zero_cost_no_digits():
+    """Beside a zero outside the circle, three modes of the inverse stand at 0."""
+    dynamics = realised([-2.0, 0.0], [0.3125 * np.exp(0.25j), 0.3125 * np.exp(-0.25j), 0.5, 0.5])
+    chosen = inverse_filter(dynamics, relative_degree(dynamics))
+    assert commands_of(chosen, np.full(50, 3e-6)) == pytest.approx(np.full(50, 3e-6), rel=1e-9)
 
 
 @settings(max_examples=40, deadline=None)
