@@ -38,8 +38,9 @@ def real_axis(**more):
     return axis_parameters(overrides=overrides, time_mode="lockstep", exit_at_end=True, **more)
 
 
-@pytest.mark.parametrize("busy", [False, True], ids=["idle", "busy"])
-@pytest.mark.parametrize("how", ["--processes", "--composed"])
+@pytest.mark.parametrize(
+    ("how", "busy"), [("--composed", False), ("--processes", True)], ids=["composed-idle", "processes-busy"]
+)
 def test_recorded_run_equals_offline_twin_bit_for_bit(processes, tmp_path, how, busy):
     from hysteresis_ros.recordings.bag_reader import read_bag
     from hysteresis_ros.recordings.files import load_run
