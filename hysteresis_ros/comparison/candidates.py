@@ -18,13 +18,13 @@ from hysteresis_ros.control.law import UNFED
 from hysteresis_ros.control.linearisation import margins
 from hysteresis_ros.control.margins import Margins
 from hysteresis_ros.control.registry import entries
-from hysteresis_ros.errors import HysteresisError
+from hysteresis_ros.errors import ConfigurationError, HysteresisError
 from hysteresis_ros.loop.axis_parameters import AxisParameters
 from hysteresis_ros.loop.node_parameters import part
 from hysteresis_ros.simulation.axes import single_axis
 from hysteresis_ros.simulation.tuning import believed_axis, tune
 
-#: A preview is long enough when what the inversion leaves is below this part of the reference, or at its longest.
+#: A preview is long enough when what the inversion leaves is below this part of the reference; longer ones are refused.
 INVERSION_ERROR = 1e-4
 LONGEST_PREVIEW = 64
 #: Least measurement noise a design reckons with, as a part of the stroke: a filter needs some.
@@ -215,8 +215,19 @@ class Given:
         return self.axis.motion_controller.model.dynamics
 
     def preview(self) -> dict:
-        """Return the feedforward with the shortest preview that inverts the model well."""
-        preview = min(sufficient_preview(self.dynamics, INVERSION_ERROR), LONGEST_PREVIEW)
+        """Return the feedforward with the shortest preview that inverts the model well.
+
+        Raises
+        ------
+        ConfigurationError
+            It is too long to be called a preview: an inverse that was cut off would be another one.
+        """
+        preview = sufficient_preview(self.dynamics, INVERSION_ERROR)
+        if preview > LONGEST_PREVIEW:
+            raise ConfigurationError(
+                f"the inverse of the model's dynamics needs {preview} samples of preview, more than {LONGEST_PREVIEW}: "
+                "the model has zeros just outside the unit circle; leave the feedforward out"
+            )
         return {"feedforward.type": "inverse_dynamics", "feedforward.preview": preview}
 
     def change(self) -> float:
