@@ -8,10 +8,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from plant_rows import rows_of
 from stage_support import listed_library, needs_compiler
 
 from hysteresis_ros import signals as at
-from hysteresis_ros.block import interpreted
 from hysteresis_ros.configuration import parse_configuration
 from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.hardware.driver import DriverError
@@ -19,8 +19,7 @@ from hysteresis_ros.loop.axis import Axis, Change, sample_times
 from hysteresis_ros.loop.axis_parameters import AxisParameters
 from hysteresis_ros.loop.driven import CompiledPlant, DrivenPlant, fused_plant_of
 from hysteresis_ros.loop.fused import FusedLoop
-from hysteresis_ros.loop.plant import FINDING_HOME, actuate, sense
-from hysteresis_ros.loop.tick import Laws
+from hysteresis_ros.loop.plant import FINDING_HOME
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.simulation.run import differences
 
@@ -80,14 +79,7 @@ def displacement(reading):
 
 
 def run(plant, voltages) -> np.ndarray:
-    laws = Laws(*(CompiledPlant.kernels[0],) * len(Laws._fields))
-    rows, row = [], [0.0] * at.MOTOR_ROW
-    for voltage in voltages:
-        interpreted(sense)(laws, plant.arrays, row)
-        row[at.VOLTAGE] = voltage
-        interpreted(actuate)(laws, plant.arrays, row)
-        rows.append(row.copy())
-    return np.array(rows)
+    return rows_of(plant, CompiledPlant.kernels[:1], voltages)
 
 
 def test_fused_and_in_python_it_is_told_and_understood_by_the_same_formula(library):

@@ -11,11 +11,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from plant_rows import rows_of
 from stage_support import compile_c, listed_library, needs_compiler
 from waiting import until
 
 from hysteresis_ros import signals as at
-from hysteresis_ros.block import interpreted
 from hysteresis_ros.configuration import load_configuration, parse_configuration
 from hysteresis_ros.errors import LoopError, ParameterError
 from hysteresis_ros.hardware.driver import DriverError
@@ -24,8 +24,7 @@ from hysteresis_ros.loop.axis import Axis, Change, sample_times
 from hysteresis_ros.loop.axis_parameters import AxisParameters
 from hysteresis_ros.loop.driven import CompiledPlant, DrivenPlant, fused_plant_of
 from hysteresis_ros.loop.fused import FusedLoop
-from hysteresis_ros.loop.plant import DEVICE_FAILED, actuate, sense
-from hysteresis_ros.loop.tick import Laws
+from hysteresis_ros.loop.plant import DEVICE_FAILED
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.simulation.run import differences
 
@@ -85,16 +84,7 @@ def parameters(library, *options: str, **changes):
 
 
 def run(plant, voltages) -> np.ndarray:
-    """Return the rows of a plant that is given these voltages, NaN for those that do not come."""
-    law = CompiledPlant.kernels[0]
-    laws = Laws(*(law,) * len(Laws._fields))
-    rows, row = [], [0.0] * at.MOTOR_ROW
-    for voltage in voltages:
-        interpreted(sense)(laws, plant.arrays, row)
-        row[at.VOLTAGE] = voltage
-        interpreted(actuate)(laws, plant.arrays, row)
-        rows.append(row.copy())
-    return np.array(rows)
+    return rows_of(plant, CompiledPlant.kernels[:1], voltages)
 
 
 def fused(axis_parameters: AxisParameters, samples: int) -> tuple[FusedLoop, np.ndarray]:

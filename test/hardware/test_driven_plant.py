@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from plant_rows import rows_of
 
 from hysteresis_ros import signals as at
-from hysteresis_ros.block import interpreted
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.hardware.driver import Capabilities, DriverError
@@ -18,8 +18,7 @@ from hysteresis_ros.hardware.registry import DRIVERS
 from hysteresis_ros.loop.axis_parameters import AxisParameters
 from hysteresis_ros.loop.driven import DrivenPlant, plant_of
 from hysteresis_ros.loop.node_parameters import PlantNodeParameters
-from hysteresis_ros.loop.plant import DEVICE_FAILED, actuate, sense
-from hysteresis_ros.loop.tick import Laws
+from hysteresis_ros.loop.plant import DEVICE_FAILED
 from hysteresis_ros.loop.watch import STALE, TRIPPED
 
 #: Limits, noise, 16 bits: what a plant can have.
@@ -34,15 +33,7 @@ def parameters(**changes):
 
 
 def run(plant, voltages) -> np.ndarray:
-    """Return the rows of a plant that is given these voltages, NaN for those that do not come."""
-    laws = Laws(*plant.kernels, *(plant.kernels[0],) * (len(Laws._fields) - 3))
-    rows, row = [], [0.0] * at.MOTOR_ROW
-    for voltage in voltages:
-        interpreted(sense)(laws, plant.arrays, row)
-        row[at.VOLTAGE] = voltage
-        interpreted(actuate)(laws, plant.arrays, row)
-        rows.append(row.copy())
-    return np.array(rows)
+    return rows_of(plant, plant.kernels, voltages)
 
 
 class Device(SimulatedDriver):
