@@ -53,7 +53,8 @@ MAY_IMPORT = {
     "commissioning": METHODS | {"loop", "simulation", "analysis"},
     "comparison": METHODS | {"loop", "simulation", "analysis"},
     "papers": METHODS | {"loop", "simulation", "analysis"},
-    "api": METHODS | {"loop", "simulation", "analysis"},
+    "results": METHODS,
+    "api": METHODS | {"loop", "simulation", "analysis", "results"},
     "nodes": METHODS | {"sensing", "loop", "simulation", "commissioning", "analysis"},
     "cli": METHODS
     | {"sensing", "loop", "simulation", "commissioning", "analysis", "comparison", "papers", "nodes", "hardware"},
