@@ -105,10 +105,17 @@ shapes = st.fixed_dictionaries(
         "rate": st.sampled_from([0.0, 3e-4, 5e-3]),
         "falling_bend": st.floats(-0.85, 0.0),
         "rising_bend": st.floats(0.0, 0.85),
-        "slope": st.floats(1e-9, 1e-7),
+        "slope": st.floats(2e-8, 1e-7),
         "memory": st.sampled_from([1e-2, 0.1]),
     }
 )
+
+
+def test_an_inverse_that_may_swing_is_warned_of():
+    steep = replace(RATED, slope=2.0 * sum(RATED.weights))
+    flat = replace(RATED, slope=0.5 * sum(RATED.weights))
+    assert steep.warnings() == replace(flat, rate=0.0).warnings() == ()
+    assert len(flat.warnings("hysteresis.")) == 1 and "hysteresis.slope" in flat.warnings("hysteresis.")[0]
 
 
 @settings(max_examples=30, deadline=None)

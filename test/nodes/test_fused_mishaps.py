@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-
 import numpy as np
 import pytest
 
@@ -41,6 +39,6 @@ def test_a_full_disk_ends_the_run_safely_and_leaves_what_was_written(processes, 
     run = load_run(steered.bag, further=True)
     assert differences(run, axes(load_configuration(tmp_path / "axis.yaml"))[0]) == {}
     assert run.metadata["missing_samples"] == 0
-    # all but the last half second before the recorder said so
-    said = re.search(r"\[([\d.]+)\] \[recorder\]: .*cannot be written", steered.run.output)
-    assert float(said[1]) - 1e-9 * run.metadata["start_time_ns"] - run.time[-1] < 0.5
+    # what did not fit was one piece, of which some ten fill this disk
+    written = max(path.stat().st_size for path in steered.bag.glob("*.mcap"))
+    assert written > 0.75 * ROOM * 1024

@@ -8,8 +8,10 @@ The envelopes are parabolas over a range of voltages, ``γ = V + b h (ν² - 1)/
 it, and are γ = V beyond. The speed is that of the steps *before* the present one, averaged over ``memory``. So the
 thresholds are known when a step is made: first they change at the voltage held so far, then the voltage moves, as in a
 rate-independent model. Because all of them grow by the same amount the corners come in the order of the radii, and the
-inverse is a closed form, threshold by threshold, exact at every sample. It is stable as long as the thresholds grow by
-no more than half a volt per volt of a step, averaged: rate ≤ memory/2.
+inverse is a closed form, threshold by threshold, exact at every sample. While all plays move it is stable as long as
+the thresholds grow by no more than half a volt per volt of a step, averaged: rate ≤ memory/2. After a reversal only
+the slope answers the voltage while thresholds that shrink still push all plays, which magnifies an error by
+Σ w_i / slope: tried on 6000 voltages that turn at random, up to 1.5 it stays rounding, at 2.6 some grow to 3e-5 V.
 
 References
 ----------
@@ -55,6 +57,8 @@ LARGEST_BEND = 0.9
 #: Largest growth with the rate, in parts of the time over which the speed is averaged: with κ of that part an error δ
 #: of the inverse's voltage comes back as κ (δ_k-1 - δ_k-2), which dies out below one half.
 LARGEST_RATE = 0.5
+#: Sum of the weights over the slope up to which the inverse of rate-dependent plays does not magnify rounding (tried).
+LARGEST_PART = 1.5
 
 
 @dataclass(frozen=True)
@@ -102,6 +106,22 @@ class GeneralisedPlayParameters(Parameters):
         if self.falling_bend > self.rising_bend:
             allowed = f"must not be above rising_bend = {self.rising_bend:g}: a rising voltage lags, it does not lead"
             yield Problem("falling_bend", self.falling_bend, allowed)
+
+    def warnings(self, prefix: str = "") -> tuple[str, ...]:
+        """Return a sentence where the inverse may magnify errors.
+
+        Parameters
+        ----------
+        prefix : str
+            Put before the names of the parameters.
+        """
+        part = sum(self.weights) / self.slope
+        if not self.rate or part <= LARGEST_PART:
+            return ()
+        return (
+            f"{prefix}slope = {self.slope:g}: the weights are {part:.2g} times as much; with a rate, the voltages of "
+            f"an inverse may swing after reversals where that is above {LARGEST_PART:g}; without rate they do not",
+        )
 
 
 @kernel
