@@ -48,6 +48,7 @@ COMMANDS = {
     "validate": ("hysteresis_ros.cli.validate:validate", "Validate a parameter file on a recording."),
     "models": ("hysteresis_ros.cli.models:models", "List the models with parameters, units and inverses."),
     "excite": ("hysteresis_ros.cli.excite:excite", "Drive an axis with what an identification needs."),
+    "frf": ("hysteresis_ros.cli.frf:frf", "Measure the frequency response of an axis, or take it from a recording."),
     "emulate": ("hysteresis_ros.cli.emulate:emulate", "Emulate a device, with a plant inside and faults."),
     "export": ("hysteresis_ros.cli.export:export", "Turn a recording into .npz or .csv."),
     "design": ("hysteresis_ros.cli.design:design", "Design a controller from the model in a configuration."),

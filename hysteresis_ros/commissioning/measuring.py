@@ -12,6 +12,7 @@ from hysteresis_ros.identification.frequency_response import FrequencyResponse, 
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.loops import loop_opening
 from hysteresis_ros.references.recipes import HIGHEST
+from hysteresis_ros.references.ways import REST, WAY
 from hysteresis_ros.units import readable
 
 #: The sensor's noise may be this part of the stroke, and its zero so many strokes away.
@@ -154,7 +155,7 @@ def steady_periods(situation: Situation, recording: Recording) -> tuple[slice, i
         The recording ends before.
     """
     period = round(volts.PERIOD * situation.rate)
-    first = round(volts.REST * situation.rate) + round(volts.WAY * situation.rate) + period
+    first = round(REST * situation.rate) + round(WAY * situation.rate) + period
     last = first + (volts.PERIODS - 1) * period
     if last > len(recording):
         raise CommissioningError("the recording of the multisine is cut off; do the stage again: --stage resonance")
@@ -275,7 +276,7 @@ def judge_creep(situation: Situation, recording: Recording) -> Outcome:
     recording : Recording
     """
     rate, plan = situation.rate, situation.plan
-    begin = round(volts.REST * rate) + round(volts.CREEP_WAY * rate)
+    begin = round(REST * rate) + round(volts.CREEP_WAY * rate)
     end = begin + round(plan.creep_duration * rate)
     measured = recording["measured"]
     time = recording.time[begin:end] - recording.time[begin] + volts.CREEP_WAY

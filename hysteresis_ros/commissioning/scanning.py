@@ -10,12 +10,12 @@ from hysteresis_ros.commissioning.folder import COMMISSIONED
 from hysteresis_ros.commissioning.measuring import MICRO
 from hysteresis_ros.commissioning.outcome import CommissioningError, Outcome
 from hysteresis_ros.commissioning.situation import OVERTRAVEL, Situation
-from hysteresis_ros.commissioning.voltages import hold, way
 from hysteresis_ros.configuration import Configuration, load_configuration
 from hysteresis_ros.loop.axis_parameters import AxisParameters
 from hysteresis_ros.recordings.dataset import Recording
+from hysteresis_ros.references.ways import hold, way
 from hysteresis_ros.simulation.axes import single_axis
-from hysteresis_ros.simulation.driven_axis import write_samples
+from hysteresis_ros.simulation.driven_axis import following, write_samples
 from hysteresis_ros.simulation.run import simulate
 from hysteresis_ros.units import readable
 
@@ -117,14 +117,7 @@ def closed_axis(
         [m]
     """
     path = write_samples(situation.folder.path / "waveforms" / f"{stage}.npz", reference, situation.rate)
-    values = {"type": "file", "cycles": 1, "phase": 0.0, "offset": 0.0, "file.path": path, "file.column": "reference"}
-    configuration = configuration.override(
-        "reference_generator",
-        initial_setpoint=0.0,
-        **{f"approach.maximum_{name}": 0.0 for name in ("velocity", "acceleration", "jerk")},
-        **{f"waveform.{name}": value for name, value in values.items()},
-    )
-    configuration = configuration.override("", exit_at_end=True, autostart=True)
+    configuration = following(configuration, path)
     if situation.has_device:
         configuration = configuration.override("plant_simulator", overtravel=OVERTRAVEL * situation.plan.stroke)
     axis = single_axis(configuration, situation.axis.namespace)

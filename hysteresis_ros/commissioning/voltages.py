@@ -7,9 +7,8 @@ import numpy as np
 from hysteresis_ros.commissioning.plan import Plan
 from hysteresis_ros.references.recipes import SMALL, recipe
 from hysteresis_ros.references.waveforms import Waveform, WaveformParameters
+from hysteresis_ros.references.ways import REST, hold, there_and_back, way
 
-#: Seconds of a way from one place to another, and of resting there before anything is measured.
-WAY, REST = 0.5, 0.5
 #: Seconds of a small step, and of the holds around it; of the step whose creep is measured, and part of its hold that
 #: the way back is watched.
 STEP_WAY, STEP_HOLD = 0.05, 0.75
@@ -20,51 +19,6 @@ PERIODS, PERIOD = 5, 2.0
 WHOLE, DECAYING, DECAY = 2, 14, 3.5
 #: Where the step whose creep is measured ends, as a part of the range.
 CREEP_PART = 0.8
-
-
-def way(begin: float, end: float, seconds: float, rate: float) -> np.ndarray:
-    """Return a way that begins and ends at rest, half a cosine [V]; its first sample has left ``begin`` already.
-
-    Parameters
-    ----------
-    begin, end : float
-        [V]
-    seconds : float
-    rate : float
-        [Hz]
-    """
-    count = max(round(seconds * rate), 1)
-    return begin + (end - begin) * 0.5 * (1.0 - np.cos(np.pi * np.arange(1, count + 1) / count))
-
-
-def hold(level: float, seconds: float, rate: float) -> np.ndarray:
-    """Return a level that is held [V].
-
-    Parameters
-    ----------
-    level : float
-        [V]
-    seconds : float
-    rate : float
-        [Hz]
-    """
-    return np.full(max(round(seconds * rate), 1), level)
-
-
-def there_and_back(middle: np.ndarray, safe: float, rate: float) -> np.ndarray:
-    """Return voltages [V] with the ways to their first and from their last one.
-
-    Parameters
-    ----------
-    middle : ndarray, shape (N,)
-        [V]
-    safe : float
-        Where it begins and ends [V].
-    rate : float
-        [Hz]
-    """
-    parts = [hold(safe, REST, rate), way(safe, middle[0], WAY, rate), middle, way(middle[-1], safe, WAY, rate)]
-    return np.concatenate([*parts, hold(safe, REST, rate)])
 
 
 def listening(plan: Plan, safe: float, rate: float) -> np.ndarray:

@@ -11,7 +11,7 @@ from hysteresis_ros.errors import ConfigurationError
 from hysteresis_ros.models.limits import LimitsParameters
 
 
-def write_samples(path, reference, sample_rate: float) -> str:
+def write_samples(path, reference, sample_rate: float, **further) -> str:
     """Write a reference for a waveform of type ``file``, and return its whole path.
 
     Parameters
@@ -22,6 +22,8 @@ def write_samples(path, reference, sample_rate: float) -> str:
         [m]
     sample_rate : float
         [Hz]
+    **further
+        Further arrays of the file.
 
     Raises
     ------
@@ -31,7 +33,7 @@ def write_samples(path, reference, sample_rate: float) -> str:
     path = pathlib.Path(path).resolve()
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        np.savez(path, time=np.arange(reference.size) / sample_rate, reference=reference)
+        np.savez(path, time=np.arange(reference.size) / sample_rate, reference=reference, **further)
     except OSError as error:
         raise ConfigurationError(f"{path}: cannot be written: {error.strerror}; choose another place") from None
     return str(path)
@@ -71,3 +73,24 @@ def driven(configuration: Configuration, limits: LimitsParameters, gain: float, 
         approach__maximum_jerk=0.0,
         **{f"waveform.{name}": value for name, value in {**plain, **waveform}.items()},
     )
+
+
+def following(configuration: Configuration, path: str, rest: float = 0.0) -> Configuration:
+    """Return the configuration whose axis follows samples once, from where they begin, and then leaves.
+
+    Parameters
+    ----------
+    configuration : Configuration
+    path : str
+        Of :func:`write_samples`.
+    rest : float
+        Setpoint from which the axis begins [m]; the samples are absolute all the same.
+    """
+    values = {"type": "file", "cycles": 1, "phase": 0.0, "offset": -rest, "file.path": path, "file.column": "reference"}
+    configuration = configuration.override(
+        "reference_generator",
+        initial_setpoint=rest,
+        **{f"approach.maximum_{name}": 0.0 for name in ("velocity", "acceleration", "jerk")},
+        **{f"waveform.{name}": value for name, value in values.items()},
+    )
+    return configuration.override("", exit_at_end=True, autostart=True)

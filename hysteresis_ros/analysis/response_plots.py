@@ -1,0 +1,247 @@
+"""Plots of a measured frequency response: Bode with bands and distortion, sensitivities, Nyquist with margins."""
+
+from __future__ import annotations
+
+import os
+import pathlib
+from typing import Protocol
+
+import numpy as np
+
+from hysteresis_ros.analysis.plots import add_legend, data_uri, new_figure
+from hysteresis_ros.analysis.report import render_page, write_page
+from hysteresis_ros.control.margins import REQUIRED
+from hysteresis_ros.control.measured_loop import MeasuredLoop
+from hysteresis_ros.errors import RecordingError
+from hysteresis_ros.identification.response_analysis import Analysis
+from hysteresis_ros.identification.response_file import PROBABILITY
+
+_MEASURED, _MODEL, _SECOND = "#1f3b73", "#8a8a8a", "#2a9d8f"
+_LEVELS = {"noise": ("noise", "#9a9a9a"), "odd": ("odd distortion", "#d1495b"), "even": ("even distortion", "#e09f3e")}
+#: Part of the plane around −1 that Nyquist's plot shows.
+NYQUIST = 2.5
+
+
+class Shown(Protocol):
+    """What is drawn of a measured axis."""
+
+    plant: Analysis
+    loop: MeasuredLoop | None
+    model: np.ndarray | None
+    model_loop: np.ndarray | None
+
+    def lines(self) -> list[str]:
+        """Return the table that is printed."""
+
+
+def response_figures(found: Shown) -> list[tuple[str, object]]:
+    """Return captions and figures: Bode of the plant, and of a loop sensitivities and Nyquist.
+
+    Parameters
+    ----------
+    found : Shown
+
+    Raises
+    ------
+    MissingExtraError
+        Matplotlib is not installed.
+    """
+    figure, axes = new_figure(6.4 if found.plant.response.coherence is None else 8.0, rows=_rows(found))
+    _bode(axes, found)
+    figures = [("Frequency response", figure)]
+    if found.loop is not None:
+        figure, (axis,) = new_figure(3.8)
+        _sensitivities(axis, found)
+        figures.append(("Sensitivity and complementary sensitivity", figure))
+        figure, (axis,) = new_figure(6.0)
+        _nyquist(axis, found)
+        figures.append(("Nyquist", figure))
+    return figures
+
+
+def require_picture(path) -> None:
+    """Refuse a name that is not that of a picture, or whose folder is not there.
+
+    Parameters
+    ----------
+    path : path-like
+
+    Raises
+    ------
+    RecordingError
+        It is none.
+    """
+    path = pathlib.Path(path)
+    if path.suffix.lower() != ".png":
+        raise RecordingError(f"{path}: unknown kind of picture '{path.suffix}'; give the name of a .png file")
+    if not path.absolute().parent.is_dir():
+        raise RecordingError(f"{path}: cannot be written: there is no such folder; choose another place")
+
+
+def write_response_picture(path, found: Shown) -> None:
+    """Write all plots as one picture.
+
+    Parameters
+    ----------
+    path : path-like
+        ``.png``.
+    found : Shown
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be written, or its name is not that of a picture.
+    """
+    require_picture(path)
+    path = pathlib.Path(path)
+    rows = _rows(found)
+    looped = found.loop is not None
+    figure, axes = new_figure(3.2 * rows + (9.2 if looped else 0.0), rows=rows + 2 * looped)
+    _bode(axes[:rows], found)
+    if looped:
+        axes[0].get_gridspec().set_height_ratios([1.0] * (rows + 1) + [2.0])
+        _sensitivities(axes[rows], found)
+        _nyquist(axes[rows + 1], found)
+    partial = path.with_name(path.name + ".partial")
+    try:
+        figure.savefig(partial, format="png")
+        os.replace(partial, path)
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be written: {error.strerror}; choose another place") from None
+
+
+def write_response_report(path, title: str, found: Shown) -> None:
+    """Write the page: one HTML file that needs nothing beside it.
+
+    Parameters
+    ----------
+    path : path-like
+        ``.html``.
+    title : str
+    found : Shown
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be written, or its name is not that of a page.
+    """
+    plots = [dict(caption=caption, source=data_uri(figure)) for caption, figure in response_figures(found)]
+    write_page(path, render_page("response.html.j2", title=title, lines=found.lines(), plots=plots))
+
+
+def _rows(found: Shown) -> int:
+    return 2 if found.plant.response.coherence is None else 3
+
+
+def _bode(axes, found: Shown) -> None:
+    """Draw magnitude and phase with their bands, levels of distortion, and coherence where there is one."""
+    response, levels = found.plant.response, found.plant.distortion
+    f, G = response.frequency, response.single
+    magnitude, phase = axes[:2]
+    spread = None if response.degrees is None else response.radius(PROBABILITY)[:, 0, 0]
+    angle = np.degrees(np.unwrap(np.angle(G)))
+    if found.model is not None:
+        magnitude.plot(f, np.abs(found.model), color=_MODEL, linewidth=1.0, label="model")
+        model = np.degrees(np.unwrap(np.angle(found.model)))
+        model += 360.0 * np.round((angle[0] - model[0]) / 360.0)
+        phase.plot(f, model, color=_MODEL, linewidth=1.0)
+    magnitude.plot(f, np.abs(G), ".-", color=_MEASURED, linewidth=1.0, markersize=2.5, label="measured")
+    phase.plot(f, angle, ".-", color=_MEASURED, linewidth=1.0, markersize=2.5)
+    if spread is not None:
+        _band(magnitude, f, np.abs(G), spread, f"{100 * PROBABILITY:g} % band")
+        wide = np.degrees(np.arcsin(np.minimum(spread / np.abs(G), 1.0)))
+        phase.fill_between(f, angle - wide, angle + wide, color=_MEASURED, alpha=0.22, linewidth=0.0)
+    for name, (label, colour) in _LEVELS.items():
+        values = np.full(f.size, np.nan) if levels is None else getattr(levels, name)
+        if np.any(values > 0.0):
+            seen = np.where(values > 0.0, values, np.nan)
+            magnitude.plot(f, seen, ".", color=colour, markersize=3.0, label=label)
+    magnitude.set(xscale="log", yscale="log", ylabel=f"magnitude [{response.output_unit}/{response.input_unit}]")
+    phase.set(xscale="log", ylabel="phase [degrees]")
+    add_legend(magnitude)
+    if response.coherence is not None:
+        axes[2].plot(f, response.coherence[:, 0], color=_MEASURED, linewidth=1.0)
+        axes[2].set(xscale="log", ylabel="coherence [1]", ylim=(0.0, 1.05))
+    axes[len(axes) - 1].set(xlabel="frequency [Hz]")
+
+
+def _band(axis, f, size, radius, label: str | None = None) -> None:
+    """Fill from size − radius to size + radius; where nothing is left below, down to a hundredth of the size."""
+    axis.fill_between(
+        f,
+        np.maximum(size - radius, 0.01 * size),
+        size + radius,
+        color=_MEASURED,
+        alpha=0.22,
+        linewidth=0.0,
+        label=label,
+    )
+
+
+def _sensitivities(axis, found: Shown) -> None:
+    """Draw |S| and |T| with their bands, and the bound of every design."""
+    loop = found.loop
+    curves = ((loop.sensitivity, "sensitivity S", _MEASURED), (loop.complementary, "complementary T", _SECOND))
+    if found.model_loop is not None:
+        S = 1.0 / (1.0 + found.model_loop)
+        for place, values in enumerate((S, found.model_loop * S)):
+            label = "model" if place == 0 else None
+            axis.plot(loop.frequency, np.abs(values), color=_MODEL, linewidth=1.0, label=label)
+    for values, label, colour in curves:
+        size, radius = np.abs(values), loop.sensitivity_radius
+        axis.plot(loop.frequency, size, ".-", color=colour, linewidth=1.0, markersize=2.5, label=label)
+        low = np.maximum(size - radius, 0.01 * size)
+        axis.fill_between(loop.frequency, low, size + radius, color=colour, alpha=0.22, linewidth=0.0)
+    bound = REQUIRED.sensitivity_peak
+    axis.axhline(bound, color="#444444", linewidth=0.8, linestyle=(0, (4, 3)), label=f"M_s = {bound:g}")
+    axis.set(xscale="log", yscale="log", xlabel="frequency [Hz]", ylabel="magnitude [1]")
+    add_legend(axis)
+
+
+def _nyquist(axis, found: Shown) -> None:
+    """Draw L around −1 with the circles of its lines, the unit circle and that of M_s."""
+    loop = found.loop
+    turn = np.exp(1j * np.linspace(0.0, 2.0 * np.pi, 400))
+    bound = REQUIRED.sensitivity_peak
+    axis.plot(turn.real, turn.imag, color="#bbbbbb", linewidth=0.8)
+    circle = -1.0 + turn / bound
+    axis.plot(circle.real, circle.imag, color="#d1495b", linewidth=1.0, linestyle=(0, (4, 3)), label=f"M_s = {bound:g}")
+    axis.plot(-1.0, 0.0, "+", color="#d1495b", markersize=9.0)
+    near = np.flatnonzero(np.abs(loop.loop + 1.0) < 2.0 * NYQUIST)
+    for place in near[np.abs(loop.loop[near]) > 0.05]:
+        around = loop.loop[place] + loop.radius[place] * turn[::16]
+        axis.fill(around.real, around.imag, color=_MEASURED, alpha=0.1, linewidth=0.0)
+    if found.model_loop is not None:
+        axis.plot(found.model_loop.real, found.model_loop.imag, color=_MODEL, linewidth=1.0, label="model")
+    axis.plot(
+        loop.loop.real,
+        loop.loop.imag,
+        ".-",
+        color=_MEASURED,
+        linewidth=0.9,
+        markersize=3.0,
+        label="measured, with circles",
+    )
+    for name, (value, direction) in _margins(loop).items():
+        axis.annotate(name, value, xytext=direction, textcoords="offset points", fontsize=8,
+                      arrowprops={"arrowstyle": "-", "color": "#444444", "linewidth": 0.7})  # fmt: skip
+    axis.set_aspect("equal", adjustable="box")
+    axis.set(xlim=(-NYQUIST, NYQUIST), ylim=(-NYQUIST, 0.6 * NYQUIST), xlabel="Re L", ylabel="Im L")
+    add_legend(axis)
+
+
+def _margins(loop: MeasuredLoop) -> dict[str, tuple[tuple[float, float], tuple[float, float]]]:
+    """Return what is written at which point of the plane, and how far beside it."""
+    found = {}
+    if np.isfinite(loop.gain_margin.value):
+        found[f"gain margin {loop.gain_margin.value:.1f} dB"] = (
+            (-(10.0 ** (-loop.gain_margin.value / 20.0)), 0.0), (25.0, 45.0)
+        )  # fmt: skip
+    if np.isfinite(loop.phase_margin.value):
+        angle = np.pi + np.radians(loop.phase_margin.value)
+        text = f"phase margin {loop.phase_margin.value:.0f}°, delay margin {loop.delay_margin.value:.2g} samples"
+        found[text] = ((float(np.cos(angle)), float(np.sin(angle))), (40.0, -55.0))
+    worst = int(np.argmin(np.abs(1.0 + loop.loop)))
+    text = f"M_s {loop.sensitivity_peak.value:.2f} at {loop.frequency[worst]:.3g} Hz"
+    found[text] = ((float(loop.loop[worst].real), float(loop.loop[worst].imag)), (-185.0, -25.0))
+    return found

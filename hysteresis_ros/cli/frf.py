@@ -1,0 +1,167 @@
+"""``hysteresis frf``: the frequency response of an axis, measured or from a recording."""
+
+from __future__ import annotations
+
+import pathlib
+
+import click
+
+from hysteresis_ros.cli.arguments import ConfigurationName
+from hysteresis_ros.cli.data_options import write_json
+from hysteresis_ros.cli.progress import Progress
+
+#: Endings of recordings; a folder is a bag.
+RECORDINGS = (".npz", ".csv", ".mcap", ".db3")
+#: Options with units: the unit, and what stands for it in the experiment.
+WITH_UNITS = {"low": "Hz", "high": "Hz", "period": "s", "duration": "s"}
+
+
+@click.command(short_help="Measure the frequency response of an axis.")
+@click.argument("source", metavar="CONFIG|RECORDING", type=ConfigurationName())
+@click.option("--loop", type=click.Choice(["open", "closed"]), help="What is measured; of a configuration open.")
+@click.option(
+    "--at",
+    type=click.Choice(["voltage", "command", "reference"]),
+    help="Where it is excited: open at the voltage or the command, closed at the reference or the command.",
+)
+@click.option(
+    "--excitation",
+    "kind",
+    type=click.Choice(["multisine", "stepped", "noise"]),
+    default="multisine",
+    show_default=True,
+    help="Odd random-phase multisine, stepped sine, or noise.",
+)
+@click.option("--amplitude", metavar="TEXT", help="Peak, e.g. 2V or 500nm; a part of the range without unit.  [0.05]")
+@click.option("--offset", metavar="TEXT", help="Around what, e.g. 40V or 30um; a part of the range.  [0.5]")
+@click.option("--low", metavar="FREQUENCY", help="Lowest frequency, e.g. 2Hz.")
+@click.option("--high", metavar="FREQUENCY", help="Highest frequency; 0.4 of the sample rate by default.")
+@click.option("--period", metavar="TIME", help="Of multisine, of blocks of a stepped sine, of segments of noise.")
+@click.option("--duration", metavar="TIME", help="Of the whole excitation, in place of --period.")
+@click.option("--periods", type=int, default=4, show_default=True, help="Periods (blocks) that are averaged.")
+@click.option("--settle", type=int, default=1, show_default=True, help="Periods before them that are not.")
+@click.option("--realisations", type=int, default=4, show_default=True, help="Phases drawn anew, of a multisine.")
+@click.option("--points", type=int, default=40, show_default=True, help="Frequencies of a stepped sine.")
+@click.option("--seed", type=int, default=1, show_default=True, help="Of phases, lines left out, noise.")
+@click.option("--offline", is_flag=True, help="On the simulated plant of the file, without ROS, at once.")
+@click.option("--rate", type=click.Choice(["realtime", "lockstep", "fused"]), help="Time mode of the nodes.")
+@click.option(
+    "--plant",
+    type=click.Choice(["own", "external"]),
+    default="own",
+    show_default=True,
+    help="external: a node of yours, which runs already, stands in plant_simulator's place.",
+)
+@click.option("--namespace", help="Which axis, when there are several.")
+@click.option("--record", type=click.Path(path_type=pathlib.Path), help="Keep the run: .npz, .csv or .mcap.")
+@click.option(
+    "-o", "--output", "outputs", multiple=True, type=click.Path(path_type=pathlib.Path),
+    help="File for the response: .npz (for design and identify), .csv or .yaml; repeatable.",
+)  # fmt: skip
+@click.option("--plot", type=click.Path(path_type=pathlib.Path), help="Picture to write: .png.")
+@click.option("--report", type=click.Path(path_type=pathlib.Path), help="Page to write: .html.")
+@click.option("--json", "json_path", metavar="FILE", help="JSON file for the figures; '-' prints them instead.")
+def frf(source, outputs, plot, report, json_path, namespace, **options):
+    """Excite an axis of CONFIG around a place and measure its frequency response, or take it from RECORDING.
+
+    Open loop: from voltage (or command, through the inverse) to displacement. Closed loop: sensitivity, complementary
+    sensitivity and loop transfer with measured margins beside those of the model. Bands hold the true response with
+    95 % probability; a multisine tells noise, odd and even distortion apart. Exit code 2: wrong input, or an excitation
+    that drowns in the noise.
+    """
+    from hysteresis_ros.analysis.report import require_page
+    from hysteresis_ros.analysis.response_plots import require_picture
+    from hysteresis_ros.identification.response_file import require_response_file, save_response
+
+    # before anything moves
+    for names, required in ((outputs, require_response_file), ([plot], require_picture), ([report], require_page)):
+        for name in filter(None, names):
+            required(name)
+    path = pathlib.Path(source)
+    if path.is_dir() or path.suffix.lower() in RECORDINGS:
+        found = _of_recording(path, namespace, options)
+    else:
+        found = _of_configuration(source, namespace, options)
+    for output in outputs:
+        save_response(output, found.plant, found.columns, found.figures)
+    if plot is not None or report is not None:
+        from hysteresis_ros.analysis.response_plots import write_response_picture, write_response_report
+
+        with Progress(err=True).during("drawing"):
+            if plot is not None:
+                write_response_picture(plot, found)
+            if report is not None:
+                write_response_report(report, f"Frequency response of {path.name}", found)
+    write_json(found.figures, json_path, "\n".join(found.lines()))
+    for written in (*outputs, plot, report) if json_path != "-" else ():
+        if written is not None:
+            click.echo(f"written: {written}")
+
+
+def _with_units(options: dict) -> dict:
+    """Return the options that carry units, in SI."""
+    from hysteresis_ros.commissioning.new_file import parsed
+
+    given = {name: options[name] for name in WITH_UNITS if options[name] is not None}
+    return {name: parsed(f"--{name}", text, WITH_UNITS[name]) for name, text in given.items()}
+
+
+def _of_recording(path: pathlib.Path, namespace, options: dict):
+    """Return the response of a recording."""
+    from hysteresis_ros.commissioning.bench import require_sound
+    from hysteresis_ros.errors import ConfigurationError
+    from hysteresis_ros.recordings.files import load_run
+    from hysteresis_ros.simulation.recorded_response import plan_file, read_plan, recorded_response
+
+    for name in ("amplitude", "offset", "low", "high", "duration", "record", "rate"):
+        if options[name] is not None:
+            raise ConfigurationError(f"--{name}: {path} is a recording, which was excited already; leave it out")
+    plan = read_plan(plan_file(path)) if plan_file(path).exists() else None
+    with Progress(err=True).during(f"reading {path.name}"):
+        run = load_run(path, namespace, further=True)
+        # of a table of somebody else's only what is needed is there
+        run = require_sound(run, len(run)) if run.has("voltage") and run.has("reference") else run
+        return recorded_response(run, plan, options["loop"], options["at"], _with_units(options).get("period"))
+
+
+def _of_configuration(source, namespace, options: dict):
+    """Return the response of an axis that is excited now."""
+    import contextlib
+    import tempfile
+
+    from hysteresis_ros.commissioning.bench import OfflineBench, require_sound
+    from hysteresis_ros.configuration import load_configuration
+    from hysteresis_ros.identification.excitations import Experiment
+    from hysteresis_ros.nodes.bench import GraphBench
+    from hysteresis_ros.recordings.files import save_run
+    from hysteresis_ros.simulation.axes import single_axis
+    from hysteresis_ros.simulation.axis_response import axis_response
+    from hysteresis_ros.simulation.recorded_response import plan_file
+    from hysteresis_ros.simulation.response_run import ResponseRequest, response_run
+
+    names = ("kind", "periods", "settle", "realisations", "points", "seed")
+    experiment = Experiment(**{name: options[name] for name in names}, **_with_units(options))
+    chosen = {name: options[name] for name in ("at", "amplitude", "offset")}
+    asked = ResponseRequest(experiment, options["loop"] or "open", **chosen)
+    configuration = load_configuration(source)
+    external = options["plant"] == "external"
+    if external:
+        configuration = configuration.override("", external_plant=True)
+    if options["rate"]:
+        configuration = configuration.override("", time_mode=options["rate"])
+    with contextlib.ExitStack() as stack:
+        kept = options["record"]
+        folder = pathlib.Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="hysteresis_")))
+        axis, plan = response_run(
+            configuration, namespace, asked, plan_file(kept) if kept else folder / "excitation.npz"
+        )
+        bench = OfflineBench() if options["offline"] else GraphBench(external)
+        samples, rate = axis.plant_simulator.samples, axis.plant_simulator.sample_rate
+        words = f"{plan.kind} at the {plan.at}, {samples / rate:.4g} s at {rate:g} Hz"
+        click.echo(f"{words} …", err=True)
+        stack.enter_context(Progress(err=True).during(words))
+        run = require_sound(bench.run(axis), samples)
+        if kept:
+            save_run(run, kept)
+        own = single_axis(configuration, namespace)
+        return axis_response(run, plan, own)

@@ -1,0 +1,267 @@
+"""Excitations of a frequency-response analyser, and where in a recording their periods stand.
+
+A multisine of random phases on odd harmonics, of which one in each group is left out at random, shows what an axis does
+beyond a linear response: even distortion falls on the even lines, odd distortion on the odd ones that were left out
+[1]_. A stepped sine shows it as harmonics; noise does not tell it from noise.
+
+References
+----------
+.. [1] Pintelon & Schoukens, System Identification: A Frequency Domain Approach, 2012, chapters 3
+   to 5 (nonlinear distortion, design of excitations).
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+
+import numpy as np
+
+from hysteresis_ros.errors import ConfigurationError
+
+#: One odd harmonic in so many is left out.
+GROUP = 4
+#: Samples of a period by default, and of a sine of a stepped one at least.
+PERIOD, STEP = 2000, 200
+#: Highest frequency by default, as a part of the sample rate.
+HIGHEST = 0.4
+#: Lines that a multisine has at least, samples a cycle of a stepped sine, segments of noise by default.
+LEAST_LINES, LEAST_CYCLE, SEGMENTS = 8, 2.0, 32
+#: Noise is cut off at so many standard deviations.
+CUT_OFF = 3.0
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """What is asked of a frequency-response analyser; None: of its own choice.
+
+    Parameters
+    ----------
+    kind : str
+        ``multisine``, ``stepped`` or ``noise``.
+    low, high : float, optional
+        Band [Hz].
+    period : float, optional
+        Of the multisine, of a block of the stepped sine at least, of a segment of the noise [s].
+    duration : float, optional
+        Of the whole excitation, in place of the period [s].
+    periods : int
+        Periods of each realisation, or blocks of each frequency, that are averaged.
+    settle : int
+        Periods before them, which are not.
+    realisations : int
+        Of the phases of a multisine.
+    points : int
+        Frequencies of a stepped sine.
+    seed : int
+        Of phases, lines left out, noise.
+    """
+
+    kind: str = "multisine"
+    low: float | None = None
+    high: float | None = None
+    period: float | None = None
+    duration: float | None = None
+    periods: int = 4
+    settle: int = 1
+    realisations: int = 4
+    points: int = 40
+    seed: int = 1
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Where in a recording what was excited stands.
+
+    Parameters
+    ----------
+    kind : str
+    first : int
+        First sample of the excitation.
+    settle, periods, realisations : int
+    samples : tuple of int
+        Of a period; of a stepped sine those of each block, of noise those of a segment and of all.
+    lines : tuple of int
+        Excited harmonics of a multisine; cycles a block of each frequency of a stepped sine; first and last line of the
+        segments of noise.
+    loop, at : str
+        ``open`` or ``closed``, and where it was excited: ``voltage``, ``command`` or ``reference``.
+    """
+
+    kind: str
+    first: int
+    settle: int
+    periods: int
+    realisations: int
+    samples: tuple[int, ...]
+    lines: tuple[int, ...] = field(default=())
+    loop: str = "open"
+    at: str = "voltage"
+
+    @property
+    def length(self) -> int:
+        """Samples of the whole excitation."""
+        if self.kind == "noise":
+            return self.samples[1]
+        return self.realisations * (self.settle + self.periods) * sum(self.samples)
+
+    @property
+    def text(self) -> str:
+        """It as JSON."""
+        return json.dumps(asdict(self))
+
+    @classmethod
+    def from_text(cls, text: str) -> Plan:
+        """Return the plan that :attr:`text` gave.
+
+        Parameters
+        ----------
+        text : str
+        """
+        found = json.loads(text)
+        return cls(**{name: tuple(value) if isinstance(value, list) else value for name, value in found.items()})
+
+
+#: ``shape(frequencies)``: factor of the amplitude at each [Hz].
+Shape = Callable[[np.ndarray], np.ndarray]
+
+
+def excitation(asked: Experiment, rate: float, shape: Shape | None = None) -> tuple[np.ndarray, Plan]:
+    """Return an excitation whose peak is one where no shape is given, and its plan, which begins at sample 0.
+
+    Parameters
+    ----------
+    asked : Experiment
+    rate : float
+        [Hz]
+    shape : callable, optional
+        Factor of the amplitude at frequencies [Hz].
+
+    Raises
+    ------
+    ConfigurationError
+        A frequency is beyond half the rate or slower than the excitation can show, or a number out of range.
+    """
+    _check(asked, rate)
+    samples, plan = KINDS[asked.kind](asked, rate, shape or np.ones_like)
+    return samples, plan
+
+
+def uniform(seed: int, count: int) -> np.ndarray:
+    """Return numbers of 0 … 1, the same on every version of NumPy.
+
+    Parameters
+    ----------
+    seed, count : int
+    """
+    return (np.random.PCG64(seed).random_raw(count) >> np.uint64(11)) * 2.0**-53
+
+
+def _check(asked: Experiment, rate: float) -> None:
+    if asked.kind not in KINDS:
+        raise ConfigurationError(f"excitation {asked.kind!r}: must be one of {', '.join(KINDS)}")
+    for name, value in (("low", asked.low), ("high", asked.high)):
+        if value is not None and not 0.0 < value < 0.5 * rate:
+            raise ConfigurationError(
+                f"--{name} {value:g} Hz: must be above 0 and below half the sample rate, {0.5 * rate:g} Hz"
+            )
+    if asked.low is not None and asked.high is not None and not asked.low < asked.high:
+        raise ConfigurationError(f"--low {asked.low:g} Hz: must be below --high {asked.high:g} Hz")
+    for name, value in (("period", asked.period), ("duration", asked.duration)):
+        if value is not None and not 8.0 / rate <= value < float("inf"):
+            raise ConfigurationError(f"--{name} {value:g} s: must be at least {8.0 / rate:g} s, 8 samples")
+    if asked.period is not None and asked.duration is not None and asked.kind != "noise":
+        raise ConfigurationError("--period and --duration exclude each other; give one of them")
+    counts = {"periods": 2, "settle": 0, "realisations": 1, "points": 2, "seed": 0}
+    for name, least in counts.items():
+        if getattr(asked, name) < least:
+            raise ConfigurationError(f"--{name} {getattr(asked, name)}: must be at least {least}")
+
+
+def _too_slow(low: float, seconds: float, what: str) -> ConfigurationError:
+    return ConfigurationError(
+        f"--low {low:g} Hz: {what} of {seconds:.4g} s shows nothing below {1.0 / seconds:.4g} Hz; raise --low, or give "
+        "a longer --period or --duration"
+    )
+
+
+def _multisine(asked: Experiment, rate: float, shape: Shape) -> tuple[np.ndarray, Plan]:
+    """Return realisations one after the other, each of as many whole periods."""
+    whole = asked.realisations * (asked.settle + asked.periods)
+    N = round(rate * (asked.period or (asked.duration / whole if asked.duration else PERIOD / rate)))
+    low, high = asked.low or rate / N, asked.high or HIGHEST * rate
+    if low < (1.0 - 1e-9) * rate / N:
+        raise _too_slow(low, N / rate, "a period")
+    first = int(np.ceil(low * N / rate - 1e-9))
+    odd = np.arange(first + (first + 1) % 2, int(high * N / rate + 1e-9) + 1, 2)
+    # one in each whole group is left out; the ends stay
+    groups = odd[1 : 1 + GROUP * ((odd.size - 2) // GROUP)].reshape(-1, GROUP)
+    chosen = (uniform(asked.seed, len(groups)) * GROUP).astype(int)
+    harmonics = np.setdiff1d(odd, groups[np.arange(len(groups)), chosen])
+    if harmonics.size < LEAST_LINES:
+        raise ConfigurationError(
+            f"{low:g} … {high:g} Hz holds {harmonics.size} lines of a multisine of {N / rate:.4g} s, {LEAST_LINES} are "
+            "needed; widen the band, or give a longer --period or --duration"
+        )
+    factor = np.abs(shape(harmonics * rate / N))
+    phases = 2.0 * np.pi * uniform(asked.seed + 1, asked.realisations * harmonics.size)
+    spectra = np.zeros((asked.realisations, N // 2 + 1), dtype=complex)
+    spectra[:, harmonics] = np.exp(1j * phases.reshape(asked.realisations, -1))
+    largest = np.max(np.abs(np.fft.irfft(spectra, N)))
+    spectra[:, harmonics] *= factor / largest
+    table = np.repeat(np.fft.irfft(spectra, N)[:, None], asked.settle + asked.periods, axis=1)
+    lines = tuple(int(harmonic) for harmonic in harmonics)
+    return table.ravel(), Plan("multisine", 0, asked.settle, asked.periods, asked.realisations, (N,), lines)
+
+
+def _stepped(asked: Experiment, rate: float, shape: Shape) -> tuple[np.ndarray, Plan]:
+    """Return sines one after the other, each of whole cycles in each of its blocks."""
+    per_point = asked.points * (asked.settle + asked.periods)
+    block = round(rate * (asked.period or (asked.duration / per_point if asked.duration else STEP / rate)))
+    low, high = asked.low or rate / block, asked.high or HIGHEST * rate
+    if asked.duration and low < (1.0 - 1e-9) * rate / block:
+        raise _too_slow(low, block / rate, "a block")
+    cycles, samples = [], []
+    for frequency in np.geomspace(low, high, asked.points):
+        # whole cycles in a block: the length that comes nearest to the frequency, no shorter than asked
+        least = max(block, round(rate / frequency))
+        lengths = np.arange(least, least + max(int(LEAST_CYCLE * rate / frequency), 8) + 1)
+        turns = np.maximum(np.round(frequency * lengths / rate), 1)
+        best = int(np.argmin(np.abs(turns * rate / lengths - frequency) + (2 * turns >= lengths) * rate))
+        cycles.append(int(turns[best]))
+        samples.append(int(lengths[best]))
+    factor = np.abs(shape(np.array(cycles) * rate / np.array(samples)))
+    repeats = asked.settle + asked.periods
+    parts = [
+        size * np.sin(2.0 * np.pi * ((turns * np.arange(repeats * length)) % length) / length)
+        for size, turns, length in zip(factor, cycles, samples, strict=True)
+    ]
+    return np.concatenate(parts), Plan("stepped", 0, asked.settle, asked.periods, 1, tuple(samples), tuple(cycles))
+
+
+def _noise(asked: Experiment, rate: float, shape: Shape) -> tuple[np.ndarray, Plan]:
+    """Return Gaussian noise of a band, cut off at some standard deviations."""
+    N = round(rate * (asked.duration or SEGMENTS * (asked.period or PERIOD / rate) / 2.0))
+    segment = min(round(rate * (asked.period or 2.0 * N / rate / SEGMENTS)), N)
+    low, high = asked.low or 2.0 * rate / segment, asked.high or HIGHEST * rate
+    if low < (1.0 - 1e-9) * rate / segment:
+        raise _too_slow(low, segment / rate, "a segment")
+    # Box and Muller's: of numbers that are the same everywhere
+    draws = uniform(asked.seed, 2 * N)
+    values = np.sqrt(-2.0 * np.log1p(-draws[:N])) * np.cos(2.0 * np.pi * draws[N:])
+    frequencies = np.fft.rfftfreq(N, 1.0 / rate)
+    # a line of the segments more to both sides: their windows look there
+    inside = (frequencies >= low - 1.5 * rate / segment) & (frequencies <= high + 1.5 * rate / segment)
+    inside[0] = False
+    values = np.fft.irfft(np.fft.rfft(values) * inside, N)
+    limit = CUT_OFF * np.std(values)
+    values = np.clip(values, -limit, limit) / limit
+    factor = np.zeros(frequencies.size)
+    factor[1:] = np.abs(shape(frequencies[1:]))
+    lines = int(np.ceil(low * segment / rate - 1e-9)), int(high * segment / rate + 1e-9)
+    return np.fft.irfft(np.fft.rfft(values) * factor, N), Plan("noise", 0, 0, 1, 1, (segment, N), lines)
+
+
+#: Kinds of excitation by name.
+KINDS = {"multisine": _multisine, "stepped": _stepped, "noise": _noise}

@@ -1,0 +1,162 @@
+"""Measured frequency responses as files: NPZ, which comes back whole, and CSV and YAML for other programs."""
+
+from __future__ import annotations
+
+import os
+import pathlib
+import zipfile
+from dataclasses import replace
+
+import numpy as np
+
+from hysteresis_ros.errors import RecordingError
+from hysteresis_ros.identification.distortion import Distortion
+from hysteresis_ros.identification.frequency_response import FrequencyResponse
+from hysteresis_ros.identification.response_analysis import Analysis
+
+#: Probability of the circles in tables.
+PROBABILITY = 0.95
+#: What an NPZ holds, besides the arrays that are not known.
+NEEDED = ("frequency", "response", "sample_time", "input_unit", "output_unit", "kind")
+SPREADS = ("total_variance", "noise_variance", "coherence", "degrees")
+LEVELS = ("noise", "odd", "even")
+
+
+def require_response_file(path) -> None:
+    """Refuse a file that no response can be written to, before anything moves.
+
+    Parameters
+    ----------
+    path : path-like
+
+    Raises
+    ------
+    RecordingError
+        The suffix is another, or there is no such folder.
+    """
+    path = pathlib.Path(path)
+    if path.suffix.lower() not in WRITERS:
+        raise RecordingError(f"{path}: unknown kind of file '{path.suffix}'; write .npz, .csv or .yaml")
+    if not path.absolute().parent.is_dir():
+        raise RecordingError(f"{path}: cannot be written: there is no such folder; choose another place")
+
+
+def save_response(path, found: Analysis, columns: dict[str, np.ndarray], figures: dict) -> None:
+    """Write a response; the suffix decides how.
+
+    Parameters
+    ----------
+    path : path-like
+        ``.npz``, ``.csv`` or ``.yaml``.
+    found : Analysis
+    columns : dict of str to ndarray of shape (F,)
+        What else was found at its lines, for tables.
+    figures : dict
+        Figures by names with units, for YAML.
+
+    Raises
+    ------
+    RecordingError
+        The suffix is another, or the file cannot be written.
+    """
+    require_response_file(path)
+    path = pathlib.Path(path)
+    partial = path.with_name(path.name + ".partial")
+    try:
+        with partial.open("wb") as stream:
+            WRITERS[path.suffix.lower()](stream, found, columns, figures)
+        os.replace(partial, path)
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be written: {error.strerror}; choose another place") from None
+
+
+def load_response(path) -> Analysis:
+    """Return the response of an NPZ file that :func:`save_response` wrote.
+
+    Parameters
+    ----------
+    path : path-like
+
+    Raises
+    ------
+    RecordingError
+        The file is missing, or holds no response.
+    """
+    path = pathlib.Path(path)
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            held = {name: file[name] for name in file.files}
+        response = FrequencyResponse(
+            held["frequency"],
+            held["response"].reshape(-1, 1, 1),
+            *(held[name].item() for name in NEEDED[2:3]),
+            input_unit=held["input_unit"].item(),
+            output_unit=held["output_unit"].item(),
+        )
+        kind = held["kind"].item()
+    except FileNotFoundError:
+        raise RecordingError(f"{path}: no such file; give the NPZ file that hysteresis frf wrote") from None
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        raise RecordingError(
+            f"{path}: holds no frequency response; give the NPZ file that hysteresis frf wrote"
+        ) from None
+    shapes = {"total_variance": (-1, 1, 1), "noise_variance": (-1, 1, 1), "coherence": (-1, 1)}
+    spreads = {name: held[name].reshape(shape) for name, shape in shapes.items() if name in held}
+    degrees = held["degrees"].item() if "degrees" in held else None
+    levels = Distortion(*(held[name] for name in LEVELS)) if all(name in held for name in LEVELS) else None
+    return Analysis(replace(response, **spreads, degrees=degrees), levels, kind)
+
+
+def response_columns(found: Analysis) -> dict[str, np.ndarray]:
+    """Return what a table has of a response, by names with units.
+
+    Parameters
+    ----------
+    found : Analysis
+    """
+    response = found.response
+    unit = f"{response.output_unit}/{response.input_unit}"
+    columns = {
+        "frequency [Hz]": response.frequency,
+        f"magnitude [{unit}]": np.abs(response.single),
+        "phase [deg]": np.degrees(np.unwrap(np.angle(response.single))),
+    }
+    if response.degrees is not None:
+        columns[f"radius_{100 * PROBABILITY:g}_percent [{unit}]"] = response.radius(PROBABILITY)[:, 0, 0]
+    if found.distortion is not None:
+        columns |= {f"{name} [{unit}]": getattr(found.distortion, name) for name in LEVELS}
+    if response.coherence is not None:
+        columns["coherence [1]"] = response.coherence[:, 0]
+    return columns
+
+
+def _npz(stream, found: Analysis, columns, figures) -> None:
+    response = found.response
+    arrays = {"kind": np.array(found.kind), "response": response.single}
+    arrays |= {name: np.asarray(getattr(response, name)) for name in NEEDED if name not in arrays}
+    for name in SPREADS:
+        value = getattr(response, name)
+        if value is not None:
+            arrays[name] = np.squeeze(value) if name != "degrees" else np.array(value)
+    if found.distortion is not None:
+        arrays |= {name: getattr(found.distortion, name) for name in LEVELS}
+    arrays |= {name.split(" ")[0]: values for name, values in columns.items()}
+    np.savez(stream, **arrays)
+
+
+def _csv(stream, found: Analysis, columns, figures) -> None:
+    table = response_columns(found) | columns
+    stream.write((",".join(table) + "\n").encode())
+    np.savetxt(stream, np.column_stack(list(table.values())), delimiter=",", fmt="%.9g")
+
+
+def _yaml(stream, found: Analysis, columns, figures) -> None:
+    import yaml
+
+    table = {name: [float(f"{value:.6g}") for value in values] for name, values in response_columns(found).items()}
+    text = yaml.safe_dump({"figures": figures, "lines": table}, sort_keys=False, allow_unicode=True, width=120)
+    stream.write(text.encode())
+
+
+#: How each kind of file is written.
+WRITERS = {".npz": _npz, ".csv": _csv, ".yaml": _yaml}

@@ -1,0 +1,53 @@
+"""Ways from one level to another, sample by sample, and holds: what stands around an experiment."""
+
+from __future__ import annotations
+
+import numpy as np
+
+#: Seconds of a way from one place to another, and of resting there before anything is measured.
+WAY, REST = 0.5, 0.5
+
+
+def way(begin: float, end: float, seconds: float, rate: float) -> np.ndarray:
+    """Return a way that begins and ends at rest, half a cosine; its first sample has left ``begin`` already.
+
+    Parameters
+    ----------
+    begin, end : float
+        [V] or [m]
+    seconds : float
+    rate : float
+        [Hz]
+    """
+    count = max(round(seconds * rate), 1)
+    return begin + (end - begin) * 0.5 * (1.0 - np.cos(np.pi * np.arange(1, count + 1) / count))
+
+
+def hold(level: float, seconds: float, rate: float) -> np.ndarray:
+    """Return a level that is held.
+
+    Parameters
+    ----------
+    level : float
+        [V] or [m]
+    seconds : float
+    rate : float
+        [Hz]
+    """
+    return np.full(max(round(seconds * rate), 1), level)
+
+
+def there_and_back(middle: np.ndarray, safe: float, rate: float) -> np.ndarray:
+    """Return samples with the ways to their first and from their last one.
+
+    Parameters
+    ----------
+    middle : ndarray, shape (N,)
+        [V] or [m]
+    safe : float
+        Where it begins and ends.
+    rate : float
+        [Hz]
+    """
+    parts = [hold(safe, REST, rate), way(safe, middle[0], WAY, rate), middle, way(middle[-1], safe, WAY, rate)]
+    return np.concatenate([*parts, hold(safe, REST, rate)])

@@ -1,0 +1,104 @@
+"""The frequency response of an axis from a recording: of one that says how it was excited, or of any other."""
+
+from __future__ import annotations
+
+import pathlib
+import zipfile
+from dataclasses import replace
+
+import numpy as np
+
+from hysteresis_ros.configuration import parse_configuration
+from hysteresis_ros.errors import ConfigurationError, HysteresisError, RecordingError
+from hysteresis_ros.identification.excitations import Plan
+from hysteresis_ros.identification.response_analysis import plan_of_recording
+from hysteresis_ros.loop.axis_parameters import AxisParameters
+from hysteresis_ros.recordings.dataset import Recording
+from hysteresis_ros.simulation.axis_response import AxisResponse, axis_response
+from hysteresis_ros.simulation.response_run import PLACES
+
+
+def plan_file(recording) -> pathlib.Path:
+    """Return the file beside a recording that says how it was excited.
+
+    Parameters
+    ----------
+    recording : path-like
+    """
+    recording = pathlib.Path(recording)
+    return recording.with_name(f"{recording.stem}_excitation.npz")
+
+
+def read_plan(path) -> Plan:
+    """Return the plan of an excitation.
+
+    Parameters
+    ----------
+    path : path-like
+        Of the samples that were played.
+
+    Raises
+    ------
+    RecordingError
+        The file is missing or holds no plan.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            return Plan.from_text(file["plan"].item())
+    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile):
+        raise RecordingError(
+            f"{path}: holds no plan of an excitation; give the file that hysteresis frf wrote"
+        ) from None
+
+
+def recorded_response(
+    recording: Recording, plan: Plan | None, loop: str | None, at: str | None, period: float | None
+) -> AxisResponse:
+    """Return the response of the axis of a recording.
+
+    Parameters
+    ----------
+    recording : Recording
+        Of regular samples.
+    plan : Plan, optional
+        How it was excited; without one it is taken for periodic where it repeats, and for noise otherwise.
+    loop, at : str, optional
+        Without a plan: ``open`` or ``closed``, and where it was excited; by default as the configuration in the
+        recording says, and in open loop at the voltage.
+    period : float, optional
+        Without a plan: of a periodic excitation, or of a segment of noise [s].
+
+    Raises
+    ------
+    ConfigurationError
+        What was asked does not fit.
+    HysteresisError
+        The recording has no such response.
+    """
+    axis = _axis(recording)
+    if plan is None:
+        feedback = axis is not None and axis.motion_controller.law.feedback
+        loop = loop or ("closed" if feedback else "open")
+        at = at or PLACES[loop][0]
+        if at not in PLACES[loop]:
+            raise ConfigurationError(f"--at {at}: with --loop {loop} must be {' or '.join(PLACES[loop])}")
+        drive = recording["reference" if loop == "closed" else at]
+        plan = replace(plan_of_recording(drive, recording.sample_time, period), loop=loop, at=at)
+    elif (loop or plan.loop, at or plan.at) != (plan.loop, plan.at):
+        raise ConfigurationError(
+            f"--loop, --at: the recording was made with --loop {plan.loop} --at {plan.at}; leave them out"
+        )
+    known = axis if axis is not None and (plan.loop == "open" or axis.motion_controller.law.feedback) else None
+    return axis_response(recording, plan, known)
+
+
+def _axis(recording: Recording) -> AxisParameters | None:
+    """Return the axis of a recording; None where it does not say, or what it says is none."""
+    if not recording.configuration:
+        return None
+    try:
+        configuration = parse_configuration(recording.configuration, "configuration of the recording")
+        axis = AxisParameters.from_configuration(configuration, str(recording.metadata.get("namespace") or ""))
+    except HysteresisError:
+        return None
+    return axis if axis.inchworm_sequencer is None else None

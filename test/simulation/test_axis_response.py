@@ -1,0 +1,179 @@
+"""The frequency response of an axis, from its own run: plant, closed loop, recordings, files, pictures, refusals."""
+
+from __future__ import annotations
+
+import json
+import pathlib
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from hysteresis_ros.cli.main import main
+from hysteresis_ros.configuration import load_configuration
+from hysteresis_ros.errors import ConfigurationError, RecordingError
+from hysteresis_ros.identification.excitations import Experiment
+from hysteresis_ros.identification.response_file import load_response, save_response
+from hysteresis_ros.recordings.dataset import Recording
+from hysteresis_ros.recordings.files import load_run, save_run
+from hysteresis_ros.simulation.axes import single_axis
+from hysteresis_ros.simulation.axis_response import axis_response
+from hysteresis_ros.simulation.recorded_response import recorded_response
+from hysteresis_ros.simulation.response_run import ResponseRequest, measured_loop_parts, response_run
+from hysteresis_ros.simulation.run import simulate
+
+#: Kim's axis under a PI-D of moderate gains; a sensor of 0.5 nm.
+GAINS = {"pid__Kp": -0.1225, "pid__Ki": 410.8, "pid__Kd": 5.522e-5, "pid__derivative_filter": 3770.0}
+SHORT = Experiment(period=0.1, realisations=4, periods=3, settle=3)
+
+
+def axis_file(**controller):
+    configuration = load_configuration("kim2009").override("plant_simulator", sensor__noise=5e-10)
+    return configuration.override("motion_controller", type="pid", **GAINS, **controller)
+
+
+def measured(tmp_path, asked, configuration=None):
+    configuration = configuration or axis_file()
+    axis, plan = response_run(configuration, None, asked, tmp_path / "excitation.npz")
+    run = simulate(axis)
+    return run, plan, axis_response(run, plan, single_axis(configuration))
+
+
+def test_the_open_loop_at_the_command_is_the_linear_part_and_at_the_voltage_the_hysteresis_is_odd_distortion(tmp_path):
+    _, _, through = measured(tmp_path, ResponseRequest(SHORT, at="command"))
+    away = np.abs(through.plant.response.frequency - 635.0) > 100.0
+    error = np.abs(through.plant.response.single / through.model - 1.0)
+    assert np.median(error[away]) < 0.01 and through.plant.response.input_unit == "m"
+    stage, slow = load_configuration("picma_stage"), Experiment(period=2.0, periods=3)
+    _, plan, bare = measured(tmp_path, ResponseRequest(slow, amplitude="0.5V"), stage)
+    _, _, through = measured(tmp_path, ResponseRequest(slow, at="command", amplitude="5um"), stage)
+    assert plan.first == 100 + 100 + 200 and (plan.loop, plan.at) == ("open", "voltage")
+    assert bare.plant.response.input_unit == "V" and "µm/V" in "\n".join(bare.lines())
+    levels = bare.figures
+    # the threshold operators of this model are even
+    assert levels["odd_db"] > levels["even_db"] + 5.0 > levels["noise_db"] + 20.0
+    assert levels["odd_db"] > through.figures.get("odd_db", -np.inf) + 20.0, "the inverse takes it away"
+
+
+@pytest.mark.parametrize("at, kind", [("reference", "multisine"), ("command", "multisine"), ("reference", "noise")])
+def test_the_closed_loop_has_the_margins_of_its_model(tmp_path, at, kind):
+    experiment = SHORT if kind == "multisine" else Experiment("noise", duration=4.0, period=0.25)
+    asked = ResponseRequest(experiment, "closed", at, amplitude="600nm" if at == "reference" else "15nm")
+    run, plan, found = measured(tmp_path, asked)
+    model, loop = found.margins, found.loop
+    assert loop.sensitivity_peak.value == pytest.approx(model.sensitivity_peak, rel=0.1)
+    assert loop.delay_margin.value == pytest.approx(model.delay_margin_samples, rel=0.1)
+    assert loop.gain_crossovers[0] == pytest.approx(model.gain_crossovers[0], rel=0.1)
+    low = found.plant.response.frequency < 400.0
+    assert np.median(np.abs(loop.loop / found.model_loop - 1.0)[low]) < 0.06
+    if (at, kind) != ("reference", "multisine"):
+        return
+    # what a recording says by itself, and what it says without the name of its controller
+    path = tmp_path / "run.npz"
+    save_run(run, path)
+    again = recorded_response(load_run(path), plan, None, None, None)
+    np.testing.assert_array_equal(again.loop.loop, loop.loop)
+    assert again.margins.sensitivity_peak == model.sensitivity_peak
+    names = ("reference", "measured")
+    foreign = Recording(run.time, {name: run[name] for name in names})
+    unknown = recorded_response(foreign, plan, None, None, None)
+    assert unknown.margins is None and unknown.plan.loop == "closed"
+    # its law does not act on reference − measured alone: that loop has T where this axis has its response
+    assert np.median(np.abs(unknown.loop.complementary[low])) > 0.5
+    with pytest.raises(ConfigurationError, match="was made with --loop closed --at reference"):
+        recorded_response(foreign, plan, "open", None, None)
+
+
+def test_a_sample_of_delay_that_the_model_does_not_know_is_missing_in_the_measured_delay_margin(tmp_path):
+    asked = ResponseRequest(SHORT, "closed", amplitude="600nm")
+    late = axis_file().override("", faults=["late:0.0:1000.0:1"])
+    _, _, found = measured(tmp_path, asked)
+    _, _, slower = measured(tmp_path, asked, late)
+    assert found.loop.delay_margin.value - slower.loop.delay_margin.value == pytest.approx(1.0, abs=0.15)
+    assert slower.margins.delay_margin == found.margins.delay_margin
+
+
+def test_files_come_back_and_tables_have_units(tmp_path):
+    _, _, found = measured(tmp_path, ResponseRequest(SHORT, "closed"))
+    for suffix in (".npz", ".csv", ".yaml"):
+        save_response(tmp_path / f"response{suffix}", found.plant, found.columns, found.figures)
+    back = load_response(tmp_path / "response.npz")
+    response = found.plant.response
+    np.testing.assert_array_equal(back.response.response, response.response)
+    np.testing.assert_array_equal(back.response.radius(), response.radius())
+    np.testing.assert_array_equal(back.distortion.odd, found.plant.distortion.odd)
+    assert back.kind == "multisine" and back.response.input_unit == "m"
+    header, *rows = (tmp_path / "response.csv").read_text().splitlines()
+    assert header.startswith("frequency [Hz],magnitude [m/m],phase [deg],radius_95_percent [m/m]")
+    assert len(rows) == response.frequency.size and "sensitivity_radius [1]" in header
+    assert "sensitivity_peak:" in (tmp_path / "response.yaml").read_text()
+    with pytest.raises(RecordingError, match="write .npz, .csv or .yaml"):
+        save_response(tmp_path / "response.txt", found.plant, {}, {})
+    with pytest.raises(RecordingError, match="holds no frequency response"):
+        load_response(tmp_path / "excitation.npz")
+
+
+def hysteresis(*words):
+    return CliRunner().invoke(main, [str(word) for word in words])
+
+
+def test_the_command_measures_keeps_and_reads(tmp_path):
+    path = tmp_path / "axis.yaml"
+    path.write_text(single_axis(axis_file()).configuration_text(), encoding="utf-8")
+    short = ["--period", "0.1s", "--periods", 3, "--realisations", 2, "--settle", 2]
+    kept = ["--record", tmp_path / "run.npz", "-o", tmp_path / "response.npz", "-o", tmp_path / "response.csv"]
+    drawn = ["--plot", tmp_path / "plot.png", "--report", tmp_path / "page.html"]
+    result = hysteresis("frf", path, "--offline", "--loop", "closed", *short, *kept, *drawn)
+    assert result.exit_code == 0, result.output
+    assert "delay margin" in result.output and "; model" in result.output and "odd distortion" in result.output
+    assert (tmp_path / "plot.png").read_bytes()[:4] == b"\x89PNG"
+    assert "Nyquist" in (tmp_path / "page.html").read_text()
+    again = hysteresis("frf", tmp_path / "run.npz", "--json", "-")
+    assert again.exit_code == 0, again.output
+    figures = json.loads(again.output)
+    assert (
+        figures["loop"] == "closed"
+        and figures["lines"] == load_response(tmp_path / "response.npz").response.frequency.size
+    )
+
+
+@pytest.mark.parametrize(
+    "words, said",
+    [
+        ("--high 1600Hz", "--high 1600 Hz: must be above 0 and below half the sample rate, 1500 Hz"),
+        ("--low 0.1Hz", "shows nothing below 1.5 Hz"),
+        ("--amplitude 0", "must be above 0"),
+        ("--amplitude 90V", "beyond -30 V … 120 V"),
+        ("--amplitude 1Hz", "must be in V"),
+        ("--offset 200V", "beyond -30 V … 120 V"),
+        ("--loop closed --at voltage", "--at voltage: with --loop closed must be reference or command"),
+        ("--amplitude 1e-6V", "too weak an excitation for the 0.5 nm RMS of the sensor's noise: signal-to-noise ratio"),
+        ("--plot plot.jpg", "give the name of a .png file"),
+        ("-o response.txt", "write .npz, .csv or .yaml"),
+    ],
+)
+def test_what_does_not_fit_is_refused_in_one_line(tmp_path, monkeypatch, words, said):
+    monkeypatch.chdir(tmp_path)
+    path = pathlib.Path("axis.yaml")
+    path.write_text(single_axis(axis_file()).configuration_text(), encoding="utf-8")
+    result = hysteresis("frf", path, "--offline", *words.split())
+    assert result.exit_code == 2, result.output
+    last = result.output.splitlines()[-1]
+    assert last.startswith("hysteresis: ") and said in last, result.output
+
+
+def test_recordings_and_axes_that_have_none_are_refused(tmp_path):
+    open_loop = load_configuration("kim2009").override("motion_controller", type="open_loop")
+    with pytest.raises(ConfigurationError, match="closes no loop"):
+        response_run(open_loop, None, ResponseRequest(SHORT, "closed"), tmp_path / "e.npz")
+    with pytest.raises(ConfigurationError, match="walks; measure its extender alone"):
+        response_run(load_configuration("inchworm_travel"), None, ResponseRequest(SHORT), tmp_path / "e.npz")
+    time = np.arange(3000) / 1000.0
+    noise = np.random.default_rng(1).standard_normal((2, 3000))
+    path = tmp_path / "noise.csv"
+    save_run(Recording(time, {"voltage": noise[0], "measured": noise[1]}), path)
+    result = hysteresis("frf", path)
+    assert result.exit_code == 2 and "the excitation is too weak: signal-to-noise ratio" in result.output
+    result = hysteresis("frf", path, "--amplitude", "1V")
+    assert result.exit_code == 2 and "was excited already" in result.output
+    assert measured_loop_parts(single_axis(axis_file()))[0].D.shape == (1, 2)
