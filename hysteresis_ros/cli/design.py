@@ -5,18 +5,21 @@ from __future__ import annotations
 import click
 
 from hysteresis_ros.cli.arguments import ConfigurationName
+from hysteresis_ros.control.learning.filters import KINDS
 from hysteresis_ros.control.registry import DESIGNS
 
 
 @click.command(short_help="Design a controller from the model in a configuration.")
 @click.argument("config", type=ConfigurationName())
+@click.option("--controller", metavar="NAME", help=f"What to design: {', '.join(sorted(DESIGNS))}.")
 @click.option(
-    "--controller",
-    required=True,
+    "--learning",
     metavar="NAME",
-    help=f"What to design: {', '.join(sorted(DESIGNS))}.",
+    help=f"Learning from period to period over the controller that CONFIG has: {', '.join(sorted(KINDS))}.",
 )
-@click.option("--bandwidth", type=float, help="-3 dB bandwidth from reference to displacement [Hz].")
+@click.option("--period", type=float, help="With --learning: of the reference [s].  [default: of the waveform]")
+@click.option("--maximum", type=float, help="With --learning: largest correction [m].  [default: 10 % of the stroke]")
+@click.option("--bandwidth", type=float, help="-3 dB bandwidth from reference to displacement, or of learning [Hz].")
 @click.option("--q", type=float, help="Kalman filter: variance of the input's noise over that of the measurement.")
 @click.option("--noise", type=float, help="RMS noise of the sensor [m], by which the fastest design is chosen.")
 @click.option(
@@ -39,7 +42,8 @@ from hysteresis_ros.control.registry import DESIGNS
 def design(config, namespace, output, **options):
     """Design a controller for the model in CONFIG (motion_controller: model.dynamics; never the plant's).
 
-    Prints gains, margins and closed-loop poles, and writes CONFIG with the new controller to OUTPUT.
+    Prints gains, margins and closed-loop poles, and writes CONFIG with the new controller to OUTPUT. With --learning
+    the controller stays, and what learns over it is designed.
     """
     from hysteresis_ros.configuration import load_configuration, normalised_namespace
     from hysteresis_ros.identification.parameter_file import write_file
@@ -54,8 +58,18 @@ def design(config, namespace, output, **options):
         drawn_around,
     )
     from hysteresis_ros.simulation.design_certainty import response_uncertainty
+    from hysteresis_ros.simulation.learning_design import asked, design_learning, learning_file, learning_lines
 
     configuration = load_configuration(config)
+    learns = asked(options)
+    if learns is not None:
+        axis = single_axis(configuration, namespace or None)
+        learned = design_learning(axis, learns, response_uncertainty(configuration))
+        write_file(output, learning_file(configuration, learned, normalised_namespace(axis.namespace)))
+        for line in learning_lines(learned):
+            click.echo(line)
+        click.echo(f"{output}: written, learning by {learned.parameters.type}")
+        return
     ranges = {name: options.pop(option.replace("-", "_")) for name, option in OPTIONS.items()}
     request = DesignRequest(**options | {"robust": drawn_around(options["robust"], ranges)})
     axis = single_axis(configuration, namespace or None)

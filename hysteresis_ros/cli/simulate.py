@@ -26,9 +26,10 @@ from hysteresis_ros.cli.reference_options import reference_options
     metavar="NAME:START:DURATION[:VALUE]",
     help="Make this go wrong; may be repeated.",
 )
+@click.option("--learned", metavar="FILE", help="Write what was learned at the end, for learning.file.")
 @reference_options
 @click.option("--namespace", help="Which axis of the configuration, when it describes several.")
-def simulate(config, output, duration, setpoints, faults, namespace, reference):
+def simulate(config, output, duration, setpoints, faults, learned, namespace, reference):
     """Run the blocks of CONFIG in closed loop, bit for bit what the nodes do in lockstep, and write all signals."""
     from hysteresis_ros.configuration import load_configuration
     from hysteresis_ros.recordings.align import setpoints_per_sample
@@ -53,7 +54,8 @@ def simulate(config, output, duration, setpoints, faults, namespace, reference):
         recorded = load_run(setpoints, namespace)
         replay = {"setpoints": setpoints_per_sample(recorded), **requests_per_sample(recorded)}
     with Progress(err=True, bars_only=True).during("simulating; the first run of a version compiles"):
-        recording = run_offline(parameters, duration=duration, **replay)
+        keep = (lambda axis: axis.controller.save(learned, config)) if learned else None
+        recording = run_offline(parameters, duration=duration, finished=keep, **replay)
     save_run(recording, output)
     if faults:
         for line in mode_lines(recording):

@@ -10,6 +10,7 @@ from hysteresis_ros.control.base import Controller
 from hysteresis_ros.control.feedforward import Feedforward, FeedforwardParameters
 from hysteresis_ros.control.handover import Handover, HandoverParameters
 from hysteresis_ros.control.inversion import inverse_filter, preview_warning
+from hysteresis_ros.control.learning.parameters import LearningParameters, period_samples
 from hysteresis_ros.control.registry import LAWS, with_groups
 from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.models.linear import LinearParameters
@@ -43,6 +44,7 @@ class ControllerParameters(Parameters):
         low=0.0,
         description="Time constant with which a change of controller or gains fades in; 0: at once",
     )
+    learning: LearningParameters = group(LearningParameters)
 
     if TYPE_CHECKING:
 
@@ -62,6 +64,11 @@ class ControllerParameters(Parameters):
             except ParameterError as error:
                 yield from error.problems
         rate = getattr(self, "sample_rate", None)  # the node's parameters, which contain these, know it
+        if rate and self.learning.in_use and not self.learning.problems():
+            try:
+                period_samples(self.learning.period, rate)
+            except ParameterError as error:
+                yield from error.problems
         try:
             self.law.check(self, 1.0 / rate if rate else None)
         except ParameterError as error:

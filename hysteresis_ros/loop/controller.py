@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -20,6 +21,9 @@ from hysteresis_ros.control.controller import (
 )
 from hysteresis_ros.control.feedforward import feedforward
 from hysteresis_ros.control.handover import HandoverParameters, arm, go_on_from, handover
+from hysteresis_ros.control.learning.block import Learning
+from hysteresis_ros.control.learning.correction import FORGETTING, FROZEN, LEARNING, SHORTFALL, learned_correction
+from hysteresis_ros.control.learning.file import write_learned
 from hysteresis_ros.control.succession import ENTRIES, History, note, successor
 from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.loop import faults as faulty
@@ -49,6 +53,7 @@ class ControlArrays(NamedTuple):
     handover: np.ndarray
     return_path: np.ndarray
     history: np.ndarray
+    learning: np.ndarray
 
 
 class ControllerArrays(NamedTuple):
@@ -107,16 +112,29 @@ def foreseeable(own_p, own, state, seen):
     return own_p[PREDICTS] != 0.0 and own[RETURNING] == 0.0 and state[header.STARTED] != 0.0 and seen != seen
 
 
+@kernel
+def corrected(p, x, own_p, own, value, answered):
+    """Return the reference [m] with what was learned; ``answered``: whether the axis follows it in this sample."""
+    if p.learning.shape[0] == 0:
+        return own[REFERENCE]
+    error = own[REFERENCE] - (value - own_p[PRELOAD])
+    state = x.controller
+    saturated = abs(state[header.APPLIED] - state[header.COMMAND]) > p.learning[SHORTFALL]
+    if not answered or saturated or own[RETURNING] != 0.0 or own[ON_PATH] != 0.0:
+        error = math.nan
+    return own[REFERENCE] + learned_correction(p.learning, x.learning, own[REFERENCE], error)
+
+
 @nested
-def answer(laws, arrays, value):
+def answer(laws, arrays, value, wanted):
     """Return the command [m] for the displacement ``value`` [m]; NaN: for what the law foresees."""
     p, x, own = arrays.p, arrays.x, arrays.watch_x.own
     if own[RETURNING] != 0.0:
         resume(x, arrays.watch_p.own, own, value)
-    reference = own[REFERENCE]
+    reference = wanted
     if own[ON_PATH] != 0.0:
-        reference = handover(p.return_path, x.return_path, own[REFERENCE])
-        if reference == own[REFERENCE]:
+        reference = handover(p.return_path, x.return_path, wanted)
+        if reference == wanted:
             own[ON_PATH] = 0.0
     delayed = feedforward(p.feedforward, x.feedforward, reference)
     fed = x.feedforward[feeding.COMMAND]
@@ -142,7 +160,7 @@ def control(laws, arrays, row):
         value = row[at.REFERENCE]  # without reference and origin nobody knows where the extender should go: it stays
     if own_p[USE_ORIGIN] != 0.0:
         value -= row[at.ORIGIN]
-    mode = RUNNING
+    mode, answered = RUNNING, False
     unfollowed = own[ANSWERED] != 0.0 and own[UNANSWERED] >= UNFOLLOWED_SAMPLES
     if row[at.TRIPPED] != 0.0:
         mode = TRIPPED
@@ -154,13 +172,17 @@ def control(laws, arrays, row):
         mode = HOLDING
     elif unfollowed:
         mode = FOLLOWING
+    else:
+        answered = True
+        if value != value:
+            mode = HOLDING
+    wanted = corrected(arrays.p, arrays.x, own_p, own, value, answered)
+    if answered:
+        command = answer(laws, arrays, value, wanted)
+    elif mode == FOLLOWING:
         # no faster than to safe: where commands are carried out after all, a copy would be a loop of gain one
         command = towards(command, value - own_p[PRELOAD], own_p[SAFE_STEP])
         own[RETURNING] = 1.0
-    else:
-        if value != value:
-            mode = HOLDING
-        command = answer(laws, arrays, value)
     if mode in (TRIPPED, STOPPED, STALE):
         command = towards(command, own_p[SAFE_COMMAND], own_p[SAFE_STEP])
         own[RETURNING] = 1.0
@@ -208,6 +230,7 @@ class ControllerPart:
         self.handover = handover_block(block, sample_time)
         self._return_path = handover_block(block, sample_time)
         self.history = History()
+        self.learning = Learning(parameters.learning, sample_time, parameters.handover_time)
         faults = faulty.fault_parameters(parameters.faults, TARGETS, parameters.sample_rate)
         self._watch_p = WatchArrays(self._guard(parameters), faults, np.zeros(OWN_PARAMETERS))
         self._watch_x = WatchArrays(np.zeros(GUARD_STATES), faulty.fault_state(faults), np.zeros(OWN_STATES))
@@ -229,7 +252,7 @@ class ControllerPart:
 
     def _connect(self) -> None:
         """Put the arrays of the present blocks together."""
-        blocks = self.feedforward, self.controller, self.handover, self._return_path, self.history
+        blocks = self.feedforward, self.controller, self.handover, self._return_path, self.history, self.learning
         self.arrays = ControllerArrays(
             ControlArrays(*(block.p for block in blocks)),
             ControlArrays(*(block.x for block in blocks)),
@@ -275,9 +298,39 @@ class ControllerPart:
         self._watch_x.own[STOP] = 0.0
         self._watch_x.own[RETURNING] = 1.0
 
+    def learn(self) -> None:
+        """Learn from the next sample on."""
+        self.learning.set_mode(LEARNING)
+
+    def freeze(self) -> None:
+        """Repeat what was learned from the next sample on."""
+        self.learning.set_mode(FROZEN)
+
+    def forget(self) -> None:
+        """Let what was learned go to zero."""
+        self.learning.set_mode(FORGETTING)
+
+    def save(self, path, configuration: str = "") -> None:
+        """Write what was learned.
+
+        Parameters
+        ----------
+        path : path-like
+        configuration : str
+            Name of the configuration of the axis.
+
+        Raises
+        ------
+        ParameterError
+            Nothing was learned.
+        ConfigurationError
+            The file cannot be written.
+        """
+        write_learned(path, self.learning.learned(), configuration)
+
     def reset(self) -> None:
         """Begin again with everything at rest."""
-        for block in (self.feedforward, self.controller, self.handover, self._return_path, self.history):
+        for block in (self.feedforward, self.controller, self.handover, self._return_path, self.history, self.learning):
             block.reset()
         stopped = self._watch_x.own[STOP]
         self._watch_x.guard[:] = 0.0
@@ -294,6 +347,7 @@ class ControllerPart:
             The parameters are wrong or of another structure; nothing is changed then.
         """
         block = part(parameters, ControllerParameters)
+        learning = self.learning.changed(block.learning, block.handover_time)
         lasting = None
         if block.type == self.parameters.type:
             self._retune_controller(block)
@@ -305,6 +359,7 @@ class ControllerPart:
         self.handover.retune(HandoverParameters(time=block.handover_time))
         self._return_path.retune(HandoverParameters(time=block.handover_time))
         arm(self.handover, self.command, lasting)
+        self.learning.take(learning)
         self._watch_p.guard[:] = self._guard(parameters)
         self._pack_own(parameters)
         self.parameters = parameters

@@ -7,6 +7,8 @@ import math
 from hysteresis_ros import signals
 from hysteresis_ros.block import interpreted
 from hysteresis_ros.control.base import COMMAND
+from hysteresis_ros.control.learning.correction import MODES
+from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.loop.controller import ControllerPart, carried_out, control
 from hysteresis_ros.loop.tick import ANSWERED, Laws
 from hysteresis_ros.loop.watch import FOLLOWING, HOLDING, MODE_NAMES, REJECTED, RUNNING, STALE, STOPPED, TRIPPED
@@ -30,6 +32,7 @@ class MotionControllerNode(Responder):
 
     outputs = (("command", signals.COMMAND),)
     share = 0.85
+    triggers = (*Responder.triggers, "learn", "freeze", "forget", "save")
 
     def __init__(self, **options):
         super().__init__("motion_controller", **options)
@@ -126,6 +129,35 @@ class MotionControllerNode(Responder):
             return {"sample": self.sample - 1, "after": ANSWERED}
         return {}
 
+    # -- learning ------------------------------------------------------------------------------------------------
+
+    def _on_learn(self, request, response):
+        return self._tell_learning("learn", "learning", response)
+
+    def _on_freeze(self, request, response):
+        return self._tell_learning("freeze", "repeating what was learned", response)
+
+    def _on_forget(self, request, response):
+        return self._tell_learning("forget", "forgetting", response)
+
+    def _tell_learning(self, action: str, done: str, response):
+        if self.parameters is not None:
+            if self.is_fused:
+                self.fused.apply(self.kind, action)
+            else:
+                getattr(self.part, action)()
+                self.log_change(action)
+        return self._answer_service(response, done)
+
+    def _on_save(self, request, response):
+        path = self.parameters.learning.save_file if self.parameters is not None else ""
+        if self.parameters is not None:
+            if not path:
+                allowed = "names no file; give one at configuration: nobody writes anywhere else"
+                raise ParameterError([Problem("learning.save_file", path, allowed)])
+            self.part.save(path, self.get_fully_qualified_name())
+        return self._answer_service(response, f"written to {path}")
+
     # -- messages ------------------------------------------------------------------------------------------------
 
     def take(self, input_: Input, data: float) -> None:
@@ -188,6 +220,10 @@ class MotionControllerNode(Responder):
             "mode": MODE_NAMES[self._mode],
             "saturated_commands": self.shortfall.count,
         }
+        learning = self.part.learning
+        if learning.parameters.in_use:
+            values["learning"] = MODES[learning.mode]
+            values["samples_not_learned"] = learning.missed
         saturated = self.shortfall.report()
         rejected = self.since_report("rejected", self.rejected)
         if self.wrong_joint:
@@ -200,6 +236,8 @@ class MotionControllerNode(Responder):
             return 2, "reference and origin are stale", values
         if rejected:
             return 1, f"{rejected} measurements rejected", values
+        if not saturated and learning.at_maximum:
+            saturated = f"the learned correction is at learning.maximum = {self.parameters.learning.maximum:g} m"
         return (1, saturated, values) if saturated else (0, "", values)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -26,6 +26,7 @@ def simulate(
     skipped=None,
     answers: dict | None = None,
     describe: bool = True,
+    finished: Callable[[Axis], None] | None = None,
 ) -> Recording:
     """Run an axis offline from rest.
 
@@ -47,6 +48,8 @@ def simulate(
         What a device measured in the simulated plant's place, see :meth:`Axis.run`; nothing after the last sample.
     describe : bool
         Put the text of the configuration into the metadata; writing it takes longer than a short run.
+    finished : callable, optional
+        Called with the axis after its last sample.
 
     Raises
     ------
@@ -69,6 +72,8 @@ def simulate(
     if answers:
         given["answers"] = {name: _padded(values, samples, np.nan) for name, values in answers.items()}
     signals = axis.run(setpoints, changes=changes, **given)
+    if finished is not None:
+        finished(axis)
     metadata = {
         "configuration": parameters.configuration_text() if describe else "",
         "namespace": parameters.namespace,
@@ -89,7 +94,7 @@ LOGGED = {
     "plant_simulator": ("start", "halt", "reset", "retune", "home"),
     "reference_generator": ("start", "stop", "hold", "follow", "reset", "retune"),
     "inchworm_sequencer": ("reset", "retune"),
-    "motion_controller": ("start", "stop", "reset", "retune"),
+    "motion_controller": ("start", "stop", "reset", "retune", "learn", "freeze", "forget"),
     "hysteresis_compensator": ("start", "stop", "reset", "retune"),
     "displacement_camera": ("reset", "retune"),
 }

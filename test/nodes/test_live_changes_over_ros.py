@@ -45,6 +45,8 @@ def walking_axis(samples: int):
     overrides = {node: dict(values) for node, values in REAL.items()}
     overrides[SOURCE] |= SINE
     overrides[CONTROLLER] |= {"pid__Ki": 20.0, "safe_slew_rate": 1.0e-4}
+    overrides[CONTROLLER] |= {"learning__type": "repetitive", "learning__period": 0.05, "learning__maximum": 1.0e-7}
+    overrides[CONTROLLER] |= {"learning__error_filter": (0.2, 0.3), "learning__robustness_filter": (0.5, 0.25)}
     return shortened(axis_parameters(overrides=overrides, time_mode="lockstep", exit_at_end=True), samples)
 
 
@@ -62,12 +64,13 @@ def test_changes_at_any_moment_are_repeated_bit_for_bit(processes, observer, tmp
     heard = observer.listen(JointState, "/plant_simulator/state")
     path = write_axis(tmp_path / "axis.yaml", walking_axis(samples))
     run = processes.command("up", path, how, "--record", str(tmp_path / "bag"), "--verify")
-    moments = np.sort(random.integers(50, samples // 2, len(RETUNED) + 8))
+    moments = np.sort(random.integers(50, samples // 2, len(RETUNED) + 11))
     asked = [("set", change) for change in RETUNED]
     asked += [("call", (node, action)) for node in (CONTROLLER, COMPENSATOR, SOURCE) for action in ("stop", "start")]
+    asked += [("call", (CONTROLLER, action)) for action in ("freeze", "learn", "forget")]
     order = random.permutation(len(RETUNED))
     sequence = [asked[index] for index in order]
-    for place, step in zip((3, 6, 8, 12, 14, 17), asked[len(RETUNED) :], strict=True):
+    for place, step in zip((3, 6, 8, 12, 14, 17, 5, 10, 18), asked[len(RETUNED) :], strict=True):
         sequence.insert(place, step)
     wanted = 0
     for moment, (kind, what) in zip(moments, sequence, strict=False):
@@ -86,7 +89,7 @@ def test_changes_at_any_moment_are_repeated_bit_for_bit(processes, observer, tmp
     changes = recorded.metadata["changes"]
     assert len(changes) == wanted
     assert {change["node"] for change in changes} == {CONTROLLER, COMPENSATOR, PLANT, SOURCE}
-    assert {change["action"] for change in changes} == {"retune", "start", "stop"}
+    assert {change["action"] for change in changes} == {"retune", "start", "stop", "freeze", "learn", "forget"}
 
 
 def test_a_change_between_any_two_inputs_of_a_sample_is_repeated_bit_for_bit(inside, tmp_path):

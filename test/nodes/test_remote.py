@@ -146,8 +146,12 @@ def test_services_and_transitions_answer_with_the_node_s_reason(client, capsys):
         "/left/motion_controller: stopped",
         "/left/motion_controller: running",
     ]
-    with pytest.raises(HysteresisError, match="it has reset, start, stop, .*did you mean start"):
+    with pytest.raises(HysteresisError, match="it has forget, freeze, .*, start, stop, .*did you mean start"):
         call(client, "motion_controller", "stat")
+    with pytest.raises(HysteresisError, match="refuses to learn: learning.type = 'none': nothing learns"):
+        call(client, "motion_controller", "learn")
+    with pytest.raises(HysteresisError, match="refuses to save: learning.save_file = '': names no file"):
+        call(client, "motion_controller", "save")
     with pytest.raises(HysteresisError, match="is active: configure is not possible, deactivate and shutdown are"):
         call(client, "motion_controller", "configure")
 

@@ -1,0 +1,117 @@
+"""The learned correction: what is added to a periodic reference, and how it goes from one period to the next.
+
+m_(j+1) = m_j + γ_j (Q m_j + G e_j − m_j), with the error e = r − y of a period of N samples, the robustness filter Q,
+of zero phase, and the error filter G = Q L (iterative learning control [1]_, and as a plug-in repetitive control [2]_).
+γ_j = 1 is the plain law. A smaller one averages noise over periods and leaves the limit of m where it is.
+
+Both filters look ahead: of the last period everything is known. A sample of m is worked at the moment it is needed, out
+of the samples around the one a period before; nothing has to be done at the end of a period.
+
+What cannot be learned from is not a number in the ring of errors: where more than a tenth of the filter's weight meets
+such samples, around them, the correction repeats itself. A reference that is not the one of a period before takes the
+correction back.
+
+References
+----------
+.. [1] Bristow, Tharayil & Alleyne, A survey of iterative learning control, IEEE Control Systems Magazine 26 (3), 2006.
+.. [2] Hara, Yamamoto, Omata & Nakano, Repetitive control system, IEEE Transactions on Automatic Control 33 (7), 1988.
+"""
+
+from __future__ import annotations
+
+from hysteresis_ros.block import called
+
+# Parameters; then the error filter from its furthest look ahead on, and the robustness filter from its middle on.
+PERIOD = 0  # N [samples]
+LEAD = 1  # how far the first tap of the error filter looks ahead [samples]
+TAPS = 2  # of the error filter
+HALF = 3  # taps of the robustness filter beside its middle, on each side
+GAIN = 4  # γ at first
+LEAST_GAIN = 5
+AVERAGING = 6  # n: in the j-th period γ is at most n / j; 0: it stays
+MAXIMUM = 7  # [m]
+SHORTFALL = 8  # command not carried out above which nothing is learned [m]
+FADE = 9  # part of the correction that comes or goes in a sample
+MISSING = 10  # weight of the error filter that may meet samples from which nothing can be learned
+FILTERS = 11
+
+# State; then three rings of as many samples as the filters reach back: correction, error, reference [m].
+MODE = 0
+SAMPLES = 1  # since the beginning
+LEARNED = 2  # samples since learning began
+WEIGHT = 3  # part of the correction that is in force
+CORRECTION = 4  # of the last sample [m]
+RINGS = 5
+
+#: Modes: the correction repeats itself; it learns; it goes to zero.
+FROZEN, LEARNING, FORGETTING = range(3)
+MODES = ("frozen", "learning", "forgetting")
+
+#: References that differ by less from one period to the next are the same [m].
+SAME = 1e-9
+
+
+@called
+def learned_correction(p, x, reference, error):
+    """Return what to add to the reference [m] in this sample.
+
+    Parameters
+    ----------
+    p, x : ndarray
+    reference : float
+        The one that is followed in this sample, without correction [m].
+    error : float
+        What the displacement measured in this sample lacks of it [m]; NaN: nothing is to be learned from it.
+    """
+    period, lead, taps, half = int(p[PERIOD]), int(p[LEAD]), int(p[TAPS]), int(p[HALF])
+    length = (x.shape[0] - RINGS) // 3
+    corrections, errors, references = RINGS, RINGS + length, RINGS + 2 * length
+    now = int(x[SAMPLES]) % length
+    before = now - period
+    if before < 0:
+        before += length
+    repeated = x[corrections + before]
+    value = repeated
+    if x[MODE] == LEARNING:
+        place = before + lead
+        if place >= length:
+            place -= length
+        update = missing = 0.0
+        for i in range(taps):
+            if x[errors + place] == x[errors + place]:
+                update += p[FILTERS + i] * x[errors + place]
+            else:
+                missing += abs(p[FILTERS + i])
+            place -= 1
+            if place < 0:
+                place += length
+        weights = FILTERS + taps
+        update += p[weights] * repeated
+        ahead = behind = before
+        for i in range(1, half + 1):
+            ahead += 1
+            if ahead == length:
+                ahead = 0
+            behind -= 1
+            if behind < 0:
+                behind += length
+            update += p[weights + i] * (x[corrections + ahead] + x[corrections + behind])
+        if missing <= p[MISSING]:
+            gain = p[GAIN]
+            if p[AVERAGING] > 0.0:
+                gain = min(gain, max(p[AVERAGING] / (1.0 + x[LEARNED] // period), p[LEAST_GAIN]))
+            value = repeated + gain * (update - repeated)
+        x[LEARNED] += 1.0
+    known = x[references + before]
+    # before there was a period nothing can differ from it
+    if x[MODE] == FORGETTING or abs(reference - known) > SAME:
+        x[WEIGHT] = max(x[WEIGHT] - p[FADE], 0.0)
+    else:
+        x[WEIGHT] = min(x[WEIGHT] + p[FADE], 1.0)
+    value = min(max(x[WEIGHT] * value, -p[MAXIMUM]), p[MAXIMUM])
+    x[corrections + now] = value
+    x[errors + now] = error
+    x[references + now] = reference
+    x[SAMPLES] += 1.0
+    x[CORRECTION] = value
+    return value

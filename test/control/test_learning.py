@@ -1,0 +1,192 @@
+"""The learned correction: its law on loops whose answer is known, its limits, its filters, and its file."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hysteresis_ros.control.learning import correction as at
+from hysteresis_ros.control.learning.block import Learning
+from hysteresis_ros.control.learning.correction import FORGETTING, FROZEN, LEARNING, learned_correction
+from hysteresis_ros.control.learning.file import Learned, write_learned
+from hysteresis_ros.control.learning.filters import MARGIN, Response, design_filters
+from hysteresis_ros.control.learning.parameters import LearningParameters
+from hysteresis_ros.errors import ConfigurationError, ParameterError
+
+RATE, N = 1000.0, 40
+REFERENCE = 1e-6 * (np.sin(2.0 * np.pi * np.arange(N) / N) + 0.3 * np.cos(6.0 * np.pi * np.arange(N) / N))
+
+
+def learning(fade=0.0, **values):
+    """Return a correction of period N with G = 1 and Q = 1."""
+    values = {"error_filter": (1.0,), "robustness_filter": (1.0,), "maximum": 1e-3, "period": N / RATE} | values
+    return Learning(LearningParameters(type="inversion", **values), 1.0 / RATE, fade)
+
+
+def followed(block, answer, periods, reference=REFERENCE, bad=()):
+    """Return corrections and errors, shape (periods, N), over a loop that adds ``answer`` (impulse response)."""
+    asked, m, e = np.zeros(periods * N + 100), [], []
+    for k in range(periods * N):
+        r = reference[k % N] if len(reference) == N else reference[k]
+        # the answer of this sample needs earlier samples only
+        y = sum(a * asked[k - i + 100] for i, a in enumerate(answer) if i)
+        e.append(r - y)
+        m.append(learned_correction(block.p, block.x, r, np.nan if k in bad else e[-1]))
+        asked[k + 100] = r + m[-1]
+    return np.array(m).reshape(periods, N), np.array(e).reshape(periods, N)
+
+
+def test_a_delayed_loop_of_wrong_gain_is_inverted_in_one_period_by_a_filter_that_looks_as_far_ahead():
+    m, e = followed(learning(error_filter=(1.0 / 0.8,), lead=3), (0.0, 0.0, 0.0, 0.8), 4)
+    assert np.max(np.abs(e[0])) > 1e-7
+    # the first samples of the first period came from before the reference
+    np.testing.assert_allclose(m[1, 3:-3], (1.0 / 0.8) * np.roll(e[0], -3)[3:-3], rtol=1e-12)
+    np.testing.assert_allclose(e[2, 3:], 0.0, atol=1e-18)
+    np.testing.assert_allclose(e[3], 0.0, atol=1e-18)
+
+
+def test_the_error_falls_by_the_factor_that_contraction_says():
+    c, gain, factor = 0.5, 0.9, 0.6
+    _, e = followed(learning(error_filter=(c,), lead=1, gain=factor), (0.0, gain), 8)
+    for j in range(1, 6):
+        np.testing.assert_allclose(e[j + 1], (1.0 - factor * c * gain) * e[j], rtol=1e-9, atol=1e-21)
+
+
+def test_the_gain_falls_as_the_number_of_periods_says_and_the_limit_stays_where_it_is():
+    block = learning(error_filter=(1.0,), lead=1, gain=0.8, averaging=2.0, least_gain=0.1)
+    _, e = followed(block, (0.0, 1.0), 30, REFERENCE + 5e-7)
+    # nothing is known of a period before the first: learning begins with the second, j = 2
+    expected = [min(0.8, max(2.0 / j, 0.1)) for j in range(2, 31)]
+    found = [1.0 - e[j, 5] / e[j - 1, 5] for j in range(2, 12)]
+    np.testing.assert_allclose(found, expected[1:11], rtol=1e-6)
+
+
+def test_the_robustness_filter_has_no_phase():
+    block = learning(error_filter=(0.0,), robustness_filter=(0.4, 0.2, 0.1))
+    length = (len(block.x) - at.RINGS) // 3
+    corrections = block.x[at.RINGS : at.RINGS + length]
+    block.x[at.RINGS + length :] = 0.0
+    corrections[(20 - N) % length] = 1e-6  # the sample 20 of the period before
+    values = [learned_correction(block.p, block.x, 0.0, 0.0) for _ in range(N)]
+    expected = np.zeros(N)
+    expected[18:23] = np.array([0.1, 0.2, 0.4, 0.2, 0.1]) * 1e-6
+    np.testing.assert_allclose(values, expected, atol=1e-20)
+
+
+def test_what_was_not_measured_is_not_learned_and_the_rest_is():
+    hole = 2 * N + 17
+    m, _ = followed(learning(error_filter=(0.1, 0.2, 0.1), lead=1), (0.0, 0.9), 5, bad={hole})
+    unlearned = np.flatnonzero(m[3] == m[2])
+    np.testing.assert_array_equal(unlearned, [16, 17, 18])
+
+
+def test_frozen_it_repeats_itself_bit_for_bit_and_forgotten_it_fades_to_nothing():
+    block = learning(fade=10 / RATE, error_filter=(0.5,), lead=1)
+    followed(block, (0.0, 0.8), 4)
+    block.set_mode(FROZEN)
+    m, _ = followed(block, (0.0, 0.3), 3)
+    assert np.any(m[0]) and np.array_equal(m[0], m[1]) and np.array_equal(m[1], m[2])
+    block.set_mode(FORGETTING)
+    fading, _ = followed(block, (0.0, 0.8), 2)
+    np.testing.assert_allclose(fading[0, :10], m[0, :10] * np.linspace(0.9, 0.0, 10), atol=1e-20)
+    assert not np.any(fading[0, 10:]) and not np.any(fading[1])
+    block.set_mode(LEARNING)
+    again, _ = followed(block, (0.0, 0.8), 3)
+    assert np.any(again[2])
+
+
+def test_another_reference_takes_the_correction_back_and_the_same_one_again_is_learned_anew():
+    block = learning(fade=5 / RATE, error_filter=(1.2,), lead=1)
+    followed(block, (0.0, 0.8), 4)
+    other = np.concatenate([np.roll(-2.0 * REFERENCE, 7)] * 8)
+    m, e = followed(block, (0.0, 0.8), 8, other)
+    assert np.max(np.abs(m[0, 6:])) < 1e-3 * np.max(np.abs(m[-1]))
+    assert np.max(np.abs(e[-1])) < 1e-4 * np.max(np.abs(e[0]))
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.floats(-3.0, 3.0), st.integers(2, 90), st.integers(0, 2**31))
+def test_whatever_the_loop_answers_and_whatever_is_asked_it_stays_within_its_maximum(gain, period, seed):
+    random = np.random.default_rng(seed)
+    reference = np.concatenate([np.tile(random.normal(size=period), 200 // period + 1)[:200], random.normal(size=200)])
+    block = learning(error_filter=(1.0, 1.0), lead=1, maximum=2e-7)
+    m, _ = followed(block, (0.0, gain), 10, 1e-6 * reference)
+    assert np.all(np.abs(m) <= 2e-7)
+
+
+def test_a_period_that_is_no_whole_number_of_samples_is_refused_with_its_neighbours():
+    with pytest.raises(ParameterError, match=r"40\.3 samples.*0\.04 s \(25 Hz\) and 0\.041 s"):
+        learning(period=0.0403)
+    with pytest.raises(ParameterError, match="looks 40 samples ahead; must be less than the period of 40"):
+        learning(error_filter=(1.0,) * 41, lead=40)
+
+
+def lags(spread):
+    """Return T of a lag with two samples of delay, and of lags that are slower or faster by up to a part."""
+    z = np.exp(1j * np.linspace(0.0, np.pi, 2049))
+
+    def closed(gain, pole):
+        return gain * (1.0 - pole) * z**-2 / (1.0 - pole / z)
+
+    plants = [closed(1.0 + a, 0.6 + 0.3 * b) for a in (-spread, 0.0, spread) for b in (-spread, 0.0, spread)]
+    return Response(closed(1.0, 0.6), np.array(plants))
+
+
+@pytest.mark.parametrize("kind", ["inversion", "norm_optimal", "repetitive"])
+def test_filters_contract_on_all_plants_that_are_possible_and_do_so_in_the_loop(kind):
+    response = lags(0.1)
+    found = design_filters(kind, response, N)
+    assert found.contraction <= 1.0 - MARGIN and found.lead < N and len(found.robustness) <= N
+    low_pass, learned = found.responses(np.linspace(0.0, np.pi, 2049))
+    assert np.isclose(low_pass[0], 1.0)
+    assert np.all(np.abs(low_pass - learned * response.possible) <= 1.0 - MARGIN)
+    given = {"error_filter": tuple(found.error), "lead": found.lead, "robustness_filter": tuple(found.robustness)}
+    # the slowest of the lags
+    answer = 0.9 * 0.43 * 0.57 ** np.maximum(np.arange(60) - 2, 0) * (np.arange(60) > 1)
+    m, e = followed(learning(**given), answer, 40)
+    harmonic = np.abs(np.fft.rfft(e, axis=1))[:, 1]
+    turn = round(4097 / 2 * 2 / N)
+    kept = 1.0 - np.abs(low_pass[turn])
+    assert harmonic[-1] < max(4.0 * kept, 1e-3) * harmonic[0]
+    assert np.max(np.abs(np.diff(m[-2:], axis=0))) < 1e-3 * np.max(np.abs(m[-1]))
+
+
+def test_a_loop_whose_sign_is_open_is_refused_by_name_and_figure():
+    model = lags(0.1).model
+    with pytest.raises(ConfigurationError, match=r"inversion: no bandwidth contracts .*reaches 1.* at .* Hz, allowed"):
+        design_filters("inversion", Response(model, np.array([model, -model])), N, sample_rate=RATE)
+
+
+def test_the_inverse_is_the_one_of_which_the_worst_plant_is_best():
+    # of gains g and 2 g the best is 1 / (1.5 g), which leaves a third of both
+    model = np.full(1025, 1.0 + 0.0j)
+    found = design_filters("inversion", Response(model, np.array([model, 2.0 * model])), N, bandwidth=0.4)
+    _, learned = found.responses([1e-3])
+    np.testing.assert_allclose(learned.real, 2.0 / 3.0, rtol=0.02)
+
+
+def test_what_was_learned_is_a_file_that_goes_on_where_it_ended(tmp_path):
+    path = tmp_path / "learned.yaml"
+    block = learning(error_filter=(1.1,), lead=1)
+    m, _ = followed(block, (0.0, 0.8), 5)
+    write_learned(path, block.learned(), "an axis")
+    again = learning(error_filter=(1.1,), lead=1, file=str(path), active=False)
+    repeated, _ = followed(again, (0.0, 0.8), 2)
+    assert np.array_equal(repeated, [m[-1], m[-1]])
+
+
+def test_a_file_of_another_axis_is_refused(tmp_path):
+    path = tmp_path / "learned.yaml"
+    write_learned(path, Learned(N / RATE, 1.0 / RATE, np.full(N, 2e-6), np.zeros(N)))
+    for values, words in (
+        ({"period": 2 * N / RATE}, "40 samples of 0.001 s; the axis has 80"),
+        ({"maximum": 1e-6}, "at most learning.maximum = 1e-06 m"),
+        ({"file": str(tmp_path / "none.yaml")}, "cannot be read"),
+        ({"file": __file__}, "is no file of a learned correction"),
+    ):
+        with pytest.raises(ParameterError, match=words):
+            learning(**{"file": str(path)} | values)
+    with pytest.raises(ParameterError, match="no whole period"):
+        learning().learned()

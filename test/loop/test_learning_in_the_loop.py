@@ -1,0 +1,101 @@
+"""The learned correction in an axis: what runs are without it, when it learns, and that all runners agree."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from fused_support import assert_twin, change, made_loop, whole
+from loop_support import HOLD, assert_same_bits, axis
+from waiting import until
+
+from hysteresis_ros.control.learning import correction as at
+from hysteresis_ros.errors import ParameterError
+from hysteresis_ros.loop.axis import Change
+
+#: Of 30 samples.
+TRIANGLE = {"waveform__type": "triangle", "waveform__frequency": 100.0, "waveform__amplitude": 4e-6}
+LEARNS = {
+    "learning__type": "repetitive",
+    "learning__period": 0.01,
+    "learning__error_filter": (0.05, 0.1, 0.05),
+    "learning__lead": 4,
+    "learning__robustness_filter": (0.5, 0.25),
+    "learning__maximum": 5e-7,
+}
+N = 30
+
+
+def learning_axis(reference=None, **controller):
+    return axis(reference_generator=reference or TRIANGLE, motion_controller={**LEARNS, **controller})
+
+
+def corrections(made, count):
+    """Run sample by sample and return the correction of each."""
+    found = np.empty(count)
+    for k in range(count):
+        made.run([0.0])
+        found[k] = made.controller.learning.x[at.CORRECTION]
+    return found
+
+
+def test_one_that_has_learned_nothing_and_does_not_learn_changes_no_bit():
+    plain, idle = axis(reference_generator=TRIANGLE), learning_axis(learning__active=False)
+    assert_same_bits(plain.run(np.zeros(200)), idle.run(np.zeros(200)))
+    assert np.any(learning_axis().run(np.zeros(200))["command"] != plain.run(np.zeros(200))["command"])
+
+
+def test_without_a_measurement_it_repeats_itself():
+    made = learning_axis()
+    made.run(np.zeros(8 * N))
+    made.inject((f"nan:0.0:{2 * N / 3000}",))
+    blind = corrections(made, 5 * N).reshape(5, N)
+    # what was measured before is learned in the first period, and what came after in the fourth
+    assert np.any(blind[0]) and np.any(blind[3] != blind[2])
+    assert np.array_equal(blind[2][:-6], blind[1][:-6])
+
+
+def test_stopped_it_repeats_itself_in_phase_and_goes_on_without_a_jump():
+    made = learning_axis()
+    made.run(np.zeros(8 * N))
+    made.controller.stop()
+    stopped = corrections(made, 4 * N).reshape(4, N)
+    # what was measured before it stopped is learned in the period after it
+    assert np.any(stopped[1]) and np.array_equal(stopped[2], stopped[1]) and np.array_equal(stopped[3], stopped[1])
+    made.controller.start()
+    after = made.run(np.zeros(3 * N))["command"]
+    assert np.max(np.abs(np.diff(after))) < 1e-6
+
+
+def test_nothing_is_learned_while_the_command_is_not_carried_out():
+    slow = {"limits__slew_rate": 10.0}
+    made = axis(reference_generator=TRIANGLE, motion_controller=LEARNS, hysteresis_compensator=slow)
+    # the first samples, of a triangle that begins at zero, are still carried out
+    assert not np.any(corrections(made, 6 * N).reshape(6, N)[1:, 10:-10])
+    assert np.any(corrections(learning_axis(), 6 * N).reshape(6, N)[1:, 10:-10])
+
+
+def test_learning_frozen_forgotten_and_retuned_in_a_fused_loop_are_those_of_its_twin():
+    loop, given = made_loop(samples=3000, factor=10.0, reference_generator=TRIANGLE, motion_controller=LEARNS)
+    loop.start()
+    asked = [("freeze", {}), ("learn", {}), ("retune", {"learning__gain": 0.5}), ("forget", {}), ("learn", {})]
+    for number, (action, values) in enumerate(asked, 1):
+        until(lambda number=number: loop.sample > 400 * number)
+        loop.apply(change("motion_controller", action, **values))
+    assert loop.join()
+    made = whole(loop)
+    assert [one.action for one in loop.changes] == [action for action, _ in asked]
+    assert_twin(loop, made, given)
+
+
+@pytest.mark.parametrize("name, value", [("error_filter", (1.0,)), ("lead", 2), ("period", 0.02), ("type", "none")])
+def test_its_structure_is_fixed_while_it_runs(name, value):
+    made = learning_axis()
+    before = made.controller.parameters
+    with pytest.raises(ParameterError, match=f"learning.{name}"):
+        made.apply(Change(0, "motion_controller", "retune", {f"learning.{name}": value, "type": "open_loop"}))
+    assert made.controller.parameters is before
+
+
+def test_an_axis_that_does_not_learn_says_so():
+    with pytest.raises(ParameterError, match="learning.type = 'none': nothing learns"):
+        axis(**HOLD).controller.learn()

@@ -1,0 +1,117 @@
+"""Design of the learning over an axis: its closed loop, what it is worth on another plant, and what is refused."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from hysteresis_ros.cli.main import main
+from hysteresis_ros.configuration import load_configuration, parse_configuration
+from hysteresis_ros.control.controller import ControllerParameters
+from hysteresis_ros.control.linearisation import linear_loop
+from hysteresis_ros.control.margins import close
+from hysteresis_ros.control.uncertainty import drawn_plants
+from hysteresis_ros.loop.axis import Axis
+from hysteresis_ros.loop.node_parameters import part
+from hysteresis_ros.simulation.axes import single_axis
+from hysteresis_ros.simulation.design import DesignRequest, design_axis, design_file
+from hysteresis_ros.simulation.learning_design import (
+    POSSIBLE,
+    LearningRequest,
+    closed_loop,
+    design_learning,
+    learning_file,
+)
+
+NEAR = replace(POSSIBLE, draws=2)
+
+
+def stage(**controller):
+    found = load_configuration("picma_stage").override("motion_controller", **controller)
+    waveform = {"waveform.type": "triangle", "waveform.frequency": 5.0, "waveform.amplitude": 8e-6}
+    found = found.override("reference_generator", **waveform, initial_setpoint=1e-5)
+    return parse_configuration(single_axis(found).configuration_text(), "stage.yaml")
+
+
+@pytest.mark.parametrize("name", ["kim2009", "picma_stage"])
+def test_the_closed_loop_is_that_of_the_state_space_on_the_model_and_on_every_other_plant(name):
+    node = single_axis(load_configuration(name)).motion_controller
+    assert node.feedforward.type == "none"
+    found = closed_loop(node, NEAR)
+    z = np.exp(1j * np.linspace(0.0, np.pi, len(found.model))[1::97])
+    controller, model = linear_loop(part(node, ControllerParameters), 1.0 / node.sample_rate)
+    plants = drawn_plants(node.model.dynamics, 1.0 / node.sample_rate, NEAR)
+    np.testing.assert_allclose(found.model[1::97], close(controller, model).response(z)[:, 0, 0], rtol=1e-4, atol=1e-7)
+    for values, one in zip(found.possible, plants, strict=True):
+        exact = close(controller, one.plant).response(z)[:, 0, 0]
+        np.testing.assert_allclose(values[1::97], exact, rtol=1e-4, atol=1e-7)
+
+
+def test_a_static_feedforward_is_part_of_the_closed_loop():
+    node = single_axis(stage(type="open_loop")).motion_controller
+    fed = single_axis(stage(type="open_loop", **{"feedforward.type": "static"})).motion_controller
+    np.testing.assert_allclose(closed_loop(fed, NEAR).model, closed_loop(node, NEAR).model, rtol=1e-9)
+
+
+@pytest.mark.parametrize("kind", ["inversion", "norm_optimal"])
+def test_in_ten_periods_on_another_plant_the_error_falls_to_less_than_a_tenth(kind):
+    configuration = stage()
+    text = learning_file(configuration, design_learning(single_axis(configuration), LearningRequest(kind)), "")
+    other = parse_configuration(text, "designed")
+    axis = single_axis(other)
+    dynamics = axis.plant_simulator.dynamics
+    plant = replace(axis.plant_simulator, dynamics=replace(dynamics, input_scale=dynamics.resolved_input_scale / 1.05))
+    made = Axis(replace(axis, plant_simulator=plant))
+    run = made.run(made.default_setpoints(40 * 14))
+    error = (run["reference"] - run["measured"]).reshape(14, 40)
+    size = np.sqrt(np.mean(error**2, axis=1))
+    assert np.max(size[11:]) < 0.1 * size[1]
+
+
+def refusal(*words) -> str:
+    result = CliRunner().invoke(main, ["design", *map(str, words)])
+    assert result.exit_code == 2, result.output
+    lines = result.output.splitlines()
+    assert len(lines) == 1 and lines[0].startswith("hysteresis: "), result.output
+    return lines[0]
+
+
+@pytest.mark.parametrize(
+    "words, expected",
+    [
+        (["--learning", "inverson", "--period", 0.1], "did you mean inversion?"),
+        (["--learning", "inversion"], "--period is missing: waveform.type"),
+        (["--learning", "inversion", "--period", 0.0123], "2.46 samples"),
+        (["--learning", "inversion", "--period", 0.1, "--controller", "pid"], "--controller and --learning exclude"),
+        (["--learning", "inversion", "--period", 0.1, "--resonance-range", 0.9], "--resonance-range = 0.9"),
+        (["--learning", "inversion", "--period", 0.1, "--bandwidth", 500], "below half the sample rate, 100 Hz"),
+        (["--learning", "inversion", "--period", 0.1, "--delay-range", 16], "no bandwidth contracts"),
+        (["--learning", "inversion", "--period", 0.1, "--maximum", 0], "--maximum 0"),
+        (["--controller", "pid", "--period", 0.1], "--period belongs to --learning"),
+        ([], "give --controller NAME or --learning NAME"),
+    ],
+)
+def test_wrong_words_are_refused_in_one_line(tmp_path, words, expected):
+    configuration = tmp_path / "stage.yaml"
+    configuration.write_text(load_configuration("picma_stage").text)
+    assert expected in refusal(configuration, *words, "-o", tmp_path / "out.yaml")
+    assert not (tmp_path / "out.yaml").exists()
+
+
+def test_a_designed_file_keeps_all_else_and_another_controller_takes_the_learning_away():
+    configuration = stage()
+    text = learning_file(configuration, design_learning(single_axis(configuration), LearningRequest("inversion")), "")
+    learned = parse_configuration(text, "learned")
+    before, after = (
+        {name: value for name, value in one.node("motion_controller", "").items() if not name.startswith("learning.")}
+        for one in (configuration, learned)
+    )
+    assert before == after
+    after = learned.node("motion_controller", "")
+    assert after["learning.period"] == pytest.approx(0.2)
+    result = design_axis(single_axis(learned), DesignRequest("pid"))
+    again = design_file(learned, result, "")
+    assert "learning." not in again and "Learning designed" not in again
