@@ -4,6 +4,7 @@ import pathlib
 import re
 
 from setuptools import find_packages, setup
+from setuptools.command.develop import develop
 
 try:
     from setuptools.command.bdist_wheel import bdist_wheel
@@ -94,6 +95,17 @@ def command_classes():
     return {"bdist_wheel": BuildWheel}
 
 
+class Develop(develop):
+    """What ``colcon build --symlink-install`` runs: executables for the Python of the environment that is sourced.
+
+    ``[build_scripts]`` in setup.cfg says the same of a build with copies, and is not asked here.
+    """
+
+    def write_script(self, script_name, contents, *options):
+        """Write an executable with another first line."""
+        super().write_script(script_name, "#!/usr/bin/env python3\n" + contents.partition("\n")[2], *options)
+
+
 setup(
     name=NAME,
     version=version(),
@@ -114,5 +126,5 @@ setup(
     extras_require=EXTRAS,
     zip_safe=False,
     entry_points={"console_scripts": [f"{name} = {main}" for name, main in {**NODES, **COMMANDS}.items()]},
-    cmdclass=command_classes(),
+    cmdclass={**command_classes(), "develop": Develop},
 )

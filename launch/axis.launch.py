@@ -58,6 +58,26 @@ ARGUMENTS = (
         description="external: a node of yours publishes joint_states in plant_simulator's place",
     ),
     DeclareLaunchArgument("samples", default_value="", description="length of the run; empty: as the file says"),
+    DeclareLaunchArgument(
+        "fused", default_value="false", choices=["true", "false"], description="true: the same as rate:=fused"
+    ),
+    DeclareLaunchArgument(
+        "factor",
+        default_value="",
+        description="seconds of the axis a second of the wall clock; empty: as the file says",
+    ),
+    DeclareLaunchArgument(
+        "autostart",
+        default_value="",
+        choices=["", "true", "false"],
+        description="false: the nodes wait for configure and activate (ros2 lifecycle set); empty: as the file says",
+    ),
+    DeclareLaunchArgument(
+        "log_level",
+        default_value="info",
+        choices=["debug", "info", "warn", "error", "fatal"],
+        description="what the nodes print at least",
+    ),
 )
 
 
@@ -74,11 +94,17 @@ def axis(context):
     FileNotFoundError
         The parameter file is missing.
     ValueError
-        ``samples`` is not a positive whole number.
+        ``samples`` or ``factor`` is no positive number, or arguments contradict each other.
     """
     given = {argument.name: LaunchConfiguration(argument.name).perform(context) for argument in ARGUMENTS}
     if given["samples"] and not (given["samples"].isdecimal() and int(given["samples"])):
         raise ValueError(f"samples:={given['samples']}: must be a whole number of at least 1, or left out")
+    if given["factor"] and not positive(given["factor"]):
+        raise ValueError(f"factor:={given['factor']}: must be a number above 0, or left out")
+    if given["fused"] == "true":
+        if given["rate"] not in ("", "fused"):
+            raise ValueError(f"fused:=true with rate:={given['rate']}: leave one of them out")
+        given["rate"] = "fused"
     config = configuration(given["config"])
     said = []
     external = given["plant"] == "external"
@@ -86,7 +112,10 @@ def axis(context):
         raise ValueError(
             f"rate:={given['rate']} with plant:=external: a node of yours keeps the time, in real time only"
         )
-    if not (given["rate"] or external) and given["composed"] == "false" and too_fast_for_messages(config):
+    if external and given["factor"]:
+        raise ValueError(f"factor:={given['factor']} with plant:=external: a node of yours keeps the time")
+    chosen = given["rate"] or external or given["composed"] == "true"
+    if not chosen and too_fast_for_messages(config, given["factor"]):
         given["rate"] = "fused"
         text = "starts the axis fused: messages between nodes are too slow for its rate in real time (rate:= chooses)"
         said.append(LogInfo(msg=text))
@@ -113,6 +142,7 @@ def axis(context):
             namespace=given["namespace"],
             parameters=[config, str(overrides)],
             output="screen",
+            ros_arguments=["--log-level", given["log_level"]],
             on_exit=farewell(name, running),
         )
         if name == "hysteresis_axis" and fused and given["record"]:
@@ -138,6 +168,10 @@ def override(given: dict, config: str) -> dict:
         common["time_mode"] = given["rate"]
     if given["plant"] == "external":
         common |= {"external_plant": True, "time_mode": "realtime"}
+    if given["autostart"]:
+        common["autostart"] = given["autostart"] == "true"
+    if given["factor"]:
+        keeper["real_time_factor"] = float(given["factor"])
     if given["samples"]:
         common["exit_at_end"] = True
         keeper["samples"] = int(given["samples"])
@@ -149,6 +183,14 @@ def override(given: dict, config: str) -> dict:
     keeps = "reference_generator" if given["plant"] == "external" else "plant_simulator"
     patterns = {"/**": common, f"/**/{keeps}": keeper, "/**/recorder": recorder}
     return {pattern: {"ros__parameters": values} for pattern, values in patterns.items() if values}
+
+
+def positive(text: str) -> bool:
+    """Tell whether a text is a number above zero."""
+    try:
+        return 0.0 < float(text) < float("inf")
+    except ValueError:
+        return False
 
 
 def merged(config: str, overrides: dict) -> str:
@@ -176,17 +218,17 @@ def describes(config: str, name: str, value) -> bool:
         return value in values_of(yaml.safe_load(stream), name)
 
 
-def too_fast_for_messages(config: str) -> bool:
+def too_fast_for_messages(config: str, factor: str = "") -> bool:
     """Tell whether the parameter file asks for real time at a rate that nodes with messages between them do not hold.
 
-    A driver may be one that only they can call, and without Numba nothing faster is there.
+    A driver may be one that only they can call, and without Numba nothing faster is there. A ``factor`` that is given
+    counts in the place of the file's.
     """
     with open(config, encoding="utf-8") as stream:
         content = yaml.safe_load(stream)
     modes, drivers = set(values_of(content, "time_mode")), [name for name in values_of(content, "driver") if name]
-    rate = max(values_of(content, "sample_rate"), default=1000.0) * min(
-        values_of(content, "real_time_factor"), default=1.0
-    )
+    slowed = float(factor) if factor else min(values_of(content, "real_time_factor"), default=1.0)
+    rate = max(values_of(content, "sample_rate"), default=1000.0) * slowed
     compiled = importlib.util.find_spec("numba") is not None
     return modes <= {"realtime"} and not drivers and compiled and rate > MESSAGE_RATE
 

@@ -122,3 +122,6 @@ def test_colcon_builds_the_package(tree, tmp_path, options):
         assert (prefix / "share/hysteresis_ros/package.xml").resolve() == tree / "package.xml"
     else:
         check_prefix(prefix)
+    for name in EXECUTABLES:
+        first = (prefix / "lib" / "hysteresis_ros" / name).read_text(encoding="utf-8").splitlines()[0]
+        assert first == "#!/usr/bin/env python3", "the Python of the environment that is sourced, not colcon's own"

@@ -18,17 +18,17 @@ from std_srvs.srv import Trigger
 from hysteresis_ros import signals
 from hysteresis_ros.errors import HysteresisError, ParameterError
 from hysteresis_ros.loop.node_parameters import NODE_PARAMETERS
-from hysteresis_ros.nodes.diagnostics import diagnostics, warn_of_others
+from hysteresis_ros.nodes.diagnostics import diagnostics, introduction, warn_of_others
 from hysteresis_ros.nodes.fused import Fused
 from hysteresis_ros.nodes.lockstep import Lockstep, Partners
-from hysteresis_ros.nodes.parameters import ParameterInterface
+from hysteresis_ros.nodes.parameters import ParameterInterface, TabledParameters
 from hysteresis_ros.nodes.qos import diagnostics_qos, latched_qos, loop_qos
 from hysteresis_ros.nodes.realtime import RealTime
 from hysteresis_ros.nodes.services import answered
 from hysteresis_ros.nodes.timing import Pace
 
 
-class AxisNode(LifecycleNode):
+class AxisNode(TabledParameters, LifecycleNode):
     """Base of the nodes of an axis.
 
     Subclasses implement :meth:`build` (blocks from parameters), :meth:`connect` (publishers and subscriptions),
@@ -47,6 +47,8 @@ class AxisNode(LifecycleNode):
     #: Part of partner_timeout after which this node complains in lockstep. Who waits directly for the culprit complains
     #: first, so that the error names the culprit and not a node that waits itself.
     share = 1.0
+    #: Parameters that say what the node is at work as.
+    identity: tuple[str, ...] = ()
     #: Services std_srvs/Trigger, each answered by the method of its name with ``_on_`` before it.
     triggers: tuple[str, ...] = ("start", "stop", "reset")
 
@@ -248,6 +250,7 @@ class AxisNode(LifecycleNode):
             self.fail(f"not activated: {type(error).__name__}: {error}")
             self._stop_working()
             return TransitionCallbackReturn.FAILURE
+        self.get_logger().info(introduction(self))
         return super().on_activate(state)
 
     def on_deactivate(self, state):

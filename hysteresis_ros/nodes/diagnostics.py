@@ -41,3 +41,16 @@ def diagnostics(node) -> DiagnosticArray:
     message.header.stamp = node.get_clock().now().to_msg()
     message.status = [status]
     return message
+
+
+def introduction(node) -> str:
+    """Return what a node says when it begins to work: what it is, at what rate, and in which time mode.
+
+    Parameters
+    ----------
+    node : AxisNode
+        Configured.
+    """
+    values = node.parameters.to_mapping()
+    words = [f"{name} {values[name]}" for name in node.identity if values.get(name)]
+    return ", ".join(["active", *words, f"{node.parameters.sample_rate:g} Hz", node.parameters.time_mode])

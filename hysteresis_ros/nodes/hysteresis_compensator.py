@@ -27,6 +27,7 @@ class HysteresisCompensatorNode(Responder):
     voltage returns to ``safe_voltage``.
     """
 
+    identity = ("inverse.type", "hysteresis.type")
     inputs = (Input("command", signals.COMMAND, "motion_controller"),)
     outputs = (("voltage", signals.VOLTAGE), ("applied", signals.APPLIED))
     trigger = "command"

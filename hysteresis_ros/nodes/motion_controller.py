@@ -30,6 +30,7 @@ class MotionControllerNode(Responder):
     joint less the ``origin`` that comes with every reference.
     """
 
+    identity = ("type",)
     outputs = (("command", signals.COMMAND),)
     share = 0.85
     triggers = (*Responder.triggers, "learn", "freeze", "forget", "save")

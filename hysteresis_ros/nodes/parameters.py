@@ -2,18 +2,54 @@
 
 from __future__ import annotations
 
-from rcl_interfaces.msg import ParameterDescriptor, SetParametersResult
+import contextlib
+import copy
+from array import array
+
+from rcl_interfaces.msg import (
+    FloatingPointRange,
+    IntegerRange,
+    ListParametersResult,
+    ParameterDescriptor,
+    ParameterType,
+    SetParametersResult,
+)
 from rclpy.parameter import Parameter
 
 from hysteresis_ros.errors import HysteresisError, ParameterError, Problem
-from hysteresis_ros.parameters import ARRAY_TYPES
+from hysteresis_ros.nodes.command_line import assigned
+from hysteresis_ros.parameters import ARRAY_TYPES, ParameterRow
 
 #: Parameters that ROS itself puts on every node.
 _ROS_OWN = ("use_sim_time", "start_type_description_service")
 
+#: Types as ROS describes them.
+_TYPES = {
+    float: ParameterType.PARAMETER_DOUBLE,
+    int: ParameterType.PARAMETER_INTEGER,
+    bool: ParameterType.PARAMETER_BOOL,
+    str: ParameterType.PARAMETER_STRING,
+    tuple[float, ...]: ParameterType.PARAMETER_DOUBLE_ARRAY,
+    tuple[str, ...]: ParameterType.PARAMETER_STRING_ARRAY,
+}
+
+
+class TabledParameters:
+    """What a node with :attr:`interface` tells others of its parameters; stands before rclpy's class of the node."""
+
+    def describe_parameter(self, name: str):
+        """Describe a parameter with its range and whether it can be changed."""
+        return self.interface.described(super().describe_parameter(name))
+
+    def list_parameters(self, prefixes: list, depth: int):
+        """List the parameters that have a value, so that what is dumped can be given back."""
+        return self.interface.with_values(super().list_parameters(prefixes, depth))
+
 
 class ParameterInterface:
     """Declares a parameter table on a node and keeps the typed parameters in step with it.
+
+    A value of the command line (``-p``) wins over parameter files, whatever pattern those name the node by.
 
     Parameters
     ----------
@@ -29,18 +65,15 @@ class ParameterInterface:
         self._node, self._cls, self._apply = node, cls, apply
         self._rows = {row.name: row for row in cls.table()}
         self.typed = None
+        given = {name: override.value for name, override in node._parameter_overrides.items()}
+        given |= assigned(node.get_name(), node.get_fully_qualified_name())
         for row in self._rows.values():
-            descriptor = ParameterDescriptor(
-                name=row.name,
-                description=f"{row.description} [{row.unit}]" if row.unit else row.description,
-                additional_constraints=row.allowed(),
-                read_only=row.read_only,
-                dynamic_typing=True,
-            )
             if node.has_parameter(row.name):  # use_sim_time: every node has it from the start
                 continue
             default = list(row.default) if isinstance(row.default, tuple) else row.default
-            node.declare_parameter(row.name, None if row.required else default, descriptor)
+            value = self._typed(row, given.get(row.name, None if row.required else default), row.name in given)
+            node.declare_parameter(row.name, value, _declared(row), ignore_override=True)
+        node.add_pre_set_parameters_callback(self._converted)
         node.add_on_set_parameters_callback(self._check)
 
     def read(self):
@@ -58,13 +91,45 @@ class ParameterInterface:
         self.typed = self._cls.from_mapping(values)
         return self.typed
 
+    def described(self, descriptor: ParameterDescriptor) -> ParameterDescriptor:
+        """Return how a parameter is described to others: with its type, its range and whether it can be changed.
+
+        rclpy, which would refuse by these without saying what is allowed, does not get to know them.
+
+        Parameters
+        ----------
+        descriptor : ParameterDescriptor
+            As declared.
+        """
+        row = self._rows.get(descriptor.name)
+        if row is None:
+            return descriptor
+        told = copy.deepcopy(descriptor)
+        told.type, told.read_only = _TYPES[row.type], row.read_only
+        if row.low is not None and row.high is not None:
+            if row.type is float:
+                told.floating_point_range = [FloatingPointRange(from_value=float(row.low), to_value=float(row.high))]
+            elif row.type is int:
+                told.integer_range = [IntegerRange(from_value=int(row.low), to_value=int(row.high), step=1)]
+        return told
+
+    def with_values(self, listed: ListParametersResult) -> ListParametersResult:
+        """Return a list of parameters without those that have no value: a file can say nothing about them.
+
+        Parameters
+        ----------
+        listed : ListParametersResult
+        """
+        listed.names = [name for name in listed.names if self._is_set(name)]
+        return listed
+
+    def _is_set(self, name: str) -> bool:
+        return self._node.get_parameter(name).type_ != Parameter.Type.NOT_SET
+
     def _values(self) -> dict:
-        values = {}
-        for name in self._rows:
-            parameter = self._node.get_parameter(name)
-            if parameter.type_ != Parameter.Type.NOT_SET:
-                values[name] = self._value(name, parameter.value)
-        return values
+        return {
+            name: self._value(name, self._node.get_parameter(name).value) for name in self._rows if self._is_set(name)
+        }
 
     def _value(self, name: str, value):
         """Return a value in plain Python types; ROS gives an empty array of unknown type as None or as bytes."""
@@ -73,6 +138,32 @@ class ParameterInterface:
         if not value and self._rows[name].type in ARRAY_TYPES:
             return ()
         return value if value is None else list(value)
+
+    def _typed(self, row: ParameterRow, value, is_given: bool = True):
+        """Return a value as ROS is to store it: whole numbers, and words for numbers, as the type of the row.
+
+        YAML 1.1, by which ``ros2 param`` reads its values, takes 5e-7 for a word and 1 for a number, [] for nothing.
+        """
+        if row.type is float and not isinstance(value, bool):
+            with contextlib.suppress(TypeError, ValueError):
+                return float(value)
+        if row.type is str and isinstance(value, int) and not isinstance(value, bool):
+            return str(value)
+        if row.type in ARRAY_TYPES and is_given and not value and not isinstance(value, (bool, int, float, str)):
+            return []
+        if row.type == tuple[float, ...] and isinstance(value, (list, array)) and value:
+            with contextlib.suppress(TypeError, ValueError):
+                return array("d", map(float, value))
+        return value
+
+    def _converted(self, changes):
+        """Give values that are about to be set the types of their rows; what does not fit is refused later, by name."""
+        return [
+            Parameter(change.name, value=self._typed(self._rows[change.name], change.value))
+            if change.name in self._rows
+            else change
+            for change in changes
+        ]
 
     def _check(self, changes) -> SetParametersResult:
         changed = {
@@ -89,6 +180,7 @@ class ParameterInterface:
                 for name, value in changed.items():
                     self._rows[name].convert(value)
             else:
+                self._refuse_read_only(changed)
                 # the only callback for these names on this node: what it accepts is set at once, atomically
                 typed = self._cls.from_mapping(self._values() | changed)
                 self._apply(typed)
@@ -96,3 +188,36 @@ class ParameterInterface:
         except HysteresisError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
+
+    def _refuse_read_only(self, changed: dict) -> None:
+        """Refuse another value of what cannot change while the node is configured; the same one changes nothing.
+
+        Raises
+        ------
+        ParameterError
+            Names what and the value that it keeps.
+        """
+        now = self._values()
+        fixed = [name for name in changed if self._rows[name].read_only]
+        problems = [
+            Problem(
+                name,
+                changed[name],
+                f"read-only while the node is configured, it stays {now.get(name)}; set it in the parameter file, or "
+                f"after `ros2 lifecycle set {self._node.get_fully_qualified_name()} cleanup`",
+            )
+            for name in fixed
+            if name not in now or self._rows[name].convert(changed[name]) != self._rows[name].convert(now[name])
+        ]
+        if problems:
+            raise ParameterError(problems)
+
+
+def _declared(row: ParameterRow) -> ParameterDescriptor:
+    """Return the descriptor of a parameter as rclpy is to know it."""
+    return ParameterDescriptor(
+        name=row.name,
+        description=f"{row.description} [{row.unit}]" if row.unit else row.description,
+        additional_constraints=row.allowed(),
+        dynamic_typing=True,
+    )

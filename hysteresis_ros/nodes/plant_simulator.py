@@ -47,6 +47,7 @@ class PlantSimulatorNode(AxisNode):
     ``realtime``: publishes at its rate from a thread with absolute deadlines and holds the last voltages.
     """
 
+    identity = ("type", "driver", "hysteresis.type")
     share = 0.95
     triggers = (*AxisNode.triggers, "home")
 

@@ -53,6 +53,7 @@ def sampled_topics(inchworm: bool, external: bool = False):
 class RecorderNode(AxisNode):
     """Writes MCAP in chunks; at exit, Ctrl-C or SIGTERM nothing is lost, at SIGKILL at most one open chunk."""
 
+    identity = ("path",)
     has_state = False
 
     def __init__(self, **options):

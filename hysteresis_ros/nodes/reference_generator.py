@@ -24,6 +24,7 @@ _GENERATE = interpreted(generate)
 class ReferenceGeneratorNode(ReferenceSource):
     """Answers every ``joint_states`` with one ``reference`` [m]; takes ``setpoint`` [m] at any time."""
 
+    identity = ("waveform.type",)
     #: Without measurements there is nothing to answer: no samples are counted.
     patience = math.inf
     outputs = (("reference", signals.REFERENCE),)

@@ -21,6 +21,9 @@ LOOK = 0.05
 PATIENCE_AT_END = 5.0
 PATIENCE_AT_EXIT = 0.3
 
+#: Module whose functions the compiler calls back.
+COMPILER = "llvmlite.binding.executionengine"
+
 #: Seconds without a message after which nothing is under way any more.
 QUIET = 0.1
 
@@ -32,6 +35,18 @@ def make_executor():
     except ImportError:
         return SingleThreadedExecutor()
     return EventsExecutor()
+
+
+def called_by_compiler(frame) -> bool:
+    """Tell whether Python runs on behalf of the compiler, which swallows exceptions and fails on them in its own words.
+
+    Parameters
+    ----------
+    frame : frame or None
+    """
+    while frame is not None and frame.f_globals.get("__name__") != COMPILER:
+        frame = frame.f_back
+    return frame is not None
 
 
 def run(factories, arguments=None) -> int:
@@ -54,11 +69,15 @@ def run(factories, arguments=None) -> int:
     starting = True
 
     def request_stop(number, frame):
-        stop.append(number)
-        if starting:
-            raise SystemExit(0)  # compiling the kernels may take long
+        if number != signal.SIGALRM:
+            stop.append(number)
+        if starting and stop:
+            if called_by_compiler(frame):
+                signal.setitimer(signal.ITIMER_REAL, LOOK)
+            else:
+                raise SystemExit(0)  # compiling the kernels may take long
 
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGALRM):
         signal.signal(number, request_stop)
     nodes: list = []
     executor = None

@@ -49,6 +49,19 @@ def build(self, parameters):
 reference_generator.ReferenceGeneratorNode.build = build
 raise SystemExit(reference_generator.main())
 """
+#: The same, called back by the compiler at the time of the signal: exceptions are lost there.
+CALLED_BACK = """
+import time
+compiler = {"__name__": "llvmlite.binding.executionengine", "time": time}
+exec('''
+def notify(until):
+    try:
+        while time.monotonic() < until:
+            pass
+    except BaseException:
+        print("lost")
+''', compiler)
+""" + SLOW_START.replace("    while True:", "    compiler['notify'](time.monotonic() + 1.0)\n    while True:")
 
 
 def held_axis(mode: str, **more):
@@ -141,15 +154,16 @@ def test_up_stopped_by_a_signal_leaves_a_whole_recording(processes, observer, tm
         assert differences(recorded, axis) == {}
 
 
-def test_signal_while_the_kernels_are_compiled_ends_a_node(processes, tmp_path):
+@pytest.mark.parametrize("program", [SLOW_START, CALLED_BACK], ids=["compiling", "called back"])
+def test_signal_while_the_kernels_are_compiled_ends_a_node(processes, tmp_path, program):
     """A node that has said nothing yet, with a cache that holds nothing yet."""
-    command = [sys.executable, "-c", SLOW_START, "--ros-args"]
+    command = [sys.executable, "-c", program, "--ros-args"]
     node = processes.start(command, "slow")
     until(lambda: "building" in node.output)
     code, seconds = node.leave(signal.SIGINT)
     assert code == 0, node.output
     assert seconds < LEAVE
-    assert "Traceback" not in node.output
+    assert "Traceback" not in node.output and "lost" not in node.output
 
 
 @pytest.fixture(scope="module")

@@ -325,4 +325,5 @@ def test_our_names_shadow_nothing_of_rclpy(inside):
         ours |= {name for name in vars(cls) if not name.startswith("__")}
     plain.destroy_node()
     hooks = {"on_configure", "on_activate", "on_deactivate", "on_cleanup", "on_shutdown", "destroy_node"}
+    hooks |= {"describe_parameter", "list_parameters"}
     assert (ours & theirs) - hooks == set(), AxisNode

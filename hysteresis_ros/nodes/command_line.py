@@ -1,0 +1,49 @@
+"""What the command line gives parameters by ``-p``: rcl lets sections of parameter files win over it in silence."""
+
+from __future__ import annotations
+
+import sys
+
+import yaml
+
+#: Where the arguments for ROS begin and end.
+BEGIN, END = "--ros-args", "--"
+FLAGS = ("-p", "--param")
+
+
+def assigned(name: str, full_name: str, arguments: list[str] | None = None) -> dict:
+    """Return the values that ``-p [NODE:]NAME:=VALUE`` gives to parameters of a node; of several the last one counts.
+
+    Parameters
+    ----------
+    name, full_name : str
+        Of the node; either may stand before the colon.
+    arguments : list of str, optional
+        Command line; ``sys.argv`` by default.
+    """
+    values, ours, words = {}, False, iter(sys.argv if arguments is None else arguments)
+    for word in words:
+        if word in (BEGIN, END):
+            ours = word == BEGIN
+        elif ours and word in FLAGS:
+            left, is_one, value = next(words, "").partition(":=")
+            node, _, parameter = left.rpartition(":")
+            if is_one and node in ("", name, full_name):
+                values[parameter] = _value(value)
+    return {parameter: value for parameter, value in values.items() if value is not None}
+
+
+def _value(text: str):
+    """Return a value as a parameter file would have it; unlike in YAML 1.1, 1e-6 is a number."""
+    try:
+        value = yaml.safe_load(text)
+    except yaml.YAMLError:
+        return text
+    if isinstance(value, str):
+        try:
+            return float(value)
+        except ValueError:
+            return value
+    if isinstance(value, list):
+        return [_value(item) if isinstance(item, str) else item for item in value]
+    return value
