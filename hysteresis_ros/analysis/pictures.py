@@ -40,6 +40,8 @@ class Picture:
     lines : list of Line
     logarithmic : str
         Which axes are logarithmic: ``x``, ``y``, both or none of them.
+    equal : bool
+        Whether both axes have one scale.
     """
 
     caption: str
@@ -47,6 +49,7 @@ class Picture:
     up: str
     lines: list[Line]
     logarithmic: str = ""
+    equal: bool = False
 
 
 def line(label: str, x, y) -> Line:
@@ -73,12 +76,14 @@ def picture_figure(picture: Picture):
     ----------
     picture : Picture
     """
-    figure, (axis,) = new_figure(3.4)
+    figure, (axis,) = new_figure(5.0 if picture.equal else 3.4)
     for number, one in enumerate(picture.lines):
         width = 1.8 if number == 0 and len(picture.lines) > 1 else 1.0
         axis.plot(one.x, one.y, color=COLOURS[number % len(COLOURS)], linewidth=width, label=one.label)
     for name in picture.logarithmic:
         getattr(axis, f"set_{name}scale")("log")
+    if picture.equal:
+        axis.set_aspect("equal", adjustable="datalim")
     axis.set(xlabel=picture.across, ylabel=picture.up)
     if len(picture.lines) > 1:
         add_legend(axis)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pathlib
+
 import click
 
 from hysteresis_ros.cli.arguments import ConfigurationName
@@ -37,9 +39,14 @@ from hysteresis_ros.control.registry import DESIGNS
 @click.option("--delay-range", type=float, help="Delay beyond the model's [samples].  [default: 1]")
 @click.option("--draws", type=int, help="Plants drawn, besides the model and the corners.  [default: 20]")
 @click.option("--seed", type=int, help="Seed of the plants.  [default: 1]")
+@click.option(
+    "--response",
+    type=click.Path(path_type=pathlib.Path),
+    help="NPZ of `hysteresis frf`: the design bears what was measured, and its margins are measured.",
+)
 @click.option("--namespace", default="", help="Which axis of the configuration, when it describes several.")
 @click.option("-o", "--output", required=True, help="Parameter file to write.")
-def design(config, namespace, output, **options):
+def design(config, namespace, output, response, **options):
     """Design a controller for the model in CONFIG (motion_controller: model.dynamics; never the plant's).
 
     Prints gains, margins and closed-loop poles, and writes CONFIG with the new controller to OUTPUT. With --learning
@@ -47,6 +54,7 @@ def design(config, namespace, output, **options):
     """
     from hysteresis_ros.configuration import load_configuration, normalised_namespace
     from hysteresis_ros.identification.parameter_file import write_file
+    from hysteresis_ros.identification.response_file import load_response
     from hysteresis_ros.loop.inchworm_checks import design_warnings
     from hysteresis_ros.simulation.axes import single_axis
     from hysteresis_ros.simulation.design import (
@@ -59,12 +67,15 @@ def design(config, namespace, output, **options):
     )
     from hysteresis_ros.simulation.design_certainty import response_uncertainty
     from hysteresis_ros.simulation.learning_design import asked, design_learning, learning_file, learning_lines
+    from hysteresis_ros.simulation.measured_design import measured_lines, measured_uncertainty
 
     configuration = load_configuration(config)
+    axis = single_axis(configuration, namespace or None)
+    measured = None if response is None else load_response(response)
+    known = response_uncertainty(configuration) if measured is None else measured_uncertainty(axis, measured)
     learns = asked(options)
     if learns is not None:
-        axis = single_axis(configuration, namespace or None)
-        learned = design_learning(axis, learns, response_uncertainty(configuration))
+        learned = design_learning(axis, learns, known)
         write_file(output, learning_file(configuration, learned, normalised_namespace(axis.namespace)))
         for line in learning_lines(learned):
             click.echo(line)
@@ -72,11 +83,13 @@ def design(config, namespace, output, **options):
         return
     ranges = {name: options.pop(option.replace("-", "_")) for name, option in OPTIONS.items()}
     request = DesignRequest(**options | {"robust": drawn_around(options["robust"], ranges)})
-    axis = single_axis(configuration, namespace or None)
-    result = design_axis(axis, request, response_uncertainty(configuration))
+    result = design_axis(axis, request, known)
     write_file(output, design_file(configuration, result, normalised_namespace(axis.namespace)))
     for line in design_lines(result):
         click.echo(line)
+    if measured is not None:
+        for line in measured_lines(axis, result, measured):
+            click.echo(line)
     if axis.inchworm_sequencer is not None:
         for warning in design_warnings(axis.plant_simulator, result.margins.gain_crossovers):
             click.echo(f"hysteresis: warning: {warning}", err=True)

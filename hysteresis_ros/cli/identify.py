@@ -6,6 +6,7 @@ import pathlib
 
 import click
 
+from hysteresis_ros.cli.arguments import ConfigurationName
 from hysteresis_ros.cli.data_options import data_options, format_figures, read, write_json
 from hysteresis_ros.cli.progress import Progress
 
@@ -46,6 +47,13 @@ class FitState:
 @click.option("-p", "--option", "options", multiple=True, metavar="NAME=VALUE", help="Option of the model; repeatable.")
 @click.option("--inverse", help="Inverse of the compensator; the model's first by default.")
 @click.option("-o", "--params", "params", required=True, type=click.Path(path_type=pathlib.Path), help="File to write.")
+@click.option(
+    "--into",
+    metavar="CONFIG",
+    type=ConfigurationName(),
+    help="Of a response of `hysteresis frf`: the axis whose dynamics it becomes; its hysteresis stays.",
+)
+@click.option("--order", type=int, help="Of these dynamics; by default the lowest that fits about as well as any.")
 @click.option("--report", "report_path", type=click.Path(path_type=pathlib.Path), help="HTML page to write.")
 @data_options
 @click.pass_context
@@ -57,6 +65,8 @@ def identify(
     options,
     inverse,
     params,
+    into,
+    order,
     report_path,
     skip,
     offset,
@@ -71,6 +81,11 @@ def identify(
     point was written. 4: the recording shows that the model is not fit for feedback as fast as it would allow by
     itself; one line says at which frequency, and a design keeps below. 2: wrong input.
     """
+    from hysteresis_ros.identification.response_file import holds_response
+
+    if into is not None or order is not None or holds_response(data):
+        _dynamics(data, into, order, params, columns["namespace"], json_path)
+        return
     from hysteresis_ros.identification import workflow
     from hysteresis_ros.identification.registry import parse_options
 
@@ -96,3 +111,25 @@ def identify(
     if found.response is not None and not found.response.fit_for_feedback:
         click.echo(f"hysteresis: {found.response.reason}", err=True)
         ctx.exit(UNFIT)
+
+
+def _dynamics(data, into, order, params, namespace, json_path) -> None:
+    """Put the dynamics of a frequency response into an axis."""
+    from hysteresis_ros.configuration import load_configuration
+    from hysteresis_ros.errors import ConfigurationError
+    from hysteresis_ros.identification.parameter_file import write_file
+    from hysteresis_ros.identification.response_file import load_response
+    from hysteresis_ros.simulation.measured_design import with_measured_dynamics
+
+    if into is None:
+        raise ConfigurationError(
+            f"{data}: a frequency response tells the dynamics alone; give --into CONFIG, the axis that keeps its "
+            "hysteresis"
+        )
+    with Progress(err=True).during("fitting dynamics to the response"):
+        found = with_measured_dynamics(
+            load_configuration(into), namespace, load_response(data), pathlib.Path(data).name, order
+        )
+    write_file(params, found.text)
+    summary = {**found.figures, "parameter_file": str(params), "warnings": list(found.warnings)}
+    write_json(summary, json_path, format_figures(summary))

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hysteresis_ros.commissioning import measuring, scanning
+from hysteresis_ros.commissioning import measuring, response, scanning
 from hysteresis_ros.commissioning import voltages as volts
 from hysteresis_ros.commissioning.fitting import design_stage, identify_stage
 from hysteresis_ros.commissioning.outcome import Outcome
@@ -106,6 +106,11 @@ def _loop_words(situation: Situation) -> str:
     return f"the loop is closed ({controller}): small steps up to {largest} and back"
 
 
+def _response_words(situation: Situation) -> str:
+    peak = readable(response.response_peak(situation), "m")
+    return f"closed loop: a multisine of ±{peak} at the reference around the middle of what is reached"
+
+
 def _scan_words(situation: Situation) -> str:
     way = readable(scanning.scan_stroke(situation), "m")
     periods = scanning.UNJUDGED + scanning.JUDGED
@@ -126,5 +131,6 @@ STAGES: dict[str, Stage | Computation] = {
     "identify": Computation("model", identify_stage),
     "design": Computation("controller", design_stage),
     "loop": Stage("closed loop", _loop_words, scanning.loop_axis, scanning.judge_loop),
+    "response": Stage("margins", _response_words, response.response_axis, response.judge_response),
     "scan": Stage("judged scan", _scan_words, scanning.scan_axis, scanning.judge_scan),
 }

@@ -13,7 +13,7 @@ import numpy as np
 from hysteresis_ros.loop.node_parameters import PlantNodeParameters, part
 from hysteresis_ros.loop.plants import ActuatorPlant
 from hysteresis_ros.models.actuator import Actuator, ActuatorParameters
-from hysteresis_ros.models.creep import OUTPUT
+from hysteresis_ros.models.creep import OUTPUT, CreepParameters
 from hysteresis_ros.models.foreign import Foreign, ForeignParameters
 from hysteresis_ros.models.linear import LinearDynamics, LinearParameters
 
@@ -169,7 +169,8 @@ class _ForeignInLoop(ActuatorPlant):
     """An actuator whose hysteresis, creep and dynamics are those of another class, all in one block."""
 
     def __init__(self, parameters: PlantNodeParameters, actuator: ForeignParameters):
-        super().__init__(parameters)
+        # what the file has for creep and dynamics is a model of these
+        super().__init__(replace(parameters, creep=CreepParameters(), dynamics=LinearParameters()))
         block, chain = Foreign(actuator, 1.0 / parameters.sample_rate), self.actuator
         chain.hysteresis, chain.hysteresis_kernel = block, block.kernel
         chain.ps, chain.xs = chain.ps._replace(hysteresis=block.p), chain.xs._replace(hysteresis=block.x)

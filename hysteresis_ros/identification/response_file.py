@@ -107,6 +107,19 @@ def load_response(path) -> Analysis:
     return Analysis(replace(response, **spreads, degrees=degrees), levels, kind)
 
 
+def holds_response(path) -> bool:
+    """Tell whether a file is one that :func:`load_response` reads.
+
+    Parameters
+    ----------
+    path : path-like
+    """
+    if pathlib.Path(path).suffix.lower() != ".npz" or not zipfile.is_zipfile(path):
+        return False
+    with zipfile.ZipFile(path) as file:
+        return {f"{name}.npy" for name in NEEDED} <= set(file.namelist())
+
+
 def response_columns(found: Analysis) -> dict[str, np.ndarray]:
     """Return what a table has of a response, by names with units.
 

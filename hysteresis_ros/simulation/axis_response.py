@@ -12,13 +12,12 @@ from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.identification.excitations import Plan
 from hysteresis_ros.identification.response_analysis import Analysis, analyse
 from hysteresis_ros.identification.response_file import PROBABILITY
+from hysteresis_ros.identification.response_model import LOWEST, measured_plant
 from hysteresis_ros.loop.axis_parameters import AxisParameters
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.simulation.response_run import measured_loop_parts
 from hysteresis_ros.units import readable
 
-#: Lowest lines by which the gain of a response to a voltage is compared with the model's.
-LOWEST = 10
 #: Levels that are said in dB of the response.
 LEVELS = {"noise": "noise", "odd": "odd distortion", "even": "even distortion"}
 
@@ -192,9 +191,9 @@ def _with_model(found: AxisResponse, axis: AxisParameters) -> AxisResponse:
     response, sample_time = found.plant.response, 1.0 / axis.motion_controller.sample_rate
     z = np.exp(2j * np.pi * response.frequency * sample_time)
     model = plant.response(z)[:, 0, 0]
-    if found.plan.at == "voltage":
-        # the model's gain is that of the whole stroke; small movements of a hysteresis have another one
-        model = model * np.median(np.abs(response.single[:LOWEST])) / np.median(np.abs(model[:LOWEST]))
+    # the other way round: the model with the gain that was measured
+    shown = measured_plant(found.plant, model)
+    model = model * abs(response.single[0] / shown.response[0])
     if found.loop is None:
         return replace(found, model=model)
     margins = margins_of(controller, plant, sample_time)

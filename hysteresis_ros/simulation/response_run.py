@@ -118,12 +118,31 @@ def response_run(
         )
     _require_loud(axis, plan, peak * abs(gain) * samples)
     rest = axis.hysteresis_compensator.safe_voltage if place == "voltage" else min(max(0.0, ends[0]), ends[1])
-    whole = there_and_back(np.concatenate([hold(middle, WAIT, rate), moved, hold(middle, WAIT, rate)]), rest, rate)
-    first = sum(max(round(seconds * rate), 1) for seconds in (REST, WAY, WAIT))
-    plan = replace(plan, first=first, loop=asked.loop, at=place)
+    whole, plan = around(samples, peak, middle, rest, rate, plan)
+    plan = replace(plan, loop=asked.loop, at=place)
     path = write_samples(path, whole * gain, rate, plan=plan.text)
     run = single_axis(_configured(configuration, asked.loop, place, path, limits, gain, rest), axis.namespace)
     return run.with_duration(whole.size / rate), plan
+
+
+def around(samples, peak: float, middle: float, rest: float, rate: float, plan: Plan) -> tuple[np.ndarray, Plan]:
+    """Return an excitation around a place with the ways from and to rest, and its plan there.
+
+    Parameters
+    ----------
+    samples : ndarray, shape (N,)
+        Of peak one.
+    peak, middle, rest : float
+        [V] or [m]
+    rate : float
+        [Hz]
+    plan : Plan
+        As if it began at sample 0.
+    """
+    held = hold(middle, WAIT, rate)
+    whole = there_and_back(np.concatenate([held, middle + peak * samples, held]), rest, rate)
+    first = sum(max(round(seconds * rate), 1) for seconds in (REST, WAY, WAIT))
+    return whole, replace(plan, first=first)
 
 
 def measured_loop_parts(axis: AxisParameters) -> tuple[StateSpace, StateSpace]:

@@ -75,7 +75,8 @@ def test_all_stages_lead_to_a_loop_that_follows_the_scan_and_stay_within_what_th
     # tightened
     bench.spoil, situation, resumed = None, sitting(tmp_path, resumed=True), Willing()
     assert commission(situation, bench, resumed)
-    assert list(resumed.heard) == list(STAGES) and list(resumed.asked) == ["loop", "scan"] and len(bench.runs) == 8
+    assert list(resumed.heard) == list(STAGES) and list(resumed.asked) == ["loop", "response", "scan"]
+    assert len(bench.runs) == 9
 
     figures = {name: outcome.figures for name, outcome in situation.found.items()}
     assert figures["noise"]["noise_rms_m"] == pytest.approx(3e-9, rel=0.1)
@@ -92,9 +93,15 @@ def test_all_stages_lead_to_a_loop_that_follows_the_scan_and_stay_within_what_th
     assert figures["hysteresis"]["stroke_m"] == pytest.approx(100e-6, rel=0.05)
     assert 0.08 < figures["hysteresis"]["loop_opening_m"] / 100e-6 < 0.16
     assert 0.002 < figures["creep"]["creep_per_decade"] < 0.03
+    # the plant is of another class than the model: its small loops are steeper, and the loop is as much faster
+    loop = figures["response"]
+    assert loop["as_predicted"] and loop["signal_to_noise_db"] > 20.0
+    assert loop["sensitivity_peak_low"] < loop["sensitivity_peak"] < loop["sensitivity_peak_high"]
+    assert 0.55 < loop["delay_margin_samples"] / loop["model_delay_margin_samples"] < 0.8
+    assert 1.05 < loop["sensitivity_peak"] / loop["model_sensitivity_peak"] < 1.25
     # without feedback and inverse the loop is open by 11 µm
     assert figures["scan"]["rms_error_m"] < 0.6e-6
-    assert sum(outcome.seconds for outcome in situation.found.values()) < 40.0
+    assert sum(outcome.seconds for outcome in situation.found.values()) < 50.0
 
     # every stage was held to its own voltages by the limits of plant and compensator
     small = [axis.hysteresis_compensator.limits for axis in bench.runs[:2]]

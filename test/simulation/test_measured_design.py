@@ -1,0 +1,109 @@
+"""What a measured response does for a design and for a model: margins on what was measured, dynamics of its own."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from hysteresis_ros.cli.main import main
+from hysteresis_ros.configuration import load_configuration, parse_configuration
+from hysteresis_ros.errors import ConfigurationError, IdentificationError
+from hysteresis_ros.identification.distortion import Distortion
+from hysteresis_ros.identification.frequency_response import FrequencyResponse
+from hysteresis_ros.identification.response_analysis import Analysis
+from hysteresis_ros.identification.response_file import save_response
+from hysteresis_ros.simulation.axes import single_axis
+from hysteresis_ros.simulation.design import DesignRequest, design_axis
+from hysteresis_ros.simulation.design_certainty import response_uncertainty
+from hysteresis_ros.simulation.measured_design import (
+    measured_lines,
+    measured_margins,
+    measured_uncertainty,
+    with_measured_dynamics,
+)
+from hysteresis_ros.simulation.response_run import measured_loop_parts
+
+LINES = np.concatenate([np.arange(1.0, 500.0, 3.0), np.arange(500.0, 800.0, 1.0), np.arange(800.0, 1200.0, 5.0)])
+
+
+def response(late=0, noise=1e-3, gain=1.0, unit="m", rate=3000.0, last=1200.0):
+    """Return what Kim's dynamics would be measured as, some samples later."""
+    _, plant = measured_loop_parts(single_axis(load_configuration("kim2009")))
+    frequency = LINES[: np.searchsorted(LINES, last)]
+    z = np.exp(2j * np.pi * frequency / rate)
+    G = gain * plant.response(z)[:, 0, 0] * z**-late
+    random = np.random.default_rng(1)
+    sigma = noise * np.abs(G)
+    G = G + sigma * (random.standard_normal(G.size) + 1j * random.standard_normal(G.size)) / np.sqrt(2.0)
+    found = FrequencyResponse(frequency, G[:, None, None], 1.0 / rate, (sigma**2)[:, None, None], input_unit=unit)
+    levels = Distortion(sigma, 0.0 * sigma, 0.0 * sigma)
+    return Analysis(FrequencyResponse(**{**vars(found), "degrees": 8.0}), levels, "multisine")
+
+
+def designed(measured):
+    axis = single_axis(load_configuration("kim2009"))
+    return axis, design_axis(axis, DesignRequest("pid"), measured_uncertainty(axis, measured))
+
+
+@pytest.mark.parametrize("unit, gain", [("m", 1.0), ("V", 9e-8)])
+def test_margins_on_the_measured_plant_stand_beside_those_of_the_model(unit, gain):
+    measured = response(unit=unit, gain=gain)
+    axis, result = designed(measured)
+    loop = measured_margins(axis, result.parameters, measured)
+    assert loop.delay_margin.value == pytest.approx(result.margins.delay_margin_samples, rel=0.01)
+    assert loop.sensitivity_peak.value == pytest.approx(result.margins.sensitivity_peak, rel=0.01)
+    assert measured_lines(axis, result, measured)[0].startswith("measured gain crossover")
+    assert not any(line.startswith("note") for line in measured_lines(axis, result, measured))
+
+
+def test_two_samples_that_the_model_does_not_know_are_said_and_a_model_with_them_bears_them():
+    measured = response(late=2)
+    axis, result = designed(response())
+    late = measured_margins(axis, result.parameters, measured)
+    assert result.margins.delay_margin_samples - late.delay_margin.value == pytest.approx(2.0, abs=0.02)
+    assert "put what was measured into it" in measured_lines(axis, result, measured)[-1]
+    found = with_measured_dynamics(load_configuration("kim2009"), None, measured, "late.npz")
+    path_free = single_axis(parse_configuration(found.text, "written"))
+    assert path_free.motion_controller.model.dynamics.order >= 5 and path_free.plant_simulator.dynamics.order >= 5
+    assert path_free.plant_simulator.hysteresis == axis.plant_simulator.hysteresis
+    assert found.figures["rmse_of_response_percent"] < 1.0
+    again = design_axis(path_free, DesignRequest("pid"), measured_uncertainty(path_free, measured))
+    loop = measured_margins(path_free, again.parameters, measured)
+    assert loop.sensitivity_peak.value == pytest.approx(again.margins.sensitivity_peak, rel=0.02)
+    assert loop.delay_margin.value == pytest.approx(again.margins.delay_margin_samples, rel=0.02)
+    assert not again.margins.misses()
+
+
+def test_a_design_is_slowed_where_nothing_was_measured():
+    # up to 200 Hz alone: a resonance may stand above
+    _, free = designed(response())
+    _, slow = designed(response(last=200.0))
+    assert slow.margins.bandwidth < 0.8 * free.margins.bandwidth
+    found = with_measured_dynamics(load_configuration("kim2009"), None, response(last=800.0), "narrow.npz")
+    known = response_uncertainty(parse_configuration(found.text, "written"))
+    assert known.known_to == 799.0 and known.at([600.0])[0] < 0.02 and known.at([1499.0])[0] > 1.0
+
+
+def test_what_does_not_fit_the_axis_is_refused(tmp_path):
+    axis = single_axis(load_configuration("kim2009"))
+    with pytest.raises(ConfigurationError, match="measured at 2000 Hz and the axis has 3000 Hz"):
+        measured_uncertainty(axis, response(rate=2000.0, last=900.0))
+    with pytest.raises(IdentificationError, match="order 0: must be within 1"):
+        with_measured_dynamics(load_configuration("kim2009"), None, response(), "a.npz", 0)
+    path = tmp_path / "response.npz"
+    save_response(path, response(), {}, {})
+
+    def hysteresis(*words):
+        return CliRunner().invoke(main, [str(word) for word in words])
+
+    result = hysteresis("identify", path, "-o", tmp_path / "a.yaml")
+    assert result.exit_code == 2 and "give --into CONFIG" in result.output
+    result = hysteresis("identify", path, "--into", "kim2009", "-o", tmp_path / "a.yaml")
+    assert result.exit_code == 0 and "mode_1" in result.output
+    result = hysteresis(
+        "design", tmp_path / "a.yaml", "--controller", "pid", "--response", path, "-o", tmp_path / "b.yaml"
+    )
+    assert result.exit_code == 0 and "measured delay margin" in result.output, result.output
+    result = hysteresis("design", "kim2009", "--controller", "pid", "--response", "no.npz", "-o", tmp_path / "b.yaml")
+    assert result.exit_code == 2 and "no.npz: no such file" in result.output
