@@ -22,6 +22,7 @@ DURATIONS = {
     "wang2014_duhem80": 1.0,
     "wang2014_linear": 1.0,
     "picma_stage": 1.0,
+    "stage700": 0.05,
     "inchworm_travel": 2.0,
 }
 SIMULATE = """

@@ -7,6 +7,7 @@ import pathlib
 import click
 
 from hysteresis_ros.cli.arguments import ConfigurationName
+from hysteresis_ros.control.damping import registry as damping
 from hysteresis_ros.control.learning.filters import KINDS
 from hysteresis_ros.control.registry import DESIGNS
 
@@ -18,6 +19,11 @@ from hysteresis_ros.control.registry import DESIGNS
     "--learning",
     metavar="NAME",
     help=f"Learning from period to period over the controller that CONFIG has: {', '.join(sorted(KINDS))}.",
+)
+@click.option(
+    "--damping",
+    type=click.Choice([damping.NONE, *damping.KINDS]),
+    help="Damp the model's resonance first; the controller is designed on the damped plant.",
 )
 @click.option("--period", type=float, help="With --learning: of the reference [s].  [default: of the waveform]")
 @click.option("--maximum", type=float, help="With --learning: largest correction [m].  [default: 10 % of the stroke]")

@@ -211,8 +211,9 @@ class Given:
 
     @property
     def dynamics(self):
-        """The linear model that the controller believes."""
-        return self.axis.motion_controller.model.dynamics
+        """The linear model that the controller believes; behind a damping, the damped plant."""
+        node = self.axis.motion_controller
+        return part(node, ControllerParameters).before_damping(1.0 / node.sample_rate).model.dynamics
 
     def preview(self) -> dict:
         """Return the feedforward with the shortest preview that inverts the model well.

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 from hysteresis_ros.block import COMPILED, signature
 from hysteresis_ros.control.base import Controller
+from hysteresis_ros.control.damping.block import Damping
+from hysteresis_ros.control.damping.kind import NOTHING
+from hysteresis_ros.control.damping.parameters import DampingParameters
+from hysteresis_ros.control.damping.plant import damped
 from hysteresis_ros.control.feedforward import Feedforward, FeedforwardParameters
 from hysteresis_ros.control.handover import Handover, HandoverParameters
 from hysteresis_ros.control.inversion import inverse_filter, preview_warning
@@ -38,6 +42,7 @@ class ControllerParameters(Parameters):
     )
     model: ModelParameters = group(ModelParameters)
     feedforward: FeedforwardParameters = group(FeedforwardParameters)
+    damping: DampingParameters = group(DampingParameters)
     handover_time: float = parameter(
         0.05,
         unit="s",
@@ -56,21 +61,48 @@ class ControllerParameters(Parameters):
         """What the chosen controller declares, a :class:`~hysteresis_ros.control.law.ControllerLaw`."""
         return LAWS[self.type]
 
+    def before_damping(self, sample_time: float):
+        """Return the parameters as the law has them: the plant in its model is the damped one.
+
+        Parameters
+        ----------
+        sample_time : float
+            [s]
+
+        Raises
+        ------
+        ParameterError
+            The damping cannot run at this sample time, or is unstable on the model.
+        """
+        if self.damping.source == NOTHING:
+            return self
+        kept = self.__dict__.setdefault("_before_damping", {})
+        if sample_time not in kept:
+            dynamics = damped(self.model.dynamics, self.damping, sample_time)
+            model = replace(self.model, dynamics=dynamics)
+            kept[sample_time] = replace(self, model=model, damping=DampingParameters())
+        return kept[sample_time]
+
     def check(self):
         """Yield what keeps the chosen controller from being designed."""
-        if self.feedforward.type == "inverse_dynamics":
-            try:
-                inverse_filter(self.model.dynamics, self.feedforward.preview)
-            except ParameterError as error:
-                yield from error.problems
         rate = getattr(self, "sample_rate", None)  # the node's parameters, which contain these, know it
+        sample_time = 1.0 / rate if rate else None
+        known = sample_time or self.model.dynamics.sample_time
         if rate and self.learning.in_use and not self.learning.problems():
             try:
                 period_samples(self.learning.period, rate)
             except ParameterError as error:
                 yield from error.problems
         try:
-            self.law.check(self, 1.0 / rate if rate else None)
+            own = self.before_damping(known) if known else self
+            if self.feedforward.type == "inverse_dynamics":
+                inverse_filter(own.model.dynamics, self.feedforward.preview)
+        except ParameterError as error:
+            yield from error.problems
+            if self.damping.source != NOTHING:
+                return
+        try:
+            own.law.check(own, sample_time)
         except ParameterError as error:
             yield from error.problems
 
@@ -83,7 +115,7 @@ class ControllerParameters(Parameters):
 
 
 def controller_block(parameters: ControllerParameters, sample_time: float) -> Controller:
-    """Return the controller that ``parameters`` describe.
+    """Return the controller that ``parameters`` describe, with the damped plant as its model where there is a damping.
 
     Raises
     ------
@@ -92,7 +124,19 @@ def controller_block(parameters: ControllerParameters, sample_time: float) -> Co
         sample time.
     """
     parameters.validated().model.dynamics.require_sample_time(sample_time, "model.dynamics.sample_time")
-    return parameters.law.block(parameters, sample_time)
+    own = parameters.before_damping(sample_time)
+    return own.law.block(own, sample_time)
+
+
+def damping_block(parameters: ControllerParameters, sample_time: float) -> Damping:
+    """Return the damping behind the controller.
+
+    Raises
+    ------
+    ParameterError
+        It cannot run at this sample time, or is unstable on the model.
+    """
+    return Damping(parameters, sample_time)
 
 
 def prepare_controllers() -> None:
@@ -110,7 +154,7 @@ def feedforward_block(parameters: ControllerParameters, sample_time: float) -> F
     ParameterError
         The model cannot be inverted as the parameters ask for.
     """
-    return Feedforward(parameters, sample_time)
+    return Feedforward(parameters.before_damping(sample_time), sample_time)
 
 
 def handover_block(parameters: ControllerParameters, sample_time: float) -> Handover:

@@ -67,7 +67,7 @@ def design_gains(
     aimed: Requirements = AIMED,
     plants: tuple[PossiblePlant, ...] = (),
 ) -> Designed:
-    """Return the controller of the given name for the model in ``parameters``.
+    """Return the controller of the given name for the model in ``parameters``, or for the damped plant.
 
     Parameters
     ----------
@@ -84,7 +84,7 @@ def design_gains(
     aimed : Requirements, optional
         What a design is to meet, where neither bandwidth nor q leave it no choice.
     plants : tuple of PossiblePlant, optional
-        On which it is to meet that, the model first; by default the model alone.
+        On which it is to meet that, the model first, each with the damping around it; by default the model alone.
 
     Raises
     ------
@@ -94,14 +94,15 @@ def design_gains(
         The model is unstable, not observable or not controllable, or the bandwidth cannot be reached.
     """
     law, designed = design_of(controller)
-    dynamics = parameters.model.dynamics
+    own = parameters.before_damping(sample_time)
+    dynamics = own.model.dynamics
     require_minimal(dynamics)
     dynamics.require_sample_time(sample_time, "model.dynamics.sample_time")
     if bandwidth is not None and not 0.0 < bandwidth < 0.5 / sample_time:
         design.refuse(
             "bandwidth", bandwidth, f"must be above 0 and below half the sample rate, {0.5 / sample_time:g} Hz"
         )
-    chosen = replace(parameters, type=law.name)
+    chosen = replace(own, type=law.name)
     task = DesignTask(chosen, sample_time, bandwidth, q, lambda one: linear_loop(one, sample_time), aimed, plants)
-    found = designed(task)
+    found = replace(designed(task), model=parameters.model, damping=parameters.damping)
     return Designed(found, margins(found, sample_time))

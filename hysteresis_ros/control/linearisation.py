@@ -12,6 +12,8 @@ from dataclasses import replace
 import numpy as np
 
 from hysteresis_ros.control.base import APPLIED, COMMAND, FEEDFORWARD
+from hysteresis_ros.control.damping.kind import NOTHING
+from hysteresis_ros.control.damping.plant import inner_loop
 from hysteresis_ros.control.feedforward import FeedforwardParameters
 from hysteresis_ros.control.margins import Margins, margins_of, plant_state_space
 from hysteresis_ros.models.preload import PreloadParameters
@@ -77,7 +79,7 @@ def _connected(system: StateSpace) -> StateSpace:
 
 
 def linear_loop(parameters, sample_time: float) -> tuple[StateSpace, StateSpace]:
-    """Return controller and model of a controller's parameters, both close to rest.
+    """Return controller and model of a controller's parameters, both close to rest; a damping belongs to the model.
 
     Parameters
     ----------
@@ -90,9 +92,31 @@ def linear_loop(parameters, sample_time: float) -> tuple[StateSpace, StateSpace]
     ParameterError
         No controller can be built of the parameters.
     """
-    resting = at_rest(parameters).validated()
+    own = parameters.before_damping(sample_time)
+    resting = at_rest(own).validated()
     resting.model.dynamics.require_sample_time(sample_time, "model.dynamics.sample_time")
-    return linearise(resting.law.block(resting, sample_time)), plant_state_space(parameters.model.dynamics)
+    return linearise(resting.law.block(resting, sample_time)), plant_state_space(own.model.dynamics)
+
+
+def whole_loop(parameters, sample_time: float) -> tuple[StateSpace, StateSpace]:
+    """Return controller and damping as one, and the model without damping: what a change of the plant acts on.
+
+    Parameters
+    ----------
+    parameters : ControllerParameters
+    sample_time : float
+        Sample time [s].
+
+    Raises
+    ------
+    ParameterError
+        No controller can be built of the parameters.
+    """
+    controller, plant = linear_loop(parameters, sample_time)
+    if parameters.damping.source == NOTHING:
+        return controller, plant
+    dynamics = parameters.model.dynamics
+    return inner_loop(parameters.damping, dynamics, sample_time).behind(controller), plant_state_space(dynamics)
 
 
 def margins(parameters, sample_time: float) -> Margins:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from hysteresis_ros.control.damping.plant import closing
 from hysteresis_ros.control.gain_design import Designed, design_gains
 from hysteresis_ros.control.linearisation import linear_loop
 from hysteresis_ros.control.margins import REQUIRED, Margins, Requirements, margins_of
@@ -89,8 +90,15 @@ def robustness(parameters, sample_time: float, uncertainty: Uncertainty) -> Robu
     ParameterError
         No controller can be built of the parameters.
     """
-    plants = drawn_plants(parameters.model.dynamics, sample_time, uncertainty)
+    plants = _plants(parameters, sample_time, uncertainty)
     return _robustness(parameters, sample_time, uncertainty, plants)
+
+
+def _plants(parameters, sample_time: float, uncertainty: Uncertainty) -> tuple[PossiblePlant, ...]:
+    """Return the plants, with the damping of the parameters around each of them."""
+    dynamics = parameters.model.dynamics
+    around = closing(parameters.damping, dynamics, sample_time)
+    return tuple(one.closed(around) for one in drawn_plants(dynamics, sample_time, uncertainty))
 
 
 def _robustness(parameters, sample_time: float, uncertainty: Uncertainty, plants) -> Robustness:
@@ -135,7 +143,7 @@ def design_robust(
     ParameterError
         No design follows from the model.
     """
-    plants = drawn_plants(parameters.model.dynamics, sample_time, uncertainty)
+    plants = _plants(parameters, sample_time, uncertainty)
     active = list(plants[: 1 + CORNERS])
     sought = replace(aimed, sensitivity_peak=COARSE * aimed.sensitivity_peak)
     for _ in range(ROUNDS):

@@ -6,6 +6,7 @@ the slope of a hysteresis depends on amplitude and history, acts on a loop as an
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 from itertools import product as combinations
 from typing import Any
@@ -88,6 +89,16 @@ class PossiblePlant:
     plant: StateSpace
     late: float = 0.0
     description: str = "the model"
+
+    def closed(self, closing: Callable[[StateSpace], StateSpace]) -> PossiblePlant:
+        """Return it with an inner loop around it.
+
+        Parameters
+        ----------
+        closing : callable
+            Returns the damped plant of a plant.
+        """
+        return replace(self, plant=closing(self.plant))
 
 
 def judge_worst(controller: StateSpace, plants, sample_time: float, required: Requirements | None = None) -> Judged:

@@ -15,10 +15,13 @@ from hysteresis_ros.control.base import Controller
 from hysteresis_ros.control.controller import (
     ControllerParameters,
     controller_block,
+    damping_block,
     feedforward_block,
     handover_block,
     prepare_controllers,
 )
+from hysteresis_ros.control.damping import block as damping
+from hysteresis_ros.control.damping.block import as_output, damp
 from hysteresis_ros.control.feedforward import feedforward
 from hysteresis_ros.control.handover import HandoverParameters, arm, go_on_from, handover
 from hysteresis_ros.control.learning.block import Learning
@@ -50,6 +53,7 @@ class ControlArrays(NamedTuple):
 
     feedforward: np.ndarray
     controller: np.ndarray
+    damping: np.ndarray
     handover: np.ndarray
     return_path: np.ndarray
     history: np.ndarray
@@ -86,7 +90,8 @@ ON_PATH = 2  # 1 while the reference fades from the displacement to the one that
 UNANSWERED = 3  # samples since the compensator said what it carried out
 ANSWERED = 4  # 1 once it did
 REFERENCE = 5  # last finite reference [m]
-OWN_STATES = 6
+COMMANDED = 6  # last command [m]; behind a damping the law knows it as an output of its own
+OWN_STATES = 7
 
 
 @kernel
@@ -101,7 +106,8 @@ def resume(x, own_p, own, value):
     own[ON_PATH] = 1.0
     x.feedforward[feeding.STARTED] = 0.0
     x.history[ENTRIES] = 0.0
-    go_on_from(x.handover, x.controller[header.COMMAND])
+    x.damping[damping.STARTED] = 0.0
+    go_on_from(x.handover, own[COMMANDED])
     go_on_from(x.return_path, value - own_p[PRELOAD])
     x.controller[header.STARTED] = 0.0
 
@@ -141,7 +147,9 @@ def answer(laws, arrays, value, wanted):
     known = value if value == value else x.controller[header.ESTIMATED]
     note(x.history, x.controller[header.APPLIED], delayed, fed, known)
     x.controller[header.FEEDFORWARD] = fed
-    return handover(p.handover, x.handover, laws.controller(p.controller, x.controller, delayed, value))
+    wanted = laws.controller(p.controller, x.controller, delayed, value)
+    seen = value if value == value else x.controller[header.ESTIMATED]
+    return handover(p.handover, x.handover, damp(p.damping, x.damping, wanted, seen))
 
 
 @nested
@@ -152,7 +160,7 @@ def control(laws, arrays, row):
     faults_p, faults = arrays.watch_p.faults, arrays.watch_x.faults
     state = arrays.x.controller
     seen = receive(guard_p, guard, faults_p, faults, faulty.MEASUREMENT, row[at.MEASURED], row[at.SKIPPED])
-    command = state[header.COMMAND]
+    command = own[COMMANDED]
     value = seen
     if row[at.REFERENCE] - row[at.REFERENCE] == 0.0:
         own[REFERENCE] = row[at.REFERENCE]
@@ -187,7 +195,8 @@ def control(laws, arrays, row):
         command = towards(command, own_p[SAFE_COMMAND], own_p[SAFE_STEP])
         own[RETURNING] = 1.0
     own[UNANSWERED] += 1.0
-    state[header.COMMAND] = command
+    own[COMMANDED] = command
+    state[header.COMMAND] = as_output(arrays.p.damping, arrays.x.damping, command)
     row[at.COMMAND] = command
     row[at.SEEN] = seen
     row[at.ESTIMATED] = state[header.ESTIMATED]
@@ -202,7 +211,7 @@ def carried_out(arrays, applied):
     own = arrays.watch_x.own
     heard = faulty.given_instead(arrays.watch_p.faults, arrays.watch_x.faults, faulty.APPLIED, applied)
     if heard - heard == 0.0:
-        arrays.x.controller[header.APPLIED] = heard
+        arrays.x.controller[header.APPLIED] = as_output(arrays.p.damping, arrays.x.damping, heard)
         own[UNANSWERED] = 0.0
         own[ANSWERED] = 1.0
 
@@ -227,6 +236,7 @@ class ControllerPart:
         sample_time = 1.0 / parameters.sample_rate
         self.feedforward = feedforward_block(block, sample_time)
         self.controller = controller_block(block, sample_time)
+        self.damping = damping_block(block, sample_time)
         self.handover = handover_block(block, sample_time)
         self._return_path = handover_block(block, sample_time)
         self.history = History()
@@ -250,12 +260,17 @@ class ControllerPart:
         own[USE_ORIGIN] = parameters.use_origin
         own[PREDICTS] = self.controller.predicts
 
+    @property
+    def _blocks(self) -> tuple:
+        """The blocks in the order of :class:`ControlArrays`."""
+        first = self.feedforward, self.controller, self.damping, self.handover
+        return (*first, self._return_path, self.history, self.learning)
+
     def _connect(self) -> None:
         """Put the arrays of the present blocks together."""
-        blocks = self.feedforward, self.controller, self.handover, self._return_path, self.history, self.learning
         self.arrays = ControllerArrays(
-            ControlArrays(*(block.p for block in blocks)),
-            ControlArrays(*(block.x for block in blocks)),
+            ControlArrays(*(block.p for block in self._blocks)),
+            ControlArrays(*(block.x for block in self._blocks)),
             self._watch_p,
             self._watch_x,
         )
@@ -268,7 +283,12 @@ class ControllerPart:
     @property
     def command(self) -> float:
         """Last command [m]."""
-        return float(self.controller.x[header.COMMAND])
+        return float(self._watch_x.own[COMMANDED])
+
+    def take_command(self, command: float) -> None:
+        """Take it that ``command`` [m] was sent in the place of the last one."""
+        self._watch_x.own[COMMANDED] = command
+        self.controller.x[header.COMMAND] = command
 
     def install(self, controller: Controller) -> None:
         """Put another controller in the place of the present one, at rest; :meth:`retune` takes one over live."""
@@ -330,7 +350,7 @@ class ControllerPart:
 
     def reset(self) -> None:
         """Begin again with everything at rest."""
-        for block in (self.feedforward, self.controller, self.handover, self._return_path, self.history, self.learning):
+        for block in self._blocks:
             block.reset()
         stopped = self._watch_x.own[STOP]
         self._watch_x.guard[:] = 0.0
@@ -346,19 +366,21 @@ class ControllerPart:
         ParameterError
             The parameters are wrong or of another structure; nothing is changed then.
         """
-        block = part(parameters, ControllerParameters)
+        block = part(parameters, ControllerParameters).validated()
+        own = block.before_damping(1.0 / parameters.sample_rate)
         learning = self.learning.changed(block.learning, block.handover_time)
         lasting = None
         if block.type == self.parameters.type:
-            self._retune_controller(block)
+            self._retune_controller(own)
         else:
             # whatever may be refused is, before anything changes
-            controller, lasting = successor(block, 1.0 / parameters.sample_rate, self.controller, self.history)
-            self.feedforward.retune(block)
+            controller, lasting = successor(own, 1.0 / parameters.sample_rate, self.controller, self.history)
+            self.feedforward.retune(own)
             self.controller = controller
+        self.damping.retune(block)
         self.handover.retune(HandoverParameters(time=block.handover_time))
         self._return_path.retune(HandoverParameters(time=block.handover_time))
-        arm(self.handover, self.command, lasting)
+        arm(self.handover, self.command, None if lasting is None else lasting * self.damping.direct)
         self.learning.take(learning)
         self._watch_p.guard[:] = self._guard(parameters)
         self._pack_own(parameters)

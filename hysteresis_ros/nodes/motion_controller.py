@@ -6,7 +6,6 @@ import math
 
 from hysteresis_ros import signals
 from hysteresis_ros.block import interpreted
-from hysteresis_ros.control.base import COMMAND
 from hysteresis_ros.control.learning.correction import MODES
 from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.loop.controller import ControllerPart, carried_out, control
@@ -208,7 +207,7 @@ class MotionControllerNode(Responder):
         """Publish the safe command; in lockstep, where it would be taken for the one of a sample, nothing."""
         if not self.runner.exact and self.sample:
             self.row[signals.COMMAND] = self.parameters.safe_command
-            self.part.controller.x[COMMAND] = self.parameters.safe_command
+            self.part.take_command(self.parameters.safe_command)
             self.publish_outputs()
 
     def health(self):

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import contextlib
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
 from hysteresis_ros.configuration import Configuration, parse_configuration
 from hysteresis_ros.control.controller import ControllerParameters
+from hysteresis_ros.control.damping.parameters import DampingParameters
+from hysteresis_ros.control.damping.registry import NONE
 from hysteresis_ros.control.feedforward import FeedforwardParameters
 from hysteresis_ros.control.gain_design import Designed, design_gains
 from hysteresis_ros.control.inversion import sufficient_preview
@@ -22,6 +25,13 @@ from hysteresis_ros.loop.axis import Axis
 from hysteresis_ros.loop.axis_parameters import AxisParameters
 from hysteresis_ros.loop.node_parameters import part
 from hysteresis_ros.simulation.axes import single_axis
+from hysteresis_ros.simulation.damped_design import (
+    DampedDesign,
+    PlantsAround,
+    around_model,
+    judge_damping,
+    with_damping,
+)
 from hysteresis_ros.simulation.design_certainty import certain_design
 from hysteresis_ros.simulation.design_file import design_text
 from hysteresis_ros.simulation.reach import reachable_displacements
@@ -71,7 +81,10 @@ class DesignRequest:
         RMS of the sensor's noise [m], for how fast a design of its own accord may be; by default
         :data:`ASSUMED_NOISE` of the stroke.
     robust : Uncertainty, optional
-        Plants on each of which the requirements are to be met; by default the model alone.
+        Plants on each of which the requirements are to be met; by default the model alone, with a damping those with
+        resonances off by 10 % as well.
+    damping : str, optional
+        Kind of damping to design first, or ``none``; by default that of the configuration stays.
     """
 
     controller: str
@@ -83,6 +96,7 @@ class DesignRequest:
     preview: int | None = None
     noise: float | None = None
     robust: Uncertainty | None = None
+    damping: str | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,6 +116,8 @@ class AxisDesign:
         What the loop is worth on the plants of a robust design.
     limited : ResponseUncertainty, optional
         What the design was kept slower for.
+    damped : DampedDesign, optional
+        What the damping in front of which the controller stands is worth.
     """
 
     request: DesignRequest
@@ -111,10 +127,12 @@ class AxisDesign:
     tuned: Tuned | None = None
     robustness: Robustness | None = None
     limited: ResponseUncertainty | None = None
+    damped: DampedDesign | None = None
 
     def misses(self) -> tuple[str, ...]:
         """Return what the loop misses of what every design is held to, on the model or on a plant that was drawn."""
-        return self.margins.misses() or (() if self.robustness is None else self.robustness.misses())
+        others = (found.misses() for found in (self.robustness, self.damped) if found is not None)
+        return self.margins.misses() or next((said for said in others if said), ())
 
 
 def drawn_around(robust: bool, ranges: dict) -> Uncertainty | None:
@@ -168,33 +186,56 @@ def design_axis(
     """
     _check_request(axis, request)
     sample_time = 1.0 / axis.motion_controller.sample_rate
-    control = part(axis.motion_controller, ControllerParameters)
-    control = replace(control, feedforward=_feedforward(control, request))
+    given = part(axis.motion_controller, ControllerParameters)
+    around = around_model(given, sample_time, request)
+    control = with_damping(given, sample_time, around, request)
+    control = replace(control, feedforward=_feedforward(control.before_damping(sample_time), request))
     quiet = _quiet(axis, request.noise)
 
     def design(bandwidth, q):
-        aimed = replace(AIMED, command_noise_gain=quiet)
-        return design_gains(control, request.controller, sample_time, bandwidth, q, aimed=aimed)
+        asked = replace(request, bandwidth=bandwidth, q=q, robust=None)
+        return _gains(control, asked, sample_time, quiet, around)[0]
 
-    robust = tuned = None
-    if request.robust is not None:
-        aimed = replace(REQUIRED, command_noise_gain=quiet)
-        first, robust = design_robust(control, request.controller, sample_time, request.robust, request.q, aimed=aimed)
-    else:
-        first = design(request.bandwidth, request.q)
+    first, robust = _gains(control, request, sample_time, quiet, around)
+    tuned = None
     if request.criterion:
+        tuned = _tuned(axis, first.parameters, request)
         law, _ = design_of(request.controller)
-        start = getattr(first.parameters, law.name)
-        node = replace(axis.motion_controller, feedforward=control.feedforward, type=law.name, **{law.name: start})
-        fed = replace(axis, motion_controller=node)
-        tuned = tune(fed, law.name, request.criterion, start=start, duration=request.duration)
         final = replace(first.parameters, **{law.name: tuned.gains})
         first = Designed(final, margins(final, sample_time))
     found = certain_design(first, design, request, response, sample_time)
-    if found is not first:
-        # what was slowed down for what is unknown is no longer what was searched for
-        return AxisDesign(request, found.parameters, found.margins, sample_time, tuned, limited=response)
-    return AxisDesign(request, found.parameters, found.margins, sample_time, tuned, robustness=robust)
+    damped = None
+    if control.damping.type != NONE:
+        without = replace(given, feedforward=FeedforwardParameters(), damping=DampingParameters())
+        bandwidth = None
+        with contextlib.suppress(ParameterError):
+            bandwidth = _gains(without, request, sample_time, quiet, around)[0].margins.bandwidth
+        damped = judge_damping(found.parameters, sample_time, around, bandwidth)
+    # what was slowed down for what is unknown is no longer what was searched for
+    kept = {"robustness": robust} if found is first else {"limited": response}
+    return AxisDesign(request, found.parameters, found.margins, sample_time, tuned, damped=damped, **kept)
+
+
+def _gains(
+    control: ControllerParameters, request: DesignRequest, sample_time: float, quiet: float, around: PlantsAround
+) -> tuple[Designed, Robustness | None]:
+    """Return gains for what is asked, in front of the damping of the parameters."""
+    name, q = request.controller, request.q
+    if request.robust is not None:
+        aimed = replace(REQUIRED, command_noise_gain=quiet)
+        return design_robust(control, name, sample_time, request.robust, q, aimed=aimed)
+    aimed = replace(AIMED, command_noise_gain=quiet)
+    plants = () if request.damping is None else around.closed(control, sample_time)
+    return design_gains(control, name, sample_time, request.bandwidth, q, aimed=aimed, plants=plants), None
+
+
+def _tuned(axis: AxisParameters, parameters: ControllerParameters, request: DesignRequest) -> Tuned:
+    """Return gains tuned on the waveform of the axis, from those of a design on."""
+    law, _ = design_of(request.controller)
+    start = getattr(parameters, law.name)
+    changed = {"feedforward": parameters.feedforward, "damping": parameters.damping, law.name: start}
+    fed = replace(axis, motion_controller=replace(axis.motion_controller, type=law.name, **changed))
+    return tune(fed, law.name, request.criterion, start=start, duration=request.duration)
 
 
 def _check_request(axis: AxisParameters, request: DesignRequest) -> None:
@@ -261,6 +302,8 @@ def design_file(configuration: Configuration, result: AxisDesign, namespace: str
         value = getattr(request, name)
         if value is not None:
             words.append(f"--{name} {value:g}" if isinstance(value, float) else f"--{name} {value}")
+    if request.damping is not None:
+        words.append(f"--damping {request.damping}")
     if request.feedforward:
         words.append("--feedforward")
     if request.robust is not None:
@@ -291,7 +334,8 @@ def design_lines(result: AxisDesign) -> list[str]:
     ----------
     result : AxisDesign
     """
-    found, rows = result.margins, list(result.parameters.law.rows(result.parameters, result.sample_time))
+    found, own = result.margins, result.parameters.before_damping(result.sample_time)
+    rows = list(own.law.rows(own, result.sample_time))
     if result.tuned is not None:
         tuned = result.tuned
         state = "converged" if tuned.converged else "not converged, the best found"
@@ -316,8 +360,9 @@ def design_lines(result: AxisDesign) -> list[str]:
             ", ".join(_pole(pole) for pole in found.poles if pole.imag >= 0.0 and abs(pole) > AT_ZERO),
         ),
     ]
-    if result.robustness is not None:
-        rows += result.robustness.rows()
+    for further in (result.damped, result.robustness):
+        if further is not None:
+            rows += further.rows()
     width = max(len(name) for name, _ in rows)
     lines = [f"{name:<{width}}  {'none' if text == ' Hz' else text}" for name, text in rows]
     return lines + [f"note: {text}" for text in doubts(result)]
@@ -371,5 +416,8 @@ def doubts(result: AxisDesign) -> list[str]:
             f"slowed down to a bandwidth of {_hertz(result.margins.bandwidth)}: {why}, and this is stable even so; "
             "a recording with content there (hysteresis excite --recipe multisine) may allow a faster one"
         )
-    found += parameters.law.doubts(parameters, result.sample_time, result.tuned is not None)
+    if result.damped is not None:
+        found += result.damped.doubts()
+    own = parameters.before_damping(result.sample_time)
+    found += own.law.doubts(own, result.sample_time, result.tuned is not None)
     return found

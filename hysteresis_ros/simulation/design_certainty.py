@@ -9,7 +9,7 @@ import numpy as np
 
 from hysteresis_ros.configuration import Configuration
 from hysteresis_ros.control.gain_design import Designed
-from hysteresis_ros.control.linearisation import linear_loop
+from hysteresis_ros.control.linearisation import whole_loop
 from hysteresis_ros.control.response_uncertainty import KEPT, Borne, ResponseUncertainty
 from hysteresis_ros.errors import ConfigurationError, ParameterError
 from hysteresis_ros.identification.parameter_file import SECTION
@@ -63,7 +63,7 @@ def borne(found: Designed, response: ResponseUncertainty, sample_time: float) ->
     sample_time : float
         [s]
     """
-    return response.borne_by(*linear_loop(found.parameters, sample_time), sample_time)
+    return response.borne_by(*whole_loop(found.parameters, sample_time), sample_time)
 
 
 def certain_design(

@@ -8,6 +8,7 @@ import yaml
 
 from hysteresis_ros.configuration import Configuration, dump_configuration, matches, parse_configuration
 from hysteresis_ros.control.controller import ControllerParameters
+from hysteresis_ros.control.damping.registry import KINDS, NONE
 from hysteresis_ros.control.learning.parameters import LearningParameters
 
 NODE = "motion_controller"
@@ -29,15 +30,24 @@ def designed_values(before: dict, parameters: ControllerParameters) -> dict:
     parameters : ControllerParameters
         Of the design.
     """
-    replaced = tuple(f"{name}." for name in (*parameters.law.groups, "feedforward"))
+    groups = (*parameters.law.groups, "feedforward", *_damping(before, parameters))
+    replaced = tuple(f"{name}." for name in groups)
     gone = (*replaced, "learning.")
     kept = {name: value for name, value in before.items() if not name.startswith(gone) and name != "type"}
     chosen = {"type": parameters.type}
     flat = parameters.to_mapping()
+    unused = tuple(f"damping.{kind}." for kind in KINDS if kind != parameters.damping.type)
+    flat = {name: value for name, value in flat.items() if not name.startswith(unused)}
     # ROS has no type for an empty array
     chosen |= {name: value for name, value in flat.items() if name.startswith(replaced) and value != ()}
     found = {"type": chosen.pop("type")} | kept | chosen
     return {name: tuple(value) if isinstance(value, list) else value for name, value in found.items()}
+
+
+def _damping(before: dict, parameters: ControllerParameters) -> tuple[str, ...]:
+    """Return the group of the damping, where there is one or the file speaks of it."""
+    named = any(name.startswith("damping.") for name in before)
+    return ("damping",) if named or parameters.damping.type != NONE else ()
 
 
 def design_text(configuration: Configuration, parameters: ControllerParameters, namespace: str, header: str) -> str:

@@ -8,7 +8,7 @@ import numpy as np
 
 from hysteresis_ros.configuration import Configuration
 from hysteresis_ros.control.controller import ControllerParameters
-from hysteresis_ros.control.linearisation import linear_loop
+from hysteresis_ros.control.linearisation import whole_loop
 from hysteresis_ros.errors import ConfigurationError
 from hysteresis_ros.identification.excitations import Experiment, Plan, excitation
 from hysteresis_ros.identification.response_analysis import LEAST_RATIO
@@ -153,7 +153,7 @@ def measured_loop_parts(axis: AxisParameters) -> tuple[StateSpace, StateSpace]:
     axis : AxisParameters
     """
     sample_time = 1.0 / axis.motion_controller.sample_rate
-    return linear_loop(part(axis.motion_controller, ControllerParameters), sample_time)
+    return whole_loop(part(axis.motion_controller, ControllerParameters), sample_time)
 
 
 def _prefilter(axis: AxisParameters, sample_time: float):

@@ -142,7 +142,7 @@ def tune(
         parameters = parameters.with_duration(duration)
     tuning = LAWS[kind].tuning
     required = required or tuning.required
-    first = start or getattr(tuning.start(control, sample_time), kind)
+    first = start or getattr(tuning.start(control.before_damping(sample_time), sample_time), kind)
 
     def with_gains(all_parameters, gains):
         return replace(all_parameters, **{"type": kind, kind: gains})
@@ -163,7 +163,8 @@ def tune(
 
     def cost(values) -> float:
         candidate = with_gains(control, gains(values))
-        if not judge(*tuning.loop(candidate, sample_time), sample_time).meets(required):
+        own = candidate.before_damping(sample_time)
+        if not judge(*tuning.loop(own, sample_time), sample_time).meets(required):
             return np.inf
         try:
             axis.controller.install(controller_block(candidate, sample_time))

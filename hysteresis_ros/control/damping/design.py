@@ -1,0 +1,286 @@
+"""Design of a damping from a model: the filter with which a PID in front of it may be fastest.
+
+For every filter the zeros of a PID are put on the slowest poles of the damped model, as its own design does, and its
+largest gain g follows in closed form on a grid of frequencies: with X the loop per unit of g, |1 + g X| ≥ 1/M_s at
+one frequency is a quadratic in g. The worst of several plants counts (the model, resonances off to both sides). The
+inner loop alone and the loop cut at the plant, both feedbacks in it, are to have M_s ≤ 2 as well and, where that is
+possible, to bear a sample of delay more. Filters are tried on a grid that is refined around the best one; what is found
+is written in four digits.
+
+References
+----------
+.. [1] Fleming, Aphale & Moheimani, IEEE Trans. Nanotechnology 9 (2010) 438-448 (integral action around the damped
+   plant measures a damping).
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import product as combinations
+
+import numpy as np
+
+from hysteresis_ros.control import design
+from hysteresis_ros.control.damping.kind import COMMAND, Mode
+from hysteresis_ros.control.damping.parameters import DampingParameters
+from hysteresis_ros.control.damping.plant import InnerLoop, inner_loop
+from hysteresis_ros.control.damping.registry import KINDS
+from hysteresis_ros.control.laws.pid.design import FILTER, pid_with_zeros, slowest_poles
+from hysteresis_ros.control.laws.pid.law import PidParameters, pid_state_space
+from hysteresis_ros.control.margins import REQUIRED, judge
+from hysteresis_ros.control.uncertainty import PossiblePlant, possible_plant
+from hysteresis_ros.errors import ParameterError
+from hysteresis_ros.models.linear import LinearParameters
+from hysteresis_ros.models.state_space import BOUNDARY, StateSpace
+
+#: M_s that a search aims at, of the loop of the law and of that cut at the plant.
+SENSITIVITY = 1.9
+#: Part by which resonances may be off, where nothing is asked.
+RESONANCE = 0.1
+#: Points of the grid in each direction, by the number of directions, and how often it is refined.
+POINTS = {1: 41, 2: 13, 3: 8}
+REFINED = 3
+#: Frequencies of the grid, evenly in both scales, and around each resonance.
+GRID, AROUND = 120, 41
+#: What an inner loop leaves of any mode: this damping, or so many times that of the plant's.
+WELL, MUCH = 0.02, 5.0
+#: A mode of more damping needs none.
+DAMPED = 0.7
+#: Poles below this are those of delays.
+AT_ZERO = 1e-3
+
+
+def modes(poles, sample_time: float) -> list[tuple[float, float]]:
+    """Return (frequency [Hz], damping) of each pair of complex poles, the least damped first.
+
+    Parameters
+    ----------
+    poles : ndarray of complex
+        In the z plane.
+    sample_time : float
+        [s]
+    """
+    found = []
+    for pole in poles:
+        if abs(pole) > AT_ZERO and pole.imag > 0.0:
+            logarithm = np.log(pole)
+            size = float(abs(logarithm))
+            found.append((size / (2.0 * np.pi * sample_time), -float(logarithm.real) / size))
+    return sorted(found, key=lambda mode: mode[1])
+
+
+def mode_to_damp(dynamics: LinearParameters, sample_time: float) -> Mode:
+    """Return the resonance of least damping.
+
+    Parameters
+    ----------
+    dynamics : LinearParameters
+        The model.
+    sample_time : float
+        [s]
+
+    Raises
+    ------
+    ParameterError
+        ``model.dynamics.A``: there is none to damp.
+    """
+    there = [mode for mode in modes(dynamics.matrices.poles.astype(complex), sample_time) if mode[1] < DAMPED]
+    if not there:
+        allowed = f"has no resonance of less damping than {DAMPED:g}: nothing to damp; design without --damping"
+        design.refuse("model.dynamics.A", dynamics.A, allowed)
+    gain = dynamics.matrices.dc_gain * dynamics.output_scale / dynamics.resolved_input_scale
+    return Mode(*there[0], gain)
+
+
+def damping_plants(
+    dynamics: LinearParameters, sample_time: float, resonance: float = RESONANCE
+) -> tuple[PossiblePlant, ...]:
+    """Return the plants on which a damping is judged: the model, and all times shorter and longer.
+
+    Parameters
+    ----------
+    dynamics : LinearParameters
+    sample_time : float
+        [s]
+    resonance : float
+        Part by which resonances may be off.
+    """
+    slow = (1.0,) if resonance == 0.0 else (1.0, 1.0 - resonance, 1.0 + resonance)
+    return tuple(possible_plant(dynamics, sample_time, 1.0, slowness) for slowness in slow)
+
+
+def design_damping(
+    kind: str, dynamics: LinearParameters, sample_time: float, plants: tuple[PossiblePlant, ...]
+) -> DampingParameters:
+    """Return the damping of a kind for a model.
+
+    Parameters
+    ----------
+    kind : str
+        Name of the kind.
+    dynamics : LinearParameters
+        The model, with its delay.
+    sample_time : float
+        [s]
+    plants : tuple of PossiblePlant
+        On which it is to work.
+
+    Raises
+    ------
+    ParameterError
+        ``model.dynamics.A``: the model has no resonance, or nothing of this kind damps it.
+    """
+    mode = mode_to_damp(dynamics, sample_time)
+    search = _Search(kind, mode, dynamics, sample_time, plants)
+    # first what bears a sample of delay more; where nothing does, what works as modelled
+    for late in (REQUIRED.delay_margin, 0.0):
+        found = search.best(late)
+        if found is not None:
+            return found
+    found_at = f"{mode.frequency:.4g} Hz"
+    allowed = (
+        f"no {kind} damps the resonance at {found_at} on all plants so that a PID in front of it keeps M_s ≤ 2; take "
+        "another kind, a higher sample rate or less delay"
+    )
+    return design.refuse("model.dynamics.A", dynamics.A, allowed)
+
+
+class _Search:
+    """The plants on a grid of frequencies, and the search on them."""
+
+    def __init__(self, kind: str, mode: Mode, dynamics: LinearParameters, sample_time: float, plants):
+        self.kind, self.mode, self.dynamics, self.sample_time = KINDS[kind], mode, dynamics, sample_time
+        self.plants = plants
+        self.z = np.exp(1j * _angles(plants))
+        self.responses = [one.plant.response(self.z)[:, 0, 0] for one in plants]
+
+    def damping(self, point) -> DampingParameters:
+        """Return the parameters of a point."""
+        return replace(DampingParameters(), type=self.kind.name, **{self.kind.name: self.kind.chosen(point, self.mode)})
+
+    def speed(self, point, late: float, least: float) -> float:
+        """Return the integral gain [1/s] of the fastest PID in front of a point's filter.
+
+        Parameters
+        ----------
+        point : sequence of float
+        late : float
+            Delay more that both loops together have to bear [samples].
+        least : float
+            Where it is no larger than this, 0 is returned.
+        """
+        try:
+            loop = inner_loop(self.damping(point), self.dynamics, self.sample_time)
+        except (ParameterError, np.linalg.LinAlgError):
+            return 0.0
+        if not loop.direct > 0.0:
+            return 0.0
+        found = loop.around(self.plants[0].plant)
+        if np.max(np.abs(found.poles)) >= 1.0 - BOUNDARY:
+            return 0.0
+        gains = self._unit_pid(found)
+        outer = pid_state_space(gains, self.sample_time)
+        gain = self._gain(loop, outer.response(self.z)[:, 0, 0])
+        if not gain * gains.Ki > least or not self._holds(loop, outer.scaled(gain), late):
+            return 0.0
+        return gain * gains.Ki
+
+    def _unit_pid(self, plant: StateSpace) -> PidParameters:
+        cut_off = FILTER * 2.0 * np.pi / self.sample_time
+        Kp, Ki, Kd = pid_with_zeros(slowest_poles(plant), 1.0, self.sample_time, cut_off)
+        return PidParameters(Kp=Kp, Ki=Ki, Kd=Kd, derivative_filter=cut_off)
+
+    def _gain(self, loop: InnerLoop, outer) -> float:
+        """Return the largest gain of an outer controller on all plants, less where both loops would be too lively."""
+        filtered = loop.filter.response(self.z)[:, 0, 0]
+        forward = outer * (filtered if loop.source == COMMAND else loop.forward)
+        inner = [1.0 - (0.0 if loop.source == COMMAND else filtered) * P for P in self.responses]
+        gain = min(_largest(forward * P / left) for P, left in zip(self.responses, inner, strict=True))
+        whole = max(
+            float(np.max(1.0 / np.minimum(np.abs(left + gain * forward * P), np.abs(left))))
+            for P, left in zip(self.responses, inner, strict=True)
+        )
+        return gain * min(1.0, (SENSITIVITY / whole) ** 2)
+
+    def _holds(self, loop: InnerLoop, outer: StateSpace, late: float) -> bool:
+        """Tell whether inner, outer and whole loop are what every design is held to, on all plants."""
+        whole = loop.behind(outer)
+        for one in self.plants:
+            around = loop.around(one.plant)
+            poles = around.poles.astype(complex)
+            if np.max(np.abs(poles)) >= 1.0 - BOUNDARY:
+                return False
+            if loop.source != COMMAND and not self._damps(poles):
+                return False
+            if not judge(outer, around, self.sample_time).sensitivity_peak <= REQUIRED.sensitivity_peak:
+                return False
+            both = judge(whole, one.plant, self.sample_time)
+            if not (both.sensitivity_peak <= REQUIRED.sensitivity_peak and both.delay_margin >= late):
+                return False
+        return True
+
+    def _damps(self, poles) -> bool:
+        """Tell whether every mode of an inner loop is damped well, or much better than the plant's."""
+        left = modes(poles, self.sample_time)
+        return not left or left[0][1] >= min(WELL, MUCH * self.mode.damping)
+
+    def best(self, late: float) -> DampingParameters | None:
+        """Return the best damping that bears so many samples of delay more; None where there is none."""
+        found, point, box = 0.0, None, None
+        for one in self.kind.ranges(self.mode):
+            speed, at = self._best_of(one, late, found)
+            if at is not None:
+                found, point, box = speed, at, one
+        if point is None:
+            return None
+        for _ in range(REFINED):
+            box = _around(box, point)
+            speed, at = self._best_of(box, late, found)
+            if at is not None:
+                found, point = speed, at
+        return self.damping(point)
+
+    def _best_of(self, box, late: float, least: float):
+        best, at = least, None
+        for point in combinations(*(_spread(side, POINTS[len(box)]) for side in box)):
+            speed = self.speed(point, late, best)
+            if speed > best:
+                best, at = speed, point
+        return best, at
+
+
+def _largest(X) -> float:
+    """Return the largest g up to which |1 + g X| ≥ 1/M_s at all points."""
+    square, room = np.abs(X) ** 2, 1.0 - 1.0 / SENSITIVITY**2
+    inside = X.real**2 - room * square
+    hit = (X.real < 0.0) & (inside > 0.0)
+    if not np.any(hit):
+        return 0.0
+    return float(np.min((-X.real[hit] - np.sqrt(inside[hit])) / square[hit]))
+
+
+def _angles(plants) -> np.ndarray:
+    parts = [np.geomspace(1e-4, np.pi, GRID), np.linspace(0.0, np.pi, GRID)[1:]]
+    for one in plants:
+        for pole in one.plant.poles:
+            width = max(1.0 - abs(pole), 1e-6)
+            parts.append(abs(np.angle(pole)) + width * np.sinh(np.linspace(-5.0, 5.0, AROUND)))
+    angles = np.unique(np.concatenate(parts))
+    return angles[(angles >= 1e-4) & (angles <= np.pi)]
+
+
+def _spread(side, count: int) -> np.ndarray:
+    low, high, logarithmic = side
+    if not logarithmic:
+        return np.linspace(low, high, count)
+    return np.sign(low) * np.geomspace(abs(low), abs(high), count)
+
+
+def _around(box, point):
+    """Return the box of a grid's neighbours of a point, within the box that it was found in."""
+    found = []
+    for side, value in zip(box, point, strict=True):
+        grid = _spread(side, POINTS[len(box)])
+        place = int(np.argmin(np.abs(grid - value)))
+        found.append((float(grid[max(place - 1, 0)]), float(grid[min(place + 1, len(grid) - 1)]), side[2]))
+    return tuple(found)

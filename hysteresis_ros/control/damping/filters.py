@@ -1,0 +1,113 @@
+"""Filters of damping in discrete time: closed forms of the bilinear transformation, in a fixed order.
+
+s = h (z − 1)/(z + 1); with h = ω / tan(ω T/2) a filter has at ω exactly the response that it has in continuous time,
+with h = 2/T at low frequencies. Poles in the left half plane stay stable whatever the sample time.
+
+References
+----------
+.. [1] Franklin, Powell & Workman, Digital Control of Dynamic Systems, 3rd ed. 1998, section 6.1 (Tustin, prewarping).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hysteresis_ros import elementary
+from hysteresis_ros.linear_algebra import product
+from hysteresis_ros.models.state_space import StateSpace
+
+
+def warped(frequency: float, sample_time: float) -> float:
+    """Return h [1/s] with which the response at a frequency stays.
+
+    Parameters
+    ----------
+    frequency : float
+        Below half the sample rate [Hz].
+    sample_time : float
+        [s]
+    """
+    angle = math.pi * frequency * sample_time
+    return 2.0 * math.pi * frequency * elementary.cos(angle) / elementary.sin(angle)
+
+
+def first_order(gain: float, rate: float, sample_time: float) -> StateSpace:
+    """Return gain/(s + rate) of one input and one output.
+
+    Parameters
+    ----------
+    gain : float
+        [1/s]
+    rate : float
+        Above 0 [rad/s].
+    sample_time : float
+        [s]
+    """
+    h = 2.0 / sample_time
+    pole, through = (h - rate) / (h + rate), gain / (h + rate)
+    return StateSpace(np.array([[pole]]), np.ones((1, 1)), np.array([[through * (1.0 + pole)]]), np.array([[through]]))
+
+
+def second_order(numerator, denominator, h: float) -> StateSpace:
+    """Return (b₂ s² + b₁ s + b₀)/(a₂ s² + a₁ s + a₀) of one input and one output.
+
+    Parameters
+    ----------
+    numerator, denominator : tuple of float, shape (3,)
+        (b₂, b₁, b₀) and (a₂, a₁, a₀).
+    h : float
+        Of the transformation [1/s].
+    """
+    above, below = _discrete(numerator, h), _discrete(denominator, h)
+    b0, b1, b2 = (value / below[0] for value in above)
+    a1, a2 = below[1] / below[0], below[2] / below[0]
+    A = np.array([[-a1, 1.0], [-a2, 0.0]])
+    return StateSpace(A, np.array([[b1 - a1 * b0], [b2 - a2 * b0]]), np.array([[1.0, 0.0]]), np.array([[b0]]))
+
+
+def _discrete(coefficients, h: float) -> tuple[float, float, float]:
+    c2, c1, c0 = coefficients
+    square = c2 * h * h
+    return square + c1 * h + c0, 2.0 * (c0 - square), square - c1 * h + c0
+
+
+def in_series(systems) -> StateSpace:
+    """Return systems one after the other, the first one first.
+
+    Parameters
+    ----------
+    systems : sequence of StateSpace
+        Of one input and one output; at least one.
+    """
+    found, *others = systems
+    for after in others:
+        corner = np.zeros((found.order, after.order))
+        found = StateSpace(
+            np.block([[found.A, corner], [product(after.B, found.C), after.A]]),
+            np.vstack([found.B, product(after.B, found.D)]),
+            np.hstack([product(after.D, found.C), after.C]),
+            product(after.D, found.D),
+        )
+    return found
+
+
+def in_parallel(systems) -> StateSpace:
+    """Return the sum of systems.
+
+    Parameters
+    ----------
+    systems : sequence of StateSpace
+        Of one input and one output; at least one.
+    """
+    found, *others = systems
+    for beside in others:
+        corner = np.zeros((found.order, beside.order))
+        found = StateSpace(
+            np.block([[found.A, corner], [corner.T, beside.A]]),
+            np.vstack([found.B, beside.B]),
+            np.hstack([found.C, beside.C]),
+            found.D + beside.D,
+        )
+    return found

@@ -1,0 +1,94 @@
+"""Integral resonant control: integral feedback around the plant with a feedthrough of its own [1]_, [2]_.
+
+With a feedthrough D_f the plant G + D_f has a zero below its first pole, and integral feedback of it damps the
+resonances. For tracking the same loop is written as a controller on the displacement alone,
+
+C₂(s) = −k/(s − k D_f)
+
+which acts on r_c − y. Here the law's output enters behind it, at the command, so that the zero s = k D_f stays in the
+path of the reference, and with a weight γ that keeps the gain at rest: u = γ w + k/(s − k D_f) y.
+
+A delay of more than about a quarter of the resonance's period turns the sign that damps: k < 0 with D_f > 0.
+
+References
+----------
+.. [1] Aphale, Fleming & Moheimani, Integral resonant control of collocated smart structures, Smart Materials and
+   Structures 16 (2007) 439-446.
+.. [2] Fleming, Aphale & Moheimani, A new method for robust damping and tracking control of scanning probe microscope
+   positioning stages, IEEE Trans. Nanotechnology 9 (2010) 438-448.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from hysteresis_ros.control.damping.filters import first_order
+from hysteresis_ros.control.damping.kind import MEASUREMENT, DampingKind, Mode, shortened
+from hysteresis_ros.errors import Problem
+from hysteresis_ros.models.state_space import StateSpace
+from hysteresis_ros.parameters import Parameters, parameter
+
+
+@dataclass(frozen=True)
+class IrcParameters(Parameters):
+    """Gain and feedthrough of integral resonant control."""
+
+    k: float = parameter(0.0, unit="1/s", description="integral gain; below 0 where a delay turns the sign that damps")
+    feedthrough: float = parameter(
+        -2.0, description="D_f, of the other sign than k: 1/|D_f| is the gain of the feedback at rest"
+    )
+
+    def check(self):
+        """Yield that the filter would not settle."""
+        if not self.k * self.feedthrough < 0.0:
+            allowed = f"must not be 0, and of the other sign than feedthrough = {self.feedthrough:g}"
+            yield Problem("k", self.k, allowed + ", or the filter k/(s − k D_f) does not settle")
+
+
+def irc(parameters: IrcParameters, sample_time: float) -> StateSpace:
+    """Return k/(s − k D_f), from displacement to command.
+
+    Parameters
+    ----------
+    parameters : IrcParameters
+    sample_time : float
+        [s]
+    """
+    return first_order(parameters.k, -parameters.k * parameters.feedthrough, sample_time)
+
+
+def ranges(mode: Mode) -> tuple:
+    """Return where to look for (feedback at rest, corner of the filter [rad/s]), for both signs.
+
+    Parameters
+    ----------
+    mode : Mode
+    """
+    omega = 2.0 * math.pi * mode.frequency
+    corner = (0.05 * omega, 20.0 * omega, True)
+    # positive feedback of 0.4 of the plant's gain leaves a gain margin of 8 dB: 6 dB, and the gain off by a quarter
+    return ((0.05, 0.4, True), corner), ((-2.0, -0.05, True), corner)
+
+
+def chosen(point, mode: Mode) -> IrcParameters:
+    """Return the parameters with a feedback at rest and a corner.
+
+    Parameters
+    ----------
+    point : sequence of float, shape (2,)
+    mode : Mode
+    """
+    feedback, corner = point[0] / mode.gain, point[1]
+    return IrcParameters(k=shortened(feedback * corner), feedthrough=shortened(-1.0 / feedback))
+
+
+DAMPING = DampingKind(
+    name="irc",
+    description="integral resonant control of the displacement (Fleming, Aphale & Moheimani 2010)",
+    source=MEASUREMENT,
+    parameters=IrcParameters,
+    filter=irc,
+    ranges=ranges,
+    chosen=chosen,
+)

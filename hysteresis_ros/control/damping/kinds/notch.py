@@ -1,0 +1,95 @@
+"""Notch filters, one to four, behind the law: its output does not excite the resonances; nothing is damped.
+
+N(s) = Π (s² + 2 ζ_i ω_i s + ω_i²) / (s² + 2 η_i ω_i s + ω_i²)
+
+of unit gain at rest and at high frequencies, ζ_i/η_i at ω_i. What else excites a resonance (disturbances, noise) goes
+on ringing with the damping that the plant has.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from hysteresis_ros.control.damping.filters import in_series, second_order, warped
+from hysteresis_ros.control.damping.frequencies import require_below_half_the_rate, require_filters
+from hysteresis_ros.control.damping.kind import COMMAND, DampingKind, Mode, shortened
+from hysteresis_ros.models.state_space import StateSpace
+from hysteresis_ros.parameters import Parameters, parameter
+
+#: Most filters.
+MOST = 4
+
+
+@dataclass(frozen=True)
+class NotchParameters(Parameters):
+    """The notch filters, one to four."""
+
+    frequencies: tuple[float, ...] = parameter((), unit="Hz", low=1e-6, description="of the notches, one to four")
+    damping: tuple[float, ...] = parameter(
+        (), low=0.0, description="of each numerator, part of the critical one: that of the plant's resonance"
+    )
+    width: tuple[float, ...] = parameter((), low=1e-4, description="damping of each denominator")
+
+    def check(self):
+        """Yield that the filters are too many or incomplete."""
+        yield from require_filters(self, MOST, ("damping", "width"))
+
+
+def notch(parameters: NotchParameters, sample_time: float) -> StateSpace:
+    """Return the filters one after the other, from the law's output to the command.
+
+    Parameters
+    ----------
+    parameters : NotchParameters
+    sample_time : float
+        [s]
+
+    Raises
+    ------
+    ParameterError
+        ``frequencies``: one is not below half the sample rate.
+    """
+    require_below_half_the_rate(parameters.frequencies, sample_time)
+    found = []
+    for frequency, damping, width in zip(parameters.frequencies, parameters.damping, parameters.width, strict=True):
+        omega = 2.0 * math.pi * frequency
+        square = omega * omega
+        above, below = (1.0, 2.0 * damping * omega, square), (1.0, 2.0 * width * omega, square)
+        found.append(second_order(above, below, warped(frequency, sample_time)))
+    return in_series(found)
+
+
+def ranges(mode: Mode) -> tuple:
+    """Return where to look for (frequency [Hz], damping of the numerator, width).
+
+    Parameters
+    ----------
+    mode : Mode
+    """
+    least = min(mode.damping, 0.5)
+    frequency = (0.8 * mode.frequency, 1.25 * mode.frequency, True)
+    return ((frequency, (least, 0.9, True), (0.1, 3.0, True)),)
+
+
+def chosen(point, mode: Mode) -> NotchParameters:
+    """Return the parameters of one notch.
+
+    Parameters
+    ----------
+    point : sequence of float, shape (3,)
+    mode : Mode
+    """
+    frequency, damping, width = (shortened(value) for value in point)
+    return NotchParameters(frequencies=(frequency,), damping=(damping,), width=(width,))
+
+
+DAMPING = DampingKind(
+    name="notch",
+    description="one to four notch filters behind the law: the resonances are not excited, and not damped",
+    source=COMMAND,
+    parameters=NotchParameters,
+    filter=notch,
+    ranges=ranges,
+    chosen=chosen,
+)

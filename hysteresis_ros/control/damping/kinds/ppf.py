@@ -1,0 +1,100 @@
+"""Positive position feedback: the displacement through one or two resonant filters, added to the command [1]_, [2]_.
+
+u = γ w + Σ g_i ω_i² / (s² + 2 ζ_i ω_i s + ω_i²) y
+
+γ keeps the gain at rest. Below its frequency a filter stiffens or softens, at it it damps. A delay of more than about a
+quarter of the resonance's period turns the sign that damps: g < 0.
+
+References
+----------
+.. [1] Goh & Caughey, On the stability problem caused by finite actuator dynamics in the collocated control of large
+   space structures, Int. J. Control 41 (1985) 787-802.
+.. [2] Fanson & Caughey, Positive position feedback control for large space structures, AIAA J. 28 (1990) 717-724.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from hysteresis_ros.control.damping.filters import in_parallel, second_order, warped
+from hysteresis_ros.control.damping.frequencies import require_below_half_the_rate, require_filters
+from hysteresis_ros.control.damping.kind import MEASUREMENT, DampingKind, Mode, shortened
+from hysteresis_ros.models.state_space import StateSpace
+from hysteresis_ros.parameters import Parameters, parameter
+
+#: Most modes.
+MOST = 2
+
+
+@dataclass(frozen=True)
+class PpfParameters(Parameters):
+    """The filters of positive position feedback, one or two."""
+
+    frequencies: tuple[float, ...] = parameter((), unit="Hz", low=1e-6, description="of the filters, one or two")
+    damping: tuple[float, ...] = parameter((), low=1e-4, description="part of the critical one, of each filter")
+    gains: tuple[float, ...] = parameter(
+        (), description="at rest, of each filter; below 0 where a delay turns the sign that damps"
+    )
+
+    def check(self):
+        """Yield that the filters are too many or incomplete."""
+        yield from require_filters(self, MOST, ("damping", "gains"))
+
+
+def ppf(parameters: PpfParameters, sample_time: float) -> StateSpace:
+    """Return the sum of the filters, from displacement to command.
+
+    Parameters
+    ----------
+    parameters : PpfParameters
+    sample_time : float
+        [s]
+
+    Raises
+    ------
+    ParameterError
+        ``frequencies``: one is not below half the sample rate.
+    """
+    require_below_half_the_rate(parameters.frequencies, sample_time)
+    found = []
+    for frequency, damping, gain in zip(parameters.frequencies, parameters.damping, parameters.gains, strict=True):
+        omega = 2.0 * math.pi * frequency
+        square = omega * omega
+        below = (1.0, 2.0 * damping * omega, square)
+        found.append(second_order((0.0, 0.0, gain * square), below, warped(frequency, sample_time)))
+    return in_parallel(found)
+
+
+def ranges(mode: Mode) -> tuple:
+    """Return where to look for (gain, frequency [Hz], damping) of one filter, for both signs.
+
+    Parameters
+    ----------
+    mode : Mode
+    """
+    frequency, damping = (0.3 * mode.frequency, 3.0 * mode.frequency, True), (0.05, 2.0, True)
+    return ((0.02, 0.4, True), frequency, damping), ((-1.0, -0.02, True), frequency, damping)
+
+
+def chosen(point, mode: Mode) -> PpfParameters:
+    """Return the parameters of one filter.
+
+    Parameters
+    ----------
+    point : sequence of float, shape (3,)
+    mode : Mode
+    """
+    gain, frequency, damping = shortened(point[0] / mode.gain), shortened(point[1]), shortened(point[2])
+    return PpfParameters(frequencies=(frequency,), damping=(damping,), gains=(gain,))
+
+
+DAMPING = DampingKind(
+    name="ppf",
+    description="positive position feedback of one or two modes (Fanson & Caughey 1990)",
+    source=MEASUREMENT,
+    parameters=PpfParameters,
+    filter=ppf,
+    ranges=ranges,
+    chosen=chosen,
+)

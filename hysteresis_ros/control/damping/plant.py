@@ -1,0 +1,182 @@
+"""The damped plant: what every controller in front of a damping sees in the place of the plant.
+
+With a filter F(z) on the measurement the command is u = γ w + F y. γ = 1 − F(1) P(1) keeps the gain at rest of the
+model P, so that gains, inverses and rest points of a law mean what they mean without damping. With a filter behind the
+law it is u = F w.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hysteresis_ros.control.damping.kind import COMMAND, NOTHING
+from hysteresis_ros.control.damping.parameters import DampingParameters
+from hysteresis_ros.errors import ParameterError, Problem
+from hysteresis_ros.linear_algebra import product
+from hysteresis_ros.models.linear import LinearParameters
+from hysteresis_ros.models.state_space import BOUNDARY, StateSpace
+
+
+@dataclass(frozen=True, eq=False)
+class InnerLoop:
+    """A filter and how the law's output passes it.
+
+    Parameters
+    ----------
+    filter : StateSpace
+        SI.
+    source : int
+        What it works on.
+    forward : float
+        γ, weight of the law's output beside the filter; 0 where the filter works on it.
+    """
+
+    filter: StateSpace
+    source: int
+    forward: float
+
+    @property
+    def direct(self) -> float:
+        """Change of the command per change of the law's output in the same sample."""
+        return float(self.filter.D[0, 0]) if self.source == COMMAND else self.forward
+
+    def around(self, plant: StateSpace, scale: float = 1.0) -> StateSpace:
+        """Return the damped plant from the law's output to the measured displacement.
+
+        Parameters
+        ----------
+        plant : StateSpace
+            From command to measured displacement, y_k = C x_k.
+        scale : float
+            SI units of the plant's output per its units, over those of its input.
+        """
+        n, m, F = plant.order, self.filter.order, self.filter
+        if self.source == COMMAND:
+            A = np.block([[F.A, np.zeros((m, n))], [product(plant.B, F.C), plant.A]])
+            B = np.vstack([F.B, product(plant.B, F.D)])
+        else:
+            measured = scale * plant.C
+            back = plant.A + product(plant.B, product(F.D, measured))
+            A = np.block([[F.A, product(F.B, measured)], [product(plant.B, F.C), back]])
+            B = np.vstack([np.zeros((m, 1)), self.forward * plant.B])
+        return StateSpace(A, B, np.hstack([np.zeros((1, m)), plant.C]), np.zeros((1, 1)))
+
+    def behind(self, controller: StateSpace) -> StateSpace:
+        """Return controller and damping as one, from (reference, measured) to the command.
+
+        Parameters
+        ----------
+        controller : StateSpace
+            From (reference, measured) to the law's output.
+        """
+        n, m, F = controller.order, self.filter.order, self.filter
+        if self.source == COMMAND:
+            A = np.block([[controller.A, np.zeros((n, m))], [F.B @ controller.C, F.A]])
+            B = np.vstack([controller.B, F.B @ controller.D])
+            return StateSpace(A, B, np.hstack([F.D @ controller.C, F.C]), F.D @ controller.D)
+        A = np.block([[controller.A, np.zeros((n, m))], [np.zeros((m, n)), F.A]])
+        only_measured = np.array([[0.0, 1.0]])
+        B = np.vstack([controller.B, F.B @ only_measured])
+        D = self.forward * controller.D + F.D @ only_measured
+        return StateSpace(A, B, np.hstack([self.forward * controller.C, F.C]), D)
+
+
+def inner_loop(damping: DampingParameters, dynamics: LinearParameters, sample_time: float) -> InnerLoop:
+    """Return the inner loop of a damping for a model.
+
+    Parameters
+    ----------
+    damping : DampingParameters
+        Of another type than none.
+    dynamics : LinearParameters
+        The model.
+    sample_time : float
+        [s]
+
+    Raises
+    ------
+    ParameterError
+        The filter cannot run at this sample time.
+    """
+    found, source = damping.filter(sample_time), damping.source
+    if source == COMMAND:
+        return InnerLoop(found, source, 0.0)
+    gain = dynamics.matrices.dc_gain * dynamics.output_scale / dynamics.resolved_input_scale
+    return InnerLoop(found, source, 1.0 - found.dc_gain * gain)
+
+
+def closing(
+    damping: DampingParameters, dynamics: LinearParameters, sample_time: float
+) -> Callable[[StateSpace], StateSpace]:
+    """Return the function that makes the damped plant of a plant in SI; without a damping it stays as it is.
+
+    Parameters
+    ----------
+    damping : DampingParameters
+    dynamics : LinearParameters
+        The model.
+    sample_time : float
+        [s]
+    """
+    if damping.source == NOTHING:
+        return lambda plant: plant
+    return inner_loop(damping, dynamics, sample_time).around
+
+
+def undamped(dynamics: LinearParameters) -> StateSpace:
+    """Return the model from command to measured displacement in its own units, with no state more than it needs.
+
+    Parameters
+    ----------
+    dynamics : LinearParameters
+    """
+    model = dynamics.state_space
+    return model.held() if model.D.item() != 0.0 else model
+
+
+def damped(dynamics: LinearParameters, damping: DampingParameters, sample_time: float) -> LinearParameters:
+    """Return the model of the damped plant, in the units of the model.
+
+    Parameters
+    ----------
+    dynamics : LinearParameters
+        The model, with its delay.
+    damping : DampingParameters
+    sample_time : float
+        [s]
+
+    Raises
+    ------
+    ParameterError
+        ``damping.…``: the filter cannot run at this sample time, or the inner loop is unstable on the model.
+    """
+    if damping.source == NOTHING:
+        return dynamics
+    loop = inner_loop(damping, dynamics, sample_time)
+    scale = dynamics.output_scale / dynamics.resolved_input_scale
+    found = loop.around(undamped(dynamics), scale)
+    radius = float(np.max(np.abs(found.poles)))
+    if not radius < 1.0 - BOUNDARY or not loop.direct > 0.0:
+        values = tuple(getattr(damping, damping.type).to_mapping().items())
+        given = ", ".join(f"{name} {value}" for name, value in values)
+        if radius < 1.0:
+            allowed = f"turns the sign of the plant (gain at rest {loop.forward:.4g}); lower its gain"
+        else:
+            allowed = (
+                f"the inner loop is unstable on model.dynamics: largest pole {radius:.6g}, all must be below 1; lower "
+                "its gain, or let `hysteresis design --damping` find it"
+            )
+        raise ParameterError([Problem(f"damping.{damping.type}", given, allowed)])
+    return replace(
+        dynamics,
+        A=tuple(found.A.ravel().tolist()),
+        B=tuple(found.B[:, 0].tolist()),
+        C=tuple(found.C[0].tolist()),
+        D=(),
+        input_scale=dynamics.resolved_input_scale,
+        sample_time=dynamics.sample_time or sample_time,
+        delay=0.0,
+    )

@@ -1,0 +1,16 @@
+"""The kinds of damping there are: those of the folder ``kinds`` and those that other packages add by an entry point."""
+
+from __future__ import annotations
+
+import hysteresis_ros.control.damping.kinds  # noqa: F401  (its folder is searched)
+from hysteresis_ros.control.damping.kind import DampingKind
+from hysteresis_ros.registry import discover
+
+#: Group of entry points by which a package adds a kind: ``lead = my_package.lead:DAMPING``.
+GROUP = "hysteresis_ros.damping"
+
+#: What each kind declares, by type; ``none`` beside them is no damping.
+KINDS: dict[str, DampingKind] = discover("hysteresis_ros.control.damping.kinds", "DAMPING", DampingKind, GROUP)
+
+#: Type without damping.
+NONE = "none"

@@ -1,0 +1,194 @@
+"""Damping in front of a plant: closed forms of its filters, what a law sees of it, and what is refused."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hysteresis_ros.control.controller import ControllerParameters, ModelParameters, controller_block, damping_block
+from hysteresis_ros.control.damping import block
+from hysteresis_ros.control.damping.block import as_output
+from hysteresis_ros.control.damping.design import damping_plants, design_damping, modes
+from hysteresis_ros.control.damping.parameters import DampingParameters
+from hysteresis_ros.control.damping.plant import damped, inner_loop
+from hysteresis_ros.control.damping.registry import KINDS
+from hysteresis_ros.control.gain_design import design_gains
+from hysteresis_ros.control.linearisation import linear_loop, whole_loop
+from hysteresis_ros.control.margins import margins_of
+from hysteresis_ros.errors import ParameterError
+from hysteresis_ros.models.linear import LinearDynamics, LinearParameters, zero_order_hold
+
+#: A stage of 700 Hz and 1 % damping at 20 kHz with a sample of delay, its output in µm, 2 µm a volt.
+T, OMEGA, DAMPING = 5e-5, 2.0 * math.pi * 700.0, 0.01
+
+
+def stage(delay: float = T, frequency: float = 700.0, sample_time: float = T) -> LinearParameters:
+    omega = 2.0 * math.pi * frequency
+    A, B = zero_order_hold(
+        [[0.0, 1.0], [-omega * omega, -2.0 * DAMPING * omega]], [[0.0], [omega * omega]], sample_time
+    )
+    return LinearParameters(
+        A=tuple(A.ravel().tolist()),
+        B=tuple(B[:, 0].tolist()),
+        C=(2.0, 0.0),
+        output_scale=1e-6,
+        sample_time=sample_time,
+        delay=delay,
+    )
+
+
+CHOSEN = {
+    "irc": {"k": 2000.0, "feedthrough": -2.5},
+    "ppf": {"frequencies": (900.0, 3000.0), "damping": (0.4, 0.7), "gains": (0.2, 0.1)},
+    "notch": {"frequencies": (700.0, 2100.0), "damping": (0.01, 0.1), "width": (0.5, 0.4)},
+}
+kinds = pytest.mark.parametrize("kind", CHOSEN)
+
+
+def damping(kind: str, **changes) -> DampingParameters:
+    values = {f"{kind}.{name}": value for name, value in (CHOSEN[kind] | changes).items()}
+    return DampingParameters.from_mapping({"type": kind, **values})
+
+
+def controller(kind: str | None = None, dynamics: LinearParameters | None = None, **changes) -> ControllerParameters:
+    chosen = DampingParameters() if kind is None else damping(kind, **changes)
+    model = ModelParameters(dynamics=dynamics or stage())
+    return ControllerParameters(type="open_loop", model=model, damping=chosen)
+
+
+def test_all_kinds_are_tried_here():
+    assert set(KINDS) == set(CHOSEN)
+
+
+def response(system, hertz):
+    return system.response(np.exp(2j * np.pi * np.atleast_1d(hertz) * T))[0, 0, 0]
+
+
+def test_a_filter_has_its_continuous_response_at_its_frequency_and_its_gain_at_rest():
+    found = damping("irc").filter(T)
+    # k/(s − k D_f) with s = h (z − 1)/(z + 1), h = 2/T: exactly that of continuous time at the warped frequency
+    s = 2j / T * math.tan(math.pi * 300.0 * T)
+    assert response(found, 300.0) == pytest.approx(2000.0 / (s + 5000.0), rel=1e-12)
+    assert found.dc_gain == pytest.approx(1.0 / 2.5, rel=1e-12)
+    found = damping("ppf", frequencies=(900.0,), damping=(0.4,), gains=(-0.2,)).filter(T)
+    assert response(found, 900.0) == pytest.approx(-0.2 / (2j * 0.4), rel=1e-9)
+    assert found.dc_gain == pytest.approx(-0.2, rel=1e-12)
+    both, one = damping("ppf").filter(T), damping("ppf", frequencies=(900.0,), damping=(0.4,), gains=(0.2,)).filter(T)
+    other = damping("ppf", frequencies=(3000.0,), damping=(0.7,), gains=(0.1,)).filter(T)
+    assert response(both, 777.0) == pytest.approx(response(one, 777.0) + response(other, 777.0), rel=1e-12)
+    found = damping("notch").filter(T)
+    assert found.order == 4 and found.dc_gain == pytest.approx(1.0, rel=1e-12)
+    assert abs(response(found, 0.5 / T - 1e-6)) == pytest.approx(1.0, rel=1e-9)
+    single = damping("notch", frequencies=(700.0,), damping=(0.01,), width=(0.5,)).filter(T)
+    assert response(single, 700.0) == pytest.approx(0.02, rel=1e-9)
+    other = damping("notch", frequencies=(2100.0,), damping=(0.1,), width=(0.4,)).filter(T)
+    assert response(found, 555.0) == pytest.approx(response(single, 555.0) * response(other, 555.0), rel=1e-12)
+
+
+def test_integral_resonant_control_has_the_poles_of_its_characteristic_polynomial():
+    # at 2 MHz without delay: (s² + 2 ζ ω s + ω²)(s − k D_f) − k ω² = 0, so fast that holding no longer matters
+    fast = 5e-7
+    dynamics = stage(delay=0.0, sample_time=fast)
+    found = damped(dynamics, damping("irc"), fast)
+    polynomial = np.polymul([1.0, 2.0 * DAMPING * OMEGA, OMEGA**2], [1.0, 5000.0])
+    wanted = np.roots(np.polysub(polynomial, [2000.0 * OMEGA**2]))
+    poles = np.log(found.state_space.poles.astype(complex)) / fast
+    assert np.sort_complex(poles) == pytest.approx(np.sort_complex(wanted), rel=2e-3)
+    assert -wanted.real.max() > 0.1 * OMEGA  # and they are damped, by a tenth at least
+
+
+@kinds
+def test_what_a_law_sees_is_the_plant_behind_the_kernel(kind):
+    own = controller(kind)
+    seen = own.before_damping(T).model.dynamics
+    assert seen.order <= 8 + 3 and seen.delay == 0.0
+    assert seen.matrices.dc_gain / seen.resolved_input_scale * seen.output_scale == pytest.approx(1.0, rel=1e-9)
+    plant, model = LinearDynamics(stage(), T), LinearDynamics(seen, T)
+    between = damping_block(own, T)
+    random = np.random.default_rng(3)
+    # it begins at rest under what comes first
+    for output in [0.0, *(1e-6 * random.standard_normal(300)).tolist()]:
+        measured = plant.output()
+        assert measured == pytest.approx(model.output(), abs=1e-15)
+        plant.step(block.damp(between.p, between.x, output, measured))
+        model.step(output)
+    assert abs(plant.output()) > 1e-8
+
+
+@kinds
+def test_at_rest_at_a_displacement_the_filter_begins_at_rest(kind):
+    between = damping_block(controller(kind), T)
+    commands = [block.damp(between.p, between.x, 3e-6, 3e-6) for _ in range(50)]
+    assert commands == pytest.approx([3e-6] * 50, rel=1e-12)
+
+
+def test_without_damping_nothing_is_touched():
+    between = damping_block(controller(), T)
+    assert block.damp(between.p, between.x, 0.1, math.nan) == 0.1
+    assert as_output(between.p, between.x, 0.3) == 0.3 and not np.any(between.x)
+
+
+@kinds
+@given(st.floats(-1e-5, 1e-5), st.floats(-1e-5, 1e-5), st.floats(-1e-5, 1e-5))
+def test_what_was_carried_out_is_heard_as_the_output_that_would_have_led_to_it(kind, output, measured, cut):
+    between = damping_block(controller(kind), T)
+    block.damp(between.p, between.x, 1e-6, 2e-6)
+    before = between.x.copy()
+    command = block.damp(between.p, between.x, output, measured)
+    assert as_output(between.p, between.x, command) == output
+    heard = as_output(between.p, between.x, command - cut)
+    again = damping_block(controller(kind), T)
+    again.x[:] = before
+    assert block.damp(again.p, again.x, heard, measured) == pytest.approx(command - cut, abs=1e-18 + 1e-12 * abs(cut))
+
+
+@pytest.mark.parametrize(
+    ("kind", "changes", "named"),
+    [
+        ("irc", {"k": 2000.0, "feedthrough": -0.9}, r"damping\.irc = .*largest pole 1\.\d+"),
+        ("irc", {"k": 0.0}, r"irc\.k = 0"),
+        ("irc", {"k": -2000.0}, r"irc\.k = -2000.*of the other sign than feedthrough = -2.5"),
+        ("ppf", {"gains": (0.2, 0.9)}, r"damping\.ppf = .*inner loop is unstable"),
+        ("ppf", {"frequencies": (900.0, 10000.0)}, r"damping\.ppf\.frequencies = .*half the sample rate, 10000 Hz"),
+        ("ppf", {"frequencies": ()}, r"ppf\.frequencies = .*1 … 2 numbers"),
+        ("ppf", {"damping": (0.4,)}, r"ppf\.damping = .*2 numbers"),
+        ("notch", {"frequencies": (700.0, 12000.0)}, r"damping\.notch\.frequencies = .*half the sample rate"),
+        ("notch", {"width": (0.5,)}, r"notch\.width = .*2 numbers"),
+    ],
+)
+def test_what_cannot_work_is_refused_by_name_and_figure(kind, changes, named):
+    with pytest.raises(ParameterError, match=named):
+        controller_block(controller(kind, **changes), T)
+
+
+def test_a_model_without_a_resonance_has_nothing_to_damp():
+    lag = LinearParameters(A=(0.9,), B=(0.1,), C=(1.0,), sample_time=T)
+    with pytest.raises(ParameterError, match=r"model\.dynamics\.A = .*nothing to damp"):
+        design_damping("irc", lag, T, damping_plants(lag, T))
+
+
+def test_a_designed_damping_makes_the_pid_five_times_as_fast_with_the_resonance_off_to_both_sides():
+    dynamics = stage()
+    plants = damping_plants(dynamics, T)
+    found = ControllerParameters(
+        type="pid", model=ModelParameters(dynamics=dynamics), damping=design_damping("irc", dynamics, T, plants)
+    )
+    loop = inner_loop(found.damping, dynamics, T)
+    closed = tuple(one.closed(loop.around) for one in plants)
+    with_it = design_gains(found, "pid", T, plants=closed).parameters
+    without = design_gains(ControllerParameters(model=found.model), "pid", T, plants=plants)
+    outer, _ = linear_loop(with_it, T)
+    both, bare = whole_loop(with_it, T)
+    assert bare.order == plants[0].plant.order
+    for one, around in zip(plants, closed, strict=True):
+        slowest, whole = margins_of(outer, around.plant, T), margins_of(both, one.plant, T)
+        assert slowest.bandwidth >= 5.0 * without.margins.bandwidth
+        assert slowest.sensitivity_peak <= 2.0 and whole.sensitivity_peak <= 2.0
+        assert whole.delay_margin_samples >= 1.0
+        # the poles of the loop do not depend on where it is cut
+        assert np.sort(np.abs(slowest.poles))[-4:] == pytest.approx(np.sort(np.abs(whole.poles))[-4:], rel=1e-6)
+        assert modes(around.plant.poles.astype(complex), T)[0][1] > 0.1
