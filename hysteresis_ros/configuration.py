@@ -92,6 +92,10 @@ class Configuration:
         flat = {name.replace("__", "."): value for name, value in values.items()}
         return replace(self, entries=(*self.entries, (pattern, flat)))
 
+    def under(self, *others: Configuration) -> Configuration:
+        """Return this configuration with others laid over it: what stands in a later one wins."""
+        return replace(self, entries=(*self.entries, *(entry for other in others for entry in other.entries)))
+
     def namespaces(self) -> tuple[str, ...]:
         """Return the namespaces that the file names explicitly, in order; ``("",)`` when it names none."""
         found = []

@@ -101,6 +101,20 @@ SIGNALS = (
     ),
     Signal("late", "1", PLANT, "voltages so far that did not come in time", _at(PLANT, name="late")),
     Signal("skipped", "1", PLANT, "1: its time was missed, nobody answered", _at(PLANT, name="skipped")),
+    Signal(
+        "adaptation",
+        "1",
+        COMPENSATOR,
+        "what the adaptation does, 0: there is none",
+        _at(COMPENSATOR, name="adaptation"),
+    ),
+    Signal(
+        "adapted_gain",
+        "1",
+        COMPENSATOR,
+        "gain of the inverse as a part of the identified one",
+        _at(COMPENSATOR, name="adapted_gain"),
+    ),
     _sequencer("origin", "m", "what the controller subtracts from the measurement", topic="origin"),
     _motor("extender", "m", "measured displacement of the extender"),
     _motor("extender_displacement", "m", "true displacement of the extender"),
@@ -151,6 +165,8 @@ SIGNALS = (
     TRIPPED,
     LATE,
     SKIPPED,
+    ADAPTATION,
+    ADAPTED_GAIN,
     ORIGIN,
     EXTENDER,
     EXTENDER_DISPLACEMENT,
@@ -177,7 +193,7 @@ SIGNALS = (
     BACKWARD_GAIN,
     FORWARD_OFFSET,
     BACKWARD_OFFSET,
-) = range(46)
+) = range(48)
 
 #: Places of what people ask for: of any axis the first, of a motor all of them.
 ASKED = (SETPOINT, REQUEST, SPEED)

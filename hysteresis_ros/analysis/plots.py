@@ -9,6 +9,7 @@ import numpy as np
 
 from hysteresis_ros.analysis.settings import axis_settings, judged_reference
 from hysteresis_ros.analysis.steps import scan_start
+from hysteresis_ros.compensation.recursive import ADAPTING
 from hysteresis_ros.errors import HysteresisError
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.loops import loop_opening
@@ -190,12 +191,31 @@ def voltage_figure(recording: Recording):
     return figure
 
 
+def adaptation_figure(recording: Recording):
+    """Return the figure of the gain of an inverse that adapts over time; None: it does not."""
+    if not recording.has("adaptation") or not np.any(recording["adaptation"]):
+        return None
+    figure, (axis,) = new_figure(2.2)
+    gain, adapts = recording["adapted_gain"], recording["adaptation"] == ADAPTING
+    axis.plot(*envelope(recording.time, gain), color=_COLOURS["limit"], linewidth=1.0, label="frozen")
+    axis.plot(
+        *envelope(recording.time, np.where(adapts, gain, np.nan)),
+        color=_COLOURS["voltage"],
+        linewidth=1.8,
+        label="adapting",
+    )
+    axis.set(xlabel="time [s]", ylabel="gain [1]")
+    add_legend(axis)
+    return figure
+
+
 #: Plots of a report: caption and function; one that has nothing to show returns None.
 FIGURES = (
     ("Displacement over time", traces_figure),
     ("Error (reference − displacement) over time", error_figure),
     ("Hysteresis loop before and after compensation", loop_figure),
     ("Voltage and its limits", voltage_figure),
+    ("Gain of the adapted inverse, as a part of the identified one", adaptation_figure),
 )
 
 

@@ -53,3 +53,32 @@ class NodeName(click.ParamType):
         from hysteresis_ros.configuration import NODE_NAMES, OPTIONAL_NODE_NAMES
 
         return [CompletionItem(name) for name in NODE_NAMES + OPTIONAL_NODE_NAMES if name.startswith(incomplete)]
+
+
+#: Parameter files that are laid over the configuration; the command gets their names as ``laid_over``.
+params_file_option = click.option(
+    "--params-file",
+    "laid_over",
+    multiple=True,
+    metavar="FILE",
+    help="Parameter file whose values win over those of CONFIG, as one that a node has saved; may be repeated.",
+)
+
+
+def laid_under(config: str, laid_over: tuple[str, ...]):
+    """Return a configuration with the parameter files that are laid over it.
+
+    Parameters
+    ----------
+    config : str
+    laid_over : tuple of str
+        The later one wins.
+
+    Raises
+    ------
+    ConfigurationError
+        One of them cannot be read.
+    """
+    from hysteresis_ros.configuration import load_configuration
+
+    return load_configuration(config).under(*map(load_configuration, laid_over))

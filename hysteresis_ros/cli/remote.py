@@ -111,7 +111,7 @@ def set_(node, pairs, namespace, timeout):
 @click.argument("action")
 @steered()
 def call(node, action, namespace, timeout):
-    """Ask NODE for ACTION: a service (start, stop, reset; home, release) or a transition of its lifecycle.
+    """Ask NODE for ACTION: a service (start, stop, reset, home, release, freeze, save …) or a lifecycle transition.
 
     Transitions: configure, activate, deactivate, cleanup, shutdown.
     """

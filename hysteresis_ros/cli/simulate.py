@@ -6,7 +6,7 @@ from typing import Any
 
 import click
 
-from hysteresis_ros.cli.arguments import ConfigurationName
+from hysteresis_ros.cli.arguments import ConfigurationName, laid_under, params_file_option
 from hysteresis_ros.cli.progress import Progress
 from hysteresis_ros.cli.reference_options import reference_options
 
@@ -14,6 +14,7 @@ from hysteresis_ros.cli.reference_options import reference_options
 @click.command(short_help="Simulate a configuration without ROS.")
 @click.argument("config", type=ConfigurationName())
 @click.option("-o", "--output", required=True, help="File to write: .npz, .csv or .mcap.")
+@params_file_option
 @click.option("--duration", type=float, help="Length of the run [s]; the configuration's own by default.")
 @click.option(
     "--setpoints",
@@ -27,11 +28,17 @@ from hysteresis_ros.cli.reference_options import reference_options
     help="Make this go wrong; may be repeated.",
 )
 @click.option("--learned", metavar="FILE", help="Write what was learned at the end, for learning.file.")
+@click.option(
+    "--drift",
+    type=float,
+    nargs=2,
+    metavar="GAIN OPENING",
+    help="By which part gain and opening of the plant's hysteresis change over the run, as 0.2 -0.1.",
+)
 @reference_options
 @click.option("--namespace", help="Which axis of the configuration, when it describes several.")
-def simulate(config, output, duration, setpoints, faults, learned, namespace, reference):
+def simulate(config, output, laid_over, duration, setpoints, faults, learned, drift, namespace, reference):
     """Run the blocks of CONFIG in closed loop, bit for bit what the nodes do in lockstep, and write all signals."""
-    from hysteresis_ros.configuration import load_configuration
     from hysteresis_ros.recordings.align import setpoints_per_sample
     from hysteresis_ros.recordings.files import load_run, save_run
     from hysteresis_ros.recordings.replay import requests_per_sample
@@ -40,7 +47,7 @@ def simulate(config, output, duration, setpoints, faults, learned, namespace, re
     from hysteresis_ros.simulation.reach import reach_warnings
     from hysteresis_ros.simulation.run import simulate as run_offline
 
-    configuration = reference.put_into(load_configuration(config))
+    configuration = reference.put_into(laid_under(config, laid_over))
     with reference.named():
         parameters = single_axis(configuration, namespace)
     for warning in reach_warnings(parameters):
@@ -55,7 +62,7 @@ def simulate(config, output, duration, setpoints, faults, learned, namespace, re
         replay = {"setpoints": setpoints_per_sample(recorded), **requests_per_sample(recorded)}
     with Progress(err=True, bars_only=True).during("simulating; the first run of a version compiles"):
         keep = (lambda axis: axis.controller.save(learned, config)) if learned else None
-        recording = run_offline(parameters, duration=duration, finished=keep, **replay)
+        recording = run_offline(parameters, duration=duration, drift=drift or (0.0, 0.0), finished=keep, **replay)
     save_run(recording, output)
     if faults:
         for line in mode_lines(recording):

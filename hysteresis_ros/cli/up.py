@@ -6,12 +6,13 @@ import signal
 
 import click
 
-from hysteresis_ros.cli.arguments import ConfigurationName
+from hysteresis_ros.cli.arguments import ConfigurationName, laid_under, params_file_option
 from hysteresis_ros.cli.reference_options import reference_options
 
 
 @click.command(short_help="Start the nodes of a configuration.")
 @click.argument("config", type=ConfigurationName())
+@params_file_option
 @click.option(
     "--processes/--composed",
     "processes",
@@ -56,6 +57,7 @@ from hysteresis_ros.cli.reference_options import reference_options
 )
 def up(
     config,
+    laid_over,
     processes,
     record,
     duration,
@@ -77,14 +79,13 @@ def up(
     requested = []
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda signum, frame: requested.append(signum))
-    from hysteresis_ros.configuration import load_configuration
     from hysteresis_ros.nodes.bench import in_time
     from hysteresis_ros.nodes.launcher import Graph
     from hysteresis_ros.simulation.axes import axes
     from hysteresis_ros.simulation.reach import reach_warnings
 
     rate = _time_mode(rate, fused, processes)
-    configuration = _overridden(reference.put_into(load_configuration(config)), rate, factor, force, plant)
+    configuration = _overridden(reference.put_into(laid_under(config, laid_over)), rate, factor, force, plant)
     with reference.named():
         found = axes(configuration, namespace)
     for axis in found:

@@ -89,6 +89,9 @@ def sections(result: Identification) -> dict[str, dict]:
     dynamics = block_mapping(linear, "dynamics.") if linear.order else {}
     offset = {"preload.A1": chain.offset} if chain.offset else {}
     inverse = block_mapping(chain.inverse, "inverse.")
+    # not in use until adaptation.type says so
+    adapts = dynamics and chain.hysteresis.model.weighted is not None
+    adaptation = {f"adaptation.{name}": value for name, value in dynamics.items()} if adapts else {}
     model = {f"model.{name}": value for name, value in {**dynamics, **offset}.items()}
     lowest, highest = _reach(chain, low, high)
     # a remanent actuator is not at zero at 0 V: the reference starts where it stands
@@ -96,7 +99,7 @@ def sections(result: Identification) -> dict[str, dict]:
     return {
         "/**": {"sample_rate": rate_of(chain.sample_time)},
         "/**/plant_simulator": {**limits, **hysteresis, **creep, **dynamics, **offset},
-        "/**/hysteresis_compensator": {**inverse, **limits, **hysteresis, **creep},
+        "/**/hysteresis_compensator": {**inverse, **limits, **hysteresis, **creep, **adaptation},
         "/**/motion_controller": {"type": "open_loop", **model},
         "/**/reference_generator": {"minimum": lowest, "maximum": highest, **start},
     }

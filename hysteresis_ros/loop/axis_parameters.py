@@ -55,6 +55,14 @@ def _camera_mismatches(plant, camera) -> list[Problem]:
     return []
 
 
+def _adaptation_problems(controller, compensator):
+    """Yield a Problem where the inverse would take what the controller knows of the dynamics for hysteresis."""
+    adaptation = compensator.adaptation
+    if adaptation.type != "none" and controller.model.dynamics.order and not adaptation.dynamics.order:
+        allowed = "a lag or a delay would be learned as hysteresis: give motion_controller's model.dynamics here too"
+        yield Problem("hysteresis_compensator: adaptation.dynamics.A", adaptation.dynamics.A, allowed)
+
+
 #: Time-outs of the nodes, what happens after them, and where the output then goes.
 TIMEOUTS = {
     ("motion_controller", "measurement_timeout"): "no usable measurement: command to safe_command",
@@ -170,6 +178,7 @@ class AxisParameters:
         for name, dynamics, place in (
             ("plant_simulator", plant.dynamics, "dynamics"),
             ("motion_controller", parts["motion_controller"].model.dynamics, "model.dynamics"),
+            ("hysteresis_compensator", parts["hysteresis_compensator"].adaptation.dynamics, "adaptation.dynamics"),
         ):
             try:
                 dynamics.require_sample_time(sample_time, f"{name}: {place}.sample_time")
@@ -179,6 +188,7 @@ class AxisParameters:
         problems += _short_timeouts(parts)
         problems += _inchworm_mismatches(plant, parts)
         problems += _camera_mismatches(plant, camera)
+        problems += _adaptation_problems(parts["motion_controller"], parts["hysteresis_compensator"])
         if problems:
             raise ParameterError(problems)
         return cls(namespace=namespace, **parts)

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from hysteresis_ros import signals as at
-from hysteresis_ros.block import nested
+from hysteresis_ros.block import by_part, kernel, nested
 from hysteresis_ros.compensation import compensator as compensating
+from hysteresis_ros.compensation import recursive as adapting
+from hysteresis_ros.compensation.adaptation import Adaptation
 from hysteresis_ros.compensation.compensator import (
     Compensator,
     CompensatorArrays,
@@ -17,6 +21,9 @@ from hysteresis_ros.compensation.compensator import (
     compensator_resume,
     compensator_step,
 )
+from hysteresis_ros.compensation.recursive import AdaptationSettings, AdaptationStates, adapt, drive
+from hysteresis_ros.configuration import dump_configuration
+from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.loop import faults as faulty
 from hysteresis_ros.loop.node_parameters import CompensatorNodeParameters, part
 from hysteresis_ros.loop.watch import (
@@ -34,6 +41,7 @@ from hysteresis_ros.loop.watch import (
     towards,
 )
 from hysteresis_ros.models import limits as limiting
+from hysteresis_ros.models.hysteresis import HysteresisParameters
 
 
 class CompensationArrays(NamedTuple):
@@ -44,6 +52,23 @@ class CompensationArrays(NamedTuple):
     watch_p: WatchArrays
     watch_x: WatchArrays
 
+
+class AdaptiveArrays(NamedTuple):
+    """All arrays of a compensator in the loop whose inverse adapts to the actuator."""
+
+    p: CompensatorArrays
+    x: CompensatorArrays
+    watch_p: WatchArrays
+    watch_x: WatchArrays
+    settings: AdaptationSettings
+    adaptation: AdaptationStates
+
+
+_ADAPTED_HEADER = """\
+# The model of a hysteresis_compensator as ~/save found it, adapted to the actuator. SI units.
+# Lay it over the parameter file of the axis: hysteresis up CONFIG --params-file THIS (and simulate), or a second
+# --params-file of ros2 run. adaptation.factors are in the weights already: weight / factor is what was identified.
+"""
 
 # Own parameters.
 SAFE_VOLTAGE = 0  # [V]
@@ -57,9 +82,14 @@ COMMAND = 2  # last finite command [m]
 OWN_STATES = 3
 
 
+@by_part
+def compensate(laws, part, row):
+    """Take the command of a sample out of its row; put the voltage and what it carries out in."""
+
+
 @nested
-def compensate(laws, arrays, row):
-    """Take the command of a sample out of its row; put the voltage and what it carries out in.
+def compensate_fixed(laws, arrays, row):
+    """Answer a command by the inverse as it is.
 
     In a sample that was skipped the voltage stays where it is, and the model follows that.
     """
@@ -97,6 +127,60 @@ def compensate(laws, arrays, row):
     row[at.APPLIED] = x.out[compensating.APPLIED]
     row[at.SATURATED] = limiting.is_limited(x.limits)
     row[at.COMPENSATOR_MODE] = mode
+    row[at.ADAPTATION] = adapting.OFF
+    row[at.ADAPTED_GAIN] = 1.0
+
+
+@nested
+def compensate_adaptive(laws, arrays, row):
+    """Answer a command by the inverse that the measurement of this sample leaves, and remember what was put out."""
+    p, x, settings, states = arrays.p, arrays.x, arrays.settings, arrays.adaptation
+    voltage = x.limits[limiting.OUTPUT]
+    measured = math.nan if row[at.SKIPPED] != 0.0 else row[at.MEASURED]
+    usable = may_learn(settings.own, states.own, x.limits)
+    adapt(settings, states, p.hysteresis, x.hysteresis, voltage, measured, usable)
+    compensate_fixed(laws, arrays, row)
+    mode = row[at.COMPENSATOR_MODE]
+    if mode not in (RUNNING, HOLDING):
+        states.own[adapting.WAIT] = settings.own[adapting.SETTLING_SAMPLES]
+    drive(settings, states, p.creep, p.hysteresis, x.hysteresis, x.limits[limiting.OUTPUT])
+    row[at.ADAPTATION] = states.own[adapting.STATE]
+    row[at.ADAPTED_GAIN] = states.own[adapting.GAIN]
+
+
+@kernel
+def may_learn(own_p, own, limited):
+    """Tell whether anything may be learned from the present sample, and note why not; 0: nothing."""
+    if own[adapting.WAIT] > 0.0:
+        own[adapting.WAIT] -= 1.0
+        own[adapting.STATE] = adapting.WAITING
+    elif own[adapting.TOLD] != 0.0:
+        own[adapting.STATE] = adapting.FROZEN
+    elif limiting.is_limited(limited) != 0.0:
+        own[adapting.STATE] = adapting.SATURATED
+    else:
+        return 1.0
+    return 0.0
+
+
+compensate.kinds[CompensationArrays], compensate.kinds[AdaptiveArrays] = compensate_fixed, compensate_adaptive
+
+
+def adapted_text(name: str, part: CompensatorPart) -> str:
+    """Return the text of a parameter file with the adapted model of a compensator.
+
+    Parameters
+    ----------
+    name : str
+        Full name of its node.
+    part : CompensatorPart
+
+    Raises
+    ------
+    ParameterError
+        It does not adapt.
+    """
+    return _ADAPTED_HEADER + dump_configuration({name: part.saved()})
 
 
 class CompensatorPart:
@@ -120,7 +204,12 @@ class CompensatorPart:
         guard = guard_parameters(parameters.command_timeout, parameters.sample_rate)
         watch_p = WatchArrays(guard, faults, np.zeros(OWN_PARAMETERS))
         watch_x = WatchArrays(np.zeros(GUARD_STATES), faulty.fault_state(faults), np.zeros(OWN_STATES))
-        self.arrays = CompensationArrays(self.compensator.ps, self.compensator.xs, watch_p, watch_x)
+        arrays = self.compensator.ps, self.compensator.xs, watch_p, watch_x
+        self.arrays: CompensationArrays | AdaptiveArrays = CompensationArrays(*arrays)
+        self.adaptation: Adaptation | None = None
+        if parameters.adaptation.type != "none":
+            self.adaptation = Adaptation(parameters.adaptation, self.compensator)
+            self.arrays = AdaptiveArrays(*arrays, self.adaptation.settings, self.adaptation.xs)
         self._pack_own(parameters)
 
     def _pack_own(self, parameters) -> None:
@@ -152,8 +241,46 @@ class CompensatorPart:
         self.arrays.watch_x.own[STOP] = 0.0
         self.arrays.watch_x.own[RETURNING] = 1.0
 
+    def _adapted(self) -> Adaptation:
+        if self.adaptation is None:
+            allowed = "nothing is adapted: start the node with adaptation.type: recursive"
+            raise ParameterError([Problem("adaptation.type", "none", allowed)])
+        return self.adaptation
+
+    def freeze(self) -> None:
+        """Leave the weights of the inverse as they are.
+
+        Raises
+        ------
+        ParameterError
+            They are not adapted.
+        """
+        self._adapted().freeze()
+
+    def resume(self) -> None:
+        """Let the weights follow the measurements again."""
+        self._adapted().resume()
+
+    def forget(self) -> None:
+        """Go back to the identified weights; the voltage does not jump."""
+        adaptation = self._adapted()
+        adaptation.forget()
+        self._take(self.parameters, adaptation.identified)
+
+    def saved(self) -> dict:
+        """Return the adapted model as parameters of the node; with them an axis begins where this one is."""
+        adaptation = self._adapted()
+        model = {f"hysteresis.{name}": value for name, value in adaptation.weighted.to_mapping().items()}
+        chosen = f"hysteresis.{self.parameters.hysteresis.type}."
+        kept = {name: value for name, value in model.items() if name.startswith(chosen) and value != ()}
+        kind = {"hysteresis.type": self.parameters.hysteresis.type}
+        return {**kind, **kept, "adaptation.factors": adaptation.factors}
+
     def reset(self) -> None:
         """Begin again with everything at rest."""
+        if self.adaptation is not None:
+            self._take(self.parameters, self.parameters.hysteresis)
+            self.adaptation.reset()
         self.compensator.reset()
         watch_p, watch_x = self.arrays.watch_p, self.arrays.watch_x
         watch_x.guard[:] = 0.0
@@ -170,10 +297,27 @@ class CompensatorPart:
         ParameterError
             The parameters are wrong or of another structure; nothing is changed then.
         """
-        self.compensator.retune(part(parameters, CompensatorParameters))
+        if self.adaptation is None:
+            self._take(parameters, parameters.hysteresis)
+        else:
+            self._retune_adaptive(self.adaptation, parameters)
         self.arrays.watch_p.guard[:] = guard_parameters(parameters.command_timeout, parameters.sample_rate)
         self._pack_own(parameters)
         self.parameters = parameters
+
+    def _take(self, parameters: CompensatorNodeParameters, hysteresis: HysteresisParameters) -> None:
+        self.compensator.retune(replace(part(parameters, CompensatorParameters), hysteresis=hysteresis))
+
+    def _retune_adaptive(self, adaptation: Adaptation, parameters: CompensatorNodeParameters) -> None:
+        """Keep what was learned, unless it is another model that is given."""
+        before, given = self.parameters, parameters.hysteresis
+        adaptation.dynamics.retune(parameters.adaptation.dynamics)
+        try:
+            self._take(parameters, adaptation.hysteresis if given == before.hysteresis else given)
+        except ParameterError:
+            adaptation.dynamics.retune(before.adaptation.dynamics)
+            raise
+        adaptation.retune(parameters.adaptation, given)
 
     def make_safe(self) -> float:
         """Return the safe voltage [V], put out at once: the last message of a node that leaves."""

@@ -29,6 +29,10 @@ def inchworm_problems(plant, parts):
     parts : dict of str to NodeParameters
         Parameters of ``inchworm_sequencer`` and ``hysteresis_compensator``.
     """
+    adaptation = parts["hysteresis_compensator"].adaptation
+    if adaptation.type != "none":
+        allowed = "needs a measurement of the actuator itself, a motor measures its slider: take none"
+        yield Problem("hysteresis_compensator: adaptation.type", adaptation.type, allowed)
     sequencer = parts["inchworm_sequencer"]
     gait, motor = sequencer.gait, plant.inchworm
     lowest, highest = reachable_commands(parts["hysteresis_compensator"], 1.0 / plant.sample_rate)

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields
 
+from hysteresis_ros.compensation.adaptation import AdaptationParameters
 from hysteresis_ros.compensation.compensator import CompensatorParameters
 from hysteresis_ros.compensation.reachable import resting_displacements
 from hysteresis_ros.control.controller import ControllerParameters
@@ -339,12 +340,18 @@ class ControllerNodeParameters(NodeParameters, ControllerParameters):
 class CompensatorNodeParameters(NodeParameters, CompensatorParameters):
     """Parameters of ``hysteresis_compensator``."""
 
+    adaptation: AdaptationParameters = group(AdaptationParameters)
     command_timeout: float = parameter(
         0.4, unit="s", low=1.0e-3, high=3600.0, description="realtime: silence of command that starts the watchdog"
     )
     safe_slew_rate: float = parameter(
         1000.0, unit="V/s", low=1.0e-3, high=1.0e9, description="how fast the voltage goes to safe_voltage"
     )
+
+    def check(self):
+        """Yield what does not fit together."""
+        yield from super().check()
+        yield from self.adaptation.fits(self.hysteresis, self.inverse.type)
 
 
 @dataclass(frozen=True)

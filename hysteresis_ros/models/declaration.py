@@ -18,8 +18,40 @@ from hysteresis_ros.parameters import ParameterRow, Parameters
 
 #: Parts of the linear model that can be found together with a hysteresis.
 PARTS = ("lag", "delay", "creep", "modes")
+#: Place of the last output in the state of every model with memory.
+DISPLACEMENT_PLACE = 1
+#: No place in the parameters or in the state.
+NOWHERE = -1
 #: Fits the parameters a model declares as ``free`` from its ``guess`` on.
 PARAMETRIC = "hysteresis_ros.identification.parametric:identify"
+
+
+@dataclass(frozen=True)
+class LinearTerms:
+    """Where a model that is linear in its weights keeps them: its output is Σ p[weight] x[signal], then dead zones.
+
+    Parameters
+    ----------
+    weights : tuple of int
+        Places of the weights in p.
+    signals : tuple of int
+        Place in x of what each weight multiplies [V]; ``NOWHERE``: the voltage that is put out.
+    opening : tuple of bool
+        Which of them open the loops: what they multiply lags behind the voltage.
+    zones : tuple of (int, int)
+        Places in p of threshold [m] and slope of each dead zone behind the sum; a gain multiplies the thresholds.
+    output : int
+        Place in x of the last output [m]; ``NOWHERE``: it is not kept.
+    offset : int
+        Place in p of the constant part of the output [m]; ``NOWHERE``: there is none.
+    """
+
+    weights: tuple[int, ...]
+    signals: tuple[int, ...]
+    opening: tuple[bool, ...]
+    zones: tuple[tuple[int, int], ...] = ()
+    output: int = DISPLACEMENT_PLACE
+    offset: int = NOWHERE
 
 
 class HysteresisBlock(Block):
@@ -43,6 +75,11 @@ class HysteresisBlock(Block):
     #: Whether its output at the end of a step rises with the voltage there, whatever was before: then inverses fit it,
     #: and linear dynamics stand behind it, not inside.
     invertible = False
+
+    @property
+    def terms(self) -> LinearTerms | None:
+        """Where the weights stand in which its output is linear; None: it is not linear in any."""
+        return None
 
     @property
     def gain(self) -> float:
@@ -169,6 +206,9 @@ class HysteresisModel:
         model has no constant.
     deviated : callable
         ``deviated(parameters, deviation)`` returns the parameters of a plant that deviates by a :class:`Deviation`.
+    weighted : callable, optional
+        ``weighted(parameters, factors)`` returns those whose weights, in the order of the block's ``terms``, are
+        multiplied; without it the output is not linear in weights, and they are not adapted online.
     inverses : tuple of str
         Inverses that fit, the default first.
     own_inverses : dict of str to OwnInverse
@@ -201,6 +241,7 @@ class HysteresisModel:
     deviated: Callable[[Any, Deviation], Parameters]
     inverses: tuple[str, ...]
     shifted: Callable[[Any, float], Parameters] | None = None
+    weighted: Callable[[Any, Any], Parameters] | None = None
     own_inverses: dict[str, OwnInverse] = field(default_factory=dict)
     identify: str = PARAMETRIC
     guess: Callable[[Any, Any], Parameters] | None = None

@@ -7,11 +7,11 @@ of a step along which it moved monotonically and returns the displacement there.
 from __future__ import annotations
 
 from hysteresis_ros.errors import ParameterError, Problem
-from hysteresis_ros.models.declaration import HysteresisBlock
+from hysteresis_ros.models.declaration import DISPLACEMENT_PLACE, HysteresisBlock
 
 # The first two places of x in every model with memory.
 VOLTAGE = 0  # at the last step [V]
-DISPLACEMENT = 1  # the last output [m]
+DISPLACEMENT = DISPLACEMENT_PLACE  # the last output [m]
 
 
 def require_structure(present, wanted) -> None:

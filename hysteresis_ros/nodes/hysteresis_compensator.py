@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+import pathlib
 import time
 
 from hysteresis_ros import signals
 from hysteresis_ros.block import interpreted
-from hysteresis_ros.loop.compensator import CompensatorPart, compensate
+from hysteresis_ros.compensation import recursive as adapting
+from hysteresis_ros.errors import ParameterError, Problem
+from hysteresis_ros.loop.compensator import CompensatorPart, adapted_text, compensate
 from hysteresis_ros.loop.tick import Laws
 from hysteresis_ros.loop.watch import MODE_NAMES, RUNNING, STALE, TRIPPED
 from hysteresis_ros.nodes.responder import TRIPPED_FRAME, Input, Responder
@@ -33,6 +36,7 @@ class HysteresisCompensatorNode(Responder):
     trigger = "command"
     triggered_by_measurement = False
     share = 0.9
+    triggers = (*Responder.triggers, "freeze", "resume", "forget", "save")
 
     def __init__(self, **options):
         super().__init__("hysteresis_compensator", **options)
@@ -89,7 +93,9 @@ class HysteresisCompensatorNode(Responder):
         return self.parameters.command_timeout
 
     def read(self, message, row) -> bool:
-        """Of the measurement only whether the axis is stopped matters."""
+        """Of the measurement only whether the axis is stopped matters, unless the inverse adapts to it."""
+        if self.part.adaptation is not None:
+            return super().read(message, row)
         row[signals.TRIPPED] = 1.0 if message.header.frame_id == TRIPPED_FRAME else 0.0
         return True
 
@@ -102,6 +108,8 @@ class HysteresisCompensatorNode(Responder):
 
     def after_step(self) -> None:
         """Tell what has changed."""
+        if self.runner.by_message:
+            self.row[signals.MEASURED] = math.nan  # no measurement serves twice
         self.after_missing()
 
     def after_missing(self) -> None:
@@ -117,6 +125,38 @@ class HysteresisCompensatorNode(Responder):
             self.warn("tripped", "the plant has stopped the axis: going to safe_voltage", error=True)
         elif mode == RUNNING and before == STALE:
             self.get_logger().info("command is back")
+
+    # -- adaptation ----------------------------------------------------------------------------------------------
+
+    def _on_freeze(self, request, response):
+        return self._steer(response, "freeze", "the weights stay as they are")
+
+    def _on_resume(self, request, response):
+        return self._steer(response, "resume", "the weights follow the measurements")
+
+    def _on_forget(self, request, response):
+        return self._steer(response, "forget", "the weights are the identified ones")
+
+    def _steer(self, response, action: str, done: str):
+        if self.is_fused:
+            self.fused.apply(self.kind, action)
+        elif self.part is not None:
+            getattr(self.part, action)()
+            self.log_change(action)
+        return self._answer_service(response, done)
+
+    def _on_save(self, request, response):
+        if self.part is None:
+            return self._answer_service(response, "")
+        from hysteresis_ros.identification.parameter_file import write_file
+
+        text, given = adapted_text(self.get_fully_qualified_name(), self.part), self.parameters.adaptation.save_file
+        if not given:
+            allowed = "names no file; give one at configuration: nobody writes anywhere else"
+            raise ParameterError([Problem("adaptation.save_file", given, allowed)])
+        path = pathlib.Path(given).absolute()
+        write_file(path, text)
+        return self._answer_service(response, f"{path} written")
 
     def go_safe(self) -> None:
         """Publish the way to the safe voltage and the safe voltage; in lockstep, which has no time, the latter only."""
@@ -151,6 +191,13 @@ class HysteresisCompensatorNode(Responder):
             "stale": self.silent,
             "mode": MODE_NAMES[self._mode],
         }
+        adaptation, adapted = self.part.adaptation, ""
+        if adaptation is not None:
+            names = adapting.STATE_NAMES
+            # as the last sample left it; the part itself may be another thread's
+            state, gain = int(self.row[signals.ADAPTATION]), self.row[signals.ADAPTED_GAIN]
+            adapted = f"adaptation {names[state]}" if state > adapting.ADAPTING else ""
+            values |= {"adaptation": names[state], "adapted_gain": f"{gain:.5g}"}
         refused = self.since_report("refused", self.refused)
         if self.silent:
             return 2, "command is stale", values
@@ -158,7 +205,7 @@ class HysteresisCompensatorNode(Responder):
             return 2, "the plant has stopped the axis", values
         if refused:
             return 1, f"{refused} commands refused", values
-        return (1, "voltage saturated", values) if self.compensator.saturated else (0, "", values)
+        return (1, "voltage saturated", values) if self.compensator.saturated else (0, adapted, values)
 
 
 def main(arguments=None) -> int:

@@ -13,6 +13,7 @@ from hysteresis_ros.loop.driven import fused_plant_of
 from hysteresis_ros.loop.tick import BEFORE
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.replay import requests_per_sample
+from hysteresis_ros.simulation.drift import drifting
 
 
 def simulate(
@@ -23,6 +24,7 @@ def simulate(
     requests=None,
     speeds=None,
     changes: Sequence[Change] = (),
+    drift: tuple[float, float] = (0.0, 0.0),
     skipped=None,
     answers: dict | None = None,
     describe: bool = True,
@@ -42,6 +44,8 @@ def simulate(
         What was asked of an inchworm at each sample, see :meth:`Axis.run`; nothing after the last one.
     changes : sequence of Change, optional
         What changes while the axis runs.
+    drift : (float, float), optional
+        By which part gain and opening of the plant's hysteresis change over the run besides.
     skipped : array_like, shape (N,), optional
         1 at each sample whose time was missed, see :meth:`Axis.run`; none after the last one.
     answers : dict of str to array_like, shape (N,), optional
@@ -55,6 +59,8 @@ def simulate(
     ------
     ConfigurationError
         Neither the configuration nor the arguments say how long the run is.
+    ParameterError
+        The plant cannot drift so.
     """
     if duration is not None:
         parameters = parameters.with_duration(duration)
@@ -71,6 +77,8 @@ def simulate(
     given = {name: _padded(values, samples, rest) for name, (values, rest) in asked.items() if values is not None}
     if answers:
         given["answers"] = {name: _padded(values, samples, np.nan) for name, values in answers.items()}
+    if any(drift):
+        changes = [*changes, *drifting(parameters, samples, *drift)]
     signals = axis.run(setpoints, changes=changes, **given)
     if finished is not None:
         finished(axis)
@@ -95,7 +103,7 @@ LOGGED = {
     "reference_generator": ("start", "stop", "hold", "follow", "reset", "retune"),
     "inchworm_sequencer": ("reset", "retune"),
     "motion_controller": ("start", "stop", "reset", "retune", "learn", "freeze", "forget"),
-    "hysteresis_compensator": ("start", "stop", "reset", "retune"),
+    "hysteresis_compensator": ("start", "stop", "reset", "retune", "freeze", "resume", "forget"),
     "displacement_camera": ("reset", "retune"),
 }
 

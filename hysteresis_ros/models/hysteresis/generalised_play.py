@@ -30,7 +30,7 @@ from hysteresis_ros import elementary
 from hysteresis_ros.block import composite, kernel
 from hysteresis_ros.errors import Problem
 from hysteresis_ros.linear_algebra import product
-from hysteresis_ros.models.declaration import Deviation, HysteresisModel, Option, plus, times
+from hysteresis_ros.models.declaration import NOWHERE, Deviation, HysteresisModel, LinearTerms, Option, plus, times
 from hysteresis_ros.models.rate_independent import DISPLACEMENT, VOLTAGE, InvertibleBlock
 from hysteresis_ros.parameters import Parameters, parameter
 
@@ -252,6 +252,17 @@ class GeneralisedPlayHysteresis(InvertibleBlock):
         return x
 
     @property
+    def terms(self) -> LinearTerms:
+        """The part without hysteresis, then the plays."""
+        plays = int(self.p[PLAYS])
+        return LinearTerms(
+            weights=(SLOPE, *range(RADII + plays, RADII + 2 * plays)),
+            signals=(NOWHERE, *range(PLAY, PLAY + plays)),
+            opening=(False, *(bool(radius > 0.0) for radius in self.p[RADII : RADII + plays])),
+            offset=OFFSET,
+        )
+
+    @property
     def gain(self) -> float:
         """Nominal gain [m/V]: slope with every play moving, in the middle of the envelopes."""
         plays = int(self.p[PLAYS])
@@ -274,6 +285,11 @@ def _scaled(parameters: GeneralisedPlayParameters, factor: float) -> Generalised
 
 def _shifted(parameters: GeneralisedPlayParameters, offset: float) -> GeneralisedPlayParameters:
     return plus(parameters, offset, "offset")
+
+
+def _weighted(parameters: GeneralisedPlayParameters, factors) -> GeneralisedPlayParameters:
+    weights = np.array(parameters.weights) * np.asarray(factors[1:])
+    return replace(times(parameters, float(factors[0]), "slope"), weights=tuple(weights.tolist()))
 
 
 def _deviated(parameters: GeneralisedPlayParameters, deviation: Deviation) -> GeneralisedPlayParameters:
@@ -300,6 +316,7 @@ MODEL = HysteresisModel(
     scaled=_scaled,
     shifted=_shifted,
     deviated=_deviated,
+    weighted=_weighted,
     inverses=("exact", "general", "none"),
     identify="hysteresis_ros.identification.procedures:generalised_play",
     options={

@@ -17,7 +17,7 @@ import numpy as np
 from hysteresis_ros.block import kernel
 from hysteresis_ros.errors import Problem
 from hysteresis_ros.linear_algebra import product
-from hysteresis_ros.models.declaration import Deviation, HysteresisModel, Option, plus, times
+from hysteresis_ros.models.declaration import Deviation, HysteresisModel, LinearTerms, Option, plus, times
 from hysteresis_ros.models.rate_independent import DISPLACEMENT, VOLTAGE, RateIndependentBlock
 from hysteresis_ros.parameters import Parameters, parameter
 
@@ -202,6 +202,22 @@ class PrandtlIshlinskiiHysteresis(RateIndependentBlock):
         return x
 
     @property
+    def terms(self) -> LinearTerms:
+        """The plays, with the dead zones behind them."""
+        plays, above, below = (int(self.p[place]) for place in (PLAYS, ABOVE, BELOW))
+        first = RADII + 2 * plays
+        second = first + 2 * above
+        zones = [(first + i, first + above + i) for i in range(above)]
+        zones += [(second + i, second + below + i) for i in range(below)]
+        return LinearTerms(
+            weights=tuple(range(RADII + plays, first)),
+            signals=tuple(range(PLAY, PLAY + plays)),
+            opening=tuple(bool(radius > 0.0) for radius in self.p[RADII : RADII + plays]),
+            zones=tuple(zones),
+            offset=OFFSET,
+        )
+
+    @property
     def gain(self) -> float:
         """Nominal gain [m/V]: slope with every play moving, without dead zones."""
         plays = int(self.p[PLAYS])
@@ -233,6 +249,14 @@ def _shifted(parameters: PrandtlIshlinskiiParameters, offset: float) -> PrandtlI
     return plus(parameters, offset, "offset")
 
 
+def _weighted(parameters: PrandtlIshlinskiiParameters, factors) -> PrandtlIshlinskiiParameters:
+    """The gain, which is the sum of the weights, multiplies the thresholds of the dead zones."""
+    before, ones = np.array(parameters.weights), np.ones(len(parameters.weights))
+    after = before * np.asarray(factors)
+    gain = float(product(after, ones)) / float(product(before, ones))
+    return replace(times(parameters, gain, "thresholds"), weights=tuple(after.tolist()))
+
+
 def _deviated(parameters: PrandtlIshlinskiiParameters, deviation: Deviation) -> PrandtlIshlinskiiParameters:
     """Every play with width has a factor of its own besides the opening's."""
     weights = np.array(parameters.weights) * deviation.gain
@@ -257,6 +281,7 @@ MODEL = HysteresisModel(
     scaled=_scaled,
     shifted=_shifted,
     deviated=_deviated,
+    weighted=_weighted,
     inverses=("exact", "general", "picard_steps", "none"),
     identify="hysteresis_ros.identification.procedures:prandtl_ishlinskii",
     options={

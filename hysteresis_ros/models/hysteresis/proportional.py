@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hysteresis_ros.block import kernel
-from hysteresis_ros.models.declaration import Deviation, HysteresisModel, times
+from hysteresis_ros.models.declaration import NOWHERE, Deviation, HysteresisModel, LinearTerms, times
 from hysteresis_ros.models.rate_independent import RateIndependentBlock
 from hysteresis_ros.parameters import Parameters, parameter
 
@@ -57,6 +57,11 @@ class ProportionalHysteresis(RateIndependentBlock):
         return np.array([parameters.gain])
 
     @property
+    def terms(self) -> LinearTerms:
+        """The gain."""
+        return LinearTerms(weights=(GAIN,), signals=(NOWHERE,), opening=(False,), output=NOWHERE)
+
+    @property
     def gain(self) -> float:
         """Nominal gain [m/V]."""
         return float(self.p[GAIN])
@@ -64,6 +69,10 @@ class ProportionalHysteresis(RateIndependentBlock):
 
 def _scaled(parameters: ProportionalParameters, factor: float) -> ProportionalParameters:
     return times(parameters, factor, "gain")
+
+
+def _weighted(parameters: ProportionalParameters, factors) -> ProportionalParameters:
+    return times(parameters, float(factors[0]), "gain")
 
 
 def _deviated(parameters: ProportionalParameters, deviation: Deviation) -> ProportionalParameters:
@@ -79,6 +88,7 @@ MODEL = HysteresisModel(
     example=ProportionalParameters(gain=0.1e-6),
     scaled=_scaled,
     deviated=_deviated,
+    weighted=_weighted,
     inverses=("exact", "none"),
     identify="hysteresis_ros.identification.direct_procedures:proportional",
     parts=("lag", "delay", "modes"),

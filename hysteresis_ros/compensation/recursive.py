@@ -1,0 +1,286 @@
+"""Recursive least squares on the weights of a model, sample by sample, as kernels.
+
+The models in question are linear in their weights, displacement = Σ f_i w_i z_i: f_i is the factor on an identified
+weight w_i, z_i the play operator (or the voltage) that it multiplies. Each term φ_i = w_i z_i of the voltage that was
+really put out goes through the model's creep, linear dynamics and delay, so that neither is taken for hysteresis; terms
+and measurement then through one and the same high-pass filter, so that neither an offset nor a drift is taken for gain.
+What is left is fitted by least squares that forget exponentially, over the samples k that were used [1]_:
+
+minimise  Σ_k κ (1 - κ)^(n - k) (y_k - Σ f_i φ_ik)² + (f - 1)' R (f - 1)   within  1/range ≤ f_i ≤ range
+
+The normal equations are kept as they are, as running means of φ φ' and φ y: nothing is inverted, nothing can wind up.
+R = ε² P⁻¹ is what is believed beforehand (P: one factor common to all weights, one common to those that open the loops,
+and a small one of each): what a reference does not excite follows the rest, and forgets to it. The bounds keep weights
+above zero, so that there is an inverse. The minimum is followed by a sweep of coordinate descent a sample, which stays
+within the bounds and moves no factor faster than ``rate``. The displacement of the moment stays: the model's offset
+takes up what the weights would change, so that the voltage does not jump, and then follows what is slow.
+
+Dead zones behind the sum bend it. Their thresholds go with the gain g = Σ f_i w_i / Σ w_i, so the displacement is
+homogeneous in f and by Euler's theorem the sum of its derivatives times f: those are the terms then.
+
+References
+----------
+.. [1] Ljung, System Identification, 2nd ed. 1999, section 11.2 (recursive least squares with forgetting).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from hysteresis_ros.block import called, kernel
+from hysteresis_ros.models.creep import creep
+from hysteresis_ros.models.linear import linear_advance, linear_output
+
+# Layout of p.own.
+TERMS = 0
+ZONES = 1
+CREEP_STATES = 2
+FILTER_STATES = 3  # of creep and dynamics together, a term
+SLOW_SHARE = 4  # of a sample in the slow parts, which the high-pass filter takes away
+KEPT_SHARE = 5  # of a sample in the running means
+LARGEST_FACTOR = 6
+LARGEST_STEP = 7  # of a factor in a sample
+LEAST_POWER = 8  # [m²]
+STROKE = 9  # [m]
+SETTLING_SAMPLES = 10
+OUTPUT_PLACE = 11  # of the last output in the state of the model, and of the offset in its parameters; NOWHERE
+OFFSET_PLACE = 12
+OFFSET = 13  # identified [m]
+OFFSET_SHARE = 14  # of what is missing in the offset that it takes up in a sample
+OWN_PARAMETERS = 15
+
+# Layout of x.own.
+STATE = 0  # one of those below
+TOLD = 1  # 1 while told not to learn
+BEGUN = 2  # 1 after the first measurement
+WAIT = 3  # samples before anything is learned
+POWER = 4  # mean square of the modelled displacement behind the filter [m²]
+ERROR_POWER = 5  # mean square of what is left between measurement and model [m²]
+LAST = 6  # last measurement [m]
+LAST_MODELLED = 7  # [m]
+UNUSABLE = 8  # measurements in a row that cannot be one
+GAIN = 9  # of all weights, against the identified ones
+MOVED = 10  # the offset, against the identified one [m]
+ZEROED = 11  # 1 once it is known from where the offset counts
+ZERO = 12  # what is left between measurement and model when learning begins: the sensor's zero [m]
+OWN_STATES = 13
+
+#: What adaptation does: there is none; the weights follow; frozen without excitation, by a service, because the axis is
+#: not running or has not for long, because range or slew rate cut the voltage.
+OFF, ADAPTING, UNEXCITED, FROZEN, WAITING, SATURATED = range(6)
+STATE_NAMES = (
+    "off",
+    "adapting",
+    "frozen: no excitation",
+    "frozen: told to",
+    "frozen: the axis does not run, or has not for long",
+    "frozen: the voltage is at a limit",
+)
+
+
+class AdaptationSettings(NamedTuple):
+    """Parameter arrays of an adaptation."""
+
+    own: np.ndarray
+    places: np.ndarray  # of the weights in p, of what they multiply in x; of thresholds and slopes of zones in p
+    nominal: np.ndarray  # identified weights, then thresholds
+    prior: np.ndarray  # R, row by row [m²]
+    dynamics: np.ndarray
+
+
+class AdaptationStates(NamedTuple):
+    """State arrays of an adaptation."""
+
+    own: np.ndarray
+    factors: np.ndarray
+    filters: np.ndarray  # creep and dynamics of each term
+    slow: np.ndarray  # slow part of each term, then of the measurement [m]
+    terms: np.ndarray  # behind the high-pass filter [m]
+    squares: np.ndarray  # running mean of φ φ', row by row [m²]
+    products: np.ndarray  # of φ y [m²]
+
+
+@kernel
+def bent(own, places, p, total, slope):
+    """Sum of the terms behind the dead zones [m]; with ``slope`` not 0 the slope there instead."""
+    terms, zones = int(own[TERMS]), int(own[ZONES])
+    y, steepness = total, 1.0
+    for j in range(zones):
+        threshold, weight = p[int(places[2 * terms + j])], p[int(places[2 * terms + zones + j])]
+        if (threshold >= 0.0 and total > threshold) or (threshold < 0.0 and total < threshold):
+            y += weight * (total - threshold)
+            steepness += weight
+    return steepness if slope != 0.0 else y
+
+
+@kernel
+def signal(places, terms, x_h, voltage, i):
+    """What the i-th weight multiplies [V]."""
+    place = int(places[terms + i])
+    return x_h[place] if place >= 0 else voltage
+
+
+@kernel
+def summed(own, places, p_h, x_h, voltage):
+    """Sum of all terms of the model before the dead zones [m]."""
+    terms = int(own[TERMS])
+    total = 0.0
+    for i in range(terms):
+        total += p_h[int(places[i])] * signal(places, terms, x_h, voltage, i)
+    return total
+
+
+@called
+def drive(settings, states, creep_p, p_h, x_h, voltage):
+    """Send the terms of the model at the ``voltage`` [V] that is put out through creep and dynamics to the next sample.
+
+    Parameters
+    ----------
+    settings : AdaptationSettings
+    states : AdaptationStates
+    creep_p : ndarray
+        Parameters of the compensator's creep.
+    p_h, x_h : ndarray
+        Parameters and state of the model.
+    voltage : float
+        [V]
+    """
+    own, places = settings.own, settings.places
+    terms, creeping, length = int(own[TERMS]), int(own[CREEP_STATES]), int(own[FILTER_STATES])
+    total = summed(own, places, p_h, x_h, voltage)
+    slope = bent(own, places, p_h, total, 1.0)
+    weights = 0.0
+    for i in range(terms):
+        weights += p_h[int(places[i])]
+    # by how much the thresholds, which go with the gain, move the displacement
+    shared = (bent(own, places, p_h, total, 0.0) - slope * total) / weights
+    for i in range(terms):
+        term = settings.nominal[i] * (slope * signal(places, terms, x_h, voltage, i) + shared)
+        first = i * length
+        crept = creep(creep_p, states.filters[first : first + creeping], term)
+        linear_advance(settings.dynamics, states.filters[first + creeping : first + length], crept)
+
+
+@called
+def learn(settings, states, measured, usable):
+    """Compare a measurement with the terms that have arrived, and move the factors; tell whether they have moved.
+
+    Parameters
+    ----------
+    settings : AdaptationSettings
+    states : AdaptationStates
+    measured : float
+        [m]; NaN: there is none.
+    usable : float
+        0: learn nothing from this sample.
+    """
+    own_p, own, slow, terms = settings.own, states.own, states.slow, states.terms
+    count, creeping, length = int(own_p[TERMS]), int(own_p[CREEP_STATES]), int(own_p[FILTER_STATES])
+    share = own_p[SLOW_SHARE]
+    factors = states.factors
+    modelled, whole = 0.0, 0.0
+    begun = own[BEGUN] != 0.0
+    for i in range(count):
+        first = i * length + creeping
+        term = linear_output(settings.dynamics, states.filters[first : first + length - creeping])
+        whole += factors[i] * term
+        if not begun:
+            slow[i] = term
+        terms[i] = term - slow[i]
+        slow[i] += share * terms[i]
+        modelled += factors[i] * terms[i]
+    if not begun:
+        if measured != measured:
+            return False
+        own[BEGUN] = 1.0
+        own[LAST_MODELLED] = whole
+        own[LAST] = slow[count] = measured
+    value = measured
+    if not abs(value - slow[count] - modelled) <= own_p[STROKE]:
+        # none, or none that can be true: the model stands in, until it is the model that cannot be
+        own[UNUSABLE] += 1.0
+        if value == value and own[UNUSABLE] * share > 1.0:
+            slow[count] = value - modelled
+        else:
+            value = own[LAST] + (whole - own[LAST_MODELLED])
+        usable = 0.0
+    else:
+        own[UNUSABLE] = 0.0
+    own[LAST], own[LAST_MODELLED] = value, whole
+    fast = value - slow[count]
+    slow[count] += share * fast
+    own[POWER] += share * (modelled * modelled - own[POWER])
+    error = fast - modelled
+    own[ERROR_POWER] += share * (error * error - own[ERROR_POWER])
+    if usable == 0.0:
+        return False
+    if own[POWER] < own_p[LEAST_POWER]:
+        own[STATE] = UNEXCITED
+        return False
+    own[STATE] = ADAPTING
+    kept = own_p[KEPT_SHARE]
+    for i in range(count):
+        states.products[i] += kept * (terms[i] * fast - states.products[i])
+        for j in range(count):
+            place = i * count + j
+            states.squares[place] += kept * (terms[i] * terms[j] - states.squares[place])
+    largest, step = own_p[LARGEST_FACTOR], own_p[LARGEST_STEP]
+    for i in range(count):
+        wanted = states.products[i]
+        for j in range(count):
+            place = i * count + j
+            wanted += settings.prior[place] * (1.0 - factors[j]) - states.squares[place] * factors[j]
+        wanted /= states.squares[i * count + i] + settings.prior[i * count + i]
+        wanted = max(1.0 / largest, min(largest, factors[i] + wanted)) - factors[i]
+        factors[i] += max(-step, min(step, wanted))
+    missing = slow[count]
+    for i in range(count):
+        missing -= factors[i] * slow[i]
+    if own[ZEROED] == 0.0:
+        own[ZEROED], own[ZERO] = 1.0, missing - own[MOVED]
+    furthest = step * own_p[STROKE]
+    missing = own_p[OFFSET_SHARE] * (missing - own[ZERO] - own[MOVED])
+    own[MOVED] += max(-furthest, min(furthest, missing))
+    return True
+
+
+@called
+def put_in(settings, states, p_h, x_h, voltage):
+    """Put the factors into the weights of the model, such that its output does not move for their sake.
+
+    The offset makes up for what they would change; the memory of the model stays.
+    """
+    own, places, nominal = settings.own, settings.places, settings.nominal
+    terms, zones, offset = int(own[TERMS]), int(own[ZONES]), int(own[OFFSET_PLACE])
+    before = bent(own, places, p_h, summed(own, places, p_h, x_h, voltage), 0.0)
+    identified, weights = 0.0, 0.0
+    for i in range(terms):
+        weight = nominal[i] * states.factors[i]
+        p_h[int(places[i])] = weight
+        weights += weight
+        identified += nominal[i]
+    gain = weights / identified
+    for j in range(zones):
+        p_h[int(places[2 * terms + j])] = nominal[terms + j] * gain
+    states.own[GAIN] = gain
+    change = bent(own, places, p_h, summed(own, places, p_h, x_h, voltage), 0.0) - before
+    if offset >= 0:
+        states.own[MOVED] = max(-own[STROKE], min(own[STROKE], states.own[MOVED] - change))
+        change -= p_h[offset]
+        p_h[offset] = own[OFFSET] + states.own[MOVED]
+        change += p_h[offset]
+    output = int(own[OUTPUT_PLACE])
+    if output >= 0:
+        x_h[output] += change
+
+
+@called
+def adapt(settings, states, p_h, x_h, voltage, measured, usable):
+    """Learn from a measurement, and put what was learned into the model; arguments as above.
+
+    One call, because a node makes it from Python.
+    """
+    if learn(settings, states, measured, usable):
+        put_in(settings, states, p_h, x_h, voltage)

@@ -1,0 +1,49 @@
+"""An axis whose inverse adapts: the measured stage under a triangle, its plant 15 % off in gain and in opening."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hysteresis_ros.configuration import load_configuration
+from hysteresis_ros.loop.axis import Axis
+from hysteresis_ros.loop.axis_parameters import AxisParameters
+from hysteresis_ros.simulation.axes import single_axis
+
+LAG = {"A": [0.686131723], "B": [0.313868277], "C": [1.0], "sample_time": 0.005}
+ADAPTATION = {"adaptation__type": "recursive", "adaptation__memory": 8.0, "adaptation__rate": 0.2}
+ADAPTATION |= {f"adaptation__dynamics__{name}": value for name, value in LAG.items()}
+#: What the plant's weights are of the identified ones, and what of its parameters that changes.
+TRUE = np.where(np.arange(20) > 0, 0.85, 1.0) * 0.85
+CHANGED = ("weights", "thresholds")
+TRIANGLE = {
+    "initial_setpoint": 20e-6,
+    "waveform__type": "triangle",
+    "waveform__amplitude": 12e-6,
+    "waveform__frequency": 1.0,
+}
+
+
+def adapting(adaptation=None, **overrides) -> AxisParameters:
+    """Return the parameters of the axis; ``overrides`` by node, with double underscores for dots."""
+    configuration = load_configuration("picma_stage")
+    hysteresis = single_axis(configuration).plant_simulator.hysteresis
+    chosen = hysteresis.model.weighted(hysteresis.chosen, TRUE)
+    plant = {f"hysteresis__prandtl_ishlinskii__{name}": list(getattr(chosen, name)) for name in CHANGED}
+    given = {
+        "plant_simulator": plant | {"sensor__noise": 5e-9},
+        "hysteresis_compensator": ADAPTATION | (adaptation or {}),
+        "reference_generator": TRIANGLE,
+        "motion_controller": {"type": "open_loop"},
+    }
+    for node, values in overrides.items():
+        given[node] = given.get(node, {}) | values
+    for node, values in given.items():
+        configuration = configuration.override(node, **values)
+    return single_axis(configuration)
+
+
+def adapted_run(samples=300, **words) -> np.ndarray:
+    """Return voltage, gain and state of a run, shape (3, N)."""
+    axis = Axis(adapting(**words))
+    made = axis.run(axis.default_setpoints(samples))
+    return np.array([made[name] for name in ("voltage", "adapted_gain", "adaptation")])
