@@ -13,20 +13,17 @@ import numpy as np
 from hysteresis_ros.comparison.tasks import Conditions, Task
 from hysteresis_ros.configuration import Configuration, parse_configuration
 from hysteresis_ros.control.controller import ControllerParameters
-from hysteresis_ros.control.inversion import sufficient_preview
+from hysteresis_ros.control.inversion import designed_preview
 from hysteresis_ros.control.law import UNFED
 from hysteresis_ros.control.linearisation import margins
 from hysteresis_ros.control.margins import Margins
 from hysteresis_ros.control.registry import entries
-from hysteresis_ros.errors import ConfigurationError, HysteresisError
+from hysteresis_ros.errors import HysteresisError
 from hysteresis_ros.loop.axis_parameters import AxisParameters
 from hysteresis_ros.loop.node_parameters import part
 from hysteresis_ros.simulation.axes import single_axis
 from hysteresis_ros.simulation.tuning import believed_axis, tune
 
-#: A preview is long enough when what the inversion leaves is below this part of the reference; longer ones are refused.
-INVERSION_ERROR = 1e-4
-LONGEST_PREVIEW = 64
 #: Least measurement noise a design reckons with, as a part of the stroke: a filter needs some.
 LEAST_NOISE = 1e-6
 #: Periods of the reference on which a PID is tuned.
@@ -220,16 +217,10 @@ class Given:
 
         Raises
         ------
-        ConfigurationError
-            It is too long to be called a preview: an inverse that was cut off would be another one.
+        ParameterError
+            As :func:`.inversion.designed_preview`.
         """
-        preview = sufficient_preview(self.dynamics, INVERSION_ERROR)
-        if preview > LONGEST_PREVIEW:
-            raise ConfigurationError(
-                f"the inverse of the model's dynamics needs {preview} samples of preview, more than {LONGEST_PREVIEW}: "
-                "the model has zeros just outside the unit circle; leave the feedforward out"
-            )
-        return {"feedforward.type": "inverse_dynamics", "feedforward.preview": preview}
+        return {"feedforward.type": "inverse_dynamics", "feedforward.preview": designed_preview(self.dynamics)}
 
     def change(self) -> float:
         """Return how far the mismatch moves the command's disturbance in a sample [model units]."""

@@ -14,6 +14,9 @@ A delay of whole samples adds to d. A part f of one is g = (1 - f) + f z⁻¹, w
 and close to it around; inverted exactly it makes commands that alternate from sample to sample. It is inverted without
 phase error instead (Tomizuka 1987, doi:10.1115/1.3143822), h = g* Σ_{i≤J} (1 - g g*)^i with g* = (1 - f) + f z, which
 leaves an error of the amplitude, (4 f (1 - f) sin²(ω/2))^(J+1): with J = 3 below 1e-4 up to a tenth of the sample rate.
+
+Zeros outside the circle, but next to it, and those on it are left out without phase error where they are far above what
+a reference moves at (:mod:`.near_zeros`). Behind the filter that cancels them, their part of the inverse is finite.
 """
 
 from __future__ import annotations
@@ -24,6 +27,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hysteresis_ros.control.near_zeros import Notch, convolved, near_zeros, notch
 from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.linear_algebra import eigenvalues, inverse, power, product, solve
 from hysteresis_ros.models.linear import LinearParameters
@@ -34,6 +38,8 @@ SMALLEST_ANSWER = 1e-11
 CIRCLE_MARGIN = 1e-6
 #: Error of the command, as a part of the reference's span, at which a preview counts as long enough.
 GOOD_ENOUGH = 1e-3
+#: Error and longest preview of an inverse that is designed without being asked for a preview.
+DESIGNED_ERROR, LONGEST_PREVIEW = 1e-4, 64
 #: The weights of the future are followed until they have died out by so many powers of ten ...
 DECADES = 18.0
 #: ... or for so many samples: a zero as near to the circle as that is beyond any preview.
@@ -56,11 +62,12 @@ class InverseFilter:
     Parameters
     ----------
     first : int
-        The relative degree d [samples]; before it, maybe before k, for what inverts a part of a sample.
+        The relative degree d [samples]; before it, maybe before k, for what inverts a part of a sample or leaves out
+        zeros.
     weights : ndarray, shape (m,)
         Of r(k+first) …, none beyond the preview; the last one holds what lies beyond it.
     drive : ndarray, shape (l,)
-        What drives the causal part: 1 without a part of a sample.
+        What drives the causal part: 1 without a part of a sample and without zeros that are left out.
     A, B, C : ndarray, shapes (n, n), (n,) and (n,)
         The causal part, with the zeros inside the unit circle; in the coordinates of the dynamics' own state.
     rest : ndarray, shape (n,)
@@ -69,6 +76,8 @@ class InverseFilter:
         Zeros of the dynamics, those at infinity and at 0 that only delay left out.
     error : float
         What :func:`inversion_error` returns for this preview.
+    left_out : Notch or None
+        Zeros near the circle that are not inverted, and what takes their place.
     """
 
     first: int
@@ -80,12 +89,14 @@ class InverseFilter:
     rest: np.ndarray
     zeros: np.ndarray
     error: float
+    left_out: Notch | None = None
 
 
 class _Parts(NamedTuple):
     """The inverse in two parts, in model units: causal (A, B, C), anti-causal (Λ⁻¹, β, γ) or None, and its feedthrough.
 
-    The anti-causal part is in the coordinates of the dynamics' state: Λ⁻¹ is zero on the inside modes.
+    The anti-causal part is in the coordinates of the dynamics' state: Λ⁻¹ is zero on the inside modes. What is left out
+    has ``near``, the weights of the reference behind g* p, one to m samples ago, that its modes make, the oldest first.
     """
 
     degree: int
@@ -95,6 +106,14 @@ class _Parts(NamedTuple):
     C: np.ndarray
     anticausal: tuple[np.ndarray, np.ndarray, np.ndarray] | None
     zeros: np.ndarray
+    left_out: Notch | None
+    near: np.ndarray
+
+    @property
+    def slowest(self) -> float:
+        """Magnitude of the smallest zero that is inverted backwards."""
+        sizes = np.abs(self.zeros)
+        return float(np.min(sizes[sizes > (1.0 if self.left_out is None else np.max(np.abs(self.left_out.zeros)))]))
 
 
 def relative_degree(dynamics: LinearParameters) -> int:
@@ -140,25 +159,46 @@ def _parts(dynamics: LinearParameters) -> _Parts:
     # the inverse has as many poles as the dynamics; those without a zero of the dynamics stand at 0
     finite = len(A) - degree + (1 if D else 0)
     zeros = poles[np.argsort(-np.abs(poles))][: max(finite, 0)]
+    near = near_zeros(zeros, CIRCLE_MARGIN)
     on_circle = zeros[np.abs(np.abs(zeros) - 1.0) < CIRCLE_MARGIN]
-    if on_circle.size:
+    if on_circle.size and not near.size:
         found = ", ".join(f"{zero:.6g}" for zero in on_circle)
         allowed = (
             f"model.dynamics has zeros on the unit circle ({found}): no bounded inverse exists; use static or none"
         )
         raise ParameterError([Problem("feedforward.type", "inverse_dynamics", allowed)])
-    if not np.any(np.abs(poles) > 1.0):
-        return _Parts(degree, 1.0 / answer, inner, drive, -gain, None, zeros)
-    outside = _outside(inner, np.abs(poles))
-    inside = np.eye(len(A)) - outside
-    backwards = product(outside, inverse(product(inner, outside) + inside))
-    anticausal = backwards, product(outside, drive), -gain
-    causal = product(inside, inner, inside), product(inside, drive), -product(gain, inside)
-    return _Parts(degree, 1.0 / answer, *causal, anticausal, zeros)
+    sizes, identity = np.abs(poles), np.eye(len(A))
+    edge = max(1.0, float(np.max(np.abs(near), initial=0.0)))
+    outside = _beyond(inner, sizes, edge)
+    causal = inner, drive, -gain
+    left_out, answers = None, np.zeros(0)
+    if near.size:
+        beside = _beyond(inner, sizes, 1.0 - CIRCLE_MARGIN) - outside
+        left_out = notch(near)
+        answers = _answers(inner, product(beside, drive), -gain, left_out.factor)
+    else:
+        beside = np.zeros_like(identity)
+    anticausal = None
+    if np.any(sizes > edge):
+        backwards = product(outside, inverse(product(inner, outside) + (identity - outside)))
+        anticausal = backwards, product(outside, drive), -gain
+    if near.size or anticausal is not None:
+        inside = identity - outside - beside
+        causal = product(inside, inner, inside), product(inside, drive), -product(gain, inside)
+    return _Parts(degree, 1.0 / answer, *causal, anticausal, zeros, left_out, answers)
 
 
-def _outside(matrix, sizes) -> np.ndarray:
-    """Return the projection on the modes outside the unit circle along those inside, shape (n, n).
+def _answers(inner, drive, out, factor) -> np.ndarray:
+    """Return what modes answer 1 … m samples after a pulse through the factor that cancels them, the last one first."""
+    state, found = np.zeros(len(inner)), []
+    for weight in factor[::-1]:
+        found.append(float(product(out, state)))
+        state = product(inner, state) + drive * weight
+    return np.array(found[:0:-1])
+
+
+def _beyond(matrix, sizes, edge: float) -> np.ndarray:
+    """Return the projection on the modes larger than an edge along those that are smaller, shape (n, n).
 
     The matrix sign function of (M + ρ)(M - ρ)⁻¹, ρ a radius between both, by Newton's iteration.
 
@@ -167,13 +207,16 @@ def _outside(matrix, sizes) -> np.ndarray:
     matrix : ndarray, shape (n, n)
     sizes : ndarray, shape (n,)
         Magnitudes of the eigenvalues.
+    edge : float
     """
-    identity = np.eye(len(matrix))
-    if np.all(sizes > 1.0):
+    identity, larger = np.eye(len(matrix)), sizes > edge
+    if np.all(larger):
         return identity
+    if not np.any(larger):
+        return np.zeros_like(identity)
     # between both, and no closer to 0 than needed: there M - ρ is as good as singular where modes coincide at 0
-    outer = np.min(sizes[sizes > 1.0])
-    radius = math.sqrt(max(np.max(sizes[sizes < 1.0]), NEAREST * outer) * outer)
+    outer = np.min(sizes[larger])
+    radius = math.sqrt(max(np.max(sizes[~larger]), NEAREST * outer) * outer)
     sign = product(matrix + radius * identity, inverse(matrix - radius * identity))
     for _ in range(SIGN_STEPS):
         following = 0.5 * (sign + inverse(sign))
@@ -189,9 +232,7 @@ def _future_weights(parts: _Parts, scale: float) -> np.ndarray:
     if parts.anticausal is None:
         return np.zeros(1)
     backwards, drive, out = parts.anticausal
-    sizes = np.abs(parts.zeros)
-    slowest = float(np.min(sizes[sizes > 1.0]))
-    length = min(int(DECADES / math.log10(slowest)) + 2, LONGEST)
+    length = min(int(DECADES / math.log10(parts.slowest)) + 2, LONGEST)
     # rows out N, out N², …: those there are times N to their number are as many more
     rows, further = product(out, backwards)[np.newaxis], backwards
     while len(rows) < length:
@@ -207,16 +248,8 @@ def _advance(part: float) -> np.ndarray:
     power, total = np.ones(1), np.zeros(2 * TERMS + 1)
     for i in range(TERMS + 1):
         total[TERMS - i : TERMS + i + 1] += power
-        power = _spread(power, lost)
-    return _spread(total, np.array([1.0 - part, part]))
-
-
-def _spread(weights: np.ndarray, taps: np.ndarray) -> np.ndarray:
-    """Return the convolution, added up in a fixed order."""
-    found = np.zeros(len(weights) + len(taps) - 1)
-    for i, tap in enumerate(taps):
-        found[i : i + len(weights)] += tap * weights
-    return found
+        power = convolved(power, lost)
+    return convolved(total, np.array([1.0 - part, part]))
 
 
 def _remaining(weights: np.ndarray) -> np.ndarray:
@@ -248,17 +281,12 @@ def inverse_filter(dynamics: LinearParameters, preview: int) -> InverseFilter:
     """
     parts = _parts(dynamics)
     whole, part = dynamics.delayed_samples
-    degree, drive = parts.degree + whole, _advance(part)
-    ahead = len(drive) // 2
-    if not dynamics.order:
-        degree = min(degree, preview)
+    advance = _advance(part)
+    drive = advance if parts.left_out is None else convolved(parts.left_out.whole, advance)
+    ahead = _reach(parts, part)
+    degree = parts.degree + whole if dynamics.order else min(parts.degree + whole, preview)
     if preview < degree + ahead:
-        beyond = f", and the part of a sample in its delay takes {ahead}" if ahead else ""
-        allowed = (
-            f"must be at least {degree + ahead}: the model answers {degree} samples after its input{beyond}"
-            f"{_enough(dynamics)}"
-        )
-        raise ParameterError([Problem("feedforward.preview", preview, allowed)])
+        raise ParameterError([Problem("feedforward.preview", preview, _too_short(dynamics, parts, degree, ahead))])
     scale = dynamics.resolved_input_scale / dynamics.output_scale
     future = _future_weights(parts, scale)
     count = min(preview - ahead - degree + 1, len(future))
@@ -267,8 +295,26 @@ def inverse_filter(dynamics: LinearParameters, preview: int) -> InverseFilter:
     weights[0] += scale * parts.through
     error = float(_remaining(future)[count])
     rest = solve(np.eye(len(parts.A)) - parts.A, parts.B) if len(parts.A) else parts.B
-    first, weights = degree - (ahead - 1 if ahead else 0), _spread(weights, drive) if ahead else weights
-    return InverseFilter(first, weights, drive, parts.A, parts.B, parts.C * scale, rest, parts.zeros, error)
+    first, weights = degree - (len(drive) - 1 - ahead), convolved(weights, drive) if ahead else weights
+    if parts.left_out is not None:
+        beside = scale * convolved(convolved(parts.left_out.inverse, parts.near), advance)
+        weights[: len(beside)] += beside
+    causal = parts.A, parts.B, parts.C * scale
+    return InverseFilter(first, weights, drive, *causal, rest, parts.zeros, error, parts.left_out)
+
+
+def _reach(parts: _Parts, part: float) -> int:
+    """Return how far ahead of the answer must be known what takes back part of a sample or leaves out zeros."""
+    return len(_advance(part)) // 2 + (0 if parts.left_out is None else parts.left_out.reach)
+
+
+def _too_short(dynamics: LinearParameters, parts: _Parts, degree: int, ahead: int) -> str:
+    beyond = f", and the part of a sample in its delay takes {ahead}" if ahead else ""
+    if parts.left_out is not None:
+        beyond = f", and what leaves out its zeros next to the unit circle takes {ahead}"
+    enough = sufficient_preview(dynamics)
+    asked = f"; its zeros outside the unit circle ask for {enough}" if enough > degree + ahead else ""
+    return f"must be at least {degree + ahead}: the model answers {degree} samples after its input{beyond}{asked}"
 
 
 def inversion_error(dynamics: LinearParameters, preview: int) -> float:
@@ -306,17 +352,34 @@ def sufficient_preview(dynamics: LinearParameters, error: float = GOOD_ENOUGH) -
     parts = _parts(dynamics)
     remaining = _remaining(_future_weights(parts, dynamics.resolved_input_scale / dynamics.output_scale))
     whole, part = dynamics.delayed_samples
-    return parts.degree + whole + len(_advance(part)) // 2 - 1 + int(np.argmax(remaining[1:] <= error)) + 1
+    return parts.degree + whole + _reach(parts, part) + int(np.argmax(remaining[1:] <= error))
 
 
-def _enough(dynamics: LinearParameters) -> str:
-    preview = sufficient_preview(dynamics)
-    degree = relative_degree(dynamics) + len(_advance(dynamics.delayed_samples[1])) // 2
-    return f"; its zeros outside the unit circle ask for {preview}" if preview > degree else ""
+def designed_preview(dynamics: LinearParameters) -> int:
+    """Return the preview [samples] that a design chooses for the inverse of the dynamics.
+
+    Parameters
+    ----------
+    dynamics : LinearParameters
+
+    Raises
+    ------
+    ParameterError
+        The dynamics have no stable inverse, or none with a preview that is worth the name: an inverse that was cut off
+        would be another one.
+    """
+    preview = sufficient_preview(dynamics, DESIGNED_ERROR)
+    if preview > LONGEST_PREVIEW:
+        allowed = (
+            f"needs {preview} samples of preview, more than {LONGEST_PREVIEW}: model.dynamics has zeros next to the "
+            "unit circle, too near to what is followed to be left out; use static or none"
+        )
+        raise ParameterError([Problem("feedforward.type", "inverse_dynamics", allowed)])
+    return preview
 
 
 def preview_warning(dynamics: LinearParameters, preview: int, prefix: str = "") -> tuple[str, ...]:
-    """Return a sentence on what is left of the inversion error at this preview, where that is more than 1e-3.
+    """Return sentences on what the inverse is not: cut off by this preview by more than 1e-3, or without some zeros.
 
     Parameters
     ----------
@@ -325,11 +388,20 @@ def preview_warning(dynamics: LinearParameters, preview: int, prefix: str = "") 
     prefix : str
         Put before the name of the parameter.
     """
-    error = inversion_error(dynamics, preview)
-    if error <= GOOD_ENOUGH:
-        return ()
-    return (
-        f"{prefix}feedforward.preview = {preview}: zeros of model.dynamics outside the unit circle leave an error of "
-        f"the command of up to {100.0 * error:.3g} % of the reference's span; "
-        f"preview {sufficient_preview(dynamics)} brings it below {100.0 * GOOD_ENOUGH:g} %",
-    )
+    found, given = [], inverse_filter(dynamics, preview)
+    if given.left_out is not None:
+        rate = 1.0 / dynamics.sample_time if dynamics.sample_time else 1.0
+        unit = "Hz" if dynamics.sample_time else "of the sample rate"
+        places = (np.angle(zero) / (2.0 * math.pi) * rate for zero in given.left_out.zeros if zero.imag >= 0.0)
+        found.append(
+            f"{prefix}feedforward.type = inverse_dynamics: zeros of model.dynamics next to the unit circle "
+            f"({', '.join(f'{place:.4g}' for place in places)} {unit}) are not inverted; the command is wrong by less "
+            f"than 1 % up to {given.left_out.known_to * rate:.3g} {unit}"
+        )
+    if given.error > GOOD_ENOUGH:
+        found.append(
+            f"{prefix}feedforward.preview = {preview}: zeros of model.dynamics outside the unit circle leave an error "
+            f"of the command of up to {100.0 * given.error:.3g} % of the reference's span; "
+            f"preview {sufficient_preview(dynamics)} brings it below {100.0 * GOOD_ENOUGH:g} %"
+        )
+    return tuple(found)

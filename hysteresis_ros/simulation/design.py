@@ -13,7 +13,7 @@ from hysteresis_ros.control.damping.parameters import DampingParameters
 from hysteresis_ros.control.damping.registry import NONE
 from hysteresis_ros.control.feedforward import FeedforwardParameters
 from hysteresis_ros.control.gain_design import Designed, design_gains
-from hysteresis_ros.control.inversion import sufficient_preview
+from hysteresis_ros.control.inversion import designed_preview
 from hysteresis_ros.control.linearisation import margins
 from hysteresis_ros.control.margins import AIMED, REQUIRED, Margins
 from hysteresis_ros.control.registry import DESIGNS, design_of
@@ -274,7 +274,7 @@ def _feedforward(control: ControllerParameters, request: DesignRequest) -> Feedf
         return control.feedforward
     preview = request.preview
     if preview is None:
-        preview = sufficient_preview(control.model.dynamics)
+        preview = designed_preview(control.model.dynamics)
     if preview < 0:
         raise ConfigurationError(f"--preview {preview}: must be 0 or more samples")
     return FeedforwardParameters(type="inverse_dynamics", preview=preview)

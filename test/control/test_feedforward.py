@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from hysteresis_ros.control.controller import ControllerParameters, feedforward_block
 from hysteresis_ros.control.inversion import (
+    designed_preview,
     inverse_filter,
     inversion_error,
     preview_warning,
@@ -137,9 +138,73 @@ def test_preview_shorter_than_the_relative_degree_is_named_with_the_one_needed()
         parameters(slow, 1)
 
 
-def test_zeros_on_the_unit_circle_are_named():
-    with pytest.raises(ParameterError, match=r"zeros on the unit circle \(-1"):
-        parameters(second_order((0.9, 0.7), -1.0), 5)
+def pair(size, angle):
+    return [size * np.exp(1j * angle), size * np.exp(-1j * angle)]
+
+
+def test_zeros_on_the_unit_circle_are_named_where_a_reference_needs_them():
+    with pytest.raises(ParameterError, match=r"zeros on the unit circle \(0\.5403"):
+        parameters(realised(pair(1.0, 1.0), [*pair(0.9, 0.9), 0.6]), 50)
+
+
+@pytest.mark.parametrize("samples", [0.0, 1.4])
+@pytest.mark.parametrize(
+    "zeros",
+    [
+        pair(1.003, 2.3),
+        [*pair(1.0, 1.5), -2.0, 0.4],
+        [*pair(1.1, 2.3), *pair(0.99, 2.9)],
+        [*pair(1.004, 2.0), *pair(1.02, 2.4)],
+        [-1.0],
+    ],
+    ids=["beside", "on, and one farther out", "and inside", "two pairs", "half the sample rate"],
+)
+def test_zeros_beside_the_circle_are_left_out_without_phase_error(zeros, samples):
+    """f = g g* p: one at rest, without phase, within a per cent as far as stated, nothing at the zeros."""
+    resonances = [*pair(0.9, 0.9), *pair(0.97, 2.2), 0.6]
+    poles = {1: [0.9, 0.6], 2: [*pair(0.9, 0.9), 0.6]}.get(len(zeros), resonances)
+    dynamics = replace(realised(zeros, poles), sample_time=1e-3, delay=samples * 1e-3)
+    preview = designed_preview(dynamics)
+    found = inverse_filter(dynamics, preview)
+    assert preview <= 64 and found.left_out is not None
+    delayed, outputs = followed(dynamics, preview, np.linspace(0.0, 1e-5, 300).clip(0.0, 5e-6))
+    assert abs(outputs[-1] - 5e-6) < 1e-9 * 5e-6
+    highest = found.left_out.known_to
+    for cycles in (0.25 * highest, 0.9 * highest):
+        reference = 1e-5 * np.sin(2.0 * np.pi * cycles * np.arange(900))
+        delayed, outputs = (values[400:] for values in followed(dynamics, preview, reference))
+        missing = 1.0 - (outputs @ delayed) / (delayed @ delayed)
+        # a part of a sample in the delay has an error of its own
+        own = (4.0 * (samples % 1.0) * (1.0 - samples % 1.0) * np.sin(np.pi * cycles) ** 2) ** 4
+        assert abs(missing) < 0.011 + own
+        assert np.std(outputs - delayed * (1.0 - missing)) < 2e-4 * np.std(delayed)
+
+
+def test_a_command_does_not_ring_at_zeros_that_are_left_out():
+    """Where the reference has come to rest the command has, but for the modes of the rest: here none."""
+    dynamics = replace(realised(pair(1.003, 2.3), [*pair(0.9, 0.9), 0.6]), sample_time=1e-3)
+    preview = designed_preview(dynamics)
+    block = feedforward_block(parameters(dynamics, preview), 1e-3)
+    commands = []
+    for r in np.repeat([0.0, 1e-5], [100, 300]):
+        block.step(r)
+        commands.append(block.command)
+    assert np.max(np.abs(np.array(commands[:99]))) < 1e-15
+    assert np.max(np.abs(np.array(commands[100 + 2 * preview :]) - 1e-5)) < 1e-15
+    assert np.max(np.abs(commands)) < 20e-5
+
+
+def test_what_is_left_out_is_said_and_what_cannot_be_is_refused():
+    dynamics = replace(realised(pair(1.003, 2.3), [*pair(0.9, 0.9), 0.6]), sample_time=1e-3)
+    preview = designed_preview(dynamics)
+    (text,) = preview_warning(dynamics, preview)
+    assert "366.1 Hz) are not inverted" in text and "wrong by less than 1 % up to 1" in text
+    with pytest.raises(ParameterError, match=r"must be at least 35: .*next to the unit circle takes 34"):
+        inverse_filter(dynamics, 10)
+    slow = realised(pair(1.003, 0.5), [*pair(0.9, 0.9), 0.6])
+    assert inverse_filter(slow, 30).left_out is None
+    with pytest.raises(ParameterError, match=r"needs \d+ samples of preview, more than 64"):
+        designed_preview(slow)
 
 
 def test_what_a_short_preview_leaves_is_a_warning_and_a_long_one_none():

@@ -9,15 +9,19 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from hysteresis_ros import linear_algebra
 from hysteresis_ros.cli.main import main
+from hysteresis_ros.comparison.candidates import Given
+from hysteresis_ros.comparison.tasks import Conditions
 from hysteresis_ros.configuration import load_configuration, parse_configuration
 from hysteresis_ros.control.controller import ControllerParameters
 from hysteresis_ros.control.laws.pid import PidParameters
 from hysteresis_ros.control.linearisation import margins
-from hysteresis_ros.errors import ConfigurationError
+from hysteresis_ros.errors import ConfigurationError, HysteresisError
 from hysteresis_ros.loop.axis import Axis
 from hysteresis_ros.loop.node_parameters import part
 from hysteresis_ros.simulation.axes import single_axis
+from hysteresis_ros.simulation.design import DesignRequest, design_axis
 from hysteresis_ros.simulation.reach import reachable_displacements
 from hysteresis_ros.simulation.run import simulate
 from hysteresis_ros.simulation.tuning import believed_axis, criterion_of, tune
@@ -199,6 +203,27 @@ def test_models_that_cannot_be_designed_for_end_in_one_line(tmp_path, line, repl
     result = run(tmp_path / "c.yaml", "--controller", "offset_free", "-o", tmp_path / "f.yaml")
     assert result.exit_code == 2
     assert text in result.output and len(result.output.strip().splitlines()) == 1, result.output
+
+
+def test_design_and_comparison_refuse_the_same_inverse_of_the_dynamics():
+    """Zeros next to the circle at a low frequency: neither an inverse that was cut off, nor one refused here only."""
+    zero, poles = 1.004 * np.exp(0.4j), [0.95 * np.exp(0.3j), 0.6]
+    (b0, b1), (a0, a1, a2) = (
+        linear_algebra.polynomial([zero, zero.conjugate()])[1:],
+        linear_algebra.polynomial([poles[0], poles[0].conjugate(), poles[1]])[1:],
+    )
+    gain = (1.0 + a0 + a1 + a2) / (1.0 + b0 + b1)
+    matrices = {"A": (0.0, 1.0, 0.0, 0.0, 0.0, 1.0, -a2, -a1, -a0), "B": (0.0, 0.0, 1.0)}
+    matrices["C"] = (gain * b1, gain * b0, gain)
+    changes = {f"model.dynamics.{name}": list(values) for name, values in matrices.items()}
+    configuration = load_configuration(PICMA).override("motion_controller", type="open_loop", **changes)
+    axis = single_axis(configuration)
+    with pytest.raises(HysteresisError, match="more than 64") as refused:
+        design_axis(axis, DesignRequest("pid", bandwidth=5.0, feedforward=True))
+    conditions = Conditions()
+    with pytest.raises(HysteresisError) as other:
+        Given(configuration, axis, conditions, (), {}, {}).preview()
+    assert str(other.value) in str(refused.value)
 
 
 def test_feedforward_and_tuning_from_the_command_line(tmp_path):
