@@ -20,6 +20,7 @@ from hysteresis_ros.errors import ConfigurationError
 from hysteresis_ros.identification import workflow
 from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.reading import Columns, Reading, read_data
+from hysteresis_ros.identification.registry import USUAL
 from hysteresis_ros.identification.workflow import Compared, Conditions, Identified
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.files import load_run
@@ -151,7 +152,7 @@ def simulate(
 
 def identify(
     source: Measured,
-    model: str = "prandtl_ishlinskii",
+    model: str = USUAL,
     *,
     columns: Columns | None = None,
     linear: str | None = None,
@@ -168,7 +169,8 @@ def identify(
         A bag, CSV or NPZ whose columns name their units (``control_V``, ``gauge_um``), or data that was read;
         arrays as ``hr.Run(time, {"voltage": …, "measured": …})``.
     model : str
-        Name of the model; ``dir(hr.models)`` and ``hysteresis models`` list them.
+        Name of the model; ``dir(hr.models)`` and ``hysteresis models`` list them. ``usual``: ``prandtl_ishlinskii``, or
+        ``generalised_play`` where that predicts better what it was not fitted to; ``auto``: the best of all.
     columns : Columns, optional
         Of a file: which columns in which units, and what is taken of them: ``hr.Columns("ch1:V", "ch2:um")``.
     linear : str, optional

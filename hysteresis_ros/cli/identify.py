@@ -37,9 +37,9 @@ class FitState:
 @click.argument("data", type=click.Path(path_type=pathlib.Path))
 @click.option(
     "--model",
-    default="prandtl_ishlinskii",
+    default="usual",
     show_default=True,
-    help="Model, see `hysteresis models`; auto: by held-out data.",
+    help="Model, see `hysteresis models`; usual: prandtl_ishlinskii or generalised_play, auto: any, by held-out data.",
 )
 @click.option(
     "--linear", help="auto (default), none, lag,delay,creep,modes, second_order, arx …; see `hysteresis models`."

@@ -141,19 +141,19 @@ class Task:
         return self.settling + np.ceil(max(JUDGED * self.frequency, JUDGED_PERIODS)) / self.frequency
 
     def overrides(self) -> dict:
-        """Return the parameters of the reference generator; both begin at their lower end."""
-        middle, half = 0.5 * (self.low + self.high), 0.5 * (self.high - self.low)
+        """Return the parameters of the reference generator; both begin at their lower end, which is its setpoint."""
+        half = 0.5 * (self.high - self.low)
         values = {
             "minimum": min(self.low, 0.0) - half,
             "maximum": self.high + half,
-            "initial_setpoint": 0.0,
+            "initial_setpoint": self.low,
             "waveform.type": self.waveform,
             "waveform.frequency": self.frequency,
             "waveform.cycles": 0,
         }
         if self.waveform == "sine":
-            return {**values, "waveform.amplitude": half, "waveform.offset": middle, "waveform.phase": -0.5 * np.pi}
-        return {**values, "waveform.amplitude": 2.0 * half, "waveform.offset": self.low}
+            return {**values, "waveform.amplitude": half, "waveform.offset": half, "waveform.phase": -0.5 * np.pi}
+        return {**values, "waveform.amplitude": 2.0 * half, "waveform.offset": 0.0}
 
     def reference(self, time) -> np.ndarray:
         """Return the reference [m] at any instants, also between the samples.

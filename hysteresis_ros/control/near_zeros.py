@@ -5,11 +5,11 @@ modes look like, or of a mode above half of the sample rate. Inverted exactly, i
 frequency long before, and a little mismatch makes a movement of it. Such zeros are left out of the inverse instead,
 without phase error. With g(z⁻¹) their polynomial, g(1) = 1, the reference passes through
 
-    f = g g* p,   p ≈ 1/(g g* + ε ((1 - cos ω)/(1 - cos θ))³),
+    f = g g* p,   p ≈ 1/(g g* + ε (1 - cos ω)/(1 - cos θ)),
 
 an inverse in the sense of least squares [1]_, θ the lowest of their angles: f cancels the zeros, and elsewhere it is
-one but for ε ((1 - cos ω)/(1 - cos θ))³/(…), which falls with the sixth power of the frequency. p is real and even;
-ε is the smallest one with which it dies out within :data:`REACH` samples.
+one but for ε (1 - cos ω)/(1 - cos θ)/(…), which falls with the square of the frequency. p is real and even; ε is the
+smallest one with which it dies out within :data:`REACH` samples: a longer reach makes f better and the preview longer.
 
 References
 ----------
@@ -32,7 +32,7 @@ FARTHEST = 1.155
 #: They are left out at this angle and above (a fifth of the sample rate): below, what follows a reference needs them.
 LOWEST_ANGLE = 0.4 * math.pi
 #: Samples to either side within which p dies out to this part.
-REACH, LEFT = 32, 3e-4
+REACH, LEFT = 10, 1e-3
 #: ε that are tried.
 PENALTIES = tuple(0.01 * 2.0 ** (0.25 * step) for step in range(40))
 #: Points of a half turn on which p is computed, and its smallest error that is told of.
@@ -116,8 +116,7 @@ def notch(zeros: np.ndarray) -> Notch:
         together = math.fsum(falling[shift:] * falling[:-shift])
         size += 2.0 * together * cosines[shift * turns % (2 * POINTS)]
     lowest = max(zero.real / math.sqrt(zero.real * zero.real + zero.imag * zero.imag) for zero in zeros.tolist())
-    ratio = (1.0 - cosines[turns]) / (1.0 - lowest)
-    penalty = ratio * ratio * ratio
+    penalty = (1.0 - cosines[turns]) / (1.0 - lowest)
     ends = np.full(POINTS + 1, 1.0 / POINTS)
     ends[[0, -1]] *= 0.5
     table = cosines[np.outer(np.arange(POINTS), turns) % (2 * POINTS)] * ends

@@ -52,6 +52,7 @@ def choose_model(data: IdentificationData, linear: str | None, progress=None, **
         No model can be fitted.
     """
     found: dict[str, float] = {}
+    separations: tuple[dict, dict] = {}, {}
     doubts: dict[str, float] = {}
     reasons = []
     for number, (name, model) in enumerate(MODELS.items()):
@@ -60,7 +61,7 @@ def choose_model(data: IdentificationData, linear: str | None, progress=None, **
         if progress is not None:
             progress(number, f"{name} on blocks held out")
         try:
-            found[name], doubts[name] = held_out_error(data, name, linear=linear, **conditions)
+            found[name], doubts[name] = held_out_error(data, name, separations=separations, linear=linear, **conditions)
         except HysteresisError as error:
             reasons.append(f"{name}: {' '.join(str(error).split())}")
     if not found:
@@ -73,13 +74,15 @@ def choose_model(data: IdentificationData, linear: str | None, progress=None, **
     return best, found
 
 
-def held_out_error(data: IdentificationData, model: str, **request) -> tuple[float, float]:
+def held_out_error(data: IdentificationData, model: str, separations=(None, None), **request) -> tuple[float, float]:
     """Return the RMS error [m] of a model on the thirds it was not fitted to, and what the data cannot tell of it [m].
 
     Parameters
     ----------
     data : IdentificationData
     model : str
+    separations : pair of dict or None
+        For the first and the last two thirds, see :func:`.registry.identify`.
     **request
         See :func:`.registry.identify`.
 
@@ -92,11 +95,11 @@ def held_out_error(data: IdentificationData, model: str, **request) -> tuple[flo
     known = wiped_out(data.input) or 0
     squares: list[np.ndarray] = []
     doubt = 0.0
-    for part, rest in (
-        (slice(0, len(data) - edge), slice(len(data) - edge, None)),
-        (slice(edge, None), slice(known, edge)),
+    for part, rest, separated in (
+        (slice(0, len(data) - edge), slice(len(data) - edge, None), separations[0]),
+        (slice(edge, None), slice(known, edge), separations[1]),
     ):
-        fit = registry.identify(data.part(*part.indices(len(data))[:2]), model, **request)
+        fit = registry.identify(data.part(*part.indices(len(data))[:2]), model, separations=separated, **request)
         doubt = max(doubt, fit.numbers.get("ambiguity_rms_m", 0.0))
         predicted = predict(fit.chain, data.input, data.sample_time, measured=data.output)
         voltage = data.input[part]

@@ -153,9 +153,10 @@ class TurnSearch:
     def settled(self, fit: HammersteinFit, sharp: bool = False) -> list[HammersteinFit]:
         """Choose the dynamics anew behind the hysteresis, and fit it again in front of them, in turns.
 
-        With ``sharp`` only where there is a resonance that the fit so far had no place for.
+        With ``sharp`` only where there is a resonance that the fit so far had no place for. The first turn chooses the
+        structure of the hysteresis.
         """
-        found = []
+        found: list[HammersteinFit] = []
         for _ in range(TURNS):
             late = max(round(fit.linear_part.group_delay / self.sample_time), 0)
             part = self.choose(output_of(fit, self.voltage), late)
@@ -163,8 +164,9 @@ class TurnSearch:
                 break
             before = fit.linear_part
             creep = dict(creep_rate=before.creep_rate, longest_time=before.longest_time, settled=before.settled)
+            kept = {"like": fit.structure} if found and fit.structure is not None else {}
             try:
-                fit = self.fit(SETTLED, linear=Known(replace(part, **creep)))
+                fit = self.fit(SETTLED, linear=Known(replace(part, **creep)), **kept)
             except ParameterError:  # dynamics with which no weights go
                 break
             found = [fit]

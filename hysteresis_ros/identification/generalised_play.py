@@ -43,6 +43,8 @@ FREEDOMS = {"none": (), "rate": ("rate",), "envelopes": ("bend", "spread"), "bot
 LONGEST_RATE = 0.1
 #: Start and range of the common bend of both envelopes and of what they differ by.
 BENDS = {"bend": (0.0, -0.5, 0.5), "spread": (0.05, 0.0, 0.7)}
+#: Speeds differ by this factor, of swings over this part of the range.
+DIFFERENT, LEAST_SWING = 2.0, 0.1
 #: Strength of the smoothness while the linear part is searched.
 SEARCH_STRENGTH = 1e-2
 #: The slope without hysteresis is at least this part of the whole.
@@ -117,6 +119,32 @@ def _chosen(data: Condensed, play_count: int, freedom: str, linear, progress) ->
     chosen, errors = survivor(rivals, worth_it=ALONE if simple_loops(data) else WORTH_IT)
     chosen.numbers["held_out_rmse_m"] = errors[rivals.index(chosen)]
     return chosen
+
+
+def rivals(before, progress) -> list[GeneralisedPlays]:
+    """Return fits with envelopes and, where speeds differ, growing thresholds, behind the linear part of another fit.
+
+    Parameters
+    ----------
+    before : object
+        A fit with ``data``, ``kept``, ``base`` and ``found``.
+    progress : callable or None
+    """
+    names = ("envelopes", "rate", "both") if speeds_differ(before.data) else ("envelopes",)
+    return [GeneralisedPlays(before.data, PLAYS, FREEDOMS[name]).settle(before, progress) for name in names]
+
+
+def speeds_differ(data: Condensed) -> bool:
+    """Return whether swings of equal size are of different speeds: else growing thresholds are a lag.
+
+    Parameters
+    ----------
+    data : Condensed
+    """
+    turns = turning_points(data.voltage)
+    swings = np.abs(np.diff(data.voltage[turns]))
+    speeds = (swings / np.diff(turns))[swings > LEAST_SWING * data.voltage_range]
+    return bool(speeds.size > 1 and speeds.max() > DIFFERENT * speeds.min())
 
 
 class GeneralisedPlays:

@@ -10,7 +10,7 @@ A lag, a delay and creep are accepted one after the other when they make the res
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -75,6 +75,8 @@ class HammersteinFit:
         What grew beside all that the voltage moves [m/s]; no part of the model.
     numbers : dict of str to float
         Further figures of the fit, names with units.
+    structure : object, optional
+        What was chosen of structures that competed, to be fitted again.
     """
 
     hysteresis: HysteresisParameters
@@ -94,6 +96,7 @@ class HammersteinFit:
     skipped: int = 0
     drift: float = 0.0
     numbers: dict[str, float] = field(default_factory=dict)
+    structure: Any = None
 
     @property
     def doubts(self) -> tuple[str, ...]:

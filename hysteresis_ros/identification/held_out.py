@@ -46,7 +46,7 @@ def _parts(places, stretches: int) -> list[np.ndarray]:
     return [np.concatenate(found[part::PARTS]) for part in range(PARTS)]
 
 
-def survivor(fits, stretches: int = STRETCHES, worth_it: float = WORTH_IT):
+def survivor(fits, stretches: int = STRETCHES, worth_it=WORTH_IT):
     """Return the fit to keep, and the RMS errors on parts held out [m] of all.
 
     Parameters
@@ -56,15 +56,15 @@ def survivor(fits, stretches: int = STRETCHES, worth_it: float = WORTH_IT):
         ``worth_it``, and by more than the parts differ.
     stretches : int
         Of each part.
-    worth_it : float
-        Part of the RMS error.
+    worth_it : float or sequence of float
+        Part of the RMS error, for all or for each.
 
     Returns
     -------
     object, list of float
     """
     chosen, least, sizes = fits[0], None, []
-    for fit in fits:
+    for fit, part_of_it in zip(fits, np.broadcast_to(worth_it, len(fits)), strict=True):
         errors = held_out(fit, stretches)
         sizes.append(float(np.sqrt(np.mean(errors**2))))
         if least is None:
@@ -73,7 +73,7 @@ def survivor(fits, stretches: int = STRETCHES, worth_it: float = WORTH_IT):
         gain = least**2 - errors**2
         gains = np.array([np.mean(gain[part]) for part in _parts(np.arange(len(gain)), stretches)])
         sure = gains.mean() > STANDARD_ERRORS * gains.std(ddof=1) / np.sqrt(PARTS)
-        if sizes[-1] < (1.0 - worth_it) * np.sqrt(np.mean(least**2)) and sure:
+        if sizes[-1] < (1.0 - part_of_it) * np.sqrt(np.mean(least**2)) and sure:
             chosen, least = fit, errors
     return chosen, sizes
 

@@ -8,9 +8,11 @@ once (their response is convolved by FFT), which makes fits of hysteresis and dy
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+import scipy.fft
 import scipy.linalg
 import scipy.signal
 
@@ -21,6 +23,8 @@ from hysteresis_ros.models.linear import LinearDynamics, LinearParameters, zero_
 SHORTEST_LAG = 0.02
 #: A creep rate below this is none.
 SMALLEST_RATE = 1e-5
+#: Responses that are kept.
+RESPONSES = 16
 
 
 def first_order_hold(x, time_constant: float, sample_time: float) -> np.ndarray:
@@ -149,9 +153,10 @@ class LinearPart:
         """
         columns = np.asarray(columns, dtype=float)
         first = columns[:1] if self.settled else np.zeros_like(columns[:1])
-        response = self.impulse(len(columns), sample_time)
+        length, response = _spectrum(self, len(columns), sample_time)
         shaped = response if columns.ndim == 1 else response[:, None]
-        moved = scipy.signal.fftconvolve(columns - first, shaped, axes=0)[: len(columns)]
+        spectra = scipy.fft.rfft(columns - first, length, axis=0)
+        moved = scipy.fft.irfft(spectra * shaped, length, axis=0)[: len(columns)]
         return moved + first * self.settled_gain
 
     @property
@@ -230,6 +235,13 @@ class LinearPart:
         A = scipy.linalg.block_diag(*(block[0] for block in blocks))
         B, C = (np.concatenate([block[i] for block in blocks]) for i in (1, 2))
         return A, B[:, None], C, direct
+
+
+@lru_cache(maxsize=RESPONSES)
+def _spectrum(part: LinearPart, samples: int, sample_time: float) -> tuple[int, np.ndarray]:
+    """Return the length of the transforms, and that of the response; searches ask for one again and again."""
+    length = scipy.fft.next_fast_len(2 * samples - 1, real=True)
+    return length, scipy.fft.rfft(part.impulse(samples, sample_time), length)
 
 
 class Known(NamedTuple):

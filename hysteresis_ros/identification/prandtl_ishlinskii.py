@@ -21,6 +21,8 @@ PLAYS = 20
 ZONES = 5
 #: Where all loops are of one size nothing held out is new, and freedom has to lower the error by this part.
 ALONE = 0.3
+#: A model of another kind has to err by less than this part there: it holds no prior.
+OF_ANOTHER_KIND = 0.5
 #: How the weights of the plays may run over the radius.
 DENSITIES = ("auto", "exponential", "free")
 
@@ -37,6 +39,8 @@ def fit_prandtl_ishlinskii(
     skip: int | None = None,
     history: tuple[float, ...] = (),
     progress=None,
+    rivals=None,
+    like=None,
 ) -> HammersteinFit:
     """Fit voltage → plays → dead zones → creep → lag and delay.
 
@@ -60,6 +64,10 @@ def fit_prandtl_ishlinskii(
         Voltages [V] that the hysteresis went through, from rest at 0 V, before the first sample.
     progress : callable, optional
         Called as ``progress(evaluations, rmse)``.
+    rivals : callable, optional
+        ``rivals(fit, progress)`` returns fits of other kinds that compete too, for a fit with a smooth density.
+    like : object, optional
+        ``structure`` of a fit before, which is kept.
 
     Raises
     ------
@@ -71,22 +79,23 @@ def fit_prandtl_ishlinskii(
     if density == "exponential" and zone_count is not None:
         raise IdentificationError("zone_count goes with density=free; an exponential density has a map of its own")
 
-    found: list = []
+    found: list = [] if like is None else [like]
 
     def once(kept):
         data = condense(voltage, displacement, sample_time, skip, kept=kept, history=history)
         if not found:
-            found.append(_chosen(data, play_count, zone_count, density, linear, progress))
-        else:  # without outliers, the same structure
+            found.append(_chosen(data, play_count, zone_count, density, linear, progress, rivals))
+        else:  # without outliers, or behind other dynamics: the same structure
             before = found.pop()
             found.append(before.like(replace(data, drifts=before.data.drifts)).fit(linear, progress))
             found[0].numbers = {**before.numbers, **found[0].numbers}
         return finished(found[0], voltage, displacement, sample_time, kept)
 
-    return without_outliers(once, voltage, displacement)
+    fit = without_outliers(once, voltage, displacement)
+    return replace(fit, structure=found[0])
 
 
-def _chosen(data: Condensed, play_count: int, zone_count: int | None, density: str, linear, progress):
+def _chosen(data: Condensed, play_count: int, zone_count: int | None, density: str, linear, progress, others):
     """Return the fit of the structure that predicts best what it has not seen."""
     if zone_count is not None:
         return without_drift(lambda data: FreeWeights(data, play_count, zone_count).fit(linear, progress), data)
@@ -101,7 +110,11 @@ def _chosen(data: Condensed, play_count: int, zone_count: int | None, density: s
     part = min(rivals, key=lambda fit: fit.rms).part
     zones = FreeWeights(rivals[0].data, play_count, ZONES).behind(part)
     rivals.append(zones)
-    chosen, errors = survivor(rivals, worth_it=ALONE if simple_loops(data) and density == "auto" else WORTH_IT)
+    alone = simple_loops(data) and density == "auto"
+    worth = [ALONE if alone else WORTH_IT] * len(rivals)
+    rivals += others(rivals[0], progress) if others else []
+    worth += [OF_ANOTHER_KIND if alone else WORTH_IT] * (len(rivals) - len(worth))
+    chosen, errors = survivor(rivals, worth_it=worth)
     if chosen is zones:
         zones.fit(linear, progress)
     chosen.numbers["held_out_rmse_m"] = errors[rivals.index(chosen)]

@@ -10,13 +10,14 @@ from hysteresis_ros.identification.chains import chain_of, identified, with_stag
 from hysteresis_ros.identification.condensed import condense
 from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.dynamics import found_with
-from hysteresis_ros.identification.generalised_play import fit_generalised_play
+from hysteresis_ros.identification.generalised_play import fit_generalised_play, rivals
 from hysteresis_ros.identification.identified import Identification
 from hysteresis_ros.identification.prandtl_ishlinskii import fit_prandtl_ishlinskii
 from hysteresis_ros.identification.preisach import WIDTHS, Density, fit_preisach
 from hysteresis_ros.identification.request import FittedHysteresis, Request
 from hysteresis_ros.identification.smooth_density import PRIOR_DECAY
 from hysteresis_ros.identification.start import find_start
+from hysteresis_ros.models.hysteresis.generalised_play import GeneralisedPlayParameters
 
 #: Widths of the densities that trials of the past fit.
 TRIED = 10
@@ -26,7 +27,12 @@ COARSE = 2000
 
 def prandtl_ishlinskii(data: IdentificationData, request: Request) -> Identification:
     """Plays (and dead zones) with lag, delay and creep, found together."""
-    return _hammerstein(fit_prandtl_ishlinskii, data, request, lambda p: len(p.weights) + len(p.zone_weights) + 1)
+    return _hammerstein(fit_prandtl_ishlinskii, data, request, _numbers_of_plays)
+
+
+def usual(data: IdentificationData, request: Request) -> Identification:
+    """The same, or plays between envelopes and with growing thresholds where blocks held out are predicted better."""
+    return _hammerstein(partial(fit_prandtl_ishlinskii, rivals=rivals), data, request, _numbers_of_plays)
 
 
 def preisach(data: IdentificationData, request: Request) -> Identification:
@@ -37,7 +43,13 @@ def preisach(data: IdentificationData, request: Request) -> Identification:
 
 def generalised_play(data: IdentificationData, request: Request) -> Identification:
     """Plays between envelopes, with thresholds that grow with the rate, with lag, delay and creep."""
-    return _hammerstein(fit_generalised_play, data, request, lambda p: len(p.weights) + 5)
+    return _hammerstein(fit_generalised_play, data, request, _numbers_of_plays)
+
+
+def _numbers_of_plays(parameters) -> int:
+    """Return how many numbers of plays were fitted: weights, dead zones or envelopes and rate, and a constant."""
+    between = 4 if isinstance(parameters, GeneralisedPlayParameters) else len(parameters.zone_weights)
+    return len(parameters.weights) + between + 1
 
 
 def _hammerstein(fit_function, data, request, count, structure=None) -> Identification:
@@ -47,6 +59,7 @@ def _hammerstein(fit_function, data, request, count, structure=None) -> Identifi
     voltage, displacement, skip = start.signals(data)
     options = dict(skip=skip, history=start.history, progress=request.report_residual, **request.options)
     fit = found_with(partial(fit_function, **options), voltage, displacement, data.sample_time, parts, skip)
+    request = replace(request, model=fit.hysteresis.type)
     if start.kind != "zero":
         request = replace(request, initial=start.kind)
     found = FittedHysteresis(fit.hysteresis, count(fit.hysteresis.chosen), fit.deviations, fit.warnings, fit.converged)

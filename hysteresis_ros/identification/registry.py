@@ -15,6 +15,9 @@ from hysteresis_ros.units import readable
 
 #: Name that stands for the model which predicts best.
 AUTO = "auto"
+#: Name that stands for what is tried without being asked: a first model, whose parts, options and inverses count, and
+#: its rivals.
+USUAL, FIRST, RIVALS = "usual", "prandtl_ishlinskii", "hysteresis_ros.identification.procedures:usual"
 #: Words for sets of parts.
 WORDS = {"none": (), "auto": PARTS}
 
@@ -27,9 +30,11 @@ def find_model(name: str) -> HysteresisModel:
     IdentificationError
         There is none; the message lists what there is.
     """
+    name = FIRST if name == USUAL else name
     if name not in MODELS:
         near = did_you_mean(name, MODELS)
-        raise IdentificationError(f"model {name!r}: must be one of {', '.join(MODELS)}, or {AUTO} to identify{near}")
+        allowed = f"must be one of {', '.join(MODELS)}, or {USUAL} or {AUTO} to identify"
+        raise IdentificationError(f"model {name!r}: {allowed}{near}")
     return MODELS[name]
 
 
@@ -97,7 +102,7 @@ def parse_options(model: str, pairs) -> dict:
         if not mark or name not in entry.options:
             there = ", ".join(entry.options) or "none"
             near = did_you_mean(name, entry.options)
-            raise IdentificationError(f"option {pair!r}: write name=value; options of {model}: {there}{near}")
+            raise IdentificationError(f"option {pair!r}: write name=value; options of {entry.name}: {there}{near}")
         options[name] = entry.options[name].convert(name, text)
     return options
 
@@ -113,6 +118,7 @@ def identify(
     intersample: str = "zoh",
     initial: str | None = None,
     progress=None,
+    separations: dict | None = None,
 ) -> Identification:
     """Identify a model by its name.
 
@@ -121,7 +127,7 @@ def identify(
     data : IdentificationData
         Checked data (:meth:`.IdentificationData.checked`).
     model : str
-        Name in :data:`hysteresis_ros.models.hysteresis.MODELS`.
+        Name in :data:`hysteresis_ros.models.hysteresis.MODELS`, or :data:`USUAL`; that with options is its first model.
     linear : str, optional
         See :func:`parse_linear`; ``auto`` by default.
     options : dict, optional
@@ -134,6 +140,8 @@ def identify(
         How the input runs between samples and where the state starts.
     progress : callable, optional
         Called as ``progress(number, text)``.
+    separations : dict, optional
+        What was found of lag, creep and drift in this data for models that have none of their own; filled.
 
     Raises
     ------
@@ -148,10 +156,20 @@ def identify(
     parts, stage = parse_linear(model, linear)
     if entry.block.invertible:
         _refuse_falling(data)
+    rivals = model == USUAL and not options
     request = Request(
-        model, parts, stage, dict(options or {}), inverse, skip, intersample, initial, progress or (lambda *_: None)
+        model=entry.name,
+        parts=parts,
+        stage=stage,
+        options=dict(options or {}),
+        inverse=inverse,
+        skip=skip,
+        intersample=intersample,
+        initial=initial,
+        progress=progress or (lambda *_: None),
+        separations={} if separations is None else separations,
     )
-    return resolved(entry.identify)(data, request)
+    return resolved(RIVALS if rivals else entry.identify)(data, request)
 
 
 def _refuse_falling(data: IdentificationData) -> None:

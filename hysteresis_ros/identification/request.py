@@ -30,6 +30,8 @@ class Request:
     initial : str or None
     progress : callable
         ``progress(number, text)``.
+    separations : dict
+        What :func:`.separation.separated` found in this data before, by what was asked for.
     """
 
     model: str
@@ -41,6 +43,7 @@ class Request:
     intersample: str
     initial: str | None
     progress: Callable[[int, str], None]
+    separations: dict = field(default_factory=dict)
 
     def report_residual(self, number: int, rmse: float) -> None:
         """Progress of fits that report a residual [m]."""

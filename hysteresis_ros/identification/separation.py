@@ -68,12 +68,20 @@ def separated(data: IdentificationData, request: Request) -> Separated:
     """Return the data with lag and creep undone, outliers and drift taken out, and what is assumed of its past.
 
     A Preisach or a Prandtl-Ishlinskii model finds them, whichever leaves less: they leave the shape of the loops free.
+    What was found is kept in the request, for the next model of the same data.
 
     Parameters
     ----------
     data : IdentificationData
     request : Request
     """
+    asked = request.parts, request.stage is None, request.skip, request.initial
+    if asked not in request.separations:
+        request.separations[asked] = _separated(data, request)
+    return request.separations[asked]
+
+
+def _separated(data: IdentificationData, request: Request) -> Separated:
     parts = ("lag", "delay") if request.stage else request.parts
     start = find_start(data, request.skip, request.initial, whole=True)
     voltage, displacement, skip = start.signals(data)

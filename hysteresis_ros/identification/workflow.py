@@ -162,7 +162,7 @@ class Identified(Compared):
 
 def identify(
     source,
-    model: str = "prandtl_ishlinskii",
+    model: str = registry.USUAL,
     *,
     linear: str | None = None,
     options: dict | None = None,
@@ -179,8 +179,8 @@ def identify(
         A bag, CSV or NPZ whose columns name their units (``control_V``, ``gauge_um``), or data that was read. For other
         columns: ``read_data("x.csv", Columns("ch1:V", "ch2:um"))``.
     model : str
-        Name of the model; ``hysteresis models`` lists them. ``auto``: what predicts best the thirds of the recording
-        that it was not fitted to.
+        Name of the model; ``hysteresis models`` lists them. ``usual``: ``prandtl_ishlinskii``, or ``generalised_play``
+        where that predicts better what it was not fitted to. ``auto``: of all models the one that does.
     linear : str, optional
         What stands behind the hysteresis: ``auto`` (the default: lag, delay, creep and up to two resonances where they
         predict better), ``none``, ``lag,delay,creep,modes``, ``second_order``, ``arx`` …
@@ -238,11 +238,11 @@ def identify(
         skip = result.skipped
     elif skip is None:
         skip = automatic_skip(data) if result.chain.invertible else 0
-    return _finished(model, result, data, skip, given.get("offset") == "free", reading.report.warnings, fast)
+    return _finished(result, data, skip, given.get("offset") == "free", reading.report.warnings, fast)
 
 
 def _finished(
-    model: str, result: Identification, data: IdentificationData, skip: int, free: bool, read, fast: Fast | None
+    result: Identification, data: IdentificationData, skip: int, free: bool, read, fast: Fast | None
 ) -> Identified:
     """Return an identification with what it is worth, its file and its figures; ``read``: warnings of the reading."""
     if free:
@@ -268,7 +268,7 @@ def _finished(
     chain = result.chain if fast else _at_recorded_rate(result.chain, data)
     result = replace(result, chain=chain, warnings=tuple(dict.fromkeys(notes)))
     text = file_text(result, identification_section(result, data, figures, skip, checked.entries if checked else None))
-    named = {"model": model, "linear": result.linear, **figures, **result.numbers, "converged": result.converged}
+    named = {"model": result.model, "linear": result.linear, **figures, **result.numbers, "converged": result.converged}
     named |= checked.figures if checked else {}
     named |= {"sensor_zero_m": result.chain.offset} | ({"start": result.start} if result.start else {})
     compared = Compared(data, result.chain, predicted + drift, found, back, finite(named), result.warnings)

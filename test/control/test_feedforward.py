@@ -166,7 +166,7 @@ def test_zeros_beside_the_circle_are_left_out_without_phase_error(zeros, samples
     dynamics = replace(realised(zeros, poles), sample_time=1e-3, delay=samples * 1e-3)
     preview = designed_preview(dynamics)
     found = inverse_filter(dynamics, preview)
-    assert preview <= 64 and found.left_out is not None
+    assert preview <= (40 if -2.0 in zeros else 20) and found.left_out is not None
     delayed, outputs = followed(dynamics, preview, np.linspace(0.0, 1e-5, 300).clip(0.0, 5e-6))
     assert abs(outputs[-1] - 5e-6) < 1e-9 * 5e-6
     highest = found.left_out.known_to
@@ -198,8 +198,8 @@ def test_what_is_left_out_is_said_and_what_cannot_be_is_refused():
     dynamics = replace(realised(pair(1.003, 2.3), [*pair(0.9, 0.9), 0.6]), sample_time=1e-3)
     preview = designed_preview(dynamics)
     (text,) = preview_warning(dynamics, preview)
-    assert "366.1 Hz) are not inverted" in text and "wrong by less than 1 % up to 1" in text
-    with pytest.raises(ParameterError, match=r"must be at least 35: .*next to the unit circle takes 34"):
+    assert "366.1 Hz) are not inverted" in text and "wrong by less than 1 % up to 5" in text
+    with pytest.raises(ParameterError, match=r"must be at least 13: .*next to the unit circle takes 12"):
         inverse_filter(dynamics, 10)
     slow = realised(pair(1.003, 0.5), [*pair(0.9, 0.9), 0.6])
     assert inverse_filter(slow, 30).left_out is None

@@ -8,11 +8,14 @@ import numpy as np
 import pytest
 
 from hysteresis_ros.errors import IdentificationError
-from hysteresis_ros.identification import auto
+from hysteresis_ros.identification import auto, separation
+from hysteresis_ros.identification.condensed import condense
 from hysteresis_ros.identification.data import IdentificationData
-from hysteresis_ros.identification.generalised_play import fit_generalised_play
+from hysteresis_ros.identification.generalised_play import fit_generalised_play, speeds_differ
 from hysteresis_ros.identification.linear_part import LinearPart
 from hysteresis_ros.identification.prandtl_ishlinskii import fit_prandtl_ishlinskii
+from hysteresis_ros.identification.request import Request
+from hysteresis_ros.identification.workflow import identify
 from hysteresis_ros.models.hysteresis import MODELS
 from hysteresis_ros.models.hysteresis.generalised_play import GeneralisedPlayHysteresis, GeneralisedPlayParameters
 
@@ -78,6 +81,44 @@ def test_a_lag_is_told_from_thresholds_that_grow():
 def test_an_unknown_freedom_is_refused():
     with pytest.raises(IdentificationError, match="must be one of auto, none, rate"):
         fit_generalised_play(VOLTAGE, recorded(PLAIN), T, freedom="all")
+
+
+def usual(truth, noise=3e-9, **request):
+    data = IdentificationData(np.arange(VOLTAGE.size) * T, VOLTAGE, recorded(truth, noise=noise))
+    return identify(data, linear="none", initial="zero", **request)
+
+
+def test_the_usual_model_is_the_one_that_predicts_blocks_held_out():
+    """Thresholds that grow are taken where speeds differ, plain plays stay plain, an option is of the first model."""
+    found = usual(RATED)
+    assert found.figures["model"] == found.plant.hysteresis.type == "generalised_play"
+    assert found.parameters.rate == pytest.approx(RATED.rate, rel=0.15)
+    assert "type: generalised_play" in found.text and found.plant.inverse.type == "exact"
+    assert usual(PLAIN, 2e-8).figures["model"] == "prandtl_ishlinskii"
+    assert usual(RATED, options={"density": "exponential"}).figures["model"] == "prandtl_ishlinskii"
+
+
+def test_speeds_differ_where_equal_swings_take_different_times():
+    slow, fast = (50.0 * (1.0 - np.cos(2.0 * np.pi * rate * np.arange(2000) * T)) for rate in (0.5, 2.0))
+    for voltage, differ in ((slow, False), (fast, False), (np.concatenate([slow, fast]), True)):
+        assert speeds_differ(condense(voltage, 1e-7 * voltage, T)) is differ
+
+
+def test_lag_and_creep_are_separated_once_for_all_models_that_have_none(monkeypatch):
+    kept, searched = [], []
+    monkeypatch.setattr(separation, "_separated", lambda data, request: searched.append(request.parts) or object())
+
+    def identified(data, name, **request):
+        kept.append(request["separations"])
+        asked = Request(name, ("lag",), None, {}, "exact", None, "zoh", None, print, kept[-1])
+        assert separation.separated(data, asked) is separation.separated(data, asked)
+        raise IdentificationError("not fitted")
+
+    monkeypatch.setattr(auto.registry, "identify", identified)
+    data = IdentificationData(np.arange(VOLTAGE.size) * T, VOLTAGE, recorded(PLAIN))
+    with pytest.raises(IdentificationError, match="no model can be fitted"):
+        auto.choose_model(data, "none")
+    assert len(kept) > 3 and all(found is kept[0] for found in kept) and searched == [("lag",)]
 
 
 @pytest.mark.parametrize("other, chosen", [(0.99, "preisach"), (0.9, "generalised_play")])
