@@ -124,6 +124,8 @@ def _chosen(data: Condensed, play_count: int, freedom: str, linear, progress) ->
 def rivals(before, progress) -> list[GeneralisedPlays]:
     """Return fits with envelopes and, where speeds differ, growing thresholds, behind the linear part of another fit.
 
+    Those whose inverse may magnify errors are left out.
+
     Parameters
     ----------
     before : object
@@ -131,7 +133,8 @@ def rivals(before, progress) -> list[GeneralisedPlays]:
     progress : callable or None
     """
     names = ("envelopes", "rate", "both") if speeds_differ(before.data) else ("envelopes",)
-    return [GeneralisedPlays(before.data, PLAYS, FREEDOMS[name]).settle(before, progress) for name in names]
+    fits = [GeneralisedPlays(before.data, PLAYS, FREEDOMS[name]).settle(before, progress) for name in names]
+    return [fit for fit in fits if not fit.parameters().chosen.warnings()]
 
 
 def speeds_differ(data: Condensed) -> bool:
