@@ -141,6 +141,9 @@ SIGNALS = (
     _sequencer("backward_gain", "1", "learned gain of backward steps"),
     _sequencer("forward_offset", "m", "learned offset of forward steps"),
     _sequencer("backward_offset", "m", "learned offset of backward steps"),
+    _sequencer("cycle_phase", "1", "phase of continuous walking"),
+    _sequencer("path_error", "m", "path of continuous walking less measured slider"),
+    _sequencer("correction", "m", "learned correction of the extension, in continuous walking"),
 )
 
 # Places in a row, written out so that compiled code has them as constants; a test holds them against the table.
@@ -193,7 +196,10 @@ SIGNALS = (
     BACKWARD_GAIN,
     FORWARD_OFFSET,
     BACKWARD_OFFSET,
-) = range(48)
+    CYCLE_PHASE,
+    PATH_ERROR,
+    CORRECTION,
+) = range(51)
 
 #: Places of what people ask for: of any axis the first, of a motor all of them.
 ASKED = (SETPOINT, REQUEST, SPEED)

@@ -186,6 +186,7 @@ def find_moves(signals, slider, tolerance: float, home: float | None = None) -> 
     """
     setpoint, size = signals["setpoint"], len(slider)
     request = np.nan_to_num(signals.get("request", np.zeros(size)))
+    request = np.where(request <= at.RELEASE_REQUEST, request, at.NO_REQUEST)  # learning asks for no motion
     speed = np.nan_to_num(signals.get("speed", np.zeros(size)))
     changed = (np.diff(setpoint) != 0.0) | (np.diff(speed) != 0.0) | (request[1:] != 0.0)
     starts = [0, *(np.flatnonzero(changed) + 1).tolist()]
@@ -225,7 +226,7 @@ def _described(recording: Recording) -> bool:
 
 def _parameters(recording: Recording):
     """Return the sequencer's parameters, None when the recording does not hold them."""
-    from hysteresis_ros.references.inchworm_sequencer import InchwormSequencerParameters as Given
+    from hysteresis_ros.references.inchworm_parameters import InchwormSequencerParameters as Given
 
     if not _described(recording):
         return None

@@ -7,6 +7,7 @@ import math
 from hysteresis_ros.compensation.reachable import reachable_commands
 from hysteresis_ros.errors import Problem
 from hysteresis_ros.references.inchworm_steps import LOAD_PART
+from hysteresis_ros.references.walk import SWING_RANGE
 
 #: Holding force over load below which an axis is doubtful.
 SAFETY_FACTOR = 2.0
@@ -73,7 +74,7 @@ def inchworm_warnings(plant, sequencer) -> tuple[str, ...]:
     sequencer : InchwormSequencerNodeParameters
         With the gait.
     """
-    return tuple(_doubts(plant.inchworm, sequencer.gait))
+    return (*_doubts(plant.inchworm, sequencer.gait), *_walking_doubts(plant.inchworm, sequencer.walk))
 
 
 def design_warnings(plant, crossovers) -> tuple[str, ...]:
@@ -99,6 +100,24 @@ def design_warnings(plant, crossovers) -> tuple[str, ...]:
 def _swing(motor) -> float:
     """Return the period of the slider on the extender [s]."""
     return 2.0 * math.pi * math.sqrt(motor.slider.mass / motor.extender_stiffness)
+
+
+def _walking_doubts(motor, walk):
+    """Yield what continuous walking over the phase assumes and the motor is not."""
+    if not walk.continuous:
+        return
+    swing = 1.0 / _swing(motor)
+    if walk.swing > 0.0 and abs(walk.swing / swing - 1.0) > SWING_RANGE:
+        yield (
+            f"inchworm_sequencer: walk.swing = {walk.swing:g} Hz, the slider on the extender swings at {swing:.4g} Hz: "
+            "what is learned may not settle"
+        )
+    deflection = abs(motor.slider.force) / motor.extender_stiffness
+    if deflection > walk.bound:
+        yield (
+            f"inchworm_sequencer: the load bends the extender by {deflection:.3g} m, more than walk.bound = "
+            f"{walk.bound:g} m can make good: raise it and shorten walk.step"
+        )
 
 
 def _doubts(motor, gait):

@@ -21,7 +21,7 @@ from hysteresis_ros.models.calibration import AmplifierCalibration, CalibrationP
 from hysteresis_ros.models.inchworm import JOINT_NAMES, InchwormParameters, seed_problems
 from hysteresis_ros.parameters import Parameters, group, parameter, variants
 from hysteresis_ros.references.generator import ReferenceParameters
-from hysteresis_ros.references.inchworm_sequencer import InchwormSequencerParameters
+from hysteresis_ros.references.inchworm_parameters import InchwormSequencerParameters
 from hysteresis_ros.sensing.simulated_camera import SimulatedCameraParameters
 from hysteresis_ros.sensing.tracker import CameraParameters
 

@@ -23,7 +23,8 @@ from hysteresis_ros.references.generator import (
     setpoint_in_force,
 )
 from hysteresis_ros.references.inchworm_machine import sequence
-from hysteresis_ros.references.inchworm_sequencer import InchwormSequencer, InchwormSequencerParameters
+from hysteresis_ros.references.inchworm_parameters import InchwormSequencerParameters
+from hysteresis_ros.references.inchworm_sequencer import InchwormSequencer
 from hysteresis_ros.references.step_model import GAIN, OFFSET
 from hysteresis_ros.references.trajectory import HELD, NOWHERE, brake
 
@@ -230,6 +231,9 @@ def sequenced(laws, arrays, row):
     row[at.BACKWARD_GAIN] = x[gait.BACKWARD_MODEL + GAIN]
     row[at.FORWARD_OFFSET] = stroke * x[gait.FORWARD_MODEL + OFFSET]
     row[at.BACKWARD_OFFSET] = stroke * x[gait.BACKWARD_MODEL + OFFSET]
+    row[at.CYCLE_PHASE] = x[gait.CYCLE_PHASE]
+    row[at.PATH_ERROR] = x[gait.PATH_ERROR]
+    row[at.CORRECTION] = x[gait.CORRECTION]
 
 
 @nested

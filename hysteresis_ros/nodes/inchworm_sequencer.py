@@ -56,7 +56,7 @@ class InchwormSequencerNode(ReferenceSource):
         ("front_clamp/voltage", signals.FRONT_VOLTAGE),
         ("rear_clamp/voltage", signals.REAR_VOLTAGE),
     )
-    triggers = ("start", "stop", "reset", "home", "release")
+    triggers = ("start", "stop", "reset", "home", "release", "learn", "freeze", "forget", "save")
 
     def __init__(self, **options):
         super().__init__("inchworm_sequencer", **options)
@@ -140,7 +140,7 @@ class InchwormSequencerNode(ReferenceSource):
             x[at.SPEED] = 0.0
 
     def _on_speed(self, message) -> None:
-        reason = self.sequencer.parameters.gait.refuse_speed(message.data)
+        reason = self.sequencer.parameters.refuse_speed(message.data)
         if reason:
             self.refuse("speed", f"{reason}; {self.sequencer.x[at.SPEED]:.6g} m/s is kept")
         else:
@@ -166,6 +166,20 @@ class InchwormSequencerNode(ReferenceSource):
 
     def _on_release(self, request, response):
         return self._ask(response, at.RELEASE_REQUEST, "opens the front clamp and relaxes the extender")
+
+    def _on_learn(self, request, response):
+        return self._ask(response, at.LEARN_REQUEST, "learns from the next whole cycle of continuous walking on; asked")
+
+    def _on_freeze(self, request, response):
+        return self._ask(response, at.FREEZE_REQUEST, "only uses what it has learned")
+
+    def _on_forget(self, request, response):
+        return self._ask(response, at.FORGET_REQUEST, "forgets what it has learned of walking; asked")
+
+    def _on_save(self, request, response):
+        if self.parameters is not None:
+            self.sequencer.save()
+        return self._answer_service(response, f"written to {self.parameters and self.parameters.walk.save_file}")
 
     def _ask(self, response, code: int, what: str):
         """Queue a request; it takes effect at a sample."""
@@ -296,6 +310,7 @@ class InchwormSequencerNode(ReferenceSource):
             "setpoints_refused": self.refused,
             "stale": stale,
             **{name: f"{value:.4g}" for name, value in sequencer.learned.items()},
+            **self._walk_values(),
         }
         refused = self.since_report("refused", self.refused)
         missed = self.since_report("missed", int(x[at.MISSED]))
@@ -316,6 +331,17 @@ class InchwormSequencerNode(ReferenceSource):
         if x[at.LIMITED_SPEED]:
             return 1, f"slower than {x[at.SPEED]:g} m/s: the steps slip", values
         return (1, f"{refused} setpoints or speeds refused", values) if refused else (0, "", values)
+
+    def _walk_values(self) -> dict[str, str]:
+        """Return what the diagnostics say of continuous walking over the phase."""
+        x = self.sequencer.x
+        if not self.parameters.walk.continuous:
+            return {}
+        return {
+            "walk_learning": "learns" if x[at.LEARNS] else "frozen",
+            "walk_learned_cycles": f"{x[at.LEARNED_CYCLES]:g}",
+            "walk_off_path_m": f"{x[at.RIPPLE]:.3g}",
+        }
 
 
 def main(arguments=None) -> int:

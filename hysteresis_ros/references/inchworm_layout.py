@@ -37,8 +37,27 @@ from __future__ import annotations
     CYCLE_SAMPLES,
     WINDOW,
     DRIFT,  # [m/s]
-) = range(33)
-PARAMETERS = 33
+    CONTINUOUS,  # not 0: continuous walking is a motion over the phase of the cycle, below
+    WALKING_STEP,  # [m] a cycle
+    BLEND,  # part of the carrying motion in which its speed rises, and in which it falls
+    LEAD,  # how far the outputs are ahead of the path [samples]
+    BOUND,  # of the correction [m]
+    LEARNING_GAIN,
+    LEARNING_RATE,  # of the cycles from which is learned [1/sample]
+    INERTIA,  # extension in advance for each acceleration [samples²]
+    SPLINES,  # of the correction
+    BINS,  # of the error
+) = range(43)
+#: Phases at which the processes of a cycle forward end, and of one backward (named below).
+FORWARD_BOUNDS = 43
+BACKWARD_BOUNDS = 51
+#: Learning matrices (SPLINES, BINS) forward and then backward, row by row.
+LEARNING_MATRICES = 59
+PARAMETERS = 59
+
+#: Ends of the processes of a cycle: returned, front clamp begins to close, rear clamp to open, carrying begins, ends,
+#: rear clamp begins to close, front clamp to open, returning begins. The middle of returning is phase 0.
+RETURNED, CLOSE_FRONT, OPEN_REAR, CARRY, CARRIED, CLOSE_REAR, OPEN_FRONT, RETURN = range(8)
 
 #: State x: first what others read and write, then what the sequencer keeps for itself.
 (
@@ -110,7 +129,29 @@ PARAMETERS = 33
 #: Learned step models, forward and backward (see :mod:`hysteresis_ros.references.step_model`).
 FORWARD_MODEL = 64
 BACKWARD_MODEL = 69
-STATES = 74
+
+#: Continuous walking.
+(
+    CYCLE,  # 1 while the extender moves by the phase
+    CYCLE_PHASE,  # of the path, 0 … 1
+    CYCLE_RATE,  # [1/sample]
+    BRAKING,  # by how much the rate falls in a sample when the motor stops
+    PATH,  # of the slider when the cycle began [m]
+    PATH_ERROR,  # path less measured slider [m]
+    CORRECTION,  # of the extension [m]
+    LEARNS,  # 1: every whole cycle corrects the correction
+    FORGETS,  # 1: it is to be forgotten at the next cycle
+    WHOLE,  # 1 while the present cycle is one to learn from
+    STAND_SUM,  # of the slider while it stands, and of how many samples
+    STAND_COUNT,
+    SQUARES,  # sum of the squared errors of the present cycle, and of how many samples
+    SQUARE_COUNT,
+    RIPPLE,  # RMS of the error over the last whole cycle [m]
+    LEARNED_CYCLES,  # so far
+) = range(74, 90)
+#: Coefficients of the corrections, then sums and counts of the errors by phase: the lengths are SPLINES and BINS.
+WALK = 90
+STATES = 90
 
 #: Phases.
 (
@@ -145,6 +186,7 @@ RUN, STOP, LET_GO, FAILED = range(4)
 
 #: Requests.
 NO_REQUEST, START_REQUEST, STOP_REQUEST, HOME_REQUEST, RELEASE_REQUEST = range(5)
+LEARN_REQUEST, FREEZE_REQUEST, FORGET_REQUEST = range(5, 8)
 
 #: Errors. A bad sensor heals itself; the others stay until start.
 NO_ERROR, SENSOR_ERROR, NO_MOTION_ERROR, RUNAWAY_ERROR, SLIP_ERROR = range(5)

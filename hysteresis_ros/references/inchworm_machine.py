@@ -33,6 +33,7 @@ from hysteresis_ros.references.inchworm_steps import (
     stop_here,
     weigh,
 )
+from hysteresis_ros.references.walk_machine import begin_walk, coast, stride
 
 
 @kernel
@@ -84,6 +85,10 @@ def take_inputs(p, x, setpoint, slider, extender):
             x[at.TARGET] = p[at.HOME]
         elif request == at.RELEASE_REQUEST:
             x[at.MODE] = at.LET_GO
+    if request == at.LEARN_REQUEST or request == at.FREEZE_REQUEST:
+        x[at.LEARNS] = 1.0 if request == at.LEARN_REQUEST else 0.0
+    elif request == at.FORGET_REQUEST:
+        x[at.FORGETS] = 1.0
 
 
 @kernel
@@ -103,7 +108,10 @@ def decide(p, x):
     elif x[at.SPEED] != 0.0:
         x[at.WALKED] = 1.0
         x[at.ARRIVED] = 0.0
-        next_walk(p, x)
+        if p[at.CONTINUOUS] != 0.0:
+            begin_walk(p, x)
+        else:
+            next_walk(p, x)
     else:
         x[at.LIMITED_SPEED] = 0.0
         next_step(p, x)
@@ -233,12 +241,15 @@ def open_phase(p, x):
 @kernel
 def stopping(p, x):
     """One sample of stopping: the extender brakes in half the time the clamp takes to close."""
-    if x[at.MOVE_RATE] > 0.0:
+    if x[at.CYCLE] != 0.0:
+        coast(p, x)
+    elif x[at.MOVE_RATE] > 0.0:
         x[at.MOVE_RATE] = max(x[at.MOVE_RATE] - 2.0 / p[at.GRIP_SAMPLES], 0.0)
         if x[at.MOVE_RATE] > 0.0:
             moving(p, x)
     if x[at.TIMER] >= p[at.GRIP_SAMPLES]:
         x[at.MOVE_RATE] = 0.0
+        x[at.CYCLE] = 0.0
         hold(x)
 
 
@@ -246,7 +257,9 @@ def stopping(p, x):
 def run_phase(p, x):
     """One sample of the present phase, which may end in another one."""
     phase = x[at.PHASE]
-    if phase == at.HOLDING:
+    if x[at.CYCLE] != 0.0 and phase != at.STOPPING:
+        stride(p, x)
+    elif phase == at.HOLDING:
         decide(p, x)
     elif phase == at.GRIPPING_REAR or phase == at.GRIPPING_FRONT:
         if x[at.TIMER] >= p[at.GRIP_SAMPLES] - p[at.OVERLAP_SAMPLES]:
@@ -308,7 +321,7 @@ def sequence(p, x, setpoint, slider, extender):
 
     Parameters
     ----------
-    p, x : ndarray, shapes (33,) and (74,)
+    p, x : ndarray
         Parameters and state, see :mod:`hysteresis_ros.references.inchworm_layout`. Others may write ``x[REQUEST]`` and
         ``x[SPEED]`` before the call.
     setpoint : float
@@ -321,7 +334,10 @@ def sequence(p, x, setpoint, slider, extender):
     before = -1.0
     while x[at.PHASE] != before:  # a phase that ends here begins the next one in the same sample
         before = x[at.PHASE]
+        walking = x[at.CYCLE]
         run_phase(p, x)
+        if walking != 0.0 and x[at.CYCLE] != 0.0 and x[at.PHASE] != at.STOPPING:
+            break  # the phase of the cycle says which process it is
     drive_clamps(p, x)
     x[at.REFERENCE] = x[at.TIP] - x[at.PRETENSION]
     if x[at.SOURCE] == at.BLOCKED:

@@ -8,185 +8,18 @@ is the reference itself, because nothing can move then and an integral would onl
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from hysteresis_ros import elementary
 from hysteresis_ros.block import Block
 from hysteresis_ros.errors import ParameterError, Problem
-from hysteresis_ros.parameters import Parameters, group, parameter
 from hysteresis_ros.references import inchworm_layout as at
-from hysteresis_ros.references.gait import GaitParameters
 from hysteresis_ros.references.inchworm_machine import sequence
+from hysteresis_ros.references.inchworm_parameters import InchwormSequencerParameters
 from hysteresis_ros.references.step_model import GAIN, OFFSET, forget_all
-
-
-@dataclass(frozen=True)
-class FineParameters(Parameters):
-    """Fine positioning: the front clamp holds the slider, the controller measures the slider."""
-
-    enabled: bool = parameter(
-        True, read_only=True, description="finish on the extender in closed loop; false: on steps, with both clamps"
-    )
-    tolerance: float = parameter(
-        10.0e-9,
-        unit="m",
-        low=1.0e-12,
-        high=1.0,
-        read_only=True,
-        description="distance to the setpoint (smoothed) at which the motor has arrived",
-    )
-    speed: float = parameter(
-        1.0e-3, unit="m/s", low=1.0e-12, high=1.0, read_only=True, description="highest speed of the reference"
-    )
-    time: float = parameter(
-        2.0e-3,
-        unit="s",
-        low=1.0e-6,
-        high=100.0,
-        read_only=True,
-        description="time constant of the reference's critically damped approach",
-    )
-    timeout: float = parameter(
-        0.5,
-        unit="s",
-        low=1.0e-3,
-        high=1.0e4,
-        read_only=True,
-        description="time outside of the tolerance after which the motor grips anew and tries again",
-    )
-    smoothing_time: float = parameter(
-        5.0e-3,
-        unit="s",
-        low=0.0,
-        high=100.0,
-        read_only=True,
-        description="time constant of the smoothing of the distance to the setpoint and of the slip",
-    )
-
-
-def _model(default: float, which: str, unit: str = ""):
-    return parameter(default, unit=unit, low=-2.0, high=2.0, read_only=True, description=which)
-
-
-@dataclass(frozen=True)
-class LearningParameters(Parameters):
-    """Learned step length: movement of the slider = gain · extension + offset, for either direction."""
-
-    enabled: bool = parameter(True, read_only=True, description="learn from the measured steps")
-    forgetting: float = parameter(
-        0.98,
-        low=0.5,
-        high=1.0,
-        read_only=True,
-        description="weight of the past at each step (least squares)",
-    )
-    forward_gain: float = _model(1.0, "gain to start from, forward")
-    forward_offset: float = _model(0.0, "offset to start from, forward; negative: a load holds back", "m")
-    backward_gain: float = _model(1.0, "gain to start from, backward")
-    backward_offset: float = _model(0.0, "offset to start from, backward, along the motion", "m")
-    load_deflection: float = _model(0.0, "deflection of the extender by the load to start from", "m")
-
-
-@dataclass(frozen=True)
-class GuardParameters(Parameters):
-    """What counts as a fault."""
-
-    still_steps: int = parameter(
-        5, low=1, high=1000, read_only=True, description="steps in a row without motion after which the motor gives up"
-    )
-    missed_part: float = parameter(
-        0.5,
-        low=0.1,
-        high=0.99,
-        read_only=True,
-        description="a step is missed when the slider moves by less than this part of the extension",
-    )
-    runaway: float = parameter(
-        2.0e-6,
-        unit="m",
-        low=1.0e-12,
-        high=1.0,
-        read_only=True,
-        description="motion of a held slider, or beyond what a step can do, that is an error",
-    )
-    slip: float = parameter(
-        1.0e-6,
-        unit="m",
-        low=1.0e-12,
-        high=1.0,
-        read_only=True,
-        description="slip of the front clamp in fine positioning after which the motor grips anew",
-    )
-    drift: float = parameter(
-        2.0e-8,
-        unit="m/s",
-        low=0.0,
-        high=1.0,
-        read_only=True,
-        description="slower than this the grip of the front clamp only seems to slip: sensors drift and creep",
-    )
-    sensor_timeout: float = parameter(
-        1.0e-3,
-        unit="s",
-        low=0.0,
-        high=10.0,
-        read_only=True,
-        description="time without a finite measurement after which both clamps close",
-    )
-
-
-@dataclass(frozen=True)
-class ScheduleParameters(Parameters):
-    """Setpoints over time, so that a run needs no hands."""
-
-    values: tuple[float, ...] = parameter((), unit="m", read_only=True, description="setpoints; empty: none")
-    times: tuple[float, ...] = parameter(
-        (), unit="s", low=0.0, read_only=True, description="when each of them is given, in rising order"
-    )
-    duration: float = parameter(
-        0.0, unit="s", low=0.0, read_only=True, description="length of a run; 0: the configuration does not say"
-    )
-
-    def check(self):
-        """There are as many times as values, in rising order."""
-        if len(self.times) != len(self.values):
-            yield Problem("times", self.times, f"must be {len(self.values)} numbers, one for each of values")
-        elif any(later <= earlier for earlier, later in zip(self.times, self.times[1:], strict=False)):
-            yield Problem("times", self.times, "must rise from one to the next")
-
-
-@dataclass(frozen=True)
-class InchwormSequencerParameters(Parameters):
-    """Parameters of the inchworm sequencer."""
-
-    minimum: float = parameter(-5.0e-3, description="lowest setpoint", unit="m", read_only=True)
-    maximum: float = parameter(5.0e-3, description="highest setpoint", unit="m", read_only=True)
-    initial_setpoint: float = parameter(
-        0.0, description="setpoint until the first one is received", unit="m", read_only=True
-    )
-    home_position: float = parameter(0.0, description="where the service home goes", unit="m", read_only=True)
-    resting_extension: float = parameter(
-        0.0, description="extension after release, with the front clamp open", unit="m", read_only=True
-    )
-    gait: GaitParameters = group(GaitParameters)
-    fine: FineParameters = group(FineParameters)
-    learning: LearningParameters = group(LearningParameters)
-    guard: GuardParameters = group(GuardParameters)
-    setpoints: ScheduleParameters = group(ScheduleParameters)
-
-    def check(self):
-        """The travel is not empty and contains every setpoint of the configuration."""
-        if not self.minimum < self.maximum:
-            yield Problem("maximum", self.maximum, f"must be > minimum = {self.minimum:g} m")
-            return
-        places = [("initial_setpoint", self.initial_setpoint), ("home_position", self.home_position)]
-        places += [("setpoints.values", value) for value in self.setpoints.values]
-        for name, value in places:
-            if not self.minimum <= value <= self.maximum:
-                allowed = f"outside of the travel, allowed: {self.minimum:g} … {self.maximum:g} m"
-                yield Problem(name, value, allowed)
+from hysteresis_ros.references.walk import BINS_PER_SPLINE, learning_matrix, phase_bounds
+from hysteresis_ros.references.walk_file import LearnedWalk, read_walk, write_walk
 
 
 class InchwormSequencer(Block):
@@ -207,10 +40,17 @@ class InchwormSequencer(Block):
 
     kernel = staticmethod(sequence)
 
+    def __init__(self, parameters: InchwormSequencerParameters, sample_time: float):
+        walk = parameters.validated().walk
+        self._walk = LearnedWalk(walk.step, np.zeros(walk.splines), np.zeros(walk.splines))
+        if walk.continuous and walk.file:
+            self._walk = read_walk(walk.file, walk.splines, walk.step, walk.bound)
+        super().__init__(parameters, sample_time)
+
     def pack(self, parameters: InchwormSequencerParameters) -> np.ndarray:
-        """Return p, shape (33,); the layout is in :mod:`hysteresis_ros.references.inchworm_layout`."""
+        """Return p; the layout is in :mod:`hysteresis_ros.references.inchworm_layout`."""
         gait, fine, guard = parameters.gait, parameters.fine, parameters.guard
-        p = np.zeros(at.PARAMETERS)
+        p = np.concatenate([np.zeros(at.PARAMETERS), *self._pack_learning(parameters)])
 
         def samples(duration: float, least: int) -> float:
             return float(max(round(duration / self.sample_time), least))
@@ -250,13 +90,41 @@ class InchwormSequencer(Block):
         p[at.SENSOR_SAMPLES] = samples(guard.sensor_timeout, 0)
         exchange = p[at.RELEASE_SAMPLES] + p[at.GRIP_SAMPLES] - p[at.OVERLAP_SAMPLES] + p[at.SETTLE_SAMPLES]
         p[at.CYCLE_SAMPLES] = 2.0 * exchange + p[at.EXTEND_SAMPLES] + p[at.CONTRACT_SAMPLES]
+        self._pack_walk(p, parameters)
         return p
 
+    def _pack_walk(self, p: np.ndarray, parameters: InchwormSequencerParameters) -> None:
+        gait, walk = parameters.gait, parameters.walk
+        p[at.CONTINUOUS] = walk.continuous
+        p[at.WALKING_STEP] = walk.step
+        p[at.BLEND] = walk.blend
+        p[at.LEAD] = 0.5 + walk.lead / self.sample_time
+        p[at.BOUND] = walk.bound
+        p[at.LEARNING_GAIN] = walk.gain
+        p[at.LEARNING_RATE] = walk.learning_speed * self.sample_time / walk.step
+        p[at.INERTIA] = walk.inertia / self.sample_time**2
+        p[at.SPLINES] = walk.splines if walk.continuous else 0.0
+        p[at.BINS] = BINS_PER_SPLINE * p[at.SPLINES]
+        p[at.FORWARD_BOUNDS : at.FORWARD_BOUNDS + 8] = phase_bounds(gait, 1)
+        p[at.BACKWARD_BOUNDS : at.BACKWARD_BOUNDS + 8] = phase_bounds(gait, -1)
+
+    @staticmethod
+    def _pack_learning(parameters: InchwormSequencerParameters) -> list[np.ndarray]:
+        gait, walk = parameters.gait, parameters.walk
+        if not walk.continuous:
+            return []
+        return [learning_matrix(walk, gait, direction).ravel() for direction in (1, -1)]
+
     def initial_state(self) -> np.ndarray:
-        """Return x, shape (74,): nothing has closed yet, both clamps are about to."""
+        """Return x: nothing has closed yet, both clamps are about to."""
         parameters = self.parameters
-        gait, learning = parameters.gait, parameters.learning
-        x = np.zeros(at.STATES)
+        gait, learning, walk = parameters.gait, parameters.learning, parameters.walk
+        n, m = int(self.p[at.SPLINES]), int(self.p[at.BINS])
+        x = np.zeros(at.STATES + 4 * n + 2 * m)
+        x[at.LEARNS] = walk.learning
+        if n:
+            x[at.WALK : at.WALK + n] = self._walk.forward
+            x[at.WALK + 2 * n : at.WALK + 3 * n] = self._walk.backward
         x[at.FRONT_VOLTAGE] = x[at.FRONT_FROM] = x[at.REAR_VOLTAGE] = x[at.REAR_FROM] = gait.initial_voltage
         x[at.FRONT_TO] = x[at.REAR_TO] = gait.grip_voltage
         x[at.PHASE] = at.STARTING
@@ -297,7 +165,7 @@ class InchwormSequencer(Block):
         str or None
             Why the speed is refused, with the number; nothing changes then.
         """
-        reason = self.parameters.gait.refuse_speed(speed)
+        reason = self.parameters.refuse_speed(speed)
         if reason is None:
             self.x[at.SPEED] = speed
         return reason
@@ -358,6 +226,35 @@ class InchwormSequencer(Block):
             found[f"{way}_gain"] = float(self.x[first + GAIN])
             found[f"{way}_offset"] = float(self.x[first + OFFSET] * stroke)
         return found
+
+    @property
+    def learned_walk(self) -> LearnedWalk:
+        """What was learned of continuous walking over the phase of its cycle."""
+        n = int(self.p[at.SPLINES])
+        starts = at.WALK, at.WALK + 2 * n
+        return LearnedWalk(self.parameters.walk.step, *(self.x[first : first + n].copy() for first in starts))
+
+    def save(self, path=None) -> None:
+        """Write what was learned of continuous walking.
+
+        Parameters
+        ----------
+        path : path-like, optional
+            By default ``walk.save_file``.
+
+        Raises
+        ------
+        ParameterError
+            There is no continuous walking, or no file was named.
+        ConfigurationError
+            The file cannot be written.
+        """
+        walk = self.parameters.walk
+        if not walk.continuous:
+            raise ParameterError([Problem("walk.continuous", False, "must be true for something to be learned")])
+        if not (path or walk.save_file):
+            raise ParameterError([Problem("walk.save_file", "", "names no file; give one: nothing else is written")])
+        write_walk(path or walk.save_file, self.learned_walk)
 
     def retune(self, parameters: InchwormSequencerParameters) -> None:
         """Refuse: nothing may change under a motor that walks.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from hysteresis_ros.block import kernel
+from hysteresis_ros.block import called, kernel
 from hysteresis_ros.references import inchworm_layout as at
 from hysteresis_ros.references.gait import cycloid
 from hysteresis_ros.references.step_model import extension_for, learn, longest_step
@@ -184,7 +184,7 @@ def weigh(p, x):
         x[at.WEIGHED] += 1.0
 
 
-@kernel
+@called
 def account(p, x):
     """Judge the step that was just carried out, and learn from it."""
     stroke = p[at.HIGHEST] - p[at.LOWEST]
@@ -212,7 +212,7 @@ def account(p, x):
         learn(x, model, p[at.FORGETTING], x[at.EXTENSION], moved / stroke)
 
 
-@kernel
+@called
 def carry_from(p, x, start):
     """Open a clamp: the rear one when the extender is where the step starts, else the front one to go there."""
     if x[at.RETURNS] > p[at.STILL_STEPS]:

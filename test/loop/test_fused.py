@@ -32,6 +32,16 @@ def test_without_deadlines_it_makes_the_run_of_the_axis(name):
     assert loop.axis.sample == 1500 and loop.changes == [] and loop.missed == 0
 
 
+def test_a_motor_that_learns_its_walk_makes_the_run_of_the_axis():
+    walk = {"walk__continuous": True, "walk__learning": True, "walk__swing": 456.0, "gait__walking_speed": 1e-4}
+    loop, given = made_loop("inchworm_travel", samples=4000, inchworm_sequencer=walk)
+    loop.start()
+    assert loop.join()
+    made = whole(loop)
+    assert_twin(loop, made, given)
+    assert loop.axis.source.sequencer.x[gait.LEARNED_CYCLES] > 2 and np.any(made["correction"])
+
+
 def test_the_schedule_of_a_motor_holds_until_somebody_gives_a_setpoint():
     schedule = {"setpoints__times": [0.005, 0.02, 1e3], "setpoints__values": [2e-5, 5e-5, 1e-4]}
     loop, given = made_loop("inchworm_travel", samples=400, inchworm_sequencer=schedule)

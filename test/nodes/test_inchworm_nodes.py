@@ -15,6 +15,7 @@ from nodes_support import ROOT, shortened, until, write_axis  # noqa: E402
 
 from hysteresis_ros.models.inchworm import POSITION  # noqa: E402
 from hysteresis_ros.references import inchworm_layout as at  # noqa: E402
+from hysteresis_ros.references.walk_file import read_walk  # noqa: E402
 from hysteresis_ros.signals import MOTOR_COLUMNS  # noqa: E402
 
 NODES = ("plant_simulator", "hysteresis_compensator", "motion_controller", "inchworm_sequencer")
@@ -23,6 +24,8 @@ GRIP, THRESHOLD = 100.0, 60.0
 QUICK = {f"gait__{name}": 1.0e-3 for name in ("release", "grip", "settle")}
 QUICK |= {f"gait__{name}": 4.0e-3 for name in ("extend", "contract")}
 CYCLE = 140
+#: At a speed it walks over the phase of its cycle.
+WALK = {"walk__continuous": True, "walk__learning_speed": 4.0e-4, "walk__swing": 456.0}
 
 
 def motor(**common):
@@ -32,7 +35,7 @@ def motor(**common):
 
     configuration = load_configuration(ROOT / "config" / "inchworm_travel.yaml").override("", **common)
     schedule = {"setpoints__values": [2.0e-4], "setpoints__times": [2.0e-3]}
-    configuration = configuration.override("inchworm_sequencer", **QUICK, **schedule)
+    configuration = configuration.override("inchworm_sequencer", **QUICK, **WALK, **schedule)
     configuration = configuration.override("plant_simulator", real_time_factor=0.05)
     return AxisParameters.from_configuration(configuration)
 
@@ -80,6 +83,8 @@ def recorded_run(inside, observer, tmp_path):
         plant_simulator=replace(axis.plant_simulator, wait_for_recorder=True),
         recorder=replace(axis.recorder, path=str(tmp_path / "bag"), inchworm=True),
     )
+    walk = replace(axis.inchworm_sequencer.walk, save_file=str(tmp_path / "walk.yaml"))
+    axis = replace(axis, inchworm_sequencer=replace(axis.inchworm_sequencer, walk=walk))
     recorder = inside.add(RecorderNode, axis.recorder)
     nodes = compose(inside, axis)
     heard = observer.listen(JointState, "/inchworm_sequencer/state", QoSProfile(depth=5000))
@@ -126,9 +131,13 @@ def test_what_people_ask_takes_effect_safely_and_is_replayed_bit_for_bit(recorde
     until(lambda: now("arrived"), what="arrival")
     speed.publish(Float64(data=1.0))
     until(lambda: sequencer.refused == 3, what="a speed beyond the gait is refused")
-    speed.publish(Float64(data=5.0e-4))
-    before = now("steps")
-    until(lambda: now("steps") > before + 2, what="continuous walking")
+    speed.publish(Float64(data=4.0e-4))
+    assert observer.trigger("/inchworm_sequencer/learn").success
+    until(lambda: sequencer.sequencer.x[at.LEARNED_CYCLES] > 2, what="continuous walking that is learned from")
+    assert observer.trigger("/inchworm_sequencer/freeze").success
+    until(lambda: now("request") == at.FREEZE_REQUEST or not sequencer.sequencer.x[at.LEARNS], what="freezing")
+    saved = observer.trigger("/inchworm_sequencer/save")
+    assert saved.success and saved.message.endswith("walk.yaml")
     setpoint.publish(Float64(data=-4.0e-5))  # the same once more: it counts
     until(lambda: now("arrived") and now("speed") == 0.0, what="back at the setpoint")
     assert observer.trigger("/inchworm_sequencer/home").success
@@ -141,9 +150,15 @@ def test_what_people_ask_takes_effect_safely_and_is_replayed_bit_for_bit(recorde
     axis, run = end()
 
     assert differences(run, axis) == {}
+    learned = axis.inchworm_sequencer.walk
+    read = read_walk(learned.save_file, learned.splines, learned.step, learned.bound)
+    assert np.any(read.forward) and not np.any(read.backward)
+    np.testing.assert_array_equal(read.forward, sequencer.sequencer.learned_walk.forward)
     assert list(run["request"][run["request"] > 0.0]) == [
         at.STOP_REQUEST,
         at.START_REQUEST,
+        at.LEARN_REQUEST,
+        at.FREEZE_REQUEST,
         at.HOME_REQUEST,
         at.RELEASE_REQUEST,
     ]

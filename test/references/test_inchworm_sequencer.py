@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.references import inchworm_layout as at
 from hysteresis_ros.references import step_model
-from hysteresis_ros.references.inchworm_sequencer import InchwormSequencer, InchwormSequencerParameters
+from hysteresis_ros.references.inchworm_parameters import InchwormSequencerParameters
+from hysteresis_ros.references.inchworm_sequencer import InchwormSequencer
 
 RATE = 2000.0
 PARAMETERS = InchwormSequencerParameters.from_mapping(

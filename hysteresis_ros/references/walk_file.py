@@ -1,0 +1,88 @@
+"""What an inchworm motor has learned of its walk, as a file."""
+
+from __future__ import annotations
+
+import os
+import pathlib
+from typing import NamedTuple
+
+import numpy as np
+import yaml
+
+from hysteresis_ros.errors import ConfigurationError, ParameterError, Problem
+
+#: First key of such a file.
+KIND = "inchworm_walk"
+_HEADER = """\
+# The correction of an inchworm's walk over the phase of its cycle; walk.file of inchworm_sequencer loads it.
+# step [m]; coefficients [m] of a periodic cubic spline, forward and backward.
+"""
+
+
+class LearnedWalk(NamedTuple):
+    """What was learned: the length of a cycle [m] and the coefficients of the correction [m], both shape (splines,)."""
+
+    step: float
+    forward: np.ndarray
+    backward: np.ndarray
+
+
+def write_walk(path, learned: LearnedWalk) -> None:
+    """Write what was learned; an existing file is replaced as a whole.
+
+    Parameters
+    ----------
+    path : path-like
+    learned : LearnedWalk
+
+    Raises
+    ------
+    ConfigurationError
+        The file cannot be written.
+    """
+    values = {"step": learned.step, "forward": learned.forward.tolist(), "backward": learned.backward.tolist()}
+    target = pathlib.Path(path).expanduser()
+    beside = target.with_name(f"{target.name}.new")
+    try:
+        beside.write_text(_HEADER + yaml.safe_dump({KIND: values}, sort_keys=False, default_flow_style=None, width=118))
+        os.replace(beside, target)
+    except OSError as error:
+        raise ConfigurationError(f"{path}: cannot be written: {error.strerror or error}") from None
+
+
+def read_walk(path, splines: int, step: float, bound: float) -> LearnedWalk:
+    """Return what a file says was learned.
+
+    Parameters
+    ----------
+    path : path-like
+    splines : int
+        How many coefficients there are to be.
+    step, bound : float
+        Length of a cycle, and the largest coefficient [m].
+
+    Raises
+    ------
+    ParameterError
+        There is no such file, it is of something else, or does not fit.
+    """
+
+    def refused(text):
+        return ParameterError([Problem("walk.file", str(path), text)])
+
+    try:
+        found = yaml.safe_load(pathlib.Path(path).expanduser().read_text())[KIND]
+        arrays = [np.array(found[name], dtype=float) for name in ("forward", "backward")]
+        learned = LearnedWalk(float(found["step"]), *arrays)
+    except OSError as error:
+        raise refused(f"cannot be read: {error.strerror or error}") from None
+    except (yaml.YAMLError, KeyError, TypeError, ValueError, UnicodeDecodeError):
+        raise refused("is no file of a learned walk, as ~/save of inchworm_sequencer writes it") from None
+    if learned.step != step:
+        raise refused(f"was learned with steps of {learned.step:g} m; walk.step is {step:g} m: learn anew")
+    for array in arrays:
+        if array.shape != (splines,):
+            raise refused(f"has {array.size} coefficients; walk.splines is {splines}: learn anew")
+        if not np.all(np.abs(array) <= bound):
+            raise refused(f"has a coefficient beyond walk.bound = {bound:g} m, or one that is not finite")
+    return learned
