@@ -8,12 +8,15 @@ import sys
 import time
 from collections.abc import Sequence
 
+from hysteresis_ros.analysis.learning_plots import periods_figure
 from hysteresis_ros.analysis.metrics import FIGURES, compute_metrics, shown_row
 from hysteresis_ros.analysis.plots import FIGURES as PLOTS
 from hysteresis_ros.analysis.plots import MissingExtraError, data_uri
 from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.recordings.dataset import Recording
 
+#: Caption and figure of a run that learned.
+LEARNED = ("Error of each period that was learned (undelayed reference − displacement)", periods_figure)
 #: Endings of the names of pages.
 PAGES = (".html", ".htm")
 
@@ -113,7 +116,7 @@ def render_report(
         shown_row(label, figures[name], unit, factor) | dict(remark=figures["notes"].get(name, ""))
         for name, label, unit, factor in FIGURES
     ]
-    drawn = [(caption, draw(recording)) for caption, draw in PLOTS]
+    drawn = [(caption, draw(recording)) for caption, draw in (*PLOTS, LEARNED)]
     pictures = [*first, *((caption, data_uri(figure)) for caption, figure in drawn if figure is not None)]
     return render_page(
         "report.html.j2",

@@ -22,12 +22,15 @@ from hysteresis_ros.errors import HysteresisError
 from hysteresis_ros.loop.axis_parameters import AxisParameters
 from hysteresis_ros.loop.node_parameters import part
 from hysteresis_ros.simulation.axes import single_axis
+from hysteresis_ros.simulation.learning_design import LearningRequest, design_learning
 from hysteresis_ros.simulation.tuning import believed_axis, tune
 
 #: Least measurement noise a design reckons with, as a part of the stroke: a filter needs some.
 LEAST_NOISE = 1e-6
 #: Periods of the reference on which a PID is tuned.
 TUNING_PERIODS = 8
+#: What learns from period to period over which controller, and by which design.
+LEARNERS = (("PID", "inversion"), ("offset-free", "inversion"), ("offset-free", "norm_optimal"))
 #: Least mismatch that a design reckons with.
 LEAST_MISMATCH = 1e-3
 
@@ -62,12 +65,19 @@ class Known:
         ------
         ParameterError
             The axis cannot be built.
+        ConfigurationError
+            Nothing that learns the reference contracts.
         """
         found = self.configuration.override("motion_controller", **candidate.motion_controller)
         found = found.override("hysteresis_compensator", **candidate.hysteresis_compensator)
-        if task is not None:
-            found = found.override("reference_generator", **task.overrides())
-        return single_axis(found)
+        if task is None:
+            return single_axis(found)
+        found = found.override("reference_generator", **task.overrides())
+        if not candidate.learning:
+            return single_axis(found)
+        request = LearningRequest(candidate.learning, 1.0 / task.frequency)
+        learned = design_learning(single_axis(found), request).parameters.to_mapping()
+        return single_axis(found.override("motion_controller", **{f"learning.{k}": v for k, v in learned.items()}))
 
 
 def known(configuration: Configuration, bits: int) -> Known:
@@ -106,6 +116,8 @@ class Candidate:
         Of its loop on its own model.
     marked : str
         Which of the margins that every design is held to its loop misses; empty when it meets them.
+    learning : str
+        By which design each reference is learned from period to period; empty: it is not.
     """
 
     controller: str
@@ -115,6 +127,7 @@ class Candidate:
     refused: str = ""
     margins: Margins | None = None
     marked: str = ""
+    learning: str = ""
 
 
 def names(axis: AxisParameters) -> list[tuple[str, str]]:
@@ -146,13 +159,15 @@ def candidates(given: Known, conditions: Conditions, tasks, only=None) -> list[C
         The configuration is wrong.
     """
     axis, found, gains = given.axis, [], {}
+    learners = {learner(*one): one[1] for one in LEARNERS}
     for compensator, changed in compensators(axis).items():
         for controller, design in controllers().items():
             if only is not None and (controller, compensator) not in only:
                 continue
             try:
                 values = design(Given(given.configuration, axis, conditions, tasks, changed, gains))
-                found.append(_with_margins(given, Candidate(controller, compensator, values, changed)))
+                candidate = Candidate(controller, compensator, values, changed, learning=learners.get(controller, ""))
+                found.append(_with_margins(given, candidate))
             except HysteresisError as error:
                 found.append(Candidate(controller, compensator, refused=" ".join(str(error).split())))
     return found
@@ -274,10 +289,23 @@ class Given:
 
 
 def controllers() -> dict:
-    """Return the controllers of the table, name → design: the configured one and what the laws declare.
+    """Return the controllers of the table, name → design: the configured one, what the laws declare, and who learns.
 
     A design takes :class:`Given` and returns the parameters of the motion controller that differ from the
     configuration's.
     """
     declared = {name: design for name, (_, design) in entries("compared").items()}
-    return {"as configured": lambda given: {}, **declared}
+    learning = {learner(*one): declared[one[0]] for one in LEARNERS}
+    return {"as configured": lambda given: {}, **declared, **learning}
+
+
+def learner(controller: str, kind: str) -> str:
+    """Return what a controller is called over which something learns.
+
+    Parameters
+    ----------
+    controller : str
+    kind : str
+        Design of the learning.
+    """
+    return f"{controller} + learning by {kind.replace('_', '-')}"

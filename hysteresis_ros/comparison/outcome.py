@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from hysteresis_ros.comparison.others import DRAWS
 from hysteresis_ros.comparison.rows import Row, Trial, compared_with, joined
-from hysteresis_ros.comparison.tasks import ALLOWED_DELAY, Conditions
+from hysteresis_ros.comparison.tasks import ALLOWED_DELAY, LEARNING_PERIODS, Conditions
 from hysteresis_ros.configuration import Configuration
 from hysteresis_ros.errors import ConfigurationError
 from hysteresis_ros.loop.axis_parameters import AxisParameters
@@ -84,13 +84,16 @@ class Comparison:
     def best(self) -> Row:
         """The first row around the configured plant that has a rank on the plants of other classes too.
 
+        One that learns is none: what learns is designed for the period of one reference.
+
         Raises
         ------
         ConfigurationError
             There is none.
         """
         for row in self.around.rows if self.around is not None else ():
-            if row.ranked and (self.others is None or _ranked_in(self.others, row)):
+            learns = row.candidate is not None and row.candidate.learning  # for each reference something else
+            if row.ranked and not learns and (self.others is None or _ranked_in(self.others, row)):
                 return row
         raise ConfigurationError(
             f"{self.configuration.source}: no combination has a rank on all plants; look at the table for what each "
@@ -212,6 +215,8 @@ def judgement(conditions: Conditions) -> tuple[str, ...]:
         "RMS and worst: against the reference delayed by the row's own constant delay, one for both references and all "
         f"plants of a design, at most {1e3 * conditions.longest_delay:g} ms ({ALLOWED_DELAY:g} periods of the faster "
         "reference); undelayed: against the reference itself, on the worst plant",
+        f"who learns from period to period is judged from period {LEARNING_PERIODS + 1} on, each reference learned "
+        "with filters for its own period; all others after 2 s",
         "× PI: how many times as large the error of a PI with static feedforward is, whose gains were tuned on the "
         "very plant by what the table ranks; with the same margins and delay allowed, on the worst plant",
         "marked rows miss the margins that every design is held to, on their own model; they and rows that were "

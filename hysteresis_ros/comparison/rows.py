@@ -10,8 +10,8 @@ import numpy as np
 from hysteresis_ros.comparison.candidates import Candidate, Known, candidates
 from hysteresis_ros.comparison.judging import Followed, Result, best_delay, followed, judged, merged
 from hysteresis_ros.comparison.plants import DrawnPlant
-from hysteresis_ros.comparison.tasks import Conditions, Task
-from hysteresis_ros.errors import ParameterError
+from hysteresis_ros.comparison.tasks import LEARNING_PERIODS, SETTLING_PERIODS, Conditions, Task
+from hysteresis_ros.errors import ConfigurationError, ParameterError
 from hysteresis_ros.loop.axis import Axis
 from hysteresis_ros.loop.axis_parameters import AxisParameters
 
@@ -122,8 +122,10 @@ class Trial:
         if candidate.refused:
             return replace(row, refused=candidate.refused)
         try:
-            axes = {task: self.given.designed(candidate, task) for task in self.tasks}
-        except ParameterError as error:
+            periods = LEARNING_PERIODS if candidate.learning else SETTLING_PERIODS
+            tasks = [replace(task, periods=periods) for task in self.tasks]
+            axes = {task: self.given.designed(candidate, task) for task in tasks}
+        except (ConfigurationError, ParameterError) as error:
             return replace(row, refused=" ".join(str(error).split()))
         return self.judged(
             row, {task: [run(axis, plant, task) for plant in self.plants] for task, axis in axes.items()}

@@ -11,6 +11,8 @@ from hysteresis_ros.errors import ParameterError, Problem
 #: Time before the first judged sample: creep and history of the start have died away then [s], and least periods.
 SETTLING = 2.0
 SETTLING_PERIODS = 2
+#: Least periods before the first judged sample of who learns from one to the next.
+LEARNING_PERIODS = 10
 #: Time judged [s], and least periods.
 JUDGED = 4.0
 JUDGED_PERIODS = 4
@@ -122,6 +124,8 @@ class Task:
         [Hz]
     low, high : float
         Ends [m].
+    periods : int
+        Least number of them before the first judged sample.
     """
 
     name: str
@@ -129,11 +133,12 @@ class Task:
     frequency: float
     low: float
     high: float
+    periods: int = SETTLING_PERIODS
 
     @property
     def settling(self) -> float:
         """Time before judging [s], whole periods."""
-        return np.ceil(max(SETTLING * self.frequency, SETTLING_PERIODS)) / self.frequency
+        return np.ceil(max(SETTLING * self.frequency, self.periods)) / self.frequency
 
     @property
     def duration(self) -> float:

@@ -25,7 +25,14 @@ from hysteresis_ros.control.damping.block import as_output, damp
 from hysteresis_ros.control.feedforward import feedforward
 from hysteresis_ros.control.handover import HandoverParameters, arm, go_on_from, handover
 from hysteresis_ros.control.learning.block import Learning
-from hysteresis_ros.control.learning.correction import FORGETTING, FROZEN, LEARNING, SHORTFALL, learned_correction
+from hysteresis_ros.control.learning.correction import (
+    FORGETTING,
+    FROZEN,
+    LEARNING,
+    LIMITED,
+    learnable,
+    learned_correction,
+)
 from hysteresis_ros.control.learning.file import write_learned
 from hysteresis_ros.control.succession import ENTRIES, History, note, successor
 from hysteresis_ros.errors import ParameterError
@@ -125,9 +132,11 @@ def corrected(p, x, own_p, own, value, answered):
         return own[REFERENCE]
     error = own[REFERENCE] - (value - own_p[PRELOAD])
     state = x.controller
-    saturated = abs(state[header.APPLIED] - state[header.COMMAND]) > p.learning[SHORTFALL]
-    if not answered or saturated or own[RETURNING] != 0.0 or own[ON_PATH] != 0.0:
+    carried = learnable(p.learning, x.learning, state[header.APPLIED] - state[header.COMMAND])
+    if not answered or own[RETURNING] != 0.0 or own[ON_PATH] != 0.0:
         error = math.nan
+    elif not carried:
+        error = LIMITED
     return own[REFERENCE] + learned_correction(p.learning, x.learning, own[REFERENCE], error)
 
 

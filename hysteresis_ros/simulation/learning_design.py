@@ -37,6 +37,8 @@ MAXIMUM, SHORTFALL = 0.1, 5e-3
 GAIN, AVERAGING, LEAST_GAIN = 0.7, 4.0, 0.05
 #: Samples of a response to one impulse: it is long enough when this part of it, or less, is left at the end.
 SHORTEST, LONGEST, LEFT = 2**12, 2**17, 1e-6
+#: Part of the answer of the closed loop that is left when it has settled.
+SETTLED = 0.02
 #: Samples before an impulse in which flags and counters of the start go by.
 BEFORE = 4
 #: Directions in which a relative uncertainty of the response is tried.
@@ -264,9 +266,21 @@ def design_learning(
         averaging=AVERAGING,
         least_gain=LEAST_GAIN,
         maximum=float(f"{maximum:.4g}"),
+        recovery=settling(loop) / rate,
         shortfall=float(f"{SHORTFALL * (high - low):.4g}"),
     )
     return LearningDesign(request, parameters.validated("learning."), filters, loop, 1.0 / rate)
+
+
+def settling(loop: Response) -> int:
+    """Return the samples in which the closed loop on the model answers a step but for a part.
+
+    Parameters
+    ----------
+    loop : Response
+    """
+    answer = np.cumsum(np.abs(np.fft.irfft(loop.model)))
+    return int(np.searchsorted(answer, (1.0 - SETTLED) * answer[-1]))
 
 
 def waveform_period(axis: AxisParameters) -> float:

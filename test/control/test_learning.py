@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from hysteresis_ros.control.learning import correction as at
 from hysteresis_ros.control.learning.block import Learning
-from hysteresis_ros.control.learning.correction import FORGETTING, FROZEN, LEARNING, learned_correction
+from hysteresis_ros.control.learning.correction import FORGETTING, FROZEN, LEARNING, LIMITED, learned_correction
 from hysteresis_ros.control.learning.file import Learned, write_learned
 from hysteresis_ros.control.learning.filters import MARGIN, Response, design_filters
 from hysteresis_ros.control.learning.parameters import LearningParameters
@@ -80,6 +80,15 @@ def test_what_was_not_measured_is_not_learned_and_the_rest_is():
     m, _ = followed(learning(error_filter=(0.1, 0.2, 0.1), lead=1), (0.0, 0.9), 5, bad={hole})
     unlearned = np.flatnonzero(m[3] == m[2])
     np.testing.assert_array_equal(unlearned, [16, 17, 18])
+
+
+def test_where_commands_were_not_carried_out_it_gives_way():
+    block = learning(error_filter=(0.5,), lead=1, gain=0.8)
+    m, _ = followed(block, (0.0, 0.8), 4)
+    held = [learned_correction(block.p, block.x, r, LIMITED) for r in REFERENCE]
+    given = np.array([learned_correction(block.p, block.x, r, LIMITED) for r in REFERENCE])
+    np.testing.assert_allclose(given[:-1], (1.0 - 0.25 * 0.8) * np.array(held)[:-1], rtol=1e-12)
+    assert np.any(m[-1])
 
 
 def test_frozen_it_repeats_itself_bit_for_bit_and_forgotten_it_fades_to_nothing():

@@ -9,6 +9,7 @@ from loop_support import HOLD, assert_same_bits, axis
 from waiting import until
 
 from hysteresis_ros.control.learning import correction as at
+from hysteresis_ros.control.learning.correction import learnable
 from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.loop.axis import Change
 
@@ -72,6 +73,13 @@ def test_nothing_is_learned_while_the_command_is_not_carried_out():
     # the first samples, of a triangle that begins at zero, are still carried out
     assert not np.any(corrections(made, 6 * N).reshape(6, N)[1:, 10:-10])
     assert np.any(corrections(learning_axis(), 6 * N).reshape(6, N)[1:, 10:-10])
+
+
+def test_nor_while_the_axis_still_answers_to_what_was_not_carried_out():
+    block = axis(motion_controller={**LEARNS, "learning__recovery": 2 / 3000}, **HOLD).controller.learning
+    shortfalls = [0.0, 1e-6, -1e-6, 0.0, 0.0, 0.0, 2e-6, 0.0]
+    learned = [learnable(block.p, block.x, shortfall) for shortfall in shortfalls]
+    assert learned == [True, False, False, False, False, True, False, False]
 
 
 def test_learning_frozen_forgotten_and_retuned_in_a_fused_loop_are_those_of_its_twin():

@@ -61,6 +61,7 @@ class Learning(Block):
         head[at.GAIN], head[at.LEAST_GAIN] = parameters.gain, parameters.least_gain
         head[at.AVERAGING], head[at.MAXIMUM] = parameters.averaging, parameters.maximum
         head[at.SHORTFALL] = parameters.shortfall
+        head[at.RECOVERY] = round(parameters.recovery / self.sample_time)
         head[at.MISSING] = UNLEARNED * sum(map(abs, parameters.error_filter))
         head[at.FADE] = 1.0 / max(round(self._fade / self.sample_time), 1)
         return np.concatenate([head, parameters.error_filter, parameters.robustness_filter])
@@ -145,7 +146,7 @@ class Learning(Block):
     @property
     def missed(self) -> int:
         """Samples of the last period from which nothing could be learned."""
-        return int(np.count_nonzero(np.isnan(self._last_period(self.x, 1)))) if len(self.x) else 0
+        return int(np.count_nonzero(~np.isfinite(self._last_period(self.x, 1)))) if len(self.x) else 0
 
     @property
     def at_maximum(self) -> bool:

@@ -7,8 +7,9 @@ of zero phase, and the error filter G = Q L (iterative learning control [1]_, an
 Both filters look ahead: of the last period everything is known. A sample of m is worked at the moment it is needed, out
 of the samples around the one a period before; nothing has to be done at the end of a period.
 
-What cannot be learned from is not a number in the ring of errors: where more than a tenth of the filter's weight meets
-such samples, around them, the correction repeats itself. A reference that is not the one of a period before takes the
+What cannot be learned from is not a finite number in the ring of errors: where more than a tenth of the filter's weight
+meets such samples, around them, the correction repeats itself; where the reason is that commands were not carried out,
+it gives way, or it would hold the axis at its limits. A reference that is not the one of a period before takes the
 correction back.
 
 References
@@ -19,7 +20,9 @@ References
 
 from __future__ import annotations
 
-from hysteresis_ros.block import called
+import math
+
+from hysteresis_ros.block import called, kernel
 
 # Parameters; then the error filter from its furthest look ahead on, and the robustness filter from its middle on.
 PERIOD = 0  # N [samples]
@@ -31,9 +34,10 @@ LEAST_GAIN = 5
 AVERAGING = 6  # n: in the j-th period γ is at most n / j; 0: it stays
 MAXIMUM = 7  # [m]
 SHORTFALL = 8  # command not carried out above which nothing is learned [m]
+RECOVERY = 11  # samples after one that was not carried out in which nothing is learned
 FADE = 9  # part of the correction that comes or goes in a sample
 MISSING = 10  # weight of the error filter that may meet samples from which nothing can be learned
-FILTERS = 11
+FILTERS = 12
 
 # State; then three rings of as many samples as the filters reach back: correction, error, reference [m].
 MODE = 0
@@ -41,14 +45,37 @@ SAMPLES = 1  # since the beginning
 LEARNED = 2  # samples since learning began
 WEIGHT = 3  # part of the correction that is in force
 CORRECTION = 4  # of the last sample [m]
-RINGS = 5
+RECOVERING = 5  # samples until the answer to what was not carried out has died away
+RINGS = 6
 
 #: Modes: the correction repeats itself; it learns; it goes to zero.
 FROZEN, LEARNING, FORGETTING = range(3)
 MODES = ("frozen", "learning", "forgetting")
 
+#: Error of a sample whose command was not carried out, and part of the correction that gives way around it in a period.
+LIMITED, RELIEF = math.inf, 0.25
+
 #: References that differ by less from one period to the next are the same [m].
 SAME = 1e-9
+
+
+@kernel
+def learnable(p, x, shortfall):
+    """Tell whether the error of a sample shows what a correction does: commands before it were carried out.
+
+    Parameters
+    ----------
+    p, x : ndarray
+    shortfall : float
+        What was not carried out of the last command [m].
+    """
+    if abs(shortfall) > p[SHORTFALL]:
+        x[RECOVERING] = p[RECOVERY]
+        return False
+    if x[RECOVERING] > 0.0:
+        x[RECOVERING] -= 1.0
+        return False
+    return True
 
 
 @called
@@ -76,12 +103,15 @@ def learned_correction(p, x, reference, error):
         place = before + lead
         if place >= length:
             place -= length
-        update = missing = 0.0
+        update = missing = limited = 0.0
         for i in range(taps):
-            if x[errors + place] == x[errors + place]:
-                update += p[FILTERS + i] * x[errors + place]
+            error_then = x[errors + place]
+            if error_then - error_then == 0.0:
+                update += p[FILTERS + i] * error_then
             else:
                 missing += abs(p[FILTERS + i])
+                if error_then == LIMITED:
+                    limited += abs(p[FILTERS + i])
             place -= 1
             if place < 0:
                 place += length
@@ -96,11 +126,13 @@ def learned_correction(p, x, reference, error):
             if behind < 0:
                 behind += length
             update += p[weights + i] * (x[corrections + ahead] + x[corrections + behind])
+        gain = p[GAIN]
+        if p[AVERAGING] > 0.0:
+            gain = min(gain, max(p[AVERAGING] / (1.0 + x[LEARNED] // period), p[LEAST_GAIN]))
         if missing <= p[MISSING]:
-            gain = p[GAIN]
-            if p[AVERAGING] > 0.0:
-                gain = min(gain, max(p[AVERAGING] / (1.0 + x[LEARNED] // period), p[LEAST_GAIN]))
             value = repeated + gain * (update - repeated)
+        elif limited > p[MISSING]:
+            value = repeated - RELIEF * gain * repeated
         x[LEARNED] += 1.0
     known = x[references + before]
     # before there was a period nothing can differ from it

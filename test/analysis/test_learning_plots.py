@@ -1,0 +1,32 @@
+"""The error of each period of a run that learned."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hysteresis_ros.analysis.learning_plots import period_errors, periods_figure
+from hysteresis_ros.recordings.dataset import Recording
+
+LEARNED = "/**/motion_controller:\n  ros__parameters:\n    learning.type: inversion\n    learning.period: 0.02\n"
+
+
+def recording(text: str, samples: int = 95) -> Recording:
+    time = np.arange(samples) * 1e-3
+    error = 1e-6 * 0.5 ** (np.arange(samples) // 20)
+    signals = {"reference": 3e-6 + error, "displacement": np.full(samples, 3e-6)}
+    return Recording(time, signals, {}, {"configuration": text})
+
+
+def test_it_is_that_of_the_whole_periods():
+    ends, errors = period_errors(recording(LEARNED))
+    np.testing.assert_allclose(errors, 1e-6 * 0.5 ** np.arange(4), rtol=1e-9)
+    np.testing.assert_allclose(ends, [0.019, 0.039, 0.059, 0.079])
+
+
+def test_it_is_drawn_where_something_was_learned_only():
+    pytest.importorskip("matplotlib")
+    (axis,) = periods_figure(recording(LEARNED)).axes
+    assert axis.get_yscale() == "log" and len(axis.lines[0].get_ydata()) == 4
+    assert periods_figure(recording(LEARNED.replace("inversion", "none"))) is None
+    assert periods_figure(recording(LEARNED, samples=50)) is None
