@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from hysteresis_ros.comparison.damped import damped_pid, has_resonance
 from hysteresis_ros.comparison.tasks import Conditions, Task
 from hysteresis_ros.configuration import Configuration, parse_configuration
 from hysteresis_ros.control.controller import ControllerParameters
@@ -137,7 +138,7 @@ def names(axis: AxisParameters) -> list[tuple[str, str]]:
     ----------
     axis : AxisParameters
     """
-    return [(controller, compensator) for compensator in compensators(axis) for controller in controllers()]
+    return [(controller, compensator) for compensator in compensators(axis) for controller in controllers(axis)]
 
 
 def candidates(given: Known, conditions: Conditions, tasks, only=None) -> list[Candidate]:
@@ -161,7 +162,7 @@ def candidates(given: Known, conditions: Conditions, tasks, only=None) -> list[C
     axis, found, gains = given.axis, [], {}
     learners = {learner(*one): one[1] for one in LEARNERS}
     for compensator, changed in compensators(axis).items():
-        for controller, design in controllers().items():
+        for controller, design in controllers(axis).items():
             if only is not None and (controller, compensator) not in only:
                 continue
             try:
@@ -288,15 +289,21 @@ class Given:
         return self.gains[key]
 
 
-def controllers() -> dict:
-    """Return the controllers of the table, name → design: the configured one, what the laws declare, and who learns.
+def controllers(axis: AxisParameters) -> dict:
+    """Return the controllers of the table, name → design: the configured one, those of the laws, who learns, who damps.
 
     A design takes :class:`Given` and returns the parameters of the motion controller that differ from the
     configuration's.
+
+    Parameters
+    ----------
+    axis : AxisParameters
+        Dampings are tried where its model has a resonance to damp.
     """
     declared = {name: design for name, (_, design) in entries("compared").items()}
     learning = {learner(*one): declared[one[0]] for one in LEARNERS}
-    return {"as configured": lambda given: {}, **declared, **learning}
+    damping = {"PID + damping": damped_pid} if has_resonance(axis) else {}
+    return {"as configured": lambda given: {}, **declared, **learning, **damping}
 
 
 def learner(controller: str, kind: str) -> str:

@@ -22,6 +22,7 @@ from hysteresis_ros.references.approach import (
     effective_limits,
     rest,
 )
+from hysteresis_ros.references.shaping import Shaper, ShapingParameters, rest_shaper, shaped
 from hysteresis_ros.references.trajectory import (
     Bounds,
     Points,
@@ -50,6 +51,7 @@ class ReferenceParameters(Parameters):
     )
     waveform: WaveformParameters = group(WaveformParameters)
     approach: ApproachParameters = group(ApproachParameters)
+    shaping: ShapingParameters = group(ShapingParameters)
     trajectory: TrajectoryParameters = group(TrajectoryParameters)
 
     def check(self):
@@ -68,6 +70,7 @@ class GeneratorArrays(NamedTuple):
     waveform: np.ndarray
     range: np.ndarray
     trajectory: np.ndarray
+    shaping: np.ndarray
 
 
 @nested
@@ -93,11 +96,13 @@ def base(ps, xs, setpoint):
             if after < following.NOWHERE:
                 x[following.TARGET] = following.NOWHERE
             rest(ps.approach, xs.approach, position, after if after < following.NOWHERE else position)
+            rest_shaper(xs.shaping, position)
     else:
         if is_new:
             x[following.TARGET] = following.NOWHERE
         held = x[following.TARGET] < following.NOWHERE
         position = approach(ps.approach, xs.approach, math.nan if held else setpoint)
+        position = shaped(ps.shaping, xs.shaping, position)
     note_motion(p, x, position, smooth)
     return position
 
@@ -122,6 +127,7 @@ def abandon(ps, xs):
         x[following.ACTIVE] = following.IDLE
         x[following.TARGET] = x[following.POSITION]
         rest(ps.approach, xs.approach, x[following.POSITION], x[following.POSITION])
+        rest_shaper(xs.shaping, x[following.POSITION])
 
 
 @nested
@@ -181,6 +187,7 @@ class ReferenceGenerator(Chain):
         self.waveform = self._build_waveform(parameters, parameters.initial_setpoint)
         low, high = parameters.minimum, parameters.maximum
         self.approach = Approach(parameters.approach, sample_time, low, high, parameters.initial_setpoint)
+        self.shaper = Shaper(parameters.shaping, sample_time)
         fade = 0
         if parameters.approach.unlimited:
             fade = round(parameters.approach.start_time / self.sample_time)
@@ -214,8 +221,8 @@ class ReferenceGenerator(Chain):
         self.approach.p[LOW] = low - self.waveform.lowest
         self.approach.p[HIGH] = high - self.waveform.highest
         self._trajectory[0][following.LOWEST :] = self.approach.p[LOW], self.approach.p[HIGH]
-        self.ps = GeneratorArrays(self.approach.p, self.waveform.p, self._range[0], self._trajectory[0])
-        self.xs = GeneratorArrays(self.approach.x, self.waveform.x, self._range[1], self._trajectory[1])
+        self.ps = GeneratorArrays(self.approach.p, self.waveform.p, self._range[0], self._trajectory[0], self.shaper.p)
+        self.xs = GeneratorArrays(self.approach.x, self.waveform.x, self._range[1], self._trajectory[1], self.shaper.x)
 
     @property
     def waveform_kernel(self):
@@ -226,6 +233,14 @@ class ReferenceGenerator(Chain):
     def running(self) -> bool:
         """False while :meth:`stop` holds the reference."""
         return bool(self._range[1][RUNNING])
+
+    @property
+    def moving(self) -> bool:
+        """Whether the way to a setpoint, or a trajectory, is not over."""
+        x = self.xs.trajectory
+        if x[following.ACTIVE] != following.IDLE or not self.shaper.resting:
+            return True
+        return bool(x[following.POSITION] != self.setpoint and x[following.TARGET] >= following.NOWHERE)
 
     @property
     def setpoint(self) -> float:
@@ -333,6 +348,7 @@ class ReferenceGenerator(Chain):
             self.approach.rest_at(difference)
             x[FADE], x[FADE_COUNT] = 0.0, 0.0
         x[RUNNING] = 1.0
+        self.shaper.rest_at(difference - x[FADE])
         self.xs.trajectory[following.POSITION] = difference - x[FADE]
 
     def _first_value(self) -> float:
@@ -341,6 +357,7 @@ class ReferenceGenerator(Chain):
     def reset(self) -> None:
         """Return to the state at construction: at rest at the initial setpoint, waveform at its beginning."""
         self.approach.reset()
+        self.shaper.rest_at(self.parameters.initial_setpoint)
         self.waveform.reset()
         number = self.xs.trajectory[following.NUMBER]
         self.xs.trajectory[:] = following.initial_state(self.parameters.initial_setpoint)
@@ -350,26 +367,33 @@ class ReferenceGenerator(Chain):
         self._range[1][:] = (1.0, output, 0.0, 0.0)
 
     def retune(self, parameters: ReferenceParameters) -> None:
-        """Take another waveform while stopped; it is played from its beginning at the next :meth:`start`.
+        """Take another waveform while stopped, played from its beginning at the next :meth:`start`, or another shaping.
 
         Raises
         ------
         ParameterError
-            The generator runs, the new parameters are wrong, or anything but the waveform differs; nothing is
-            changed then.
+            The generator runs, or moves with a shaping to change, the new parameters are wrong, or anything else
+            differs; nothing is changed then.
         """
         parameters.validated()
         old, new = self.parameters.to_mapping(), parameters.to_mapping()
         changed = sorted(name for name in old.keys() | new.keys() if old.get(name) != new.get(name))
         problems = []
         for name in changed:
-            if not name.startswith("waveform."):
+            if name.startswith("shaping."):
+                if self.moving:
+                    problems.append(Problem(name, new.get(name), "can change only while the setpoint rests; wait"))
+            elif not name.startswith("waveform."):
                 problems.append(Problem(name, new.get(name), "fixed while configured; clean up and configure anew"))
             elif self.running:
                 problems.append(Problem(name, new.get(name), "can change only while stopped; call stop"))
         if problems:
             raise ParameterError(problems)
-        if changed:
+        if parameters.shaping != self.parameters.shaping:
+            self.shaper.retune(parameters.shaping)
+            self.shaper.rest_at(self.xs.trajectory[following.POSITION])
+        if any(name.startswith("waveform.") for name in changed):
             waveform = self._build_waveform(parameters, self.setpoint)
             self.parameters, self.waveform = parameters, waveform
             self._adopt()
+        self.parameters = parameters

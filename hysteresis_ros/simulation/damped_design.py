@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hysteresis_ros.control.controller import ControllerParameters
-from hysteresis_ros.control.damping.design import RESONANCE, damping_plants, design_damping, modes
+from hysteresis_ros.control.damping.design import RESONANCE, damping_plants, design_damping
 from hysteresis_ros.control.damping.parameters import DampingParameters
-from hysteresis_ros.control.damping.plant import closing, inner_loop
+from hysteresis_ros.control.damping.plant import closing, inner_loop, modes
 from hysteresis_ros.control.damping.registry import NONE
 from hysteresis_ros.control.linearisation import linear_loop
 from hysteresis_ros.control.margins import Margins, margins_of

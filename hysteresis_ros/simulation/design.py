@@ -10,6 +10,7 @@ import numpy as np
 from hysteresis_ros.configuration import Configuration, parse_configuration
 from hysteresis_ros.control.controller import ControllerParameters
 from hysteresis_ros.control.damping.parameters import DampingParameters
+from hysteresis_ros.control.damping.plant import modes
 from hysteresis_ros.control.damping.registry import NONE
 from hysteresis_ros.control.feedforward import FeedforwardParameters
 from hysteresis_ros.control.gain_design import Designed, design_gains
@@ -360,6 +361,8 @@ def design_lines(result: AxisDesign) -> list[str]:
             ", ".join(_pole(pole) for pole in found.poles if pole.imag >= 0.0 and abs(pole) > AT_ZERO),
         ),
     ]
+    least = modes(found.poles.astype(complex), result.sample_time)[:1]
+    rows += [("least damped mode", f"{hertz:.4g} Hz, damping {damping:.2g}") for hertz, damping in least]
     for further in (result.damped, result.robustness):
         if further is not None:
             rows += further.rows()

@@ -18,10 +18,11 @@ from click.testing import CliRunner
 from hysteresis_ros.analysis.ranking import ranking_figure
 from hysteresis_ros.cli.main import main
 from hysteresis_ros.comparison import table
+from hysteresis_ros.comparison.candidates import candidates, known, names
 from hysteresis_ros.comparison.compare import compare, trial_around
 from hysteresis_ros.comparison.outcome import Comparison, Tried, table_of_others
 from hysteresis_ros.comparison.rows import Row
-from hysteresis_ros.comparison.tasks import Conditions
+from hysteresis_ros.comparison.tasks import Conditions, make_tasks
 from hysteresis_ros.configuration import load_configuration, parse_configuration
 from hysteresis_ros.errors import ConfigurationError, ParameterError
 from hysteresis_ros.simulation.axes import single_axis
@@ -255,3 +256,17 @@ def test_the_documented_table_is_what_a_run_prints():
         # the yardstick, of which columns 5 and 10 are multiples, is not tuned here
         for place in set(range(len(now))) - {5, 10}:
             assert float(now[place]) == pytest.approx(float(shown[place]), rel=0.02, abs=1e-3), (row.name, place)
+
+
+def test_an_axis_with_a_resonance_has_a_row_with_damping_and_one_without_has_none():
+    bare = load_configuration("stage700").override("motion_controller", damping__type="none", type="open_loop")
+    given = known(bare, 16)
+    row = ("PID + damping", "exact inverse")
+    assert row in names(given.axis)
+    assert row[0] not in {name for name, _ in names(known(load_configuration("picma_stage"), 16).axis)}
+    conditions = Conditions()
+    (found,) = candidates(given, conditions, make_tasks(conditions, (0.0, 2e-5)), {row})
+    assert not found.refused and not found.marked
+    assert found.motion_controller["damping.type"] == "irc" and found.margins.bandwidth > 300.0
+    node = given.designed(found).motion_controller
+    assert node.damping.type == "irc" and node.type == "pid"

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from hysteresis_ros.control.controller import ControllerParameters, ModelParameters, controller_block, damping_block
 from hysteresis_ros.control.damping import block
 from hysteresis_ros.control.damping.block import as_output
-from hysteresis_ros.control.damping.design import damping_plants, design_damping, modes
+from hysteresis_ros.control.damping.design import damping_plants, design_damping
 from hysteresis_ros.control.damping.parameters import DampingParameters
-from hysteresis_ros.control.damping.plant import damped, inner_loop
+from hysteresis_ros.control.damping.plant import damped, inner_loop, modes
 from hysteresis_ros.control.damping.registry import KINDS
 from hysteresis_ros.control.gain_design import design_gains
 from hysteresis_ros.control.linearisation import linear_loop, whole_loop

@@ -153,4 +153,4 @@ def test_reset_and_state():
 def test_table_has_units_and_descriptions():
     for row in ReferenceParameters.table():
         assert row.description
-        assert row.unit or row.type is not float or row.name == "waveform.square.duty"
+        assert row.unit or row.type is not float or row.name in ("waveform.square.duty", "shaping.damping")

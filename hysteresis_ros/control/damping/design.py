@@ -23,7 +23,7 @@ import numpy as np
 from hysteresis_ros.control import design
 from hysteresis_ros.control.damping.kind import COMMAND, Mode
 from hysteresis_ros.control.damping.parameters import DampingParameters
-from hysteresis_ros.control.damping.plant import InnerLoop, inner_loop
+from hysteresis_ros.control.damping.plant import InnerLoop, inner_loop, modes
 from hysteresis_ros.control.damping.registry import KINDS
 from hysteresis_ros.control.laws.pid.design import FILTER, pid_with_zeros, slowest_poles
 from hysteresis_ros.control.laws.pid.law import PidParameters, pid_state_space
@@ -46,27 +46,6 @@ GRID, AROUND = 120, 41
 WELL, MUCH = 0.02, 5.0
 #: A mode of more damping needs none.
 DAMPED = 0.7
-#: Poles below this are those of delays.
-AT_ZERO = 1e-3
-
-
-def modes(poles, sample_time: float) -> list[tuple[float, float]]:
-    """Return (frequency [Hz], damping) of each pair of complex poles, the least damped first.
-
-    Parameters
-    ----------
-    poles : ndarray of complex
-        In the z plane.
-    sample_time : float
-        [s]
-    """
-    found = []
-    for pole in poles:
-        if abs(pole) > AT_ZERO and pole.imag > 0.0:
-            logarithm = np.log(pole)
-            size = float(abs(logarithm))
-            found.append((size / (2.0 * np.pi * sample_time), -float(logarithm.real) / size))
-    return sorted(found, key=lambda mode: mode[1])
 
 
 def mode_to_damp(dynamics: LinearParameters, sample_time: float) -> Mode:

@@ -19,6 +19,28 @@ from hysteresis_ros.linear_algebra import product
 from hysteresis_ros.models.linear import LinearParameters
 from hysteresis_ros.models.state_space import BOUNDARY, StateSpace
 
+#: Poles below this are those of delays.
+AT_ZERO = 1e-3
+
+
+def modes(poles, sample_time: float) -> list[tuple[float, float]]:
+    """Return (frequency [Hz], damping) of each pair of complex poles, the least damped first.
+
+    Parameters
+    ----------
+    poles : ndarray of complex
+        In the z plane.
+    sample_time : float
+        [s]
+    """
+    found = []
+    for pole in poles:
+        if abs(pole) > AT_ZERO and pole.imag > 0.0:
+            logarithm = np.log(pole)
+            size = float(abs(logarithm))
+            found.append((size / (2.0 * np.pi * sample_time), -float(logarithm.real) / size))
+    return sorted(found, key=lambda mode: mode[1])
+
 
 @dataclass(frozen=True, eq=False)
 class InnerLoop:
