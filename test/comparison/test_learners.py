@@ -12,6 +12,7 @@ from hysteresis_ros.comparison.outcome import Comparison, Table
 from hysteresis_ros.comparison.tasks import LEARNING_PERIODS, Conditions
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.errors import ConfigurationError
+from hysteresis_ros.simulation.axes import single_axis
 
 CONTROLLER = learner("offset-free", "norm_optimal")
 
@@ -65,4 +66,5 @@ def test_the_best_is_no_one_that_learns(rows):
 
 
 def test_all_who_learn_are_in_the_table():
-    assert {learner(*one) for one in LEARNERS} <= set(controllers())
+    axis = single_axis(load_configuration("picma_stage"))
+    assert {learner(*one) for one in LEARNERS} <= set(controllers(axis))
