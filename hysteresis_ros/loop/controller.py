@@ -294,11 +294,6 @@ class ControllerPart:
         """Last command [m]."""
         return float(self._watch_x.own[COMMANDED])
 
-    def take_command(self, command: float) -> None:
-        """Take it that ``command`` [m] was sent in the place of the last one."""
-        self._watch_x.own[COMMANDED] = command
-        self.controller.x[header.COMMAND] = command
-
     def install(self, controller: Controller) -> None:
         """Put another controller in the place of the present one, at rest; :meth:`retune` takes one over live."""
         self.controller = controller

@@ -10,7 +10,7 @@ from typing import Any
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
-from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
+from rclpy.lifecycle import TransitionCallbackReturn
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String, UInt64
 from std_srvs.srv import Trigger
@@ -20,6 +20,7 @@ from hysteresis_ros.errors import HysteresisError, ParameterError
 from hysteresis_ros.loop.node_parameters import NODE_PARAMETERS
 from hysteresis_ros.nodes.diagnostics import diagnostics, introduction, warn_of_others
 from hysteresis_ros.nodes.fused import Fused
+from hysteresis_ros.nodes.lifecycle import GuardedLifecycleNode
 from hysteresis_ros.nodes.lockstep import Lockstep, Partners
 from hysteresis_ros.nodes.parameters import ParameterInterface, TabledParameters
 from hysteresis_ros.nodes.qos import diagnostics_qos, latched_qos, loop_qos
@@ -28,7 +29,7 @@ from hysteresis_ros.nodes.services import answered
 from hysteresis_ros.nodes.timing import Pace
 
 
-class AxisNode(TabledParameters, LifecycleNode):
+class AxisNode(TabledParameters, GuardedLifecycleNode):
     """Base of the nodes of an axis.
 
     Subclasses implement :meth:`build` (blocks from parameters), :meth:`connect` (publishers and subscriptions),

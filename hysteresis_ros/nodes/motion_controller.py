@@ -25,6 +25,9 @@ class MotionControllerNode(Responder):
     (:mod:`hysteresis_ros.loop.controller`). In real time a measurement whose stamp does not follow the last one is
     missing, and while none come samples are counted by the clock.
 
+    When it stops working it sends nothing any more: the compensator then goes to its safe voltage by itself, after its
+    time-out and at its slew rate. A last command would be a step.
+
     With ``use_origin`` an inchworm_sequencer takes the reference generator's place: what is controlled is the measured
     joint less the ``origin`` that comes with every reference.
     """
@@ -202,13 +205,6 @@ class MotionControllerNode(Responder):
             self.warn("tripped", "the plant has stopped the axis: going to safe_command", error=True)
         elif mode == RUNNING and before in (STALE, FOLLOWING, TRIPPED, STOPPED):
             self.get_logger().info(f"going on after {MODE_NAMES[before]}")
-
-    def go_safe(self) -> None:
-        """Publish the safe command; in lockstep, where it would be taken for the one of a sample, nothing."""
-        if not self.runner.exact and self.sample:
-            self.row[signals.COMMAND] = self.parameters.safe_command
-            self.part.take_command(self.parameters.safe_command)
-            self.publish_outputs()
 
     def health(self):
         """Report a stale measurement, rejected ones, and commands that the limits did not let through."""

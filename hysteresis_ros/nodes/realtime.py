@@ -16,7 +16,7 @@ from std_msgs.msg import String
 
 from hysteresis_ros.nodes.qos import latched_qos
 from hysteresis_ros.nodes.runner import Runner
-from hysteresis_ros.nodes.timing import Pairing
+from hysteresis_ros.nodes.timing import Pace, Pairing
 
 #: Seconds between two looks at an input that may have stopped.
 WATCHDOG_PERIOD = 0.01
@@ -32,6 +32,12 @@ SUSPICION = 50
 
 #: Measurements that may wait; of more the oldest are answered.
 BACKLOG = 2
+
+#: Looks at the inputs that may fail to happen before the process itself was stopped or starved.
+SUSPENDED = 10
+
+#: What comes within this part of a period of the last one has waited.
+WAITED = 0.5
 
 #: Most samples that are counted in one look at an input that has stopped.
 MOST_MISSED = 20000
@@ -118,6 +124,10 @@ class RealTime(Runner):
         parameters = self.node.parameters
         return 1.0 / (parameters.sample_rate * getattr(parameters, "real_time_factor", 1.0))
 
+    def make_pace(self) -> Pace:
+        """Return what tells how regularly samples come; only the plant knows how fast that is to be."""
+        return Pace(self.period, keeps_time=hasattr(self.node.parameters, "real_time_factor"))
+
     def connect(self) -> None:
         """Make the topic on which nodes say that they come and go."""
         self._presence = self.node.publisher(String, "run_state", latched_qos())
@@ -176,7 +186,8 @@ class RealTimeResponder(RealTime):
         self._forget()
         self._pairing = Pairing()
         self._last_stamp = -1
-        self._counted = self._last = time.monotonic()
+        self._counted = self._last = self._looked = self._heard = time.monotonic()
+        self._backlog = 0
         self.silent = False
 
     def _forget(self) -> None:
@@ -188,7 +199,7 @@ class RealTimeResponder(RealTime):
         """Look after measurements that stop."""
         super().begin()
         self._forget()
-        self._counted = self._last = time.monotonic()
+        self._counted = self._last = self._looked = time.monotonic()
         self.node.timer(WATCHDOG_PERIOD, self.watch)
 
     @property
@@ -196,10 +207,25 @@ class RealTimeResponder(RealTime):
         """Seconds since the last trigger; infinite before the first."""
         return time.monotonic() - self._last if self.node.sample else math.inf
 
+    def _stood_still(self, now: float) -> bool:
+        """Tell whether nobody has looked at the inputs for longer than a measurement may be old."""
+        return now - self._looked > max(self.node.patience, SUSPENDED * WATCHDOG_PERIOD) + WATCHDOG_PERIOD
+
+    def _has_waited(self) -> bool:
+        """Tell whether what comes now is too old to be answered: this process stood still, and it waited meanwhile."""
+        now = time.monotonic()
+        before, self._heard = self._heard, now
+        if self._stood_still(now):
+            self._looked = now
+            self._backlog = self.node.parameters.queue_depth
+            return True
+        self._backlog = self._backlog - 1 if now - before < WAITED * self.period else 0
+        return self._backlog > 0
+
     def measurement(self, message) -> None:
         """Take ``joint_states``."""
         node = self.node
-        if not node.active:
+        if not node.active or (node.triggered_by_measurement and self._has_waited()):
             return
         if not node.triggered_by_measurement:
             self._lend(message)
@@ -257,6 +283,8 @@ class RealTimeResponder(RealTime):
     def _command(self, input_, data: float) -> None:
         """Answer a message that needs no measurement."""
         node = self.node
+        if self._has_waited():
+            return
         if not math.isfinite(data):
             node.refuse_value(input_, data)
             return  # as if it had not come
@@ -286,9 +314,12 @@ class RealTimeResponder(RealTime):
     def watch(self) -> None:
         """Timer: count the samples that go by while nothing comes, once that has lasted for the time-out."""
         node = self.node
+        now = time.monotonic()
+        if self._stood_still(now):
+            self._backlog, self._heard = node.parameters.queue_depth, now
+        self._looked = now
         if not node.active or node.sample == 0:
             return
-        now = time.monotonic()
         if now - self._last < node.patience:
             return
         samples = int((now - self._counted) / self.period)

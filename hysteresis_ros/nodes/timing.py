@@ -20,15 +20,19 @@ class Pace:
     ----------
     period : float
         Seconds between samples; infinite when no clock decides (lockstep), nothing is overrun then.
+    keeps_time : bool
+        Whether this node keeps the time, and so knows the period. Of others the plant may run slower than they think
+        (``real_time_factor``): where their usual interval is longer, it is what counts.
     capacity : int
         Intervals kept between two readings; later ones only count.
     """
 
-    def __init__(self, period: float = float("inf"), capacity: int = 20000):
+    def __init__(self, period: float = float("inf"), keeps_time: bool = True, capacity: int = 20000):
         self._intervals = array("d", bytes(8 * capacity))
         self._count = 0
         self._last = 0
         self._limit = OVERRUN * period
+        self._keeps_time = keeps_time
         self.total = 0
         self.overruns = 0
 
@@ -38,7 +42,7 @@ class Pace:
         self.total += 1
         if self._last:
             interval = (now - self._last) * 1e-9
-            if interval > self._limit:
+            if self._keeps_time and interval > self._limit:
                 self.overruns += 1
             if self._count < len(self._intervals):
                 self._intervals[self._count] = interval
@@ -61,6 +65,8 @@ class Pace:
         if not intervals:
             return 0.0, 0.0
         median = intervals[len(intervals) // 2]
+        if not self._keeps_time:
+            self.overruns += sum(interval > max(self._limit, OVERRUN * median) for interval in intervals)
         deviations = sorted(abs(value - median) for value in intervals)
         return len(intervals) / max(sum(intervals), 1e-12), deviations[int(0.99 * (len(deviations) - 1))]
 

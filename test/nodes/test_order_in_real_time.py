@@ -13,6 +13,7 @@ pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
 
 from nodes_support import axis_parameters, write_axis  # noqa: E402
 
+from hysteresis_ros.nodes import realtime  # noqa: E402
 from hysteresis_ros.nodes.realtime import GIVE_UP, SUSPICION, Follower, RealTimeResponder  # noqa: E402
 from hysteresis_ros.nodes.responder import Input  # noqa: E402
 
@@ -141,9 +142,12 @@ class Node:
     def __init__(self):
         self.row, self.answers, self.rejected = [0.0, 0.0], [], 0
         self.inputs = (Input("reference", 1, "reference_generator"),)
-        self.parameters = SimpleNamespace(sample_rate=100.0)
+        self.parameters = SimpleNamespace(sample_rate=100.0, queue_depth=1000)
         self.pace = SimpleNamespace(tick=lambda: None)
         self.sample = 0
+
+    def get_logger(self):
+        return SimpleNamespace(info=lambda text: None)
 
     def read(self, message, row) -> bool:
         row[0] = message.value
@@ -170,6 +174,60 @@ class Node:
 def measurement(sample: int):
     stamp = SimpleNamespace(sec=0, nanosec=sample)
     return SimpleNamespace(header=SimpleNamespace(stamp=stamp), value=float(sample))
+
+
+@pytest.mark.parametrize("looked_first", [False, True])
+@pytest.mark.parametrize("waiting", [1, 30])
+def test_measurements_that_waited_while_the_process_stood_still_are_not_answered(monkeypatch, looked_first, waiting):
+    now = [0.0]
+    monkeypatch.setattr(realtime.time, "monotonic", lambda: now[0])
+    node = Node()
+    node.patience, node.inputs = 0.2, ()
+    runner = RealTimeResponder(node)
+    node.say_silent = lambda: None
+    node.is_stale, node.miss = True, lambda samples: None
+    sample = 0
+
+    def live(samples):
+        nonlocal sample
+        for _ in range(samples):
+            now[0] += 0.01
+            runner.watch()
+            sample += 1
+            runner.measurement(measurement(sample))
+
+    live(20)
+    assert len(node.answers) == 20
+    now[0] += 1.5
+    if looked_first:
+        runner.watch()
+    for _ in range(waiting):
+        sample += 1
+        runner.measurement(measurement(sample))
+        now[0] += 1e-4
+    assert len(node.answers) == 20
+    live(20)
+    # all but, at most, the first one that does not wait any more
+    assert len(node.answers) >= 39 and node.answers[-1][0] == sample
+
+
+def test_a_silent_plant_or_a_short_delay_lets_no_measurement_go(monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr(realtime.time, "monotonic", lambda: now[0])
+    node = Node()
+    node.patience, node.inputs = 0.2, ()
+    runner = RealTimeResponder(node)
+    node.say_silent = lambda: None
+    node.is_stale, node.miss = True, lambda samples: None
+    for sample in range(1, 6):
+        for _ in range(100 if sample == 3 else 1):
+            now[0] += 0.01
+            runner.watch()
+        runner.measurement(measurement(sample))
+    now[0] += 0.19
+    for sample in range(6, 20):
+        runner.measurement(measurement(sample))
+    assert len(node.answers) == 19
 
 
 def deliver(order: str) -> Node:

@@ -269,6 +269,43 @@ def test_parameters_describe_themselves(generator, observer):
     assert "0.001 … 1e+06 Hz" in found["sample_rate"].additional_constraints
 
 
+@pytest.mark.parametrize("wrong", [1, 2, 3, 5, 10, 99])
+def test_a_transition_that_does_not_fit_is_refused_and_the_node_works_on(controller, observer, wrong):
+    from lifecycle_msgs.srv import ChangeState
+    from std_msgs.msg import Float64
+
+    request = ChangeState.Request()
+    request.transition.id = wrong
+    assert not observer.call(ChangeState, "/motion_controller/change_state", request).success
+    assert controller.active and not controller.failure
+    commands, driver = observer.listen(Float64, "/command"), Driver(observer)
+    reference = observer.talk(Float64, "/reference")
+    keep_sending(lambda: (reference.publish(Float64(data=1.0e-6)), driver.send()), lambda: commands)
+    assert observer.transition("/motion_controller", "deactivate")
+
+
+def test_a_controller_that_is_deactivated_lets_the_voltage_slew_to_safe(inside, observer):
+    from std_msgs.msg import Float64
+
+    from hysteresis_ros.nodes.hysteresis_compensator import HysteresisCompensatorNode
+    from hysteresis_ros.nodes.motion_controller import MotionControllerNode
+
+    slow = parameters("hysteresis_compensator", command_timeout=0.1, safe_slew_rate=200.0)
+    inside.add(HysteresisCompensatorNode, slow)
+    inside.add(MotionControllerNode, parameters("motion_controller", type="open_loop", measurement_timeout=0.3))
+    inside.spin()
+    voltages = observer.listen(Float64, "/voltage")
+    reference, driver = observer.talk(Float64, "/reference"), Driver(observer)
+    keep_sending(lambda: (reference.publish(Float64(data=6.0e-6)), driver.send()), lambda: voltages)
+    keep_sending(driver.send, lambda: voltages[-1].data > 40.0, what="a voltage")
+    since = len(voltages)
+    assert observer.transition("/motion_controller", "deactivate")
+    until(lambda: abs(voltages[-1].data - slow.safe_voltage) < 1e-9, what="the safe voltage")
+    moved = [message.data for message in voltages[since - 1 :]]
+    # a watchdog looks every 10 ms
+    assert max(abs(b - a) for a, b in zip(moved, moved[1:], strict=False)) < 1.5 * 200.0 * 0.01 + 1e-9
+
+
 def test_services_answer_in_every_state(inside, observer):
     from hysteresis_ros.nodes.hysteresis_compensator import HysteresisCompensatorNode
     from hysteresis_ros.nodes.motion_controller import MotionControllerNode
@@ -326,4 +363,5 @@ def test_our_names_shadow_nothing_of_rclpy(inside):
     plain.destroy_node()
     hooks = {"on_configure", "on_activate", "on_deactivate", "on_cleanup", "on_shutdown", "destroy_node"}
     hooks |= {"describe_parameter", "list_parameters"}
+    hooks |= {"_LifecycleNodeMixin__on_change_state"}  # guarded: nodes.lifecycle
     assert (ours & theirs) - hooks == set(), AxisNode

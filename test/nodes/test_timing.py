@@ -6,7 +6,8 @@ import pytest
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
-from hysteresis_ros.nodes.timing import Pairing  # noqa: E402
+from hysteresis_ros.nodes import timing  # noqa: E402
+from hysteresis_ros.nodes.timing import Pace, Pairing  # noqa: E402
 
 
 def play(events):
@@ -64,3 +65,15 @@ def test_answers_that_run_ahead_fall_back():
     pairs = play(events)
     assert pairs[:3] == [(1, 0), (2, 1), (3, 2)]
     assert pairs[-100:] == [(k, k) for k in range(200, 300)]
+
+
+@pytest.mark.parametrize(("factor", "keeps_time", "expected"), [(1.0, False, 3), (0.1, False, 3), (0.1, True, 999)])
+def test_who_does_not_keep_the_time_counts_overruns_by_the_usual_interval(monkeypatch, factor, keeps_time, expected):
+    now = [1]
+    monkeypatch.setattr(timing.time, "monotonic_ns", lambda: now[0])
+    pace = Pace(1e-3, keeps_time=keeps_time)
+    for k in range(1000):
+        pace.tick()
+        now[0] += round(1e6 / factor * (2.0 if k in (100, 500, 900) else 1.0))
+    assert pace.read()[0] == pytest.approx(1000.0 * factor, rel=0.01)
+    assert pace.overruns == expected

@@ -1,0 +1,25 @@
+"""Lifecycle nodes that survive a transition that does not fit their state."""
+
+from __future__ import annotations
+
+from rclpy.lifecycle import LifecycleNode
+
+
+class GuardedLifecycleNode(LifecycleNode):
+    """A lifecycle node that refuses a transition its state does not have.
+
+    rclpy up to 7.1.6 answers ``change_state`` with such an ``id`` by an exception in the executor, which ends the
+    process with its outputs where they are (ros2/rclpy, issue 1209).
+    """
+
+    # The service calls the method by this name: Python's for a private one of the class that rclpy declares it in.
+    def _LifecycleNodeMixin__on_change_state(self, request, response):
+        wanted = request.transition
+        allowed = {number: label for number, label, *_ in self._state_machine.available_transitions}
+        if not wanted.label and wanted.id not in allowed:
+            now = self._state_machine.current_state[1]
+            names = ", ".join(f"{label} ({number})" for number, label in allowed.items())
+            self.get_logger().warning(f"transition {wanted.id} refused: {now} now, which allows {names}")
+            response.success = False
+            return response
+        return super()._LifecycleNodeMixin__on_change_state(request, response)
