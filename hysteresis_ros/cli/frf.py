@@ -28,9 +28,7 @@ WITH_UNITS = {"low": "Hz", "high": "Hz", "period": "s", "duration": "s"}
     "--excitation",
     "kind",
     type=click.Choice(["multisine", "stepped", "noise"]),
-    default="multisine",
-    show_default=True,
-    help="Odd random-phase multisine, stepped sine, or noise.",
+    help="Odd random-phase multisine (default), stepped sine, or noise; of a recording what it looks like.",
 )
 @click.option("--amplitude", metavar="TEXT", help="Peak, e.g. 2V or 500nm; a part of the range without unit.  [0.05]")
 @click.option("--offset", metavar="TEXT", help="Around what, e.g. 40V or 30um; a part of the range.  [0.5]")
@@ -121,7 +119,9 @@ def _of_recording(path: pathlib.Path, namespace, options: dict):
         run = load_run(path, namespace, further=True)
         # of a table of somebody else's only what is needed is there
         run = require_sound(run, len(run)) if run.has("voltage") and run.has("reference") else run
-        return recorded_response(run, plan, options["loop"], options["at"], _with_units(options).get("period"))
+        return recorded_response(
+            run, plan, options["loop"], options["at"], _with_units(options).get("period"), options["kind"]
+        )
 
 
 def _of_configuration(source, namespace, options: dict):
@@ -139,8 +139,9 @@ def _of_configuration(source, namespace, options: dict):
     from hysteresis_ros.simulation.recorded_response import plan_file
     from hysteresis_ros.simulation.response_run import ResponseRequest, response_run
 
-    names = ("kind", "periods", "settle", "realisations", "points", "seed")
-    experiment = Experiment(**{name: options[name] for name in names}, **_with_units(options))
+    names = ("periods", "settle", "realisations", "points", "seed")
+    kind = options["kind"] or "multisine"
+    experiment = Experiment(kind, **{name: options[name] for name in names}, **_with_units(options))
     chosen = {name: options[name] for name in ("at", "amplitude", "offset")}
     asked = ResponseRequest(experiment, options["loop"] or "open", **chosen)
     configuration = load_configuration(source)

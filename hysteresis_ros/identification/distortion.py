@@ -38,7 +38,9 @@ class Distortion:
 
 
 def detected(U, Y, harmonics, response) -> Distortion:
-    """Return the levels of a multisine with odd lines, some of which were left out.
+    """Return the levels of a multisine with odd lines, some of which were left out; NaN where there are none.
+
+    With even lines among the excited ones neither odd nor even distortion has lines of its own.
 
     Parameters
     ----------
@@ -57,7 +59,7 @@ def detected(U, Y, harmonics, response) -> Distortion:
     power, noise = power * per_input, noise * per_input
     levels = {}
     for name, parity in (("odd", 1), ("even", 0)):
-        seen = left[left % 2 == parity]
+        seen = left[left % 2 == parity] if np.all(harmonics % 2 == 1) else left[:0]
         clear = power[seen] - noise[seen] if seen.size else np.zeros(0)
         levels[name] = _near(harmonics, seen, clear)
     return Distortion(np.sqrt(noise[harmonics]), **levels)

@@ -10,7 +10,6 @@ from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.identification.distortion import Distortion, detected, harmonic_levels
 from hysteresis_ros.identification.excitations import Plan
 from hysteresis_ros.identification.frequency_response import (
-    EXCITED,
     FrequencyResponse,
     averaged,
     experiments,
@@ -20,8 +19,10 @@ from hysteresis_ros.identification.frequency_response import (
 
 #: Least ratio of response and deviation, at half of the lines [dB].
 LEAST_RATIO = 6.0
-#: Two pieces of a signal are the same period when they differ by less than this part of it (RMS).
-SAME = 1e-3
+#: Two pieces of a signal are the same period when they differ by less than this part of its RMS.
+SAME = 0.03
+#: Lines of a recorded excitation with less than this share of its strongest line are what came late or was rounded.
+LINE = 0.03
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,10 +173,8 @@ def _at(found: FrequencyResponse, kept) -> FrequencyResponse:
     return replace(found, **parts)
 
 
-def plan_of_recording(
-    excitation, sample_time: float, period: float | None = None, segment: float | None = None
-) -> Plan:
-    """Return a plan for a recording of which nobody says how it was excited: periodic, or noise.
+def plan_of_recording(excitation, sample_time: float, period: float | None = None, kind: str | None = None) -> Plan:
+    """Return a plan for a recording of which nobody says how it was excited.
 
     Parameters
     ----------
@@ -184,19 +183,27 @@ def plan_of_recording(
     sample_time : float
         [s]
     period : float, optional
-        Of a periodic excitation [s]; by default what repeats.
-    segment : float, optional
-        Of the spectra of noise [s].
+        Of a multisine, or of the segments of noise [s]; by default what repeats, and 17 segments.
+    kind : str, optional
+        ``multisine`` or ``noise``; by default a multisine where it repeats.
 
     Raises
     ------
     IdentificationError
-        The recording does not hold two periods.
+        The recording does not hold two periods, or nothing repeats.
     """
     e = np.asarray(excitation, dtype=float)
-    N = _repeats(e) if period is None else round(period / sample_time)
+    if kind not in (None, "multisine", "noise"):
+        raise IdentificationError(
+            f"--excitation {kind}: where its frequencies stand is known only of a recording that hysteresis frf made"
+        )
+    N = None if kind == "noise" else _repeats(e)
+    if kind == "multisine" and (period or N is None):
+        if period is None:
+            raise IdentificationError("--excitation multisine: nothing repeats in what excites; give --period")
+        N = round(period / sample_time)
     if N is None:
-        length = round(segment / sample_time) if segment else max(2 * (e.size // 34), 32)
+        length = round(period / sample_time) if period else max(2 * (e.size // 34), 32)
         return Plan("noise", 0, 0, 1, 1, (length, e.size))
     count = e.size // N if N else 0
     if N < 16 or count < 2:
@@ -207,7 +214,7 @@ def plan_of_recording(
     # the first one settles, where there are enough
     settle = int(count > 2)
     spectrum = np.abs(np.fft.rfft(experiments("excitation", e[-(count - settle) * N :], N)[0, :, 0].mean(axis=0)))
-    lines = np.flatnonzero(spectrum[1 : (N + 1) // 2] > EXCITED * spectrum[1:].max()) + 1
+    lines = np.flatnonzero(spectrum[1 : (N + 1) // 2] > LINE * spectrum[1:].max()) + 1
     return Plan("multisine", e.size - count * N, settle, count - settle, 1, (N,), tuple(int(line) for line in lines))
 
 
@@ -220,6 +227,7 @@ def _repeats(e) -> int | None:
     fallen = int(np.argmin(above))
     peaks = fallen + np.flatnonzero(above[fallen:])
     for lag in peaks if fallen else ():
-        if np.std(tail[lag:] - tail[:-lag]) < SAME * np.std(tail):
+        # the median: single samples that came late do not count
+        if np.median(np.abs(tail[lag:] - tail[:-lag])) < SAME * np.std(tail):
             return int(lag)
     return None

@@ -52,7 +52,12 @@ def read_plan(path) -> Plan:
 
 
 def recorded_response(
-    recording: Recording, plan: Plan | None, loop: str | None, at: str | None, period: float | None
+    recording: Recording,
+    plan: Plan | None,
+    loop: str | None = None,
+    at: str | None = None,
+    period: float | None = None,
+    kind: str | None = None,
 ) -> AxisResponse:
     """Return the response of the axis of a recording.
 
@@ -66,7 +71,9 @@ def recorded_response(
         Without a plan: ``open`` or ``closed``, and where it was excited; by default as the configuration in the
         recording says, and in open loop at the voltage.
     period : float, optional
-        Without a plan: of a periodic excitation, or of a segment of noise [s].
+        Without a plan: of a multisine, or of a segment of noise [s].
+    kind : str, optional
+        Without a plan: ``multisine`` or ``noise``.
 
     Raises
     ------
@@ -83,7 +90,7 @@ def recorded_response(
         if at not in PLACES[loop]:
             raise ConfigurationError(f"--at {at}: with --loop {loop} must be {' or '.join(PLACES[loop])}")
         drive = recording["reference" if loop == "closed" else at]
-        plan = replace(plan_of_recording(drive, recording.sample_time, period), loop=loop, at=at)
+        plan = replace(plan_of_recording(drive, recording.sample_time, period, kind), loop=loop, at=at)
     elif (loop or plan.loop, at or plan.at) != (plan.loop, plan.at):
         raise ConfigurationError(
             f"--loop, --at: the recording was made with --loop {plan.loop} --at {plan.at}; leave them out"

@@ -219,11 +219,25 @@ def test_a_recording_of_which_nobody_knows_the_excitation_is_periodic_or_noise()
     found = plan_of_recording(np.concatenate([before, u]), 1.0 / RATE)
     assert (found.kind, found.samples, found.lines) == ("multisine", (400,), plan.lines)
     assert found.first == 333 and found.settle == 1 and found.periods == 4
+    every = np.tile(
+        np.sin(2.0 * np.pi * np.outer(np.arange(400), np.arange(1, 40)) / 400.0 + np.arange(39) ** 2).sum(1), 6
+    )
+    levels = analyse(
+        plan_of_recording(every, 1.0 / RATE), 1.0 / RATE, every, plant(every + every**3, 1e-3, 1)
+    ).distortion
+    assert np.isnan(levels.odd).all() and np.isnan(levels.even).all(), "even lines are excited: nothing can be told"
     noise, _ = excitation(Experiment("noise", duration=10.0), RATE)
     assert plan_of_recording(noise, 1.0 / RATE).kind == "noise"
-    assert plan_of_recording(noise, 1.0 / RATE, segment=0.5).samples == (500, noise.size)
-    with pytest.raises(IdentificationError, match="must hold two periods"):
-        plan_of_recording(noise, 1.0 / RATE, period=7.0)
+    assert plan_of_recording(noise, 1.0 / RATE, 0.5).samples == (500, noise.size)
+    late = np.concatenate([before, u])
+    late[1500:1505] = late[1500]  # held, because the next ones were late
+    assert plan_of_recording(late, 1.0 / RATE).samples == (400,)
+    assert plan_of_recording(u, 1.0 / RATE, 0.2, "noise").samples == (200, u.size)
+    for asked, said in (((7.0, "multisine"), "must hold two periods"), ((None, "multisine"), "nothing repeats")):
+        with pytest.raises(IdentificationError, match=said):
+            plan_of_recording(noise, 1.0 / RATE, *asked)
+    with pytest.raises(IdentificationError, match="that hysteresis frf made"):
+        plan_of_recording(noise, 1.0 / RATE, kind="stepped")
 
 
 def test_segments_too_short_for_a_resonance_say_so():

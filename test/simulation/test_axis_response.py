@@ -71,17 +71,17 @@ def test_the_closed_loop_has_the_margins_of_its_model(tmp_path, at, kind):
     # what a recording says by itself, and what it says without the name of its controller
     path = tmp_path / "run.npz"
     save_run(run, path)
-    again = recorded_response(load_run(path), plan, None, None, None)
+    again = recorded_response(load_run(path), plan)
     np.testing.assert_array_equal(again.loop.loop, loop.loop)
     assert again.margins.sensitivity_peak == model.sensitivity_peak
     names = ("reference", "measured")
     foreign = Recording(run.time, {name: run[name] for name in names})
-    unknown = recorded_response(foreign, plan, None, None, None)
+    unknown = recorded_response(foreign, plan)
     assert unknown.margins is None and unknown.plan.loop == "closed"
     # its law does not act on reference − measured alone: that loop has T where this axis has its response
     assert np.median(np.abs(unknown.loop.complementary[low])) > 0.5
     with pytest.raises(ConfigurationError, match="was made with --loop closed --at reference"):
-        recorded_response(foreign, plan, "open", None, None)
+        recorded_response(foreign, plan, "open")
 
 
 def test_a_sample_of_delay_that_the_model_does_not_know_is_missing_in_the_measured_delay_margin(tmp_path):
