@@ -66,6 +66,13 @@ def test_the_closed_loop_has_the_margins_of_its_model(tmp_path, at, kind):
     assert loop.gain_crossovers[0] == pytest.approx(model.gain_crossovers[0], rel=0.1)
     low = found.plant.response.frequency < 400.0
     assert np.median(np.abs(loop.loop / found.model_loop - 1.0)[low]) < 0.06
+    if at == "command":
+        # the reference is such that its part of the command is flat
+        controller, _ = measured_loop_parts(single_axis(axis_file()))
+        part = run["reference"][plan.first : plan.first + 300]
+        own = np.abs(controller.response(np.exp(2j * np.pi * np.array(plan.lines) / 300))[:, 0, 0])
+        sizes = np.abs(np.fft.rfft(part))[list(plan.lines)] * own
+        np.testing.assert_allclose(sizes, sizes[0], rtol=1e-6)
     if (at, kind) != ("reference", "multisine"):
         return
     # what a recording says by itself, and what it says without the name of its controller

@@ -75,11 +75,17 @@ def test_two_samples_that_the_model_does_not_know_are_said_and_a_model_with_them
     assert not again.margins.misses()
 
 
+def test_the_uncertainty_is_how_far_model_and_measurement_are_apart():
+    found = measured_uncertainty(single_axis(load_configuration("kim2009")), response(late=1, noise=1e-4))
+    assert found.at([300.0, 900.0]) == pytest.approx(2.0 * np.sin(np.pi * np.array([300.0, 900.0]) / 3000.0), rel=2e-3)
+    wide = measured_uncertainty(single_axis(load_configuration("kim2009")), response(noise=0.05))
+    assert np.median(wide.relative) == pytest.approx(0.05 * (np.sqrt(4.0) + np.sqrt(np.log(2.0))), rel=0.15)
+
+
 def test_a_design_is_slowed_where_nothing_was_measured():
     # up to 200 Hz alone: a resonance may stand above
-    _, free = designed(response())
     _, slow = designed(response(last=200.0))
-    assert slow.margins.bandwidth < 0.8 * free.margins.bandwidth
+    assert slow.margins.bandwidth < 0.8 * 262.6, "what the model alone would allow"
     found = with_measured_dynamics(load_configuration("kim2009"), None, response(last=800.0), "narrow.npz")
     known = response_uncertainty(parse_configuration(found.text, "written"))
     assert known.known_to == 799.0 and known.at([600.0])[0] < 0.02 and known.at([1499.0])[0] > 1.0
