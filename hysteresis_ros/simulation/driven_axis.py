@@ -10,6 +10,11 @@ from hysteresis_ros.configuration import Configuration
 from hysteresis_ros.errors import ConfigurationError
 from hysteresis_ros.models.limits import LimitsParameters
 
+#: Parameters of a controller that is given nothing but the reference; of one whose reference is what was played; and of
+#: one that hands it on as it is.
+UNFED, PLAYED = {"feedforward__type": "none", "feedforward__preview": 0}, {"learning__type": "none"}
+OPEN = {"type": "open_loop", "damping__type": "none", **UNFED, **PLAYED}
+
 
 def write_samples(path, reference, sample_rate: float, **further) -> str:
     """Write a reference for a waveform of type ``file``, and return its whole path.
@@ -61,7 +66,7 @@ def driven(configuration: Configuration, limits: LimitsParameters, gain: float, 
     }
     low, high = (gain * end for end in (limits.minimum, limits.maximum))
     configuration = configuration.override("", exit_at_end=True, autostart=True)
-    configuration = configuration.override("motion_controller", type="open_loop")
+    configuration = configuration.override("motion_controller", **OPEN)
     configuration = configuration.override("hysteresis_compensator", inverse__type="none")
     return configuration.override(
         "reference_generator",

@@ -9,8 +9,8 @@ import numpy as np
 
 from hysteresis_ros.configuration import Configuration, dump_configuration, parse_configuration
 from hysteresis_ros.control.controller import ControllerParameters
-from hysteresis_ros.control.linearisation import linear_loop
-from hysteresis_ros.control.margins import REQUIRED, plant_state_space
+from hysteresis_ros.control.linearisation import whole_loop
+from hysteresis_ros.control.margins import REQUIRED, margins_of, plant_state_space
 from hysteresis_ros.control.measured_loop import MeasuredLoop, loop_of
 from hysteresis_ros.control.response_uncertainty import ResponseUncertainty
 from hysteresis_ros.errors import ConfigurationError
@@ -46,7 +46,7 @@ def measured_uncertainty(axis: AxisParameters, found: Analysis) -> ResponseUncer
 
 
 def measured_margins(axis: AxisParameters, parameters: ControllerParameters, found: Analysis) -> MeasuredLoop:
-    """Return the loop of a controller around the plant as it was measured.
+    """Return the loop of a controller, and of its damping, around the plant as it was measured.
 
     Parameters
     ----------
@@ -62,7 +62,7 @@ def measured_margins(axis: AxisParameters, parameters: ControllerParameters, fou
     """
     plant, _ = _beside(parameters.model.dynamics, axis, found)
     sample_time = found.response.sample_time
-    controller, _ = linear_loop(parameters, sample_time)
+    controller, _ = whole_loop(parameters, sample_time)
     return loop_of(controller, plant.frequency, plant.response, plant.radius, sample_time)
 
 
@@ -76,7 +76,9 @@ def measured_lines(axis: AxisParameters, result: AxisDesign, found: Analysis) ->
     found : Analysis
     """
     loop = measured_margins(axis, result.parameters, found)
-    rows = loop.rows(result.margins)
+    # both cut at the command: a damping is part of the controller
+    model = margins_of(*whole_loop(result.parameters, found.response.sample_time), found.response.sample_time)
+    rows = loop.rows(model)
     width = max(len(name) for name, _ in rows)
     lines = [f"measured {name:<{width}}  {text}" for name, text in rows]
     if loop.sensitivity_peak.low > REQUIRED.sensitivity_peak or loop.delay_margin.high < REQUIRED.delay_margin:

@@ -18,7 +18,7 @@ from hysteresis_ros.models.hysteresis import hysteresis_block
 from hysteresis_ros.models.state_space import StateSpace
 from hysteresis_ros.references.ways import REST, WAY, hold, there_and_back
 from hysteresis_ros.simulation.axes import single_axis
-from hysteresis_ros.simulation.driven_axis import driven, following, write_samples
+from hysteresis_ros.simulation.driven_axis import OPEN, PLAYED, UNFED, driven, following, write_samples
 from hysteresis_ros.units import quantity, readable
 
 #: Where each loop can be excited; the first by default.
@@ -27,8 +27,6 @@ PLACES = {"open": ("voltage", "command"), "closed": ("reference", "command")}
 AMPLITUDE = 0.05
 #: Seconds at the place where it is excited, before and after: creep fades meanwhile.
 WAIT = 1.0
-#: Parameters of a controller that is given the reference alone.
-UNFED = {"feedforward__type": "none", "feedforward__preview": 0}
 
 
 @dataclass(frozen=True)
@@ -146,7 +144,7 @@ def around(samples, peak: float, middle: float, rest: float, rate: float, plan: 
 
 
 def measured_loop_parts(axis: AxisParameters) -> tuple[StateSpace, StateSpace]:
-    """Return the controller of an axis and the model that it has of its plant, both linear.
+    """Return the controller of an axis, its damping in it, and the model that it has of its plant, both linear.
 
     Parameters
     ----------
@@ -212,9 +210,9 @@ def _configured(configuration, loop: str, place: str, path: str, limits, gain: f
     if place == "voltage":
         waveform = {"type": "file", "cycles": 1, "file.path": path, "file.column": "reference", "offset": 0.0}
         return driven(configuration, limits, gain, waveform)
-    configuration = following(configuration, path, rest)
+    configuration = following(configuration, path, rest).override("motion_controller", **PLAYED)
     if loop == "open":
-        configuration = configuration.override("motion_controller", type="open_loop", **UNFED)
+        configuration = configuration.override("motion_controller", **OPEN)
     elif place == "command":
         # the reference was shaped for the law alone
         configuration = configuration.override("motion_controller", **UNFED)

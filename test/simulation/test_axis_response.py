@@ -91,6 +91,21 @@ def test_the_closed_loop_has_the_margins_of_its_model(tmp_path, at, kind):
         recorded_response(foreign, plan, "open")
 
 
+def test_a_damping_is_part_of_the_loop_that_was_measured_and_of_no_open_one(tmp_path):
+    # at the command, where the sum of law and damping is
+    damped = axis_file(damping__type="irc", damping__irc__k=1578.0, damping__irc__feedthrough=-15.52)
+    _, _, found = measured(tmp_path, ResponseRequest(SHORT, "closed", amplitude="600nm"), damped)
+    near = np.abs(found.plant.response.frequency - 635.0) < 60.0
+    law_alone = measured_loop_parts(single_axis(axis_file()))[0]
+    z = np.exp(2j * np.pi * found.plant.response.frequency / 3000.0)
+    alone = -law_alone.response(z)[:, 0, 1] * found.model
+    errors = [np.median(np.abs(found.loop.loop / L - 1.0)[near]) for L in (found.model_loop, alone)]
+    assert errors[0] < 0.1 < 1.0 < errors[1]
+    for at, amplitude in (("command", "600nm"), ("voltage", "6V")):
+        run, _, _ = measured(tmp_path, ResponseRequest(SHORT, "open", at, amplitude), damped)
+        np.testing.assert_allclose(run["command"], run["reference"], atol=1e-12)
+
+
 def test_a_sample_of_delay_that_the_model_does_not_know_is_missing_in_the_measured_delay_margin(tmp_path):
     asked = ResponseRequest(SHORT, "closed", amplitude="600nm")
     late = axis_file().override("", faults=["late:0.0:1000.0:1"])
