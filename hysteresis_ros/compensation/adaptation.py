@@ -23,9 +23,9 @@ from hysteresis_ros.parameters import Parameters, group, parameter
 #: Most weights that are adapted: what a sample costs grows with their square.
 MOST_WEIGHTS = 32
 #: Standard deviations believed beforehand: of the gain, of the opening, of each weight besides.
-COMMON, OPENING, EACH = 0.3, 0.3, 0.1
+COMMON, OPENING, EACH = 0.3, 0.3, 1.0
 #: ε: what the model leaves unexplained, as a part of the stroke.
-MISFIT = 5e-4
+MISFIT = 1e-4
 #: Time constants of the high-pass filter that have to pass after the axis was stopped, before anything is learned.
 SETTLING = 5.0
 #: Time constant with which the offset of the model follows what is slow, in those of the filter.

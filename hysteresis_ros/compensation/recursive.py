@@ -10,7 +10,7 @@ minimise  Σ_k κ (1 - κ)^(n - k) (y_k - Σ f_i φ_ik)² + (f - 1)' R (f - 1)  
 
 The normal equations are kept as they are, as running means of φ φ' and φ y: nothing is inverted, nothing can wind up.
 R = ε² P⁻¹ is what is believed beforehand (P: one factor common to all weights, one common to those that open the loops,
-and a small one of each): what a reference does not excite follows the rest, and forgets to it. The bounds keep weights
+and one of each): what a reference does not excite follows the rest, and forgets to it. The bounds keep weights
 above zero, so that there is an inverse. The minimum is followed by a sweep of coordinate descent a sample, which stays
 within the bounds and moves no factor faster than ``rate``. The displacement of the moment stays: the model's offset
 takes up what the weights would change, so that the voltage does not jump, and then follows what is slow.

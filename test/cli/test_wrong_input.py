@@ -62,6 +62,17 @@ def test_a_run_that_no_memory_holds_is_refused(tmp_path):
     assert "more samples" in refusal("simulate", "kim2009", "-o", tmp_path / "a.npz", "--duration", "1e300")
 
 
+def test_a_file_that_is_laid_over_and_a_drift_are_refused_by_name(tmp_path):
+    words = "simulate", "kim2009", "-o", tmp_path / "a.npz", "--duration", "0.02"
+    assert "nowhere.yaml: no such file" in refusal(*words, "--params-file", tmp_path / "nowhere.yaml")
+    assert "drift gain = 0.7: must be within" in refusal(*words, "--drift", "0.7", "0")
+    (tmp_path / "adapt.yaml").write_text(
+        "/**/hysteresis_compensator: {ros__parameters: {adaptation: {type: recursive}}}", encoding="utf-8"
+    )
+    said = refusal(*words, "--params-file", tmp_path / "adapt.yaml")
+    assert "adaptation.type = 'recursive': polynomial is not linear in its weights" in said
+
+
 @pytest.fixture
 def wrong(tmp_path) -> dict[str, pathlib.Path]:
     """Paths that can be neither read nor written."""

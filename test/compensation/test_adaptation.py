@@ -144,7 +144,7 @@ def test_without_excitation_nothing_moves_however_long():
         np.testing.assert_array_equal(now, then)
     after = run(compensator, adaptation, voltages[17000:], measured[17000:])
     assert adaptation.condition == adapting.ADAPTING
-    np.testing.assert_allclose(after[-1], true, rtol=0.02)
+    np.testing.assert_allclose(after[-1], true, rtol=0.03)
 
 
 def test_the_voltage_does_not_jump_when_the_weights_change():

@@ -39,7 +39,7 @@ def test_the_error_falls_to_what_a_true_model_leaves():
     true = run(Axis(adapting({"adaptation__type": "none"} | fresh)), 12000)
     none, adapted = (np.std((one["displacement"] - true["displacement"])[-2000:]) for one in (plain, made))
     assert none > 0.3e-6 and adapted < 0.05 * none
-    assert made["adapted_gain"][-1] == pytest.approx(sum(plant.weights) / sum(_identified()), abs=0.01)
+    assert made["adapted_gain"][-1] == pytest.approx(sum(plant.weights) / sum(_identified()), abs=0.02)
 
 
 def _identified():
