@@ -16,8 +16,9 @@ from hysteresis_ros.compensation import recursive as at
 from hysteresis_ros.compensation.recursive import AdaptationSettings, AdaptationStates
 from hysteresis_ros.errors import Problem
 from hysteresis_ros.linear_algebra import product, solve
+from hysteresis_ros.models.creep import FEEDTHROUGH, Creep
 from hysteresis_ros.models.hysteresis import MODELS, HysteresisParameters, hysteresis_block
-from hysteresis_ros.models.linear import LinearDynamics, LinearParameters
+from hysteresis_ros.models.linear import HELD_INPUT, LinearDynamics, LinearParameters
 from hysteresis_ros.parameters import Parameters, group, parameter
 
 #: Most weights that are adapted: what a sample costs grows with their square.
@@ -62,6 +63,15 @@ class AdaptationParameters(Parameters):
     )
     slow: float = parameter(
         0.5, unit="s", low=1e-4, high=1e5, description="what changes more slowly than this counts as offset and drift"
+    )
+    offset: str = parameter(
+        "kept",
+        choices=("kept", "measured"),
+        read_only=True,
+        description="where the displacement counts from: from where the axis was when learning began, or from zero",
+    )
+    zero: float = parameter(
+        0.0, unit="m", low=-1.0, high=1.0, read_only=True, description="what is measured where the displacement is zero"
     )
     factors: tuple[float, ...] = parameter(
         (),
@@ -136,7 +146,7 @@ class Adaptation(Chain):
         self.settings.places[:] = places
         self._pack()
         length = int(self.settings.own[at.FILTER_STATES])
-        sizes = at.OWN_STATES, count, count * length, count + 1, count, count * count, count
+        sizes = at.OWN_STATES, count, (count + 1) * length, count + 2, count, count * count, count
         self.xs = AdaptationStates(*map(np.zeros, sizes))
         self.reset()
 
@@ -205,8 +215,9 @@ class Adaptation(Chain):
         self.xs.factors[:] = 1.0
         self.xs.squares[:] = 0.0
         self.xs.products[:] = 0.0
-        self.xs.own[[at.MOVED, at.ZEROED]] = 0.0
+        self.xs.own[at.MOVED] = 0.0
         self.xs.own[at.GAIN] = 1.0
+        self._count_from_zero()
 
     def reset(self) -> None:
         """Begin again at rest with the factors of the beginning."""
@@ -215,8 +226,26 @@ class Adaptation(Chain):
         self.xs.factors[:] = self._initial
         weights, ones = self.settings.nominal[: len(self._initial)], np.ones(len(self._initial))
         self.xs.own[at.GAIN] = float(product(weights * self._initial, ones)) / float(product(weights, ones))
-        # the filters begin empty, wherever the axis rests: what that leaves is gone when learning begins
+        self._rest()
+        # wherever it rests, its past is not known
         self.xs.own[at.WAIT] = self.settings.own[at.SETTLING_SAMPLES]
+        self._count_from_zero()
+
+    def _count_from_zero(self) -> None:
+        self.xs.own[at.ZEROED] = self.parameters.offset == "measured"
+        self.xs.own[at.ZERO] = self.parameters.zero
+
+    def _rest(self) -> None:
+        """Let creep and dynamics of each term be at rest where the compensator is."""
+        compensator, length = self.compensator, int(self.settings.own[at.FILTER_STATES])
+        creep, block = Creep(compensator.creep.parameters, self.sample_time), compensator.hysteresis
+        self.dynamics.settle(creep.settle(1.0))
+        unit = np.concatenate([creep.x, self.dynamics.x])
+        at.drive(self.settings, self.xs, creep.p, block.p, block.x, compensator.voltage)
+        filters = self.xs.filters.reshape(-1, length)
+        # what has come through empty filters is the terms themselves, but for the feedthrough
+        terms = filters[:, len(creep.x) + HELD_INPUT] / creep.p[FEEDTHROUGH]
+        filters[:] = terms[:, np.newaxis] * unit
 
     def retune(self, parameters: AdaptationParameters, hysteresis: HysteresisParameters) -> None:
         """Take new settings; with another identified model the factors begin anew.

@@ -64,7 +64,7 @@ UNUSABLE = 8  # measurements in a row that cannot be one
 GAIN = 9  # of all weights, against the identified ones
 MOVED = 10  # the offset, against the identified one [m]
 ZEROED = 11  # 1 once it is known from where the offset counts
-ZERO = 12  # what is left between measurement and model when learning begins: the sensor's zero [m]
+ZERO = 12  # what is measured where the displacement is zero [m]
 OWN_STATES = 13
 
 #: What adaptation does: there is none; the weights follow; frozen without excitation, by a service, because the axis is
@@ -95,8 +95,8 @@ class AdaptationStates(NamedTuple):
 
     own: np.ndarray
     factors: np.ndarray
-    filters: np.ndarray  # creep and dynamics of each term
-    slow: np.ndarray  # slow part of each term, then of the measurement [m]
+    filters: np.ndarray  # creep and dynamics of each term, then of the offset
+    slow: np.ndarray  # slow part of each term, of the offset and of the measurement [m]
     terms: np.ndarray  # behind the high-pass filter [m]
     squares: np.ndarray  # running mean of φ φ', row by row [m²]
     products: np.ndarray  # of φ y [m²]
@@ -161,6 +161,10 @@ def drive(settings, states, creep_p, p_h, x_h, voltage):
         first = i * length
         crept = creep(creep_p, states.filters[first : first + creeping], term)
         linear_advance(settings.dynamics, states.filters[first + creeping : first + length], crept)
+    if int(own[OFFSET_PLACE]) >= 0:
+        first = terms * length
+        crept = creep(creep_p, states.filters[first : first + creeping], p_h[int(own[OFFSET_PLACE])])
+        linear_advance(settings.dynamics, states.filters[first + creeping : first + length], crept)
 
 
 @called
@@ -191,26 +195,31 @@ def learn(settings, states, measured, usable):
         terms[i] = term - slow[i]
         slow[i] += share * terms[i]
         modelled += factors[i] * terms[i]
+    first = count * length + creeping
+    offset = linear_output(settings.dynamics, states.filters[first : first + length - creeping])
+    if not begun:
+        slow[count] = offset
+    slow[count] += share * (offset - slow[count])
     if not begun:
         if measured != measured:
             return False
         own[BEGUN] = 1.0
         own[LAST_MODELLED] = whole
-        own[LAST] = slow[count] = measured
+        own[LAST] = slow[count + 1] = measured
     value = measured
-    if not abs(value - slow[count] - modelled) <= own_p[STROKE]:
+    if not abs(value - slow[count + 1] - modelled) <= own_p[STROKE]:
         # none, or none that can be true: the model stands in, until it is the model that cannot be
         own[UNUSABLE] += 1.0
         if value == value and own[UNUSABLE] * share > 1.0:
-            slow[count] = value - modelled
+            slow[count + 1] = value - modelled
         else:
             value = own[LAST] + (whole - own[LAST_MODELLED])
         usable = 0.0
     else:
         own[UNUSABLE] = 0.0
     own[LAST], own[LAST_MODELLED] = value, whole
-    fast = value - slow[count]
-    slow[count] += share * fast
+    fast = value - slow[count + 1]
+    slow[count + 1] += share * fast
     own[POWER] += share * (modelled * modelled - own[POWER])
     error = fast - modelled
     own[ERROR_POWER] += share * (error * error - own[ERROR_POWER])
@@ -235,13 +244,13 @@ def learn(settings, states, measured, usable):
         wanted /= states.squares[i * count + i] + settings.prior[i * count + i]
         wanted = max(1.0 / largest, min(largest, factors[i] + wanted)) - factors[i]
         factors[i] += max(-step, min(step, wanted))
-    missing = slow[count]
+    missing = slow[count + 1] - slow[count]
     for i in range(count):
         missing -= factors[i] * slow[i]
     if own[ZEROED] == 0.0:
-        own[ZEROED], own[ZERO] = 1.0, missing - own[MOVED]
+        own[ZEROED], own[ZERO] = 1.0, missing
     furthest = step * own_p[STROKE]
-    missing = own_p[OFFSET_SHARE] * (missing - own[ZERO] - own[MOVED])
+    missing = own_p[OFFSET_SHARE] * (missing - own[ZERO])
     own[MOVED] += max(-furthest, min(furthest, missing))
     return True
 

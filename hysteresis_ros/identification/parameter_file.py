@@ -92,6 +92,7 @@ def sections(result: Identification) -> dict[str, dict]:
     # not in use until adaptation.type says so
     adapts = dynamics and chain.hysteresis.model.weighted is not None
     adaptation = {f"adaptation.{name}": value for name, value in dynamics.items()} if adapts else {}
+    adaptation |= {"adaptation.zero": chain.offset} if adapts and chain.offset else {}
     model = {f"model.{name}": value for name, value in {**dynamics, **offset}.items()}
     lowest, highest = _reach(chain, low, high)
     # a remanent actuator is not at zero at 0 V: the reference starts where it stands

@@ -61,6 +61,10 @@ def _adaptation_problems(controller, compensator):
     if adaptation.type != "none" and controller.model.dynamics.order and not adaptation.dynamics.order:
         allowed = "a lag or a delay would be learned as hysteresis: give motion_controller's model.dynamics here too"
         yield Problem("hysteresis_compensator: adaptation.dynamics.A", adaptation.dynamics.A, allowed)
+    zero = controller.model.preload.offset
+    if adaptation.type != "none" and adaptation.offset == "measured" and adaptation.zero != zero:
+        allowed = f"must be what motion_controller's model.preload takes off the measurement, {zero:.9g} m"
+        yield Problem("hysteresis_compensator: adaptation.zero", adaptation.zero, allowed)
 
 
 #: Time-outs of the nodes, what happens after them, and where the output then goes.

@@ -280,8 +280,9 @@ class CompensatorPart:
         """Begin again with everything at rest."""
         if self.adaptation is not None:
             self._take(self.parameters, self.parameters.hysteresis)
-            self.adaptation.reset()
         self.compensator.reset()
+        if self.adaptation is not None:
+            self.adaptation.reset()
         watch_p, watch_x = self.arrays.watch_p, self.arrays.watch_x
         watch_x.guard[:] = 0.0
         watch_x.faults[:] = faulty.fault_state(watch_p.faults)

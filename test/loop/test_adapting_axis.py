@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from adapting_support import CHANGED, adapted_run, adapting
+from adapting_support import ADAPTATION, CHANGED, adapted_run, adapting
 from fused_support import assert_twin, change, whole
 from interpreted import interpreted
 from loop_support import assert_same_bits, parameters
@@ -18,6 +18,7 @@ from hysteresis_ros.loop.axis import Axis, Change
 from hysteresis_ros.loop.compensator import adapted_text
 from hysteresis_ros.loop.fused import FusedLoop
 from hysteresis_ros.simulation.axes import single_axis
+from hysteresis_ros.simulation.drift import drifting
 
 NODE = "hysteresis_compensator"
 
@@ -44,6 +45,19 @@ def test_the_error_falls_to_what_a_true_model_leaves():
 
 def _identified():
     return adapting().hysteresis_compensator.hysteresis.prandtl_ishlinskii.weights
+
+
+def test_an_axis_without_feedback_keeps_its_place_or_goes_where_it_is_measured():
+    """The model's offset is wrong by 1 µm, and the plant's gain drifts: the mean of the displacement."""
+    means = []
+    for settings in ({"adaptation__type": "none"}, {}, {"adaptation__offset": "measured"}):
+        axis = Axis(adapting(settings | {"hysteresis__prandtl_ishlinskii__offset": 1e-6}))
+        made = run(axis, 20000, drifting(axis.parameters, 20000, 0.05))
+        error = made["reference"] - made["displacement"]
+        means.append([error[1000:1200].mean(), error[-200:].mean()])
+    none, kept, measured = means
+    assert abs(kept[1] - kept[0]) < 0.5 * abs(none[1] - none[0]) and abs(kept[1]) > 2e-6
+    assert abs(measured[1]) < 0.1e-6
 
 
 @pytest.mark.skipif(not COMPILED, reason="Numba is not installed: there is only one form")
@@ -143,6 +157,11 @@ def test_the_saved_file_is_a_model_from_which_an_axis_goes_on():
         ("kim2009", {"adaptation__type": "recursive"}, "polynomial is not linear in its weights"),
         ("picma_stage", {"adaptation__type": "recursive"}, "a lag or a delay would be learned as hysteresis"),
         ("inchworm_travel", {"adaptation__type": "recursive"}, "a motor measures its slider"),
+        (
+            "picma_stage",
+            ADAPTATION | {"adaptation__offset": "measured", "adaptation__zero": 1e-6},
+            "adaptation.zero = 1e-06: must be what motion_controller's model.preload takes off the measurement, 0 m",
+        ),
         (
             "picma_stage",
             {"adaptation__dynamics__A": [0.5], "adaptation__dynamics__B": [0.5], "adaptation__dynamics__C": [1.0]}
