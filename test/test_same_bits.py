@@ -23,6 +23,7 @@ DURATIONS = {
     "wang2014_linear": 1.0,
     "picma_stage": 1.0,
     "stage700": 0.05,
+    "fleming2010": 0.01,
     "inchworm_travel": 2.0,
 }
 SIMULATE = """

@@ -14,6 +14,7 @@ EXPERIMENTS = {
     "kim2009": "hysteresis_ros.papers.kim2009.reproduction",
     "auwal2017": "hysteresis_ros.papers.auwal2017.reproduction",
     "wang2014": "hysteresis_ros.papers.wang2014.reproduction",
+    "fleming2010": "hysteresis_ros.papers.fleming2010.reproduction",
 }
 
 

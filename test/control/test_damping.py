@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hysteresis_ros.control.controller import ControllerParameters, ModelParameters, controller_block, damping_block
@@ -133,6 +133,7 @@ def test_without_damping_nothing_is_touched():
 
 
 @kinds
+@settings(max_examples=25)
 @given(st.floats(-1e-5, 1e-5), st.floats(-1e-5, 1e-5), st.floats(-1e-5, 1e-5))
 def test_what_was_carried_out_is_heard_as_the_output_that_would_have_led_to_it(kind, output, measured, cut):
     between = damping_block(controller(kind), T)

@@ -86,9 +86,17 @@ def test_a_law_behind_limits_hears_what_was_carried_out_of_its_own_output_and_do
     assert np.all(np.abs(free["displacement"][600:] - 2e-6) < 2e-8)
 
 
-def test_it_starts_at_rest_wherever_the_axis_was_when_it_was_stopped():
+def test_it_starts_at_rest_wherever_the_axis_is_when_it_is_started():
     made = axis("stage700")
     made.run(np.full(600, 6e-6))
+    made.apply(Change(0, "motion_controller", "stop"))
+    made.run(np.full(1000, 6e-6))
+    made.apply(Change(0, "motion_controller", "start"))
+    made.run(np.full(1, 6e-6))
+    p, x = made.controller.damping.p, made.controller.damping.x
+    rest = p[block.MATRICES + 3]  # of its single state, behind A, B and C
+    assert x[block.STATE] == pytest.approx(rest * x[block.FILTERED], rel=1e-9) and 1e-6 < x[block.FILTERED] < 5e-6
+    made.run(np.full(6000, 6e-6))
     made.apply(Change(0, "motion_controller", "stop"))
     made.run(np.full(30, 6e-6))
     made.apply(Change(0, "motion_controller", "start"))

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hysteresis_ros.errors import ParameterError
@@ -32,6 +32,7 @@ def left(kind: str, frequency: float, damping: float, actual: float) -> float:
     return size[0] / size[1]
 
 
+@settings(max_examples=30)
 @given(st.sampled_from(["zv", "zvd"]), st.floats(2.0, 240.0), st.floats(0.0, 0.3))
 def test_of_the_mode_it_is_for_nothing_is_left(kind, frequency, damping):
     assert left(kind, frequency, damping, frequency) < 1e-7

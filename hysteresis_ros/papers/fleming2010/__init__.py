@@ -1,0 +1,1 @@
+"""Fleming, Aphale & Moheimani 2010, a new method for robust damping and tracking control."""

@@ -1,0 +1,56 @@
+"""What the abstract of Fleming et al. 2010 claims comes out as stated, and the rows that do not hold say why."""
+
+from __future__ import annotations
+
+import pathlib
+
+import numpy as np
+import pytest
+
+from hysteresis_ros.configuration import load_configuration
+from hysteresis_ros.control.controller import ControllerParameters
+from hysteresis_ros.loop.node_parameters import part
+from hysteresis_ros.papers.claims import format_claims
+from hysteresis_ros.papers.fleming2010 import axis as fleming
+from hysteresis_ros.papers.fleming2010 import reproduction as fleming2010
+from hysteresis_ros.simulation.axes import single_axis
+
+DOCUMENT = pathlib.Path(__file__).resolve().parents[2] / "docs" / "fleming2010.md"
+
+
+@pytest.fixture(scope="module")
+def found():
+    return fleming2010.reproduce()
+
+
+def test_exactly_the_known_row_does_not_hold_and_all_name_their_assumptions(found):
+    failing = {claim.id: claim.reason for claim in found.claims if claim.holds is False}
+    assert set(failing) == {"loop.lowered"} and all(failing.values())
+    assert all(claim.assumptions for claim in found.claims)
+
+
+def test_the_document_shows_the_table_as_it_is_printed(found):
+    text = DOCUMENT.read_text()
+    table = format_claims(found)
+    assert table[: table.index("\nRemarks")] in text
+
+
+def test_the_configuration_has_the_gains_that_the_reproduction_finds():
+    node = single_axis(load_configuration("fleming2010")).motion_controller
+    given, made = part(node, ControllerParameters), fleming.designed(load_configuration("fleming2010"))["tracking"]
+    assert given.damping.irc == made.damping.irc
+    for name in ("Kp", "Ki", "Kd", "derivative_filter"):
+        assert getattr(given.pid, name) == pytest.approx(getattr(made.pid, name), rel=1e-4)
+
+
+def test_law_and_damping_are_the_integrator_in_front_of_the_papers_second_order_controller():
+    # gain/s · k/(s − k D_f), on the outer loop, at frequencies far below the sample rate
+    model, k, gain = fleming.scanner(934.0, 1e-5), 3000.0, 700.0
+    from hysteresis_ros.control.linearisation import linear_loop
+
+    controller, _ = linear_loop(fleming.tracking(gain, k, model), 1e-5)
+    hertz = np.array([3.0, 50.0, 400.0, 2000.0])
+    s = 2j * np.pi * hertz
+    outer = -controller.response(np.exp(s * 1e-5))[:, 0, 1] * (1.0 + 1.0 / fleming.FEEDTHROUGH)
+    assert outer == pytest.approx(gain / s * k / (s - k * fleming.FEEDTHROUGH), rel=0.07)
+    assert outer[:3] == pytest.approx((gain / s * k / (s - k * fleming.FEEDTHROUGH))[:3], rel=0.02)
