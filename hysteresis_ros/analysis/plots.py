@@ -209,14 +209,15 @@ def adaptation_figure(recording: Recording):
     return figure
 
 
-#: Plots of a report: caption and function; one that has nothing to show returns None.
+#: Plots of a report: caption and function.
 FIGURES = (
     ("Displacement over time", traces_figure),
     ("Error (reference − displacement) over time", error_figure),
     ("Hysteresis loop before and after compensation", loop_figure),
     ("Voltage and its limits", voltage_figure),
-    ("Gain of the adapted inverse, as a part of the identified one", adaptation_figure),
 )
+#: Those of runs that adapt; None where there is nothing to show.
+ADAPTED = ("Gain of the adapted inverse, as a part of the identified one", adaptation_figure)
 
 
 def png(figure) -> bytes:

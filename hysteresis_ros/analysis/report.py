@@ -10,8 +10,8 @@ from collections.abc import Sequence
 
 from hysteresis_ros.analysis.learning_plots import periods_figure
 from hysteresis_ros.analysis.metrics import FIGURES, compute_metrics, shown_row
+from hysteresis_ros.analysis.plots import ADAPTED, MissingExtraError, data_uri
 from hysteresis_ros.analysis.plots import FIGURES as PLOTS
-from hysteresis_ros.analysis.plots import MissingExtraError, data_uri
 from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.recordings.dataset import Recording
 
@@ -116,7 +116,7 @@ def render_report(
         shown_row(label, figures[name], unit, factor) | dict(remark=figures["notes"].get(name, ""))
         for name, label, unit, factor in FIGURES
     ]
-    drawn = [(caption, draw(recording)) for caption, draw in (*PLOTS, LEARNED)]
+    drawn = [(caption, draw(recording)) for caption, draw in (*PLOTS, ADAPTED, LEARNED)]
     pictures = [*first, *((caption, data_uri(figure)) for caption, figure in drawn if figure is not None)]
     return render_page(
         "report.html.j2",
