@@ -37,6 +37,8 @@ MAXIMUM, SHORTFALL = 0.1, 5e-3
 GAIN, AVERAGING, LEAST_GAIN = 0.7, 4.0, 0.05
 #: Samples of a response to one impulse: it is long enough when this part of it, or less, is left at the end.
 SHORTEST, LONGEST, LEFT = 2**12, 2**17, 1e-6
+#: Most frequencies.
+MOST = 2**13
 #: Part of the answer of the closed loop that is left when it has settled.
 SETTLED = 0.02
 #: Samples before an impulse in which flags and counters of the start go by.
@@ -194,9 +196,10 @@ def closed_loop(
                 "the closed loop does not come to rest on its own model: nothing can be learned over it; design the "
                 "controller first (hysteresis design --controller)"
             )
-    angles = np.linspace(0.0, np.pi, count // 2 + 1)
+    every = max(count // (2 * MOST), 1)
+    angles = np.linspace(0.0, np.pi, count // 2 + 1)[::every]
     z = np.exp(1j * np.maximum(angles, 1e-7))
-    asked, disturbed = (np.fft.rfft(u) for u in answers)
+    asked, disturbed = (np.fft.rfft(u)[::every] for u in answers)
     own = model.response(z)[:, 0, 0]
     others = [one.plant.response(z)[:, 0, 0] for one in drawn_plants(dynamics, sample_time, possible)]
     if response is not None:

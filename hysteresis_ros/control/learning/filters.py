@@ -48,6 +48,8 @@ ITERATIONS = 60
 CHANGE, STEEPNESS = 0.2, 16
 #: Repetitive: gains, and the longest phase lead [samples].
 GAINS, LONGEST_LEAD = (0.9, 0.7, 0.5, 0.3), 24
+#: Points on which they are chosen.
+COARSE = 400
 
 
 class Response(NamedTuple):
@@ -279,16 +281,17 @@ def _norm_optimal(response: Response, period: int):
 def _repetitive(response: Response, period: int):
     # lead and filter together look ahead by less than a period
     half = min(HALF, period // 2)
-    leads = range(min(LONGEST_LEAD, period - 1 - half) + 1)
+    leads = np.arange(min(LONGEST_LEAD, period - 1 - half) + 1)
+    thin = slice(None, None, max(len(response.model) // COARSE, 1))
+    angles, possible = np.linspace(0.0, np.pi, len(response.model))[thin], response.possible[:, thin]
 
     def design(cutoff: float) -> Filters:
         robustness = symmetric_taps(low_pass(cutoff, len(response.model)), half)
-        found = []
-        for lead in leads:
-            for gain in GAINS:
-                taps = gain * np.concatenate([robustness[:0:-1], robustness])
-                found.append(_judged("repetitive", response, taps, lead + len(robustness) - 1, robustness))
-        return min(found, key=lambda one: one.contraction)
+        around = filter_responses([0.0], 0, robustness, angles)[0]
+        tried = [(lead, gain, gain * around * np.exp(1j * lead * angles)) for lead in leads for gain in GAINS]
+        lead, gain, _ = min(tried, key=lambda one: np.max(contraction(around, one[2], possible)))
+        taps = gain * np.concatenate([robustness[:0:-1], robustness])
+        return _judged("repetitive", response, taps, int(lead) + half, robustness)
 
     return design
 
