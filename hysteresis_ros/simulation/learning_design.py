@@ -8,7 +8,6 @@ from dataclasses import dataclass, field, fields, replace
 import numpy as np
 
 from hysteresis_ros.configuration import Configuration, parse_configuration
-from hysteresis_ros.control import base as header
 from hysteresis_ros.control.controller import ControllerParameters
 from hysteresis_ros.control.learning.filters import KINDS, Filters, Response, contraction, design_filters
 from hysteresis_ros.control.learning.parameters import LearningParameters, period_samples
@@ -215,13 +214,13 @@ def _impulse(node: ControllerNodeParameters, model, count: int, reference: float
     resting = replace(control, model=replace(control.model, preload=PreloadParameters()), learning=LearningParameters())
     resting = resting.law.near_rest(resting)
     loop = ControllerPart(replace(node, **{item.name: getattr(resting, item.name) for item in fields(resting)}))
-    laws, arrays, state = Laws(*(loop.kernel,) * len(Laws._fields)), loop.arrays, loop.arrays.x.controller
+    laws, arrays = Laws(*(loop.kernel,) * len(Laws._fields)), loop.arrays
     for _ in range(BEFORE):
         answer(laws, arrays, 0.0, 0.0)
     A, B, C = model.A, model.B[:, 0], model.C[0]
     x, commands = np.zeros(len(A)), np.empty(count)
     for k in range(count):
-        commands[k] = state[header.COMMAND] = answer(laws, arrays, float(C @ x) + measured, reference)
+        commands[k] = answer(laws, arrays, float(C @ x) + measured, reference)
         x = A @ x + B * commands[k]
         reference = measured = 0.0
     return commands / TINY
