@@ -230,6 +230,10 @@ class MotionControllerNode(Responder):
             return 2, "the plant has stopped the axis", values
         if self.unpaired:
             return 2, "reference and origin are stale", values
+        if self.runner.absent:
+            text = f"nobody sends {' or '.join(self.runner.absent)} any more: the last value is kept"
+            self.warn("absent", text, every=10.0)
+            return 1, text, values
         if rejected:
             return 1, f"{rejected} measurements rejected", values
         if not saturated and learning.at_maximum:

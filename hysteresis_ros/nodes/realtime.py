@@ -203,6 +203,16 @@ class RealTimeResponder(RealTime):
         self.node.timer(WATCHDOG_PERIOD, self.watch)
 
     @property
+    def absent(self) -> tuple[str, ...]:
+        """Inputs for which nobody waits any more, by topic."""
+        inputs = zip(self.node.inputs, self._followers, strict=True)
+        return tuple(
+            input_.topic
+            for input_, follower in inputs
+            if not (input_.previous or follower.present or math.isnan(follower.last))
+        )
+
+    @property
     def age(self) -> float:
         """Seconds since the last trigger; infinite before the first."""
         return time.monotonic() - self._last if self.node.sample else math.inf

@@ -17,6 +17,8 @@ class Runner:
     period = float("inf")
     #: Whether the node makes its part of a sample when messages come.
     by_message = True
+    #: Inputs of the node that came once and do not come any more, by topic.
+    absent: tuple[str, ...] = ()
 
     def __init__(self, node):
         self.node = node

@@ -284,6 +284,28 @@ def test_a_transition_that_does_not_fit_is_refused_and_the_node_works_on(control
     assert observer.transition("/motion_controller", "deactivate")
 
 
+def test_a_reference_that_stops_is_reported_and_the_last_one_kept(controller, observer):
+    from diagnostic_msgs.msg import DiagnosticArray
+    from std_msgs.msg import Float64
+
+    reports = observer.listen(DiagnosticArray, "/diagnostics")
+    commands, reference = observer.listen(Float64, "/command"), observer.talk(Float64, "/reference")
+    driver = Driver(observer)
+
+    def said():
+        return (diagnostics(reports, "/motion_controller") or [0, ""])[1]
+
+    def both():
+        reference.publish(Float64(data=8.0e-6))
+        driver.send()
+
+    keep_sending(both, lambda: commands and commands[-1].data == 8.0e-6)
+    keep_sending(driver.send, lambda: "nobody sends reference any more" in said(), what="the warning")
+    assert commands[-1].data == 8.0e-6
+    reports.clear()
+    keep_sending(both, lambda: reports and "nobody" not in said() and said(), what="no warning")
+
+
 def test_a_controller_that_is_deactivated_lets_the_voltage_slew_to_safe(inside, observer):
     from std_msgs.msg import Float64
 
