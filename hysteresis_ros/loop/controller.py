@@ -35,7 +35,7 @@ from hysteresis_ros.control.learning.correction import (
 )
 from hysteresis_ros.control.learning.file import write_learned
 from hysteresis_ros.control.succession import ENTRIES, History, note, successor
-from hysteresis_ros.errors import ParameterError
+from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.loop import faults as faulty
 from hysteresis_ros.loop.node_parameters import ControllerNodeParameters, part
 from hysteresis_ros.loop.watch import (
@@ -375,6 +375,7 @@ class ControllerPart:
         learning = self.learning.changed(block.learning, block.handover_time)
         lasting = None
         if block.type == self.parameters.type:
+            self._require_order(block, own)
             self._retune_controller(own)
         else:
             # whatever may be refused is, before anything changes
@@ -390,6 +391,18 @@ class ControllerPart:
         self._pack_own(parameters)
         self.parameters = parameters
         self._connect()
+
+    def _require_order(self, block: ControllerParameters, own: ControllerParameters) -> None:
+        """Refuse another damping under an observer, or an inverse of the dynamics, of the order of the present one."""
+        given, present = own.model.dynamics.order, self.controller.parameters.model.dynamics.order
+        damping = self.parameters.damping.type
+        fixed = "kalman" in own.law.groups or own.feedforward.type == "inverse_dynamics"
+        if fixed and given != present and block.damping.type != damping:
+            allowed = (
+                f"gives the damped plant {given} states, observer and feedforward have {present}: keep {damping}, or "
+                "clean up and configure anew"
+            )
+            raise ParameterError([Problem("damping.type", block.damping.type, allowed)])
 
     def _retune_controller(self, block: ControllerParameters) -> None:
         before, state = self.controller.parameters, self.controller.state

@@ -99,7 +99,7 @@ class DampedDesign:
             return ()
         return (
             f"{self.damping.type} is of little use here: {self.times:.3g} times the bandwidth without damping; take "
-            "another kind, or state the delay (model.dynamics.delay)",
+            "another kind or none; a delay that is not stated (model.dynamics.delay) hides the sign that damps",
         )
 
     def rows(self) -> list[tuple[str, str]]:

@@ -39,6 +39,7 @@ def refusal(*words) -> str:
         (["simulate", "kim2009", "one-too-many", "-o", "a.npz"], "one-too-many"),
         (["reproduce", "kim209"], "did you mean kim2009?"),
         (["design", "kim2009", "--controller", "offsetfree", "-o", "a.yaml"], "did you mean offset_free?"),
+        (["design", "picma_stage", "--controller", "pid", "--damping", "irc", "-o", "a.yaml"], "nothing to damp"),
         (["compare", "kim2009", "--draws", "many"], "'many'"),
     ],
 )

@@ -105,3 +105,15 @@ def test_it_starts_at_rest_wherever_the_axis_is_when_it_is_started():
     assert again["command"][0] == before
     assert steps(again["command"][:50]).max() < 1e-6
     assert np.abs(again["displacement"][-200:] - 6e-6).max() < 2e-8
+
+
+def test_under_an_observer_another_damping_of_the_same_order_is_taken_and_one_of_another_is_refused_by_name():
+    observer = {"type": "sliding_mode", "sliding_mode__hyperplane": "lq", "kalman__gain": "riccati"}
+    made = axis("stage700", motion_controller=observer)
+    made.run(np.full(100, 4e-6))
+    made.apply(Change(0, "motion_controller", "retune", {"damping.irc.k": 900.0}))
+    with pytest.raises(
+        ParameterError, match=r"damping\.type = 'none': gives the damped plant 3 states.* have 4: keep irc"
+    ):
+        made.apply(Change(0, "motion_controller", "retune", {"damping.type": "none"}))
+    assert np.abs(made.run(np.full(2000, 4e-6))["displacement"][-50:] - 4e-6).max() < 2e-7

@@ -21,7 +21,7 @@ from hysteresis_ros.recordings.dataset import Recording
 
 TITLE = "Fleming, Aphale & Moheimani 2010, integral resonant control of a scanner: what the abstract claims"
 LOOPS = "Bandwidth, margins, robustness (abstract)"
-SCANS = "Triangle of 31 Hz, 10 µm (the abstract's images: 31 lines a second)"
+SCANS = "Triangle of 31 Hz, 5 µm (the abstract's images: 31 lines a second)"
 HONEST = "By `hysteresis design`, 20 kHz, one sample of delay, resonance ±10 %"
 #: Runs of the plots, by the controllers of :func:`~hysteresis_ros.papers.fleming2010.axis.designed`.
 RUNS = {"integral": "integral control", "tracking": "damping and tracking"}
