@@ -17,8 +17,10 @@ from hysteresis_ros.control.controller import ControllerParameters
 from hysteresis_ros.control.inversion import designed_preview
 from hysteresis_ros.control.law import UNFED
 from hysteresis_ros.control.linearisation import margins
-from hysteresis_ros.control.margins import Margins
+from hysteresis_ros.control.margins import Margins, Requirements
 from hysteresis_ros.control.registry import entries
+from hysteresis_ros.control.robust import robustness
+from hysteresis_ros.control.uncertainty import LARGEST, Uncertainty
 from hysteresis_ros.errors import HysteresisError
 from hysteresis_ros.loop.axis_parameters import AxisParameters
 from hysteresis_ros.loop.node_parameters import part
@@ -34,6 +36,8 @@ TUNING_PERIODS = 8
 LEARNERS = (("PID", "inversion"), ("offset-free", "inversion"), ("offset-free", "norm_optimal"))
 #: Least mismatch that a design reckons with.
 LEAST_MISMATCH = 1e-3
+#: What a loop has to bear when gain and times are off by the mismatch: what designs bear of an unmodelled sample.
+MISMATCHED = Requirements(sensitivity_peak=3.0, gain_margin=0.0, delay_margin=0.0)
 
 
 @dataclass(frozen=True)
@@ -116,7 +120,8 @@ class Candidate:
     margins : Margins or None
         Of its loop on its own model.
     marked : str
-        Which of the margins that every design is held to its loop misses; empty when it meets them.
+        Which of the margins that every design is held to its loop misses, or what it does not bear when gain and times
+        of its model are off by the mismatch; empty when nothing.
     learning : str
         By which design each reference is learned from period to period; empty: it is not.
     """
@@ -168,16 +173,22 @@ def candidates(given: Known, conditions: Conditions, tasks, only=None) -> list[C
             try:
                 values = design(Given(given.configuration, axis, conditions, tasks, changed, gains))
                 candidate = Candidate(controller, compensator, values, changed, learning=learners.get(controller, ""))
-                found.append(_with_margins(given, candidate))
+                found.append(_with_margins(given, candidate, conditions.mismatch))
             except HysteresisError as error:
                 found.append(Candidate(controller, compensator, refused=" ".join(str(error).split())))
     return found
 
 
-def _with_margins(given: Known, candidate: Candidate) -> Candidate:
+def _with_margins(given: Known, candidate: Candidate, mismatch: float) -> Candidate:
     node = given.designed(candidate).motion_controller
-    found = margins(part(node, ControllerParameters), 1.0 / node.sample_rate)
-    return replace(candidate, margins=found, marked="; ".join(found.misses()))
+    parameters, sample_time = part(node, ControllerParameters), 1.0 / node.sample_rate
+    found = margins(parameters, sample_time)
+    misses = found.misses()
+    if not misses and mismatch and node.law.feedback:
+        off = min(mismatch, LARGEST)
+        ends = Uncertainty(gain=off, hysteresis=0.0, resonance=off, delay=0.0, draws=0)
+        misses = robustness(parameters, sample_time, ends).misses(MISMATCHED)
+    return replace(candidate, margins=found, marked="; ".join(misses))
 
 
 def compensators(axis: AxisParameters) -> dict[str, dict]:

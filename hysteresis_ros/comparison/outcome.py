@@ -219,8 +219,8 @@ def judgement(conditions: Conditions) -> tuple[str, ...]:
         "with filters for its own period; all others after 2 s",
         "× PI: how many times as large the error of a PI with static feedforward is, whose gains were tuned on the "
         "very plant by what the table ranks; with the same margins and delay allowed, on the worst plant",
-        "marked rows miss the margins that every design is held to, on their own model; they and rows that were "
-        "unstable on a plant have no rank",
+        "marked rows miss the margins that every design is held to, on their own model, or M_s 3 where gain and times "
+        "of it are off by the mismatch; they and rows that were unstable on a plant have no rank",
     )
 
 

@@ -15,6 +15,7 @@ from hysteresis_ros.comparison.candidates import known
 from hysteresis_ros.comparison.compare import drawn_around, trial_around, trial_on_other
 from hysteresis_ros.comparison.tasks import Conditions
 from hysteresis_ros.configuration import Configuration, load_configuration, parse_configuration
+from hysteresis_ros.control.margins import Requirements
 from hysteresis_ros.loop.node_parameters import PlantNodeParameters
 from hysteresis_ros.loop.plant import Plant
 from hysteresis_ros.models.foreign import ForeignParameters
@@ -171,3 +172,14 @@ def test_a_foreign_plant_is_recorded_as_it_is_before_it_deviates(monkeypatch):
     assert trial.given is axis and trial.plants == tuple(others.around(plant, 0.05, 5))
     # the model reaches 0 … 10 µm; what is off by 5 % still has to
     assert trial.stroke == pytest.approx(9.5e-6, rel=1e-3)
+
+
+def test_a_loop_that_does_not_bear_the_mismatch_is_marked_before_it_runs(monkeypatch):
+    """Near M_s = 2 on its model: at a gain that is half as large again, and slower, it misses what is asked there."""
+    monkeypatch.setattr(candidates, "MISMATCHED", Requirements(2.3, 0.0, 0.0))
+    given = known(load_configuration("picma_stage"), 16)
+    controller = candidates.Candidate("PID", "none", {"type": "pid", "pid.Kp": 0.0, "pid.Ki": 90.0, "pid.Kd": 0.0})
+    said = [candidates._with_margins(given, controller, mismatch).marked for mismatch in (0.0, 0.01, 0.5)]
+    assert said[:2] == ["", ""] and "above 2.3 on a plant with gain +50 %, times" in said[2]
+    still = candidates.Candidate("open loop", "none", {"type": "open_loop"})
+    assert candidates._with_margins(given, still, 0.5).marked == ""
