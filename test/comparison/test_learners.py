@@ -35,13 +35,16 @@ def test_what_is_learned_takes_lag_and_hysteresis_off_both_references(rows):
 
 
 def test_each_reference_has_filters_of_its_own_period_and_is_judged_after_ten_of_them(rows):
-    _, trial, *_ = rows
+    _, trial, plain, learned = rows
     candidate = Candidate(CONTROLLER, "none", learning="norm_optimal")
     for task in trial.tasks:
         learning = trial.given.designed(candidate, task).motion_controller.learning
         assert learning.period == pytest.approx(1.0 / task.frequency) and learning.type == "norm_optimal"
         late = replace(task, periods=LEARNING_PERIODS)
         assert late.settling == max(10.0 / task.frequency, 2.0)
+    sine = next(name for name in learned.errors if "sine" in name)
+    assert plain.errors[sine][0][0] == pytest.approx(2.0, abs=6e-3)
+    assert learned.errors[sine][0][0] == pytest.approx(2.5, abs=6e-3)
     assert trial.given.designed(candidate).motion_controller.learning.type == "none"
 
 

@@ -12,6 +12,7 @@ from hysteresis_ros.control.learning import correction as at
 from hysteresis_ros.control.learning.correction import learnable
 from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.loop.axis import Change
+from hysteresis_ros.loop.controller import PRELOAD, REFERENCE, corrected
 
 #: Of 30 samples.
 TRIANGLE = {"waveform__type": "triangle", "waveform__frequency": 100.0, "waveform__amplitude": 4e-6}
@@ -73,6 +74,15 @@ def test_nothing_is_learned_while_the_command_is_not_carried_out():
     # the first samples, of a triangle that begins at zero, are still carried out
     assert not np.any(corrections(made, 6 * N).reshape(6, N)[1:, 10:-10])
     assert np.any(corrections(learning_axis(), 6 * N).reshape(6, N)[1:, 10:-10])
+
+
+def test_the_error_is_that_of_the_displacement_without_its_preload():
+    part = learning_axis().controller
+    own_p, own = part.arrays.watch_p.own.copy(), part.arrays.watch_x.own
+    own_p[PRELOAD], own[REFERENCE] = 3e-6, 5e-6
+    corrected(part.arrays.p, part.arrays.x, own_p, own, 7.5e-6, True)
+    length = (len(part.learning.x) - at.RINGS) // 3
+    assert part.learning.x[at.RINGS + length] == pytest.approx(5e-7)
 
 
 def test_nor_while_the_axis_still_answers_to_what_was_not_carried_out():

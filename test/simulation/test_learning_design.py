@@ -114,4 +114,5 @@ def test_a_designed_file_keeps_all_else_and_another_controller_takes_the_learnin
     assert after["learning.period"] == pytest.approx(0.2)
     result = design_axis(single_axis(learned), DesignRequest("pid"))
     again = design_file(learned, result, "")
-    assert "learning." not in again and "Learning designed" not in again
+    found = single_axis(parse_configuration(again, "again")).motion_controller
+    assert found.learning.type == "none" and found.type == "pid" and "Learning designed" not in again
