@@ -22,6 +22,8 @@ TRIPPED = {
 }
 #: Part of the samples that may be without a measurement.
 MOST_MISSING = 0.05
+#: Signals by which stages are judged, and those of a closed loop.
+JUDGED, FURTHER = ("reference", "voltage", "measured"), ("command", "seen")
 #: Distances of samples may differ by this part.
 IRREGULAR = 0.01
 
@@ -102,7 +104,7 @@ def _complete(recording: Recording, samples: int) -> Recording:
     begin, period = recording.time[0], float(np.median(np.diff(recording.time)))
     time = begin + period * np.arange(min(samples, 1 + round((recording.time[-1] - begin) / period)))
     signals = {}
-    for name in ("reference", "voltage", "measured"):
+    for name in (*JUDGED, *(further for further in FURTHER if recording.has(further))):
         known = np.isfinite(recording[name])
         signals[name] = np.interp(time, recording.time[known], recording[name][known])
     return Recording(time, signals, {}, recording.metadata)

@@ -14,7 +14,7 @@ from hysteresis_ros.commissioning.situation import Situation
 from hysteresis_ros.configuration import Configuration
 from hysteresis_ros.control.margins import Margins
 from hysteresis_ros.control.measured_loop import MeasuredLoop
-from hysteresis_ros.errors import IdentificationError
+from hysteresis_ros.errors import IdentificationError, RecordingError
 from hysteresis_ros.identification.excitations import Experiment, Plan, excitation
 from hysteresis_ros.loop.axis_parameters import AxisParameters
 from hysteresis_ros.recordings.dataset import Recording
@@ -74,7 +74,7 @@ def judge_response(situation: Situation, recording: Recording) -> Outcome:
     plan = replace(plan, loop="closed", at="reference")
     try:
         found = axis_response(recording, plan, single_axis(configuration, situation.axis.namespace))
-    except IdentificationError as error:
+    except (IdentificationError, RecordingError) as error:
         # what follows does not rest on it
         return Outcome([f"margins not measured: {error}; here: `small` in /commissioning"])
     # the plan closes the loop, and the axis is known
