@@ -177,19 +177,6 @@ class AxisNode(TabledParameters, GuardedLifecycleNode):
 
     # -- lifecycle ---------------------------------------------------------------------------------------------
 
-    @property
-    def autostart(self) -> bool:
-        """Whether the node configures and activates by itself."""
-        return self.get_parameter("autostart").value is not False
-
-    def configure_now(self) -> bool:
-        """Configure; False when that failed."""
-        return self.trigger_configure() == TransitionCallbackReturn.SUCCESS
-
-    def activate_now(self) -> bool:
-        """Activate; False when that failed."""
-        return self.trigger_activate() == TransitionCallbackReturn.SUCCESS
-
     def on_configure(self, state):
         """Read and check the parameters, build the blocks, connect the topics."""
         try:
@@ -369,6 +356,7 @@ class AxisNode(TabledParameters, GuardedLifecycleNode):
 
     def _on_reset(self, request, response):
         if self.parameters is not None:
+            self.runner.require_rest()
             self.failure, self.exit_code = "", 0
             self.pace.restart()
             self.runner.clear()

@@ -158,6 +158,11 @@ class HysteresisCompensatorNode(Responder):
         write_file(path, text)
         return self._answer_service(response, f"{path} written")
 
+    @property
+    def rests(self) -> bool:
+        """Whether it is stopped and its voltage safe."""
+        return not self.running and self.voltage == self.parameters.safe_voltage
+
     def go_safe(self) -> None:
         """Publish the way to the safe voltage and the safe voltage; in lockstep, which has no time, the latter only."""
         if self.sample == 0:

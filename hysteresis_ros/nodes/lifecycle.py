@@ -1,8 +1,8 @@
-"""Lifecycle nodes that survive a transition that does not fit their state."""
+"""Lifecycle nodes that start by themselves, and survive a transition that does not fit their state."""
 
 from __future__ import annotations
 
-from rclpy.lifecycle import LifecycleNode
+from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 
 
 class GuardedLifecycleNode(LifecycleNode):
@@ -12,7 +12,7 @@ class GuardedLifecycleNode(LifecycleNode):
     process with its outputs where they are (ros2/rclpy, issue 1209).
     """
 
-    # The service calls the method by this name: Python's for a private one of the class that rclpy declares it in.
+    # The service calls the method by this name, Python's for a private one of the class that rclpy declares it in.
     def _LifecycleNodeMixin__on_change_state(self, request, response):
         wanted = request.transition
         allowed = {number: label for number, label, *_ in self._state_machine.available_transitions}
@@ -23,3 +23,16 @@ class GuardedLifecycleNode(LifecycleNode):
             response.success = False
             return response
         return super()._LifecycleNodeMixin__on_change_state(request, response)
+
+    @property
+    def autostart(self) -> bool:
+        """Whether the node configures and activates by itself."""
+        return self.get_parameter("autostart").value is not False
+
+    def configure_now(self) -> bool:
+        """Configure; False when that failed."""
+        return self.trigger_configure() == TransitionCallbackReturn.SUCCESS
+
+    def activate_now(self) -> bool:
+        """Activate; False when that failed."""
+        return self.trigger_activate() == TransitionCallbackReturn.SUCCESS

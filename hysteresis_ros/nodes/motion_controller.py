@@ -110,6 +110,11 @@ class MotionControllerNode(Responder):
         return self.part.command
 
     @property
+    def rests(self) -> bool:
+        """Whether it is stopped and its command safe."""
+        return not self.running and self.command == self.parameters.safe_command
+
+    @property
     def rejected(self) -> int:
         """Measurements so far that were not used."""
         return int(self._arrays.watch_x.guard[REJECTED])

@@ -14,6 +14,7 @@ from collections import deque
 
 from std_msgs.msg import String
 
+from hysteresis_ros.errors import HysteresisError
 from hysteresis_ros.nodes.qos import latched_qos
 from hysteresis_ros.nodes.runner import Runner
 from hysteresis_ros.nodes.timing import Pace, Pairing
@@ -201,6 +202,15 @@ class RealTimeResponder(RealTime):
         self._forget()
         self._counted = self._last = self._looked = time.monotonic()
         self.node.timer(WATCHDOG_PERIOD, self.watch)
+
+    def require_rest(self) -> None:
+        """Refuse that one part begins again amid an axis in motion: that would be a step of its output."""
+        node = self.node
+        if node.active and not node.rests and self.age <= node.patience:
+            raise HysteresisError(
+                f"refused: the axis is live, and {node.kind} alone would make it jump; call ~/stop and wait until it "
+                "is safe, deactivate it, or reset the plant"
+            )
 
     @property
     def absent(self) -> tuple[str, ...]:

@@ -216,6 +216,11 @@ class Responder(AxisNode):
         return self.parameters.measurement_timeout
 
     @property
+    def rests(self) -> bool:
+        """Whether the part may begin again amid an axis that runs, without a step of its output."""
+        return True
+
+    @property
     def is_stale(self) -> bool:
         """Whether the input of the part has not been usable for its time-out."""
         return False

@@ -23,6 +23,9 @@ class Runner:
     def __init__(self, node):
         self.node = node
 
+    def require_rest(self) -> None:
+        """Refuse that the node begins again now."""
+
     def make_pace(self) -> Pace:
         """Return what tells how regularly samples come."""
         return Pace(self.period)

@@ -162,12 +162,17 @@ def test_who_leaves_comes_back_or_is_reset_is_not_called_late(late_axis, observe
         assert observer.transition(f"/{name}", "deactivate")
         more(plant, 30)
         assert not plant.part.tripped, name
+        for _ in range(3):
+            assert observer.trigger(f"/{name}/reset").success
         assert observer.transition(f"/{name}", "activate")
         settled(plant)
         more(plant, 30)
         assert not plant.part.tripped, name
-        for _ in range(3):
-            assert observer.trigger(f"/{name}/reset").success
+        answers = [observer.trigger(f"/{name}/reset") for _ in range(3)]
+        # alone amid a live axis they would make it jump; on a busy machine it may seem still for once
+        refused = [answer.message for answer in answers if not answer.success]
+        assert bool(refused) == (name != "reference_generator")
+        assert all("the axis is live" in message for message in refused)
         more(plant, 30)
         settled(plant)
         assert not plant.part.tripped, name
