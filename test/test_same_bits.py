@@ -114,6 +114,9 @@ UNORDERED = re.compile(
 #: Files that judge, with what they may use for it.
 JUDGES = {
     "control/design.py": {"np.linalg", "@"},
+    # a search whose result is written in four digits; margins and printed modes
+    "control/damping/design.py": {"np.linalg", "np.exp", "np.sinh"},
+    "control/damping/plant.py": {"np.log", "@"},
     "control/margins.py": {"np.linalg", "np.exp", "np.log", "np.log10", "np.sinh", "@"},
     "control/laws/pid/__init__.py": {"np.log"},
     "control/laws/pid/law.py": {"@"},
