@@ -42,10 +42,10 @@ SILENCE = 5.0
 def commission(ctx, file, stages, resume, yes, directory, plant, offline, **choices):
     """Measure, model and control the axis of FILE.
 
-    The stages are noise, gain, resonance, hysteresis, creep, identify, design, loop, response and scan. Says before
-    each what it is about to move, and how far, and asks. Stops with the outputs safe at whatever looks wrong (code 2).
-    Leaves commissioned.yaml, all recordings and report.html in DIR, FILE_commissioning by default. Exit code 4: the
-    scan's error is much larger than predicted.
+    The stages are noise, gain, resonance, hysteresis, creep, identify, design, loop, response, scan and learn. Says
+    before each what it is about to move, and how far, and asks. Stops with the outputs safe at whatever looks wrong
+    (code 2). Leaves commissioned.yaml, all recordings and report.html in DIR, FILE_commissioning by default. Exit code
+    4: the scan's error is much larger than predicted.
     """
     from hysteresis_ros.analysis.commissioning_report import write_commissioning_report
     from hysteresis_ros.commissioning.commission import commission as do

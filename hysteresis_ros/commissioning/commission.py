@@ -110,6 +110,8 @@ def _done(situation: Situation, bench: Bench, attendant: Attendant, name: str) -
     if isinstance(stage, Computation):
         return stage.compute(situation)
     axis = stage.axis(situation)
+    if isinstance(axis, Outcome):
+        return axis
     samples = axis.plant_simulator.samples
     seconds = samples / situation.rate
     if not attendant.may_move(name, f"{stage.words(situation)}; {seconds:.3g} s"):

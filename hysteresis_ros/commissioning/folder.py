@@ -14,8 +14,8 @@ from hysteresis_ros.errors import ConfigurationError
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.files import load_run, save_run
 
-#: Files in the folder: what it belongs to, the identified axis, and the one with a controller.
-STATE, IDENTIFIED, COMMISSIONED = "state.json", "identified.yaml", "commissioned.yaml"
+#: Files in the folder: what it belongs to, the identified axis, the one with a controller, and that which also learns.
+STATE, IDENTIFIED, COMMISSIONED, LEARNING = "state.json", "identified.yaml", "commissioned.yaml", "learning.yaml"
 
 
 class Folder:

@@ -19,7 +19,8 @@ from hysteresis_ros.identification.excitations import Experiment, Plan, excitati
 from hysteresis_ros.loop.axis_parameters import AxisParameters
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.simulation.axes import single_axis
-from hysteresis_ros.simulation.axis_response import axis_response
+from hysteresis_ros.simulation.axis_response import AxisResponse, axis_response
+from hysteresis_ros.simulation.learning_design import MeasuredPlant
 from hysteresis_ros.simulation.response_run import around
 
 #: What is played: lines of 4 Hz, five realisations of three periods, the first of which settles.
@@ -61,6 +62,28 @@ def response_axis(situation: Situation) -> AxisParameters:
     return closed_axis(situation, configuration, "response", _played(situation, configuration)[0])
 
 
+def _measured(situation: Situation, recording: Recording) -> AxisResponse:
+    configuration = designed(situation)
+    plan = replace(_played(situation, configuration)[1], loop="closed", at="reference")
+    return axis_response(recording, plan, single_axis(configuration, situation.axis.namespace))
+
+
+def measured_plant(situation: Situation) -> MeasuredPlant | None:
+    """Return what the plant was measured to be in closed loop, over its model; None where nothing was seen.
+
+    Parameters
+    ----------
+    situation : Situation
+    """
+    try:
+        found = _measured(situation, situation.folder.recording("response"))
+    except (IdentificationError, RecordingError):
+        return None
+    loop = cast("MeasuredLoop", found.loop)
+    # what stands between plant and loop is the same in both
+    return MeasuredPlant(loop.frequency, loop.loop / cast("np.ndarray", found.model_loop))
+
+
 def judge_response(situation: Situation, recording: Recording) -> Outcome:
     """Judge the closed loop by its margins, measured and predicted.
 
@@ -69,11 +92,8 @@ def judge_response(situation: Situation, recording: Recording) -> Outcome:
     situation : Situation
     recording : Recording
     """
-    configuration = designed(situation)
-    _, plan, _ = _played(situation, configuration)
-    plan = replace(plan, loop="closed", at="reference")
     try:
-        found = axis_response(recording, plan, single_axis(configuration, situation.axis.namespace))
+        found = _measured(situation, recording)
     except (IdentificationError, RecordingError) as error:
         # what follows does not rest on it
         return Outcome([f"margins not measured: {error}; here: `small` in /commissioning"])

@@ -42,12 +42,22 @@ def scan_stroke(situation: Situation) -> float:
     return situation.plan.scan_stroke or SCANNED * situation.figure("hysteresis", "stroke_m")
 
 
+def scan_period(situation: Situation) -> int:
+    """Return the samples of a triangle of the scan.
+
+    Parameters
+    ----------
+    situation : Situation
+    """
+    return max(round(situation.rate / situation.plan.scan_frequency), 4)
+
+
 def _reach(situation: Situation, configuration: Configuration) -> tuple[float, float]:
     values = configuration.node("reference_generator", situation.axis.namespace)
     return values["minimum"], values["maximum"]
 
 
-def scan_reference(situation: Situation, configuration: Configuration) -> np.ndarray:
+def scan_reference(situation: Situation, configuration: Configuration, unjudged: int = UNJUDGED) -> np.ndarray:
     """Return the scan [m]: the way to its low end, triangles, and the way back to rest.
 
     Parameters
@@ -55,6 +65,8 @@ def scan_reference(situation: Situation, configuration: Configuration) -> np.nda
     situation : Situation
     configuration : Configuration
         Of the designed axis.
+    unjudged : int
+        Triangles before those that are judged.
 
     Raises
     ------
@@ -69,8 +81,8 @@ def scan_reference(situation: Situation, configuration: Configuration) -> np.nda
             "scan_stroke in /commissioning"
         )
     begin = 0.5 * (low + high - size)
-    period = max(round(rate / situation.plan.scan_frequency), 4)
-    phase = np.arange(1, (UNJUDGED + JUDGED) * period + 1) / period
+    period = scan_period(situation)
+    phase = np.arange(1, (unjudged + JUDGED) * period + 1) / period
     triangle = begin + size * 2.0 * np.abs(phase - np.round(phase))
     rest = _rest(low, high)
     parts = [hold(rest, STEP_HOLD, rate), way(rest, begin, STEP_HOLD, rate), hold(begin, STEP_HOLD, rate), triangle]
@@ -151,12 +163,29 @@ def error_of(configuration: Configuration, namespace: str, recording: Recording)
     return wanted - (recording["measured"] - controller.model.preload.offset)
 
 
-def _judged(situation: Situation, configuration: Configuration) -> slice:
-    """Return the samples of the scan that are judged: the last periods, as late as the preview."""
-    period = max(round(situation.rate / situation.plan.scan_frequency), 4)
-    begin = 3 * max(round(STEP_HOLD * situation.rate), 1) + UNJUDGED * period
+def judged_samples(situation: Situation, configuration: Configuration) -> slice:
+    """Return the samples of the scan that are judged: the last periods, as late as the preview.
+
+    Parameters
+    ----------
+    situation : Situation
+    configuration : Configuration
+        Of the designed axis.
+    """
+    period = scan_period(situation)
+    begin = scan_begin(situation) + UNJUDGED * period
     preview = single_axis(configuration, situation.axis.namespace).motion_controller.feedforward.preview
     return slice(begin + preview, begin + JUDGED * period)
+
+
+def scan_begin(situation: Situation) -> int:
+    """Return the sample at which the first triangle begins.
+
+    Parameters
+    ----------
+    situation : Situation
+    """
+    return 3 * max(round(STEP_HOLD * situation.rate), 1)
 
 
 def scan_error(situation: Situation, configuration: Configuration, recording: Recording) -> float:
@@ -169,7 +198,18 @@ def scan_error(situation: Situation, configuration: Configuration, recording: Re
         Of the designed axis.
     recording : Recording
     """
-    error = error_of(configuration, situation.axis.namespace, recording)[_judged(situation, configuration)]
+    error = error_of(configuration, situation.axis.namespace, recording)
+    return root_mean_square(error[judged_samples(situation, configuration)])
+
+
+def root_mean_square(error: np.ndarray) -> float:
+    """Return the RMS of an error [m].
+
+    Parameters
+    ----------
+    error : ndarray, shape (N,)
+        [m]
+    """
     return float(np.sqrt(np.mean(error**2)))
 
 
@@ -259,7 +299,7 @@ def judge_scan(situation: Situation, recording: Recording) -> Outcome:
     verdict = "as predicted" if ratio <= AS_PREDICTED else f"MORE than {AS_PREDICTED:g} x the prediction"
     what = f"triangle of {readable(scan_stroke(situation), 'm')} at {situation.plan.scan_frequency:g} Hz"
     lines = [f"{what}: error {1e9 * found:.4g} nm RMS, predicted {1e9 * expected:.4g} nm, ratio {ratio:.3g}: {verdict}"]
-    judged = _judged(situation, configuration)
+    judged = judged_samples(situation, configuration)
     time = recording.time - recording.time[0]
     errors = [
         line(label, time[judged], 1e9 * error_of(configuration, namespace, run)[judged])

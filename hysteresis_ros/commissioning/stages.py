@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hysteresis_ros.commissioning import measuring, response, scanning
+from hysteresis_ros.commissioning import learning, measuring, response, scanning
 from hysteresis_ros.commissioning import voltages as volts
 from hysteresis_ros.commissioning.fitting import design_stage, identify_stage
 from hysteresis_ros.commissioning.outcome import Outcome
@@ -29,14 +29,14 @@ class Stage:
     words : callable
         ``words(situation)``: what is about to move, and how far.
     axis : callable
-        ``axis(situation)``: the axis to run.
+        ``axis(situation)``: the axis to run, or what is found without moving it.
     judge : callable
         ``judge(situation, recording)``: what was found; raises an error when something looks wrong.
     """
 
     title: str
     words: Callable[[Situation], str]
-    axis: Callable[[Situation], AxisParameters]
+    axis: Callable[[Situation], AxisParameters | Outcome]
     judge: Callable[[Situation, Recording], Outcome]
 
 
@@ -117,6 +117,12 @@ def _scan_words(situation: Situation) -> str:
     return f"closed loop: {periods} triangles of {way} from peak to peak at {situation.plan.scan_frequency:g} Hz"
 
 
+def _learn_words(situation: Situation) -> str:
+    way = readable(scanning.scan_stroke(situation), "m")
+    count, frequency = learning.periods(situation) + scanning.JUDGED, situation.plan.scan_frequency
+    return f"closed loop, learning: {count} triangles of {way} from peak to peak at {frequency:g} Hz"
+
+
 #: The stages by name, in their order; each needs those before it.
 STAGES: dict[str, Stage | Computation] = {
     "noise": Stage("sensor at rest", _noise_words, _driven("noise", volts.listening), measuring.judge_noise),
@@ -133,4 +139,5 @@ STAGES: dict[str, Stage | Computation] = {
     "loop": Stage("closed loop", _loop_words, scanning.loop_axis, scanning.judge_loop),
     "response": Stage("margins", _response_words, response.response_axis, response.judge_response),
     "scan": Stage("judged scan", _scan_words, scanning.scan_axis, scanning.judge_scan),
+    "learn": Stage("learning over periods", _learn_words, learning.learn_axis, learning.judge_learned),
 }

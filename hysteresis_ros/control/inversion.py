@@ -15,7 +15,7 @@ and close to it around; inverted exactly it makes commands that alternate from s
 phase error instead (Tomizuka 1987, doi:10.1115/1.3143822), h = g* Σ_{i≤J} (1 - g g*)^i with g* = (1 - f) + f z, which
 leaves an error of the amplitude, (4 f (1 - f) sin²(ω/2))^(J+1): with J = 3 below 1e-4 up to a tenth of the sample rate.
 
-Zeros outside the circle, but next to it, and those on it are left out without phase error where they are far above what
+Zeros next to the circle, inside or out, and those on it are left out without phase error where they are far above what
 a reference moves at (:mod:`.near_zeros`). Behind the filter that cancels them, their part of the inverse is finite.
 """
 
@@ -113,7 +113,8 @@ class _Parts(NamedTuple):
     def slowest(self) -> float:
         """Magnitude of the smallest zero that is inverted backwards."""
         sizes = np.abs(self.zeros)
-        return float(np.min(sizes[sizes > (1.0 if self.left_out is None else np.max(np.abs(self.left_out.zeros)))]))
+        left_out = 0.0 if self.left_out is None else float(np.max(np.abs(self.left_out.zeros)))
+        return float(np.min(sizes[sizes > max(1.0, left_out)]))
 
 
 def relative_degree(dynamics: LinearParameters) -> int:
@@ -173,7 +174,7 @@ def _parts(dynamics: LinearParameters) -> _Parts:
     causal = inner, drive, -gain
     left_out, answers = None, np.zeros(0)
     if near.size:
-        beside = _beyond(inner, sizes, 1.0 - CIRCLE_MARGIN) - outside
+        beside = _beyond(inner, sizes, (1.0 - CIRCLE_MARGIN) * float(np.min(np.abs(near)))) - outside
         left_out = notch(near)
         answers = _answers(inner, product(beside, drive), -gain, left_out.factor)
     else:

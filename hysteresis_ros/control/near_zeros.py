@@ -1,8 +1,10 @@
-"""Zeros so near to the unit circle that an inverse would have to know the reference for hundreds of samples.
+"""Zeros so near to the unit circle that an inverse would ring, or have to know the reference for hundreds of samples.
 
 A pair of zeros outside the circle by half a per cent, high above what is to be followed, is what the samples of two
 modes look like, or of a mode above half of the sample rate. Inverted exactly, it asks for a command that swells at its
-frequency long before, and a little mismatch makes a movement of it. Such zeros are left out of the inverse instead,
+frequency long before, and a little mismatch makes a movement of it. Inside the circle, and next to -1 where holding a
+mode's input puts one, it asks for a command that alternates long after each corner: right at the samples, and between
+them a movement that nobody asked for. Such zeros are left out of the inverse instead,
 without phase error. With g(z⁻¹) their polynomial, g(1) = 1, the reference passes through
 
     f = g g* p,   p ≈ 1/(g g* + ε (1 - cos ω)/(1 - cos θ)),
@@ -27,7 +29,8 @@ import numpy as np
 from hysteresis_ros import elementary
 from hysteresis_ros.linear_algebra import polynomial, product
 
-#: Zeros outside the circle, but nearer to the origin than this, ask for more than 64 samples to come down to 1e-4.
+#: Zeros outside the circle, but nearer to the origin than this, ask for more than 64 samples to come down to 1e-4, and
+#: those inside it that are as near ring as long.
 FARTHEST = 1.155
 #: They are left out at this angle and above (a fifth of the sample rate): below, what follows a reference needs them.
 LOWEST_ANGLE = 0.4 * math.pi
@@ -85,7 +88,7 @@ def convolved(weights: np.ndarray, taps: np.ndarray) -> np.ndarray:
 
 
 def near_zeros(zeros: np.ndarray, margin: float) -> np.ndarray:
-    """Return the zeros to leave out; none where one of equal size, but of a lower angle, cannot be.
+    """Return the zeros to leave out; those that are smaller than one of a low angle cannot be told from it and stay.
 
     Parameters
     ----------
@@ -93,9 +96,10 @@ def near_zeros(zeros: np.ndarray, margin: float) -> np.ndarray:
     margin : float
         Zeros nearer to the circle than this are on it.
     """
-    sizes = np.abs(zeros)
-    near = zeros[(sizes > 1.0 - margin) & (sizes < FARTHEST)]
-    return near if np.all(np.abs(np.angle(near)) >= LOWEST_ANGLE) else near[:0]
+    sizes, low = np.abs(zeros), np.abs(np.angle(zeros)) < LOWEST_ANGLE
+    inner = np.max(sizes[low & (sizes < 1.0 - margin)], initial=1.0 / FARTHEST)
+    near = (sizes > inner * (1.0 + margin)) & (sizes < FARTHEST)
+    return zeros[near] if not np.any(near & low) else zeros[:0]
 
 
 def notch(zeros: np.ndarray) -> Notch:

@@ -162,8 +162,36 @@ class LearningDesign:
         return float(np.max(contraction(low_pass, learning, possible, self.parameters.gain)))
 
 
+@dataclass(frozen=True, eq=False)
+class MeasuredPlant:
+    """What a plant measured to be, over what its model says.
+
+    Parameters
+    ----------
+    frequency : ndarray, shape (F,)
+        [Hz], rising.
+    ratio : ndarray of complex, shape (F,)
+        Response measured over that of the model; beyond the lines the nearest one counts.
+    """
+
+    frequency: np.ndarray
+    ratio: np.ndarray
+
+    def at(self, frequency: np.ndarray) -> np.ndarray:
+        """Return the ratio at any frequencies.
+
+        Parameters
+        ----------
+        frequency : ndarray, shape (m,)
+            [Hz]
+        """
+        parts = (np.interp(frequency, self.frequency, part) for part in (self.ratio.real, self.ratio.imag))
+        real, imaginary = parts
+        return real + 1j * imaginary
+
+
 def closed_loop(
-    node: ControllerNodeParameters, possible: Uncertainty, response: ResponseUncertainty | None = None
+    node: ControllerNodeParameters, possible: Uncertainty, response: ResponseUncertainty | MeasuredPlant | None = None
 ) -> Response:
     """Return the closed loop from reference to displacement on the model and on plants that are possible.
 
@@ -174,8 +202,9 @@ def closed_loop(
     ----------
     node : ControllerNodeParameters
     possible : Uncertainty
-    response : ResponseUncertainty, optional
-        What an identification left open of the plant's response.
+    response : ResponseUncertainty or MeasuredPlant, optional
+        What an identification left open of the plant's response; or what it measured to be, which stands in the place
+        of the model then, with all of ``possible`` around it.
 
     Raises
     ------
@@ -201,11 +230,15 @@ def closed_loop(
     asked, disturbed = (np.fft.rfft(u)[::every] for u in answers)
     own = model.response(z)[:, 0, 0]
     others = [one.plant.response(z)[:, 0, 0] for one in drawn_plants(dynamics, sample_time, possible)]
-    if response is not None:
+    centre = own
+    if isinstance(response, MeasuredPlant):
+        ratio = response.at(angles / (2.0 * np.pi * sample_time))
+        others, centre = [other * ratio for other in others], own * ratio
+    elif response is not None:
         unknown = response.at(angles / (2.0 * np.pi * sample_time))
         others += [own * (1.0 + unknown * direction) for direction in DIRECTIONS]
-    found = [other * asked / (1.0 - disturbed * (other - own)) for other in others]
-    return Response(own * asked, np.array(found))
+    model, *found = (other * asked / (1.0 - disturbed * (other - own)) for other in (centre, *others))
+    return Response(model, np.array(found))
 
 
 def _impulse(node: ControllerNodeParameters, model, count: int, reference: float, measured: float) -> np.ndarray:
@@ -227,7 +260,7 @@ def _impulse(node: ControllerNodeParameters, model, count: int, reference: float
 
 
 def design_learning(
-    axis: AxisParameters, request: LearningRequest, response: ResponseUncertainty | None = None
+    axis: AxisParameters, request: LearningRequest, response: ResponseUncertainty | MeasuredPlant | None = None
 ) -> LearningDesign:
     """Design the correction of an axis for its own controller and model.
 
@@ -235,8 +268,8 @@ def design_learning(
     ----------
     axis : AxisParameters
     request : LearningRequest
-    response : ResponseUncertainty, optional
-        Of the model's response.
+    response : ResponseUncertainty or MeasuredPlant, optional
+        Of the model's response, as :func:`closed_loop` takes it.
 
     Raises
     ------

@@ -138,6 +138,8 @@ def learned_correction(p, x, reference, error):
     # before there was a period nothing can differ from it
     if x[MODE] == FORGETTING or abs(reference - known) > SAME:
         x[WEIGHT] = max(x[WEIGHT] - p[FADE], 0.0)
+        if x[WEIGHT] == 0.0:
+            x[LEARNED] = 0.0  # another reference begins with the whole gain
     else:
         x[WEIGHT] = min(x[WEIGHT] + p[FADE], 1.0)
     value = min(max(x[WEIGHT] * value, -p[MAXIMUM]), p[MAXIMUM])

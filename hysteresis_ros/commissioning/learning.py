@@ -1,0 +1,117 @@
+"""The stage that learns: the scan again, with a correction that is learned from period to period."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hysteresis_ros.analysis.pictures import Picture, line
+from hysteresis_ros.commissioning.folder import LEARNING
+from hysteresis_ros.commissioning.outcome import Outcome
+from hysteresis_ros.commissioning.response import measured_plant
+from hysteresis_ros.commissioning.scanning import (
+    AS_PREDICTED,
+    JUDGED,
+    closed_axis,
+    designed,
+    root_mean_square,
+    scan_begin,
+    scan_period,
+    scan_reference,
+    scan_stroke,
+)
+from hysteresis_ros.commissioning.situation import Situation
+from hysteresis_ros.configuration import Configuration, load_configuration
+from hysteresis_ros.control.uncertainty import Uncertainty
+from hysteresis_ros.errors import HysteresisError
+from hysteresis_ros.identification.parameter_file import write_file
+from hysteresis_ros.loop.axis_parameters import AxisParameters
+from hysteresis_ros.recordings.dataset import Recording
+from hysteresis_ros.simulation.axes import single_axis
+from hysteresis_ros.simulation.design_certainty import response_uncertainty
+from hysteresis_ros.simulation.learning_design import LearningRequest, design_learning, learning_file
+from hysteresis_ros.simulation.run import simulate
+from hysteresis_ros.units import readable
+
+#: Periods of learning, fewer where they take longer than these seconds, and least.
+LEARNED, LONGEST, LEAST = 30, 20.0, 10
+#: How far the stage may be from the model that was identified from itself a minute ago (assumed).
+CLOSE = Uncertainty(gain=0.02, hysteresis=0.05, resonance=0.005, delay=0.1, draws=20)
+#: The design of the filters.
+DESIGN = "inversion"
+
+
+def periods(situation: Situation) -> int:
+    """Return the periods of learning before those that are judged.
+
+    Parameters
+    ----------
+    situation : Situation
+    """
+    return int(min(LEARNED, max(LONGEST * situation.plan.scan_frequency, LEAST)))
+
+
+def learn_axis(situation: Situation) -> AxisParameters | Outcome:
+    """Return the axis that learns the scan, and write its file; or why nothing can be learned.
+
+    Parameters
+    ----------
+    situation : Situation
+    """
+    configuration, namespace = designed(situation), situation.axis.namespace
+    try:
+        request = LearningRequest(DESIGN, period=scan_period(situation) / situation.rate, possible=CLOSE)
+        known = measured_plant(situation) or response_uncertainty(configuration)
+        result = design_learning(single_axis(configuration, namespace), request, known)
+        text = learning_file(configuration, result, namespace)
+    except HysteresisError as error:
+        return Outcome([f"nothing is learned: {' '.join(str(error).split())}"])
+    write_file(situation.folder.path / LEARNING, text)
+    return _axis(situation, _learning(situation))
+
+
+def _learning(situation: Situation) -> Configuration:
+    return load_configuration(situation.folder.path / LEARNING)
+
+
+def _axis(situation: Situation, configuration: Configuration) -> AxisParameters:
+    reference = scan_reference(situation, configuration, periods(situation))
+    return closed_axis(situation, configuration, "learn", reference)
+
+
+def judge_learned(situation: Situation, recording: Recording) -> Outcome:
+    """Judge the scan after so many periods of learning, beside its prediction and the scan without.
+
+    Parameters
+    ----------
+    situation : Situation
+    recording : Recording
+    """
+    configuration, count = _learning(situation), periods(situation)
+    simulated = simulate(_axis(situation, configuration))
+    runs = {"measured": _periods(situation, recording), "predicted": _periods(situation, simulated)}
+    found, expected = (root_mean_square(errors[count:]) for errors in runs.values())
+    before, ratio = situation.figure("scan", "rms_error_m"), found / expected
+    verdict = "as predicted" if ratio <= AS_PREDICTED else f"MORE than {AS_PREDICTED:g} x the prediction"
+    what = f"triangle of {readable(scan_stroke(situation), 'm')} at {situation.plan.scan_frequency:g} Hz"
+    lines = [
+        f"{what} after {count} periods: error {1e9 * found:.4g} nm RMS, {1e9 * before:.4g} nm without learning; "
+        f"predicted {1e9 * expected:.4g} nm, ratio {ratio:.3g}: {verdict}",
+    ]
+    figures = {"rms_error_m": found, "predicted_rms_m": expected, "ratio": ratio, "as_predicted": ratio <= AS_PREDICTED}
+    numbers = np.arange(1, count + JUDGED + 1)
+    falling = [line(name, numbers, 1e9 * np.sqrt(np.mean(each**2, axis=1))) for name, each in runs.items()]
+    time = np.arange(scan_period(situation)) / situation.rate
+    last = [line(name, time, 1e9 * each[-1]) for name, each in runs.items()]
+    pictures = [
+        Picture("Error of each period", "period", "RMS error [nm]", falling, "y"),
+        Picture("What learning leaves in a period", "time [s]", "reference − measured [nm]", last),
+    ]
+    return Outcome(lines, figures, pictures)
+
+
+def _periods(situation: Situation, recording: Recording) -> np.ndarray:
+    """Return the errors of all periods, shape (periods, samples) [m]: against the undelayed reference, as it learns."""
+    offset = single_axis(_learning(situation), situation.axis.namespace).motion_controller.model.preload.offset
+    error = recording["reference"] - (recording["measured"] - offset)
+    begin, period = scan_begin(situation), scan_period(situation)
+    return error[begin : begin + (periods(situation) + JUDGED) * period].reshape(-1, period)
