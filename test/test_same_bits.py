@@ -117,7 +117,10 @@ JUDGES = {
     # a search whose result is written in four digits; margins and printed modes
     "control/damping/design.py": {"np.linalg", "np.exp", "np.sinh"},
     "control/damping/plant.py": {"np.log", "@"},
+    # taps are rounded before they are judged and written
+    "control/learning/filters.py": {"np.cos", "np.exp", "@"},
     "control/margins.py": {"np.linalg", "np.exp", "np.log", "np.log10", "np.sinh", "@"},
+    "control/measured_loop.py": {"np.exp", "np.log", "np.log10"},
     "control/laws/pid/__init__.py": {"np.log"},
     "control/laws/pid/law.py": {"@"},
     "control/linearisation.py": {"@"},
@@ -130,7 +133,10 @@ JUDGES = {
     "models/creep.py": {"math.log10"},
     "models/state_space.py": {"np.linalg", "@"},
     "models/linear.py": {"np.linalg"},
+    # samples that are written into files; a contraction that is refused
     "references/recipes.py": {"np.exp", "np.cos"},
+    "references/ways.py": {"np.cos"},
+    "references/walk.py": {"np.linalg"},
 }
 PACKAGE = pathlib.Path(hysteresis_ros.__file__).parent
 

@@ -29,6 +29,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hysteresis_ros.errors import ConfigurationError
+from hysteresis_ros.linear_algebra import rounded
 
 #: Distance of the contraction from one.
 MARGIN = 0.1
@@ -220,7 +221,7 @@ def symmetric_taps(response, half: int) -> np.ndarray:
         Taps on each side, at most.
     """
     taps = np.fft.irfft(response)[: half + 1]
-    return taps / (taps[0] + 2.0 * np.sum(taps[1:]))
+    return rounded(taps / (taps[0] + 2.0 * np.sum(taps[1:])))
 
 
 def taps_of(response, half: int) -> tuple[np.ndarray, int]:
@@ -237,7 +238,7 @@ def taps_of(response, half: int) -> tuple[np.ndarray, int]:
     energy = np.cumsum(np.concatenate([[0.0], np.roll(whole, furthest)[: furthest + count] ** 2]))
     held = energy[count:] - energy[: len(energy) - count]
     lead = furthest - int(np.argmax(held))
-    return np.roll(whole, lead)[:count], lead
+    return rounded(np.roll(whole, lead)[:count]), lead
 
 
 def _inversion(response: Response, period: int):
