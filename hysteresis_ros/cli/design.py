@@ -22,8 +22,8 @@ from hysteresis_ros.control.registry import DESIGNS
 )
 @click.option(
     "--damping",
-    type=click.Choice([damping.NONE, *damping.KINDS]),
-    help="Damp the model's resonance first; the controller is designed on the damped plant.",
+    metavar="NAME",
+    help=f"Damp the model's resonance first, the controller is for the damped plant: {', '.join(damping.KINDS)}, none.",
 )
 @click.option("--period", type=float, help="With --learning: of the reference [s].  [default: of the waveform]")
 @click.option("--maximum", type=float, help="With --learning: largest correction [m].  [default: 10 % of the stroke]")

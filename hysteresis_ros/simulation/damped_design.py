@@ -10,12 +10,15 @@ from hysteresis_ros.control.controller import ControllerParameters
 from hysteresis_ros.control.damping.design import RESONANCE, damping_plants, design_damping
 from hysteresis_ros.control.damping.parameters import DampingParameters
 from hysteresis_ros.control.damping.plant import closing, inner_loop, modes
-from hysteresis_ros.control.damping.registry import NONE
+from hysteresis_ros.control.damping.registry import KINDS, NONE
 from hysteresis_ros.control.linearisation import linear_loop
 from hysteresis_ros.control.margins import Margins, margins_of
 from hysteresis_ros.control.uncertainty import PossiblePlant
+from hysteresis_ros.errors import ConfigurationError, did_you_mean
 from hysteresis_ros.models.state_space import StateSpace
 
+#: Integral force feedback, which people ask for by this name.
+FORCE_FEEDBACK = "iff"
 #: A damping that makes the loop faster by less than this factor is of little use.
 LITTLE = 1.2
 #: A law that passes the reference on: what is left is the inner loop.
@@ -142,6 +145,25 @@ def around_model(control: ControllerParameters, sample_time: float, request) -> 
     return PlantsAround(damping_plants(control.model.dynamics, sample_time, resonance), resonance)
 
 
+def _require(name: str) -> None:
+    """Refuse a name that no damping has, and the one that needs what an axis does not measure.
+
+    Raises
+    ------
+    ConfigurationError
+    """
+    if name == FORCE_FEEDBACK:
+        raise ConfigurationError(
+            "--damping iff: integral force feedback needs a force joint, and none is there: an axis measures its "
+            "displacement alone (effort in joint_states is the preload that was set); take irc or ppf"
+        )
+    if name not in (NONE, *KINDS):
+        there = ", ".join((NONE, *KINDS))
+        raise ConfigurationError(
+            f"--damping {name}: there is no such damping; there are {there}{did_you_mean(name, KINDS)}"
+        )
+
+
 def with_damping(
     control: ControllerParameters, sample_time: float, around: PlantsAround, request
 ) -> ControllerParameters:
@@ -160,9 +182,12 @@ def with_damping(
     ------
     ParameterError
         The model has no resonance, or nothing of this kind damps it.
+    ConfigurationError
+        There is no such damping.
     """
     if request.damping is None:
         return control
+    _require(request.damping)
     if request.damping == NONE:
         return replace(control, damping=DampingParameters())
     found = design_damping(request.damping, control.model.dynamics, sample_time, around.plants)
