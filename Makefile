@@ -9,9 +9,8 @@ MODULES := $(shell find hysteresis_ros -type f -name '*.py')
 # Nodes of this environment must not inherit the libraries of another one, nor answer to the network around.
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 unexport LD_LIBRARY_PATH _ROS_WHEELS_BOOTSTRAP_COMPLETE
-# Workers of the tests: graphs of nodes run one after the other in one of them, the rest beside; those wait for most of
-# their time, so one worker more than cores is worth it.
-WORKERS ?= 3
+# Workers of the tests: graphs of nodes run one after the other in one of them, the rest beside.
+WORKERS ?= 2
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
 .PHONY: help setup demo test lint format bench clean

@@ -17,6 +17,7 @@ leaves an error of the amplitude, (4 f (1 - f) sin²(ω/2))^(J+1): with J = 3 be
 
 Zeros next to the circle, inside or out, and those on it are left out without phase error where they are far above what
 a reference moves at (:mod:`.near_zeros`). Behind the filter that cancels them, their part of the inverse is finite.
+With a preview that is too short for it, those inside are inverted.
 """
 
 from __future__ import annotations
@@ -150,7 +151,8 @@ def _vectors(dynamics: LinearParameters):
     return model.A, model.B[:, 0], model.C[0], model.D.item()
 
 
-def _parts(dynamics: LinearParameters) -> _Parts:
+def _parts(dynamics: LinearParameters, inside: bool = True) -> _Parts:
+    """Return the parts of the inverse; ``inside``: without the zeros that ring inside the circle."""
     A, B, C, D = _vectors(dynamics)
     degree = _matrices_degree(dynamics)
     answer = float(product(C, power(A, degree - 1), B)) + (D if degree == 1 else 0.0)
@@ -160,7 +162,7 @@ def _parts(dynamics: LinearParameters) -> _Parts:
     # the inverse has as many poles as the dynamics; those without a zero of the dynamics stand at 0
     finite = len(A) - degree + (1 if D else 0)
     zeros = poles[np.argsort(-np.abs(poles))][: max(finite, 0)]
-    near = near_zeros(zeros, CIRCLE_MARGIN)
+    near = near_zeros(zeros, CIRCLE_MARGIN, inside)
     on_circle = zeros[np.abs(np.abs(zeros) - 1.0) < CIRCLE_MARGIN]
     if on_circle.size and not near.size:
         found = ", ".join(f"{zero:.6g}" for zero in on_circle)
@@ -282,6 +284,8 @@ def inverse_filter(dynamics: LinearParameters, preview: int) -> InverseFilter:
     """
     parts = _parts(dynamics)
     whole, part = dynamics.delayed_samples
+    if preview < parts.degree + whole + _reach(parts, part):
+        parts = _parts(dynamics, inside=False)  # they ask for no preview where they are inverted, and ring
     advance = _advance(part)
     drive = advance if parts.left_out is None else convolved(parts.left_out.whole, advance)
     ahead = _reach(parts, part)

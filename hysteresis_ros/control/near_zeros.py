@@ -87,7 +87,7 @@ def convolved(weights: np.ndarray, taps: np.ndarray) -> np.ndarray:
     return found
 
 
-def near_zeros(zeros: np.ndarray, margin: float) -> np.ndarray:
+def near_zeros(zeros: np.ndarray, margin: float, inside: bool = True) -> np.ndarray:
     """Return the zeros to leave out; those that are smaller than one of a low angle cannot be told from it and stay.
 
     Parameters
@@ -95,10 +95,12 @@ def near_zeros(zeros: np.ndarray, margin: float) -> np.ndarray:
     zeros : ndarray of complex, shape (n,)
     margin : float
         Zeros nearer to the circle than this are on it.
+    inside : bool
+        Whether those inside it count.
     """
     sizes, low = np.abs(zeros), np.abs(np.angle(zeros)) < LOWEST_ANGLE
     inner = np.max(sizes[low & (sizes < 1.0 - margin)], initial=1.0 / FARTHEST)
-    near = (sizes > inner * (1.0 + margin)) & (sizes < FARTHEST)
+    near = (sizes > (inner * (1.0 + margin) if inside else 1.0 - margin)) & (sizes < FARTHEST)
     return zeros[near] if not np.any(near & low) else zeros[:0]
 
 

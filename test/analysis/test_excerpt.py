@@ -160,7 +160,7 @@ def test_a_launched_recording_holds_the_numbers_of_its_file(tmp_path, monkeypatc
     path = tmp_path / "axis.yaml"
     text = config_path("kim2009").read_text(encoding="utf-8").replace("maximum: 12.0e-6", "maximum: 12e-6")
     path.write_text(text, encoding="utf-8")
-    given = {"rate": "", "plant": "own", "samples": "", "record": str(tmp_path / "bag")}
+    given = {"rate": "", "plant": "own", "samples": "", "factor": "", "autostart": "", "record": str(tmp_path / "bag")}
     merged = launch.merged(str(path), launch.override(given, "described.yaml"))
     write_recording(scan(), tmp_path / "bag", merged)
     result = CliRunner().invoke(main, ["report", str(tmp_path / "bag")])

@@ -34,12 +34,12 @@ def test_commands_options_waveforms_and_nodes_are_offered():
 def test_configurations_are_those_of_the_package_and_files_here(tmp_path, monkeypatch, command):
     (tmp_path / "kimono.yaml").write_text("")
     (tmp_path / "kimono.csv").write_text("")
-    (tmp_path / "stages").mkdir()
-    (tmp_path / "stages" / "mine.yml").write_text("")
+    (tmp_path / "stands").mkdir()
+    (tmp_path / "stands" / "mine.yml").write_text("")
     monkeypatch.chdir(tmp_path)
     assert offered(command, "kim") == ["kim2009", "kimono.yaml"]
-    assert offered(command, "sta") == ["stages/"]
-    assert offered(command, "stages/") == ["stages/mine.yml"]
+    assert offered(command, "stan") == ["stands/"]
+    assert offered(command, "stands/") == ["stands/mine.yml"]
     assert offered(command, "nowhere/") == []
 
 

@@ -287,7 +287,7 @@ def test_data_that_is_not_uniform_is_refused_until_it_is_resampled(tmp_path):
         (["--model", "proportional", "--linear", "creep"], "does not go with"),
         (["-p", "plays=3"], "options of prandtl_ishlinskii"),
         (["-p", "play_count=many"], "must be a int"),
-        (["--inverse", "multiplicative"], "prandtl_ishlinskii has"),
+        (["--inverse", "multiplicative"], "usual has exact"),
         (["--input", "control"], "no column 'control'"),
         (["--output", "gauge_um:furlong"], "unknown unit"),
         (["--range", "5"], "FIRST:LAST"),
