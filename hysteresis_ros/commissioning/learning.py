@@ -6,7 +6,7 @@ import numpy as np
 
 from hysteresis_ros.analysis.pictures import Picture, line
 from hysteresis_ros.commissioning.folder import LEARNING
-from hysteresis_ros.commissioning.outcome import Outcome
+from hysteresis_ros.commissioning.outcome import Outcome, verdict
 from hysteresis_ros.commissioning.response import measured_plant
 from hysteresis_ros.commissioning.scanning import (
     AS_PREDICTED,
@@ -91,11 +91,10 @@ def judge_learned(situation: Situation, recording: Recording) -> Outcome:
     runs = {"measured": _periods(situation, recording), "predicted": _periods(situation, simulated)}
     found, expected = (root_mean_square(errors[count:]) for errors in runs.values())
     before, ratio = situation.figure("scan", "rms_error_m"), found / expected
-    verdict = "as predicted" if ratio <= AS_PREDICTED else f"MORE than {AS_PREDICTED:g} x the prediction"
     what = f"triangle of {readable(scan_stroke(situation), 'm')} at {situation.plan.scan_frequency:g} Hz"
     lines = [
         f"{what} after {count} periods: error {1e9 * found:.4g} nm RMS, {1e9 * before:.4g} nm without learning; "
-        f"predicted {1e9 * expected:.4g} nm, ratio {ratio:.3g}: {verdict}",
+        f"predicted {1e9 * expected:.4g} nm, ratio {ratio:.3g}: {verdict(ratio, AS_PREDICTED)}",
     ]
     figures = {"rms_error_m": found, "predicted_rms_m": expected, "ratio": ratio, "as_predicted": ratio <= AS_PREDICTED}
     numbers = np.arange(1, count + JUDGED + 1)

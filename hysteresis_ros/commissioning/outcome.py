@@ -47,3 +47,16 @@ class Outcome:
             for picture in mapping["pictures"]
         ]
         return cls(**{**mapping, "pictures": pictures})
+
+
+def verdict(ratio: float, most: float) -> str:
+    """Return in words whether something is as it was predicted.
+
+    Parameters
+    ----------
+    ratio : float
+        Found over predicted.
+    most : float
+        Up to which it is.
+    """
+    return "as predicted" if ratio <= most else f"MORE than {most:g} x the prediction"

@@ -8,7 +8,7 @@ from typing import cast
 import numpy as np
 
 from hysteresis_ros.analysis.pictures import Picture, line
-from hysteresis_ros.commissioning.outcome import Outcome
+from hysteresis_ros.commissioning.outcome import Outcome, verdict
 from hysteresis_ros.commissioning.scanning import closed_axis, designed
 from hysteresis_ros.commissioning.situation import Situation
 from hysteresis_ros.configuration import Configuration
@@ -102,8 +102,7 @@ def judge_response(situation: Situation, recording: Recording) -> Outcome:
     loop, margins, model = cast("tuple[MeasuredLoop, Margins, np.ndarray]", known)
     peak, expected = loop.sensitivity_peak, margins.sensitivity_peak
     ratio = peak.low / expected
-    verdict = "as predicted" if ratio <= AS_PREDICTED else f"MORE than {AS_PREDICTED:g} x the prediction"
-    lines = [f"M_s {peak.text('.3g')}, predicted {expected:.3g}: {verdict}"]
+    lines = [f"M_s {peak.text('.3g')}, predicted {expected:.3g}: {verdict(ratio, AS_PREDICTED)}"]
     lines += [f"{name} {text}".replace("model", "predicted") for name, text in loop.rows(margins)[:-1]]
     return Outcome(lines, {**found.figures, "as_predicted": ratio <= AS_PREDICTED}, _pictures(loop, model))
 

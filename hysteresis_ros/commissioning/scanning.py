@@ -8,7 +8,7 @@ from hysteresis_ros.analysis.pictures import Picture, line
 from hysteresis_ros.analysis.settings import delayed
 from hysteresis_ros.commissioning.folder import COMMISSIONED
 from hysteresis_ros.commissioning.measuring import MICRO
-from hysteresis_ros.commissioning.outcome import CommissioningError, Outcome
+from hysteresis_ros.commissioning.outcome import CommissioningError, Outcome, verdict
 from hysteresis_ros.commissioning.situation import OVERTRAVEL, Situation
 from hysteresis_ros.configuration import Configuration, load_configuration
 from hysteresis_ros.loop.axis_parameters import AxisParameters
@@ -296,9 +296,11 @@ def judge_scan(situation: Situation, recording: Recording) -> Outcome:
     simulated = predicted_scan(situation, configuration)
     found, expected = (scan_error(situation, configuration, run) for run in (recording, simulated))
     ratio = found / expected
-    verdict = "as predicted" if ratio <= AS_PREDICTED else f"MORE than {AS_PREDICTED:g} x the prediction"
     what = f"triangle of {readable(scan_stroke(situation), 'm')} at {situation.plan.scan_frequency:g} Hz"
-    lines = [f"{what}: error {1e9 * found:.4g} nm RMS, predicted {1e9 * expected:.4g} nm, ratio {ratio:.3g}: {verdict}"]
+    lines = [
+        f"{what}: error {1e9 * found:.4g} nm RMS, predicted {1e9 * expected:.4g} nm, ratio {ratio:.3g}: "
+        f"{verdict(ratio, AS_PREDICTED)}"
+    ]
     judged = judged_samples(situation, configuration)
     time = recording.time - recording.time[0]
     errors = [

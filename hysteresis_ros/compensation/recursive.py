@@ -168,24 +168,12 @@ def drive(settings, states, creep_p, p_h, x_h, voltage):
 
 
 @called
-def learn(settings, states, measured, usable):
-    """Compare a measurement with the terms that have arrived, and move the factors; tell whether they have moved.
-
-    Parameters
-    ----------
-    settings : AdaptationSettings
-    states : AdaptationStates
-    measured : float
-        [m]; NaN: there is none.
-    usable : float
-        0: learn nothing from this sample.
-    """
-    own_p, own, slow, terms = settings.own, states.own, states.slow, states.terms
-    count, creeping, length = int(own_p[TERMS]), int(own_p[CREEP_STATES]), int(own_p[FILTER_STATES])
-    share = own_p[SLOW_SHARE]
-    factors = states.factors
+def arrive(settings, states):
+    """Return what the terms make that have arrived at the sensor [m]: without what is slow in them, and whole."""
+    own, slow, terms, factors = settings.own, states.slow, states.terms, states.factors
+    count, creeping, length = int(own[TERMS]), int(own[CREEP_STATES]), int(own[FILTER_STATES])
+    share, begun = own[SLOW_SHARE], states.own[BEGUN] != 0.0
     modelled, whole = 0.0, 0.0
-    begun = own[BEGUN] != 0.0
     for i in range(count):
         first = i * length + creeping
         term = linear_output(settings.dynamics, states.filters[first : first + length - creeping])
@@ -200,42 +188,42 @@ def learn(settings, states, measured, usable):
     if not begun:
         slow[count] = offset
     slow[count] += share * (offset - slow[count])
-    if not begun:
-        if measured != measured:
-            return False
-        own[BEGUN] = 1.0
-        own[LAST_MODELLED] = whole
-        own[LAST] = slow[count + 1] = measured
-    value = measured
-    if not abs(value - slow[count + 1] - modelled) <= own_p[STROKE]:
-        # none, or none that can be true: the model stands in, until it is the model that cannot be
-        own[UNUSABLE] += 1.0
-        if value == value and own[UNUSABLE] * share > 1.0:
-            slow[count + 1] = value - modelled
-        else:
-            value = own[LAST] + (whole - own[LAST_MODELLED])
-        usable = 0.0
-    else:
+    return modelled, whole
+
+
+@called
+def believe(settings, states, measured, modelled, whole):
+    """Note the displacement [m] that counts as measured, and tell whether it is one.
+
+    Where none was measured, or none that can be true, the model stands in, until it is the model that cannot be true.
+    """
+    own_p, own, slow = settings.own, states.own, states.slow
+    level = int(own_p[TERMS]) + 1
+    own[LAST_MODELLED], before = whole, own[LAST_MODELLED]
+    if abs(measured - slow[level] - modelled) <= own_p[STROKE]:
         own[UNUSABLE] = 0.0
-    own[LAST], own[LAST_MODELLED] = value, whole
-    fast = value - slow[count + 1]
-    slow[count + 1] += share * fast
-    own[POWER] += share * (modelled * modelled - own[POWER])
-    error = fast - modelled
-    own[ERROR_POWER] += share * (error * error - own[ERROR_POWER])
-    if usable == 0.0:
-        return False
-    if own[POWER] < own_p[LEAST_POWER]:
-        own[STATE] = UNEXCITED
-        return False
-    own[STATE] = ADAPTING
-    kept = own_p[KEPT_SHARE]
+        own[LAST] = measured
+        return True
+    own[UNUSABLE] += 1.0
+    if measured == measured and own[UNUSABLE] * own_p[SLOW_SHARE] > 1.0:
+        slow[level] = measured - modelled
+        own[LAST] = measured
+    else:
+        own[LAST] += whole - before
+    return False
+
+
+@called
+def move(settings, states, fast):
+    """Let products and squares of the terms take the measurement in [m], and lead the factors to what they say."""
+    own, terms, factors = settings.own, states.terms, states.factors
+    count, kept = int(own[TERMS]), own[KEPT_SHARE]
     for i in range(count):
         states.products[i] += kept * (terms[i] * fast - states.products[i])
         for j in range(count):
             place = i * count + j
             states.squares[place] += kept * (terms[i] * terms[j] - states.squares[place])
-    largest, step = own_p[LARGEST_FACTOR], own_p[LARGEST_STEP]
+    largest, step = own[LARGEST_FACTOR], own[LARGEST_STEP]
     for i in range(count):
         wanted = states.products[i]
         for j in range(count):
@@ -244,12 +232,49 @@ def learn(settings, states, measured, usable):
         wanted /= states.squares[i * count + i] + settings.prior[i * count + i]
         wanted = max(1.0 / largest, min(largest, factors[i] + wanted)) - factors[i]
         factors[i] += max(-step, min(step, wanted))
+
+
+@called
+def learn(settings, states, measured, usable):
+    """Compare a measurement with the terms that have arrived, and move the factors; tell whether they have moved.
+
+    Parameters
+    ----------
+    settings : AdaptationSettings
+    states : AdaptationStates
+    measured : float
+        [m]; NaN: there is none.
+    usable : float
+        0: learn nothing from this sample.
+    """
+    own_p, own, slow = settings.own, states.own, states.slow
+    count, share = int(own_p[TERMS]), own_p[SLOW_SHARE]
+    modelled, whole = arrive(settings, states)
+    if own[BEGUN] == 0.0:
+        if measured != measured:
+            return False
+        own[BEGUN] = 1.0
+        own[LAST_MODELLED] = whole
+        own[LAST] = slow[count + 1] = measured
+    believed = believe(settings, states, measured, modelled, whole)
+    fast = own[LAST] - slow[count + 1]
+    slow[count + 1] += share * fast
+    own[POWER] += share * (modelled * modelled - own[POWER])
+    error = fast - modelled
+    own[ERROR_POWER] += share * (error * error - own[ERROR_POWER])
+    if usable == 0.0 or not believed:
+        return False
+    if own[POWER] < own_p[LEAST_POWER]:
+        own[STATE] = UNEXCITED
+        return False
+    own[STATE] = ADAPTING
+    move(settings, states, fast)
     missing = slow[count + 1] - slow[count]
     for i in range(count):
-        missing -= factors[i] * slow[i]
+        missing -= states.factors[i] * slow[i]
     if own[ZEROED] == 0.0:
         own[ZEROED], own[ZERO] = 1.0, missing
-    furthest = step * own_p[STROKE]
+    furthest = own_p[LARGEST_STEP] * own_p[STROKE]
     missing = own_p[OFFSET_SHARE] * (missing - own[ZERO])
     own[MOVED] += max(-furthest, min(furthest, missing))
     return True

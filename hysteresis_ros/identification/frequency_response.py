@@ -118,6 +118,7 @@ def welch_response(
     u,
     y,
     sample_time: float,
+    *,
     segment: int | None = None,
     window: str = "hann",
     input_unit="V",

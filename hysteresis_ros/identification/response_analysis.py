@@ -148,7 +148,7 @@ def _stepped(plan: Plan, sample_time: float, signals, unit: str) -> Analysis:
 def _noise(plan: Plan, sample_time: float, signals, unit: str) -> Analysis:
     segment = plan.samples[0]
     excitation = signals[2] if len(signals) > 2 else None
-    found = welch_response(*signals[:2], sample_time, segment, input_unit=unit, excitation=excitation)
+    found = welch_response(*signals[:2], sample_time, segment=segment, input_unit=unit, excitation=excitation)
     if plan.lines:
         low, high = (line / (segment * sample_time) for line in plan.lines)
         found = found.band(low * (1.0 - 1e-9), high * (1.0 + 1e-9))

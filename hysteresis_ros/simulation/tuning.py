@@ -98,6 +98,21 @@ def criterion_of(name: str, error, sample_time: float) -> float:
     return float(np.sum(size) * sample_time)
 
 
+def _setpoints(axis: Axis, parameters: AxisParameters, duration: float | None) -> np.ndarray:
+    """Return the setpoint of every sample of a run [m]."""
+    samples = axis.default_samples() if duration is None else parameters.plant_simulator.samples
+    if samples < 2:
+        raise ConfigurationError("the waveform has no end (samples: 0): say how long to simulate with --duration S")
+    return np.full(samples, parameters.reference_generator.initial_setpoint)
+
+
+def _error(signals: dict, control: ControllerParameters) -> np.ndarray:
+    """Return the reference, as late as its preview, less the true displacement [m]."""
+    preview = control.feedforward.preview
+    wanted = signals["reference"][: len(signals["reference"]) - preview]
+    return wanted - (signals["displacement"][preview:] - control.model.preload.offset)
+
+
 def tune(
     parameters: AxisParameters,
     kind: str = "pid",
@@ -149,11 +164,7 @@ def tune(
 
     node = with_gains(parameters.motion_controller, first)
     axis = Axis(believed_axis(replace(parameters, motion_controller=node)))
-    samples = axis.default_samples() if duration is None else parameters.plant_simulator.samples
-    if samples < 2:
-        raise ConfigurationError("the waveform has no end (samples: 0): say how long to simulate with --duration S")
-    setpoints = np.full(samples, parameters.reference_generator.initial_setpoint)
-    offset, preview = control.model.preload.offset, control.feedforward.preview
+    setpoints = _setpoints(axis, parameters, duration)
     initial = [getattr(first, name) for name in tuning.gains]
     tuned = [i for i, gain in enumerate(initial) if gain != 0.0]
     names = [tuning.gains[i] for i in tuned]
@@ -171,9 +182,7 @@ def tune(
         except ParameterError:
             return np.inf
         axis.reset()
-        signals = axis.run(setpoints)
-        error = signals["reference"][: samples - preview] - (signals["displacement"][preview:] - offset)
-        return criterion_of(criterion, error, sample_time)
+        return criterion_of(criterion, _error(axis.run(setpoints), control), sample_time)
 
     begin = np.array([getattr(first, name) for name in names])
     before = cost(begin)
