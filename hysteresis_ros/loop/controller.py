@@ -29,9 +29,8 @@ from hysteresis_ros.control.learning.correction import (
     FORGETTING,
     FROZEN,
     LEARNING,
-    LIMITED,
-    learnable,
     learned_correction,
+    shown,
 )
 from hysteresis_ros.control.learning.file import write_learned
 from hysteresis_ros.control.succession import ENTRIES, History, note, successor
@@ -126,17 +125,15 @@ def foreseeable(own_p, own, state, seen):
 
 
 @kernel
-def corrected(p, x, own_p, own, value, answered):
-    """Return the reference [m] with what was learned; ``answered``: whether the axis follows it in this sample."""
+def corrected(p, x, own_p, own, value, followed, skipped):
+    """Return the reference [m] with what was learned; ``followed``: whether the axis follows it in this sample."""
     if p.learning.shape[0] == 0:
         return own[REFERENCE]
     error = own[REFERENCE] - (value - own_p[PRELOAD])
-    state = x.controller
-    carried = learnable(p.learning, x.learning, state[header.APPLIED] - state[header.COMMAND])
-    if not answered or own[RETURNING] != 0.0 or own[ON_PATH] != 0.0:
+    if not followed or own[RETURNING] != 0.0 or own[ON_PATH] != 0.0:
         error = math.nan
-    elif not carried:
-        error = LIMITED
+    shortfall = x.controller[header.APPLIED] - x.controller[header.COMMAND]
+    error = shown(p.learning, x.learning, error, shortfall, skipped)
     return own[REFERENCE] + learned_correction(p.learning, x.learning, own[REFERENCE], error)
 
 
@@ -193,7 +190,7 @@ def control(laws, arrays, row):
         answered = True
         if value != value:
             mode = HOLDING
-    wanted = corrected(arrays.p, arrays.x, own_p, own, value, answered)
+    wanted = corrected(arrays.p, arrays.x, own_p, own, value, answered, row[at.SKIPPED])
     if answered:
         command = answer(laws, arrays, value, wanted)
     elif mode == FOLLOWING:

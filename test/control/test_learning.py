@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from hysteresis_ros.control.learning import correction as at
 from hysteresis_ros.control.learning.block import Learning
-from hysteresis_ros.control.learning.correction import FORGETTING, FROZEN, LEARNING, LIMITED, learned_correction
+from hysteresis_ros.control.learning.correction import FORGETTING, FROZEN, LEARNING, LIMITED, learned_correction, shown
 from hysteresis_ros.control.learning.file import Learned, write_learned
 from hysteresis_ros.control.learning.filters import MARGIN, UNSEEN, Response, design_filters
 from hysteresis_ros.control.learning.parameters import LearningParameters
@@ -80,6 +80,26 @@ def test_what_was_not_measured_is_not_learned_and_the_rest_is():
     m, _ = followed(learning(error_filter=(0.1, 0.2, 0.1), lead=1), (0.0, 0.9), 5, bad={hole})
     unlearned = np.flatnonzero(m[3] == m[2])
     np.testing.assert_array_equal(unlearned, [16, 17, 18])
+
+
+def learned_beside_a_late_voltage(recovery):
+    """Return what is learned where a late voltage has knocked the axis off by 0.1 µm, which halves each sample."""
+    block = learning(error_filter=(1.0 / 0.9,), lead=1, recovery=recovery / RATE)
+    knocked, late, asked = 0.0, 6 * N + 9, np.zeros(8 * N + 1)
+    for k in range(8 * N):
+        knocked = 1e-7 if k == late else 0.5 * knocked
+        r = REFERENCE[k % N]
+        error = shown(block.p, block.x, r - 0.9 * asked[k] - knocked, 0.0, float(k == late))
+        asked[k + 1] = r + learned_correction(block.p, block.x, r, error)
+    return block.learned().correction
+
+
+def test_what_a_late_voltage_did_to_the_axis_is_not_learned():
+    converged = learned_beside_a_late_voltage(N)
+    waited = learned_beside_a_late_voltage(25)
+    at_once = learned_beside_a_late_voltage(0)
+    assert np.max(np.abs(at_once - converged)) > 1e-9
+    assert np.max(np.abs(waited - converged)) < 1e-12
 
 
 def test_where_commands_were_not_carried_out_it_gives_way():

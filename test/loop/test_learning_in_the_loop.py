@@ -9,7 +9,7 @@ from loop_support import HOLD, assert_same_bits, axis
 from waiting import until
 
 from hysteresis_ros.control.learning import correction as at
-from hysteresis_ros.control.learning.correction import learnable
+from hysteresis_ros.control.learning.correction import LIMITED, shown
 from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.loop.axis import Change
 from hysteresis_ros.loop.controller import PRELOAD, REFERENCE, corrected
@@ -80,7 +80,7 @@ def test_the_error_is_that_of_the_displacement_without_its_preload():
     part = learning_axis().controller
     own_p, own = part.arrays.watch_p.own.copy(), part.arrays.watch_x.own
     own_p[PRELOAD], own[REFERENCE] = 3e-6, 5e-6
-    corrected(part.arrays.p, part.arrays.x, own_p, own, 7.5e-6, True)
+    corrected(part.arrays.p, part.arrays.x, own_p, own, 7.5e-6, True, 0.0)
     length = (len(part.learning.x) - at.RINGS) // 3
     assert part.learning.x[at.RINGS + length] == pytest.approx(5e-7)
 
@@ -88,8 +88,26 @@ def test_the_error_is_that_of_the_displacement_without_its_preload():
 def test_nor_while_the_axis_still_answers_to_what_was_not_carried_out():
     block = axis(motion_controller={**LEARNS, "learning__recovery": 2 / 3000}, **HOLD).controller.learning
     shortfalls = [0.0, 1e-6, -1e-6, 0.0, 0.0, 0.0, 2e-6, 0.0]
-    learned = [learnable(block.p, block.x, shortfall) for shortfall in shortfalls]
-    assert learned == [True, False, False, False, False, True, False, False]
+    seen = [shown(block.p, block.x, 1e-9, shortfall, 0.0) for shortfall in shortfalls]
+    assert seen == [1e-9, LIMITED, LIMITED, LIMITED, LIMITED, 1e-9, LIMITED, LIMITED]
+
+
+def test_nor_while_it_answers_to_a_voltage_that_came_too_late_and_that_takes_nothing_back():
+    block = axis(motion_controller={**LEARNS, "learning__recovery": 2 / 3000}, **HOLD).controller.learning
+    skipped = [0.0, 1.0, 1.0, 0.0, 0.0, 0.0]
+    seen = [shown(block.p, block.x, 1e-9, 0.0, late) for late in skipped]
+    np.testing.assert_array_equal(seen, [1e-9, np.nan, np.nan, np.nan, np.nan, 1e-9])
+
+
+def test_a_missed_deadline_is_left_out_with_what_the_axis_answers_to_it():
+    late = np.zeros(8 * N)
+    late[7 * N + 7 : 7 * N + 9] = 1.0
+    missed = []
+    for recovery in (0, 4):
+        made = learning_axis(learning__recovery=recovery / 3000)
+        made.run(np.zeros(8 * N), skipped=late)
+        missed.append(made.controller.learning.missed)
+    assert missed[0] >= 2 and missed[1] == missed[0] + 4
 
 
 def test_learning_frozen_forgotten_and_retuned_in_a_fused_loop_are_those_of_its_twin():

@@ -9,7 +9,8 @@ of the samples around the one a period before; nothing has to be done at the end
 
 What cannot be learned from is not a finite number in the ring of errors: where more than a tenth of the filter's weight
 meets such samples, around them, the correction repeats itself; where the reason is that commands were not carried out,
-it gives way, or it would hold the axis at its limits. A reference that is not the one of a period before takes the
+it gives way, or it would hold the axis at its limits. A voltage that came a sample too late moves the axis off its path
+by what the correction has no part in: nothing is learned from it until its answer has died away. A reference that is not the one of a period before takes the
 correction back.
 
 References
@@ -34,7 +35,7 @@ LEAST_GAIN = 5
 AVERAGING = 6  # n: in the j-th period γ is at most n / j; 0: it stays
 MAXIMUM = 7  # [m]
 SHORTFALL = 8  # command not carried out above which nothing is learned [m]
-RECOVERY = 11  # samples after one that was not carried out in which nothing is learned
+RECOVERY = 11  # samples after a command that was not carried out, or came too late, in which nothing is learned
 FADE = 9  # part of the correction that comes or goes in a sample
 MISSING = 10  # weight of the error filter that may meet samples from which nothing can be learned
 FILTERS = 12
@@ -46,7 +47,8 @@ LEARNED = 2  # samples since learning began
 WEIGHT = 3  # part of the correction that is in force
 CORRECTION = 4  # of the last sample [m]
 RECOVERING = 5  # samples until the answer to what was not carried out has died away
-RINGS = 6
+LOST = 6  # error of those samples in the ring: LIMITED or NaN
+RINGS = 7
 
 #: Modes: the correction repeats itself; it learns; it goes to zero.
 FROZEN, LEARNING, FORGETTING = range(3)
@@ -60,22 +62,30 @@ SAME = 1e-9
 
 
 @kernel
-def learnable(p, x, shortfall):
-    """Tell whether the error of a sample shows what a correction does: commands before it were carried out.
+def shown(p, x, error, shortfall, skipped):
+    """Return what a sample shows of the correction: its error [m], ``LIMITED``, or NaN: nothing.
 
     Parameters
     ----------
     p, x : ndarray
+    error : float
+        Reference less displacement [m]; NaN: the axis does not follow, or nothing was measured.
     shortfall : float
         What was not carried out of the last command [m].
+    skipped : float
+        1: the voltage of this sample comes too late, the axis holds the last one.
     """
     if abs(shortfall) > p[SHORTFALL]:
         x[RECOVERING] = p[RECOVERY]
-        return False
-    if x[RECOVERING] > 0.0:
+        x[LOST] = LIMITED
+    elif skipped != 0.0:
+        x[RECOVERING] = p[RECOVERY]
+        x[LOST] = math.nan
+    elif x[RECOVERING] > 0.0:
         x[RECOVERING] -= 1.0
-        return False
-    return True
+    else:
+        return error
+    return x[LOST] if error == error else error
 
 
 @called
