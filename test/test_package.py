@@ -1,3 +1,12 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
 """The package as a whole: one version, the layers of the design, complete docstrings."""
 
 from __future__ import annotations
@@ -6,6 +15,7 @@ import ast
 import functools
 import importlib.util
 import inspect
+import itertools
 import json
 import pathlib
 import re
@@ -157,6 +167,21 @@ def test_every_executable_has_a_main_function():
             alias.asname or alias.name for node in tree.body if isinstance(node, ast.ImportFrom) for alias in node.names
         }
         assert function in defined | imported, f"{name}: {module} has no {function}"
+
+
+def opening(path: pathlib.Path) -> str:
+    """Return the comment with which a source begins, without the marks of comments and with single spaces."""
+    marked = itertools.takewhile(lambda line: line.startswith(("#", "//")), path.read_text("utf-8").splitlines())
+    return " ".join(" ".join(marked).replace("#", " ").replace("//", " ").split())
+
+
+def test_every_source_begins_with_the_notice_of_its_licence():
+    notice = opening(PACKAGE / "__init__.py")
+    assert notice.startswith("Copyright 2026 ") and "Licensed under the Apache License, Version 2.0" in notice
+    folders = ("hysteresis_ros", "test", "launch", "examples", "benchmarks", "docs")
+    sources = [path for name in folders for path in (ROOT / name).rglob("*") if path.suffix in (".py", ".c", ".h")]
+    without = [name_of(path) for path in [*sources, ROOT / "setup.py"] if opening(path) != notice]
+    assert without == [], "copy the notice from hysteresis_ros/__init__.py"
 
 
 def test_every_folder_of_sources_is_a_package():

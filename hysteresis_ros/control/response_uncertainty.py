@@ -1,3 +1,12 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
 """How far the response of a plant may be from its model's at each frequency, and whether a loop bears that.
 
 A plant P (1 + Δ) with |Δ| ≤ l at each frequency keeps a loop stable as long as l |T| < 1, and then the distance of its

@@ -1,3 +1,12 @@
+// Copyright 2026 hysteresis_ros maintainers
+//
+// Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+// the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+//
+// Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+// an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+// specific language governing permissions and limitations under the License.
+
 /* What a driver in C offers: the five methods of a driver (hysteresis_ros/hardware/driver.py) as functions of a shared
  * library. The package keeps the time: once a sample it calls hysteresis_read and, when the sample is over,
  * hysteresis_write. In the fused loop one thread calls them from machine code, without Python and its lock, so both

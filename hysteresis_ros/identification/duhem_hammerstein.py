@@ -1,3 +1,12 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
 """Duhem hysteresis followed by a second-order linear part (Wang, Alici & Tan 2014; W1, W2, W5).
 
 The linear part is found by least squares from ``y(t) = -a1 y(t-1) - a2 y(t-2) + b0 w(t-1) + b1 w(t-2)``, where w is the
