@@ -19,8 +19,8 @@ of the samples around the one a period before; nothing has to be done at the end
 What cannot be learned from is not a finite number in the ring of errors: where more than a tenth of the filter's weight
 meets such samples, around them, the correction repeats itself; where the reason is that commands were not carried out,
 it gives way, or it would hold the axis at its limits. A voltage that came a sample too late moves the axis off its path
-by what the correction has no part in: nothing is learned from it until its answer has died away. A reference that is not the one of a period before takes the
-correction back.
+by what the correction has no part in: nothing is learned from it until its answer has died away. A reference that is
+not the one of a period before takes the correction back.
 
 References
 ----------

@@ -67,7 +67,11 @@ class LearningParameters(Parameters):
         description="nothing is learned while what is carried out of the command differs from it by more",
     )
     recovery: float = parameter(
-        0.0, unit="s", low=0.0, high=1e3, description="nor so long after that, or after a voltage that came too late, while the axis still answers to it"
+        0.0,
+        unit="s",
+        low=0.0,
+        high=1e3,
+        description="nor so long after that, or after a voltage that came too late, while the axis still answers to it",
     )
     active: bool = parameter(True, description="whether it learns from the beginning; `learn` and `freeze` change it")
     file: str = parameter("", read_only=True, description="file of what was learned, to begin with; '': nothing")
