@@ -97,7 +97,8 @@ class Stage(Driver):
 
     def _remember(self) -> None:
         try:
-            self._everything[X:SENSOR_P], self._everything[SENSOR_X:] = np.split(np.load(self._memory), [STATES])
+            remembered = np.load(self._memory, allow_pickle=False)
+            self._everything[X:SENSOR_P], self._everything[SENSOR_X:] = np.split(remembered, [STATES])
         except (OSError, ValueError) as error:
             raise DriverError(f"file {self._memory}", f"holds no state: {error}", "remove it") from None
 

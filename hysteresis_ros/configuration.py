@@ -19,7 +19,8 @@ from dataclasses import dataclass, replace
 
 import yaml
 
-from hysteresis_ros.errors import ConfigurationError, did_you_mean
+from hysteresis_ros.bounded import BoundsError, read_text, read_yaml
+from hysteresis_ros.errors import ConfigurationError, did_you_mean, shortened
 
 #: The nodes every axis has.
 NODE_NAMES = ("plant_simulator", "reference_generator", "motion_controller", "hysteresis_compensator")
@@ -145,8 +146,8 @@ def parse_value(text: str):
     text : str
     """
     try:
-        return yaml.load(text, Loader=_Loader)
-    except (yaml.YAMLError, _RepeatedKeyError):
+        return read_yaml(text, _Loader)
+    except (BoundsError, _RepeatedKeyError):
         return text
 
 
@@ -159,21 +160,14 @@ def parse_configuration(text: str, source: str) -> Configuration:
         It is not YAML or not a ROS 2 parameter file; the message names the line or the entry.
     """
     try:
-        aliases = [event for event in yaml.parse(text) if isinstance(event, yaml.AliasEvent)]
-        document = yaml.load(text, Loader=_Loader)
-    except yaml.YAMLError as error:
-        detail = " ".join(str(error).split())
-        raise ConfigurationError(f"{source}: not readable as YAML: {detail}") from None
+        document = read_yaml(text, _Loader)
+    except BoundsError as error:
+        raise ConfigurationError(f"{source}: {error}") from None
     except _RepeatedKeyError as error:
         key, first, second = error.args
         raise ConfigurationError(
             f"{source}: line {second}: '{key}' stands in line {first} already; keep one of them"
         ) from None
-    if aliases:
-        line = aliases[0].start_mark.line + 1
-        raise ConfigurationError(
-            f"{source}: line {line}: ROS 2 reads no YAML aliases (*{aliases[0].anchor}); write the values out"
-        )
     if not isinstance(document, dict):
         raise ConfigurationError(
             f"{source}: empty, or no ROS 2 parameter file (node names at the top level are missing)"
@@ -200,11 +194,12 @@ def _refuse_misspelled(name: str, source: str) -> None:
 
 def _collect(name: str, content, source: str, entries: list) -> None:
     if not isinstance(content, dict):
-        raise ConfigurationError(f"{source}: '{name}' must hold 'ros__parameters', found {content!r}")
+        raise ConfigurationError(f"{source}: '{name}' must hold 'ros__parameters', found {shortened(content)}")
     for key, value in content.items():
         if key == "ros__parameters":
             if not isinstance(value, dict):
-                raise ConfigurationError(f"{source}: 'ros__parameters' of '{name}' must be a mapping, found {value!r}")
+                found = shortened(value)
+                raise ConfigurationError(f"{source}: 'ros__parameters' of '{name}' must be a mapping, found {found}")
             entries.append((name, _flatten(value, source)))
         else:
             _collect(f"{name}/{key}", value, source, entries)
@@ -266,10 +261,10 @@ def load_configuration(path) -> Configuration:
     if not path.exists() and path.name == path.stem == str(path):
         path = config_path(path.name)
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_text(path)
     except FileNotFoundError:
         raise ConfigurationError(f"{path}: no such file; give the path of a ROS 2 parameter file") from None
-    except (OSError, UnicodeDecodeError) as error:
+    except (OSError, UnicodeDecodeError, BoundsError) as error:
         raise ConfigurationError(f"{path}: cannot be read: {error}") from None
     configuration = parse_configuration(text, str(path))
     return replace(configuration, entries=tuple(_with_driver_beside(path, *entry) for entry in configuration.entries))

@@ -15,6 +15,9 @@ import difflib
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+#: Most characters of a value in a message.
+LONGEST = 300
+
 
 class HysteresisError(ValueError):
     """Base of every error that is caused by wrong input; commands answer it with one line and exit code 2."""
@@ -39,7 +42,19 @@ class Problem:
     allowed: str
 
     def __str__(self) -> str:
-        return f"{self.name} = {self.value!r}: {self.allowed}"
+        return f"{self.name} = {shortened(self.value)}: {self.allowed}"
+
+
+def shortened(value: object) -> str:
+    """Return how a value is written, in its middle left out what no message has room for.
+
+    Parameters
+    ----------
+    value : object
+    """
+    text = repr(value)
+    half = LONGEST // 2
+    return text if len(text) <= LONGEST else f"{text[:half]} … ({len(text)} characters) … {text[-half:]}"
 
 
 class ParameterError(HysteresisError):

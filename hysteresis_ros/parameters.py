@@ -36,6 +36,9 @@ TYPE_NAMES = {
 }
 
 
+#: Most elements of an array, and characters of a text.
+MOST_ITEMS, LONGEST_TEXT = 100_000, 4096
+
 #: Types whose values are tuples.
 ARRAY_TYPES = (tuple[float, ...], tuple[str, ...])
 
@@ -88,6 +91,10 @@ class ParameterRow:
         except TypeError:
             raise ParameterError([Problem(self.name, value, f"wrong type, allowed: {self.allowed()}")]) from None
         items = converted if isinstance(converted, tuple) else (converted,)
+        longest = max((len(item) for item in items if isinstance(item, str)), default=0)
+        if len(items) > MOST_ITEMS or longest > LONGEST_TEXT:
+            allowed = f"too long, allowed: {MOST_ITEMS} elements, of {LONGEST_TEXT} characters each"
+            raise ParameterError([Problem(self.name, value, allowed)])
         for item in items:
             if isinstance(item, float) and not math.isfinite(item):
                 raise ParameterError([Problem(self.name, value, f"must be finite, allowed: {self.allowed()}")])

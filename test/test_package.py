@@ -33,7 +33,8 @@ SOURCES = sorted(PACKAGE.rglob("*.py"))
 TESTS = sorted((ROOT / "test").rglob("*.py"))
 
 #: What every folder may use of the package besides itself: imports go one way, in the order in which data flows.
-BASE = {"", "errors", "parameters", "block", "keywords", "registry", "signals", "linear_algebra", "elementary", "units"}
+BASE = {"", "errors", "bounded", "parameters", "block", "keywords", "registry", "signals", "linear_algebra"}
+BASE |= {"elementary", "units"}
 FORWARD = BASE | {"configuration", "models", "references", "recordings"}
 METHODS = FORWARD | {"compensation", "control", "identification"}
 MAY_IMPORT = {
@@ -41,7 +42,8 @@ MAY_IMPORT = {
     "": BASE | {"api", "models", "references", "compensation", "control"},
     "keywords": {"", "errors", "parameters"},
     "errors": {""},
-    "configuration": {"", "errors"},
+    "bounded": {"", "errors"},
+    "configuration": {"", "errors", "bounded"},
     "parameters": {"", "errors"},
     "registry": {"", "errors"},
     "linear_algebra": {""},

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import sys
 
-import yaml
+from hysteresis_ros.bounded import BoundsError, read_yaml
 
 #: Where the arguments for ROS begin and end.
 BEGIN, END = "--ros-args", "--"
@@ -45,8 +45,8 @@ def assigned(name: str, full_name: str, arguments: list[str] | None = None) -> d
 def _value(text: str):
     """Return a value as a parameter file would have it; unlike in YAML 1.1, 1e-6 is a number."""
     try:
-        value = yaml.safe_load(text)
-    except yaml.YAMLError:
+        value = read_yaml(text)
+    except BoundsError:
         return text
     if isinstance(value, str):
         try:

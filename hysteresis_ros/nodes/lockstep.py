@@ -26,6 +26,8 @@ WATCH_PERIOD = 0.02
 PARTNER_PERIOD = 0.25
 
 _FAILED = "failed: "
+#: Most characters of what is handed on of somebody else's failure.
+LONGEST_REASON = 1000
 
 #: Everybody waits for it, and it for everybody: who only waits for the plant complains last.
 PLANT = "plant_simulator"
@@ -228,7 +230,7 @@ class Lockstep(Runner):
 
     def _on_run_state(self, message) -> None:
         if message.data.startswith(_FAILED):
-            self.node.fail(message.data[len(_FAILED) :], announce=False)
+            self.node.fail(message.data[len(_FAILED) :][:LONGEST_REASON], announce=False)
         else:
             self.paused = message.data == "paused"
 

@@ -11,7 +11,6 @@
 
 from __future__ import annotations
 
-import pathlib
 import time
 
 import numpy as np
@@ -19,6 +18,7 @@ from diagnostic_msgs.msg import DiagnosticArray
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, String, UInt64
 
+from hysteresis_ros.bounded import BoundsError, read_text
 from hysteresis_ros.configuration import parse_configuration
 from hysteresis_ros.errors import ConfigurationError, RecordingError
 from hysteresis_ros.nodes.base import AxisNode
@@ -78,8 +78,8 @@ class RecorderNode(AxisNode):
         self._configuration = ""
         if parameters.configuration:
             try:
-                self._configuration = pathlib.Path(parameters.configuration).read_text(encoding="utf-8")
-            except (OSError, UnicodeDecodeError) as error:
+                self._configuration = read_text(parameters.configuration)
+            except (OSError, UnicodeDecodeError, BoundsError) as error:
                 raise ConfigurationError(
                     f"configuration = '{parameters.configuration}' cannot be read: {error}"
                 ) from None

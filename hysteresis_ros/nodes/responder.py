@@ -18,12 +18,15 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
 from hysteresis_ros import signals
+from hysteresis_ros.errors import shortened
 from hysteresis_ros.nodes.base import AxisNode
 from hysteresis_ros.nodes.lockstep import LockstepResponder
 from hysteresis_ros.nodes.realtime import RealTimeResponder
 
 #: Frame of ``joint_states`` while the plant has stopped the axis.
 TRIPPED_FRAME = signals.TRIPPED_FRAME
+#: Among so many joints of a measurement that of the axis is looked for.
+MOST_JOINTS = 1000
 
 
 @dataclass(frozen=True)
@@ -148,9 +151,10 @@ class Responder(AxisNode):
         row[signals.TRIPPED] = 1.0 if message.header.frame_id == TRIPPED_FRAME else 0.0
         row[signals.MEASURED] = math.nan
         if not 0 <= index < len(names) or names[index] != joint:
-            self.wrong_joint = joint not in names
+            self.wrong_joint = joint not in names[:MOST_JOINTS]
             if self.wrong_joint:
-                text = f"joint '{joint}' is not in joint_states, which has {list(names)}: set the parameter joint"
+                there = shortened(list(names))
+                text = f"joint '{joint}' is not in joint_states, which has {there}: set the parameter joint"
                 if self.runner.exact:
                     self.fail(text)
                     return False

@@ -27,6 +27,7 @@ from hysteresis_ros import signals
 from hysteresis_ros.errors import HysteresisError, ParameterError, Problem
 from hysteresis_ros.nodes.qos import setpoint_qos
 from hysteresis_ros.references.moves import Ending, Move, Tolerances
+from hysteresis_ros.references.trajectory import MOST_POINTS
 
 #: How often is looked at moves of an axis that may have stopped [s], and how long its samples may stay away.
 LOOK, SILENCE = 0.1, 1.0
@@ -57,6 +58,8 @@ def points_of(message, joint: str) -> dict[str, tuple[float, ...]]:
         raise _refused("joint_names", names, f"allowed: ['{joint}'], the joint of this axis")
     if seconds(message.header.stamp):
         raise _refused("header.stamp", seconds(message.header.stamp), "s: must be 0, a trajectory begins at once")
+    if len(message.points) > MOST_POINTS:
+        raise _refused("points", f"{len(message.points)} points", f"allowed: at most {MOST_POINTS}")
     found: dict[str, list[float]] = {"times": [], "positions": [], "velocities": [], "accelerations": []}
     for index, point in enumerate(message.points):
         found["times"].append(seconds(point.time_from_start))
@@ -76,10 +79,12 @@ def tolerances_of(goal, joint: str, default: Tolerances) -> Tolerances:
     Raises
     ------
     ParameterError
-        A tolerance of another joint.
+        A tolerance of another joint, or more than one.
     """
     found = {}
     for name, given in (("path", goal.path_tolerance), ("goal", goal.goal_tolerance)):
+        if len(given) > 1:
+            raise _refused(f"{name}_tolerance", f"{len(given)} joints", f"allowed: '{joint}', the joint of this axis")
         for one in given:
             if one.name != joint:
                 raise _refused(f"{name}_tolerance", one.name, f"allowed: '{joint}', the joint of this axis")

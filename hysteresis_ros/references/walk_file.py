@@ -18,6 +18,7 @@ from typing import NamedTuple
 import numpy as np
 import yaml
 
+from hysteresis_ros.bounded import BoundsError, read_text, read_yaml
 from hysteresis_ros.errors import ConfigurationError, ParameterError, Problem
 
 #: First key of such a file.
@@ -80,12 +81,12 @@ def read_walk(path, splines: int, step: float, bound: float) -> LearnedWalk:
         return ParameterError([Problem("walk.file", str(path), text)])
 
     try:
-        found = yaml.safe_load(pathlib.Path(path).expanduser().read_text())[KIND]
+        found = read_yaml(read_text(path))[KIND]
         arrays = [np.array(found[name], dtype=float) for name in ("forward", "backward")]
         learned = LearnedWalk(float(found["step"]), *arrays)
     except OSError as error:
         raise refused(f"cannot be read: {error.strerror or error}") from None
-    except (yaml.YAMLError, KeyError, TypeError, ValueError, UnicodeDecodeError):
+    except (BoundsError, KeyError, TypeError, ValueError, UnicodeDecodeError):
         raise refused("is no file of a learned walk, as ~/save of inchworm_sequencer writes it") from None
     if learned.step != step:
         raise refused(f"was learned with steps of {learned.step:g} m; walk.step is {step:g} m: learn anew")

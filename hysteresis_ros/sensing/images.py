@@ -32,6 +32,9 @@ ENCODINGS: dict[str, tuple[int, int, tuple[int, ...]]] = {
     "bgra8": (1, 4, (2, 1, 0)),
 }
 
+#: Most pixels of an image: those of the largest screens, 7680 x 4320, fit in.
+MOST_PIXELS = 2**25
+
 #: Parts of red, green and blue in the luminance of ITU-R BT.601.
 LUMINANCE = (0.299, 0.587, 0.114)
 
@@ -60,12 +63,14 @@ def grey_image(data, encoding: str, shape: tuple[int, int], step: int, big_endia
     Raises
     ------
     FrameError
-        The encoding is unknown, or the data are too few.
+        The encoding is unknown, the data are too few, or the image is too large.
     """
     rows, columns = shape
     if encoding not in ENCODINGS:
         raise FrameError(f"encoding '{encoding}' is not read; have the camera send one of {', '.join(ENCODINGS)}")
     size, channels, colours = ENCODINGS[encoding]
+    if rows * columns > MOST_PIXELS:
+        raise FrameError(f"{columns} x {rows} px are more than {MOST_PIXELS}: have the camera send a part of its image")
     used = columns * channels * size
     if rows < 1 or columns < 1 or step < used or len(data) < rows * step:
         text = f"{len(data)} bytes in rows of {step} are no image of {columns} x {rows} px in '{encoding}'"

@@ -18,11 +18,14 @@ from dataclasses import dataclass
 import numpy as np
 import yaml
 
-from hysteresis_ros.control.learning.parameters import period_samples
+from hysteresis_ros.bounded import BoundsError, read_text, read_yaml
+from hysteresis_ros.control.learning.parameters import LONGEST, period_samples
 from hysteresis_ros.errors import ConfigurationError, ParameterError, Problem
 
 #: First key of such a file.
 KIND = "learned_correction"
+#: Most values of such a file beside the two arrays.
+HEAD = 20
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,12 +127,12 @@ def read_learned(path) -> Learned:
         return ParameterError([Problem("learning.file", str(path), text)])
 
     try:
-        found = yaml.safe_load(pathlib.Path(path).expanduser().read_text())[KIND]
+        found = read_yaml(read_text(path), most=2 * LONGEST + HEAD)[KIND]
         arrays = [np.array(found[name], dtype=float) for name in ("correction", "reference")]
         period, sample_time = float(found["period"]), float(found["sample_time"])
     except OSError as error:
         raise refused(f"cannot be read: {error.strerror or error}") from None
-    except (yaml.YAMLError, KeyError, TypeError, ValueError, UnicodeDecodeError):
+    except (BoundsError, KeyError, TypeError, ValueError, UnicodeDecodeError):
         raise refused("is no file of a learned correction, as `save` of motion_controller writes it") from None
     sizes = {len(array) for array in arrays if array.ndim == 1 and np.all(np.isfinite(array))}
     if len(sizes) != 1 or any(array.ndim != 1 or not np.all(np.isfinite(array)) for array in arrays):
