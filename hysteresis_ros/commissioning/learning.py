@@ -11,6 +11,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from hysteresis_ros.analysis.pictures import Picture, line
@@ -67,6 +69,8 @@ def learn_axis(situation: Situation) -> AxisParameters | Outcome:
     situation : Situation
     """
     configuration, namespace = designed(situation), situation.axis.namespace
+    # what another attempt has learned belongs to another loop
+    (situation.folder.path / LEARNING).unlink(missing_ok=True)
     try:
         request = LearningRequest(DESIGN, period=scan_period(situation) / situation.rate, possible=CLOSE)
         known = measured_plant(situation) or response_uncertainty(configuration)
@@ -106,6 +110,10 @@ def judge_learned(situation: Situation, recording: Recording) -> Outcome:
         f"predicted {1e9 * expected:.4g} nm, ratio {ratio:.3g}: {verdict(ratio, AS_PREDICTED)}",
     ]
     figures = {"rms_error_m": found, "predicted_rms_m": expected, "ratio": ratio, "as_predicted": ratio <= AS_PREDICTED}
+    if recording.has("skipped"):
+        kept = in_time(_by_period(situation, recording["skipped"]))[count:]
+        undisturbed = root_mean_square(runs["measured"][count:][kept]) if np.any(kept) else math.nan
+        lines.append(missed_line(undisturbed, kept))
     numbers = np.arange(1, count + JUDGED + 1)
     falling = [line(name, numbers, 1e9 * np.sqrt(np.mean(each**2, axis=1))) for name, each in runs.items()]
     time = np.arange(scan_period(situation)) / situation.rate
@@ -117,9 +125,45 @@ def judge_learned(situation: Situation, recording: Recording) -> Outcome:
     return Outcome(lines, figures, pictures)
 
 
+def in_time(skipped: np.ndarray) -> np.ndarray:
+    """Tell which periods have no missed deadline, and do not follow one that has: the axis answers to it for a while.
+
+    Parameters
+    ----------
+    skipped : ndarray, shape (periods, samples)
+        1 at each sample whose time was missed.
+
+    Returns
+    -------
+    ndarray of bool, shape (periods,)
+    """
+    late = np.any(skipped != 0.0, axis=1)
+    return ~(late | np.concatenate([[False], late[:-1]]))
+
+
+def missed_line(error: float, kept: np.ndarray) -> str:
+    """Say what the error is in the periods that no missed deadline has disturbed.
+
+    Parameters
+    ----------
+    error : float
+        Of those periods [m]; NaN: there is none.
+    kept : ndarray of bool, shape (periods,)
+    """
+    count = np.count_nonzero(kept)
+    if not count:
+        return f"deadlines were missed in or before each of the {len(kept)} periods: the machine limits the error"
+    if count == len(kept):
+        return "no deadline was missed"
+    return f"deadlines were missed: in the {count} of {len(kept)} periods without, {1e9 * error:.4g} nm RMS"
+
+
 def _periods(situation: Situation, recording: Recording) -> np.ndarray:
     """Return the errors of all periods, shape (periods, samples) [m]: against the undelayed reference, as it learns."""
     offset = single_axis(_learning(situation), situation.axis.namespace).motion_controller.model.preload.offset
-    error = recording["reference"] - (recording["measured"] - offset)
+    return _by_period(situation, recording["reference"] - (recording["measured"] - offset))
+
+
+def _by_period(situation: Situation, values: np.ndarray) -> np.ndarray:
     begin, period = scan_begin(situation), scan_period(situation)
-    return error[begin : begin + (periods(situation) + JUDGED) * period].reshape(-1, period)
+    return values[begin : begin + (periods(situation) + JUDGED) * period].reshape(-1, period)

@@ -1,0 +1,29 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""What the learning stage says of missed deadlines."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hysteresis_ros.commissioning.learning import in_time, missed_line
+
+
+def test_a_period_with_a_missed_deadline_and_the_one_after_it_do_not_count():
+    skipped = np.zeros((6, 5))
+    skipped[1, 4] = skipped[3, 0] = 1.0
+    np.testing.assert_array_equal(in_time(skipped), [True, False, False, False, False, True])
+
+
+def test_it_says_how_many_periods_the_figure_is_of():
+    kept = np.array([True, False, False, True, True])
+    assert missed_line(1.25e-8, kept) == "deadlines were missed: in the 3 of 5 periods without, 12.5 nm RMS"
+    assert "no deadline" in missed_line(1e-8, np.ones(3, bool))
+    assert "each of the 2 periods" in missed_line(np.nan, np.zeros(2, bool))
