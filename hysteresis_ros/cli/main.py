@@ -60,6 +60,7 @@ COMMANDS = {
     "frf": ("hysteresis_ros.cli.frf:frf", "Measure the frequency response of an axis, or take it from a recording."),
     "emulate": ("hysteresis_ros.cli.emulate:emulate", "Emulate a device, with a plant inside and faults."),
     "export": ("hysteresis_ros.cli.export:export", "Turn a recording into .npz or .csv."),
+    "repair": ("hysteresis_ros.cli.repair:repair", "Make a bag whole that was cut off."),
     "design": ("hysteresis_ros.cli.design:design", "Design a controller from the model in a configuration."),
     "report": ("hysteresis_ros.cli.report:report", "Judge a recording: figures, plots, HTML."),
     "compare": ("hysteresis_ros.cli.compare:compare", "Rank all controllers and compensators for an axis."),

@@ -21,6 +21,7 @@ from rosbags.rosbag2 import Reader
 from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.recordings import cdr
 from hysteresis_ros.recordings.mcap_stream import StreamResult, read_stream
+from hysteresis_ros.recordings.sqlite_stream import read_database
 
 #: Types whose messages are kept; of others (images …) only the topic is remembered.
 KEPT_TYPES = frozenset({cdr.FLOAT64, cdr.STRING, cdr.JOINT_STATE, cdr.DIAGNOSTICS})
@@ -110,44 +111,49 @@ def read_bag(path) -> Bag:
         There is no such path, it holds no bag, or nothing in it can be read.
     """
     path = pathlib.Path(path)
-    if path.is_dir():
-        return _read_folder(path)
-    if not path.exists():
-        raise RecordingError(f"{path}: no such file or folder; give the path of a recorded bag")
-    if path.suffix == ".mcap":
-        return _read_streams(path, [path], [])
-    if path.suffix == ".db3":
-        bag = Bag(path)
-        _read_with_rosbags(bag, path)
-        return bag
-    raise RecordingError(f"{path}: unknown kind of recording; give a bag folder, a .mcap, .db3, .npz or .csv file")
-
-
-def _read_folder(path: pathlib.Path) -> Bag:
-    streams = sorted(path.glob("*.mcap"), key=_natural)
-    databases = sorted(path.glob("*.db3"), key=_natural)
-    reason = None
-    within = _recordings_within(path, [*streams, *databases])
-    if within:
-        raise RecordingError(f"{path}: no bag itself, give one of the recordings in it: {', '.join(map(str, within))}")
-    if (path / "metadata.yaml").exists():
+    files = files_of(path)
+    notes = []
+    if not path.is_dir() or (path / "metadata.yaml").exists():
+        if path.suffix == ".mcap":
+            return _read_files(path, files, [])
         try:
             bag = Bag(path)
             _read_with_rosbags(bag, path)
             return bag
         except RecordingError as error:
-            reason = str(error)
-            if not streams:
-                raise
-    if streams:
-        note = f"read in file order because the index cannot be used ({reason})" if reason else None
-        return _read_streams(path, streams, [note] if note else ["metadata.yaml is missing: read in file order"])
-    if databases:
-        bag = Bag(path, notes=["metadata.yaml is missing"])
-        for database in databases:
-            _read_with_rosbags(bag, database)
-        return bag
-    raise RecordingError(f"{path}: not a bag: neither metadata.yaml nor .mcap or .db3 files in it")
+            notes.append(f"read in file order because the index cannot be used ({error})")
+    else:
+        notes.append("metadata.yaml is missing: read in file order")
+    return _read_files(path, files, notes)
+
+
+def files_of(path: pathlib.Path) -> list[pathlib.Path]:
+    """Return the files in which the messages of a bag stand, in their order.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        A folder, or one file.
+
+    Raises
+    ------
+    RecordingError
+        There is no such path, or it is no bag.
+    """
+    if path.is_dir():
+        files = sorted(path.glob("*.mcap"), key=_natural) or sorted(path.glob("*.db3"), key=_natural)
+        within = _recordings_within(path, files)
+        if within:
+            listed = ", ".join(map(str, within))
+            raise RecordingError(f"{path}: no bag itself, give one of the recordings in it: {listed}")
+        if not files and not (path / "metadata.yaml").exists():
+            raise RecordingError(f"{path}: not a bag: neither metadata.yaml nor .mcap or .db3 files in it")
+        return files
+    if not path.exists():
+        raise RecordingError(f"{path}: no such file or folder; give the path of a recorded bag")
+    if path.suffix not in (".mcap", ".db3"):
+        raise RecordingError(f"{path}: unknown kind of recording; give a bag folder, a .mcap, .db3, .npz or .csv file")
+    return [path]
 
 
 def _recordings_within(path: pathlib.Path, files: list[pathlib.Path]) -> list[pathlib.Path]:
@@ -173,12 +179,19 @@ def _read_with_rosbags(bag: Bag, path: pathlib.Path) -> None:
         raise RecordingError(f"{path}: not a readable bag: {detail}") from None
 
 
-def _read_streams(path: pathlib.Path, files: list[pathlib.Path], notes: list[str]) -> Bag:
+def _read_files(path: pathlib.Path, files: list[pathlib.Path], notes: list[str]) -> Bag:
+    """Read files one after the other, as far as each goes."""
+    if not files:
+        raise RecordingError(f"{path}: not a readable bag: {'; '.join(notes)}")
     bag = Bag(path, notes=notes)
     for file in files:
-        result = read_stream(file, bag.add)
-        bag.complete &= result.complete and not result.damaged_chunks
-        bag.notes += _stream_notes(file, result)
+        if file.suffix == ".mcap":
+            result = read_stream(file, bag.add)
+            bag.complete &= result.complete and not result.damaged_chunks
+            bag.notes += _stream_notes(file, result)
+        elif not read_database(file, bag.add):
+            bag.complete = False
+            bag.notes.append(f"{file.name} was cut off or is damaged: read up to the first page that is missing")
     return bag
 
 

@@ -16,7 +16,6 @@ from collections.abc import Callable
 from typing import Any
 
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
-from rosbags.rosbag2 import StoragePlugin
 from rosbags.rosbag2.errors import WriterError
 
 from hysteresis_ros.errors import RecordingError
@@ -26,7 +25,8 @@ from hysteresis_ros.recordings.mcap_storage import ChunkedWriter, Frames
 #: Bytes of messages after which a chunk is closed and handed to the operating system.
 CHUNK_BYTES = 256 * 1024
 
-_FOREVER = QosTime(2147483647, 4294967295)
+#: No limit, as ROS 2 Jazzy writes it.
+_FOREVER = QosTime(9223372036, 854775807)
 
 
 def offered_qos(durability: str = "volatile", depth: int = 1000) -> tuple[Qos, ...]:
@@ -56,12 +56,19 @@ class BagWriter:
     :meth:`flush` now and then (the recorder does, every ``chunk_time``) so that a slow axis does not fill a chunk for
     minutes. Once a write has failed (a full disk) nothing more is taken; what was written before stays readable.
 
+    With ``max_bag_size`` or ``max_bag_duration`` the folder holds ``NAME_0.mcap``, ``NAME_1.mcap`` …, as ``ros2 bag
+    record`` splits: each is a whole file by itself, and the folder is read as one recording.
+
     Parameters
     ----------
     path : path-like
         Folder to create; it must not exist.
     chunk_bytes : int
         Size of a chunk before it is closed.
+    max_bag_size : int
+        Bytes that a file holds at most, as far as its chunks allow, before the next one begins; 0: any.
+    max_bag_duration : float
+        Seconds from the first message of a file to the first one of the next; 0: any.
 
     Raises
     ------
@@ -74,10 +81,13 @@ class BagWriter:
     ...     bag.write_float64("/setpoint", 5e-6, time_ns=0)
     """
 
-    def __init__(self, path, *, chunk_bytes: int = CHUNK_BYTES):
+    def __init__(self, path, *, chunk_bytes: int = CHUNK_BYTES, max_bag_size: int = 0, max_bag_duration: float = 0.0):
         """Create the folder and open the file."""
         self.path = pathlib.Path(path)
         self.chunk_bytes = int(chunk_bytes)
+        self._max_bytes, self._max_nanoseconds = int(max_bag_size), round(1e9 * max_bag_duration)
+        self._first_ns = -1
+        self._words: dict[str, dict[str, str]] = {}
         self.message_count = 0
         self._connections: dict[str, tuple[str, Any]] = {}
         self._encoders: dict[tuple[str, tuple[str, ...]], cdr.JointStateEncoder] = {}
@@ -85,7 +95,9 @@ class BagWriter:
         self._failure = ""
         self._waiting: list[Callable[[], None]] = []
         try:
-            self._writer: ChunkedWriter | None = ChunkedWriter(self.path, version=9, storage_plugin=StoragePlugin.MCAP)
+            self._writer: ChunkedWriter | None = ChunkedWriter(
+                self.path, numbered=self._max_bytes > 0 or self._max_nanoseconds > 0
+            )
             self._writer.open()
         except WriterError:
             raise RecordingError(f"{self.path}: exists already; choose another name or remove it") from None
@@ -122,12 +134,33 @@ class BagWriter:
             raise RecordingError(
                 f"topic {topic}: message type {type_name!r} is not known; use the types of ROS 2 Jazzy"
             )
-        self._connections[topic] = (
-            type_name,
-            self._alive().add_connection(
-                topic, type_name, typestore=cdr.typestore(), offered_qos_profiles=offered_qos(durability)
-            ),
-        )
+        qos = offered_qos(durability)
+        try:
+            made = self._alive().add_connection(topic, type_name, typestore=cdr.typestore(), offered_qos_profiles=qos)
+        except OSError as error:
+            raise self._failed(error) from None
+        self._connections[topic] = type_name, made
+
+    def describe(self, name: str, words: dict[str, str]) -> None:
+        """Write words about the recording into each of its files, as a metadata record of MCAP.
+
+        Parameters
+        ----------
+        name : str
+            Of the record.
+        words : dict of str to str
+            What is said.
+
+        Raises
+        ------
+        RecordingError
+            The bag is closed or the disk is full.
+        """
+        self._words[name] = words
+        try:
+            self._alive().file.write_words(name, words)
+        except OSError as error:
+            raise self._failed(error) from None
 
     def write(self, topic: str, type_name: str, data: bytes, time_ns: int) -> None:
         """Write one message that is serialised already.
@@ -151,7 +184,10 @@ class BagWriter:
             self.add_topic(topic, type_name)
             connection = self._connections[topic]
         try:
-            self._alive().write(connection[1], int(time_ns), data)
+            writer = self._alive()
+            if self._is_over(time_ns):
+                self._next_file()
+            writer.write(connection[1], int(time_ns), data)
         except OSError as error:
             raise self._failed(error) from None
         self.message_count += 1
@@ -176,7 +212,10 @@ class BagWriter:
             The bag is closed or the disk is full.
         """
         try:
-            self._alive().write_frames(frames)
+            writer = self._alive()
+            if self._is_over(int(frames.times[0])) or self._is_full(frames.size * frames.count):
+                self._next_file()
+            writer.write_frames(frames)
         except OSError as error:
             raise self._failed(error) from None
         self.message_count += frames.count * len(frames.channels)
@@ -209,11 +248,13 @@ class BagWriter:
         """
         for write in self._waiting:
             write()
-        storage: Any = self._alive().storage
+        writer = self._alive()
         try:
             # an empty chunk would carry no times and confuse readers
             if self._open_bytes:
-                storage.close_chunk()
+                if self._is_full(0):
+                    self._next_file()
+                writer.file.close_chunk()
         except OSError as error:
             raise self._failed(error) from None
         self._open_bytes = 0
@@ -238,6 +279,24 @@ class BagWriter:
                 writer.close()
             except OSError as error:
                 raise RecordingError(f"{self.path}: cannot be finished: {error.strerror}") from None
+
+    def _is_over(self, time_ns: int) -> bool:
+        """Tell whether a message of this time belongs into the next file."""
+        if self._first_ns < 0:
+            self._first_ns = time_ns
+        return 0 < self._max_nanoseconds <= time_ns - self._first_ns
+
+    def _is_full(self, more: int) -> bool:
+        """Tell whether a chunk of what waits, and of so many bytes more, makes the file too large."""
+        file = self._alive().file
+        return self._max_bytes > 0 and bool(file.index.chunks) and file.size + more > self._max_bytes
+
+    def _next_file(self) -> None:
+        writer = self._alive()
+        writer.next_file()
+        self._first_ns = -1
+        for name, words in self._words.items():
+            writer.file.write_words(name, words)
 
     def _failed(self, error: OSError) -> RecordingError:
         """Return the error that says so, now and at every later write."""

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""MCAP files written in whole chunks: message by message through ``rosbags``, or many samples in one go.
+"""MCAP files written in whole chunks: message by message through ``rosbags``, or many samples in one go; bags of them.
 
 A chunk goes to the operating system in one piece. When that fails (a full disk) the file is cut back to the chunk
 before, so that it never ends in the middle of a record, and nothing of the chunk counts as written.
@@ -18,31 +18,24 @@ from __future__ import annotations
 import contextlib
 import io
 import os
-import struct
 from collections import defaultdict
-from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+from mcap.opcode import Opcode
+from mcap.records import Channel, Metadata, MetadataIndex, Schema
+from rosbags.interfaces import Connection, MessageDefinitionFormat
 from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.rosbag2.enums import CompressionMode
 from rosbags.rosbag2.storage_mcap import McapWriter, PendingChunk
 
+from hysteresis_ros.recordings.bag_metadata import FileInformation, information, mcap_file, text_of, write_metadata
 from hysteresis_ros.recordings.cdr import MessageForm
+from hysteresis_ros.recordings.mcap_index import MESSAGE, NEVER, RECORD, McapIndex, packed
 
-# Records of the MCAP format (https://mcap.dev/spec): opcode and length, then the content.
-MESSAGE, CHUNK, MESSAGE_INDEX = 0x05, 0x06, 0x07
-_RECORD = struct.Struct("<BQ")
-#: Of a message: channel, sequence number, log time, publish time.
-_MESSAGE = struct.Struct("<HIQQ")
-#: Of a chunk: first and last log time, size, checksum (0: none), length of the name of the compression.
-_CHUNK = struct.Struct("<QQQII")
-#: Of a message index: channel, bytes of entries. An entry is log time and place in the chunk.
-_INDEX = struct.Struct("<HI")
-_ENTRY = 16
-
-#: Start and end of a chunk without messages, as ``rosbags`` has them.
-_NO_TIMES = 2**63 - 1, 0
+#: Metadata record of an MCAP file in which ``ros2 bag`` keeps what else stands in metadata.yaml, and its key.
+ROSBAG2, SERIALISED = "rosbag2", "serialized_metadata"
 
 
 class Frames:
@@ -64,9 +57,10 @@ class Frames:
         self._stamps: list[str] = []
         for number, (channel, form) in enumerate(messages):
             start = len(frame)
-            data = start + _RECORD.size + _MESSAGE.size
+            data = start + RECORD.size + MESSAGE.size
             self.starts.append(start)
-            frame += _RECORD.pack(MESSAGE, _MESSAGE.size + len(form.data)) + _MESSAGE.pack(channel, 0, 0, 0) + form.data
+            frame += RECORD.pack(Opcode.MESSAGE, MESSAGE.size + len(form.data)) + MESSAGE.pack(channel, 0, 0, 0)
+            frame += form.data
             layout += [(f"log{number}", "<u8", data - 16), (f"publish{number}", "<u8", data - 8)]
             if form.stamp >= 0:
                 self._stamps.append(str(number))
@@ -133,27 +127,67 @@ class Frames:
         return found
 
 
-@dataclass(frozen=True)
-class _Content:
-    """What goes into a chunk: pieces of its data, message indices by channel, first and last time."""
-
-    pieces: list
-    entries: dict
-    start: int
-    end: int
-
-
 class ChunkStorage(McapWriter):
-    """The MCAP storage of ``rosbags``, with whole chunks and message indices made by NumPy."""
+    """The MCAP storage of ``rosbags``, with whole chunks and message indices made by NumPy.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        Folder of the bag.
+    compression : CompressionMode
+        Of its chunks.
+    """
 
     def __init__(self, path, compression):
         """Create the file."""
         super().__init__(path, compression)
         self.bio: Any = self.bio.detach()  # nothing waits in a buffer
+        self.index = McapIndex()
+
+    def rename(self, name: str) -> None:
+        """Give the file another name in its folder."""
+        self.path = self.path.rename(self.path.with_name(name))
+
+    @property
+    def size(self) -> int:
+        """Bytes that the file will have when the messages that came one by one are written."""
+        return self.bio.tell() + self.chunk.bio.tell()
+
+    def add_msgtype(self, connection: Connection) -> None:
+        """Write a message type."""
+        name = "ros2msg" if connection.msgdef.format == MessageDefinitionFormat.MSG else "ros2idl"
+        schema = Schema(len(self.index.schemas) + 1, connection.msgdef.data.encode(), name, connection.msgtype)
+        self._append([packed(schema)])
+        self.index.schemas[schema.id] = schema
+
+    def add_connection(self, connection: Connection, offered_qos_profiles: str) -> None:
+        """Write a channel."""
+        schema = next(number for number, item in self.index.schemas.items() if item.name == connection.msgtype)
+        words = {"offered_qos_profiles": offered_qos_profiles, "topic_type_hash": connection.digest}
+        encoding = getattr(connection.ext, "serialization_format", "cdr")
+        channel = Channel(connection.id, connection.topic, encoding, words, schema)
+        self._append([packed(channel)])
+        self.index.channels[channel.id] = channel
+        self.channel_stats[channel.id] = 0
+
+    def continue_from(self, before: ChunkStorage) -> None:
+        """Announce the topics of the file before, and take over the messages that it has not written yet."""
+        schemas, channels = before.index.schemas, before.index.channels
+        self._append([packed(*schemas.values(), *channels.values())])
+        self.index.schemas, self.index.channels = dict(schemas), dict(channels)
+        self.channel_stats = dict.fromkeys(channels, 0)
+        self.chunk, before.chunk = before.chunk, self.chunk
+
+    def write_words(self, name: str, words: dict[str, str]) -> None:
+        """Write a metadata record."""
+        record = packed(Metadata(name, words))
+        place = MetadataIndex(self.bio.tell(), len(record), name)
+        self._append([record])
+        self.index.metadata.append(place)
 
     def close_chunk(self) -> None:
         """Write the messages that came one by one."""
-        self._write_chunk(self._pending())
+        self._write_chunk([self.chunk.bio.getvalue()], self._pending())
 
     def write_frames(self, frames: Frames) -> None:
         """Write samples, after the messages that came one by one before.
@@ -163,49 +197,26 @@ class ChunkStorage(McapWriter):
         OSError
             The disk is full; then nothing of it is in the file.
         """
-        pending = self._pending()
-        base = sum(len(piece) for piece in pending.pieces)
-        entries = dict(pending.entries)
-        for channel, own in zip(frames.channels, frames.entries(base), strict=True):
+        before = self.chunk.bio.getvalue()
+        entries = self._pending()
+        for channel, own in zip(frames.channels, frames.entries(len(before)), strict=True):
             entries[channel] = np.concatenate([entries[channel], own]) if channel in entries else own
-        start, end = int(frames.times.min()), int(frames.times.max())
-        times = min(start, pending.start), max(end, pending.end)
-        self._write_chunk(_Content([*pending.pieces, frames.data], entries, *times))
-        for channel in frames.channels:
-            self.channel_stats[channel] += frames.count
-        self.message_start_time = min(self.message_start_time, start)
-        self.message_end_time = max(self.message_end_time, end)
+        self._write_chunk([before, frames.data], entries)
 
-    def _pending(self) -> _Content:
-        chunk = self.chunk
-        entries = {channel: np.array(messages, "<u8") for channel, messages in chunk.msgs.items()}
-        return _Content([chunk.bio.getvalue()], entries, chunk.message_start_time, chunk.message_end_time)
+    def _pending(self) -> dict:
+        return {channel: np.array(messages, "<u8") for channel, messages in self.chunk.msgs.items()}
 
-    def _write_chunk(self, content: _Content) -> None:
-        size = sum(len(piece) for piece in content.pieces)
-        pieces = content.pieces
+    def _write_chunk(self, pieces: list, entries: dict) -> None:
+        size = sum(len(piece) for piece in pieces)
         if self.compression:
             pieces = [self.compressor(b"".join(pieces))]
-        stored = sum(len(piece) for piece in pieces)
-        name = self.compression.encode()
-        head = _CHUNK.pack(content.start, content.end, size, 0, len(name)) + name + struct.pack("<Q", stored)
-        begin = self.bio.tell()
-        length = _RECORD.size + len(head) + stored
-        indices, places = bytearray(), []
-        for channel, entries in content.entries.items():
-            places.append((channel, begin + length + len(indices)))
-            bytes_ = _ENTRY * len(entries)
-            indices += _RECORD.pack(MESSAGE_INDEX, _INDEX.size + bytes_) + _INDEX.pack(channel, bytes_)
-            indices += entries.tobytes()
-        self._append([_RECORD.pack(CHUNK, len(head) + stored) + head, *pieces, indices])
-        # what follows stands in the summary at the end of the file: a chunk index record
-        summary = io.BytesIO()
-        summary.write(struct.pack("<QQQQ", content.start, content.end, begin, length))
-        summary.write(struct.pack("<I", 10 * len(places)))
-        summary.write(b"".join(struct.pack("<HQ", *place) for place in places))
-        summary.write(struct.pack("<QI", len(indices), len(name)) + name + struct.pack("<QQ", stored, size))
-        self.chunks.append(summary)
-        self.chunk = PendingChunk(*_NO_TIMES, io.BytesIO(), defaultdict(list))
+        noted = self.index.noted()
+        try:
+            self._append(self.index.chunk(self.bio.tell(), pieces, size, entries, self.compression))
+        except BaseException:
+            self.index.forget(noted)
+            raise
+        self.chunk = PendingChunk(NEVER, 0, io.BytesIO(), defaultdict(list))
 
     def _append(self, pieces) -> None:
         """Write pieces at the end of the file, all or none."""
@@ -225,38 +236,91 @@ class ChunkStorage(McapWriter):
                 self.bio.truncate()
             raise
 
+    def information(self) -> FileInformation:
+        """Return what stands in the file."""
+        return mcap_file(self.path.name, self.index)
+
     def close(self, version: int, metadata: str) -> None:
         """Write what waits, and the summary; without room for it the file stays readable in its order."""
-        file = self.bio
-        try:
-            if self.chunk.bio.tell():
+        with self.bio:
+            if self.chunk.msgs:
                 self.close_chunk()
-            self.bio = tail = _Tail(file.tell())
-            super().close(version, metadata)
-            self.bio = file
-            self._append([tail.getbuffer()])
-        finally:
-            file.close()
-
-
-class _Tail(io.BytesIO):
-    """The end of a file, collected in memory; places are those in the file."""
-
-    def __init__(self, origin: int):
-        super().__init__()
-        self._origin = origin
-
-    def tell(self) -> int:
-        return self._origin + super().tell()
-
-    def close(self) -> None:
-        """Keep what was collected."""
+            words = packed(Metadata(ROSBAG2, {SERIALISED: metadata}))
+            begin = self.bio.tell()
+            self.index.metadata.append(MetadataIndex(begin, len(words), ROSBAG2))
+            self._append([words, self.index.tail(begin + len(words))])
 
 
 class ChunkedWriter(Writer):
-    """The bag writer of ``rosbags`` with :class:`ChunkStorage`."""
+    """The bag writer of ``rosbags`` with :class:`ChunkStorage`, in one file or, one after the other, in several.
+
+    Parameters
+    ----------
+    path : path-like
+        Folder to create.
+    numbered : bool
+        Name the files ``NAME_0.mcap``, ``NAME_1.mcap`` …, not ``NAME.mcap``.
+    """
 
     STORAGE_PLUGINS = MappingProxyType({**Writer.STORAGE_PLUGINS, StoragePlugin.MCAP: ChunkStorage})
+
+    def __init__(self, path, numbered: bool = False):
+        super().__init__(path, version=9, storage_plugin=StoragePlugin.MCAP)
+        self.numbered = numbered
+        self.files: list[FileInformation] = []
+
+    def open(self) -> None:
+        """Create the folder and its first file."""
+        super().open()
+        if self.numbered:
+            self.file.rename(f"{self.path.name}_0.mcap")
+
+    @property
+    def file(self) -> ChunkStorage:
+        """The file that is being written."""
+        storage: Any = self.storage
+        return storage
+
+    def next_file(self) -> None:
+        """Finish the file; what is not written yet comes into the next one.
+
+        Raises
+        ------
+        OSError
+            The disk is full.
+        """
+        before = self.file
+        after = ChunkStorage(self.path, CompressionMode.NONE)
+        try:
+            after.rename(f"{self.path.name}_{len(self.files) + 1}.mcap")
+            after.continue_from(before)
+        except OSError:
+            after.bio.close()
+            after.path.unlink()
+            raise
+        self.storage = after
+        self._finish(before)
+
+    def _finish(self, file: ChunkStorage) -> None:
+        if file.chunk.msgs:
+            file.close_chunk()
+        self.files.append(file.information())
+        file.close(self.version, text_of(information(self.files[-1:], "mcap", self.custom_data)))
+
+    def close(self) -> None:
+        """Write what waits, the index and ``metadata.yaml``.
+
+        Raises
+        ------
+        OSError
+            The disk is full.
+        """
+        file, self.storage = self.file, None
+        try:
+            self._finish(file)
+        finally:
+            file.bio.close()
+        write_metadata(self.path, information(self.files, "mcap", self.custom_data))
 
     def write_frames(self, frames: Frames) -> None:
         """Write samples.
@@ -266,11 +330,5 @@ class ChunkedWriter(Writer):
         OSError
             The disk is full; then nothing of it is in the file.
         """
-        if not frames.count:
-            return
-        storage: Any = self.storage
-        storage.write_frames(frames)
-        for channel in frames.channels:
-            self.counts[channel] += frames.count
-        self.min_timestamp = min(self.min_timestamp, int(frames.times.min()))
-        self.max_timestamp = max(self.max_timestamp, int(frames.times.max()))
+        if frames.count:
+            self.file.write_frames(frames)

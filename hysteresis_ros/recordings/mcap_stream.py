@@ -11,9 +11,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import io
 import pathlib
-import struct
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -23,12 +23,7 @@ from mcap.records import Channel, Chunk, DataEnd, Message, Schema
 from mcap.stream_reader import StreamReader, get_chunk_data_stream
 
 from hysteresis_ros.errors import RecordingError
-
-MAGIC = b"\x89MCAP0\r\n"
-
-_RECORD = struct.Struct("<BQ")
-_MESSAGE = struct.Struct("<HIQQ")
-_CHUNK = struct.Struct("<QQQII")
+from hysteresis_ros.recordings.mcap_index import CHUNK, MAGIC, MESSAGE, RECORD, records_in
 
 
 @dataclass
@@ -78,19 +73,14 @@ class _Records:
 
     def walk(self, data: bytes) -> None:
         """Go through the records of a chunk, up to the last whole one."""
-        cursor = 0
-        while cursor + _RECORD.size <= len(data):
-            opcode, length = _RECORD.unpack_from(data, cursor)
-            start, cursor = cursor + _RECORD.size, cursor + _RECORD.size + length
-            if cursor > len(data):
-                return
-            if opcode == Opcode.MESSAGE and length >= _MESSAGE.size:
-                channel_id, _, time_ns, _ = _MESSAGE.unpack_from(data, start)
-                self.message(channel_id, time_ns, data[start + _MESSAGE.size : cursor])
+        for opcode, begin, end in records_in(data):
+            if opcode == Opcode.MESSAGE and end - begin >= MESSAGE.size:
+                channel_id, _, time_ns, _ = MESSAGE.unpack_from(data, begin)
+                self.message(channel_id, time_ns, data[begin + MESSAGE.size : end])
             elif opcode == Opcode.SCHEMA:
-                self.schema(Schema.read(ReadDataStream(io.BytesIO(data[start:cursor]))))
+                self.schema(Schema.read(ReadDataStream(io.BytesIO(data[begin:end]))))
             elif opcode == Opcode.CHANNEL:
-                self.channel(Channel.read(ReadDataStream(io.BytesIO(data[start:cursor]))))
+                self.channel(Channel.read(ReadDataStream(io.BytesIO(data[begin:end]))))
 
 
 def read_stream(path, sink) -> StreamResult:
@@ -127,7 +117,8 @@ def read_stream(path, sink) -> StreamResult:
             if not result.complete:
                 before = records.count
                 stream.seek(result.whole)
-                _salvage(stream.read(), records)
+                with contextlib.suppress(Exception):
+                    records.walk(salvaged(stream.read()))
                 result.salvaged = records.count - before
     return result
 
@@ -149,18 +140,40 @@ def _take(record, records: _Records, result: StreamResult) -> None:
         result.complete = True
 
 
-def _salvage(tail: bytes, records: _Records) -> None:
-    """Take the whole messages out of a chunk whose end is missing."""
-    if len(tail) < _RECORD.size + _CHUNK.size or tail[0] != Opcode.CHUNK:
-        return
-    name_length = _CHUNK.unpack_from(tail, _RECORD.size)[4]
-    name_start = _RECORD.size + _CHUNK.size
+def chunk_content(record: bytes) -> bytes:
+    """Return what stands in a chunk, unpacked.
+
+    Parameters
+    ----------
+    record : bytes
+        Its record, without opcode and length.
+
+    Raises
+    ------
+    Exception
+        Of any kind: it is damaged.
+    """
+    chunk = Chunk.read(ReadDataStream(io.BytesIO(record)))
+    return get_chunk_data_stream(chunk, validate_crc=True)[0].read(chunk.uncompressed_size)
+
+
+def salvaged(tail: bytes) -> bytes:
+    """Return the records of a chunk whose end is missing, as far as they can be unpacked.
+
+    Parameters
+    ----------
+    tail : bytes
+        What follows the last whole record of a file.
+    """
+    if len(tail) < RECORD.size + CHUNK.size or tail[0] != Opcode.CHUNK:
+        return b""
+    name_length = CHUNK.unpack_from(tail, RECORD.size)[4]
+    name_start = RECORD.size + CHUNK.size
     compression = tail[name_start : name_start + name_length]
-    data = tail[name_start + name_length + 8 :]
     try:
-        records.walk(_unpacked(data, compression))
+        return _unpacked(tail[name_start + name_length + 8 :], compression)
     except Exception:  # see read_stream
-        return
+        return b""
 
 
 def _unpacked(data: bytes, compression: bytes) -> bytes:

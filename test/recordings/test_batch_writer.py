@@ -16,7 +16,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap.reader import make_reader
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader
 from samples_support import ACTUATOR, AXES, MOTOR, RATE, make_samples, topics_of, write_batches
 
 from hysteresis_ros import signals
@@ -179,7 +179,7 @@ def test_compressed_chunks_hold_the_same(tmp_path):
     samples = make_samples(ACTUATOR, 100)
     with BagWriter(tmp_path / "plain") as bag:
         write_batches(SampleWriter(bag, ACTUATOR), samples)
-    writer = ChunkedWriter(tmp_path / "packed", version=9, storage_plugin=StoragePlugin.MCAP)
+    writer = ChunkedWriter(tmp_path / "packed")
     writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
     form = cdr.float64_form()
     with writer:
