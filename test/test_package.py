@@ -65,11 +65,13 @@ MAY_IMPORT = {
     "commissioning": METHODS | {"loop", "simulation", "analysis"},
     "comparison": METHODS | {"loop", "simulation", "analysis"},
     "papers": METHODS | {"loop", "simulation", "analysis"},
+    "reliability": METHODS | {"loop", "simulation"},
     "results": METHODS,
     "api": METHODS | {"loop", "simulation", "analysis", "results"},
-    "nodes": METHODS | {"sensing", "loop", "simulation", "commissioning", "analysis"},
+    "nodes": METHODS | {"sensing", "loop", "simulation", "commissioning", "analysis", "reliability"},
     "cli": METHODS
-    | {"sensing", "loop", "simulation", "commissioning", "analysis", "comparison", "papers", "nodes", "hardware"},
+    | {"sensing", "loop", "simulation", "commissioning", "analysis", "comparison", "papers", "reliability"}
+    | {"nodes", "hardware"},
 }
 ROS = re.compile(r"^(rclpy|ament_index_python|std_srvs|\w+_(msgs|interfaces))$")
 #: Heavy or special packages, and the only folder that may import them.

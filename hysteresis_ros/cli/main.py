@@ -66,6 +66,7 @@ COMMANDS = {
     "compare": ("hysteresis_ros.cli.compare:compare", "Rank all controllers and compensators for an axis."),
     "reproduce": ("hysteresis_ros.cli.reproduce:reproduce", "Repeat a paper's experiments: paper, here, holds."),
     "camera": ("hysteresis_ros.cli.camera:camera", "Displacements out of a video or a folder of pictures."),
+    "faults": ("hysteresis_ros.cli.faults:faults", "Let everything go wrong on an axis of its own, and say what held."),
     "doctor": ("hysteresis_ros.cli.doctor:doctor", "Measure what this machine holds, and say what is missing."),
 }
 

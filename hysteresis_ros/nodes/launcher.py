@@ -178,19 +178,8 @@ class Graph:
                 self.processes.append(self._spawn(name, axis.namespace, path, own))
 
     def _spawn(self, name: str, namespace: str, path: pathlib.Path, more: list[str]) -> NodeProcess:
-        module = "axis" if name == "hysteresis_axis" else name
-        command = [sys.executable, "-m", f"hysteresis_ros.nodes.{module}", *more, "--ros-args"]
-        command += ["--params-file", str(path), "--log-level", self.log_level]
-        if namespace:
-            command += ["-r", f"__ns:={namespace}"]
-        # A session of its own: Ctrl-C in a terminal reaches this process only, which then stops the nodes in order.
-        process = subprocess.Popen(
-            command,
-            env=self.environment,
-            start_new_session=True,
-            preexec_fn=partial(die_with_parent, os.getpid()),
-        )
-        return NodeProcess(name, namespace, process)
+        command = node_command(name, namespace, path, *more, log_level=self.log_level)
+        return NodeProcess(name, namespace, started(command, self.environment))
 
     def poll(self) -> bool:
         """Return True while the graph runs, False when every node left by itself with exit code 0.
@@ -249,6 +238,41 @@ class Graph:
                     node.process.kill()
                     node.process.wait()
         self._stack.close()
+
+
+def node_command(name: str, namespace: str, path: pathlib.Path, *more: str, log_level: str = "warn") -> list[str]:
+    """Return the command line of a node, or of all of an axis in one process.
+
+    Parameters
+    ----------
+    name : str
+        Of the node; ``hysteresis_axis``: all of them.
+    namespace : str
+    path : pathlib.Path
+        Parameter file.
+    *more : str
+        Further arguments of the program.
+    log_level : str
+    """
+    module = "axis" if name == "hysteresis_axis" else name
+    command = [sys.executable, "-m", f"hysteresis_ros.nodes.{module}", *more, "--ros-args"]
+    command += ["--params-file", str(path), "--log-level", log_level]
+    return [*command, "-r", f"__ns:={namespace}"] if namespace else command
+
+
+def started(command: list[str], environment: dict[str, str], **options) -> subprocess.Popen:
+    """Start a process that does not outlive this one.
+
+    Parameters
+    ----------
+    command : list of str
+    environment : dict of str to str
+    **options
+        Of :class:`subprocess.Popen`.
+    """
+    # A session of its own: Ctrl-C in a terminal reaches this process only, which then stops the nodes in order.
+    guard = partial(die_with_parent, os.getpid())
+    return subprocess.Popen(command, env=environment, start_new_session=True, preexec_fn=guard, **options)
 
 
 def _require_creatable(folder: pathlib.Path) -> None:

@@ -1,0 +1,57 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""``hysteresis faults``: do to an axis of its own what goes wrong on a bench, and say what held."""
+
+from __future__ import annotations
+
+import pathlib
+
+import click
+
+from hysteresis_ros.cli.arguments import ConfigurationName
+
+
+@click.command(short_help="Kill, stop, flood and starve an axis of its own; say what held.")
+@click.argument("config", type=ConfigurationName(), default="picma_stage")
+@click.option("--ways", default="fused,composed,processes", show_default=True, help="How the nodes run.")
+@click.option("--only", multiple=True, metavar="NAME", help="Only this mishap, or this group; may be repeated.")
+@click.option("--rounds", type=click.IntRange(1), default=1, show_default=True, help="How often, at other moments.")
+@click.option("--seed", type=int, default=1, show_default=True, help="Of the moments.")
+@click.option("--list", "listed", is_flag=True, help="Print what would be done, and do nothing.")
+@click.option("-o", "output", type=click.Path(path_type=pathlib.Path), help="Page (Markdown) for it all.")
+def faults(config, ways, only, rounds, seed, listed, output):
+    """Start the axis of CONFIG with a simulated plant, in a ROS domain of its own, and let everything go wrong.
+
+    Nodes are killed and stopped, messages lost and forged, cores and disks taken; for each it is judged whether the
+    voltage kept its limits and became safe in time, and whether the axis recovers. Ends with exit code 0 when all
+    held, 4 when something did not, 2 for wrong input.
+    """
+    from hysteresis_ros.reliability.catalogue import chosen
+    from hysteresis_ros.reliability.mishaps import chosen_ways
+
+    wanted, mishaps = chosen_ways(ways), chosen(only)
+    if listed:
+        for mishap in mishaps:
+            click.echo(f"{mishap.name} [{', '.join(mishap.ways)}]: {mishap.done}")
+        return
+    if output is not None and not output.absolute().parent.is_dir():
+        raise click.UsageError(f"-o {output}: there is no such folder; choose another place")
+    from hysteresis_ros.configuration import load_configuration
+    from hysteresis_ros.nodes.campaign.start import campaign
+    from hysteresis_ros.reliability.bounds import prepared
+
+    configuration = load_configuration(config)
+    for way in wanted:
+        prepared(configuration, way, "/faults")
+    names = [mishap.name for mishap in mishaps]
+    place = str(output.absolute()) if output else ""
+    raise SystemExit(
+        campaign({"config": config, "ways": wanted, "only": names, "rounds": rounds, "seed": seed, "output": place})
+    )

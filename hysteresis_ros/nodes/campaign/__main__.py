@@ -1,0 +1,59 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Run a campaign: ``python -m hysteresis_ros.nodes.campaign '{"config": "picma_stage", …}'``."""
+
+from __future__ import annotations
+
+import json
+import pathlib
+import sys
+import tempfile
+
+import rclpy
+from rclpy.signals import SignalHandlerOptions
+
+from hysteresis_ros.configuration import load_configuration
+from hysteresis_ros.errors import HysteresisError
+from hysteresis_ros.nodes.campaign.run import Campaign
+from hysteresis_ros.reliability.catalogue import CATALOGUE
+from hysteresis_ros.reliability.conditions import conditions
+from hysteresis_ros.reliability.page import line, page
+
+#: A claim did not hold.
+NOT_HELD = 4
+
+
+def main() -> int:
+    """Do what the only argument says; return the exit code."""
+    request = json.loads(sys.argv[1])
+    mishaps = tuple(CATALOGUE[name] for name in request["only"])
+    ways = tuple(request["ways"])
+    try:
+        rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+        before = conditions()
+        configuration = load_configuration(request["config"])
+        with tempfile.TemporaryDirectory(prefix="hysteresis_") as folder:
+            campaign = Campaign(configuration, mishaps, ways, request["rounds"], request["seed"], pathlib.Path(folder))
+            verdicts = campaign.run(lambda verdict: print(line(verdict), flush=True))
+        if request["output"]:
+            text = page(request["config"], mishaps, ways, verdicts, before, conditions())
+            pathlib.Path(request["output"]).write_text(text, encoding="utf-8")
+    except HysteresisError as error:
+        print(f"hysteresis: {' '.join(str(error).split())}", file=sys.stderr)
+        return 2
+    finally:
+        rclpy.try_shutdown()
+    failed = {verdict.trace.mishap for verdict in verdicts if verdict.failures}
+    print(f"{len(verdicts)} mishaps: {'all held' if not failed else 'not held: ' + ', '.join(sorted(failed))}")
+    return NOT_HELD if failed else 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,180 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""A node that looks on: what the plant does, what the nodes say of themselves; and that asks for setpoints."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import threading
+import time
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from lifecycle_msgs.msg import State
+from lifecycle_msgs.srv import ChangeState, GetState
+from rclpy.qos import HistoryPolicy, QoSProfile
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64
+from std_srvs.srv import Trigger
+
+from hysteresis_ros.nodes.spin import make_executor
+
+#: Seconds after which a service that does not answer is called dead.
+PATIENCE = 10.0
+#: Seconds between two looks.
+LOOK = 0.01
+#: Messages that may wait for the witness on a busy machine.
+DEPTH = 5000
+
+
+class Witness:
+    """Looks on, from a thread of its own, until it is closed.
+
+    Parameters
+    ----------
+    namespace : str
+        Of the axis.
+    """
+
+    def __init__(self, namespace: str):
+        self.namespace = namespace
+        self.node = rclpy.create_node("witness", namespace=namespace, start_parameter_services=False)
+        self.rows: list[tuple[float, ...]] = []
+        self.said: list[tuple[float, int, str]] = []
+        self.life = 0
+        self.tripped = 0.0
+        self._names: list[str] = []
+        self._clients: dict[str, object] = {}
+        qos = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=DEPTH)
+        self.node.create_subscription(JointState, "plant_simulator/state", self._on_plant, qos)
+        self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, qos)
+        self.setpoints = self.node.create_publisher(Float64, "setpoint", 10)
+        self.executor = make_executor()
+        self.executor.add_node(self.node)
+        self._leaving = threading.Event()
+        self._thread = threading.Thread(target=self._spin, name="witness", daemon=True)
+        self._thread.start()
+
+    def _spin(self) -> None:
+        while not self._leaving.is_set():
+            with contextlib.suppress(rclpy.executors.ExternalShutdownException):
+                self.executor.spin_once(timeout_sec=0.05)
+
+    def _on_plant(self, message) -> None:
+        if message.name != self._names:
+            self._names = list(message.name)
+            self._places = [self._names.index(name) for name in ("voltage", "displacement", "tripped")]
+        voltage, displacement, tripped = (message.position[place] for place in self._places)
+        stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
+        self.rows.append((time.time(), stamp, voltage, displacement, self.life))
+        self.tripped = tripped
+
+    def _on_diagnostics(self, message) -> None:
+        for status in message.status:
+            if status.name.startswith(f"{self.namespace}/"):
+                level = int.from_bytes(status.level, "big")
+                self.said.append((time.time(), level, f"{status.name.split('/')[-1].split(':')[0]}: {status.message}"))
+
+    # -- waiting and asking ----------------------------------------------------------------------------------------
+
+    def until(self, condition, seconds: float = PATIENCE) -> bool:
+        """Wait until a condition holds; False when it does not within so many seconds.
+
+        Parameters
+        ----------
+        condition : callable
+        seconds : float
+        """
+        deadline = time.monotonic() + seconds
+        while not condition():
+            if time.monotonic() > deadline:
+                return False
+            self._leaving.wait(LOOK)
+        return True
+
+    @property
+    def displacement(self) -> float:
+        """Where the axis was last seen [m]; NaN before."""
+        return self.rows[-1][3] if self.rows else math.nan
+
+    def ask(self, setpoint: float) -> None:
+        """Publish a setpoint.
+
+        Parameters
+        ----------
+        setpoint : float
+            [m]
+        """
+        self.setpoints.publish(Float64(data=setpoint))
+
+    def call(self, kind, service: str, request=None):
+        """Return the answer of a service of the axis; None when there is none in time.
+
+        Parameters
+        ----------
+        kind : type
+        service : str
+            Below the namespace.
+        request : object, optional
+        """
+        name = f"{self.namespace}/{service}"
+        client = self._clients.get(name)
+        if client is None:
+            client = self._clients[name] = self.node.create_client(kind, name)
+        if not self.until(client.service_is_ready):
+            return None
+        future = client.call_async(request or kind.Request())
+        return future.result() if self.until(future.done) else None
+
+    def trigger(self, node: str, action: str) -> bool:
+        """Call a service without arguments; tell whether it was answered, with whatever.
+
+        Parameters
+        ----------
+        node, action : str
+        """
+        return self.call(Trigger, f"{node}/{action}") is not None
+
+    def transition(self, node: str, number: int) -> bool:
+        """Ask for a transition of the lifecycle; tell whether it was answered, with whatever.
+
+        Parameters
+        ----------
+        node : str
+        number : int
+            Of ``lifecycle_msgs/msg/Transition``.
+        """
+        request = ChangeState.Request()
+        request.transition.id = number
+        return self.call(ChangeState, f"{node}/change_state", request) is not None
+
+    def is_active(self, node: str) -> bool:
+        """Tell whether a node is active."""
+        answer = self.call(GetState, f"{node}/get_state")
+        return answer is not None and answer.current_state.id == State.PRIMARY_STATE_ACTIVE
+
+    def gravest(self, since: float) -> str:
+        """Return what the nodes said gravest of themselves since a time; empty when all was well.
+
+        Parameters
+        ----------
+        since : float
+            [s since 1970]
+        """
+        found = [(level, text) for when, level, text in list(self.said) if when >= since and level]
+        return max(found, key=lambda entry: entry[0])[1] if found else ""
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._leaving.set()
+        self._thread.join()
+        self.executor.remove_node(self.node)
+        self.node.destroy_node()

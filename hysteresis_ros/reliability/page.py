@@ -1,0 +1,124 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""The page that a campaign writes, and a line for each thing it does."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable
+
+from hysteresis_ros.reliability.conditions import Conditions
+from hysteresis_ros.reliability.judge import Figures, Verdict, worst
+from hysteresis_ros.reliability.mishaps import ALWAYS, Mishap
+
+HEAD = """# What goes wrong, and what happens then
+
+Written by `hysteresis faults`: real nodes in a ROS domain of their own, to which everything below was done, and what
+was seen of them. The same on your machine, with your axis, whose plant is simulated then:
+`hysteresis faults my_axis.yaml -o reliability.md`.
+
+In each of them {always}.
+
+A cell says whether all of that, and what stands in the second column, held in that way of running, and the worst
+figures: the voltages that the plant put out; the largest step of the voltage between two samples as a part of what the
+slew rate allows; where the voltage must become safe, after which time it was; and how long after the end of the mishap
+the axis was where a new setpoint sends it, the time of that move included. Fused every sample is judged, from the
+recording; composed and as processes all that the plant published.
+"""
+
+
+#: So many letters of what a node says of itself stand in the table.
+QUOTED = 90
+
+
+def _time(seconds: float) -> str:
+    return "never" if math.isinf(seconds) else f"{seconds:.2g} s" if seconds < 9.95 else f"{seconds:.0f} s"
+
+
+def _figures(figures: Figures) -> str:
+    words = [f"{figures.lowest:.3g} … {figures.highest:.3g} V, step {figures.step:.2f}"]
+    if not math.isnan(figures.safe):
+        words.append(f"safe after {_time(figures.safe)}")
+    words.append(f"back after {_time(figures.recovery)}")
+    return ", ".join(words)
+
+
+def line(verdict: Verdict) -> str:
+    """Return in a line what a mishap came to.
+
+    Parameters
+    ----------
+    verdict : Verdict
+    """
+    trace = verdict.trace
+    name = f"{trace.way}, {trace.mishap}{f' ({trace.amount:g})' if trace.amount else ''}"
+    said = f"; said: {trace.said}" if trace.said else ""
+    notes = "".join(f"; {note}" for note in trace.notes)
+    held = f"NOT HELD: {'; '.join(verdict.failures)}; " if verdict.failures else "held: "
+    return f"{name}: {held}{_figures(verdict.figures)}{notes}{said} (load {trace.load:.1f})"
+
+
+def _cell(mishap: Mishap, way: str, verdicts: list[Verdict]) -> str:
+    """Return what stands in the table for a mishap in a way of running."""
+    if way not in mishap.ways:
+        return f"does not apply: {mishap.elsewhere}"
+    if not verdicts:
+        return "not tried"
+    failed = [verdict for verdict in verdicts if verdict.failures]
+    words = _figures(worst(verdicts))
+    said = next((verdict.trace.said for verdict in verdicts if verdict.trace.said), "")
+    notes = {re.sub(r"[\d.]+", "", note): note for verdict in verdicts for note in verdict.trace.notes}
+    words += "".join(f"; {note}" for note in notes.values())
+    words += f"; “{said.split(';')[0][:QUOTED]}”" if said else ""
+    if not failed:
+        return f"held: {words}"
+    reasons = "; ".join(dict.fromkeys(reason for verdict in failed for reason in verdict.failures))
+    return f"**not held, {len(failed)} of {len(verdicts)}**: {reasons}; {words}"
+
+
+def page(
+    config: str,
+    mishaps: Iterable[Mishap],
+    ways: tuple[str, ...],
+    verdicts: list[Verdict],
+    before: Conditions,
+    after: Conditions,
+) -> str:
+    """Return the page of a campaign.
+
+    Parameters
+    ----------
+    config : str
+        Which axis.
+    mishaps : iterable of Mishap
+        Those that were done.
+    ways : tuple of str
+    verdicts : list of Verdict
+    before, after : Conditions
+        At the beginning and the end.
+    """
+    lines = [HEAD.format(always=ALWAYS)]
+    loads = [verdict.trace.load for verdict in verdicts] or [before.load]
+    lines.append(
+        f"{before.date} … {after.date}; axis `{config}`; {before.machine}; load {min(loads):.1f} … {max(loads):.1f}; "
+        f"DDS transports: {before.transports}."
+    )
+    heading = None
+    for mishap in mishaps:
+        if mishap.group != heading:
+            heading = mishap.group
+            columns = ["what is done", "what must happen", *ways]
+            lines += [f"\n## {heading}\n", f"| {' | '.join(columns)} |", f"|{'---|' * len(columns)}"]
+        mine = [verdict for verdict in verdicts if verdict.trace.mishap == mishap.name]
+        cells = [f"**{mishap.name}**: {mishap.done}", mishap.claim or "what is said above"]
+        cells += [_cell(mishap, way, [one for one in mine if one.trace.way == way]) for way in ways]
+        lines.append("| " + " | ".join(cell.replace("|", "/") for cell in cells) + " |")
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,59 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""``hysteresis faults``: what it refuses, and one mishap done to real processes."""
+
+from __future__ import annotations
+
+import importlib.util
+import subprocess
+import sys
+
+import pytest
+from click.testing import CliRunner
+
+from hysteresis_ros.cli.main import main
+
+
+def run(*words):
+    return CliRunner().invoke(main, ["faults", *map(str, words)])
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["--only", "kil all"], "no mishap 'kil all'; did you mean kill all?"),
+        (["--ways", "fusd"], "no way 'fusd'; did you mean fused?"),
+        (["--rounds", "0"], "--rounds"),
+        (["picma_stag"], "did you mean picma_stage?"),
+        (["inchworm_travel"], "an inchworm motor"),
+        (["-o", "nowhere/page.md"], "there is no such folder"),
+    ],
+)
+def test_wrong_input_is_refused_in_one_line(words, expected):
+    result = run(*words)
+    assert result.exit_code == 2 and len(result.output.splitlines()) == 1, result.output
+    assert expected in result.output
+
+
+def test_what_would_be_done_is_listed():
+    result = run("--list", "--only", "Machine")
+    assert result.exit_code == 0
+    assert "busy cores [fused, composed, processes]: all cores busy" in result.output and "kill" not in result.output
+
+
+@pytest.mark.skipif(importlib.util.find_spec("rclpy") is None, reason="rclpy is not installed: no nodes")
+def test_a_stopped_process_is_judged_and_written_down(tmp_path):
+    page = tmp_path / "reliability.md"
+    words = ["faults", "--ways", "composed", "--only", "stop all", "-o", str(page)]
+    done = subprocess.run([sys.executable, "-m", "hysteresis_ros.cli.main", *words], capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "4 mishaps: all held" in done.stdout and "Traceback" not in done.stderr
+    row = next(row for row in page.read_text(encoding="utf-8").splitlines() if row.startswith("| **stop all**"))
+    assert "| held: " in row and "step 1.00" in row and "back after" in row
