@@ -32,7 +32,7 @@ TRIPPED = {
 #: Part of the samples that may be without a measurement.
 MOST_MISSING = 0.05
 #: Signals by which stages are judged, and those of a closed loop.
-JUDGED, FURTHER = ("reference", "voltage", "measured"), ("command", "seen")
+JUDGED, FURTHER = ("reference", "voltage", "measured"), ("command", "seen", "skipped")
 #: Distances of samples may differ by this part.
 IRREGULAR = 0.01
 

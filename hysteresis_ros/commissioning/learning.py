@@ -137,7 +137,7 @@ def in_time(skipped: np.ndarray) -> np.ndarray:
     -------
     ndarray of bool, shape (periods,)
     """
-    late = np.any(skipped != 0.0, axis=1)
+    late = np.any(skipped > 0.5, axis=1)
     return ~(late | np.concatenate([[False], late[:-1]]))
 
 

@@ -218,8 +218,9 @@ def test_single_samples_that_are_missing_are_bridged():
     whole = Recording(time, signals)
     signals = {name: np.where(np.arange(197) == 9, np.nan, values[kept]) for name, values in signals.items()}
     signals["voltage"][33] = np.nan  # answered too late
+    signals["skipped"] = np.arange(197) == 33.0
     found = require_sound(Recording(time[kept], signals), 200)
-    assert np.isfinite(found["voltage"]).all()
+    assert np.isfinite(found["voltage"]).all() and np.flatnonzero(found["skipped"] > 0.5).tolist() == [33]
     assert found["command"] == pytest.approx(whole["command"], abs=2e-4) and found.has("seen")
     assert found.time == pytest.approx(whole.time) and found["measured"] == pytest.approx(whole["measured"], abs=2e-4)
     assert require_sound(whole, 200) is whole
