@@ -99,6 +99,7 @@ def cache_folder() -> pathlib.Path:
             if other != chosen and other.stat().st_mtime < oldest:
                 shutil.rmtree(other, ignore_errors=True)
     with contextlib.suppress(OSError):
+        root.mkdir(mode=0o700, parents=True, exist_ok=True)  # machine code: nobody else may put any there
         os.utime(chosen)
     return chosen
 

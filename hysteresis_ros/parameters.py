@@ -58,6 +58,7 @@ class ParameterRow:
     read_only: bool
     required: bool
     paths: bool = False
+    place: str = ""
 
     @property
     def type_name(self) -> str:
@@ -138,6 +139,7 @@ def parameter(
     choices: tuple[str, ...] | None = None,
     read_only: bool = False,
     paths: bool = False,
+    place: str = "",
 ) -> Any:
     """Declare one parameter of a block.
 
@@ -155,10 +157,13 @@ def parameter(
         True for structure (sizes, rates, types); such parameters cannot change while a node is configured.
     paths : bool
         Beside the choices, a path is allowed: whatever contains a slash.
+    place : str
+        Where from it may be given a path: ``files``, over the graph only one in stated folders; ``start``, not over the
+        graph at all.
     """
     required = default is MISSING
     metadata = dict(description=description, unit=unit, low=low, high=high, choices=choices, paths=paths)
-    metadata |= dict(read_only=read_only, required=required)
+    metadata |= dict(read_only=read_only, required=required, place=place)
     return field(default=None if required else default, metadata=metadata)
 
 

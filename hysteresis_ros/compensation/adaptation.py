@@ -89,7 +89,9 @@ class AdaptationParameters(Parameters):
         description="factors on identified weights that are in the weights given already, as ~/save writes them; "
         "empty: all 1",
     )
-    save_file: str = parameter("", read_only=True, description="parameter file that ~/save writes; '': none")
+    save_file: str = parameter(
+        "", read_only=True, description="parameter file that ~/save writes; '': none", place="files"
+    )
     dynamics: LinearParameters = group(LinearParameters)
 
     def fits(self, hysteresis: HysteresisParameters, inverse: str):

@@ -19,6 +19,7 @@ from dataclasses import dataclass
 
 from hysteresis_ros.hardware.declaration import HardwareDriver
 from hysteresis_ros.hardware.driver import NOTHING_NEW, Capabilities, Compiled, Driver, DriverError, Reading
+from hysteresis_ros.hardware.trusted import require_trusted
 from hysteresis_ros.parameters import Parameters, parameter
 
 #: Functions without which a library is no driver; the first two are called in each sample.
@@ -56,14 +57,15 @@ def loaded(path: str | pathlib.Path) -> ctypes.CDLL:
     Raises
     ------
     DriverError
-        There is no such library, or functions are missing; the message names them.
+        There is no such library, others could put another one in its place, or functions are missing; the message
+        names them.
     """
     path = pathlib.Path(path).expanduser()
     name = f"library {path}"
     if not path.is_file():
         raise DriverError(name, "is not there", "build it, or give its path")
     try:
-        library = ctypes.CDLL(str(path.resolve()))
+        library = ctypes.CDLL(str(require_trusted(path)))
     except OSError as error:
         raise DriverError(
             name, f"cannot be loaded ({error})", "build it for this machine as a shared library"

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import importlib.machinery
 import importlib.util
 import pathlib
 import sys
@@ -24,9 +25,19 @@ from hysteresis_ros.hardware.declaration import HardwareDriver
 from hysteresis_ros.hardware.driver import DriverError
 from hysteresis_ros.hardware.library import SUFFIXES, LibraryParameters, library_driver
 from hysteresis_ros.hardware.registry import DRIVERS
+from hysteresis_ros.hardware.trusted import require_trusted
 from hysteresis_ros.parameters import ParameterRow, Parameters
 
 _TRUTHS = {"true": True, "false": False}
+
+
+class _FromSource(importlib.machinery.SourceFileLoader):
+    """Compiles a file anew each time: bytecode is not looked at, which others might have put into a cache."""
+
+    def get_code(self, fullname: str):
+        """Return the code of the file."""
+        path = self.get_filename(fullname)
+        return self.source_to_code(self.get_data(path), path)
 
 
 def driver_of(name: str) -> HardwareDriver:
@@ -66,9 +77,10 @@ def _declared_in(path: pathlib.Path) -> HardwareDriver:
     where = f"driver {path}"
     if not path.is_file():
         raise DriverError(where, "is not there", "give the path of a Python file that declares DRIVER")
+    require_trusted(path)
     # pickling, dataclasses and cached machine code look their module up by name, in another process too
     name = f"hysteresis_driver_{hashlib.sha256(str(path).encode()).hexdigest()[:16]}"
-    specification: Any = importlib.util.spec_from_file_location(name, path)
+    specification: Any = importlib.util.spec_from_file_location(name, path, loader=_FromSource(name, str(path)))
     module = importlib.util.module_from_spec(specification)
     sys.modules[name] = module
     try:

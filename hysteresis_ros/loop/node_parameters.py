@@ -138,9 +138,13 @@ class PlantNodeParameters(NodeParameters, ActuatorParameters):
         read_only=True,
         description="realtime: driver of the device that stands in the simulated plant's place, by its name or as the "
         "path of a Python file that declares DRIVER or of a shared library; '': none",
+        place="start",
     )
     driver_options: tuple[str, ...] = parameter(
-        (), read_only=True, description="what a driver that is given by its path is opened with, 'NAME=VALUE' each"
+        (),
+        read_only=True,
+        description="what a driver that is given by its path is opened with, 'NAME=VALUE' each",
+        place="start",
     )
     calibration: CalibrationParameters = group(CalibrationParameters)
     real_time_factor: float = parameter(
@@ -376,8 +380,15 @@ class DisplacementCameraNodeParameters(NodeParameters, CameraParameters):
 class RecorderNodeParameters(NodeParameters):
     """Parameters of ``recorder``."""
 
-    path: str = parameter("recording", read_only=True, description="folder of the bag, made anew")
-    configuration: str = parameter("", read_only=True, description="parameter file whose text goes into the bag")
+    path: str = parameter(
+        "recording",
+        read_only=True,
+        description="folder of the bag, made anew",
+        place="files",
+    )
+    configuration: str = parameter(
+        "", read_only=True, description="parameter file whose text goes into the bag", place="files"
+    )
     inchworm: bool = parameter(
         False,
         read_only=True,

@@ -27,6 +27,7 @@ from rclpy.parameter import Parameter
 
 from hysteresis_ros.errors import HysteresisError, ParameterError, Problem
 from hysteresis_ros.nodes.command_line import assigned
+from hysteresis_ros.nodes.places import misplaced
 from hysteresis_ros.parameters import ARRAY_TYPES, ParameterRow
 
 #: Parameters that ROS itself puts on every node.
@@ -76,12 +77,14 @@ class ParameterInterface:
         self.typed = None
         given = {name: override.value for name, override in node._parameter_overrides.items()}
         given |= assigned(node.get_name(), node.get_fully_qualified_name())
+        self._at_start: dict = {}
         for row in self._rows.values():
             if node.has_parameter(row.name):  # use_sim_time: every node has it from the start
                 continue
             default = list(row.default) if isinstance(row.default, tuple) else row.default
             value = self._typed(row, given.get(row.name, None if row.required else default), row.name in given)
             node.declare_parameter(row.name, value, _declared(row), ignore_override=True)
+            self._at_start[row.name] = self._value(row.name, value)
         node.add_pre_set_parameters_callback(self._converted)
         node.add_on_set_parameters_callback(self._check)
 
@@ -182,6 +185,7 @@ class ParameterInterface:
         if not changed or own == list(changed):
             return SetParametersResult(successful=True)
         try:
+            self._refuse_misplaced(changed)
             if own or len(changed) < len(changes):
                 # another callback may refuse these after ours was applied: then nothing would be atomic any more
                 raise ParameterError([Problem(", ".join(own), "", "set it by itself, not together with others")])
@@ -197,6 +201,19 @@ class ParameterInterface:
         except HysteresisError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
+
+    def _refuse_misplaced(self, changed: dict) -> None:
+        """Refuse paths that nobody may name from outside; those the node was started with are its user's.
+
+        Raises
+        ------
+        ParameterError
+            Names them, and where they may lie.
+        """
+        new = {name: value for name, value in changed.items() if value != self._at_start.get(name)}
+        problems = [misplaced(self._rows[name], value) for name, value in new.items()]
+        if any(problems):
+            raise ParameterError(filter(None, problems))
 
     def _refuse_read_only(self, changed: dict) -> None:
         """Refuse another value of what cannot change while the node is configured; the same one changes nothing.

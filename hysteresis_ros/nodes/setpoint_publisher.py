@@ -23,6 +23,7 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
+from hysteresis_ros.nodes.discovery import stay_on_this_machine
 from hysteresis_ros.nodes.qos import setpoint_qos
 
 #: Seconds after which both sides know each other; a volatile message sent before is lost.
@@ -86,6 +87,7 @@ def main(arguments=None) -> int:
     options = parser.parse_args(arguments)
     if len(options.at) != len(options.setpoint):
         parser.error(f"{len(options.setpoint)} setpoints but {len(options.at)} times: give --at one time for each")
+    stay_on_this_machine()
     rclpy.init(args=["--ros-args", "-r", f"__ns:=/{options.namespace.strip('/')}"] if options.namespace else [])
     node = SetpointPublisher(sorted(zip(options.at, options.setpoint, strict=True)))
     give_up = node.get_clock().now() + Duration(seconds=options.timeout)

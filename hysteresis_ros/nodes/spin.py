@@ -21,6 +21,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.logging import LoggingSeverity, set_logger_level
 from rclpy.signals import SignalHandlerOptions
 
+from hysteresis_ros.nodes.discovery import stay_on_this_machine
 from hysteresis_ros.nodes.footprint import release_compiler
 
 #: Seconds between two looks at signals and at nodes that have finished, when nothing happens otherwise.
@@ -92,6 +93,7 @@ def run(factories, arguments=None) -> int:
     executor = None
     try:
         try:
+            stay_on_this_machine()
             set_logger_level("rcl", LoggingSeverity.FATAL)  # what it says about wrong arguments is raised as well
             rclpy.init(
                 args=arguments if arguments is not None else sys.argv, signal_handler_options=SignalHandlerOptions.NO

@@ -134,9 +134,14 @@ class WalkParameters(Parameters):
         0.03, low=1.0e-4, high=0.9, read_only=True, description="damping ratio of the slider's swing"
     )
     file: str = parameter(
-        "", read_only=True, description="file of what was learned, as ~/save writes it, to begin with; empty: nothing"
+        "",
+        read_only=True,
+        description="file of what was learned, as ~/save writes it, to begin with; empty: nothing",
+        place="files",
     )
-    save_file: str = parameter("", read_only=True, description="file that the service ~/save writes; empty: none")
+    save_file: str = parameter(
+        "", read_only=True, description="file that the service ~/save writes; empty: none", place="files"
+    )
 
     @property
     def inertia(self) -> float:

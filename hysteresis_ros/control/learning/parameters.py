@@ -74,8 +74,12 @@ class LearningParameters(Parameters):
         description="nor so long after that, or after a voltage that came too late, while the axis still answers to it",
     )
     active: bool = parameter(True, description="whether it learns from the beginning; `learn` and `freeze` change it")
-    file: str = parameter("", read_only=True, description="file of what was learned, to begin with; '': nothing")
-    save_file: str = parameter("", read_only=True, description="file that the service `save` writes; '': none")
+    file: str = parameter(
+        "", read_only=True, description="file of what was learned, to begin with; '': nothing", place="files"
+    )
+    save_file: str = parameter(
+        "", read_only=True, description="file that the service `save` writes; '': none", place="files"
+    )
 
     @property
     def in_use(self) -> bool:

@@ -21,6 +21,7 @@ import time
 import rclpy
 from rclpy.signals import SignalHandlerOptions
 
+from hysteresis_ros.nodes.discovery import stay_on_this_machine
 from hysteresis_ros.nodes.epics.link import AxisLink
 from hysteresis_ros.nodes.epics.record import SILENT
 from hysteresis_ros.nodes.epics.server import Motor, serve
@@ -34,6 +35,7 @@ def main() -> int:
     over = threading.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda signum, frame: over.set())
+    stay_on_this_machine()
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     node = rclpy.create_node("epics_ioc", start_parameter_services=False)
     executor = make_executor()

@@ -22,6 +22,7 @@ from rclpy.executors import SingleThreadedExecutor
 
 from hysteresis_ros.configuration import NODE_NAMES, OPTIONAL_NODE_NAMES, normalised_namespace
 from hysteresis_ros.errors import HysteresisError, did_you_mean
+from hysteresis_ros.nodes.discovery import stay_on_this_machine
 
 #: Seconds of one look at the graph.
 LOOK = 0.02
@@ -54,6 +55,7 @@ class Client:
     def __enter__(self) -> Client:
         """Enter the graph."""
         if self._own:
+            stay_on_this_machine()
             self._context = Context()
             rclpy.init(args=[], context=self._context)
         try:

@@ -28,7 +28,10 @@ COUNT, REPEAT, TABLE = OWN, OWN + 1, OWN + 2  # entries, samples after which it 
 class FileParameters(Parameters):
     """Samples from CSV, NPZ or NPY, repeated every cycle."""
 
-    path: str = parameter(description="CSV (header names units), NPZ or NPY file")
+    path: str = parameter(
+        description="CSV (header names units), NPZ or NPY file",
+        place="files",
+    )
     column: str = parameter("reference", description="column of the CSV (without unit) or array of the NPZ")
     sample_time: float = parameter(
         0.0,

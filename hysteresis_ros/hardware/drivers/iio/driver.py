@@ -27,15 +27,25 @@ from hysteresis_ros.parameters import Parameters, parameter
 class IioParameters(Parameters):
     """Which converters; what their volts mean is said by ``calibration``."""
 
-    directory: str = parameter("/sys/bus/iio/devices", description="where the devices are", read_only=True)
+    directory: str = parameter(
+        "/sys/bus/iio/devices", description="where the devices are", read_only=True, place="files"
+    )
     output_device: str = parameter(
-        "", description="the DAC: what its file name says, or its folder, for instance iio:device0", read_only=True
+        "",
+        description="the DAC: what its file name says, or its folder, for instance iio:device0",
+        read_only=True,
+        place="files",
     )
     output_channel: str = parameter("voltage0", description="its channel", read_only=True)
     output_raw_range: tuple[float, ...] = parameter(
         (), description="least and greatest raw number of a DAC that has no …_raw_available", read_only=True
     )
-    input_device: str = parameter("", description="the ADC, likewise", read_only=True)
+    input_device: str = parameter(
+        "",
+        description="the ADC, likewise",
+        read_only=True,
+        place="files",
+    )
     input_channel: str = parameter("voltage0", description="its channel", read_only=True)
     safe_voltage: float = parameter(
         0.0, description="voltage of the DAC in the safe state", unit="V", low=-1.0e4, high=1.0e4, read_only=True

@@ -44,7 +44,9 @@ class Nv200Parameters(Parameters):
 
     host: str = parameter("", description="name or address of the amplifier; '': it is at serial_port", read_only=True)
     port: int = parameter(23, description="its TCP port", low=1, high=65535, read_only=True)
-    serial_port: str = parameter("", description="serial port, for instance /dev/ttyUSB0", read_only=True)
+    serial_port: str = parameter(
+        "", description="serial port, for instance /dev/ttyUSB0", read_only=True, place="files"
+    )
     configure_link: bool = parameter(
         True, description="TCP: let the package set the flow control of the Ethernet module, once", read_only=True
     )
