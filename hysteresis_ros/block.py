@@ -28,7 +28,9 @@ import hashlib
 import os
 import pathlib
 import shutil
+import sys
 import time
+import types
 from typing import Any
 
 import numpy as np
@@ -42,6 +44,28 @@ except ImportError:  # the optional extra `fast` is not installed
 
 #: True when kernels are compiled.
 COMPILED = numba is not None and not numba.config.DISABLE_JIT
+
+
+def _leave_blas_for_later() -> None:
+    """Import what Numba imports for its first kernel, but for the linear algebra of SciPy.
+
+    Whether there is a BLAS Numba finds out by importing it, a seventh of the time in which a node starts, and no kernel
+    here uses one. A name that is taken answers the question; who does use a BLAS still imports it then.
+    """
+    name = "scipy.linalg.cython_blas"
+    if name in sys.modules:
+        return
+    sys.modules[name] = types.ModuleType(name)
+    try:
+        # another Numba may have no such module: it imports what it wants when it wants it
+        with contextlib.suppress(ImportError):
+            import numba.np.arraymath  # noqa: F401
+    finally:
+        del sys.modules[name]
+
+
+if COMPILED:
+    _leave_blas_for_later()
 
 # Kernels allocate nothing, so nobody has to count references to their arrays: left on, the counting (atomic) costs a
 # small kernel up to nine tenths of its time. Off (`_nrt`), a kernel that allocates after all does not compile.
@@ -124,7 +148,7 @@ def _in_two_forms(function, **options):
         return function
     with _cache_directory():
         form = numba.njit(**_OPTIONS)(function)
-    form.within = numba.njit(**options, **_WITHIN)(function)
+    form.within = functools.cache(lambda: numba.njit(**options, **_WITHIN)(function))
     return form
 
 
@@ -144,7 +168,7 @@ if COMPILED:
     def _type_of_compiled(value, context):
         """Type of a compiled function: where it stands in the source of another one, that of its form within."""
         within = getattr(value, "within", None) if context.purpose.name == "constant" else None
-        return numba.types.Dispatcher(value) if within is None else _Within(within)
+        return numba.types.Dispatcher(value) if within is None else _Within(within())
 
 
 def nested(function):

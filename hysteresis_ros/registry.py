@@ -15,6 +15,7 @@ found; nothing else has to be told. Packages of others add theirs by an entry po
 
 from __future__ import annotations
 
+import functools
 import importlib
 import importlib.metadata
 import pkgutil
@@ -61,13 +62,19 @@ def discover(package: str, attribute: str, kind: type[Declaration], group: str) 
         if not item.name.startswith("_"):
             module = importlib.import_module(f"{package}.{item.name}")
             _add(found, getattr(module, attribute, None), kind, f"{module.__name__}.{attribute}")
-    for entry in importlib.metadata.entry_points(group=group):
+    for entry in _entry_points(tuple(sys.path)).select(group=group):
         try:
             _add(found, entry.load(), kind, entry.value)
         except Exception as error:
             text = f"entry point {entry.name} = {entry.value} of {group} is left out: {type(error).__name__}: {error}"
             warnings.warn(text, RuntimeWarning, stacklevel=2)
     return dict(sorted(found.items()))
+
+
+@functools.lru_cache(maxsize=1)
+def _entry_points(path: tuple[str, ...]) -> Any:
+    """Return the entry points of all that is installed along ``path``, which is read once for all registries."""
+    return importlib.metadata.entry_points()
 
 
 def _add(found: dict[str, Declaration], declared: object, kind: type[Declaration], source: str) -> None:

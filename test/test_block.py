@@ -169,6 +169,16 @@ def child(code: str, **variables) -> str:
     return answer.stdout.strip()
 
 
+#: What SciPy's linear algebra is imported for, and what not.
+WITH_BLAS = """
+import numba, numpy
+print("scipy.linalg" in sys.modules)
+product = numba.njit(lambda matrix, vector: matrix @ vector)
+print(product(numpy.array([[1.0, 2.0], [3.0, 4.0]]), numpy.array([1.0, 2.0])).tolist())
+print("scipy.linalg" in sys.modules)
+"""
+
+
 def test_everything_runs_without_numba():
     code = """
 import sys
@@ -181,8 +191,11 @@ run = simulate(single_axis(load_configuration("kim2009")), duration=0.02)
 print(block.COMPILED, run.time.size, float(run["displacement"][-1]).hex())
 """
     plain = child(code).split()
-    fast = child(code.replace('sys.modules["numba"] = None', "")).split()
+    fast = child(code.replace('sys.modules["numba"] = None', "") + WITH_BLAS * block.COMPILED).split()
     assert plain[:2] == ["False", "60"]
+    if block.COMPILED:
+        # nothing of that is needed to compile and to run an axis; who multiplies matrices in a kernel gets it then
+        assert fast[3:] == ["False", "[5.0,", "11.0]", "True"]
     # the converter's grid may be met one step apart where the last bits differ
     assert float.fromhex(plain[2]) == pytest.approx(float.fromhex(fast[2]), abs=1e-9)
 

@@ -19,7 +19,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
-import scipy.ndimage
+import scipy
 
 from hysteresis_ros.identification.data import IdentificationData
 

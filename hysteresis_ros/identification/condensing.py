@@ -20,7 +20,7 @@ import math
 from dataclasses import replace
 
 import numpy as np
-import scipy.signal
+import scipy
 
 from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.recordings.loops import turning_points

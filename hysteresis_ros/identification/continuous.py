@@ -12,8 +12,7 @@
 from __future__ import annotations
 
 import numpy as np
-import scipy.linalg
-import scipy.signal
+import scipy
 
 from hysteresis_ros.identification.state_space import FitError, LinearModel, final_state, propagate
 

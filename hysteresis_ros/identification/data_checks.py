@@ -14,7 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.signal
+import scipy
 
 from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.identification.plausibility import few_samples_a_cycle, implausible_units

@@ -27,8 +27,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.signal
-import scipy.stats
+import scipy
 
 from hysteresis_ros.identification.data import DataError, finite_array, refuse_short
 from hysteresis_ros.identification.data_checks import CONSTANT

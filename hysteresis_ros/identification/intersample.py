@@ -17,7 +17,7 @@ below the Nyquist frequency, or a simulation that was decimated, is ``bandlimite
 from __future__ import annotations
 
 import numpy as np
-import scipy.signal
+import scipy
 
 from hysteresis_ros.errors import IdentificationError
 

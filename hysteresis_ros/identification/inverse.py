@@ -18,7 +18,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-import scipy.signal
+import scipy
 
 from hysteresis_ros.compensation.compensator import Compensator, CompensatorParameters
 from hysteresis_ros.compensation.inverses import InverseParameters

@@ -25,8 +25,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-import scipy.linalg
-import scipy.optimize
+import scipy
 
 from hysteresis_ros.identification.data import DataError, finite_array, refuse_short
 from hysteresis_ros.identification.data_checks import CONSTANT

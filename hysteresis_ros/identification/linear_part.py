@@ -21,9 +21,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
-import scipy.fft
-import scipy.linalg
-import scipy.signal
+import scipy
 
 from hysteresis_ros.models.creep import CreepParameters, LogarithmicCreepParameters
 from hysteresis_ros.models.linear import LinearDynamics, LinearParameters, zero_order_hold

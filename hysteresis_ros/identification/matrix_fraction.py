@@ -28,7 +28,7 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-import scipy.linalg
+import scipy
 
 from hysteresis_ros.identification.data import refuse_short
 from hysteresis_ros.identification.frequency_response import FrequencyResponse

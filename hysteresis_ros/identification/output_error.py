@@ -26,7 +26,7 @@ from __future__ import annotations
 import itertools
 
 import numpy as np
-import scipy.optimize
+import scipy
 
 from hysteresis_ros.identification.continuous import CanonicalSimulation
 from hysteresis_ros.identification.data import DataError, finite_array, refuse_short

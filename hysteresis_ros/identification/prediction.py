@@ -19,7 +19,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import scipy.optimize
+import scipy
 
 from hysteresis_ros.errors import IdentificationError, ParameterError
 from hysteresis_ros.identification.condensed import wiped_out

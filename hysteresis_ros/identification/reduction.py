@@ -19,7 +19,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.optimize
+import scipy
 
 from hysteresis_ros.identification.continuous import simulate_transfer_function
 from hysteresis_ros.identification.state_space import FitError

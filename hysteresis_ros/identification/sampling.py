@@ -15,7 +15,7 @@ import math
 from dataclasses import replace
 
 import numpy as np
-import scipy.signal
+import scipy
 
 from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.data_checks import GRID_TOLERANCE, DataError

@@ -19,7 +19,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.optimize
+import scipy
 
 from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.identification.condensed import Condensed, condense, wiped_out

@@ -14,8 +14,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.linalg
-import scipy.signal
+import scipy
 
 from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.models.linear import LinearParameters

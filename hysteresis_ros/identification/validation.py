@@ -21,8 +21,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.signal
-import scipy.stats
+import scipy
 
 from hysteresis_ros.identification.data import DataError, finite_array, refuse_short
 

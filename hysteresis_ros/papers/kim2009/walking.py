@@ -20,7 +20,7 @@ import argparse
 from dataclasses import dataclass, fields
 
 import numpy as np
-from scipy.linalg import fractional_matrix_power
+import scipy
 
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.control.base import APPLIED, COMMAND, FEEDFORWARD
@@ -58,7 +58,7 @@ def contacts(kick: float) -> dict[str, float]:
 def _finer(plant) -> InchwormPlantParameters:
     """Return the plant's parameters for the shorter sample time: what is linear is continued between the samples."""
     A = np.reshape(plant.dynamics.A, (2, 2))
-    part = np.real(fractional_matrix_power(A, 1.0 / INSTANTS))
+    part = np.real(scipy.linalg.fractional_matrix_power(A, 1.0 / INSTANTS))
     B = (np.eye(2) - part) @ np.linalg.solve(np.eye(2) - A, np.asarray(plant.dynamics.B))
     values = {item.name: getattr(plant, item.name) for item in fields(InchwormPlantParameters)}
     values["dynamics"] = LinearParameters(A=tuple(part.ravel()), B=tuple(B), C=plant.dynamics.C)
