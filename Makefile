@@ -9,6 +9,8 @@ MODULES := $(shell find hysteresis_ros -type f -name '*.py')
 # Nodes of this environment must not inherit the libraries of another one, nor answer to the network around.
 export ROS_AUTOMATIC_DISCOVERY_RANGE ?= LOCALHOST
 unexport LD_LIBRARY_PATH _ROS_WHEELS_BOOTSTRAP_COMPLETE
+# The tests start hundreds of processes: where nothing may be kept, each compiles every source again.
+unexport PYTHONDONTWRITEBYTECODE
 # Workers of the tests: graphs of nodes run one after the other in one of them, the rest beside.
 WORKERS ?= 2
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
@@ -54,9 +56,13 @@ $(VENV)/installed: $(VENV)/requirements $(SOURCES)
 	rm -rf build/lib build/bdist.* hysteresis_ros.egg-info
 	@touch $@
 
+# colcon, with which one test builds the package, is nowhere the environment of the nodes, and brings what slows each of
+# their starts (Numba imports `coverage` where it is installed).
 $(VENV)/requirements: $(VENV)/python setup.py pyproject.toml
 	@echo "installing into $(VENV) (some minutes the first time)"
 	$(INSTALL) ".[all,test]"
+	$(BIN)/python -m venv --clear --without-pip $(VENV)/colcon
+	$(INSTALL:install=--python $(VENV)/colcon/bin/python install) colcon-common-extensions "setuptools<80"
 	@touch $@
 
 $(VENV)/python:

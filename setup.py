@@ -56,10 +56,11 @@ EXTRAS = {
     "epics": ["caproto"],
 }
 EXTRAS["all"] = sorted({requirement for requirements in EXTRAS.values() for requirement in requirements})
-# setuptools below 80 is what colcon needs; both are here because the tests build and install the package.
+# The last two are here because the tests build and install the package, as colcon does, which needs setuptools below 80
+# (`make setup` gives colcon itself an environment of its own).
 EXTRAS["test"] = [
     *("pytest", "pytest-rerunfailures", "pytest-xdist", "hypothesis", "psutil", "ruff", "mypy", "numpydoc>=1.8"),
-    *("colcon-common-extensions", "setuptools<80", "wheel"),
+    *("setuptools<80", "wheel"),
 ]
 
 #: pip puts executables into bin/, with the Python of the environment in their first line, and never into lib/; only

@@ -75,7 +75,9 @@ def check_prefix(prefix: pathlib.Path) -> None:
     packages = modules_folder(prefix)
     assert relative_files(packages) >= MODULES
     path = os.pathsep.join(filter(None, [str(packages), os.environ.get("PYTHONPATH")]))
-    text = run(prefix / "lib/hysteresis_ros/hysteresis", "--help", cwd=prefix, PYTHONPATH=path)
+    # the environment that is sourced is this one
+    sourced = {"PYTHONPATH": path, "PATH": os.pathsep.join([f"{sys.prefix}/bin", os.environ["PATH"]])}
+    text = run(prefix / "lib/hysteresis_ros/hysteresis", "--help", cwd=prefix, **sourced)
     assert "simulate" in text and "report" in text
 
 
@@ -121,9 +123,12 @@ def test_pip_installs_what_ros_2_looks_for(wheel, tmp_path):
 
 @pytest.mark.parametrize("options", [[], ["--symlink-install"]], ids=["copies", "symlinks"])
 def test_colcon_builds_the_package(tree, tmp_path, options):
-    pytest.importorskip("colcon_ros", reason="colcon with its ROS extensions is not installed")
+    # `make setup` puts it into an environment of its own; with apt it is on the path
+    colcon = shutil.which("colcon", path=f"{sys.prefix}/colcon/bin") or shutil.which("colcon")
+    if colcon is None:
+        pytest.skip("colcon with its ROS extensions is not installed")
     bases = ["--base-paths", tree, "--build-base", tmp_path / "build", "--install-base", tmp_path / "install"]
-    command = [sys.executable, "-m", "colcon", "--log-base", tmp_path / "log", "build", *bases, *options]
+    command = [colcon, "--log-base", tmp_path / "log", "build", *bases, *options]
     run(*command, cwd=tmp_path, COLCON_HOME=str(tmp_path))
     prefix = tmp_path / "install" / "hysteresis_ros"
     if options:
