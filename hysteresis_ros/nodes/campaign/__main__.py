@@ -22,6 +22,7 @@ from rclpy.signals import SignalHandlerOptions
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.errors import HysteresisError
 from hysteresis_ros.nodes.campaign.run import Campaign
+from hysteresis_ros.nodes.discovery import stay_on_this_machine
 from hysteresis_ros.reliability.catalogue import CATALOGUE
 from hysteresis_ros.reliability.conditions import conditions
 from hysteresis_ros.reliability.page import line, page
@@ -36,6 +37,7 @@ def main() -> int:
     mishaps = tuple(CATALOGUE[name] for name in request["only"])
     ways = tuple(request["ways"])
     try:
+        stay_on_this_machine()
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         before = conditions()
         configuration = load_configuration(request["config"])
