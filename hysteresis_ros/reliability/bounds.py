@@ -25,8 +25,9 @@ MESSAGE_RATE = 300.0
 CROSSING = 0.25
 #: Where the axis is sent, as parts of the way from its lowest to its highest reference.
 LOW, HIGH = 0.2, 0.8
-#: Part of the stroke by which the displacement may leave the places between rest and what was asked for.
-BEYOND = 0.15
+#: Part of the stroke by which the displacement may leave the places between rest and what was asked for, beside what
+#: the slew rate allows while voltages are late and the plant does not trip yet.
+BEYOND = 0.1
 #: Part of the stroke within which a setpoint is reached.
 REACHED = 0.02
 #: Part of the range within which a voltage is safe.
@@ -53,6 +54,8 @@ class Bounds:
         From the lowest to the highest reference [m].
     timeouts : dict of str to float
         Of :data:`hysteresis_ros.reliability.mishaps.TIMEOUTS` [s], the voltage's return to safe included.
+    beyond : float
+        So far the displacement may leave the places between rest and what was asked for, as a part of the stroke.
     """
 
     minimum: float
@@ -64,6 +67,7 @@ class Bounds:
     high: float
     stroke: float
     timeouts: dict[str, float]
+    beyond: float
 
 
 def prepared(configuration: Configuration, way: str, namespace: str) -> AxisParameters:
@@ -129,4 +133,5 @@ def bounds_of(axis: AxisParameters) -> Bounds:
         source.minimum + HIGH * stroke,
         stroke,
         {name: (wait + back) / factor + SLACK for name, wait in waits.items()},
+        BEYOND + plant.allowed_late / plant.sample_rate * limits.slew_rate / span,
     )

@@ -12,11 +12,25 @@
 from __future__ import annotations
 
 from hysteresis_ros.errors import ConfigurationError, did_you_mean
-from hysteresis_ros.reliability.mishaps import COMMAND, PROCESSES, VOLTAGE, Mishap
+from hysteresis_ros.reliability.mishaps import (
+    COMMAND,
+    DEVICE,
+    FRESH,
+    FUSED,
+    MEASUREMENT,
+    MESSAGES,
+    PROCESSES,
+    RELAY,
+    SMALL_DISK,
+    VOLTAGE,
+    WAYS,
+    Mishap,
+)
 
 #: Why a single node cannot be killed there.
 ONE_PROCESS = "all nodes are one process"
-FOUR_PROCESSES = "every node is a process of its own"
+#: Why nothing can be done to messages there.
+NO_MESSAGES = "the loop is closed within, without messages"
 
 _KILLED = {
     "motion_controller": (COMMAND, "the compensator brings the voltage to safe"),
@@ -74,24 +88,167 @@ def _of_processes():
     )
 
 
+#: What is done to the measurement: what of it, in words, by a relay, by the loop, amounts, safe within, bounded.
+_MEASURED: tuple[tuple[str, str, str, str, tuple[float, ...], str, bool], ...] = (
+    ("stopped", "no measurement comes", "stopped", "stale", (0.0,), MEASUREMENT, True),
+    ("not a number", "NaN in each", "nan", "nan", (0.0,), MEASUREMENT, True),
+    ("frozen", "the position stays, stamps go on, for 3 s", "frozen", "frozen", (0.0,), "", False),
+    ("spikes", "one in ten is off by 20 % of the stroke, for 3 s", "spikes", "spike", (0.2,), "", False),
+    ("out of order", "every second one comes before the first", "disordered", "disorder", (0.0,), "", True),
+    ("delayed", "1, 5, 20 and 50 ms, for 3 s", "delayed", "late", (1e-3, 5e-3, 2e-2, 5e-2), "", False),
+    ("dropped", "1, 10 and 30 % of them by chance, for 3 s", "dropped", "drop", (0.01, 0.1, 0.3), "", False),
+)
+#: The same where only messages can be so: what of it, in words, what must happen, by a relay, amounts.
+_MESSAGES: tuple[tuple[str, str, str, str, tuple[float, ...]], ...] = (
+    ("duplicated", "each comes twice", "the second one is left out", "duplicated", (0.0,)),
+    ("without positions", "names, and no positions", "it goes safe as without measurements", "partial", (0.0,)),
+    ("somebody else's", "between them joint_states of a gripper", "it does not matter", "foreign", (0.0,)),
+    ("clock of the driver", "stamps jump by 10 s forward, and by 10 s back", "", "stamped", (10.0, -10.0)),
+)
+
+
+def _of_measurements():
+    heading = "Measurement"
+    for name, done, relayed, fault, amounts, safe, bounded in _MEASURED:
+        claim = "held; when it lasts, the command goes to safe" if safe else ""
+        yield Mishap(
+            f"measurement {name}",
+            heading,
+            done,
+            claim,
+            "measure",
+            relayed,
+            amounts,
+            WAYS,
+            "",
+            safe,
+            bounded,
+            fault,
+            RELAY,
+        )
+    for name, done, claim, relayed, amounts in _MESSAGES:
+        safe = MEASUREMENT if relayed == "partial" else ""
+        bounded = relayed != "stamped"
+        yield Mishap(
+            f"measurement {name}" if name != "clock of the driver" else name,
+            heading,
+            done,
+            claim,
+            "measure",
+            relayed,
+            amounts,
+            MESSAGES,
+            NO_MESSAGES,
+            safe,
+            bounded,
+            "",
+            RELAY,
+        )
+
+
 def _of_people():
+    heading = "People and programs"
     yield Mishap(
         "flood of setpoints",
-        "People and programs",
+        heading,
         "1 kHz and 10 kHz of setpoints anywhere, one in seven garbage, all cores busy, for 3 s",
         "garbage is refused, the displacement stays within what was asked for",
         "flood",
         "setpoint",
         amounts=(1e3, 1e4),
     )
+    for topic in ("command", "voltage", "joint_states"):
+        yield Mishap(
+            f"second sender of {topic}",
+            heading,
+            f"somebody else publishes {topic} at 200 Hz, anywhere, for 3 s",
+            "nobody follows him",
+            "second sender",
+            topic,
+            amounts=(200.0,),
+        )
+    yield Mishap(
+        "storm of parameters",
+        heading,
+        "300 changes of any number of any node amid moves, each by 2 %, one in three to nonsense",
+        "all are answered, nonsense is refused",
+        "storm",
+        amounts=(300.0,),
+    )
+    yield Mishap(
+        "calls in any order",
+        heading,
+        "100 transitions of the lifecycle (some that there are not) and ~/start, ~/stop, ~/reset of any node",
+        "all are answered; then configured, activated and started the axis runs",
+        "anything",
+        amounts=(100.0,),
+    )
 
 
 def _of_machines():
-    yield Mishap("busy cores", "Machine", "all cores busy for 5 s amid moves", "", "load", amounts=(5.0,))
+    heading = "Machine"
+    yield Mishap("busy cores", heading, "all cores busy for 5 s amid moves", "", "load", amounts=(5.0,))
+    recorded = "composed and as processes the recorder is a process of its own"
+    yield Mishap(
+        "killed while recording",
+        heading,
+        "SIGKILL of the process that records; it is started again",
+        "the recording is readable and lacks at most its last 1.5 s",
+        "cut recording",
+        "hysteresis_axis",
+        amounts=(0.5,),
+        ways=(FUSED,),
+        elsewhere=recorded,
+        graph=FRESH,
+    )
+    yield Mishap(
+        "time of day",
+        heading,
+        "the clock of the machine jumps",
+        "it does not matter",
+        "load",
+        ways=(),
+        elsewhere="it is the whole machine's: nothing is timed by it, and stamps that jump are tried above",
+    )
+    yield Mishap(
+        "full disk",
+        heading,
+        "nothing further can be written while it records",
+        "the recording ends, the axis goes on",
+        "fill",
+        ways=(FUSED,),
+        elsewhere=recorded,
+        graph=SMALL_DISK,
+    )
+
+
+def _of_devices():
+    for fault, done in (
+        ("busy", "an emulated GCS controller over TCP refuses commands as long as something else is done, for 1 s"),
+        ("error", "it answers commands with an error, for 1 s"),
+        ("slow", "each answer comes 0.2 s later, for 2 s"),
+        ("silent", "it does not answer, for 2 s"),
+        ("cut", "its link is cut, and nobody can connect for 1 s"),
+    ):
+        yield Mishap(
+            f"device {fault}",
+            "Device",
+            done,
+            "the axis stops and says what has failed; ~/start lets it go on when it is mended",
+            "misbehave",
+            fault,
+            amounts=(2.0 if fault in ("slow", "silent") else 1.0,),
+            ways=MESSAGES,
+            elsewhere="its driver is written in Python, which a fused loop refuses",
+            graph=DEVICE,
+        )
 
 
 #: All mishaps, by their names.
-CATALOGUE: dict[str, Mishap] = {mishap.name: mishap for mishap in (*_of_processes(), *_of_people(), *_of_machines())}
+CATALOGUE: dict[str, Mishap] = {
+    mishap.name: mishap
+    for mishap in (*_of_processes(), *_of_measurements(), *_of_people(), *_of_machines(), *_of_devices())
+}
 
 
 def chosen(names: tuple[str, ...]) -> tuple[Mishap, ...]:

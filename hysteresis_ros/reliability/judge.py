@@ -16,8 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hysteresis_ros.reliability.bounds import BEYOND, SAFE, Bounds
-from hysteresis_ros.reliability.mishaps import MEASUREMENT, Mishap
+from hysteresis_ros.reliability.bounds import SAFE, Bounds
+from hysteresis_ros.reliability.mishaps import DEVICE, MEASUREMENT, Mishap
 from hysteresis_ros.reliability.trace import Samples, Trace
 
 #: A safe command is not quite a safe voltage: so far from it may the inverse of the hysteresis be [part of the range].
@@ -70,7 +70,7 @@ class Verdict:
     failures: tuple[str, ...]
 
 
-def largest_step(samples: Samples, bounds: Bounds) -> float:
+def largest_step(samples: Samples, bounds: Bounds, stalls: bool = False) -> float:
     """Return the largest change of the voltage as a part of what is allowed in the time between two samples.
 
     Parameters
@@ -78,11 +78,15 @@ def largest_step(samples: Samples, bounds: Bounds) -> float:
     samples : Samples
         Where some are missing the stamps say how many steps are allowed; another life of the plant begins anew.
     bounds : Bounds
+    stalls : bool
+        Whether a sample may take longer than its stamps say, as one in which a device does not answer: what counts is
+        when it was seen then.
     """
     if samples.time.size < 2:
         return 0.0
     follow = np.diff(samples.life) == 0
-    periods = np.maximum(np.round(np.diff(samples.stamp) / bounds.sample_time), 1.0)
+    passed = np.maximum(np.diff(samples.stamp), np.diff(samples.time) if stalls else 0.0)
+    periods = np.maximum(np.round(passed / bounds.sample_time), 1.0)
     steps = np.abs(np.diff(samples.voltage)) / (periods * bounds.step)
     return float(np.max(steps[follow], initial=0.0))
 
@@ -121,15 +125,21 @@ def judged(trace: Trace, mishap: Mishap, bounds: Bounds) -> Verdict:
     samples = trace.samples
     voltage = samples.voltage if samples.time.size else np.array([math.nan])
     low, high = trace.asked
-    places = samples.displacement if samples.time.size else np.array([math.nan])
-    beyond = max(float(np.max(places)) - high, low - float(np.min(places)), 0.0) / bounds.stroke
+    places = samples.displacement[np.isfinite(samples.displacement)]  # of a device nobody may know it
+    excess = np.maximum(places - high, low - places)
+    beyond = float(np.max(excess, initial=0.0)) / bounds.stroke
     safe = math.nan
     if mishap.safe:
         part = COMMANDED if mishap.safe == MEASUREMENT else SAFE
         safe = time_to_safe(samples, trace.begun, trace.ended, bounds, part)
     recovery = trace.recovered - trace.ended if math.isfinite(trace.recovered) else math.inf
     figures = Figures(
-        float(np.min(voltage)), float(np.max(voltage)), largest_step(samples, bounds), beyond, safe, recovery
+        float(np.min(voltage)),
+        float(np.max(voltage)),
+        largest_step(samples, bounds, mishap.graph == DEVICE),
+        beyond,
+        safe,
+        recovery,
     )
     return Verdict(trace, figures, tuple(_failures(figures, trace, mishap, bounds)))
 
@@ -146,7 +156,7 @@ def _failures(figures: Figures, trace: Trace, mishap: Mishap, bounds: Bounds):
         yield f"voltages of {figures.lowest:.4g} … {figures.highest:.4g} V leave {allowed}"
     if not figures.step <= 1.0 + 1e-6:
         yield f"a step of the voltage is {figures.step:.3g} times what the slew rate allows"
-    if mishap.bounded and not figures.beyond <= BEYOND:
+    if mishap.bounded and not figures.beyond <= bounds.beyond:
         yield f"the displacement goes {100.0 * figures.beyond:.2g} % of the stroke beyond what was asked for"
     if mishap.safe and not figures.safe <= bounds.timeouts[mishap.safe]:
         yield f"safe after {figures.safe:.3g} s, {bounds.timeouts[mishap.safe]:.3g} s are allowed"

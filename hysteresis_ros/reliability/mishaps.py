@@ -23,6 +23,10 @@ MESSAGES = (COMPOSED, PROCESSES)
 #: What is named by a voltage that goes to safe: whose time-out it is that counts.
 MEASUREMENT, COMMAND, VOLTAGE = TIMEOUTS = ("measurement", "command", "voltage")
 
+#: What there may be in a graph besides the axis: a relay of its measurements, a disk that is nearly full, a device in
+#: the simulated plant's place; or nothing, and nothing has happened to it before.
+RELAY, SMALL_DISK, DEVICE, FRESH = GRAPHS = ("relay", "small disk", "device", "fresh")
+
 #: What must hold in every mishap.
 ALWAYS = (
     "every voltage that the plant puts out is within its limits, and between two samples it changes by no more than "
@@ -60,6 +64,10 @@ class Mishap:
         not be.
     bounded : bool
         Whether the displacement must stay between the rest position and what was asked for, by a part of the stroke.
+    fault : str
+        Of :data:`hysteresis_ros.loop.faults.FAULTS`: who does it where the nodes are fused; empty: the action, too.
+    graph : str
+        Of :data:`GRAPHS`, or empty; a mishap shares its axis only with others of the same.
     """
 
     name: str
@@ -73,6 +81,8 @@ class Mishap:
     elsewhere: str = ""
     safe: str = ""
     bounded: bool = True
+    fault: str = ""
+    graph: str = ""
 
 
 def chosen_ways(text: str) -> list[str]:

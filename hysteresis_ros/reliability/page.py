@@ -29,14 +29,18 @@ In each of them {always}.
 
 A cell says whether all of that, and what stands in the second column, held in that way of running, and the worst
 figures: the voltages that the plant put out; the largest step of the voltage between two samples as a part of what the
-slew rate allows; where the voltage must become safe, after which time it was; and how long after the end of the mishap
-the axis was where a new setpoint sends it, the time of that move included. Fused every sample is judged, from the
+slew rate allows; how far the displacement went beyond the places between rest and what was asked for, as a part of the
+stroke, from 5 % on (allowed is a tenth, and what the slew rate makes of it while voltages are late and the plant does
+not trip yet); where the voltage must become safe, after which time it was; and how long after the end of the mishap the
+axis was where a new setpoint sends it, the time of that move included. Fused every sample is judged, from the
 recording; composed and as processes all that the plant published.
 """
 
 
 #: So many letters of what a node says of itself stand in the table.
 QUOTED = 90
+#: Part of the stroke from which on it is said how far the displacement went beyond what was asked for.
+REMARKABLE = 0.05
 
 
 def _time(seconds: float) -> str:
@@ -45,6 +49,8 @@ def _time(seconds: float) -> str:
 
 def _figures(figures: Figures) -> str:
     words = [f"{figures.lowest:.3g} … {figures.highest:.3g} V, step {figures.step:.2f}"]
+    if figures.beyond >= REMARKABLE:
+        words.append(f"{100.0 * figures.beyond:.2g} % beyond")
     if not math.isnan(figures.safe):
         words.append(f"safe after {_time(figures.safe)}")
     words.append(f"back after {_time(figures.recovery)}")

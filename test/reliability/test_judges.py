@@ -29,7 +29,7 @@ from hysteresis_ros.reliability.trace import Samples, Trace
 
 #: 0 … 10 V, 0.1 V a sample of 1 ms, places of 0 … 100 µm.
 BOUNDS = Bounds(
-    0.0, 10.0, 0.0, 0.1, 1e-3, 20e-6, 80e-6, 100e-6, dict.fromkeys(("measurement", "command", "voltage"), 0.5)
+    0.0, 10.0, 0.0, 0.1, 1e-3, 20e-6, 80e-6, 100e-6, dict.fromkeys(("measurement", "command", "voltage"), 0.5), 0.15
 )
 MISHAP = Mishap("drop", "Machine", "it falls", "it is safe", "drop", safe="command")
 #: A second and a half: 5 V, from 0.2 s on down to 0 at the slew rate; the fault begins at 0.1 and ends at 1 s.
@@ -75,6 +75,14 @@ def test_missing_samples_allow_as_many_steps_as_their_stamps_say():
     assert largest_step(replace(seen, stamp=np.arange(4) * 1e-3), BOUNDS) == pytest.approx(3.0)
 
 
+def test_a_sample_in_which_a_device_stalls_takes_as_long_as_it_is_seen_to():
+    seen = Samples(
+        np.array([0.0, 0.001, 0.031]), np.arange(3) * 1e-3, np.array([0.0, 0.0, 3.0]), np.zeros(3), np.zeros(3)
+    )
+    assert largest_step(seen, BOUNDS) == pytest.approx(30.0)
+    assert largest_step(seen, BOUNDS, stalls=True) == pytest.approx(1.0)
+
+
 def test_a_plant_that_begins_again_knows_nothing_of_the_voltage_before():
     voltage, life = np.where(TIMES < 0.7, 5.0, 0.0), (TIMES >= 0.7).astype(float)
     assert largest_step(samples(voltage), BOUNDS) == pytest.approx(50.0)
@@ -101,6 +109,9 @@ def test_a_displacement_beyond_what_was_asked_for_is_not_held_where_it_is_bounde
     assert "16 % of the stroke beyond" in failures(seen=seen)
     assert judged(trace(seen), replace(MISHAP, bounded=False), BOUNDS).failures == ()
     assert "beyond" not in failures(seen=samples(displacement=np.where(TIMES == 0.5, -1.4e-5, 0.0)))
+    assert "beyond" not in failures(seen=samples(displacement=np.full(1500, np.nan)))
+    unknown = np.where(TIMES > 0.5, np.nan, 6.6e-5)  # where a device says something it counts
+    assert "16 % of the stroke beyond" in failures(seen=samples(displacement=unknown))
 
 
 def test_what_is_broken_what_was_not_seen_and_what_does_not_recover_is_not_held():
@@ -142,6 +153,8 @@ def test_the_axis_of_a_campaign_is_simulated_holds_setpoints_and_has_a_slew_rate
     # as long as it waits, and the way back, on the wall's clock
     least = (plant.voltage_timeout + (bounds.maximum - bounds.minimum) / plant.safe_slew_rate) / factor
     assert least <= bounds.timeouts["voltage"] <= least + 1.0
+    # 20 of 200 samples a second, or 150 of 3000, may be late before it trips
+    assert bounds.beyond == pytest.approx(0.1 + {"picma_stage": 0.1, "kim2009": 0.05}[config] / crossing)
 
 
 def test_every_mishap_can_be_chosen_by_its_name_or_group_and_what_is_none_is_refused():

@@ -19,7 +19,6 @@ import tempfile
 import rclpy
 from rclpy.signals import SignalHandlerOptions
 
-from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.errors import HysteresisError
 from hysteresis_ros.nodes.campaign.run import Campaign
 from hysteresis_ros.nodes.discovery import stay_on_this_machine
@@ -40,9 +39,10 @@ def main() -> int:
         stay_on_this_machine()
         rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
         before = conditions()
-        configuration = load_configuration(request["config"])
         with tempfile.TemporaryDirectory(prefix="hysteresis_") as folder:
-            campaign = Campaign(configuration, mishaps, ways, request["rounds"], request["seed"], pathlib.Path(folder))
+            campaign = Campaign(
+                request["config"], mishaps, ways, request["rounds"], request["seed"], pathlib.Path(folder)
+            )
             verdicts = campaign.run(lambda verdict: print(line(verdict), flush=True))
         if request["output"]:
             text = page(request["config"], mishaps, ways, verdicts, before, conditions())

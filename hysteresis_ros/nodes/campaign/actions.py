@@ -11,13 +11,19 @@
 
 from __future__ import annotations
 
-from hysteresis_ros.nodes.campaign import machine, people, processes
+from hysteresis_ros.nodes.campaign import machine, measurement, people, processes
 
 #: Each is called with the rig, the mishap and the amount.
 ACTIONS = {
     "kill": processes.kill,
-    "end": processes.end,
     "stop": processes.stop,
     "flood": people.flood,
+    "second sender": people.second_sender,
+    "storm": people.storm,
+    "anything": people.anything,
+    "measure": measurement.measure,
     "load": machine.load,
+    "fill": machine.fill,
+    "misbehave": machine.misbehave,
+    "cut recording": machine.cut_recording,
 }

@@ -18,12 +18,21 @@ import sys
 import time
 from collections.abc import Iterator
 
+from hysteresis_ros.nodes.campaign.processes import kill
 from hysteresis_ros.nodes.campaign.rig import Rig
+from hysteresis_ros.nodes.campaign.surroundings import ROOM
 from hysteresis_ros.nodes.launcher import node_environment, started
+from hysteresis_ros.recordings.align import read_recording
 from hysteresis_ros.reliability.mishaps import Mishap
 
 #: Keeps a core busy.
 BURN = "while True: sum(range(100000))"
+#: Part of a small disk that is taken when nothing further fits, and seconds that are looked at then.
+FILLED, AFTERWARDS = 0.75, 3.0
+#: Seconds in which a small disk is full.
+FULL = 60.0
+#: A recording that is cut off may lack so much of its end [s].
+LOST = 1.5
 
 
 @contextlib.contextmanager
@@ -55,3 +64,59 @@ def load(rig: Rig, mishap: Mishap, amount: float) -> None:
         while time.monotonic() < until:
             rig.ask(rig.anywhere())
             time.sleep(0.25)
+
+
+def fill(rig: Rig, mishap: Mishap, amount: float) -> None:
+    """Wait until the disk of a fused axis, which records all of its samples, is full.
+
+    Parameters
+    ----------
+    rig : Rig
+    mishap : Mishap
+    amount : float
+    """
+
+    def is_full() -> bool:
+        sizes = [path.stat().st_size for path in rig.group.bags[-1].glob("*.mcap")]
+        return sum(sizes) > FILLED * ROOM * 1024 or bool(rig.group.died())
+
+    if not rig.witness.until(is_full, FULL):
+        rig.broken.append(f"the disk is not full after {FULL:g} s")
+    time.sleep(AFTERWARDS)
+
+
+def cut_recording(rig: Rig, mishap: Mishap, amount: float) -> None:
+    """Kill a process that records, read what it has left, and start it again.
+
+    Parameters
+    ----------
+    rig : Rig
+    mishap : Mishap
+    amount : float
+    """
+    bag = rig.group.bags[-1]
+    killed = time.time()
+    kill(rig, mishap, amount)
+    run = read_recording(bag, rig.axis.namespace, further=True)
+    lost = killed - (run.time[-1] + 1e-9 * run.metadata["start_time_ns"])
+    rig.notes.append(f"the recording lacks its last {lost:.2f} s")
+    if lost > LOST or run.metadata["missing_samples"]:
+        rig.broken.append(
+            f"the recording lacks {lost:.2f} s, and {run.metadata['missing_samples']} samples amid the rest"
+        )
+
+
+def misbehave(rig: Rig, mishap: Mishap, amount: float) -> None:
+    """Let a device go wrong, and wait until it does not any more.
+
+    Parameters
+    ----------
+    rig : Rig
+    mishap : Mishap
+        Its victim is the fault.
+    amount : float
+        [s]
+    """
+    assert rig.device is not None
+    rig.device.go_wrong(mishap.victim, amount)
+    time.sleep(amount + 0.5)

@@ -21,6 +21,8 @@ import numpy as np
 from hysteresis_ros.errors import HysteresisError
 from hysteresis_ros.loop.axis_parameters import AxisParameters
 from hysteresis_ros.nodes.campaign.group import Group
+from hysteresis_ros.nodes.campaign.relay import REMAP, Relay
+from hysteresis_ros.nodes.campaign.surroundings import Device
 from hysteresis_ros.nodes.campaign.witness import Witness
 from hysteresis_ros.recordings.align import read_recording
 from hysteresis_ros.reliability.bounds import REACHED, bounds_of
@@ -29,7 +31,7 @@ from hysteresis_ros.reliability.trace import Samples, Trace
 
 #: Seconds that an axis gets to start: at first it may be compiled, on a machine that is busy; and to start again, and
 #: to follow a setpoint again.
-FIRST_START, START, RECOVERY = 300.0, 60.0, 20.0
+FIRST_START, START, RECOVERY = 300.0, 60.0, 40.0
 #: How often an axis is sent somewhere before it counts as one that does not run.
 TRIES = 3
 #: Seconds after which a setpoint is sent again: whoever was not there has not heard it.
@@ -51,6 +53,10 @@ class Rig:
         Of :data:`hysteresis_ros.reliability.mishaps.WAYS`.
     folder : pathlib.Path
     random : numpy.random.Generator
+    relayed : bool
+        Whether a relay stands between the plant and the others.
+    device : Device, optional
+        That it drives, and ends with it.
     **options
         Of :class:`~hysteresis_ros.nodes.campaign.group.Group`.
 
@@ -60,16 +66,27 @@ class Rig:
         The axis does not start.
     """
 
-    def __init__(self, axis: AxisParameters, way: str, folder: pathlib.Path, random: np.random.Generator, **options):
-        folder.mkdir()
+    def __init__(
+        self,
+        axis: AxisParameters,
+        way: str,
+        folder: pathlib.Path,
+        random: np.random.Generator,
+        relayed: bool = False,
+        device: Device | None = None,
+        **options,
+    ):
+        self.device = device
         self.axis, self.way, self.random = axis, way, random
         self.bounds = bounds_of(axis)
         self.broken: list[str] = []
         self.notes: list[str] = []
         self.asked: list[float] = []
         self.starts = 0
-        self.group = Group(axis, way, folder, **options)
+        self.begun = math.nan
+        self.group = Group(axis, way, folder, remap=REMAP if relayed else (), **options)
         self.witness = Witness(axis.namespace)
+        self.relay = Relay(self.witness, self.bounds.stroke, random) if relayed else None
         if not self.witness.until(lambda: len(self.witness.rows) > 5, FIRST_START):
             self._give_up("does not start")
         self.rest = self.witness.displacement
@@ -125,7 +142,7 @@ class Rig:
                 self._go_on()
                 self.ask(target)
                 asked = now
-            if abs(self.witness.displacement - target) > REACHED * self.bounds.stroke:
+            if not abs(self.witness.displacement - target) <= REACHED * self.bounds.stroke:  # it may be NaN
                 since = math.inf
             else:
                 since = min(since, now)
@@ -161,9 +178,9 @@ class Rig:
         witness.rows.clear()
         self.ask(self.anywhere())
         time.sleep(self.random.uniform(0.0, MOVING))
-        begun = time.time()
+        self.begun = time.time()
         action(self, mishap, amount)
-        ended = time.time()
+        begun, ended = self.begun, time.time()
         recovered = time.time() if self.follows() else math.nan
         if self.starts:
             self.notes.append("it trips, and goes on with ~/start")
@@ -178,7 +195,7 @@ class Rig:
             begun,
             ended,
             recovered,
-            (min(self.asked), max(self.asked)),
+            (float(np.nanmin(self.asked)), float(np.nanmax(self.asked))),
             Samples.of(witness.rows).between(begun, math.inf),
             tuple(self.broken),
             witness.gravest(begun),
@@ -188,6 +205,9 @@ class Rig:
     def close(self) -> list[str]:
         """End the axis; return in words what went wrong with that."""
         found = self.group.close()
+        for other in (self.relay, self.device):
+            if other is not None:
+                other.close()
         self.witness.close()
         return found
 

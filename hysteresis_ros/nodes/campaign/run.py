@@ -18,13 +18,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hysteresis_ros.configuration import Configuration
+from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.errors import HysteresisError
 from hysteresis_ros.nodes.campaign.actions import ACTIONS
+from hysteresis_ros.nodes.campaign.measurement import scheduled
 from hysteresis_ros.nodes.campaign.rig import Rig
-from hysteresis_ros.reliability.bounds import prepared
+from hysteresis_ros.nodes.campaign.surroundings import Device, small_disk
+from hysteresis_ros.reliability.bounds import bounds_of, prepared
 from hysteresis_ros.reliability.judge import Verdict, judged
-from hysteresis_ros.reliability.mishaps import FUSED, Mishap
+from hysteresis_ros.reliability.mishaps import DEVICE, FUSED, RELAY, SMALL_DISK, Mishap
 from hysteresis_ros.reliability.trace import Trace
 
 
@@ -34,7 +36,8 @@ class Campaign:
 
     Parameters
     ----------
-    configuration : Configuration
+    config : str
+        Path or name of the configuration.
     mishaps : tuple of Mishap
     ways : tuple of str
     rounds : int
@@ -45,7 +48,7 @@ class Campaign:
         For files that are not kept.
     """
 
-    configuration: Configuration
+    config: str
     mishaps: tuple[Mishap, ...]
     ways: tuple[str, ...]
     rounds: int
@@ -69,9 +72,9 @@ class Campaign:
         """
         found: list[Verdict] = []
         for way in self.ways:
-            axis = prepared(self.configuration, way, f"/faults_{os.getpid()}_{way}")
+            axis = prepared(load_configuration(self.config), way, f"/faults_{os.getpid()}_{way}")
             mishaps = [mishap for mishap in self.mishaps if way in mishap.ways]
-            series = _Series(axis, way, self.folder, np.random.default_rng(self.seed))
+            series = _Series(axis, way, self.config, self.folder, np.random.default_rng(self.seed))
             for verdict in series.of(mishaps, self.rounds):
                 tell(verdict)
                 found.append(verdict)
@@ -79,33 +82,52 @@ class Campaign:
 
 
 class _Series:
-    """Mishaps on one axis in one way of running; an axis that does not recover is replaced by a new one."""
+    """Mishaps in one way of running: those of one graph on one axis, until it does not recover."""
 
-    def __init__(self, axis, way: str, folder: pathlib.Path, random: np.random.Generator):
-        self._axis, self._way, self._folder, self._random = axis, way, folder, random
+    def __init__(self, axis, way: str, config: str, folder: pathlib.Path, random: np.random.Generator):
+        self._axis, self._way, self._config, self._folder, self._random = axis, way, config, folder, random
+        self._bounds = bounds_of(axis)
         self._rigs = 0
 
     def of(self, mishaps: Iterable[Mishap], rounds: int) -> Iterable[Verdict]:
         """Do them; yield what came of each."""
         todo = [(mishap, amount) for mishap in mishaps for amount in mishap.amounts for _ in range(rounds)]
         while todo:
-            rig = self._rig()
+            rig = self._rig(*todo[0])
             seen: list[tuple[Mishap, Trace]] = []
             try:
-                while todo and (not seen or np.isfinite(seen[-1][1].recovered)):
+                while not seen or (todo and self._goes_on(seen[-1], todo[0][0])):
                     mishap, amount = todo.pop(0)
                     seen.append((mishap, rig.endure(mishap, amount, ACTIONS[mishap.action])))
                     if self._way != FUSED:
-                        yield judged(seen[-1][1], mishap, rig.bounds)
+                        yield judged(seen[-1][1], mishap, self._bounds)
             finally:
                 left = rig.close()
             if self._way == FUSED:
                 samples = rig.recorded()
                 for mishap, trace in seen:
-                    yield judged(trace.with_samples(samples), mishap, rig.bounds)
+                    yield judged(trace.with_samples(samples), mishap, self._bounds)
             if left:
                 raise HysteresisError(f"{self._way}, at the end: {'; '.join(left)}")
 
-    def _rig(self) -> Rig:
+    def _goes_on(self, last: tuple[Mishap, Trace], following: Mishap) -> bool:
+        """Tell whether the axis serves for another mishap."""
+        mishap, trace = last
+        alone = self._way == FUSED and (mishap.fault or following.fault)
+        return bool(np.isfinite(trace.recovered)) and mishap.graph == following.graph and not alone
+
+    def _rig(self, mishap: Mishap, amount: float) -> Rig:
+        """Start an axis with what a mishap needs."""
         self._rigs += 1
-        return Rig(self._axis, self._way, self._folder / f"{self._way}{self._rigs}", self._random)
+        folder, axis, options = self._folder / f"{self._way}{self._rigs}", self._axis, {}
+        folder.mkdir()
+        if mishap.fault and self._way == FUSED:
+            axis = scheduled(axis, mishap, amount, self._bounds)
+        elif mishap.graph == RELAY:
+            options["relayed"] = True
+        elif mishap.graph == SMALL_DISK:
+            options["prefix"] = small_disk()
+        elif mishap.graph == DEVICE:
+            device = options["device"] = Device(self._config)
+            axis = device.driven(axis)
+        return Rig(axis, self._way, folder, self._random, **options)

@@ -25,6 +25,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 from std_srvs.srv import Trigger
 
+from hysteresis_ros.loop.plant import DEVICE_FAILED
 from hysteresis_ros.nodes.spin import make_executor
 
 #: Seconds after which a service that does not answer is called dead.
@@ -46,11 +47,14 @@ class Witness:
 
     def __init__(self, namespace: str):
         self.namespace = namespace
-        self.node = rclpy.create_node("witness", namespace=namespace, start_parameter_services=False)
+        self.node = rclpy.create_node(
+            "witness", namespace=namespace, start_parameter_services=False, enable_rosout=False
+        )
         self.rows: list[tuple[float, ...]] = []
         self.said: list[tuple[float, int, str]] = []
         self.life = 0
         self.tripped = 0.0
+        self._counted = (0.0, 0)
         self._names: list[str] = []
         self._clients: dict[str, object] = {}
         qos = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=DEPTH)
@@ -71,8 +75,11 @@ class Witness:
     def _on_plant(self, message) -> None:
         if message.name != self._names:
             self._names = list(message.name)
-            self._places = [self._names.index(name) for name in ("voltage", "displacement", "tripped")]
+            place = "displacement" if "displacement" in self._names else "measured"  # of a device nobody knows it
+            self._places = [self._names.index(name) for name in ("voltage", place, "tripped")]
         voltage, displacement, tripped = (message.position[place] for place in self._places)
+        if tripped == DEVICE_FAILED != self.tripped:
+            self.life += 1  # what a device puts out that does not answer nobody knows
         stamp = message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec
         self.rows.append((time.time(), stamp, voltage, displacement, self.life))
         self.tripped = tripped
@@ -80,8 +87,10 @@ class Witness:
     def _on_diagnostics(self, message) -> None:
         for status in message.status:
             if status.name.startswith(f"{self.namespace}/"):
-                level = int.from_bytes(status.level, "big")
-                self.said.append((time.time(), level, f"{status.name.split('/')[-1].split(':')[0]}: {status.message}"))
+                level, who = int.from_bytes(status.level, "big"), status.name.split("/")[-1].split(":")[0]
+                self.said.append((time.time(), level, f"{who}: {status.message}"))
+                if who == "plant_simulator":
+                    self._counted = time.time(), next(int(v.value) for v in status.values if v.key == "samples")
 
     # -- waiting and asking ----------------------------------------------------------------------------------------
 
@@ -99,6 +108,17 @@ class Witness:
                 return False
             self._leaving.wait(LOOK)
         return True
+
+    def sample(self, rate: float) -> float:
+        """Return at which sample an axis in real time is by now, as far as its plant has said so.
+
+        Parameters
+        ----------
+        rate : float
+            Its samples per second.
+        """
+        when, count = self._counted
+        return count + rate * (time.time() - when) if count else 0.0
 
     @property
     def displacement(self) -> float:

@@ -1,0 +1,129 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""What a campaign does to measurements, and that everything in the catalogue can be done."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
+
+from sensor_msgs.msg import JointState  # noqa: E402
+from waiting import until  # noqa: E402
+
+from hysteresis_ros.configuration import config_path, load_configuration  # noqa: E402
+from hysteresis_ros.nodes.campaign.actions import ACTIONS  # noqa: E402
+from hysteresis_ros.nodes.campaign.measurement import SCHEDULE, scheduled  # noqa: E402
+from hysteresis_ros.nodes.campaign.relay import FOREIGN, Relay  # noqa: E402
+from hysteresis_ros.reliability.bounds import bounds_of, prepared  # noqa: E402
+from hysteresis_ros.reliability.catalogue import CATALOGUE  # noqa: E402
+from hysteresis_ros.reliability.mishaps import FUSED, GRAPHS, RELAY, TIMEOUTS  # noqa: E402
+
+STROKE = 1e-4
+
+
+@pytest.fixture
+def relay():
+    """A relay between lists instead of topics: what it publishes, as numbers, stands in ``sent``."""
+    sent: list = []
+
+    def publish(message) -> None:
+        stamp = message.header.stamp
+        sent.append((round(stamp.sec + 1e-9 * stamp.nanosec, 6), tuple(message.name), tuple(message.position)))
+
+    node = SimpleNamespace(
+        create_publisher=lambda *_: SimpleNamespace(publish=publish), create_subscription=lambda *_: None
+    )
+    made = Relay(SimpleNamespace(node=node), STROKE, np.random.default_rng(1))
+    made.sent = sent
+    yield made
+    made.close()
+
+
+def passed(relay, count: int, change: str = "", amount: float = 0.0) -> list:
+    """Pass so many measurements on, of 1, 2, 3 … µm at 1, 2, 3 … s; return what came."""
+    relay.set(change, amount)
+    for k in range(1, count + 1):
+        message = JointState(name=["stage"], position=[k * 1e-6])
+        message.header.stamp.sec = k
+        relay._pass(message)
+    return relay.sent
+
+
+def places(sent) -> list[float]:
+    return [1e6 * position[0] for _, _, position in sent]
+
+
+def test_a_relay_passes_on_and_after_a_change_again(relay):
+    assert places(passed(relay, 3)) == pytest.approx([1, 2, 3])
+    passed(relay, 3, "stopped")
+    assert len(relay.sent) == 3
+    assert len(passed(relay, 2)) == 5
+
+
+def test_measurements_that_are_frozen_spiky_not_numbers_or_partial_keep_their_stamps(relay):
+    assert places(passed(relay, 3, "frozen")) == pytest.approx([1, 1, 1])
+    assert [stamp for stamp, *_ in relay.sent] == [1, 2, 3]
+    relay.sent.clear()
+    off = np.array(places(passed(relay, 20, "spikes", 0.2))) - np.arange(1, 21)
+    assert sorted(off)[-2:] == pytest.approx([20.0, 20.0]) and np.count_nonzero(off > 1e-6) == 2
+    relay.sent.clear()
+    assert all(math.isnan(place) for place in places(passed(relay, 3, "nan")))
+    relay.sent.clear()
+    assert [(names, position) for _, names, position in passed(relay, 1, "partial")] == [(("stage",), ())]
+
+
+def test_measurements_that_are_out_of_order_twice_dropped_or_somebody_elses(relay):
+    assert [stamp for stamp, *_ in passed(relay, 4, "disordered")] == [2, 1, 4, 3]
+    relay.sent.clear()
+    assert [stamp for stamp, *_ in passed(relay, 2, "duplicated")] == [1, 1, 2, 2]
+    relay.sent.clear()
+    # of 1000 by chance, three times the standard deviation of 14
+    assert len(passed(relay, 1000, "dropped", 0.3)) == pytest.approx(700, abs=45)
+    relay.sent.clear()
+    assert [names[0] for _, names, _ in passed(relay, 2, "foreign")] == ["stage", FOREIGN, "stage", FOREIGN]
+    relay.sent.clear()
+    assert [stamp for stamp, *_ in passed(relay, 2, "stamped", -10.0)] == [-9, -8]
+
+
+def test_measurements_that_are_late_come_in_order_and_not_before_their_time(relay):
+    passed(relay, 3, "delayed", 0.2)
+    assert relay.sent == []
+    until(lambda: len(relay.sent) == 3, what="late measurements")
+    assert places(relay.sent) == pytest.approx([1, 2, 3])
+
+
+def test_everything_in_the_catalogue_can_be_done():
+    axis = prepared(load_configuration(config_path("picma_stage")), FUSED, "/faults")
+    bounds = bounds_of(axis)
+    for mishap in CATALOGUE.values():
+        assert mishap.action in ACTIONS, mishap.name
+        assert mishap.graph in ("", *GRAPHS) and mishap.safe in ("", *TIMEOUTS), mishap.name
+        assert mishap.graph != RELAY or hasattr(Relay, f"_{mishap.victim}"), mishap.name
+        for amount in mishap.amounts if mishap.fault else ():
+            (text,) = scheduled(axis, mishap, amount, bounds).plant_simulator.faults
+            assert text.startswith(f"{mishap.fault}:{SCHEDULE:g}:"), mishap.name
+
+
+def test_the_same_is_done_by_the_loop_as_by_the_relay():
+    axis = prepared(load_configuration(config_path("picma_stage")), FUSED, "/faults")
+
+    def value(name: str, amount: float) -> float:
+        (text,) = scheduled(axis, CATALOGUE[name], amount, bounds_of(axis)).plant_simulator.faults
+        return float(text.split(":")[3])
+
+    assert value("measurement delayed", 0.05) == 10.0  # samples at 200 Hz
+    assert value("measurement delayed", 0.001) == 1.0
+    assert value("measurement spikes", 0.2) == pytest.approx(0.2 * 44e-6)
+    assert value("measurement dropped", 0.3) == 0.3
