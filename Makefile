@@ -15,7 +15,7 @@ unexport PYTHONDONTWRITEBYTECODE
 WORKERS ?= 2
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: help setup demo test lint format bench clean
+.PHONY: help setup demo test kernels lint format bench clean
 .DELETE_ON_ERROR:
 
 help:
@@ -27,8 +27,13 @@ demo: setup
 	rm -rf demo
 	$(BIN)/hysteresis demo -o demo
 
-test: lint
+test: setup
+	$(MAKE) --no-print-directory -j2 lint kernels
 	$(BIN)/python -m pytest -n $(WORKERS)
+
+# Beside the lint, which keeps one core busy; pytest takes the modules of the current folder, so this does too.
+kernels: setup
+	-PYTHONPATH=$(CURDIR) $(BIN)/python test/compile_kernels.py
 
 lint: setup
 	$(BIN)/ruff check .
