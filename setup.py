@@ -130,6 +130,7 @@ setup(
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (SHARE, ["package.xml"]),
         (f"{SHARE}/config", files("config/*.yaml")),
+        (f"{SHARE}/config/diagnostics", files("config/diagnostics/*.yaml")),
         (f"{SHARE}/launch", files("launch/*.launch.py")),
     ],
     install_requires=["numpy>=1.26", "scipy>=1.11", "pyyaml", "click", "rosbags>=0.11,<0.12", "mcap"],

@@ -89,6 +89,9 @@ class AxisNode(TabledParameters, GuardedLifecycleNode):
         self._work_timers: list = []
         self._warned: dict[str, int] = {}
         self._reported: dict[str, int] = {}
+        self.active_since = 0.0
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", diagnostics_qos())
+        self.create_timer(1.0, self.tell_health, clock=self.steady)
         for service in self.triggers:
             self.create_service(Trigger, f"~/{service}", answered(getattr(self, f"_on_{service}")))
 
@@ -214,7 +217,6 @@ class AxisNode(TabledParameters, GuardedLifecycleNode):
         names = self.state_names = tuple(self.state_signals()) if self.has_state else ()
         self._state = JointState(name=list(names), position=array("d", bytes(8 * len(names))))
         self._state_publisher = self.publisher(JointState, "~/state", self.qos()) if names else None
-        self._diagnostics = self.publisher(DiagnosticArray, "/diagnostics", diagnostics_qos())
         self._changes = self.publisher(String, "changes", self.changes_qos()) if names else None
         self.runner.connect()
         self.connect()
@@ -233,9 +235,8 @@ class AxisNode(TabledParameters, GuardedLifecycleNode):
     def on_activate(self, state):
         """Start working."""
         try:
-            self.active = True
+            self.active, self.active_since = True, time.monotonic()
             self.pace.restart()
-            self.timer(1.0, self._tell_health)
             self.runner.begin()
             self.begin()
         except HysteresisError as error:
@@ -256,6 +257,7 @@ class AxisNode(TabledParameters, GuardedLifecycleNode):
         self.runner.go_safe()
         self._stop_working()
         self.runner.end()
+        self.tell_health()
         return super().on_deactivate(state)
 
     def _stop_working(self) -> None:
@@ -278,6 +280,7 @@ class AxisNode(TabledParameters, GuardedLifecycleNode):
             self.runner.go_safe()
         self._stop_working()
         self.finished = True
+        self.tell_health()
         return super().on_shutdown(state)
 
     def destroy_node(self) -> None:
@@ -444,7 +447,8 @@ class AxisNode(TabledParameters, GuardedLifecycleNode):
         before, self._reported[key] = self._reported.get(key, 0), count
         return max(count - before, 0)
 
-    def _tell_health(self) -> None:
-        if not self.runner.exact:  # in lockstep that ends the run
+    def tell_health(self) -> None:
+        """Publish how this node is, whatever the state of its life."""
+        if self.active and not self.runner.exact:  # in lockstep that ends the run
             warn_of_others(self, self._loop_publishers)
         self._diagnostics.publish(diagnostics(self))

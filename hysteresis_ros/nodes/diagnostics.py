@@ -11,7 +11,18 @@
 
 from __future__ import annotations
 
+import time
+
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+
+#: Levels: as it should be; somebody ought to look at it; the axis does not do what is asked; nobody says anything.
+OK, WARN, ERROR, STALE = range(4)
+
+#: What of a node a status is about; stands behind its name, as tools that gather diagnostics expect.
+ITEM = "axis"
+
+#: Seconds after which it is an error that a node still has nothing to work on.
+START_UP = 10.0
 
 
 def warn_of_others(node, publishers) -> None:
@@ -28,28 +39,53 @@ def warn_of_others(node, publishers) -> None:
 
 
 def diagnostics(node) -> DiagnosticArray:
-    """Return what a node says of itself: level, words and numbers."""
-    rate, jitter = node.pace.read()
-    level, text, values = node.health()
-    overruns = node.since_report("overruns", node.pace.overruns)
-    if node.failure:
-        level, text = 2, node.failure
-    elif not node.running:
-        level, text = max(level, 1), text or "stopped"
-    elif overruns and not level:
-        level, text = 1, f"{overruns} periods overrun"
+    """Return what a node says of itself: level, words and numbers.
+
+    Parameters
+    ----------
+    node : AxisNode
+        In any state of its life.
+    """
+    level, text, table = _at_work(node) if node.active else _at_rest(node)
     status = DiagnosticStatus()
-    status.name = f"{node.get_fully_qualified_name()}: axis"
-    status.hardware_id = node.parameters.joint
-    status.level = (DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR)[level]
+    status.name = f"{node.get_fully_qualified_name()}: {ITEM}"
+    status.hardware_id = f"{node.get_namespace()}/{node.get_parameter('joint').value}".strip("/")
+    status.level = (DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR, DiagnosticStatus.STALE)[level]
     status.message = text or "OK"
-    table = {"rate_hz": f"{rate:.3f}", "jitter_p99_s": f"{jitter:.6f}", "samples": node.pace.total}
-    table |= {"overruns": node.pace.overruns} | values
     status.values = [KeyValue(key=key, value=str(value)) for key, value in table.items()]
     message = DiagnosticArray()
     message.header.stamp = node.get_clock().now().to_msg()
     message.status = [status]
     return message
+
+
+def _at_rest(node) -> tuple[int, str, dict]:
+    """Return level, words and numbers of a node that is not active."""
+    name = node.get_fully_qualified_name()
+    if node.failure:
+        return ERROR, node.failure, {}
+    if node.leaving or node.finished:
+        return STALE, "left", {}
+    if node.parameters is None:
+        return WARN, f"unconfigured: ros2 lifecycle set {name} configure", {}
+    return WARN, f"inactive: ros2 lifecycle set {name} activate", {}
+
+
+def _at_work(node) -> tuple[int, str, dict]:
+    """Return level, words and numbers of a node that is active."""
+    rate, jitter = node.pace.read()
+    level, text, values = node.health()
+    overruns = node.since_report("overruns", node.pace.overruns)
+    if node.failure:
+        level, text = ERROR, node.failure
+    elif not node.running:
+        level, text = max(level, WARN), text or "stopped"
+    elif level == ERROR and not node.sample and time.monotonic() - node.active_since < START_UP:
+        level = WARN  # the others are only coming
+    elif overruns and not level:
+        level, text = WARN, f"{overruns} periods overrun"
+    table = {"rate_hz": f"{rate:.3f}", "jitter_p99_s": f"{jitter:.6f}", "samples": node.pace.total}
+    return level, text, table | {"overruns": node.pace.overruns} | values
 
 
 def introduction(node) -> str:

@@ -213,6 +213,8 @@ class HysteresisCompensatorNode(Responder):
             adapted = f"adaptation {names[state]}" if state > adapting.ADAPTING else ""
             values |= {"adaptation": names[state], "adapted_gain": f"{gain:.5g}"}
         refused = self.since_report("refused", self.refused)
+        if not self.sample and not self.runner.exact:
+            return 2, "no command has come yet", values
         if self.silent:
             return 2, "command is stale", values
         if self._mode == TRIPPED:

@@ -238,10 +238,16 @@ class MotionControllerNode(Responder):
         rejected = self.since_report("rejected", self.rejected)
         if self.wrong_joint:
             return 2, f"joint '{joint}' is not in joint_states", values
-        if self.is_stale or (not self.sample and not self.runner.exact):
+        if not self.sample and not self.runner.exact:
+            return 2, f"no measurement of '{joint}' has come yet", values
+        if self.is_stale:
             return 2, f"measurement of '{joint}' is stale", values
         if self._mode == TRIPPED:
             return 2, "the plant has stopped the axis", values
+        if self._mode == FOLLOWING:
+            return 2, "nobody carries commands out", values
+        if self._mode == STOPPED:
+            return 1, "stopped", values
         if self.unpaired:
             return 2, "reference and origin are stale", values
         if self.runner.absent:

@@ -314,7 +314,8 @@ class RealTimePlant(RealTime):
             deadline += period
             if not self._wait_until(deadline):
                 return
-            if time.monotonic() - deadline > FAR_BEHIND * period:
+            behind = time.monotonic() - deadline > FAR_BEHIND * period
+            if behind:
                 deadline = time.monotonic()  # the schedule moves; samples are never dropped
             with node.lock:
                 if self._runs != published:
@@ -322,6 +323,8 @@ class RealTimePlant(RealTime):
                 self.is_measured = False
                 self._drop_late()
                 self._finish_sample()
+                if behind or node.is_off_clock:
+                    node.set_start()
                 if node.parameters.samples and node.sample >= node.parameters.samples:
                     self._ended = True
                     node.finish()

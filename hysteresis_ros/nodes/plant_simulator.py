@@ -37,6 +37,7 @@ from hysteresis_ros.loop.tick import MEASURED, Laws
 from hysteresis_ros.models.inchworm import EFFORT, JOINT_NAMES, POSITION, VELOCITY
 from hysteresis_ros.nodes.base import AxisNode
 from hysteresis_ros.nodes.images import output_of
+from hysteresis_ros.nodes.plant_report import explain_trip, verdict
 from hysteresis_ros.nodes.plant_runners import LockstepPlant, RealTimePlant
 from hysteresis_ros.nodes.qos import latched_qos, setpoint_qos
 from hysteresis_ros.nodes.responder import TRIPPED_FRAME
@@ -45,6 +46,9 @@ from hysteresis_ros.nodes.voltage_input import VOLTAGES, VoltageInput
 
 #: Seconds in which the voltage of a device goes to its safe value before the node leaves the device to itself.
 RETURN = 1.0
+
+#: How far the stamps of a sample may be from the wall clock [ns] before they go on from there.
+OFF_CLOCK = 100_000_000
 
 _SENSE, _ACTUATE = interpreted(sense), interpreted(actuate)
 
@@ -65,6 +69,7 @@ class PlantSimulatorNode(AxisNode):
         super().__init__("plant_simulator", **options)
         # real time: the thread and the executor both work on the plant
         self.lock = threading.Lock()
+        self._stamp = 0
 
     lockstep_runner = LockstepPlant
     real_time_runner = RealTimePlant
@@ -242,8 +247,19 @@ class PlantSimulatorNode(AxisNode):
         return self._start_stamp + np.rint(samples * 1e9 / self.parameters.sample_rate).astype(np.int64)
 
     def set_start(self) -> None:
-        """Real time: let the stamps go on from now, or from zero where they are the source of time themselves."""
-        self._start_stamp = 0 if self.parameters.publish_clock else time.time_ns() - self.stamp_of(self.sample)
+        """Real time: let the stamps go on from now, or from zero where they are the source of time themselves.
+
+        A clock that was set back does not take them back: nobody believes a stamp that does not follow the last one.
+        """
+        now = max(time.time_ns(), self._stamp + self.stamp_of(1))
+        self._start_stamp = 0 if self.parameters.publish_clock else now - self.stamp_of(self.sample)
+
+    @property
+    def is_off_clock(self) -> bool:
+        """Whether stamps that stand for the wall clock are off it, because somebody has set it."""
+        parameters = self.parameters
+        stands = not parameters.publish_clock and parameters.real_time_factor == 1.0
+        return stands and abs(time.time_ns() - self._stamp) > OFF_CLOCK + self.stamp_of(1)
 
     def begin_run(self, origin: int) -> None:
         """Take the time of sample 0 of a loop [ns since 1970]."""
@@ -283,7 +299,7 @@ class PlantSimulatorNode(AxisNode):
         return self._message.header.stamp
 
     def _publish_measured(self, stamp: int, before: float, quiet: bool = False) -> None:
-        message, row = self._message, self.row
+        message, row, self._stamp = self._message, self.row, stamp
         message.header.stamp = Time(sec=stamp // 1_000_000_000, nanosec=stamp % 1_000_000_000)
         if self.is_motor:
             joints = self.part.arrays.x.joints
@@ -333,19 +349,7 @@ class PlantSimulatorNode(AxisNode):
 
     def explain_trip(self) -> str:
         """Say why the plant has stopped the axis."""
-        if self.part.failure:
-            return f"{self.part.failure}; ~/start tries the device again, cleanup and configure open it anew"
-        if self.part.finding_home:
-            return "its relative sensor is homed at the safe voltage; it goes on by itself"
-        if self.part.halted:
-            return "an emergency stop (~/stop of a fused axis, or estop); ~/start lets it go on"
-        if self.part.overtravelled:
-            low, high = self.part.travel
-            return (
-                f"measured beyond {1e6 * low:.4g} … {1e6 * high:.4g} µm, where only an unstable loop or a wrong sensor "
-                "gets (overtravel): look at gains, delay and scaling; ~/start lets it go on"
-            )
-        return self.runner.explain_trip()
+        return explain_trip(self.part, self.runner)
 
     def readers(self) -> int:
         """Return how many hear ``joint_states``."""
@@ -376,15 +380,7 @@ class PlantSimulatorNode(AxisNode):
             **self.runner.timeliness(),
         }
         late = self.since_report("late", self.late)
-        if self.part.tripped:
-            return 2, f"axis stopped: {self.explain_trip()}", values
-        if self.silent:
-            return 2, f"{' or '.join(input_.topic for input_ in self.inputs)} is stale", values
-        if self.part.complaint:
-            return 1, self.part.complaint, values
-        if self.part.saturated:
-            return 1, "voltage saturated", values
-        return (1, f"{late} commands late", values) if late else (0, "", values)
+        return *verdict(self.part, self.runner, self.inputs, late), values
 
     # -- the end -------------------------------------------------------------------------------------------------
 

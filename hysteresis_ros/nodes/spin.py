@@ -211,3 +211,4 @@ def _leave(executor, nodes, regular: bool) -> None:
     for node in reversed(nodes):  # a recorder is the first: it gets what is made until the end
         node.active = False
         node.release()
+        node.tell_health()
