@@ -23,6 +23,7 @@ import shutil
 import tempfile
 
 import yaml
+from ament_index_python.packages import PackageNotFoundError, get_package_prefix
 from launch import LaunchDescription
 from launch.actions import (
     DeclareLaunchArgument,
@@ -34,8 +35,10 @@ from launch.actions import (
 )
 from launch.event_handlers import OnShutdown
 from launch.events import Shutdown
-from launch.substitutions import LaunchConfiguration
+from launch.substitutions import Command, LaunchConfiguration
 from launch_ros.actions import LifecycleNode, Node
+from launch_ros.parameter_descriptions import ParameterValue
+from launch_ros.substitutions import ExecutableInPackage
 
 PACKAGE = "hysteresis_ros"
 NODES = ("plant_simulator", "hysteresis_compensator", "motion_controller")
@@ -80,6 +83,12 @@ ARGUMENTS = (
         default_value="",
         choices=["", "true", "false"],
         description="false: the nodes wait for configure and activate (ros2 lifecycle set); empty: as the file says",
+    ),
+    DeclareLaunchArgument(
+        "description",
+        default_value="false",
+        choices=["true", "false"],
+        description="true: robot_state_publisher besides, for tf and RViz",
     ),
     DeclareLaunchArgument(
         "log_level",
@@ -161,6 +170,9 @@ def axis(context):
         # hysteresis_axis holds four nodes, which keep their own names.
         actions.append(Node(**options) if name == "hysteresis_axis" else LifecycleNode(name=name, **options))
 
+    if given["description"] == "true":
+        actions.append(state_publisher(config, given["namespace"]))
+
     def clean(event, context):
         shutil.rmtree(folder, ignore_errors=True)
 
@@ -172,11 +184,13 @@ def override(given: dict, config: str) -> dict:
 
     A file, because ``-p node:name:=value`` reaches no node in a namespace and the composed process has four nodes.
     """
-    common, keeper, recorder = {}, {}, {}
+    common, keeper, recorder, source = {}, {}, {}, {}
     if given["rate"]:
         common["time_mode"] = given["rate"]
     if given["plant"] == "external":
         common |= {"external_plant": True, "time_mode": "realtime"}
+    if given["description"] == "true":
+        source = {"publish_description": False}  # robot_state_publisher does
     if given["autostart"]:
         common["autostart"] = given["autostart"] == "true"
     if given["factor"]:
@@ -190,8 +204,36 @@ def override(given: dict, config: str) -> dict:
         recorder = {"path": given["record"], "configuration": config}
     # whoever keeps the run: with a plant of somebody else the source of references
     keeps = "reference_generator" if given["plant"] == "external" else "plant_simulator"
-    patterns = {"/**": common, f"/**/{keeps}": keeper, "/**/recorder": recorder}
+    patterns = {"/**": common, "/**/reference_generator": source, "/**/inchworm_sequencer": source}
+    patterns |= {f"/**/{keeps}": {**patterns.get(f"/**/{keeps}", {}), **keeper}, "/**/recorder": recorder}
     return {pattern: {"ros__parameters": values} for pattern, values in patterns.items() if values}
+
+
+def state_publisher(config: str, namespace: str):
+    """Return the robot_state_publisher of the axis.
+
+    Raises
+    ------
+    ValueError
+        It is not installed.
+    """
+    try:
+        get_package_prefix("robot_state_publisher")
+    except PackageNotFoundError:
+        raise ValueError(
+            "description:=true needs robot_state_publisher (sudo apt install ros-jazzy-robot-state-publisher); "
+            "the topic robot_description is there without it"
+        ) from None
+    command = [ExecutableInPackage("hysteresis", PACKAGE), f" urdf '{config}' --namespace '{namespace}'"]
+    prefix = f"{namespace.strip('/')}/" if namespace.strip("/") else ""
+    return Node(
+        package="robot_state_publisher",
+        executable="robot_state_publisher",
+        namespace=namespace,
+        parameters=[
+            {"robot_description": ParameterValue(Command(command), value_type=str), "frame_prefix": prefix},
+        ],
+    )
 
 
 def positive(text: str) -> bool:

@@ -53,6 +53,7 @@ COMMANDS = {
         "hysteresis_ros.cli.parameters:parameters",
         "List the parameters of the nodes with type, default, unit and range.",
     ),
+    "urdf": ("hysteresis_ros.cli.urdf:urdf", "Print an axis as a URDF, with its joint and limits."),
     "identify": ("hysteresis_ros.cli.identify:identify", "Identify a model from a recording."),
     "validate": ("hysteresis_ros.cli.validate:validate", "Validate a parameter file on a recording."),
     "models": ("hysteresis_ros.cli.models:models", "List the models with parameters, units and inverses."),

@@ -31,6 +31,7 @@ from hysteresis_ros.models.inchworm import JOINT_NAMES, InchwormParameters, seed
 from hysteresis_ros.parameters import Parameters, group, parameter, variants
 from hysteresis_ros.references.generator import ReferenceParameters
 from hysteresis_ros.references.inchworm_parameters import InchwormSequencerParameters
+from hysteresis_ros.references.settling import SettlingParameters
 from hysteresis_ros.sensing.simulated_camera import SimulatedCameraParameters
 from hysteresis_ros.sensing.tracker import CameraParameters
 
@@ -301,6 +302,10 @@ class PlantNodeParameters(NodeParameters, ActuatorParameters):
 class ReferenceNodeParameters(NodeParameters, ReferenceParameters):
     """Parameters of ``reference_generator``."""
 
+    settled: SettlingParameters = group(SettlingParameters)
+    publish_description: bool = parameter(
+        True, read_only=True, description="publish the joint and its limits as a URDF on robot_description"
+    )
     samples: int = parameter(
         0, low=0, high=10**12, read_only=True, description="external_plant: length of the run in samples; 0: no end"
     )
@@ -313,6 +318,9 @@ class ReferenceNodeParameters(NodeParameters, ReferenceParameters):
 class InchwormSequencerNodeParameters(NodeParameters, InchwormSequencerParameters):
     """Parameters of ``inchworm_sequencer``, which takes the place of ``reference_generator``."""
 
+    publish_description: bool = parameter(
+        True, read_only=True, description="publish the joint and its limits as a URDF on robot_description"
+    )
     extender_joint: str = parameter(
         "extender", read_only=True, description="name of the extender in joint_states; joint is the slider's"
     )
@@ -346,6 +354,15 @@ class ControllerNodeParameters(NodeParameters, ControllerParameters):
     )
     safe_slew_rate: float = parameter(
         1.0e-4, unit="m/s", low=1.0e-12, high=1.0e3, description="how fast the command goes to safe_command"
+    )
+    controller_state_rate: float = parameter(
+        50.0,
+        unit="Hz",
+        low=0.0,
+        high=1.0e6,
+        read_only=True,
+        description="how often ~/controller_state and ~/pid_state are published where control_msgs is installed; "
+        "0: never",
     )
 
 

@@ -314,6 +314,7 @@ class FusedAxis:
         for name in node_names(self.plant.is_motor):
             row = self.nodes[name].row
             row[: len(values)] = values
+        self.source.look_at(samples.table.T.tolist())
         stamp = self.plant.show(number, before, self._leaving)
         for name in node_names(self.plant.is_motor):
             if name != "plant_simulator":

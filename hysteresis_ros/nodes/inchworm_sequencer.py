@@ -101,11 +101,11 @@ class InchwormSequencerNode(ReferenceSource):
     def connect(self) -> None:
         """Make the topics."""
         super().connect()
-        self.subscriber(Float64, "setpoint", self._on_setpoint, setpoint_qos())
         self.subscriber(Float64, "speed", self._on_speed, setpoint_qos())
 
     def begin(self) -> None:
         """In real time begin when the loop is complete."""
+        super().begin()
         self._complete = not self.runner.by_message
         if not self.runner.exact and self.runner.by_message:
             self.timer(WATCHDOG_PERIOD, self._look_for_the_others)
@@ -130,8 +130,8 @@ class InchwormSequencerNode(ReferenceSource):
 
     # -- what people ask for -----------------------------------------------------------------------------------
 
-    def _on_setpoint(self, message) -> None:
-        value = message.data
+    def take_setpoint(self, value: float) -> None:
+        """Take a setpoint [m], or refuse it and say why."""
         reason = self.sequencer.refuse(value)
         if reason:
             self.refuse("setpoint", f"{reason}; {self.setpoint:.6g} m is kept")
@@ -242,12 +242,19 @@ class InchwormSequencerNode(ReferenceSource):
             super().answer(stamp)
 
     def after_step(self) -> None:
-        """Say what went wrong."""
+        """Say what went wrong, and whether the slider has arrived."""
+        if self.runner.by_message:
+            self.look_at((self.row,))
         error = self.row[signals.ERROR]
         if error != self._error:
             self._error = error
             if error:
                 self.warn("error", self._explanation, error=True, every=0.0)
+
+    def look_at(self, rows) -> None:
+        """Look at samples whether the slider has arrived and rests."""
+        last = rows[-1]
+        self.tell_settled(bool(last[signals.ARRIVED]) and not last[signals.TRIPPED])
 
     # -- safety ------------------------------------------------------------------------------------------------
 

@@ -20,6 +20,7 @@ from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.loop.controller import ControllerPart, carried_out, control
 from hysteresis_ros.loop.tick import ANSWERED, Laws
 from hysteresis_ros.loop.watch import FOLLOWING, HOLDING, MODE_NAMES, REJECTED, RUNNING, STALE, STOPPED, TRIPPED
+from hysteresis_ros.nodes.controller_state import MISSING, ControllerState, message_types
 from hysteresis_ros.nodes.responder import Input, Responder
 from hysteresis_ros.nodes.shortfall import Shortfall
 from hysteresis_ros.nodes.spin import run
@@ -76,6 +77,23 @@ class MotionControllerNode(Responder):
     def step(self) -> None:
         """Run the controller of the loop on the row."""
         _CONTROL(self._laws, self._arrays, self.row)
+
+    def connect(self) -> None:
+        """Make the topics."""
+        super().connect()
+        self._state_of_controller = None
+        if self.parameters.controller_state_rate:
+            types = message_types()
+            if types is None:
+                self.get_logger().info(MISSING)
+            else:
+                self._state_of_controller = ControllerState(self, *types)
+
+    def report(self, stamp) -> None:
+        """Publish ``~/state``, and what tools of ros2_control look at."""
+        super().report(stamp)
+        if self._state_of_controller is not None:
+            self._state_of_controller.tell(stamp)
 
     def begin(self) -> None:
         """In real time go on from where the axis is."""

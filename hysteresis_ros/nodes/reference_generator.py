@@ -13,19 +13,17 @@ from __future__ import annotations
 
 import math
 
-from std_msgs.msg import Float64
-
 from hysteresis_ros import signals
 from hysteresis_ros.block import interpreted
 from hysteresis_ros.loop.source import GeneratorSource, generate
 from hysteresis_ros.loop.tick import Laws
 from hysteresis_ros.nodes.external import ExternalRun
-from hysteresis_ros.nodes.qos import setpoint_qos
 from hysteresis_ros.nodes.reference_source import ReferenceSource
 from hysteresis_ros.nodes.spin import run
 from hysteresis_ros.nodes.timing import STALE
 from hysteresis_ros.nodes.trajectories import Trajectories
 from hysteresis_ros.nodes.trajectory_action import TrajectoryAction, action_type
+from hysteresis_ros.references.settling import Settling
 
 _GENERATE = interpreted(generate)
 
@@ -48,6 +46,8 @@ class ReferenceGeneratorNode(ReferenceSource):
         self.part = GeneratorSource(parameters)
         self._connect_part()
         self.setpoint = parameters.initial_setpoint
+        tolerance = parameters.settled.tolerance or 0.01 * (parameters.maximum - parameters.minimum)
+        self.settling = Settling(tolerance, parameters.settled.time, 1.0 / parameters.sample_rate)
         self.compile()
 
     def step(self) -> None:
@@ -58,6 +58,8 @@ class ReferenceGeneratorNode(ReferenceSource):
         """Look at moves that somebody waits for, and at the setpoint that a trajectory may have put in force."""
         self.setpoint = self.row[signals.SETPOINT]
         self.trajectories.look()
+        if self.runner.by_message:
+            self.look_at((self.row,))
         if self.action is not None:
             self.action.tell()
 
@@ -78,7 +80,6 @@ class ReferenceGeneratorNode(ReferenceSource):
         """Make the topics."""
         self._run = ExternalRun(self) if self.parameters.external_plant else None
         super().connect()
-        self.subscriber(Float64, "setpoint", self._on_setpoint, setpoint_qos())
         self.trajectories = Trajectories(self)
         kind = action_type()
         self.action = TrajectoryAction(self, self.trajectories, kind) if kind else None
@@ -86,12 +87,14 @@ class ReferenceGeneratorNode(ReferenceSource):
     def begin(self) -> None:
         """Go to work, and look after the plant of somebody else."""
         super().begin()
+        self.forget_settled()
         self.trajectories.begin()
         if self._run is not None:
             self._run.begin()
 
     def release(self) -> None:
         """Let go of moves that are under way."""
+        super().release()
         if self.trajectories is not None:
             self.trajectories.give_up("the node has stopped working")
 
@@ -100,6 +103,19 @@ class ReferenceGeneratorNode(ReferenceSource):
         if self.action is not None:
             self.action.server.destroy()
         self.trajectories = self.action = None
+
+    def forget_settled(self) -> None:
+        """Begin anew to look whether the axis settles."""
+        self.settling.restart()
+
+    def look_at(self, rows) -> None:
+        """Look at samples whether the axis has settled in them."""
+        look = self.settling.look
+        for row in rows:
+            if not row[signals.SKIPPED]:  # nobody looked
+                stopped = row[signals.TRIPPED] != 0.0
+                look(row[signals.SETPOINT], row[signals.REFERENCE], row[signals.MEASURED], stopped)
+        self.tell_settled(self.settling.settled)
 
     def steer(self, action: str, parameters: dict | None = None) -> None:
         """Let the reference follow a trajectory, or come to rest, from the next sample on, and log it.
@@ -135,12 +151,13 @@ class ReferenceGeneratorNode(ReferenceSource):
         super().reset_blocks()
         self.setpoint = self.parameters.initial_setpoint
 
-    def _on_setpoint(self, message) -> None:
-        reason = self.part.generator.refuse(message.data)
+    def take_setpoint(self, value: float) -> None:
+        """Take a setpoint [m], or refuse it and say why."""
+        reason = self.part.generator.refuse(value)
         if reason:
             self.refuse("setpoint", f"{reason}; {self.setpoint:.6g} m is kept")
             return
-        self.setpoint = message.data
+        self.setpoint = value
         if self.is_fused:
             self.fused.loop.set(setpoint=self.setpoint)
 

@@ -11,10 +11,14 @@
 
 from __future__ import annotations
 
-from std_msgs.msg import String
+from std_msgs.msg import Bool, Float64, Float64MultiArray, String
 
-from hysteresis_ros.nodes.qos import setpoint_qos
+from hysteresis_ros.loop.description import robot_description
+from hysteresis_ros.nodes.qos import latched_qos, setpoint_qos
 from hysteresis_ros.nodes.responder import Responder
+
+#: How often is looked whether samples stay away [s], and for how long they may.
+LOOK, SILENCE = 0.1, 0.3
 
 
 class ReferenceSource(Responder):
@@ -22,11 +26,76 @@ class ReferenceSource(Responder):
 
     #: Number of refusals so far.
     refused = 0
+    #: Setpoint in force [m].
+    setpoint = 0.0
 
     def connect(self) -> None:
         """Make the topics."""
         super().connect()
+        self._settled = self.publisher(Bool, "settled", latched_qos())
+        self._told = None
+        if self.parameters.publish_description:
+            self._description = self.publisher(String, "robot_description", latched_qos())
+            self._description.publish(String(data=robot_description(self.parameters)))
+        self.tell_settled(False)
         self._refusals = self.publisher(String, "~/refused", setpoint_qos())
+        self.subscriber(Float64, "setpoint", self._on_setpoint, setpoint_qos())
+        self.subscriber(Float64MultiArray, "~/commands", self._on_commands, setpoint_qos())
+
+    def begin(self) -> None:
+        """Look after samples that stay away: what is not measured has not settled."""
+        self.timer(LOOK, self._look_for_samples)
+
+    def _look_for_samples(self) -> None:
+        if self.lacks_samples:
+            self.forget_settled()
+            self.tell_settled(False)
+
+    @property
+    def lacks_samples(self) -> bool:
+        """Whether no sample has come for some time, in real time."""
+        return not self.runner.exact and self.pace.age > max(SILENCE, 3.0 / self.parameters.sample_rate)
+
+    def forget_settled(self) -> None:
+        """Begin anew to look whether the axis settles."""
+
+    def look_at(self, rows) -> None:
+        """Look at samples whether the axis has settled in them.
+
+        Parameters
+        ----------
+        rows : iterable of sequence of float
+            Whole rows, in order.
+        """
+        raise TypeError(f"{type(self).__name__} does not say when its axis has settled")
+
+    def tell_settled(self, settled: bool) -> None:
+        """Publish whether the axis has settled, when that has changed."""
+        if settled != self._told:
+            self._told = settled
+            self._settled.publish(Bool(data=settled))
+
+    def release(self) -> None:
+        """Nobody looks any more whether the axis has settled."""
+        if self.parameters is not None:
+            self.tell_settled(False)
+
+    def take_setpoint(self, value: float) -> None:
+        """Take a setpoint [m], or refuse it and say why."""
+        raise TypeError(f"{type(self).__name__} does not say how it takes setpoints")
+
+    def _on_setpoint(self, message) -> None:
+        self.take_setpoint(message.data)
+
+    def _on_commands(self, message) -> None:
+        """Take a setpoint as position controllers of ros2_control do: an array with one number for each joint."""
+        if len(message.data) == 1:
+            self.take_setpoint(message.data[0])
+        else:
+            allowed = f"allowed: one, the position of '{self.parameters.joint}' in m"
+            self.refuse(
+                "commands", f"commands has {len(message.data)} numbers, {allowed}; {self.setpoint:.6g} m is kept"
+            )
 
     def refuse(self, key: str, reason: str) -> None:
         """Count, log and publish that something was refused.

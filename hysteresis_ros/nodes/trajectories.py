@@ -32,6 +32,9 @@ from hysteresis_ros.references.trajectory import MOST_POINTS
 #: How often is looked at moves of an axis that may have stopped [s], and how long its samples may stay away.
 LOOK, SILENCE = 0.1, 1.0
 
+#: Where trajectories are awaited: beside the axis, and where tools of ros2_control send those for a controller.
+TOPICS = ("joint_trajectory", "~/joint_trajectory")
+
 #: Fields that name joints.
 JOINTS = ("joint_names", "path_tolerance", "goal_tolerance")
 
@@ -114,7 +117,8 @@ class Trajectories:
         self._moves: list[tuple[Move, Told]] = []
         self._heard = (0, 0.0)
         self._answers = node.publisher(String, "~/trajectory", setpoint_qos())
-        node.subscriber(JointTrajectory, "joint_trajectory", self._on_trajectory, setpoint_qos())
+        for topic in TOPICS:
+            node.subscriber(JointTrajectory, topic, self._on_trajectory, setpoint_qos())
 
     @property
     def tolerances(self) -> Tolerances:

@@ -21,9 +21,12 @@ from action_msgs.msg import GoalStatus  # noqa: E402
 from builtin_interfaces.msg import Duration  # noqa: E402
 from nodes_support import axis_parameters, compose, until  # noqa: E402
 from rclpy.action import CancelResponse  # noqa: E402
-from std_msgs.msg import Float64, String  # noqa: E402
+from rclpy.qos import DurabilityPolicy, QoSProfile  # noqa: E402
+from std_msgs.msg import Bool, Float64, Float64MultiArray, String  # noqa: E402
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint  # noqa: E402
 
+from hysteresis_ros import signals  # noqa: E402
+from hysteresis_ros.loop.description import robot_description  # noqa: E402
 from hysteresis_ros.nodes.trajectory_action import TrajectoryAction, action_type  # noqa: E402
 from hysteresis_ros.references.trajectory import HELD  # noqa: E402
 
@@ -32,7 +35,7 @@ SOURCE = "reference_generator"
 SLOW = {
     "plant_simulator": {"late_limit": -1},
     "motion_controller": {"type": "open_loop"},
-    SOURCE: {"trajectory__goal_time": 20.0, "initial_setpoint": 0.0},
+    SOURCE: {"trajectory__goal_time": 20.0, "initial_setpoint": 0.0, "settled__time": 0.5},
 }
 
 
@@ -110,6 +113,45 @@ def test_what_is_refused_is_named_and_moves_nothing(axis):
     wide.points[0].positions = [1e-6, 2e-6]
     assert "points[0].positions" in axis.send(wide, "refused")
     assert axis.source.part.generator.trajectory[0] == 0 and axis.source.setpoint == 0.0
+
+
+def test_whoever_comes_later_hears_whether_the_axis_has_settled(axis, observer):
+    later = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    until(lambda: axis.source.settling.settled, what="an axis that rests where it began")
+    heard, described = observer.listen(Bool, "/settled", later), observer.listen(String, "/robot_description", later)
+    until(lambda: described and described[0].data == robot_description(axis.source.parameters), what="the URDF")
+    until(lambda: heard and heard[-1].data, what="that the axis has settled")
+    axis.setpoints.publish(Float64(data=6e-6))
+    until(lambda: not all(message.data for message in heard), what="that it moves")
+    until(lambda: heard[-1].data, what="that it has settled again")
+    row = axis.source.row
+    assert axis.source.setpoint == 6e-6 and abs(row[signals.MEASURED] - 6e-6) <= 0.01 * 12e-6
+    axis.plant.trigger_deactivate()
+    until(lambda: not heard[-1].data, what="that without measurements nothing has settled")
+
+
+def test_tools_of_ros2_control_drive_the_axis_by_the_topics_of_a_controller(axis, observer):
+    commands = observer.talk(Float64MultiArray, f"/{SOURCE}/commands")
+    points = observer.talk(JointTrajectory, f"/{SOURCE}/joint_trajectory")
+    refused = observer.listen(String, f"/{SOURCE}/refused")
+    until(lambda: commands.get_subscription_count() and points.get_subscription_count())
+    until(lambda: axis.source.count_subscribers(f"/{SOURCE}/refused"))
+    commands.publish(Float64MultiArray(data=[4e-6]))
+    until(lambda: axis.source.setpoint == 4e-6, what="the setpoint of an array")
+    for wrong, words in (
+        ([], "commands has 0 numbers, allowed: one, the position of 'extender' in m; 4e-06 m is kept"),
+        ([1e-6, 2e-6], "commands has 2 numbers"),
+        ([float("nan")], "nan"),
+        ([1.0], "out of range"),
+    ):
+        known = len(refused)
+        commands.publish(Float64MultiArray(data=wrong))
+        until(lambda: len(refused) > known, what=f"the refusal of {wrong}")  # noqa: B023
+        assert words in refused[-1].data
+    assert axis.source.setpoint == 4e-6
+    known = len(axis.said)
+    points.publish(trajectory((0.05, 5e-6)))
+    assert axis.hear(known, "arrived")
 
 
 class Goal:

@@ -1,0 +1,62 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""An axis as tools of ROS describe robots: a URDF with its joint."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+
+from hysteresis_ros.loop.node_parameters import InchwormSequencerNodeParameters, ReferenceNodeParameters
+
+#: Name of the link that does not move.
+BASE = "base"
+
+
+def robot_description(
+    parameters: ReferenceNodeParameters | InchwormSequencerNodeParameters, name: str = "hysteresis_axis"
+) -> str:
+    """Return a URDF of an axis: a base, and a link that a prismatic joint moves along z.
+
+    Positions are limited to what the source of references allows, velocities to what it asks for at most; where a step
+    is passed on as it is, that is the whole range in one sample. The effort is stated as 0: nobody knows or limits it.
+
+    Parameters
+    ----------
+    parameters : ReferenceNodeParameters or InchwormSequencerNodeParameters
+        Of the source of references; of a motor its slider is the joint.
+    name : str, optional
+        Of the robot.
+
+    Returns
+    -------
+    str
+        The text of the URDF, in m and m/s.
+    """
+    moved = f"{parameters.joint}_tip"
+    robot = ET.Element("robot", name=name)
+    ET.SubElement(robot, "link", name=BASE)
+    ET.SubElement(robot, "link", name=moved)
+    joint = ET.SubElement(robot, "joint", name=parameters.joint, type="prismatic")
+    ET.SubElement(joint, "parent", link=BASE)
+    ET.SubElement(joint, "child", link=moved)
+    ET.SubElement(joint, "origin", xyz="0 0 0", rpy="0 0 0")
+    ET.SubElement(joint, "axis", xyz="0 0 1")
+    limits = {"lower": parameters.minimum, "upper": parameters.maximum, "velocity": _fastest(parameters), "effort": 0.0}
+    ET.SubElement(joint, "limit", {key: repr(value) for key, value in limits.items()})
+    ET.indent(robot)
+    return f'<?xml version="1.0"?>\n{ET.tostring(robot, encoding="unicode")}\n'
+
+
+def _fastest(parameters) -> float:
+    """Return the largest velocity [m/s] that a source of references asks for."""
+    if isinstance(parameters, InchwormSequencerNodeParameters):
+        gait, walk = parameters.gait, parameters.walk
+        return walk.fastest(gait) if walk.continuous else gait.speed
+    return parameters.approach.maximum_velocity or (parameters.maximum - parameters.minimum) * parameters.sample_rate
