@@ -84,9 +84,20 @@ class NodeParameters(Parameters):
         "references begins and ends the run; for all nodes, under '/**'",
     )
 
+    measurement_reliability: str = parameter(
+        "reliable",
+        choices=("reliable", "best_effort"),
+        read_only=True,
+        description="how joint_states are subscribed: best_effort where a driver of your own publishes them so; "
+        "realtime only",
+    )
+
     def check(self):
         """Yield what does not fit together."""
         yield from super().check()
+        if self.measurement_reliability != "reliable" and self.time_mode == "lockstep":
+            allowed = "must be reliable in lockstep, where each sample is answered: give time_mode: realtime"
+            yield Problem("measurement_reliability", self.measurement_reliability, allowed)
         if self.external_plant and self.time_mode != "realtime":
             allowed = "a plant of your own does not wait for anybody: give time_mode: realtime"
             yield Problem("external_plant", self.external_plant, allowed)

@@ -27,6 +27,7 @@ from std_srvs.srv import Trigger
 from hysteresis_ros import signals
 from hysteresis_ros.errors import HysteresisError, ParameterError
 from hysteresis_ros.loop.node_parameters import NODE_PARAMETERS
+from hysteresis_ros.nodes.compatibility import Compatibility
 from hysteresis_ros.nodes.diagnostics import diagnostics, introduction, warn_of_others
 from hysteresis_ros.nodes.fused import Fused
 from hysteresis_ros.nodes.lifecycle import GuardedLifecycleNode
@@ -90,6 +91,7 @@ class AxisNode(TabledParameters, GuardedLifecycleNode):
         self._warned: dict[str, int] = {}
         self._reported: dict[str, int] = {}
         self.active_since = 0.0
+        self.compatibility = Compatibility(self)
         self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", diagnostics_qos())
         self.create_timer(1.0, self.tell_health, clock=self.steady)
         for service in self.triggers:
@@ -301,7 +303,7 @@ class AxisNode(TabledParameters, GuardedLifecycleNode):
 
     def publisher(self, message_type, topic: str, qos, loop: bool = False):
         """Make a publisher that goes with cleanup; ``loop``: lockstep needs its partner before the first answer."""
-        made = self.create_publisher(message_type, topic, qos)
+        made = self.create_publisher(message_type, topic, qos, event_callbacks=self.compatibility.of_publisher(topic))
         self._topic_handles.append((self.destroy_publisher, made))
         if loop:
             self._loop_publishers.append(made)
@@ -309,7 +311,8 @@ class AxisNode(TabledParameters, GuardedLifecycleNode):
 
     def subscriber(self, message_type, topic: str, callback, qos, raw: bool = False, partner: str = ""):
         """Make a subscription that goes with cleanup; ``partner``: who publishes it in lockstep, and is watched."""
-        made = self.create_subscription(message_type, topic, callback, qos, raw=raw)
+        events = self.compatibility.of_subscription(topic)
+        made = self.create_subscription(message_type, topic, callback, qos, raw=raw, event_callbacks=events)
         self._topic_handles.append((self.destroy_subscription, made))
         if partner:
             self.partners.add(made.topic_name, partner)

@@ -23,7 +23,7 @@ from hysteresis_ros.nodes.qos import setpoint_qos
 #: What is said where the package is missing.
 MISSING = (
     "~/controller_state and ~/pid_state are not published: the package control_msgs is not installed "
-    "(sudo apt install ros-jazzy-control-msgs; it is not among the wheels)"
+    "(sudo apt install ros-jazzy-control-msgs; it is not among the wheels; controller_state_rate: 0 does without them)"
 )
 
 

@@ -84,6 +84,9 @@ def _at_work(node) -> tuple[int, str, dict]:
         level = WARN  # the others are only coming
     elif overruns and not level:
         level, text = WARN, f"{overruns} periods overrun"
+    unconnected = node.compatibility.complaint()
+    if unconnected:
+        level, text = max(level, WARN), f"{text}; {unconnected}" if text else unconnected
     table = {"rate_hz": f"{rate:.3f}", "jitter_p99_s": f"{jitter:.6f}", "samples": node.pace.total}
     return level, text, table | {"overruns": node.pace.overruns} | values
 

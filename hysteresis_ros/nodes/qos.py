@@ -34,6 +34,18 @@ def setpoint_qos() -> QoSProfile:
     return _reliable(10, DurabilityPolicy.VOLATILE)
 
 
+def measured_qos(qos: QoSProfile, reliability: str) -> QoSProfile:
+    """Measurements for whoever answers them: as the loop has them, ``best_effort`` where a driver publishes them so."""
+    if reliability == "best_effort":
+        qos = QoSProfile(depth=qos.depth, reliability=ReliabilityPolicy.BEST_EFFORT, durability=qos.durability)
+    return qos
+
+
+def sensor_qos() -> QoSProfile:
+    """Measurements for whoever only looks at them: heard from any driver, reliable or not."""
+    return QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE)
+
+
 def latched_qos(depth: int = 1) -> QoSProfile:
     """Said once, for whoever comes later: the end of a run, the configuration of a recording."""
     return _reliable(depth, DurabilityPolicy.TRANSIENT_LOCAL)

@@ -22,7 +22,7 @@ from hysteresis_ros.bounded import BoundsError, read_text
 from hysteresis_ros.configuration import parse_configuration
 from hysteresis_ros.errors import ConfigurationError, RecordingError
 from hysteresis_ros.nodes.base import AxisNode
-from hysteresis_ros.nodes.qos import diagnostics_qos, latched_qos, setpoint_qos
+from hysteresis_ros.nodes.qos import diagnostics_qos, latched_qos, measured_qos, setpoint_qos
 from hysteresis_ros.nodes.spin import QUIET, run
 from hysteresis_ros.nodes.timing import STALE
 from hysteresis_ros.recordings.bag_writer import BagWriter
@@ -110,7 +110,8 @@ class RecorderNode(AxisNode):
         self._sampled: list[str] = []
         durability = "transient_local" if self.runner.exact else "volatile"
         for index, (topic, message_type, partner) in enumerate(self._topics if self.runner.by_message else ()):
-            self._record(topic, message_type, qos, durability, index, partner)
+            heard = measured_qos(qos, self.parameters.measurement_reliability) if topic == "joint_states" else qos
+            self._record(topic, message_type, heard, durability, index, partner)
         self.subscribe_end()
         self._record("setpoint", Float64, setpoint_qos(), "volatile")
         self._record("changes", String, self.changes_qos(), "transient_local")

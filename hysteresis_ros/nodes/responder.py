@@ -21,6 +21,7 @@ from hysteresis_ros import signals
 from hysteresis_ros.errors import shortened
 from hysteresis_ros.nodes.base import AxisNode
 from hysteresis_ros.nodes.lockstep import LockstepResponder
+from hysteresis_ros.nodes.qos import measured_qos
 from hysteresis_ros.nodes.realtime import RealTimeResponder
 
 #: Frame of ``joint_states`` while the plant has stopped the axis.
@@ -129,7 +130,8 @@ class Responder(AxisNode):
         self.subscribe_end()
         if not self.runner.by_message:
             return
-        self.subscriber(JointState, "joint_states", self.take_measurement, qos, partner="plant_simulator")
+        heard = measured_qos(qos, self.parameters.measurement_reliability)
+        self.subscriber(JointState, "joint_states", self.take_measurement, heard, partner="plant_simulator")
         for place, input_ in enumerate(self.inputs):
             heard = self._heard(place)
             self.subscriber(Float64, input_.topic, heard, qos, partner=input_.partner)

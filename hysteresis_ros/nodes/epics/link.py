@@ -24,7 +24,7 @@ from trajectory_msgs.msg import JointTrajectory
 from hysteresis_ros import signals
 from hysteresis_ros.nodes.epics.record import SILENT, STOPPED, UNMEASURED, Alarm, Seen
 from hysteresis_ros.nodes.epics.settings import MotorSettings
-from hysteresis_ros.nodes.qos import setpoint_qos
+from hysteresis_ros.nodes.qos import sensor_qos, setpoint_qos
 
 #: Seconds without a measurement, or without anything of the source, after which an axis is taken for dead.
 SILENCE = 1.0
@@ -52,7 +52,7 @@ class AxisLink:
         self._holds = node.create_publisher(JointTrajectory, f"{space}/joint_trajectory", setpoint_qos())
         source = f"{space}/{settings.source}"
         self._motor = {name: node.create_client(Trigger, f"{source}/{name}") for name in ("stop", "start")}
-        node.create_subscription(JointState, f"{space}/joint_states", self._on_measurement, 10)
+        node.create_subscription(JointState, f"{space}/joint_states", self._on_measurement, sensor_qos())
         node.create_subscription(JointState, f"{source}/state", self._on_state, 10)
 
     def _on_measurement(self, message) -> None:

@@ -1,0 +1,92 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Partners that ROS does not connect because their qualities of service do not fit: who, on which topic, what to do."""
+
+from __future__ import annotations
+
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
+
+#: Topics whose reliability a parameter chooses.
+MEASUREMENTS = ("joint_states",)
+
+
+def unheard(offered, asked, by_parameter: bool) -> str:
+    """Say why a subscription hears nothing of a publisher, and what to do; empty when it does.
+
+    Parameters
+    ----------
+    offered, asked : QoSProfile
+        Of the publisher and of the subscription.
+    by_parameter : bool
+        Whether the subscription is one whose reliability the parameter ``measurement_reliability`` chooses.
+    """
+    best_effort, reliable = ReliabilityPolicy.BEST_EFFORT, ReliabilityPolicy.RELIABLE
+    if offered.reliability == best_effort and asked.reliability == reliable:
+        choice = "set measurement_reliability: best_effort here, or " if by_parameter else ""
+        return f"offers best effort, reliable is asked for: {choice}let the publisher be reliable"
+    latched, volatile = DurabilityPolicy.TRANSIENT_LOCAL, DurabilityPolicy.VOLATILE
+    if offered.durability == volatile and asked.durability == latched:
+        return "offers volatile, transient local is asked for: let the publisher be transient local"
+    return ""
+
+
+class Compatibility:
+    """Watches the topics of a node for partners with which it is not connected.
+
+    Parameters
+    ----------
+    node : AxisNode
+    """
+
+    def __init__(self, node):
+        self._node = node
+        self._suspected: dict[str, bool] = {}
+
+    def of_subscription(self, topic: str) -> SubscriptionEventCallbacks:
+        """Return what hears of publishers that do not fit a subscription."""
+        by_parameter = topic in MEASUREMENTS
+        return SubscriptionEventCallbacks(incompatible_qos=lambda event: self._suspect(topic, by_parameter))
+
+    def of_publisher(self, topic: str) -> PublisherEventCallbacks:
+        """Return what hears of subscriptions that do not fit a publisher."""
+        return PublisherEventCallbacks(incompatible_qos=lambda event: self._suspect(topic, False))
+
+    def _suspect(self, topic: str, by_parameter: bool) -> None:
+        self._suspected[topic] = by_parameter
+        self.complaint()
+
+    def complaint(self) -> str:
+        """Say who is not connected now, log it now and then, and return it; empty when all are."""
+        found = [text for topic in tuple(self._suspected) for text in self._look(topic)]
+        for text in found:
+            self._node.warn(f"qos {text}", text, every=10.0)
+        return "; ".join(found)
+
+    def _look(self, topic: str) -> list[str]:
+        """Return what does not fit on a topic; one on which everybody has found each other is forgotten."""
+        node, by_parameter = self._node, self._suspected[topic]
+        full, own = node.resolve_topic_name(topic), node.get_fully_qualified_name()
+        found = set()
+        for publisher in node.get_publishers_info_by_topic(full):
+            for subscription in node.get_subscriptions_info_by_topic(full):
+                reason = unheard(publisher.qos_profile, subscription.qos_profile, by_parameter)
+                talks, hears = _full_name(publisher), _full_name(subscription)
+                if reason and hears == own:
+                    found.add(f"{full}: nothing is heard from {talks}, which {reason}")
+                elif reason and talks == own:
+                    found.add(f"{full}: {hears} hears nothing of this node, which {reason}")
+        if not found:
+            del self._suspected[topic]
+        return sorted(found)
+
+
+def _full_name(endpoint) -> str:
+    return f"{endpoint.node_namespace.rstrip('/')}/{endpoint.node_name}"

@@ -1,0 +1,76 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Drivers that publish best effort, as sensors do: heard where a parameter says so, named where nobody hears them."""
+
+from __future__ import annotations
+
+import pytest
+
+pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
+
+from nodes_support import axis_parameters, until  # noqa: E402
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy  # noqa: E402
+from sensor_msgs.msg import JointState  # noqa: E402
+
+from hysteresis_ros.errors import ParameterError  # noqa: E402
+from hysteresis_ros.nodes.compatibility import unheard  # noqa: E402
+from hysteresis_ros.nodes.diagnostics import WARN, diagnostics  # noqa: E402
+from hysteresis_ros.nodes.motion_controller import MotionControllerNode  # noqa: E402
+from hysteresis_ros.nodes.qos import measured_qos  # noqa: E402
+
+BEST_EFFORT = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
+RELIABLE = QoSProfile(depth=10)
+LATCHED = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+def controller(inside, **more) -> MotionControllerNode:
+    overrides = {"motion_controller": {"type": "open_loop", **more}}
+    return inside.add(MotionControllerNode, axis_parameters(sample_rate=200.0, overrides=overrides).motion_controller)
+
+
+def test_a_driver_that_publishes_best_effort_is_named_with_what_to_set_and_heard_with_it(inside, observer):
+    deaf = controller(inside)
+    driver = observer.talk(JointState, "/joint_states", BEST_EFFORT)
+    inside.spin()
+    until(deaf.compatibility.complaint, what="that the driver is not heard")
+    assert deaf.compatibility.complaint() == (
+        f"/joint_states: nothing is heard from /{observer.node.get_name()}, which offers best effort, reliable is "
+        "asked for: set measurement_reliability: best_effort here, or let the publisher be reliable"
+    )
+    status = diagnostics(deaf).status[0]
+    assert status.level[0] >= WARN and "measurement_reliability" in status.message
+    hears = controller(inside, measurement_reliability="best_effort")
+    until(lambda: driver.get_subscription_count() == 1, what="who hears it")
+
+    def heard() -> bool:
+        driver.publish(JointState(name=["extender"], position=[1e-6]))
+        return hears.pace.total > 2
+
+    until(heard, what="measurements")
+    assert not hears.compatibility.complaint() and not deaf.pace.total
+    observer.node.destroy_publisher(driver)
+    until(lambda: not deaf.compatibility.complaint(), what="that nobody is unheard any more")
+
+
+def test_in_lockstep_no_sample_may_be_lost():
+    with pytest.raises(ParameterError, match="measurement_reliability.*lockstep"):
+        axis_parameters(time_mode="lockstep", measurement_reliability="best_effort")
+    assert axis_parameters(measurement_reliability="best_effort").recorder.measurement_reliability == "best_effort"
+
+
+def test_what_does_not_fit_and_what_to_do():
+    assert unheard(RELIABLE, RELIABLE, True) == unheard(RELIABLE, BEST_EFFORT, True) == ""
+    assert unheard(LATCHED, RELIABLE, False) == ""
+    assert "measurement_reliability" in unheard(BEST_EFFORT, RELIABLE, True)
+    assert "measurement_reliability" not in unheard(BEST_EFFORT, RELIABLE, False)
+    assert "transient local" in unheard(RELIABLE, LATCHED, False)
+    assert measured_qos(RELIABLE, "reliable") is RELIABLE
+    chosen = measured_qos(RELIABLE, "best_effort")
+    assert chosen.reliability == ReliabilityPolicy.BEST_EFFORT and chosen.depth == 10
