@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Texts and YAML from outside, within bounds: nothing in a file makes its reader run out of memory, time or stack.
+"""Texts, YAML and JSON from outside, within bounds: no file makes its reader run out of memory, time or stack.
 
 YAML is read by safe loaders only, which make plain values and nothing else. Aliases are refused, since a file of a
 kilobyte can stand for gigabytes by them, and the parser of ROS 2 reads none either.
@@ -15,6 +15,7 @@ kilobyte can stand for gigabytes by them, and the parser of ROS 2 reads none eit
 
 from __future__ import annotations
 
+import json
 import pathlib
 from typing import Any
 
@@ -33,7 +34,7 @@ _UNFIT = (yaml.YAMLError, ValueError, TypeError, LookupError, AttributeError, Ov
 
 
 class BoundsError(HysteresisError):
-    """A text is too large, or no YAML, or holds more than is read; the message does not name the file."""
+    """A text is too large, or no YAML or JSON, or holds more than is read; the message does not name the file."""
 
 
 def read_text(path) -> str:
@@ -83,6 +84,24 @@ def read_yaml(text: str, loader: Any = FAST_LOADER, most: int = MOST_VALUES):
         if isinstance(error, BoundsError):
             raise
         raise BoundsError(f"not readable as YAML: {' '.join(str(error).split())}") from None
+
+
+def read_json(text: str):
+    """Return what a JSON text holds, as plain values.
+
+    Parameters
+    ----------
+    text : str
+
+    Raises
+    ------
+    BoundsError
+        It is no JSON, or too deep.
+    """
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise BoundsError(f"not readable as JSON: {error}") from None
 
 
 def _look_through(text: str, most: int) -> None:

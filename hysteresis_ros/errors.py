@@ -15,12 +15,23 @@ import difflib
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-#: Most characters of a value in a message.
-LONGEST = 300
+#: Most characters of a value in a message, and of a message.
+LONGEST, LONGEST_MESSAGE = 300, 4000
 
 
 class HysteresisError(ValueError):
-    """Base of every error that is caused by wrong input; commands answer it with one line and exit code 2."""
+    """Base of every error that is caused by wrong input; commands answer it with one line and exit code 2.
+
+    What stands in a file may stand in a message, so that is made one line which a terminal shows as it is.
+    """
+
+    def __str__(self) -> str:
+        text = super().__str__()
+        if not text.isprintable():
+            shown = (c if c.isprintable() else " " if c.isspace() else repr(c)[1:-1] for c in text)
+            text = "".join(shown)
+        half = LONGEST_MESSAGE // 2
+        return text if len(text) <= LONGEST_MESSAGE else f"{text[:half]} … {text[-half:]}"
 
 
 @dataclass(frozen=True)
@@ -52,7 +63,10 @@ def shortened(value: object) -> str:
     ----------
     value : object
     """
-    text = repr(value)
+    try:
+        text = repr(value)
+    except ValueError:  # Python writes no whole number of more than some thousand digits
+        text = f"a {type(value).__name__} too large to be written"
     half = LONGEST // 2
     return text if len(text) <= LONGEST else f"{text[:half]} … ({len(text)} characters) … {text[-half:]}"
 

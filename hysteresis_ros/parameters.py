@@ -89,7 +89,7 @@ class ParameterRow:
         """
         try:
             converted = _convert(self.type, value)
-        except TypeError:
+        except (TypeError, OverflowError):  # a whole number may have any size, a double not
             raise ParameterError([Problem(self.name, value, f"wrong type, allowed: {self.allowed()}")]) from None
         items = converted if isinstance(converted, tuple) else (converted,)
         longest = max((len(item) for item in items if isinstance(item, str)), default=0)

@@ -33,7 +33,7 @@ SOURCES = sorted(PACKAGE.rglob("*.py"))
 TESTS = sorted((ROOT / "test").rglob("*.py"))
 
 #: What every folder may use of the package besides itself: imports go one way, in the order in which data flows.
-BASE = {"", "errors", "bounded", "parameters", "block", "keywords", "registry", "signals", "linear_algebra"}
+BASE = {"", "errors", "bounded", "archives", "parameters", "block", "keywords", "registry", "signals", "linear_algebra"}
 BASE |= {"elementary", "units"}
 FORWARD = BASE | {"configuration", "models", "references", "recordings"}
 METHODS = FORWARD | {"compensation", "control", "identification"}
@@ -43,6 +43,7 @@ MAY_IMPORT = {
     "keywords": {"", "errors", "parameters"},
     "errors": {""},
     "bounded": {"", "errors"},
+    "archives": set(),
     "configuration": {"", "errors", "bounded"},
     "parameters": {"", "errors"},
     "registry": {"", "errors"},

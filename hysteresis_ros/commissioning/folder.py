@@ -18,6 +18,7 @@ import pathlib
 from collections.abc import Iterable
 from dataclasses import asdict
 
+from hysteresis_ros.bounded import read_json, read_text
 from hysteresis_ros.commissioning.outcome import CommissioningError, Outcome
 from hysteresis_ros.errors import ConfigurationError
 from hysteresis_ros.recordings.dataset import Recording
@@ -76,7 +77,10 @@ class Folder:
 
     def _read(self, path: pathlib.Path) -> dict:
         try:
-            return json.loads(path.read_text(encoding="utf-8"))
+            found = read_json(read_text(path))
+            if not isinstance(found, dict):
+                raise ValueError("no mapping")
+            return found
         except (OSError, ValueError) as error:
             raise ConfigurationError(f"{path}: cannot be read: {error}; begin anew in another --directory") from None
 
@@ -91,9 +95,17 @@ class Folder:
         Parameters
         ----------
         stage : str
+
+        Raises
+        ------
+        ConfigurationError
+            What is kept cannot be read.
         """
         path = self.path / f"{stage}.json"
-        return Outcome.from_mapping(self._read(path)) if path.exists() else None
+        try:
+            return Outcome.from_mapping(self._read(path)) if path.exists() else None
+        except (TypeError, KeyError):
+            raise ConfigurationError(f"{path}: is no outcome; do the stage again: --stage {stage}") from None
 
     def keep(self, stage: str, outcome: Outcome) -> None:
         """Keep what a stage found: it is done.

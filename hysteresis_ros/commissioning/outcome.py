@@ -50,7 +50,15 @@ class Outcome:
         Parameters
         ----------
         mapping : dict
+
+        Raises
+        ------
+        TypeError, KeyError
+            It is another mapping.
         """
+        lines, figures, seconds = (mapping[name] for name in ("lines", "figures", "seconds"))
+        if not (isinstance(lines, list) and isinstance(figures, dict) and isinstance(seconds, (int, float))):
+            raise TypeError("an outcome with values of other types")
         pictures = [
             Picture(**{**picture, "lines": [Line(**line) for line in picture["lines"]]})
             for picture in mapping["pictures"]

@@ -90,9 +90,10 @@ def plan_of(configuration: Configuration, axis: AxisParameters) -> Plan:
     low, high = compensator.limits.minimum, compensator.limits.maximum
     gain = hysteresis_block(compensator.hysteresis, 1.0 / axis.plant_simulator.sample_rate).gain
     given = next((values for name, values in configuration.entries if name == SECTION), {})
-    values = {"minimum": low, "maximum": high, **given}
-    values.setdefault("stroke", abs(gain) * (float(values["maximum"]) - float(values["minimum"])))
+    values = {"minimum": low, "maximum": high, "stroke": 1.0, **given}
     plan = Plan.from_mapping(values, prefix=f"{SECTION}: ")
+    if "stroke" not in given:
+        plan = Plan.from_mapping({**values, "stroke": abs(gain) * plan.span}, prefix=f"{SECTION}: ")
     safe = compensator.safe_voltage
     if not plan.minimum <= safe <= plan.maximum:
         raise ConfigurationError(

@@ -23,10 +23,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 
 import numpy as np
 
+from hysteresis_ros.bounded import read_json
 from hysteresis_ros.errors import ConfigurationError
 
 #: One odd harmonic in so many is left out.
@@ -37,6 +38,10 @@ PERIOD, STEP = 2000, 200
 HIGHEST = 0.4
 #: Lines that a multisine has at least, samples a cycle of a stepped sine, segments of noise by default.
 LEAST_LINES, LEAST_CYCLE, SEGMENTS = 8, 2.0, 32
+#: Samples that no recording has.
+MOST_SAMPLES = 10**12
+#: Where each loop can be excited; the first by default.
+PLACES = {"open": ("voltage", "command"), "closed": ("reference", "command")}
 #: Noise is cut off at so many standard deviations.
 CUT_OFF = 3.0
 
@@ -127,9 +132,32 @@ class Plan:
         Parameters
         ----------
         text : str
+
+        Raises
+        ------
+        ValueError
+            It is none that an analysis could follow.
         """
-        found = json.loads(text)
-        return cls(**{name: tuple(value) if isinstance(value, list) else value for name, value in found.items()})
+        found, names = read_json(text), {item.name for item in fields(cls)}
+        if not isinstance(found, dict) or not names >= set(found) >= names - {"lines", "loop", "at"}:
+            raise ValueError("no plan of an excitation")
+        plan = cls(**{name: tuple(value) if isinstance(value, list) else value for name, value in found.items()})
+        if not plan._sound():
+            raise ValueError("a plan of an excitation that no recording can have")
+        return plan
+
+    def _sound(self) -> bool:
+        """Tell whether it has types and sizes that fit together."""
+        samples, lines = self.samples, self.lines
+        if not (isinstance(samples, tuple) and isinstance(lines, tuple)):
+            return False
+        counts = (self.first, self.settle, self.periods, self.realisations, *lines, *samples)
+        if any(type(count) is not int or not 0 <= count <= MOST_SAMPLES for count in counts):
+            return False
+        forms = {"multisine": len(samples) == 1, "noise": (len(samples), len(lines)) in ((2, 0), (2, 2))}
+        forms["stepped"] = len(samples) == len(lines) > 0
+        least = min(self.periods, self.realisations, *samples)
+        return least > 0 and forms.get(str(self.kind), False) and self.at in PLACES.get(str(self.loop), ())
 
 
 #: ``shape(frequencies)``: factor of the amplitude at each [Hz].

@@ -330,7 +330,7 @@ def load_chain(path, namespace: str = "") -> tuple[PlantModel, dict]:
     Raises
     ------
     ConfigurationError, ParameterError
-        It is no parameter file, has no plant, or a parameter is wrong.
+        It is no parameter file, has no plant, or a parameter or entry is wrong.
     """
     configuration = load_configuration(path)
     if "hysteresis.type" not in configuration.node("plant_simulator", namespace):
@@ -343,13 +343,22 @@ def load_chain(path, namespace: str = "") -> tuple[PlantModel, dict]:
         inverse = _block(configuration, "hysteresis_compensator", CompensatorParameters, namespace).inverse
     section = next((dict(values) for name, values in configuration.entries if name == SECTION), {})
     rate = configuration.node("plant_simulator", namespace).get("sample_rate", 1000.0)
+    try:
+        return _chain(section, plant, inverse, 1.0 / float(rate)), section
+    except (TypeError, ValueError, ArithmeticError) as error:
+        text = f"sample_rate of plant_simulator or {SECTION} holds what no identification writes: {error}"
+        raise ConfigurationError(f"{path}: {text}") from None
+
+
+def _chain(section: dict, plant: ActuatorParameters, inverse: InverseParameters, sample_time: float) -> PlantModel:
+    """Return the model that a plant is with what an identification has written about it."""
     low, high = section.get("voltage_range", (plant.limits.minimum, plant.limits.maximum))
     initial = section.get("initial", "zero")
-    chain = PlantModel(
+    return PlantModel(
         hysteresis=plant.hysteresis,
         creep=plant.creep,
         dynamics=plant.dynamics,
-        sample_time=1.0 / float(rate),
+        sample_time=sample_time,
         offset=plant.preload.offset,
         linear_part=_linear_part(section, plant),
         transfer_function=_transfer_function(section),
@@ -360,7 +369,6 @@ def load_chain(path, namespace: str = "") -> tuple[PlantModel, dict]:
         voltage_high=float(high),
         inverse=inverse,
     )
-    return chain, section
 
 
 def _linear_part(section: dict, plant: ActuatorParameters) -> LinearPart | None:

@@ -14,7 +14,7 @@ from __future__ import annotations
 import pathlib
 from dataclasses import dataclass, replace
 
-from hysteresis_ros.errors import IdentificationError
+from hysteresis_ros.errors import IdentificationError, RecordingError
 from hysteresis_ros.identification.condensing import MOST_SAMPLES, condense
 from hysteresis_ros.identification.data import (
     DataError,
@@ -117,12 +117,24 @@ def read_data(source, columns: Columns | None = None, progress=None) -> Reading:
     if isinstance(source, Reading):
         return source
     columns = columns or Columns()
+    if isinstance(source, (Recording, IdentificationData)):
+        return _read(source, columns, progress)
+    try:
+        return _read(pathlib.Path(source), columns, progress)
+    except (RecordingError, IdentificationError) as error:
+        if str(source) in str(error):
+            raise
+        text = f"{source}: {error}"
+        raise (DataError(error.check, text) if isinstance(error, DataError) else type(error)(text)) from None
+
+
+def _read(source, columns: Columns, progress) -> Reading:
     data, guessed = source, ()
     ranged = columns.range or (0, None)
     if isinstance(source, Recording):
         data = from_recording(source, columns.input, columns.output)
     elif not isinstance(source, IdentificationData):
-        data, guessed, ranged = _load(pathlib.Path(source), columns, progress)
+        data, guessed, ranged = _load(source, columns, progress)
     if data.output_unit != "m":
         raise IdentificationError(
             f"output {data.output_name} is in '{data.output_unit}'; it must be a length: give it as "

@@ -13,15 +13,17 @@ from __future__ import annotations
 
 import os
 import pathlib
-import zipfile
 from dataclasses import replace
 
 import numpy as np
 
+from hysteresis_ros.archives import ArchiveError, read_arrays, read_heads
 from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.identification.distortion import Distortion
+from hysteresis_ros.identification.excitations import KINDS
 from hysteresis_ros.identification.frequency_response import FrequencyResponse
 from hysteresis_ros.identification.response_analysis import Analysis
+from hysteresis_ros.units import UNITS
 
 #: Probability of the circles in tables.
 PROBABILITY = 0.95
@@ -93,27 +95,44 @@ def load_response(path) -> Analysis:
     """
     path = pathlib.Path(path)
     try:
-        with np.load(path, allow_pickle=False) as file:
-            held = {name: file[name] for name in file.files}
-        response = FrequencyResponse(
-            held["frequency"],
-            held["response"].reshape(-1, 1, 1),
-            *(held[name].item() for name in NEEDED[2:3]),
-            input_unit=held["input_unit"].item(),
-            output_unit=held["output_unit"].item(),
-        )
-        kind = held["kind"].item()
+        return _response_of(read_arrays(path))
     except FileNotFoundError:
         raise RecordingError(f"{path}: no such file; give the NPZ file that hysteresis frf wrote") from None
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+    except (OSError, ValueError, KeyError):
         raise RecordingError(
             f"{path}: holds no frequency response; give the NPZ file that hysteresis frf wrote"
         ) from None
+
+
+def _response_of(held: dict[str, np.ndarray]) -> Analysis:
+    """Return the response that arrays hold; ValueError or KeyError when they hold none."""
+    frequency, sample_time = _real(held, "frequency"), _real(held, "sample_time")
+    input_unit, output_unit, kind = (str(held[name]) for name in ("input_unit", "output_unit", "kind"))
+    if not frequency.size or np.any(np.diff(frequency) <= 0.0) or not (sample_time.size == 1 and sample_time[0] > 0.0):
+        raise ValueError("no frequencies or no sample time")
+    if not {input_unit, output_unit} <= {unit for unit, _ in UNITS.values()} or kind not in KINDS:
+        raise ValueError("unknown units or kind")
+    values = np.asarray(held["response"], dtype=complex).reshape(frequency.size, 1, 1)
+    response = FrequencyResponse(
+        frequency, values, float(sample_time[0]), input_unit=input_unit, output_unit=output_unit
+    )
     shapes = {"total_variance": (-1, 1, 1), "noise_variance": (-1, 1, 1), "coherence": (-1, 1)}
-    spreads = {name: held[name].reshape(shape) for name, shape in shapes.items() if name in held}
-    degrees = held["degrees"].item() if "degrees" in held else None
-    levels = Distortion(*(held[name] for name in LEVELS)) if all(name in held for name in LEVELS) else None
-    return Analysis(replace(response, **spreads, degrees=degrees), levels, kind)
+    spreads = {name: _real(held, name, frequency.size).reshape(shape) for name, shape in shapes.items() if name in held}
+    degrees = float(_real(held, "degrees", 1)[0]) if "degrees" in held else None
+    levels = [_real(held, name, frequency.size) for name in LEVELS] if all(name in held for name in LEVELS) else None
+    return Analysis(replace(response, **spreads, degrees=degrees), levels and Distortion(*levels), kind)
+
+
+def _real(held: dict[str, np.ndarray], name: str, size: int | None = None) -> np.ndarray:
+    """Return an array of real numbers as a vector; ValueError when it is none, or has another size."""
+    array = held[name]
+    if (
+        array.dtype.kind not in "iuf"
+        or size not in (None, array.size)
+        or (size is None and np.any(~np.isfinite(array)))
+    ):
+        raise ValueError(f"{name} is not what it should be")
+    return np.asarray(array, dtype=float).ravel()
 
 
 def holds_response(path) -> bool:
@@ -123,10 +142,12 @@ def holds_response(path) -> bool:
     ----------
     path : path-like
     """
-    if pathlib.Path(path).suffix.lower() != ".npz" or not zipfile.is_zipfile(path):
+    if pathlib.Path(path).suffix.lower() != ".npz":
         return False
-    with zipfile.ZipFile(path) as file:
-        return {f"{name}.npy" for name in NEEDED} <= set(file.namelist())
+    try:
+        return set(NEEDED) <= set(read_heads(path))
+    except (OSError, ArchiveError):
+        return False
 
 
 def response_columns(found: Analysis) -> dict[str, np.ndarray]:

@@ -12,10 +12,10 @@
 from __future__ import annotations
 
 import contextlib
-import json
 
 import numpy as np
 
+from hysteresis_ros.bounded import read_json
 from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.recordings import cdr
 from hysteresis_ros.recordings.bag_reader import Bag, Topic, read_bag
@@ -40,7 +40,11 @@ TAIL = 100
 
 def read_recording(path, namespace: str | None = None, *, further: bool = False) -> Recording:
     """Read a bag and align it; see :func:`align`."""
-    return align(read_bag(path), namespace, further=further)
+    bag = read_bag(path)
+    try:
+        return align(bag, namespace, further=further)
+    except RecordingError as error:
+        raise error if str(path) in str(error) else RecordingError(f"{path}: {error}") from None
 
 
 def namespaces(bag: Bag) -> tuple[str, ...]:
@@ -262,7 +266,7 @@ def _changes(bag: Bag, prefix: str) -> list[dict]:
     found = []
     for text in cdr.decode_strings(topic.data, f"{prefix}/changes") if topic else ():
         with contextlib.suppress(ValueError):
-            entry = json.loads(text)
+            entry = read_json(text)
             if isinstance(entry, dict):
                 found.append(entry)
     return found
@@ -385,7 +389,8 @@ def _late_commands(bag: Bag, prefix: str) -> int:
     count = 0
     for _, name, _, _, values in cdr.decode_diagnostics(topic.data, "/diagnostics") if topic else ():
         if name.startswith(f"{prefix}/plant_simulator:"):
-            count = int(values.get("late_commands", count))
+            with contextlib.suppress(ValueError):
+                count = int(values.get("late_commands", count))
     return count
 
 

@@ -50,7 +50,10 @@ class Topic:
 
     def received(self) -> np.ndarray:
         """Return the times of reception [ns], shape (N,), int64."""
-        return np.array(self.times, dtype=np.int64)
+        try:
+            return np.array(self.times, dtype=np.int64)
+        except OverflowError:
+            raise RecordingError("a message was received at a time that no clock says; the bag is damaged") from None
 
 
 @dataclass
@@ -168,6 +171,8 @@ def _read_with_rosbags(bag: Bag, path: pathlib.Path) -> None:
     try:
         with Reader(path) as reader:
             for connection in reader.connections:
+                if not (isinstance(connection.topic, str) and isinstance(connection.msgtype, str)):
+                    raise ValueError(f"a topic called {connection.topic!r} of type {connection.msgtype!r}")
                 bag.topics.setdefault(connection.topic, Topic(connection.msgtype))
             wanted = [connection for connection in reader.connections if connection.msgtype in KEPT_TYPES]
             if not wanted:

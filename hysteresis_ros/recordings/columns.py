@@ -16,12 +16,12 @@ Recordings from elsewhere name their columns ``control_V`` or ``y``; what is mis
 from __future__ import annotations
 
 import pathlib
-import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
+from hysteresis_ros.archives import ArchiveError, read_arrays, read_heads
 from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.recordings.clock import Clock, mend_clock
 from hysteresis_ros.recordings.dataset import Recording
@@ -223,10 +223,10 @@ def _declared(names) -> dict[str, str | None]:
 
 def _open_arrays(path) -> Table:
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            sizes = {name: size for name in archive.files if (size := _length(archive, name)) is not None}
-    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile) as error:
+        heads = read_heads(path)
+    except (OSError, ArchiveError) as error:
         raise RecordingError(f"{path}: not a readable NPZ file: {error}") from None
+    sizes = {name: head.length for name, head in heads.items() if head.length is not None}
     lengths = list(sizes.values())
     size = max(lengths, key=lambda length: (lengths.count(length), length), default=0)
     if lengths.count(size) < min(2, max(len(lengths), 1)):
@@ -234,24 +234,10 @@ def _open_arrays(path) -> Table:
     declared = _declared(name for name, length in sizes.items() if length == size)
 
     def load(names, progress):
-        columns = {}
         try:
-            with np.load(path, allow_pickle=False) as archive:
-                for done, name in enumerate(names, 1):
-                    columns[name] = np.asarray(archive[name], dtype=float)
-                    if progress is not None:
-                        progress(done / len(names))
-        except (OSError, ValueError, EOFError, zipfile.BadZipFile) as error:
+            arrays = read_arrays(path, names.__contains__)
+        except (OSError, ArchiveError) as error:
             raise RecordingError(f"{path}: not a readable NPZ file: {error}") from None
-        return columns, ()
+        return {name: np.asarray(arrays[name], dtype=float) for name in names}, ()
 
     return Table(path, declared, load)
-
-
-def _length(archive, name) -> int | None:
-    """Return the length of a member that is a vector of numbers, None of any other; only its head is read."""
-    with archive.zip.open(f"{name}.npy") as member:
-        version = np.lib.format.read_magic(member)
-        read_header = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-        shape, _, dtype = read_header(member)
-    return shape[0] if len(shape) == 1 and dtype.kind in "fiu" else None

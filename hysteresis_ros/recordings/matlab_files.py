@@ -11,11 +11,13 @@
 
 from __future__ import annotations
 
+import io
 import pathlib
 
 import numpy as np
 
 from hysteresis_ros.errors import RecordingError
+from hysteresis_ros.recordings.matlab_elements import require_sound
 
 
 def read_matlab(path: pathlib.Path) -> dict[str, np.ndarray]:
@@ -39,7 +41,9 @@ def read_matlab(path: pathlib.Path) -> dict[str, np.ndarray]:
     import scipy.io  # a tenth of a second, which only those pay who open such a file
 
     try:
-        content = scipy.io.loadmat(path, simplify_cells=True)
+        data = path.read_bytes()
+        require_sound(data)
+        content = scipy.io.loadmat(io.BytesIO(data), simplify_cells=True)
     except NotImplementedError:  # what SciPy raises at HDF5
         raise RecordingError(f"{path}: a MATLAB file of version 7.3; save it with save(…, '-v7')") from None
     except Exception as error:  # SciPy raises whatever damaged bytes lead to

@@ -14,16 +14,20 @@ from __future__ import annotations
 import contextlib
 import io
 import pathlib
+import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Channel, Chunk, DataEnd, Message, Schema
-from mcap.stream_reader import StreamReader, get_chunk_data_stream
+from mcap.stream_reader import StreamReader
 
 from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.recordings.mcap_index import CHUNK, MAGIC, MESSAGE, RECORD, records_in
+
+#: What a chunk may unpack to in any case [bytes], and else in parts of its own size; how much is unpacked at a time.
+SMALL, RATIO, PART = 1 << 24, 200, 1 << 20
 
 
 @dataclass
@@ -126,8 +130,7 @@ def read_stream(path, sink) -> StreamResult:
 def _take(record, records: _Records, result: StreamResult) -> None:
     if isinstance(record, Chunk):
         try:
-            data = get_chunk_data_stream(record, validate_crc=True)[0]
-            records.walk(data.read(record.uncompressed_size))
+            records.walk(_content(record))
         except Exception:  # see read_stream; the next chunk may be sound
             result.damaged_chunks += 1
     elif isinstance(record, Schema):
@@ -153,8 +156,25 @@ def chunk_content(record: bytes) -> bytes:
     Exception
         Of any kind: it is damaged.
     """
-    chunk = Chunk.read(ReadDataStream(io.BytesIO(record)))
-    return get_chunk_data_stream(chunk, validate_crc=True)[0].read(chunk.uncompressed_size)
+    return _content(Chunk.read(ReadDataStream(io.BytesIO(record))))
+
+
+def _content(chunk: Chunk) -> bytes:
+    """Return what stands in a chunk, unpacked; any exception when it is damaged."""
+    data = _unpacked(chunk.data, chunk.compression.encode(), most(len(chunk.data)))
+    if len(data) != chunk.uncompressed_size or chunk.uncompressed_crc not in (0, zlib.crc32(data)):
+        raise ValueError("a damaged chunk")
+    return data
+
+
+def most(size: int) -> int:
+    """Return to how many bytes a chunk of so many may unpack; what says more is no recording.
+
+    Parameters
+    ----------
+    size : int
+    """
+    return max(SMALL, RATIO * size)
 
 
 def salvaged(tail: bytes) -> bytes:
@@ -170,19 +190,26 @@ def salvaged(tail: bytes) -> bytes:
     name_length = CHUNK.unpack_from(tail, RECORD.size)[4]
     name_start = RECORD.size + CHUNK.size
     compression = tail[name_start : name_start + name_length]
+    data = tail[name_start + name_length + 8 :]
     try:
-        return _unpacked(tail[name_start + name_length + 8 :], compression)
+        return _unpacked(data, compression, most(len(data)))
     except Exception:  # see read_stream
         return b""
 
 
-def _unpacked(data: bytes, compression: bytes) -> bytes:
+def _unpacked(data: bytes, compression: bytes, most: int) -> bytes:
+    """Return what was packed, at most so much of it, as far as it goes."""
     if compression == b"zstd":
         import zstandard
 
-        return zstandard.ZstdDecompressor().decompressobj().decompress(data)
+        found = []
+        with zstandard.ZstdDecompressor().stream_reader(data) as reader, contextlib.suppress(zstandard.ZstdError):
+            while most > 0 and (part := reader.read(min(PART, most))):
+                found.append(part)
+                most -= len(part)
+        return b"".join(found)
     if compression == b"lz4":
         import lz4.frame
 
-        return lz4.frame.LZ4FrameDecompressor().decompress(data)
+        return lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=most)
     return data if compression == b"" else b""

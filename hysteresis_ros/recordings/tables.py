@@ -21,6 +21,8 @@ import zipfile
 
 import numpy as np
 
+from hysteresis_ros.archives import read_arrays
+from hysteresis_ros.bounded import read_json
 from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.signals import UNITS as SIGNAL_UNITS
@@ -129,13 +131,20 @@ def read_npz(path) -> Recording:
     """
     path = _existing(path)
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
-        units = json.loads(str(arrays.pop("units", "{}")))
-        metadata = json.loads(str(arrays.pop("metadata", "{}")))
-    except (OSError, ValueError, EOFError, KeyError, AttributeError, zipfile.BadZipFile) as error:
+        arrays = read_arrays(path)
+        units = _mapping(arrays.pop("units", "{}"), "units")
+        metadata = _mapping(arrays.pop("metadata", "{}"), "metadata")
+    except (OSError, ValueError) as error:
         raise RecordingError(f"{path}: not a readable NPZ file: {_reason(error)}") from None
     return _assemble(path, arrays, units, metadata)
+
+
+def _mapping(text, name: str) -> dict:
+    """Return the mapping that an array of one text holds as JSON."""
+    found = read_json(str(text))
+    if not isinstance(found, dict):
+        raise ValueError(f"its {name} are no mapping")
+    return found
 
 
 def _assemble(path, columns, units, metadata) -> Recording:

@@ -14,10 +14,10 @@ from __future__ import annotations
 import csv
 import pathlib
 import re
-import zipfile
 
 import numpy as np
 
+from hysteresis_ros.archives import read_array, read_arrays
 from hysteresis_ros.errors import ParameterError, Problem
 
 #: Metres per unit a header may name.
@@ -68,7 +68,7 @@ def read_samples(path: str, column: str, file_sample_time: float, sample_time: f
         time, values = reader(source, column)
     except KeyError as error:
         raise refused("column", column, str(error.args[0])) from None
-    except (OSError, ValueError, EOFError, csv.Error, zipfile.BadZipFile) as error:
+    except (OSError, ValueError, csv.Error) as error:
         raise refused("path", path, f"cannot be read: {error}") from None
     if values.ndim != 1 or not 1 <= values.size <= LARGEST_TABLE:
         raise refused("path", path, f"must hold one column of 1 … {LARGEST_TABLE} samples, has shape {values.shape}")
@@ -78,22 +78,24 @@ def read_samples(path: str, column: str, file_sample_time: float, sample_time: f
     measured = None if time is None else _uniform_sample_time(time, lambda text: refused("path", path, text))
     if file_sample_time == 0.0:
         if measured is None and values.size > 1:
-            raise refused("sample_time", 0.0, "the file does not say its sample time; give it [s]")
+            raise refused("sample_time", 0.0, f"{path} does not say its sample time; give it [s]")
         if measured is not None and _differs(measured, sample_time, values.size):
             raise refused(
                 "sample_time",
                 0.0,
-                f"the file's sample time {measured:g} s is not the generator's {sample_time:g} s; "
+                f"the sample time of {path}, {measured:g} s, is not the generator's {sample_time:g} s; "
                 f"give {measured:g} to interpolate linearly",
             )
         return values
     if measured is not None and _differs(measured, file_sample_time, values.size):
-        raise refused("sample_time", file_sample_time, f"the file's time column says {measured:g} s; give that or 0")
+        raise refused("sample_time", file_sample_time, f"the time column of {path} says {measured:g} s; give that or 0")
     if not _differs(file_sample_time, sample_time, values.size):
         return values
     count = int(np.floor((values.size - 1) * file_sample_time / sample_time + 1e-6)) + 1
     if count > LARGEST_TABLE:
-        raise refused("sample_time", file_sample_time, f"interpolates to {count} samples, allowed ≤ {LARGEST_TABLE}")
+        raise refused(
+            "sample_time", file_sample_time, f"interpolates {path} to {count} samples, allowed ≤ {LARGEST_TABLE}"
+        )
     grid = np.arange(count) * (sample_time / file_sample_time)
     return np.interp(grid, np.arange(values.size), values)
 
@@ -128,10 +130,12 @@ def _read_csv(source: pathlib.Path, column: str):
         header = [_name_and_unit(text) for text in next(rows, [])]
         names = [name for name, _ in header]
         if column not in names:
-            raise KeyError(f"no such column; the header has {', '.join(names) or 'nothing'}")
+            raise KeyError(f"{source} has no such column; its header has {', '.join(names) or 'nothing'}")
         unit = header[names.index(column)][1]
         if unit not in LENGTH_UNITS:
-            raise KeyError(f"its header must name the unit, e.g. {column} [m]; allowed: {', '.join(LENGTH_UNITS)}")
+            raise KeyError(
+                f"its header in {source} must name the unit, e.g. {column} [m]; allowed: {', '.join(LENGTH_UNITS)}"
+            )
         wanted = [(names.index(column), LENGTH_UNITS[unit])]
         if "time" in names:
             unit = header[names.index("time")][1]
@@ -148,15 +152,22 @@ def _read_csv(source: pathlib.Path, column: str):
 
 
 def _read_npz(source: pathlib.Path, column: str):
-    with np.load(source, allow_pickle=False) as archive:
-        if column not in archive:
-            raise KeyError(f"no such array; the file has {', '.join(archive.files) or 'nothing'}")
-        time = archive["time"].astype(float) if "time" in archive else None
-        values = archive[column].astype(float)
+    arrays = read_arrays(source)
+    if column not in arrays:
+        raise KeyError(f"{source} has no such array; it has {', '.join(arrays) or 'nothing'}")
+    time = _real(arrays["time"]) if "time" in arrays else None
+    values = _real(arrays[column])
     if time is not None and time.shape != values.shape:
         raise ValueError(f"time has shape {time.shape} and {column} {values.shape}; they must be equal")
     return time, values
 
 
 def _read_npy(source: pathlib.Path, column: str):
-    return None, np.load(source, allow_pickle=False).astype(float)
+    return None, _real(read_array(source))
+
+
+def _real(array: np.ndarray) -> np.ndarray:
+    """Return numbers as float64; texts and complex numbers are none that could be followed."""
+    if array.dtype.kind not in "biuf":
+        raise ValueError(f"holds an array of {array.dtype}, not of real numbers")
+    return array.astype(float)

@@ -86,7 +86,7 @@ def read_walk(path, splines: int, step: float, bound: float) -> LearnedWalk:
         learned = LearnedWalk(float(found["step"]), *arrays)
     except OSError as error:
         raise refused(f"cannot be read: {error.strerror or error}") from None
-    except (BoundsError, KeyError, TypeError, ValueError, UnicodeDecodeError):
+    except (BoundsError, KeyError, TypeError, ValueError, OverflowError, UnicodeDecodeError):
         raise refused("is no file of a learned walk, as ~/save of inchworm_sequencer writes it") from None
     if learned.step != step:
         raise refused(f"was learned with steps of {learned.step:g} m; walk.step is {step:g} m: learn anew")

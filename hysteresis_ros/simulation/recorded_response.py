@@ -12,19 +12,16 @@
 from __future__ import annotations
 
 import pathlib
-import zipfile
 from dataclasses import replace
 
-import numpy as np
-
+from hysteresis_ros.archives import read_arrays
 from hysteresis_ros.configuration import parse_configuration
 from hysteresis_ros.errors import ConfigurationError, HysteresisError, RecordingError
-from hysteresis_ros.identification.excitations import Plan
+from hysteresis_ros.identification.excitations import PLACES, Plan
 from hysteresis_ros.identification.response_analysis import plan_of_recording
 from hysteresis_ros.loop.axis_parameters import AxisParameters
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.simulation.axis_response import AxisResponse, axis_response
-from hysteresis_ros.simulation.response_run import PLACES
 
 
 def plan_file(recording) -> pathlib.Path:
@@ -52,9 +49,8 @@ def read_plan(path) -> Plan:
         The file is missing or holds no plan.
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
-            return Plan.from_text(file["plan"].item())
-    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile):
+        return Plan.from_text(str(read_arrays(path)["plan"]))
+    except (OSError, ValueError, KeyError):
         raise RecordingError(
             f"{path}: holds no plan of an excitation; give the file that hysteresis frf wrote"
         ) from None

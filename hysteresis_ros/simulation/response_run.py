@@ -19,7 +19,7 @@ from hysteresis_ros.configuration import Configuration
 from hysteresis_ros.control.controller import ControllerParameters
 from hysteresis_ros.control.linearisation import whole_loop
 from hysteresis_ros.errors import ConfigurationError
-from hysteresis_ros.identification.excitations import Experiment, Plan, excitation
+from hysteresis_ros.identification.excitations import PLACES, Experiment, Plan, excitation
 from hysteresis_ros.identification.response_analysis import LEAST_RATIO
 from hysteresis_ros.loop.axis_parameters import AxisParameters
 from hysteresis_ros.loop.node_parameters import part
@@ -30,8 +30,6 @@ from hysteresis_ros.simulation.axes import single_axis
 from hysteresis_ros.simulation.driven_axis import OPEN, PLAYED, UNFED, driven, following, write_samples
 from hysteresis_ros.units import quantity, readable
 
-#: Where each loop can be excited; the first by default.
-PLACES = {"open": ("voltage", "command"), "closed": ("reference", "command")}
 #: Peak of the excitation by default, as a part of the range.
 AMPLITUDE = 0.05
 #: Seconds at the place where it is excited, before and after: creep fades meanwhile.

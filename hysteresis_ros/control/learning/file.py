@@ -132,9 +132,11 @@ def read_learned(path) -> Learned:
         period, sample_time = float(found["period"]), float(found["sample_time"])
     except OSError as error:
         raise refused(f"cannot be read: {error.strerror or error}") from None
-    except (BoundsError, KeyError, TypeError, ValueError, UnicodeDecodeError):
+    except (BoundsError, KeyError, TypeError, ValueError, OverflowError, UnicodeDecodeError):
         raise refused("is no file of a learned correction, as `save` of motion_controller writes it") from None
     sizes = {len(array) for array in arrays if array.ndim == 1 and np.all(np.isfinite(array))}
     if len(sizes) != 1 or any(array.ndim != 1 or not np.all(np.isfinite(array)) for array in arrays):
         raise refused("correction and reference must be as many finite numbers")
+    if not (0.0 < period < np.inf and 0.0 < sample_time < np.inf):
+        raise refused(f"period {period:g} s and sample_time {sample_time:g} s must be above 0")
     return Learned(period, sample_time, *arrays)

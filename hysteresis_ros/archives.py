@@ -1,0 +1,175 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""NPZ and NPY files, whatever the bytes in them are: arrays of plain numbers and texts, no objects (pickles).
+
+The head of an array is believed only as far as there is content behind it, and an archive only as far as one that holds
+measurements can be packed: files that lie about their size cost no memory.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import pathlib
+import zipfile
+from collections.abc import Callable, Iterator
+from typing import IO
+
+import numpy as np
+
+#: What an archive may unpack to in any case [bytes], and else in parts of its own size.
+SMALL, RATIO = 1 << 26, 100
+#: Kinds of numbers and texts.
+KINDS = "biufcUS"
+
+
+class ArchiveError(ValueError):
+    """A file is no archive of arrays; the message does not name the file."""
+
+
+class Head:
+    """What an array says of itself: its shape and type.
+
+    Parameters
+    ----------
+    stream : file
+        Of an NPY; what follows is the content.
+    """
+
+    def __init__(self, stream: IO[bytes]):
+        version = np.lib.format.read_magic(stream)
+        reader = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        self.shape, _, self.dtype = reader(stream)
+
+    @property
+    def length(self) -> int | None:
+        """Length of a vector of real numbers, None of anything else."""
+        return self.shape[0] if len(self.shape) == 1 and self.dtype.kind in "fiu" else None
+
+    def require(self, size: int) -> None:
+        """Refuse what is not within a content of ``size`` bytes, or no plain numbers or texts.
+
+        Parameters
+        ----------
+        size : int
+
+        Raises
+        ------
+        ArchiveError
+            It is so.
+        """
+        if self.dtype.kind not in KINDS:
+            raise ArchiveError(f"holds an array of {self.dtype}, which is not read: neither numbers nor texts")
+        count = math.prod(self.shape)
+        if min(self.shape, default=0) < 0 or max(count, count * self.dtype.itemsize) > size:
+            raise ArchiveError(f"says that it has an array of shape {self.shape} in {size} bytes")
+
+
+def read_arrays(path, wanted: Callable[[str], bool] = lambda name: True) -> dict[str, np.ndarray]:
+    """Return the arrays of an NPZ file by their names.
+
+    Parameters
+    ----------
+    path : path-like
+    wanted : callable
+        Which of them.
+
+    Raises
+    ------
+    ArchiveError
+        It is none, or holds something else.
+    OSError
+        It cannot be read.
+    """
+    with _opened(path) as (file, members):
+        found = {}
+        for name, member in members.items():
+            if wanted(name):
+                with file.open(member) as stream:
+                    Head(stream).require(member.file_size)
+                with file.open(member) as stream:
+                    found[name] = _sound(np.lib.format.read_array(stream, allow_pickle=False))
+        return found
+
+
+def read_heads(path) -> dict[str, Head]:
+    """Return the heads of the arrays of an NPZ file by their names; nothing else of them is read.
+
+    Parameters
+    ----------
+    path : path-like
+
+    Raises
+    ------
+    ArchiveError
+        It is none, or holds something else.
+    OSError
+        It cannot be read.
+    """
+    with _opened(path) as (file, members):
+        found = {}
+        for name, member in members.items():
+            with file.open(member) as stream:
+                found[name] = Head(stream)
+        return found
+
+
+def read_array(path) -> np.ndarray:
+    """Return the array of an NPY file.
+
+    Parameters
+    ----------
+    path : path-like
+
+    Raises
+    ------
+    ArchiveError
+        It is none, or holds something else.
+    OSError
+        It cannot be read.
+    """
+    with _named(), pathlib.Path(path).open("rb") as stream:
+        Head(stream).require(pathlib.Path(path).stat().st_size)
+        stream.seek(0)
+        return _sound(np.lib.format.read_array(stream, allow_pickle=False))
+
+
+@contextlib.contextmanager
+def _opened(path) -> Iterator[tuple[zipfile.ZipFile, dict[str, zipfile.ZipInfo]]]:
+    """Open an archive; give it, and its members by the names of their arrays."""
+    with _named(), zipfile.ZipFile(path) as file:
+        members = {member.filename.removesuffix(".npy"): member for member in file.infolist()}
+        kinds = {member.compress_type for member in members.values()}
+        if kinds - {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}:
+            raise ArchiveError("is packed in a way that NumPy does not write")
+        size = sum(member.file_size for member in members.values())
+        if size > max(SMALL, RATIO * pathlib.Path(path).stat().st_size):
+            raise ArchiveError(f"would unpack to {size} bytes, more than {RATIO} times its size")
+        yield file, members
+
+
+@contextlib.contextmanager
+def _named() -> Iterator[None]:
+    """Let whatever damaged bytes lead to be an ArchiveError."""
+    try:
+        yield
+    except (OSError, ArchiveError):
+        raise
+    except Exception as error:  # zipfile, zlib, NumPy and Python's parser answer with whatever they stumble over
+        raise ArchiveError(f"is damaged, or no file of arrays ({error or type(error).__name__})") from None
+
+
+def _sound(array: np.ndarray) -> np.ndarray:
+    """Return an array of texts only when they are ones; what is none ends the process later, at a place of no use."""
+    if array.dtype.kind == "U":
+        points = np.ascontiguousarray(array).view(np.dtype("u4").newbyteorder(array.dtype.byteorder))
+        if np.any((points > 0x10FFFF) | (points >> 11 == 0xD800 >> 11)):
+            raise ArchiveError("holds texts that are none")
+    return array
