@@ -26,7 +26,10 @@ settings.load_profile("untimed")
 #: Tests that start graphs of nodes: one after the other in one worker, since they need the time they have.
 GRAPHS = ("test/nodes/", "test/cli/test_excite_command.py")
 #: Those in lockstep, or whose axis may miss any deadline, need no time of their own: the other worker may run them.
-BESIDE = ("lockstep", "faulty_nodes", "batch_recording", "processors", "graph_runner", "fused_driver", "fused_mishaps")
+BESIDE = (
+    *("lockstep", "faulty_nodes", "batch_recording", "processors", "graph_runner", "fused_driver", "fused_mishaps"),
+    *("adapting_nodes", "live_changes_over_ros", "partners"),
+)
 
 
 def group_of(nodeid: str) -> str:
@@ -50,11 +53,12 @@ def pytest_collection_modifyitems(config, items):
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config, log):
-    """Hand out groups of tests."""
+    """Hand out groups of tests in their order: by itself xdist begins with the groups of most tests, which are fast."""
     from xdist.scheduler import LoadScopeScheduling
 
     class Groups(LoadScopeScheduling):
         def _split_scope(self, nodeid):
             return group_of(nodeid)
 
+    config.option.loadscopereorder = False
     return Groups(config, log)
