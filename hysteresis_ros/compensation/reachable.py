@@ -48,6 +48,29 @@ def reachable_commands(compensator: CompensatorParameters, sample_time: float) -
     return _reached(compensator.hysteresis, compensator.limits, sample_time, linear)
 
 
+def commandable(compensator: CompensatorParameters, sample_time: float, *amplifiers: LimitsParameters):
+    """Return the smallest and largest displacement [m] that anybody should ask the compensator for.
+
+    One stroke beyond its ends on either side: quick steps and inverse dynamics ask for more than is reached, for a
+    moment; beyond this nothing changes any more in the voltage.
+
+    Parameters
+    ----------
+    compensator : CompensatorParameters
+        Model, inverse and limits.
+    sample_time : float
+        Sample time [s].
+    *amplifiers : LimitsParameters
+        Limits to which those of the compensator may be widened while the axis runs.
+    """
+    ranges = compensator.limits, *amplifiers
+    widest = LimitsParameters(
+        minimum=min(limits.minimum for limits in ranges), maximum=max(limits.maximum for limits in ranges)
+    )
+    low, high = _reached(compensator.hysteresis, widest, sample_time, compensator.inverse.type == "none")
+    return low - (high - low), high + (high - low)
+
+
 def _reached(hysteresis: HysteresisParameters, limits: LimitsParameters, sample_time: float, linear: bool = False):
     block = hysteresis_block(hysteresis, sample_time)
     if linear or not block.invertible:

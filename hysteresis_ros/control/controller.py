@@ -70,6 +70,15 @@ class ControllerParameters(Parameters):
         """What the chosen controller declares, a :class:`~hysteresis_ros.control.law.ControllerLaw`."""
         return LAWS[self.type]
 
+    @property
+    def without_preload(self) -> ControllerParameters:
+        """The same for measurements of which the preload's offset was taken off; always the same instance."""
+        if "_without_preload" not in self.__dict__:
+            self.model.preload.validated("model.preload.")
+            model = replace(self.model, preload=PreloadParameters())
+            self.__dict__["_without_preload"] = replace(self, model=model)
+        return self.__dict__["_without_preload"]
+
     def before_damping(self, sample_time: float):
         """Return the parameters as the law has them: the plant in its model is the damped one.
 

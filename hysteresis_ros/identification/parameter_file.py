@@ -104,13 +104,15 @@ def sections(result: Identification) -> dict[str, dict]:
     adaptation |= {"adaptation.zero": chain.offset} if adapts and chain.offset else {}
     model = {f"model.{name}": value for name, value in {**dynamics, **offset}.items()}
     lowest, highest = _reach(chain, low, high)
+    stroke = highest - lowest
+    commands = {"command_minimum": min(lowest - stroke, 0.0), "command_maximum": max(highest + stroke, 0.0)}
     # a remanent actuator is not at zero at 0 V: the reference starts where it stands
     start = {"initial_setpoint": lowest} if lowest > 0.0 else {}
     return {
         "/**": {"sample_rate": rate_of(chain.sample_time)},
         "/**/plant_simulator": {**limits, **hysteresis, **creep, **dynamics, **offset},
         "/**/hysteresis_compensator": {**inverse, **limits, **hysteresis, **creep, **adaptation},
-        "/**/motion_controller": {"type": "open_loop", **model},
+        "/**/motion_controller": {"type": "open_loop", **model, **commands},
         "/**/reference_generator": {"minimum": lowest, "maximum": highest, **start},
     }
 

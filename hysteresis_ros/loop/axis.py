@@ -56,10 +56,11 @@ class Change(NamedTuple):
     node : str
         Name of the node whose part it concerns.
     action : str
-        ``start``, ``stop``, ``retune``, or, of the plant, ``halt``; of a reference generator ``follow`` and ``hold``.
+        ``start``, ``stop``, ``retune``, or, of the plant, ``halt``; of a reference generator ``follow``,
+        ``hold`` and ``begin_at``.
     parameters : dict
         With ``retune``: flat dotted parameters with their new values. With ``follow``: ``times``, ``positions``,
-        ``velocities``, ``accelerations`` of the points of a trajectory.
+        ``velocities``, ``accelerations`` of the points of a trajectory. With ``begin_at``: ``position`` [m].
     after : str
         What of the sample was done before, so that only what follows is concerned: ``measured`` of the plant,
         ``answered`` of a controller that does not know yet what was carried out; empty: nothing.

@@ -14,6 +14,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
+from hysteresis_ros.compensation.compensator import CompensatorParameters
+from hysteresis_ros.compensation.reachable import commandable
 from hysteresis_ros.configuration import NODE_NAMES, Configuration, dump_configuration, normalised_namespace
 from hysteresis_ros.errors import ConfigurationError, ParameterError, Problem
 from hysteresis_ros.loop.faults import parse_fault
@@ -28,6 +30,7 @@ from hysteresis_ros.loop.node_parameters import (
     PlantNodeParameters,
     RecorderNodeParameters,
     ReferenceNodeParameters,
+    part,
 )
 from hysteresis_ros.loop.watch import samples_of
 
@@ -101,6 +104,17 @@ def _fault_problems(plant, inchworm: bool):
             parse_fault(text, plant.sample_rate, inchworm)
         except ConfigurationError as error:
             yield Problem("faults", text, str(error).partition(": ")[2])
+
+
+def _with_range(controller, compensator, plant) -> ControllerNodeParameters:
+    """Return the parameters of a controller whose commands end a stroke beyond what the compensator's model reaches."""
+    if controller.command_minimum != controller.command_maximum:
+        return controller
+    amplifiers = () if plant.external_plant else (plant.limits,)
+    given = part(compensator, CompensatorParameters)
+    low, high = commandable(given, 1.0 / compensator.sample_rate, *amplifiers)
+    low, high = min(low, controller.safe_command), max(high, controller.safe_command)
+    return replace(controller, command_minimum=low, command_maximum=high)
 
 
 @dataclass(frozen=True)
@@ -204,6 +218,7 @@ class AxisParameters:
         problems += _adaptation_problems(parts["motion_controller"], parts["hysteresis_compensator"])
         if problems:
             raise ParameterError(problems)
+        parts["motion_controller"] = _with_range(parts["motion_controller"], parts["hysteresis_compensator"], plant)
         return cls(namespace=namespace, **parts)
 
     def with_duration(self, duration: float) -> AxisParameters:

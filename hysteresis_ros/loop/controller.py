@@ -32,7 +32,7 @@ from hysteresis_ros.control.controller import (
 from hysteresis_ros.control.damping import block as damping
 from hysteresis_ros.control.damping.block import as_output, damp
 from hysteresis_ros.control.feedforward import feedforward
-from hysteresis_ros.control.handover import HandoverParameters, arm, go_on_from, handover
+from hysteresis_ros.control.handover import DECAY, HandoverParameters, arm, go_on_from, handover
 from hysteresis_ros.control.learning.block import Learning
 from hysteresis_ros.control.learning.correction import (
     FORGETTING,
@@ -96,7 +96,9 @@ SAFE_STEP = 1  # [m] a sample
 PRELOAD = 2  # offset of the model [m]
 USE_ORIGIN = 3  # 1: the measurement counts from the sequencer's origin
 PREDICTS = 4  # 1: the law goes on by what its observer foresees while a measurement is missing
-OWN_PARAMETERS = 5
+LOWEST = 5  # least and largest command that is sent [m]
+HIGHEST = 6
+OWN_PARAMETERS = 7
 
 # Own state.
 STOP = 0  # 1 while told to stop
@@ -106,11 +108,25 @@ UNANSWERED = 3  # samples since the compensator said what it carried out
 ANSWERED = 4  # 1 once it did
 REFERENCE = 5  # last finite reference [m]
 COMMANDED = 6  # last command [m]; behind a damping the law knows it as an output of its own
-OWN_STATES = 7
+OFFSET_LEFT = 7  # what is left of the offset before its last change [m]
+OWN_STATES = 8
+
+#: An offset that is smaller is none [m].
+NO_OFFSET = 1e-18
 
 
 @kernel
-def resume(x, own_p, own, value):
+def present_offset(own_p, own, decay):
+    """Return the offset of the measurement in this sample [m]: after a change it fades from the old one to the new."""
+    left = own[OFFSET_LEFT]
+    if left == 0.0:
+        return own_p[PRELOAD]
+    own[OFFSET_LEFT] = left * decay if abs(left) > NO_OFFSET else 0.0
+    return own_p[PRELOAD] + left
+
+
+@kernel
+def resume(x, own, value):
     """Start the controller anew at the displacement ``value``; the command continues from the last one.
 
     The reference starts from there too and fades to the one received: a reaching law answers a step of the reference
@@ -123,7 +139,7 @@ def resume(x, own_p, own, value):
     x.history[ENTRIES] = 0.0
     x.damping[damping.STARTED] = 0.0
     go_on_from(x.handover, own[COMMANDED])
-    go_on_from(x.return_path, value - own_p[PRELOAD])
+    go_on_from(x.return_path, value)
     x.controller[header.STARTED] = 0.0
 
 
@@ -134,11 +150,11 @@ def foreseeable(own_p, own, state, seen):
 
 
 @kernel
-def corrected(p, x, own_p, own, value, followed, skipped):
+def corrected(p, x, own, value, followed, skipped):
     """Return the reference [m] with what was learned; ``followed``: whether the axis follows it in this sample."""
     if p.learning.shape[0] == 0:
         return own[REFERENCE]
-    error = own[REFERENCE] - (value - own_p[PRELOAD])
+    error = own[REFERENCE] - value
     if not followed or own[RETURNING] != 0.0 or own[ON_PATH] != 0.0:
         error = math.nan
     shortfall = x.controller[header.APPLIED] - x.controller[header.COMMAND]
@@ -148,10 +164,10 @@ def corrected(p, x, own_p, own, value, followed, skipped):
 
 @nested
 def answer(laws, arrays, value, wanted):
-    """Return the command [m] for the displacement ``value`` [m]; NaN: for what the law foresees."""
+    """Return the command [m] for the displacement ``value`` [m] without offset; NaN: for what the law foresees."""
     p, x, own = arrays.p, arrays.x, arrays.watch_x.own
     if own[RETURNING] != 0.0:
-        resume(x, arrays.watch_p.own, own, value)
+        resume(x, own, value)
     reference = wanted
     if own[ON_PATH] != 0.0:
         reference = handover(p.return_path, x.return_path, wanted)
@@ -183,6 +199,8 @@ def control(laws, arrays, row):
         value = row[at.REFERENCE]  # without reference and origin nobody knows where the extender should go: it stays
     if own_p[USE_ORIGIN] != 0.0:
         value -= row[at.ORIGIN]
+    offset = present_offset(own_p, own, arrays.p.handover[DECAY])
+    value -= offset
     mode, answered = RUNNING, False
     unfollowed = own[ANSWERED] != 0.0 and own[UNANSWERED] >= UNFOLLOWED_SAMPLES
     if row[at.TRIPPED] != 0.0:
@@ -199,22 +217,26 @@ def control(laws, arrays, row):
         answered = True
         if value != value:
             mode = HOLDING
-    wanted = corrected(arrays.p, arrays.x, own_p, own, value, answered, row[at.SKIPPED])
+    wanted = corrected(arrays.p, arrays.x, own, value, answered, row[at.SKIPPED])
     if answered:
         command = answer(laws, arrays, value, wanted)
     elif mode == FOLLOWING:
         # no faster than to safe: where commands are carried out after all, a copy would be a loop of gain one
-        command = towards(command, value - own_p[PRELOAD], own_p[SAFE_STEP])
+        command = towards(command, value, own_p[SAFE_STEP])
         own[RETURNING] = 1.0
     if mode in (TRIPPED, STOPPED, STALE):
         command = towards(command, own_p[SAFE_COMMAND], own_p[SAFE_STEP])
         own[RETURNING] = 1.0
     own[UNANSWERED] += 1.0
-    own[COMMANDED] = command
+    # what the law wanted stays: by the difference to what was carried out it knows of saturation
     state[header.COMMAND] = as_output(arrays.p.damping, arrays.x.damping, command)
-    row[at.COMMAND] = command
+    sent = min(max(command, own_p[LOWEST]), own_p[HIGHEST])
+    if sent != command:
+        state[header.APPLIED] = as_output(arrays.p.damping, arrays.x.damping, sent)
+    own[COMMANDED] = sent
+    row[at.COMMAND] = sent
     row[at.SEEN] = seen
-    row[at.ESTIMATED] = state[header.ESTIMATED]
+    row[at.ESTIMATED] = state[header.ESTIMATED] + offset
     row[at.SWITCHING] = state[header.SWITCHING]
     row[at.DISTURBANCE] = state[header.DISTURBANCE]
     row[at.CONTROLLER_MODE] = mode
@@ -234,6 +256,9 @@ def carried_out(arrays, applied):
 class ControllerPart:
     """Feedforward, controller and hand-over of an axis, with what watches over them.
 
+    The preload's offset is taken off the measurement before the laws see it: a change of it is nothing to them but a
+    measurement that moves, and all they have integrated stays right.
+
     Parameters
     ----------
     parameters : ControllerNodeParameters
@@ -247,7 +272,7 @@ class ControllerPart:
 
     def __init__(self, parameters: ControllerNodeParameters):
         self.parameters = parameters
-        block = part(parameters, ControllerParameters)
+        block = part(parameters, ControllerParameters).without_preload
         sample_time = 1.0 / parameters.sample_rate
         self.feedforward = feedforward_block(block, sample_time)
         self.controller = controller_block(block, sample_time)
@@ -274,6 +299,7 @@ class ControllerPart:
         own[PRELOAD] = parameters.model.preload.offset
         own[USE_ORIGIN] = parameters.use_origin
         own[PREDICTS] = self.controller.predicts
+        own[LOWEST], own[HIGHEST] = parameters.command_range
 
     @property
     def _blocks(self) -> tuple:
@@ -376,7 +402,7 @@ class ControllerPart:
         ParameterError
             The parameters are wrong or of another structure; nothing is changed then.
         """
-        block = part(parameters, ControllerParameters).validated()
+        block = part(parameters, ControllerParameters).without_preload.validated()
         own = block.before_damping(1.0 / parameters.sample_rate)
         learning = self.learning.changed(block.learning, block.handover_time)
         lasting = None
@@ -394,6 +420,7 @@ class ControllerPart:
         arm(self.handover, self.command, None if lasting is None else lasting * self.damping.direct)
         self.learning.take(learning)
         self._watch_p.guard[:] = self._guard(parameters)
+        self._watch_x.own[OFFSET_LEFT] += self.parameters.model.preload.offset - parameters.model.preload.offset
         self._pack_own(parameters)
         self.parameters = parameters
         self._connect()

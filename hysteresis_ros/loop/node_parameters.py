@@ -375,6 +375,32 @@ class ControllerNodeParameters(NodeParameters, ControllerParameters):
         description="how often ~/controller_state and ~/pid_state are published where control_msgs is installed; "
         "0: never",
     )
+    command_minimum: float = parameter(
+        0.0,
+        unit="m",
+        low=-1.0,
+        high=1.0,
+        description="least command that is sent, whatever the law wants; this and command_maximum 0: a stroke of the "
+        "compensator's model beyond its ends, where the whole axis is known, else any",
+    )
+    command_maximum: float = parameter(0.0, unit="m", low=-1.0, high=1.0, description="largest command that is sent")
+
+    @property
+    def command_range(self) -> tuple[float, float]:
+        """Least and largest command that is sent [m]."""
+        if self.command_minimum == self.command_maximum == 0.0:
+            return -math.inf, math.inf
+        return self.command_minimum, self.command_maximum
+
+    def check(self):
+        """Yield what does not fit together."""
+        yield from super().check()
+        low, high = self.command_range
+        if not low < high:
+            yield Problem("command_maximum", high, f"must be above command_minimum = {low:g} m")
+        elif not low <= self.safe_command <= high:
+            allowed = f"must lie within command_minimum … command_maximum = {low:g} … {high:g} m"
+            yield Problem("safe_command", self.safe_command, allowed)
 
 
 @dataclass(frozen=True)

@@ -143,6 +143,10 @@ class GeneratorSource:
         """Hold the reference where it is."""
         self.generator.stop()
 
+    def begin_at(self, position: float) -> None:
+        """Begin where an axis is that runs already [m], and stay there until somebody asks for something."""
+        self.generator.begin_at(position)
+
     def follow(self, **points) -> None:
         """Follow a trajectory from the next sample on.
 

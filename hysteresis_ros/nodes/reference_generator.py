@@ -17,6 +17,7 @@ from hysteresis_ros import signals
 from hysteresis_ros.block import interpreted
 from hysteresis_ros.loop.source import GeneratorSource, generate
 from hysteresis_ros.loop.tick import Laws
+from hysteresis_ros.nodes.beginning import Beginning
 from hysteresis_ros.nodes.external import ExternalRun
 from hysteresis_ros.nodes.reference_source import ReferenceSource
 from hysteresis_ros.nodes.spin import run
@@ -79,6 +80,7 @@ class ReferenceGeneratorNode(ReferenceSource):
     def connect(self) -> None:
         """Make the topics."""
         self._run = ExternalRun(self) if self.parameters.external_plant else None
+        self._beginning = Beginning(self) if self.runner.by_message and not self.runner.exact else None
         super().connect()
         self.trajectories = Trajectories(self)
         kind = action_type()
@@ -140,11 +142,36 @@ class ReferenceGeneratorNode(ReferenceSource):
 
     @property
     def take_measurement(self):
-        """What takes ``joint_states``: of an external plant those of the run only."""
-        taken, run = self.runner.measurement, self._run
-        if run is None:
+        """What takes ``joint_states``: once the beginning is known, of an external plant those of the run only."""
+        awaited = [one for one in (self._beginning, self._run) if one is not None]
+        taken = self.runner.measurement
+        if not awaited:
             return taken
-        return lambda message: taken(message) if run.take(message) else None
+        return lambda message: taken(message) if all(one.take(message) for one in awaited) else None
+
+    def begin_at(self, position: float) -> None:
+        """Begin where an axis is that runs already [m]; a setpoint that has come meanwhile is gone to from there."""
+        asked = self.setpoint != self.parameters.initial_setpoint
+        self.part.begin_at(position)
+        if not asked:
+            self.setpoint = self.part.generator.setpoint
+        self.log_change("begin_at", {"position": position})
+
+    @property
+    def unasked(self) -> bool:
+        """Whether it stays where it has begun, because nobody has asked for anything."""
+        return self.part is not None and self.part.generator.unasked
+
+    def on_running(self, running: bool) -> None:
+        """``~/stop`` holds the reference, ``~/start`` runs the waveform from its beginning."""
+        if running and self.unasked:
+            self.setpoint = self.parameters.initial_setpoint
+        super().on_running(running)
+
+    def _on_start(self, request, response):
+        if self.running and self.part is not None and self.part.generator.waits and not self.is_fused:
+            self.on_running(True)
+        return super()._on_start(request, response)
 
     def reset_blocks(self) -> None:
         """Begin again: waveform at its start, setpoint as configured."""
@@ -171,7 +198,8 @@ class ReferenceGeneratorNode(ReferenceSource):
             return 2, "joint_states is stale", values
         if self.row[signals.TRIPPED]:
             return 2, "the plant has stopped the axis", values
-        return (1, f"{refused} setpoints refused", values) if refused else (0, "", values)
+        begun = "holds where the axis was when it came; send a setpoint, or call ~/start" if self.unasked else ""
+        return (1, f"{refused} setpoints refused", values) if refused else (0, begun, values)
 
 
 def main(arguments=None) -> int:

@@ -48,6 +48,9 @@ from hysteresis_ros.references.waveforms import Waveform, WaveformParameters
 MINIMUM, MAXIMUM, FADE_SAMPLES = range(3)
 RUNNING, OUTPUT, FADE, FADE_COUNT = range(4)
 
+#: What RUNNING may be: the reference is held; waveform and moves; moves, while the waveform waits for its start.
+HELD, WHOLE, MOVES = 0.0, 1.0, 2.0
+
 
 @dataclass(frozen=True)
 class ReferenceParameters(Parameters):
@@ -147,9 +150,11 @@ def reference_step(waveform, ps, xs, setpoint):
     nothing advances.
     """
     p, x = ps.range, xs.range
-    if x[RUNNING] == 0.0:
+    if x[RUNNING] == HELD:
         return x[OUTPUT]
-    reference = base(ps, xs, setpoint) + waveform(ps.waveform, xs.waveform, 0.0)
+    reference = base(ps, xs, setpoint)
+    if x[RUNNING] == WHOLE:
+        reference += waveform(ps.waveform, xs.waveform, 0.0)
     if x[FADE_COUNT] < p[FADE_SAMPLES]:
         # Minimum-jerk blend 1 → 0.
         s = x[FADE_COUNT] / p[FADE_SAMPLES]
@@ -206,6 +211,7 @@ class ReferenceGenerator(Chain):
         path = [self.sample_time, smooth, deceleration if math.isfinite(deceleration) else 0.0, low, high]
         self._trajectory = np.array(path), following.initial_state(parameters.initial_setpoint)
         self._adopt()
+        self._begun = math.nan
         self.reset()
 
     def _build_waveform(self, parameters: ReferenceParameters, setpoint: float) -> Waveform:
@@ -279,9 +285,30 @@ class ReferenceGenerator(Chain):
         reason = "out of range" if math.isfinite(setpoint) else "not a finite number"
         return f"setpoint {setpoint:g} m refused: {reason}, allowed: {low:g} … {high:g} m{around}"
 
+    @property
+    def waits(self) -> bool:
+        """Whether the waveform waits for its start while setpoints and trajectories move the reference."""
+        return bool(self._range[1][RUNNING] == MOVES)
+
+    @property
+    def unasked(self) -> bool:
+        """Whether nobody has asked for anything since :meth:`begin_at`."""
+        return bool(self.xs.trajectory[following.TARGET] == self._begun)
+
+    def begin_at(self, position: float) -> None:
+        """Begin at rest where the axis is [m], as far as it is in the range: the waveform waits for :meth:`start`."""
+        position = min(max(position, self.parameters.minimum), self.parameters.maximum)
+        self.reset()
+        rest(self.approach.p, self.approach.x, position, position)
+        self.shaper.rest_at(position)
+        for place in (following.POSITION, following.GIVEN, following.TARGET):
+            self.xs.trajectory[place] = position
+        self._range[1][:] = (MOVES, position, 0.0, 0.0)
+        self._begun = position
+
     def stop(self) -> None:
         """Freeze the reference at its last value; setpoints are without effect until :meth:`start`."""
-        self._range[1][RUNNING] = 0.0
+        self._range[1][RUNNING] = HELD
         interpreted(abandon)(self.ps, self.xs)
 
     def follow(self, times, positions, velocities=(), accelerations=()) -> None:
@@ -344,8 +371,12 @@ class ReferenceGenerator(Chain):
 
         The approach begins, at rest, where the waveform's first sample on top of it gives the held reference, and
         moves to the setpoint within its limits. An unlimited approach cannot do that: there the difference fades
-        out over ``approach.start_time``.
+        out over ``approach.start_time``. Where nobody has asked for another since :meth:`begin_at`, the setpoint is the
+        initial one.
         """
+        if self.unasked:
+            self.approach.x[SETPOINT] = self.parameters.initial_setpoint
+        self._begun = math.nan
         output = self._range[1][OUTPUT]
         self.waveform.reset()
         difference = output - self._first_value()
@@ -356,7 +387,7 @@ class ReferenceGenerator(Chain):
         else:
             self.approach.rest_at(difference)
             x[FADE], x[FADE_COUNT] = 0.0, 0.0
-        x[RUNNING] = 1.0
+        x[RUNNING] = WHOLE
         self.shaper.rest_at(difference - x[FADE])
         self.xs.trajectory[following.POSITION] = difference - x[FADE]
 
@@ -365,6 +396,7 @@ class ReferenceGenerator(Chain):
 
     def reset(self) -> None:
         """Return to the state at construction: at rest at the initial setpoint, waveform at its beginning."""
+        self._begun = math.nan
         self.approach.reset()
         self.shaper.rest_at(self.parameters.initial_setpoint)
         self.waveform.reset()
@@ -373,7 +405,7 @@ class ReferenceGenerator(Chain):
         self.xs.trajectory[following.NUMBER], self.xs.trajectory[following.OUTCOME] = number, following.STOPPED
         first = self.parameters.initial_setpoint + self._first_value()
         output = min(max(first, self.parameters.minimum), self.parameters.maximum)
-        self._range[1][:] = (1.0, output, 0.0, 0.0)
+        self._range[1][:] = (WHOLE, output, 0.0, 0.0)
 
     def retune(self, parameters: ReferenceParameters) -> None:
         """Take another waveform while stopped, played from its beginning at the next :meth:`start`, or another shaping.

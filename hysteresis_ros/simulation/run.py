@@ -109,7 +109,7 @@ def _padded(values, samples: int, rest: float) -> np.ndarray:
 #: What the log of a run may say of each node.
 LOGGED = {
     "plant_simulator": ("start", "halt", "reset", "retune", "home"),
-    "reference_generator": ("start", "stop", "hold", "follow", "reset", "retune"),
+    "reference_generator": ("start", "stop", "hold", "follow", "begin_at", "reset", "retune"),
     "inchworm_sequencer": ("reset", "retune"),
     "motion_controller": ("start", "stop", "reset", "retune", "learn", "freeze", "forget"),
     "hysteresis_compensator": ("start", "stop", "reset", "retune", "freeze", "resume", "forget"),

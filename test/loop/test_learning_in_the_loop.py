@@ -21,7 +21,6 @@ from hysteresis_ros.control.learning import correction as at
 from hysteresis_ros.control.learning.correction import LIMITED, shown
 from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.loop.axis import Change
-from hysteresis_ros.loop.controller import PRELOAD, REFERENCE, corrected
 
 #: Of 30 samples.
 TRIANGLE = {"waveform__type": "triangle", "waveform__frequency": 100.0, "waveform__amplitude": 4e-6}
@@ -86,12 +85,11 @@ def test_nothing_is_learned_while_the_command_is_not_carried_out():
 
 
 def test_the_error_is_that_of_the_displacement_without_its_preload():
-    part = learning_axis().controller
-    own_p, own = part.arrays.watch_p.own.copy(), part.arrays.watch_x.own
-    own_p[PRELOAD], own[REFERENCE] = 3e-6, 5e-6
-    corrected(part.arrays.p, part.arrays.x, own_p, own, 7.5e-6, True, 0.0)
-    length = (len(part.learning.x) - at.RINGS) // 3
-    assert part.learning.x[at.RINGS + length] == pytest.approx(5e-7)
+    given = {"reference_generator": TRIANGLE, "motion_controller": LEARNS | {"model__preload__force": 1.0}}
+    loaded = axis(plant_simulator={"preload__force": 1.0}, **given)
+    learned, plain = corrections(loaded, 4 * N), corrections(learning_axis(), 4 * N)
+    assert np.max(np.abs(plain)) > 1e-8
+    np.testing.assert_allclose(learned, plain, rtol=0, atol=1e-12)
 
 
 def test_nor_while_the_axis_still_answers_to_what_was_not_carried_out():

@@ -78,6 +78,36 @@ def test_a_change_after_the_end_of_a_run_holds_from_there_on():
     assert_same_bits(made.run(SETPOINTS[200:400]), other.run(SETPOINTS[200:400]))
 
 
+@pytest.mark.parametrize("gains", [{}, {"type": "pid", "pid__Ki": 20.0}], ids=str)
+def test_a_change_of_the_preload_in_the_model_fades_and_jumps_nowhere(gains):
+    """1 N is an offset of -2.44 µm; 635 Hz, damped by 0.0018, would ring for long after anything that is quick."""
+    given = {**HOLD, "motion_controller": {"handover_time": 0.05, **gains}}
+    made = axis(**given)
+    change = Change(1500, "motion_controller", "retune", {"model.preload.force": 1.0})
+    table = made.run(np.full(4500, 5e-6), changes=[change])
+    offset = made.controller.parameters.model.preload.offset
+    assert offset == pytest.approx(-1.0e-6 / 0.41, rel=1e-3)
+    start, end = table["displacement"][1499], table["displacement"][-1]
+    assert start + offset - 2e-8 < np.min(table["displacement"][1500:]) and end < start - 0.1e-6
+    assert np.max(table["displacement"][1500:]) < start + 0.1e-6
+    assert np.ptp(table["displacement"][-300:]) < 5e-9
+    assert np.max(np.abs(np.diff(table["command"][1498:]))) < 0.02 * abs(offset)
+    assert abs(table["command"][1500] - table["command"][1499]) < 1e-9
+    # what the observer says of the measurement is not moved by what the model takes off it
+    assert abs(table["estimated"][1500] - table["measured"][1500]) < 2e-8
+    plain = axis(**given).run(np.full(1500, 5e-6))
+    assert_same_bits({name: values[:1500] for name, values in table.items()}, plain)
+
+
+def test_a_second_change_of_the_preload_amid_the_first_one_jumps_neither():
+    made = axis(**HOLD, motion_controller={"type": "pid", "pid__Ki": 20.0})
+    forces = ((1500, 1.0), (1530, 0.0), (1560, 2.0), (1561, 0.0))
+    changes = [Change(at, "motion_controller", "retune", {"model.preload.force": force}) for at, force in forces]
+    table = made.run(np.full(4500, 5e-6), changes=changes)
+    assert np.max(np.abs(np.diff(table["command"][1498:]))) < 0.1e-6
+    assert table["displacement"][-1] == pytest.approx(table["displacement"][1499], abs=1e-8)
+
+
 def test_a_plant_that_was_measured_takes_new_parameters_only_for_what_follows():
     values = {"hysteresis.polynomial.scale": 1.1, "preload.force": 5.0, "sensor.offset": 1e-7}
     before = axis(**HOLD).run(SETPOINTS, changes=[Change(300, "plant_simulator", "retune", values)])

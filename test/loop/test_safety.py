@@ -17,6 +17,8 @@ import numpy as np
 import pytest
 from loop_support import HOLD, axis, steps
 
+from hysteresis_ros.control.base import APPLIED
+from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.loop import watch
 from hysteresis_ros.loop.axis import Change
 from hysteresis_ros.references import inchworm_layout as gait
@@ -156,10 +158,10 @@ def test_on_the_way_back_the_reference_starts_where_the_axis_stands_and_fades_to
     made = settled(plant_simulator=loaded, motion_controller={f"model__{name}": f for name, f in loaded.items()})
     changes = (Change(1600, "motion_controller", "stop"), Change(2500, "motion_controller", "start"))
     table = after(made, samples=1300, changes=changes)
-    given = made.controller.history.samples  # from the start on: applied, reference, fed, measured
+    given = made.controller.history.samples  # from the start on: applied, reference, fed, measured without preload
     assert len(given) == 300
-    np.testing.assert_array_equal(given[:, 3], table["seen"][1000:])
-    standing = table["seen"][1000] - made.controller.parameters.model.preload.offset
+    np.testing.assert_array_equal(given[:, 3], table["seen"][1000:] - made.controller.parameters.model.preload.offset)
+    standing = given[0, 3]
     assert abs(standing) < 0.1e-6 and (made.controller.parameters.model.preload.offset < -1e-6) == (force > 0.0)
     faded = SETPOINT + (standing - SETPOINT) * np.exp(-np.arange(300) / (0.05 * RATE))
     np.testing.assert_allclose(given[:, 1], faded, rtol=0, atol=1e-15)
@@ -365,3 +367,40 @@ def test_a_voltage_that_is_only_rounded_to_the_grid_does_not_count_as_limited_an
     table = narrow.run(np.full(600, 5e-6))
     np.testing.assert_array_equal(table["saturated"] == 1.0, table["voltage"] == 40.0)
     assert table["saturated"][-1] == 1.0
+
+
+@pytest.mark.parametrize(("gains", "lie"), [({}, 6e-5), ({"type": "pid", "pid__Ki": 20.0}, 1e-2)], ids=str)
+def test_no_command_leaves_its_range_and_nothing_else_changes_by_that(gains, lie):
+    """A sensor that lies asks for commands far beyond the stroke; anti-windup comes back from there alike."""
+    wide = {"command_minimum": -1.0, "command_maximum": 1.0}
+    fault = f"offset:{lasting(100)}:{lasting(300)}:{lie}"
+    bounded, free = (settled(motion_controller=gains | more) for more in ({}, wide))
+    low, high = bounded.controller.parameters.command_range
+    table, other = after(bounded, fault), after(free, fault)
+    assert np.min(table["command"]) == low and low < np.min(table["applied"]) - 0.5 * STROKE
+    assert np.min(other["command"]) < 1.5 * low
+    assert np.max(table["command"]) <= high
+    np.testing.assert_array_equal(table["command"], np.clip(other["command"], low, high))
+    for name in ("voltage", "applied", "displacement", "estimated", "switching", "disturbance"):
+        np.testing.assert_array_equal(table[name], other[name])
+
+
+def test_where_nobody_says_what_was_carried_out_the_law_takes_it_for_what_was_sent():
+    made = settled(motion_controller={"type": "pid", "pid__Ki": 20.0})
+    table = after(made, f"offset:0:{lasting(10)}:1e-2", f"unanswered:0:{lasting(10)}", samples=5)
+    assert made.controller.controller.x[APPLIED] == table["command"][-1] == made.controller.parameters.command_range[0]
+
+
+@pytest.mark.parametrize(
+    "wrong",
+    [
+        {"command_minimum": 1e-6},
+        {"command_minimum": 2e-6, "command_maximum": 1e-6},
+        {"command_minimum": 1e-6, "command_maximum": 2e-6},
+        {"command_maximum": 2e-6, "safe_command": 3e-6},
+    ],
+    ids=str,
+)
+def test_a_range_of_commands_that_is_none_or_leaves_safe_out_is_refused(wrong):
+    with pytest.raises(ParameterError, match=r"command_m.*imum"):
+        axis(**HOLD, motion_controller=wrong)

@@ -39,6 +39,7 @@ RETUNED = (
     (CONTROLLER, {"type": "open_loop"}, True),
     (CONTROLLER, {"type": "pid", "handover_time": -1.0}, False),
     (CONTROLLER, {"safe_slew_rate": 2.0e-4}, True),
+    (CONTROLLER, {"model__preload__force": 0.4}, True),
     (COMPENSATOR, {"hysteresis__polynomial__scale": 1.02}, True),
     (COMPENSATOR, {"hysteresis__polynomial__scale": 0.98}, True),
     (COMPENSATOR, {"limits__maximum": -40.0}, False),

@@ -118,6 +118,39 @@ def test_start_runs_from_the_beginning_without_a_jump(limits):
     assert y[1001:] == pytest.approx(6e-6 + 2e-6 * np.sin(2 * np.pi * 5.0 * k * TS), abs=1e-18)
 
 
+@pytest.mark.parametrize("limits", [{}, LIMITED])
+@pytest.mark.parametrize("position", [0.0, 3.1e-6, 11.9e-6])
+def test_a_beginning_amid_a_run_stays_there_until_somebody_asks(limits, position):
+    """At 11.9 µm the waveform would lead out of the range: no setpoint, but the place stays."""
+    g = build(SINE, limits, initial_setpoint=1e-6)
+    g.begin_at(position)
+    assert g.unasked and g.running and not g.moving
+    assert set(g.simulate(np.full(100, g.setpoint))) == {position}
+    moved = g.simulate(np.full(3000, 2e-6))
+    assert moved[-1] == 2e-6 and not g.unasked and g.waits  # without the waveform
+    g.start()
+    assert not g.waits
+    assert np.ptp(g.simulate(np.full(1000, 2e-6))) > 3.9e-6
+
+
+@pytest.mark.parametrize("limits", [{}, LIMITED])
+@pytest.mark.parametrize("stopped", [False, True])
+def test_a_start_after_it_goes_to_the_initial_setpoint_without_a_jump(limits, stopped):
+    g = build(SINE, limits, initial_setpoint=1e-6)
+    g.begin_at(9e-6)
+    g.simulate(np.full(10, 9e-6))
+    if stopped:
+        g.stop()
+        assert g.step(9e-6) == 9e-6
+    g.start()
+    y = np.concatenate([[9e-6], g.simulate(np.full(3000, 1e-6))])
+    assert np.max(np.abs(np.diff(y))) / TS < 2e-6 * 2 * np.pi * 5.0 + 1.875 * 4e-6 / 0.1
+    assert not g.unasked and (y[-1000:].min(), y[-1000:].max()) == pytest.approx((4e-6, 8e-6), rel=1e-3)
+    g.begin_at(9e-6)
+    g.reset()
+    assert not g.unasked and g.setpoint == 1e-6
+
+
 def test_waveform_changes_only_while_stopped():
     g = build(LIMITED, SINE)
     g.simulate(np.full(40, 1e-6))
