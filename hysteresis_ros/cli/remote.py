@@ -65,7 +65,8 @@ def in_graph(command: str, namespace: str, timeout: float, **arguments) -> None:
     from functools import partial
 
     from hysteresis_ros.errors import HysteresisError
-    from hysteresis_ros.nodes.launcher import die_with_parent, node_environment, require_ros
+    from hysteresis_ros.nodes.launcher import node_environment, require_ros
+    from hysteresis_ros.nodes.parent import die_with_parent
 
     if not 0.0 < timeout < math.inf:
         raise HysteresisError(f"--timeout {timeout:g}: must be a positive number of seconds")

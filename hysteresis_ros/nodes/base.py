@@ -60,6 +60,8 @@ class AxisNode(TabledParameters, GuardedLifecycleNode):
     share = 1.0
     #: Parameters that say what the node is at work as.
     identity: tuple[str, ...] = ()
+    #: Seconds at most for which a node that listens at exit does.
+    listens_for = 0.3
     #: Services std_srvs/Trigger, each answered by the method of its name with ``_on_`` before it.
     triggers: tuple[str, ...] = ("start", "stop", "reset")
 
@@ -317,6 +319,11 @@ class AxisNode(TabledParameters, GuardedLifecycleNode):
         if partner:
             self.partners.add(made.topic_name, partner)
         return made
+
+    def drop(self, subscription) -> None:
+        """Destroy a subscription before cleanup does."""
+        self._topic_handles.remove((self.destroy_subscription, subscription))
+        self.destroy_subscription(subscription)
 
     def timer(self, period: float, callback):
         """Make a timer on the steady clock that goes with deactivation."""

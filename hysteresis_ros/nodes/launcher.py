@@ -12,7 +12,6 @@
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import importlib.util
 import os
 import pathlib
@@ -26,6 +25,7 @@ from functools import partial
 
 from hysteresis_ros.errors import ConfigurationError, HysteresisError
 from hysteresis_ros.loop.axis_parameters import AxisParameters, node_names
+from hysteresis_ros.nodes.parent import die_with_parent
 
 #: Order in which nodes are told to leave: the voltage returns to safe while the plant still listens, the recorder last.
 STOP_ORDER = (
@@ -44,8 +44,6 @@ EXTERNAL_PLANT = "--external-plant"
 
 #: Seconds a node gets to leave before it is killed.
 PATIENCE = 10.0
-
-_PR_SET_PDEATHSIG = 1
 
 
 def require_ros() -> None:
@@ -284,17 +282,3 @@ def _require_creatable(folder: pathlib.Path) -> None:
         raise ConfigurationError(
             f"{folder}: cannot be created: {error.strerror}; choose another folder for the recording"
         ) from None
-
-
-def die_with_parent(parent: int) -> None:
-    """Linux: a child does not outlive the process that started it; for the child's ``preexec_fn``.
-
-    Parameters
-    ----------
-    parent : int
-        Process identifier of the one who starts it.
-    """
-    with contextlib.suppress(OSError, AttributeError):
-        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
-        if os.getppid() != parent:
-            os._exit(1)

@@ -255,6 +255,9 @@ class RecorderNode(AxisNode):
         """Tell whether every message of the run is in the bag."""
         return min(self._counts) >= self.end_of_run
 
+    #: As long as a busy machine keeps messages waiting: the last of them are those of an axis that goes safe.
+    listens_for = 3.0
+
     @property
     def listens_at_exit(self) -> bool:
         """What was sent before this node left is still written."""

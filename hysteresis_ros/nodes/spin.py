@@ -23,13 +23,15 @@ from rclpy.signals import SignalHandlerOptions
 
 from hysteresis_ros.nodes.discovery import stay_on_this_machine
 from hysteresis_ros.nodes.footprint import release_compiler
+from hysteresis_ros.nodes.parent import leave_with_ros2
 
 #: Seconds between two looks at signals and at nodes that have finished, when nothing happens otherwise.
 LOOK = 0.05
 
-#: Seconds that messages get to arrive: at the regular end of a run, and when a signal or an error ends it.
+#: Seconds that messages get to be received: at the regular end of a run, and when a signal or an error ends it. Where
+#: others are alive it takes as long as they are busy, and the last message is the safe voltage.
 PATIENCE_AT_END = 5.0
-PATIENCE_AT_EXIT = 0.3
+PATIENCE_AT_EXIT = 2.0
 
 #: Module whose functions the compiler calls back.
 COMPILER = "llvmlite.binding.executionengine"
@@ -89,6 +91,7 @@ def run(factories, arguments=None) -> int:
 
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGALRM):
         signal.signal(number, request_stop)
+    leave_with_ros2()
     nodes: list = []
     executor = None
     try:
@@ -204,10 +207,11 @@ def _leave(executor, nodes, regular: bool) -> None:
         for node in nodes:
             node.wait_acknowledged(deadline)
     start = time.monotonic()
-    while listening and time.monotonic() < start + PATIENCE_AT_EXIT:
+    while listening:
         executor.spin_once(timeout_sec=0.01)
-        if time.monotonic() > start + QUIET and all(node.drained() for node in listening):
-            break
+        elapsed = time.monotonic() - start
+        if elapsed > QUIET:
+            listening = [node for node in listening if elapsed < node.listens_for and not node.drained()]
     for node in reversed(nodes):  # a recorder is the first: it gets what is made until the end
         node.active = False
         node.release()

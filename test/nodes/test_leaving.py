@@ -313,6 +313,29 @@ def test_no_participant_is_left_for_the_end_of_the_process(processes, tmp_path):
     assert process.output.splitlines()[-1] == "left:"
 
 
+def test_a_recorder_that_leaves_takes_what_a_busy_machine_keeps_waiting():
+    """Its last messages are those of an axis that goes to its safe voltage; others leave sooner."""
+    from types import SimpleNamespace
+
+    from hysteresis_ros.nodes import spin
+
+    heard, left = [], {}
+
+    def node(name, listens_for, waiting):
+        runner = SimpleNamespace(part=int, go_safe=int, exact=False)
+        made = SimpleNamespace(active=True, runner=runner, listens_at_exit=True, listens_for=listens_for)
+        made.wait_acknowledged = lambda deadline: None
+        made.drained = lambda: len(heard) >= waiting
+        made.release = lambda: left.setdefault(name, len(heard))
+        return made
+
+    def take(timeout_sec):
+        heard.append(time.sleep(timeout_sec))
+
+    spin._leave(SimpleNamespace(spin_once=take), [node("recorder", 30.0, 60), node("plant", 0.2, 10**9)], False)
+    assert left == {"plant": 60, "recorder": 60}
+
+
 def test_a_run_is_over_when_one_node_has_failed_or_all_have_finished():
     from types import SimpleNamespace
 

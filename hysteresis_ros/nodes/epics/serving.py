@@ -24,7 +24,8 @@ from functools import partial
 from hysteresis_ros.errors import HysteresisError
 from hysteresis_ros.loop.axis_parameters import AxisParameters
 from hysteresis_ros.nodes.epics.settings import MotorSettings
-from hysteresis_ros.nodes.launcher import Graph, die_with_parent, node_environment, require_ros
+from hysteresis_ros.nodes.launcher import Graph, node_environment, require_ros
+from hysteresis_ros.nodes.parent import die_with_parent
 
 #: Seconds the server gets to leave before it is killed.
 PATIENCE = 5.0
