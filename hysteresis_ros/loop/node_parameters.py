@@ -20,6 +20,7 @@ from dataclasses import dataclass, fields
 from hysteresis_ros.compensation.adaptation import AdaptationParameters
 from hysteresis_ros.compensation.compensator import CompensatorParameters
 from hysteresis_ros.compensation.reachable import resting_displacements
+from hysteresis_ros.control.command_range import CommandRangeParameters
 from hysteresis_ros.control.controller import ControllerParameters
 from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.hardware.driver import Driver, DriverError
@@ -341,7 +342,7 @@ class InchwormSequencerNodeParameters(NodeParameters, InchwormSequencerParameter
 
 
 @dataclass(frozen=True)
-class ControllerNodeParameters(NodeParameters, ControllerParameters):
+class ControllerNodeParameters(NodeParameters, ControllerParameters, CommandRangeParameters):
     """Parameters of ``motion_controller``."""
 
     use_origin: bool = parameter(
@@ -375,30 +376,12 @@ class ControllerNodeParameters(NodeParameters, ControllerParameters):
         description="how often ~/controller_state and ~/pid_state are published where control_msgs is installed; "
         "0: never",
     )
-    command_minimum: float = parameter(
-        0.0,
-        unit="m",
-        low=-1.0,
-        high=1.0,
-        description="least command that is sent, whatever the law wants; this and command_maximum 0: a stroke of the "
-        "compensator's model beyond its ends, where the whole axis is known, else any",
-    )
-    command_maximum: float = parameter(0.0, unit="m", low=-1.0, high=1.0, description="largest command that is sent")
-
-    @property
-    def command_range(self) -> tuple[float, float]:
-        """Least and largest command that is sent [m]."""
-        if self.command_minimum == self.command_maximum == 0.0:
-            return -math.inf, math.inf
-        return self.command_minimum, self.command_maximum
 
     def check(self):
         """Yield what does not fit together."""
         yield from super().check()
         low, high = self.command_range
-        if not low < high:
-            yield Problem("command_maximum", high, f"must be above command_minimum = {low:g} m")
-        elif not low <= self.safe_command <= high:
+        if low < high and not low <= self.safe_command <= high:
             allowed = f"must lie within command_minimum … command_maximum = {low:g} … {high:g} m"
             yield Problem("safe_command", self.safe_command, allowed)
 
