@@ -119,7 +119,7 @@ def test_an_inverse_that_does_not_fit_is_refused():
 @pytest.mark.parametrize("kind", LAWS)
 def test_every_controller_takes_keywords_and_is_its_block_bit_for_bit(kind):
     node = single_axis(load_configuration("kim2009").override("motion_controller", type=kind, pid__Ki=10.0))
-    values = {name: value for name, value in node.motion_controller.to_mapping().items()}
+    values = dict(node.motion_controller.to_mapping())
     controller_class = getattr(hr.controllers, class_name(kind))
     taken = {row.name for row in controller_class.keywords.values()}
     keywords = {name.replace(".", "__"): value for name, value in values.items() if name in taken}
@@ -173,7 +173,7 @@ def test_every_keyword_is_in_the_signature_and_described(factory, name):
     made = getattr(getattr(hr, factory), name)
     text = inspect.getdoc(made)
     given = [item for item in inspect.signature(made).parameters.values() if item.name != "parameters"]
-    assert {row_name for row_name in made.keywords} == {item.name for item in given} - {"sample_time", "model"}
+    assert set(made.keywords) == {item.name for item in given} - {"sample_time", "model"}
     for item in given:
         assert re.search(rf"^{item.name} : \S", text, re.MULTILINE), item.name
 

@@ -119,7 +119,7 @@ def inchworm_figures(recording: Recording) -> dict:
     """
     run = inchworm_run(recording)
     notes: dict = {"recording": list(run.notes)}
-    common = {name: None for name in COMMON}
+    common = dict.fromkeys(COMMON)
     reference = run.signals.get("reference", run.setpoint)
     smooth = chattering_figures(
         run.time, reference, run.signals.get("command"), run.signals.get("voltage"), notes

@@ -312,7 +312,7 @@ def _tried(
 
 def _with_plant(configuration: Configuration, values: dict) -> Configuration:
     """Return a configuration, with its text, whose plant is another one."""
-    nodes = {name: own for name, own in configuration.entries}
+    nodes = dict(configuration.entries)
     name = next(name for name in nodes if name.endswith("/plant_simulator"))
     header = "".join(text + "\n" for text in configuration.text.splitlines() if text.startswith("# "))
     plain = {**nodes, name: values}

@@ -124,7 +124,6 @@ def sliding_pole(parameters, pole: float):
 
 def _pole_for(task: DesignTask, with_pole) -> float:
     """Return the pole that gives the bandwidth, which grows as the pole goes from one to zero."""
-
     bandwidth = task.bandwidth
 
     def reached(pole):

@@ -238,7 +238,7 @@ def file_text(result: Identification, section: dict) -> str:
     nodes = {**sections(result), SECTION: section}
     # every array an object of its own: YAML would write the second one as an alias, which ROS does not read
     copied = {
-        node: {name: tuple([*value]) if isinstance(value, tuple) else value for name, value in values.items()}
+        node: {name: tuple(value) if isinstance(value, tuple) else value for name, value in values.items()}
         for node, values in nodes.items()
     }
     text = _HEADER + dump_configuration(copied)

@@ -246,7 +246,7 @@ class FusedLoop:
         if not self.axis.motor and (request is not None or speed is not None):
             raise ValueError("request and speed: only the axis of an inchworm motor takes them")
         places = at.POST_SETPOINT, at.POST_REQUEST, at.POST_SPEED
-        self._post({place: value for place, value in zip(places, (setpoint, request, speed), strict=True)})
+        self._post(dict(zip(places, (setpoint, request, speed), strict=True)))
 
     def halt(self) -> None:
         """Stop everything with the next sample: the plant goes to safe until all that was stopped is started again."""

@@ -235,7 +235,7 @@ def _names(before, delimiter, width):
             continue
         row = [cell or str(k + 1) for k, cell in enumerate(row)]
         parts = [named_column(cell) for cell in row]
-        units = {name: unit for name, unit in parts}
+        units = dict(parts)
         if units_row:
             units |= {name: unit for (name, _), unit in zip(parts, units_row, strict=True) if unit}
         return [name for name, _ in parts], units, (0 if commented else 1) + bool(units_row)

@@ -76,7 +76,7 @@ def test_derivative_filter_by_hand():
 
 
 @settings(max_examples=25, deadline=None)
-@given(*map(lambda high: st.floats(0.0, high), (5.0, 50.0, 0.5)), st.floats(5.0, 500.0), st.floats(-3.0, 3.0))
+@given(*(st.floats(0.0, high) for high in (5.0, 50.0, 0.5)), st.floats(5.0, 500.0), st.floats(-3.0, 3.0))
 def test_a_ramp_of_the_error_gives_the_continuous_controllers_command(Kp, Ki, Kd, N, slope):
     c = block({"Kp": Kp + 0.1, "Ki": Ki, "Kd": Kd, "derivative_filter": N, "derivative_weight": 1.0})
     t = T * np.arange(60)

@@ -61,7 +61,7 @@ def test_a_sample_of_delay_costs_a_sample_of_delay_margin():
 def test_margins_of_whatever_lies_in_the_circles_lie_in_their_intervals():
     found, random = measured(0.1), np.random.default_rng(1)
     names = ("gain_margin", "phase_margin", "delay_margin", "sensitivity_peak")
-    widest = {name: 0.0 for name in names}
+    widest = dict.fromkeys(names, 0.0)
     for _ in range(200):
         # one factor for all lines: another plant within the circles
         factor = 1.0 + 0.1 * random.uniform() * np.exp(2j * np.pi * random.uniform())
