@@ -21,6 +21,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.logging import LoggingSeverity, set_logger_level
 from rclpy.signals import SignalHandlerOptions
 
+from hysteresis_ros.nodes.claim import claim
 from hysteresis_ros.nodes.discovery import stay_on_this_machine
 from hysteresis_ros.nodes.footprint import release_compiler
 from hysteresis_ros.nodes.parent import leave_with_ros2
@@ -93,6 +94,7 @@ def run(factories, arguments=None) -> int:
         signal.signal(number, request_stop)
     leave_with_ros2()
     nodes: list = []
+    claims: list = []
     executor = None
     try:
         try:
@@ -102,6 +104,8 @@ def run(factories, arguments=None) -> int:
                 args=arguments if arguments is not None else sys.argv, signal_handler_options=SignalHandlerOptions.NO
             )
             nodes += [factory() for factory in factories]
+            domain = rclpy.get_default_context().get_domain_id()
+            claims += [claim(domain, node.get_fully_qualified_name()) for node in nodes if node.kind != "recorder"]
         except Exception as error:  # rclpy raises its own and plain C++ errors for names and files that it refuses
             # without the places in rcl's C sources
             print(f"error: {' '.join(str(error).split(', at /')[0].split())}", file=sys.stderr)
@@ -124,6 +128,8 @@ def run(factories, arguments=None) -> int:
         for node in nodes:
             node.release()  # also after an exception: no thread may go on publishing
         _destroy(executor, nodes)
+        for claimed in filter(None, claims):
+            claimed.close()
         node = executor = None
         _collect()
         if rclpy.ok():

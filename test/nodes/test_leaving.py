@@ -193,7 +193,9 @@ def refusals(tmp_path_factory, domain_of_module):
     for name, text in files.items():
         path = folder / f"{name.replace(' ', '_')}.yaml"
         path.write_text(text, encoding="utf-8")
-        running[name] = started.node("plant_simulator" if name == "missing" else "reference_generator", path)
+        kind = "plant_simulator" if name == "missing" else "reference_generator"
+        # all at once, and a node of one name runs once
+        running[name] = started.node(kind, path, namespace=f"/{path.stem}")
     running["composed"] = started.node("hysteresis_axis", folder / "unknown.yaml")
     running["no file"] = started.node("reference_generator", folder / "nothing.yaml")
     running["bad name"] = started.node("reference_generator", folder / "missing.yaml", "-r", "__node:=bad-name")
