@@ -124,6 +124,7 @@ SIGNALS = (
         "gain of the inverse as a part of the identified one",
         _at(COMPENSATOR, name="adapted_gain"),
     ),
+    Signal("force", "N", PLANT, "measured force in the stack, NaN: no force sensor", _at(PLANT, name="force")),
     _sequencer("origin", "m", "what the controller subtracts from the measurement", topic="origin"),
     _motor("extender", "m", "measured displacement of the extender"),
     _motor("extender_displacement", "m", "true displacement of the extender"),
@@ -179,6 +180,7 @@ SIGNALS = (
     SKIPPED,
     ADAPTATION,
     ADAPTED_GAIN,
+    FORCE,
     ORIGIN,
     EXTENDER,
     EXTENDER_DISPLACEMENT,
@@ -208,7 +210,7 @@ SIGNALS = (
     CYCLE_PHASE,
     PATH_ERROR,
     CORRECTION,
-) = range(51)
+) = range(52)
 
 #: Places of what people ask for: of any axis the first, of a motor all of them.
 ASKED = (SETPOINT, REQUEST, SPEED)

@@ -19,7 +19,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from hysteresis_ros.comparison.damped import damped_pid, has_resonance
+from hysteresis_ros.comparison.damped import damped_pid, forced_pid, has_force, has_resonance
 from hysteresis_ros.comparison.tasks import Conditions, Task
 from hysteresis_ros.configuration import Configuration, parse_configuration
 from hysteresis_ros.control.controller import ControllerParameters
@@ -323,6 +323,8 @@ def controllers(axis: AxisParameters) -> dict:
     declared = {name: design for name, (_, design) in entries("compared").items()}
     learning = {learner(*one): declared[one[0]] for one in LEARNERS}
     damping = {"PID + damping": damped_pid} if has_resonance(axis) else {}
+    if damping and has_force(axis):
+        damping["PID + force feedback"] = forced_pid
     return {"as configured": lambda given: {}, **declared, **learning, **damping}
 
 

@@ -21,8 +21,9 @@ from hysteresis_ros.errors import ConfigurationError, ParameterError
 from hysteresis_ros.loop.axis_parameters import AxisParameters
 from hysteresis_ros.simulation.design import DesignRequest, design_axis
 
-#: Kinds of damping that are tried, the simplest first.
+#: Kinds of damping that are tried, the simplest first, and the one where a force is measured.
 KINDS = ("irc", "ppf")
+BY_FORCE = ("iff",)
 
 
 def has_resonance(axis: AxisParameters) -> bool:
@@ -37,6 +38,16 @@ def has_resonance(axis: AxisParameters) -> bool:
     return any(damping < DAMPED for _, damping in modes(poles, 1.0 / node.sample_rate))
 
 
+def has_force(axis: AxisParameters) -> bool:
+    """Tell whether the controller of an axis knows of a force in the stack.
+
+    Parameters
+    ----------
+    axis : AxisParameters
+    """
+    return axis.motion_controller.model.force.there
+
+
 def damped_pid(given) -> dict:
     """Return a PID in front of the first kind of damping whose loops are what every design is held to.
 
@@ -49,16 +60,35 @@ def damped_pid(given) -> dict:
     ConfigurationError
         No kind is.
     """
-    key = ("pid", "damping")
+    return _kept(given, KINDS)
+
+
+def forced_pid(given) -> dict:
+    """Return a PID in front of a damping by the measured force.
+
+    Parameters
+    ----------
+    given : comparison.candidates.Given
+
+    Raises
+    ------
+    ConfigurationError
+        Its loops are not what every design is held to.
+    """
+    return _kept(given, BY_FORCE)
+
+
+def _kept(given, kinds: tuple[str, ...]) -> dict:
+    key = ("pid", *kinds)
     if key not in given.gains:
-        given.gains[key] = _designed(given.axis)
+        given.gains[key] = _designed(given.axis, kinds)
     return given.gains[key]
 
 
-def _designed(axis: AxisParameters) -> dict:
+def _designed(axis: AxisParameters, kinds: tuple[str, ...]) -> dict:
     plain = replace(axis, motion_controller=replace(axis.motion_controller, feedforward=FeedforwardParameters()))
     reasons = []
-    for kind in KINDS:
+    for kind in kinds:
         try:
             found = design_axis(plain, DesignRequest("pid", damping=kind))
         except ParameterError as error:

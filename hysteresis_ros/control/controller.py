@@ -26,6 +26,7 @@ from hysteresis_ros.control.inversion import inverse_filter, preview_warning
 from hysteresis_ros.control.learning.parameters import LearningParameters, period_samples
 from hysteresis_ros.control.registry import LAWS, with_groups
 from hysteresis_ros.errors import ParameterError
+from hysteresis_ros.models.force_sensor import ForceParameters
 from hysteresis_ros.models.linear import LinearParameters
 from hysteresis_ros.models.preload import PreloadParameters
 from hysteresis_ros.parameters import Parameters, group, parameter
@@ -37,6 +38,7 @@ class ModelParameters(Parameters):
 
     dynamics: LinearParameters = group(LinearParameters)
     preload: PreloadParameters = group(PreloadParameters)
+    force: ForceParameters = group(ForceParameters)
 
 
 @dataclass(frozen=True)
@@ -96,7 +98,7 @@ class ControllerParameters(Parameters):
             return self
         kept = self.__dict__.setdefault("_before_damping", {})
         if sample_time not in kept:
-            dynamics = damped(self.model.dynamics, self.damping, sample_time)
+            dynamics = damped(self.model.dynamics, self.damping, sample_time, self.model.force)
             model = replace(self.model, dynamics=dynamics)
             kept[sample_time] = replace(self, model=model, damping=DampingParameters())
         return kept[sample_time]

@@ -21,7 +21,7 @@ from dataclasses import replace
 import numpy as np
 
 from hysteresis_ros.control.base import APPLIED, COMMAND, FEEDFORWARD
-from hysteresis_ros.control.damping.kind import NOTHING
+from hysteresis_ros.control.damping.kind import FORCE, NOTHING
 from hysteresis_ros.control.damping.plant import inner_loop
 from hysteresis_ros.control.feedforward import FeedforwardParameters
 from hysteresis_ros.control.margins import Margins, margins_of, plant_state_space
@@ -124,8 +124,9 @@ def whole_loop(parameters, sample_time: float) -> tuple[StateSpace, StateSpace]:
     controller, plant = linear_loop(parameters, sample_time)
     if parameters.damping.source == NOTHING:
         return controller, plant
-    dynamics = parameters.model.dynamics
-    return inner_loop(parameters.damping, dynamics, sample_time).behind(controller), plant_state_space(dynamics)
+    dynamics, damping = parameters.model.dynamics, parameters.damping
+    loop = inner_loop(damping, dynamics, sample_time, parameters.model.force)
+    return loop.behind(controller), plant_state_space(dynamics, acting=damping.source == FORCE)
 
 
 def margins(parameters, sample_time: float) -> Margins:

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hysteresis_ros.control.margins import Margins
+from hysteresis_ros.control.margins import Margins, loop_parts
 from hysteresis_ros.models.state_space import StateSpace
 
 
@@ -192,13 +192,15 @@ class MeasuredLoop:
         return frequencies, places, parts
 
 
-def loop_of(controller: StateSpace, frequency, plant, radius, sample_time: float) -> MeasuredLoop:
+def loop_of(
+    controller: StateSpace, frequency, plant, radius, sample_time: float, model: StateSpace | None = None
+) -> MeasuredLoop:
     """Return the loop of a controller that is known and a plant that was measured.
 
     Parameters
     ----------
     controller : StateSpace
-        Inputs (reference, measured), output command.
+        Inputs (reference, measured), output command; behind a damping by force what acts as third input.
     frequency : ndarray, shape (F,)
         [Hz]
     plant : ndarray of complex, shape (F,)
@@ -207,9 +209,16 @@ def loop_of(controller: StateSpace, frequency, plant, radius, sample_time: float
         Of the circles around it.
     sample_time : float
         [s]
+    model : StateSpace, optional
+        From command to the inputs of the controller behind the reference; needed where those are more than one.
     """
-    feedback = -controller.response(np.exp(2j * np.pi * frequency * sample_time))[:, 0, 1]
-    return MeasuredLoop(frequency, feedback * plant, np.abs(feedback) * radius, sample_time)
+    z = np.exp(2j * np.pi * frequency * sample_time)
+    feedback = -controller.response(z)[:, 0, 1]
+    loop = feedback * plant
+    if model is not None:
+        # what acts is gain and delay: nothing that a response would show better
+        loop = loop + np.sum(loop_parts(controller, model, z)[:, 1:], axis=1)
+    return MeasuredLoop(frequency, loop, np.abs(feedback) * radius, sample_time)
 
 
 def _between(values, place: int, part: float) -> float:

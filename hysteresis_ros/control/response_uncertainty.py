@@ -24,7 +24,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hysteresis_ros.control.margins import REQUIRED, loop_transfer
+from hysteresis_ros.control.margins import REQUIRED, loop_parts
 from hysteresis_ros.models.state_space import StateSpace
 
 #: What may stand, as a multiple of the model's response, where nothing is known: a resonance of 3 % damping. One nearer
@@ -106,10 +106,11 @@ class ResponseUncertainty:
         near = [abs(np.angle(pole)) + 5.0 * abs(np.log(abs(pole))) * np.linspace(-1.0, 1.0, AROUND) for pole in poles]
         angles = np.unique(np.concatenate([angles, *near]))
         angles = angles[(angles > 0.0) & (angles <= np.pi)]
-        values = loop_transfer(controller, plant, np.exp(1j * angles))
+        parts = loop_parts(controller, plant, np.exp(1j * angles))
+        values = np.sum(parts, axis=1)
         frequencies = angles / (2.0 * np.pi * sample_time)
         uncertain = self.at(frequencies)
-        distance = np.abs(1.0 + values) - uncertain * np.abs(values)
+        distance = np.abs(1.0 + values) - uncertain * np.abs(parts[:, 0])
         place = int(np.argmin(distance))
         nominal = float(np.min(np.abs(1.0 + values)))
         return Borne(float(distance[place]), float(frequencies[place]), float(uncertain[place]), nominal)

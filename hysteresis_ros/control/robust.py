@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from hysteresis_ros.control.damping.kind import FORCE
 from hysteresis_ros.control.damping.plant import closing
 from hysteresis_ros.control.gain_design import Designed, design_gains
 from hysteresis_ros.control.linearisation import linear_loop
@@ -106,8 +107,9 @@ def robustness(parameters, sample_time: float, uncertainty: Uncertainty) -> Robu
 def _plants(parameters, sample_time: float, uncertainty: Uncertainty) -> tuple[PossiblePlant, ...]:
     """Return the plants, with the damping of the parameters around each of them."""
     dynamics = parameters.model.dynamics
-    around = closing(parameters.damping, dynamics, sample_time)
-    return tuple(one.closed(around) for one in drawn_plants(dynamics, sample_time, uncertainty))
+    around = closing(parameters.damping, dynamics, sample_time, parameters.model.force)
+    drawn = drawn_plants(dynamics, sample_time, uncertainty, acting=parameters.damping.source == FORCE)
+    return tuple(one.closed(around) for one in drawn)
 
 
 def _robustness(parameters, sample_time: float, uncertainty: Uncertainty, plants) -> Robustness:

@@ -181,7 +181,13 @@ def slowed(dynamics: LinearParameters, slowness: float) -> dict:
 
 
 def possible_plant(
-    dynamics: LinearParameters, sample_time: float, gain: float = 1.0, slowness: float = 1.0, late: float = 0.0
+    dynamics: LinearParameters,
+    sample_time: float,
+    gain: float = 1.0,
+    slowness: float = 1.0,
+    late: float = 0.0,
+    *,
+    acting: bool = False,
 ) -> PossiblePlant:
     """Return a plant whose gain, times and delay differ from the model's.
 
@@ -195,6 +201,8 @@ def possible_plant(
         Factors on the gain and on all times.
     late : float
         Further delay [samples].
+    acting : bool
+        With the second output of :func:`~hysteresis_ros.control.margins.with_acting`.
     """
     changed = slowed(dynamics, slowness) if slowness != 1.0 else {}
     matrices: dict[str, Any] = {name: tuple(changed[name]) for name in ("A", "B") if name in changed}
@@ -202,10 +210,12 @@ def possible_plant(
     scale = dynamics.resolved_input_scale
     other = replace(dynamics, **matrices, delay=delay, sample_time=sample_time, input_scale=scale)
     text = f"gain {100.0 * (gain - 1.0):+.3g} %, times {100.0 * (slowness - 1.0):+.3g} %, {late:.3g} samples later"
-    return PossiblePlant(plant_state_space(other).scaled(gain), late, text)
+    return PossiblePlant(plant_state_space(other, acting=acting).scaled(gain), late, text)
 
 
-def drawn_plants(dynamics: LinearParameters, sample_time: float, uncertainty: Uncertainty) -> tuple[PossiblePlant, ...]:
+def drawn_plants(
+    dynamics: LinearParameters, sample_time: float, uncertainty: Uncertainty, *, acting: bool = False
+) -> tuple[PossiblePlant, ...]:
     """Return the model, the corners of its uncertainty, and plants drawn evenly within it.
 
     Parameters
@@ -215,18 +225,20 @@ def drawn_plants(dynamics: LinearParameters, sample_time: float, uncertainty: Un
     sample_time : float
         [s]
     uncertainty : Uncertainty
+    acting : bool
+        With the second output of :func:`~hysteresis_ros.control.margins.with_acting`.
 
     Returns
     -------
     tuple of PossiblePlant
         1 + 8 + ``draws`` of them, the model first.
     """
-    found = [PossiblePlant(plant_state_space(dynamics))]
+    found = [PossiblePlant(plant_state_space(dynamics, acting=acting))]
     largest = (1.0 + uncertainty.gain) * (1.0 + uncertainty.hysteresis)
     least = (1.0 - uncertainty.gain) * (1.0 - uncertainty.hysteresis)
     times = (1.0 - uncertainty.resonance, 1.0 + uncertainty.resonance)
     for gain, slowness, late in combinations((least, largest), times, (0.0, uncertainty.delay)):
-        found.append(possible_plant(dynamics, sample_time, gain, slowness, late))
+        found.append(possible_plant(dynamics, sample_time, gain, slowness, late, acting=acting))
     random = np.random.default_rng(uncertainty.seed)
     for _ in range(uncertainty.draws):
         gain, slope, slowness = random.uniform(-1.0, 1.0, 3)
@@ -237,6 +249,7 @@ def drawn_plants(dynamics: LinearParameters, sample_time: float, uncertainty: Un
                 float((1.0 + uncertainty.gain * gain) * (1.0 + uncertainty.hysteresis * slope)),
                 float(1.0 + uncertainty.resonance * slowness),
                 float(uncertainty.delay * random.uniform()),
+                acting=acting,
             )
         )
     return tuple(found)

@@ -89,20 +89,24 @@ class Device:
             raise DriverError(self.name, text, "look at the device, its connection and its driver") from error
 
     def read(self) -> tuple[float, ...]:
-        """Return the position of each joint [position_unit], NaN where there is none.
+        """Return the position of each joint [position_unit] and behind them the forces [N], NaN where there is none.
 
         Raises
         ------
         DriverError
-            The device does not answer, with another number of positions than it said, or with an infinite one.
+            The device does not answer, or with another number of positions or forces than it said, or with an infinite
+            position.
         """
         with self._named("cannot be read"):
-            positions = tuple(map(float, self._driver.read().positions))
+            reading = self._driver.read()
+            positions, forces = tuple(map(float, reading.positions)), tuple(map(float, reading.forces))
             if len(positions) != self.capabilities.joints:
                 raise ValueError(f"{len(positions)} positions of {self.capabilities.joints} joints")
+            if len(forces) != self.capabilities.forces:
+                raise ValueError(f"{len(forces)} forces, {self.capabilities.forces} were announced")
             if any(map(math.isinf, positions)):
                 raise ValueError("an infinite position")
-            return positions
+            return positions + forces
 
     def write(self, voltages: Sequence[float]) -> None:
         """Put out voltages.

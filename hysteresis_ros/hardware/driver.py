@@ -64,6 +64,8 @@ class Capabilities:
     position_unit, voltage_unit : str
         Units of what is read and put out. Others than ``m`` and ``V`` are those of a device that knows nothing of what
         stands behind it: the parameters ``calibration`` of the plant's node, which have to name them, make m and V.
+    forces : int
+        Forces that it reads besides the positions [N]: of an axis that in the stack, or none.
     """
 
     joints: int
@@ -75,12 +77,14 @@ class Capabilities:
     keeps_time: bool = False
     position_unit: str = "m"
     voltage_unit: str = "V"
+    forces: int = 0
 
 
 class Compiled(NamedTuple):
     """Functions of an open device that machine code calls by their addresses, as in ``hysteresis_driver.h``."""
 
-    #: ``int32_t read(void *device, double *positions)``: 0, an error code, or :data:`NOTHING_NEW`.
+    #: ``int32_t read(void *device, double *positions)``: 0, an error code, or :data:`NOTHING_NEW`. Forces, if there are
+    #: any, stand behind the positions.
     read: int
     #: ``int32_t write(void *device, const double *voltages)``: 0 or an error code.
     write: int
@@ -101,6 +105,8 @@ class Reading(NamedTuple):
 
     #: Position of each joint [position_unit]; NaN where there is none. What is not finite is not used.
     positions: tuple[float, ...]
+    #: Forces [N], as many as the capabilities say; NaN where there is none.
+    forces: tuple[float, ...] = ()
 
 
 class Driver(ABC):

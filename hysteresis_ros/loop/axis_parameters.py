@@ -17,6 +17,7 @@ from dataclasses import dataclass, replace
 from hysteresis_ros.compensation.compensator import CompensatorParameters
 from hysteresis_ros.compensation.reachable import commandable
 from hysteresis_ros.configuration import NODE_NAMES, Configuration, dump_configuration, normalised_namespace
+from hysteresis_ros.control.damping.kind import FORCE
 from hysteresis_ros.errors import ConfigurationError, ParameterError, Problem
 from hysteresis_ros.loop.faults import parse_fault
 from hysteresis_ros.loop.inchworm_checks import inchworm_problems
@@ -77,6 +78,17 @@ def _adaptation_problems(controller, compensator):
     if adaptation.type != "none" and adaptation.offset == "measured" and adaptation.zero != zero:
         allowed = f"must be what motion_controller's model.preload takes off the measurement, {zero:.9g} m"
         yield Problem("hysteresis_compensator: adaptation.zero", adaptation.zero, allowed)
+
+
+def _force_problems(plant, controller):
+    """Yield a Problem where a damping needs a force that this axis does not measure."""
+    simulated = not plant.driver and not plant.external_plant
+    if controller.damping.source == FORCE and simulated and not plant.force_sensor.there:
+        allowed = (
+            f"missing force joint '{plant.force_joint}': nothing measures the force in the stack; give plant_simulator "
+            "a force_sensor (stack_stiffness, flexure_stiffness), or a driver that has one, or take irc or ppf"
+        )
+        yield Problem("motion_controller: damping.type", controller.damping.type, allowed)
 
 
 #: Time-outs of the nodes, what happens after them, and where the output then goes.
@@ -196,7 +208,7 @@ class AxisParameters:
         plant = parts["plant_simulator"]
         camera = parts["displacement_camera"]
         for name in (*node_names(inchworm), *(["displacement_camera"] if camera is not None else [])):
-            for shared in ("sample_rate", "time_mode", "joint", "faults", "external_plant"):
+            for shared in ("sample_rate", "time_mode", "joint", "force_joint", "faults", "external_plant"):
                 value, awaited = getattr(parts[name], shared), getattr(plant, shared)
                 if value != awaited:
                     allowed = f"must equal the plant_simulator's {awaited!r}; give it once, under '/**'"
@@ -215,6 +227,7 @@ class AxisParameters:
         problems += _short_timeouts(parts)
         problems += _inchworm_mismatches(plant, parts)
         problems += _camera_mismatches(plant, camera)
+        problems += _force_problems(plant, parts["motion_controller"])
         problems += _adaptation_problems(parts["motion_controller"], parts["hysteresis_compensator"])
         if problems:
             raise ParameterError(problems)

@@ -31,6 +31,7 @@ from hysteresis_ros.control.controller import (
 )
 from hysteresis_ros.control.damping import block as damping
 from hysteresis_ros.control.damping.block import as_output, damp
+from hysteresis_ros.control.damping.kind import FORCE as BY_FORCE
 from hysteresis_ros.control.feedforward import feedforward
 from hysteresis_ros.control.handover import DECAY, HandoverParameters, arm, go_on_from, handover
 from hysteresis_ros.control.learning.block import Learning
@@ -98,7 +99,8 @@ USE_ORIGIN = 3  # 1: the measurement counts from the sequencer's origin
 PREDICTS = 4  # 1: the law goes on by what its observer foresees while a measurement is missing
 LOWEST = 5  # least and largest command that is sent [m]
 HIGHEST = 6
-OWN_PARAMETERS = 7
+NEEDS_FORCE = 7  # 1: the damping is one of the force; without it nothing is answered
+OWN_PARAMETERS = 8
 
 # Own state.
 STOP = 0  # 1 while told to stop
@@ -109,7 +111,8 @@ ANSWERED = 4  # 1 once it did
 REFERENCE = 5  # last finite reference [m]
 COMMANDED = 6  # last command [m]; behind a damping the law knows it as an output of its own
 OFFSET_LEFT = 7  # what is left of the offset before its last change [m]
-OWN_STATES = 8
+FORCE = 8  # measured force of the last sample [N]
+OWN_STATES = 9
 
 #: An offset that is smaller is none [m].
 NO_OFFSET = 1e-18
@@ -163,8 +166,11 @@ def corrected(p, x, own, value, followed, skipped):
 
 
 @nested
-def answer(laws, arrays, value, wanted):
-    """Return the command [m] for the displacement ``value`` [m] without offset; NaN: for what the law foresees."""
+def answer(laws, arrays, value, wanted, force):
+    """Return the command [m] for the displacement ``value`` [m] without offset, NaN: for what the law foresees.
+
+    ``force`` is the measured one [N].
+    """
     p, x, own = arrays.p, arrays.x, arrays.watch_x.own
     if own[RETURNING] != 0.0:
         resume(x, own, value)
@@ -180,7 +186,7 @@ def answer(laws, arrays, value, wanted):
     x.controller[header.FEEDFORWARD] = fed
     wanted = laws.controller(p.controller, x.controller, delayed, value)
     seen = value if value == value else x.controller[header.ESTIMATED]
-    return handover(p.handover, x.handover, damp(p.damping, x.damping, wanted, seen))
+    return handover(p.handover, x.handover, damp(p.damping, x.damping, wanted, seen, force))
 
 
 @nested
@@ -190,7 +196,11 @@ def control(laws, arrays, row):
     guard_p, guard = arrays.watch_p.guard, arrays.watch_x.guard
     faults_p, faults = arrays.watch_p.faults, arrays.watch_x.faults
     state = arrays.x.controller
-    seen = receive(guard_p, guard, faults_p, faults, faulty.MEASUREMENT, row[at.MEASURED], row[at.SKIPPED])
+    own[FORCE] = row[at.FORCE]
+    # a loop that was made for a damped stage is not closed without the damping
+    unforced = own_p[NEEDS_FORCE] != 0.0 and own[FORCE] - own[FORCE] != 0.0
+    missing = 1.0 if unforced else row[at.SKIPPED]
+    seen = receive(guard_p, guard, faults_p, faults, faulty.MEASUREMENT, row[at.MEASURED], missing)
     command = own[COMMANDED]
     value = seen
     if row[at.REFERENCE] - row[at.REFERENCE] == 0.0:
@@ -209,7 +219,7 @@ def control(laws, arrays, row):
         mode = STOPPED
     elif is_stale(guard_p, guard):
         mode = STALE
-    elif value != value and (unfollowed or not foreseeable(own_p, own, state, seen)):
+    elif value != value and (unfollowed or unforced or not foreseeable(own_p, own, state, seen)):
         mode = HOLDING
     elif unfollowed:
         mode = FOLLOWING
@@ -219,7 +229,7 @@ def control(laws, arrays, row):
             mode = HOLDING
     wanted = corrected(arrays.p, arrays.x, own, value, answered, row[at.SKIPPED])
     if answered:
-        command = answer(laws, arrays, value, wanted)
+        command = answer(laws, arrays, value, wanted, own[FORCE])
     elif mode == FOLLOWING:
         # no faster than to safe: where commands are carried out after all, a copy would be a loop of gain one
         command = towards(command, value, own_p[SAFE_STEP])
@@ -300,6 +310,7 @@ class ControllerPart:
         own[USE_ORIGIN] = parameters.use_origin
         own[PREDICTS] = self.controller.predicts
         own[LOWEST], own[HIGHEST] = parameters.command_range
+        own[NEEDS_FORCE] = parameters.damping.source == BY_FORCE
 
     @property
     def _blocks(self) -> tuple:
@@ -405,6 +416,7 @@ class ControllerPart:
         block = part(parameters, ControllerParameters).without_preload.validated()
         own = block.before_damping(1.0 / parameters.sample_rate)
         learning = self.learning.changed(block.learning, block.handover_time)
+        self._require_force(block)
         lasting = None
         if block.type == self.parameters.type:
             self._require_order(block, own)
@@ -424,6 +436,12 @@ class ControllerPart:
         self._pack_own(parameters)
         self.parameters = parameters
         self._connect()
+
+    def _require_force(self, block: ControllerParameters) -> None:
+        """Refuse to begin with a damping of a force that nobody measures."""
+        if block.damping.source == BY_FORCE and not np.isfinite(self._watch_x.own[FORCE]):
+            allowed = f"missing force joint '{self.parameters.force_joint}': no force is measured; take irc or ppf"
+            raise ParameterError([Problem("damping.type", block.damping.type, allowed)])
 
     def _require_order(self, block: ControllerParameters, own: ControllerParameters) -> None:
         """Refuse another damping under an observer, or an inverse of the dynamics, of the order of the present one."""

@@ -36,6 +36,7 @@ from hysteresis_ros.loop.plant import (
     no_joints,
     sense,
     tell_joints,
+    told_force,
     watched_voltage,
 )
 from hysteresis_ros.loop.watch import FOLLOWS, GIVEN, HELD, HELD_AGE, HELD_BEGUN, SAFE
@@ -59,7 +60,7 @@ class DevicePlantArrays(NamedTuple):
 
     link: np.ndarray
     answer: np.ndarray
-    #: Where the device finds all its voltages and leaves all its positions, both in its own units.
+    #: Where the device finds all its voltages and leaves all its positions, both in its own units, and then its forces.
     positions: np.ndarray
     voltages: np.ndarray
     limits_p: np.ndarray
@@ -170,10 +171,9 @@ def read_device(arrays):
     if code != 0:
         fail_device(arrays, READING, code)
         return math.nan
-    for i in range(arrays.positions.shape[0]):
-        if not math.isfinite(arrays.positions[i]):
-            fail_device(arrays, NONSENSE, 0)
-            return math.nan
+    if not math.isfinite(reading):
+        fail_device(arrays, NONSENSE, 0)
+        return math.nan
     return sensor_displacement(arrays.sensor_p, arrays.sensor_x, reading)
 
 
@@ -194,6 +194,8 @@ def sense_device(laws, arrays, row):
     if is_linked(arrays.link):
         asked = trip[TRIP] != DEVICE_FAILED and row[at.SKIPPED] == 0.0
         row[at.MEASURED] = read_device(arrays) if asked else math.nan
+        there = row[at.MEASURED] == row[at.MEASURED] and arrays.positions.shape[0] > 1
+        row[at.FORCE] = told_force(arrays.watch_p, arrays.watch_x, arrays.positions[1] if there else math.nan)
         stop_for_homing(trip, arrays.sensor_x[HOMING] > 0.0)
     elif row[at.TRIPPED] == DEVICE_FAILED and trip[TRIP] != DEVICE_FAILED:
         fail_device(arrays, READING, 0)

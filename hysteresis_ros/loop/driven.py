@@ -47,12 +47,15 @@ from hysteresis_ros.loop.plant import (
     Plant,
     actuate,
     sense,
+    told_force,
     watched_voltage,
 )
 from hysteresis_ros.loop.plant_types import PLANTS
 from hysteresis_ros.loop.watch import FOLLOWS, HELD, hold_state, hold_voltage
 from hysteresis_ros.models.calibration import AmplifierCalibration, SensorCalibration
 from hysteresis_ros.models.limits import FLAGS, LIMITED_SAMPLES, OUTPUT, UNQUANTISED, Limits, LimitsParameters, limits
+
+_TOLD = interpreted(told_force)
 
 
 class DrivenPlant(Plant):
@@ -114,6 +117,8 @@ class DrivenPlant(Plant):
             raise DriverError(device, f"the device reads {units[0]!r} and puts out {units[1]!r}", remedy)
         if can.joints != 1:
             raise DriverError(device, f"the device has {can.joints} joints", "an axis has 1: choose another device")
+        if not 0 <= can.forces <= 1:
+            raise DriverError(device, f"the device has {can.forces} forces", "an axis has none or 1")
         if can.voltages < 1:
             raise DriverError(device, "the device puts out no voltage", "an axis needs 1: choose another device")
         least, most = sorted(map(self.amplifier.value, (low, high)))
@@ -132,6 +137,11 @@ class DrivenPlant(Plant):
     def capabilities(self) -> Capabilities:
         """What the device is able to do."""
         return self._device.capabilities
+
+    @property
+    def measures_force(self) -> bool:
+        """Whether the device has a force sensor."""
+        return self.capabilities.forces > 0
 
     @property
     def description(self) -> str:
@@ -177,10 +187,12 @@ class DrivenPlant(Plant):
         row : sequence of float
         """
         interpreted(faulty.begin_sample)(self._watch_x.faults)
-        row[at.MEASURED] = math.nan
+        row[at.MEASURED] = row[at.FORCE] = math.nan
         if not self.failure:
             try:
-                row[at.MEASURED] = self.sensor.step(self._device.read()[0])
+                position, *forces = self._device.read()
+                row[at.MEASURED] = self.sensor.step(position)
+                row[at.FORCE] = _TOLD(self._watch_p, self._watch_x, forces[0] if forces else math.nan)
             except DriverError as error:
                 self._fail(error)
         stop_for_homing(self._watch_x.trip, self.sensor.homing)
@@ -334,7 +346,7 @@ class CompiledPlant(DrivenPlant):
     # places where others have the law of a simulated plant
     kernels = (limits,) * 3
 
-    given = (at.MEASURED, at.TRIPPED)
+    given = (at.MEASURED, at.TRIPPED, at.FORCE)
 
     def __init__(self, parameters: PlantNodeParameters, linked: bool = True):
         self._linked = linked
@@ -347,7 +359,7 @@ class CompiledPlant(DrivenPlant):
                 problem = "is written in Python, which would wait for its lock in each sample"
                 remedy = "run the axis without --fused, or give the driver a compiled form (docs/hardware.md)"
                 raise DriverError(f"driver {parameters.driver}:", problem, remedy)
-        sizes = (joints.joints, joints.voltages) if joints is not None else (1, 1)
+        sizes = (joints.joints + joints.forces, joints.voltages) if joints is not None else (1, 1)
         self.arrays = DevicePlantArrays(
             link_to(compiled),
             np.zeros(ANSWERS, dtype=np.int64),

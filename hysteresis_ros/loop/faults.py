@@ -27,7 +27,7 @@ from hysteresis_ros.errors import ConfigurationError
 from hysteresis_ros.models.sensor import generator_state, uniform
 
 # What a fault acts on.
-MEASUREMENT, APPLIED, COMMAND, VOLTAGE, GRIP, STOP = range(6)
+MEASUREMENT, APPLIED, COMMAND, VOLTAGE, GRIP, STOP, FORCE = range(7)
 
 # What it does to it.
 LOST, SPIKE, FREEZE, DELAY, DROP, ADD, DISORDER, SCALE, SET = range(9)
@@ -85,6 +85,7 @@ FAULTS = {
     "lost_grip": Fault(
         GRIP, SCALE, "the front clamp grips with that part of its force", 0.0, "1", 0.0, 1.0, motor=True
     ),
+    "lost_force": Fault(FORCE, LOST, "the force sensor says nothing"),
     "stop": Fault(STOP, SET, "the controller is stopped, and started again at the end"),
 }
 

@@ -55,6 +55,9 @@ class NodeParameters(Parameters):
         "can; fused: all nodes in one process, one compiled thread makes the samples in real time",
     )
     joint: str = parameter("extender", read_only=True, description="name of the joint in joint_states")
+    force_joint: str = parameter(
+        "force", read_only=True, description="joint in joint_states whose effort is the measured force in the stack"
+    )
     autostart: bool = parameter(True, read_only=True, description="configure and activate by itself at start")
     use_sim_time: bool = parameter(
         False, description="take the time of log lines and diagnostics from /clock; samples have their own stamps"
@@ -302,6 +305,11 @@ class PlantNodeParameters(NodeParameters, ActuatorParameters):
         if self.type == "camera" and self.time_mode == "fused":
             allowed = "the thread of a fused loop has no time to look at frames: give time_mode: realtime or lockstep"
             yield Problem("time_mode", self.time_mode, allowed)
+        if self.force_sensor.there and self.type != "actuator":
+            allowed = f"a force sensor belongs to the stack of type actuator; give 0 with type {self.type}"
+            yield Problem("force_sensor.stack_stiffness", self.force_sensor.stack_stiffness, allowed)
+        if self.joint == self.force_joint:
+            yield Problem("force_joint", self.force_joint, "must be another name than joint")
         if self.type == "inchworm":
             yield from seed_problems(self)
             others = JOINT_NAMES[1:]

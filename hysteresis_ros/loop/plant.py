@@ -49,6 +49,7 @@ from hysteresis_ros.models import limits as limiting
 from hysteresis_ros.models.actuator import (
     ActuatorArrays,
     actuator_advance,
+    actuator_force,
     actuator_measure,
 )
 from hysteresis_ros.models.inchworm import (
@@ -102,7 +103,7 @@ class MotorPlantArrays(NamedTuple):
 
 
 #: Faults that act on a plant.
-TARGETS = (faulty.VOLTAGE, faulty.GRIP)
+TARGETS = (faulty.VOLTAGE, faulty.GRIP, faulty.FORCE)
 
 # Parameters of the trip: late voltages that are allowed (0: any), and how many of them a sample forgives; between which
 # measurements [m] the axis may go on; the nominal stiffness of the front clamp, for the fault lost_grip.
@@ -166,10 +167,17 @@ def put_out(trip_p, trip_x, hold_p, hold_x, voltage, measured):
 
 
 @nested
+def told_force(p, x, force):
+    """Return the force [N] that is read, as the faults leave it; ``p`` and ``x`` are :class:`PlantWatchArrays`."""
+    return faulty.given_instead(p.faults, x.faults, faulty.FORCE, force)
+
+
+@nested
 def sense_actuator(laws, arrays, row):
     """Measure an actuator."""
     faulty.begin_sample(arrays.watch_x.faults)
     row[at.MEASURED] = actuator_measure(arrays.p, arrays.x)
+    row[at.FORCE] = told_force(arrays.watch_p, arrays.watch_x, actuator_force(arrays.p, arrays.x))
     row[at.DISPLACEMENT] = arrays.x.sensor[acting.DISPLACEMENT]
     row[at.TRIPPED] = arrays.watch_x.trip[TRIP]
 
@@ -206,6 +214,7 @@ def sense_motor(laws, arrays, row):
     """Measure all joints of a motor."""
     faulty.begin_sample(arrays.watch_x.faults)
     row[at.MEASURED] = inchworm_measure(arrays.p, arrays.x)
+    row[at.FORCE] = math.nan
     joints = arrays.x.joints
     row[at.DISPLACEMENT] = joints[motors.TRUE_POSITION + motors.SLIDER_JOINT]
     row[at.EXTENDER] = joints[motors.POSITION + motors.EXTENDER_JOINT]
@@ -329,6 +338,9 @@ class Plant:
 
     #: Whether the axis stands still because its sensor is homed.
     finding_home = False
+
+    #: Whether a force in the stack is measured besides the displacement.
+    measures_force = False
 
     #: Whether machine code makes its samples.
     is_compiled = True

@@ -44,6 +44,11 @@ class ActuatorPlant(Plant):
         return (self.actuator.hysteresis_kernel,) * 3
 
     @property
+    def measures_force(self) -> bool:
+        """Whether there is a force sensor."""
+        return self.parameters.force_sensor.there
+
+    @property
     def resting_voltages(self) -> tuple[float, float, float]:
         """Voltages [V] before any is received."""
         return self.actuator.voltage, 0.0, 0.0

@@ -19,6 +19,14 @@ import numpy as np
 from hysteresis_ros.block import Chain, interpreted, kernel, nested
 from hysteresis_ros.models import sensor as sensing
 from hysteresis_ros.models.creep import Creep, CreepParameters, creep
+from hysteresis_ros.models.force_sensor import (
+    ForceSensorParameters,
+    force_reading,
+    force_state,
+    note_acting,
+    pack_force,
+    settle_force,
+)
 from hysteresis_ros.models.hysteresis import HysteresisParameters, hysteresis_block
 from hysteresis_ros.models.limits import OUTPUT, Limits, LimitsParameters, limits
 from hysteresis_ros.models.linear import LinearDynamics, LinearParameters, linear_advance, linear_output
@@ -39,6 +47,7 @@ class ActuatorArrays(NamedTuple):
     dynamics: np.ndarray
     sensor: np.ndarray
     creep: np.ndarray
+    force: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -51,6 +60,7 @@ class ActuatorParameters(Parameters):
     dynamics: LinearParameters = group(LinearParameters)
     preload: PreloadParameters = group(PreloadParameters)
     sensor: SensorParameters = group(SensorParameters)
+    force_sensor: ForceSensorParameters = group(ForceSensorParameters)
 
 
 @kernel
@@ -68,11 +78,19 @@ def actuator_measure(ps, xs):
 
 
 @nested
+def actuator_force(ps, xs):
+    """Force in the stack as its sensor reads it [N], NaN without one; once a sample, as :func:`actuator_measure`."""
+    return force_reading(ps.force, xs.force, linear_output(ps.dynamics, xs.dynamics))
+
+
+@nested
 def actuator_advance(hysteresis, ps, xs, voltage):
     """Hold ``voltage`` [V] until the next sample; returns the voltage that the amplifier really puts out [V]."""
     applied = limits(ps.limits, xs.limits, voltage)
     displacement = hysteresis(ps.hysteresis, xs.hysteresis, applied)
-    linear_advance(ps.dynamics, xs.dynamics, creep(ps.creep, xs.creep, displacement))
+    crept = creep(ps.creep, xs.creep, displacement)
+    note_acting(ps.force, xs.force, xs.dynamics, crept)
+    linear_advance(ps.dynamics, xs.dynamics, crept)
     return applied
 
 
@@ -106,21 +124,29 @@ class Actuator(Chain):
         p = np.append(self.sensor.p, parameters.preload.offset)
         x = np.append(self.sensor.x, 0.0)
         self.sensor.p, self.sensor.x = p[:PRELOAD], x[:DISPLACEMENT]  # views: the sensor's block stays usable
-        self.ps = ActuatorArrays(self.limits.p, self.hysteresis.p, self.dynamics.p, p, self.creep.p)
-        self.xs = ActuatorArrays(self.limits.x, self.hysteresis.x, self.dynamics.x, x, self.creep.x)
+        force_p = pack_force(parameters.force_sensor, parameters.dynamics, self.sample_time)
+        force_x = force_state(parameters.force_sensor)
+        self.ps = ActuatorArrays(self.limits.p, self.hysteresis.p, self.dynamics.p, p, self.creep.p, force_p)
+        self.xs = ActuatorArrays(self.limits.x, self.hysteresis.x, self.dynamics.x, x, self.creep.x, force_x)
         self.hysteresis_kernel = self.hysteresis.kernel
         self._settle()
 
     def _settle(self) -> None:
         """Put creep and dynamics to rest at the voltage that the limits start from."""
         start = self.hysteresis.step(self.limits.x[OUTPUT])
-        self.dynamics.settle(self.creep.settle(start))
+        rest = self.creep.settle(start)
+        self.dynamics.settle(rest)
+        settle_force(self.ps.force, self.xs.force, rest, self.dynamics.output())
         self.xs.sensor[DISPLACEMENT] = self.dynamics.output() + self.ps.sensor[PRELOAD]
         self.xs.sensor[sensing.MEASURED] = self.xs.sensor[DISPLACEMENT] + self.ps.sensor[sensing.OFFSET]
 
     def measure(self) -> float:
         """Return the sensor's reading [m] at the present sample; call it once per sample (it draws the noise)."""
         return interpreted(actuator_measure)(self.ps, self.xs)
+
+    def measure_force(self) -> float:
+        """Return the force [N] that the sensor reads, NaN without one; call it once per sample (it draws the noise)."""
+        return interpreted(actuator_force)(self.ps, self.xs)
 
     def advance(self, voltage: float) -> float:
         """Hold ``voltage`` [V] for one sample and return what the amplifier really put out [V]."""
@@ -145,6 +171,7 @@ class Actuator(Chain):
         """Return to rest: virgin hysteresis, noise from its start."""
         for block in (self.limits, self.hysteresis, self.creep, self.dynamics, self.sensor):
             block.reset()
+        self.xs.force[:] = force_state(self.parameters.force_sensor)
         self._settle()
 
     def retune(self, parameters: ActuatorParameters) -> None:
@@ -158,10 +185,12 @@ class Actuator(Chain):
         parameters = parameters.validated()
         parameters.hysteresis.require_same(self.parameters.hysteresis)
         require_structure(self.parameters.creep, parameters.creep)
+        parameters.force_sensor.require_same(self.parameters.force_sensor)
         self.dynamics.retune(parameters.dynamics)  # first, because it may still refuse
         self.limits.retune(parameters.limits)
         self.hysteresis.retune(parameters.hysteresis.chosen)
         self.creep.retune(parameters.creep)
         self.sensor.retune(parameters.sensor)
         self.ps.sensor[PRELOAD] = parameters.preload.offset
+        self.ps.force[:] = pack_force(parameters.force_sensor, parameters.dynamics, self.sample_time)
         self.parameters = parameters

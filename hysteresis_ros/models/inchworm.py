@@ -272,10 +272,10 @@ class Inchworm(Chain):
         self.slider_sensor = Sensor(motor.slider.sensor, sample_time)
         own = (self.slider.p, self.slider_sensor.p, np.array([1.0 / self.sample_time]))
         clamps = *self.front_clamp.ps, *self.rear_clamp.ps
-        self.ps = InchwormArrays._make((*self.extender.ps, *clamps, *own))
+        self.ps = InchwormArrays._make((*self.extender.ps[:5], *clamps, *own))
         own = (self.slider.x, self.slider_sensor.x, np.zeros(JOINT_STATES))
         clamps = *self.front_clamp.xs, *self.rear_clamp.xs
-        self.xs = InchwormArrays._make((*self.extender.xs, *clamps, *own))
+        self.xs = InchwormArrays._make((*self.extender.xs[:5], *clamps, *own))
         self.hysteresis_kernels = InchwormLaws(
             *(part.hysteresis_kernel for part in (self.extender, self.front_clamp, self.rear_clamp))
         )

@@ -137,6 +137,18 @@ class LinearParameters(Parameters):
         return StateSpace(A, B, C, np.array([[through * inputs[0]]]))
 
     @property
+    def acting(self) -> tuple[np.ndarray, float]:
+        """Input that acts in a sample, (row, through): row · x + through · u of the state and the input before it."""
+        whole, part = self.delayed_samples
+        n, row = self._rows, np.zeros(self.order)
+        # the last inputs, u_(k-1) first, are the states behind those of the matrices
+        if whole:
+            row[n + whole - 1] = 1.0 - part
+        if part:
+            row[n + whole] = part
+        return row, 0.0 if whole else 1.0 - part
+
+    @property
     def matrices(self) -> StateSpace:
         """The dynamics in model units without the delay."""
         n = self._rows

@@ -124,6 +124,11 @@ class StateSpace:
         """Return the system with its output multiplied by ``gain``."""
         return StateSpace(self.A, self.B, gain * self.C, gain * self.D)
 
+    @property
+    def shown(self) -> StateSpace:
+        """The system with its first output alone."""
+        return StateSpace(self.A, self.B, self.C[:1], self.D[:1])
+
     def part(self, states, inputs=None) -> StateSpace:
         """Return the system of some of its states alone, and of some of its inputs.
 

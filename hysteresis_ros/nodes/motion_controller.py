@@ -15,6 +15,7 @@ import math
 
 from hysteresis_ros import signals
 from hysteresis_ros.block import interpreted
+from hysteresis_ros.control.damping.kind import FORCE
 from hysteresis_ros.control.learning.correction import MODES
 from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.loop.controller import ControllerPart, carried_out, control
@@ -195,6 +196,26 @@ class MotionControllerNode(Responder):
 
     # -- messages ------------------------------------------------------------------------------------------------
 
+    def read(self, message, row) -> bool:
+        """Put the measured force into the row as well, NaN when there is none; a damping may not do without it."""
+        if not super().read(message, row):
+            return False
+        joint, names = self.parameters.force_joint, message.name
+        index = names.index(joint) if joint in names else len(message.effort)
+        row[signals.FORCE] = message.effort[index] if index < len(message.effort) else math.nan
+        if self._lacks_force(row):
+            lacks = "has no finite effort" if joint in names else f"is not in joint_states, which has {list(names)}"
+            text = f"missing force joint '{joint}': it {lacks}; {self.parameters.damping.type} cannot do without it"
+            if self.runner.exact and joint not in names:
+                self.fail(text)
+                return False
+            self.warn("force_joint", text, error=True)
+        return True
+
+    def _lacks_force(self, row) -> bool:
+        """Tell whether a row has no force for a damping that needs one."""
+        return self.parameters.damping.source == FORCE and not math.isfinite(row[signals.FORCE])
+
     def take(self, input_: Input, data: float) -> None:
         """Take a reference, an origin, or what was carried out."""
         if input_.previous:
@@ -256,6 +277,8 @@ class MotionControllerNode(Responder):
         rejected = self.since_report("rejected", self.rejected)
         if self.wrong_joint:
             return 2, f"joint '{joint}' is not in joint_states", values
+        if self._lacks_force(self.row):
+            return 2, f"missing force joint '{self.parameters.force_joint}'", values
         if not self.sample and not self.runner.exact:
             return 2, f"no measurement of '{joint}' has come yet", values
         if self.is_stale:

@@ -161,7 +161,10 @@ class PlantSimulatorNode(AxisNode):
     @property
     def joint_names(self) -> tuple[str, ...]:
         """Names in ``joint_states``."""
-        return (self.parameters.joint, *JOINT_NAMES[1:]) if self.is_motor else (self.parameters.joint,)
+        own = self.parameters.joint
+        if self.is_motor:
+            return (own, *JOINT_NAMES[1:])
+        return (own, self.parameters.force_joint) if self.part.measures_force else (own,)
 
     def _joint_states_message(self) -> JointState:
         names = self.joint_names
@@ -310,6 +313,8 @@ class PlantSimulatorNode(AxisNode):
             message.position[0] = row[signals.MEASURED]
             moved = row[signals.MEASURED] - before
             message.velocity[0] = moved * self.parameters.sample_rate
+            if self.part.measures_force:
+                message.effort[1] = row[signals.FORCE]
         tripped = row[signals.TRIPPED] != 0.0
         if tripped != self._tripped:
             self._tripped = tripped

@@ -168,9 +168,12 @@ def align(bag: Bag, namespace: str | None = None, *, further: bool = False) -> R
     signals = {name: columns[name] for name in (*COLUMNS, *motor)}
     if further:
         signals |= {name: values for name, values in _further(states, stamps).items() if name not in signals}
-    skipped = _skipped(states[PLANT], stamps)
+    skipped = np.nan_to_num(_of_plant(states[PLANT], stamps, "skipped"))
     if np.any(skipped):
         signals["skipped"] = skipped
+    force = _of_plant(states[PLANT], stamps, "force")
+    if np.any(np.isfinite(force)):
+        signals["force"] = force
     return Recording(time, signals, {}, metadata)
 
 
@@ -243,10 +246,10 @@ def _motor_columns(states: dict, joints, stamps) -> dict[str, np.ndarray]:
     return {name: found[name] for name in (*MOTOR_COLUMNS, *REQUESTS) if name in found}
 
 
-def _skipped(plant, stamps) -> np.ndarray:
-    """Return 1 where a sample was skipped, which a replay has to repeat; 0 where nothing is known."""
-    values = plant.signal("skipped") if plant is not None else None
-    return np.zeros(stamps.size) if values is None else np.nan_to_num(_by_stamp(stamps, plant.stamps, values))
+def _of_plant(plant, stamps, name: str) -> np.ndarray:
+    """Return a signal of the plant's state that not every run has, NaN where nothing is known of it."""
+    values = plant.signal(name) if plant is not None else None
+    return np.full(stamps.size, np.nan) if values is None else _by_stamp(stamps, plant.stamps, values)
 
 
 def _further(states: dict, stamps) -> dict[str, np.ndarray]:

@@ -45,7 +45,7 @@ class AxisTopics:
     namespace : str
         Namespace of the axis.
     joints : tuple of str
-        Names in ``joint_states``: one, or of a motor four.
+        Names in ``joint_states``: one, and where a force is measured that joint; or of a motor four.
     sample_rate : float
         [Hz], from which velocities follow.
     motor : bool
@@ -126,8 +126,9 @@ class SampleWriter:
         self, bag: BagWriter, axis: AxisTopics, *, block_bytes: int = BLOCK_BYTES, chunk_time: float = CHUNK_TIME
     ):
         """Announce the topics."""
-        if len(axis.joints) == 0 or (len(axis.joints) > 1 and not axis.motor):
-            raise RecordingError(f"joints = {axis.joints}: an actuator has one joint, a motor at least one")
+        if len(axis.joints) == 0 or (len(axis.joints) > 2 and not axis.motor):
+            allowed = "an actuator has one joint, or two with that of its force, a motor at least one"
+            raise RecordingError(f"joints = {axis.joints}: {allowed}")
         self.bag = bag
         self.axis = axis
         #: Effort [N] of an actuator's joint: the preload may be changed while the axis runs.
@@ -257,7 +258,11 @@ class SampleWriter:
         if not self._started:
             velocity[0] = 0.0
         self._started, self._measured = True, measured[-1]
-        return [measured[None], velocity[None], np.full((1, measured.size), self.force)]
+        groups = [measured[None], velocity[None], np.full((1, measured.size), self.force)]
+        if len(self.axis.joints) == 1:
+            return groups
+        further = np.zeros(measured.size), np.zeros(measured.size), table[signals.FORCE]
+        return [np.vstack([group, row]) for group, row in zip(groups, further, strict=True)]
 
     def _checked(self, stamps, table, joints, times):
         stamps = _instants("stamps", stamps, None)

@@ -181,8 +181,8 @@ def axis_response(recording: Recording, plan: Plan, axis: AxisParameters | None 
         if axis is None:
             loop = MeasuredLoop(response.frequency, response.single, radius, sample_time)
         else:
-            controller, _ = measured_loop_parts(axis)
-            loop = loop_of(controller, response.frequency, response.single, radius, sample_time)
+            controller, model = measured_loop_parts(axis)
+            loop = loop_of(controller, response.frequency, response.single, radius, sample_time, model)
     found = AxisResponse(plan, plant, loop)
     return found if axis is None else _with_model(found, axis)
 

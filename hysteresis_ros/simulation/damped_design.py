@@ -17,6 +17,7 @@ import numpy as np
 
 from hysteresis_ros.control.controller import ControllerParameters
 from hysteresis_ros.control.damping.design import RESONANCE, damping_plants, design_damping
+from hysteresis_ros.control.damping.kind import FORCE
 from hysteresis_ros.control.damping.parameters import DampingParameters
 from hysteresis_ros.control.damping.plant import closing, inner_loop, modes
 from hysteresis_ros.control.damping.registry import KINDS, NONE
@@ -26,8 +27,6 @@ from hysteresis_ros.control.uncertainty import PossiblePlant
 from hysteresis_ros.errors import ConfigurationError, did_you_mean
 from hysteresis_ros.models.state_space import StateSpace
 
-#: Integral force feedback, which people ask for by this name.
-FORCE_FEEDBACK = "iff"
 #: A damping that makes the loop faster by less than this factor is of little use.
 LITTLE = 1.2
 #: A law that passes the reference on: what is left is the inner loop.
@@ -58,7 +57,7 @@ class PlantsAround:
         sample_time : float
             [s]
         """
-        around = closing(control.damping, control.model.dynamics, sample_time)
+        around = closing(control.damping, control.model.dynamics, sample_time, control.model.force)
         return tuple(one.closed(around) for one in self.plants)
 
 
@@ -151,21 +150,18 @@ def around_model(control: ControllerParameters, sample_time: float, request) -> 
         Its ``robust`` says how far they may be off.
     """
     resonance = RESONANCE if request.robust is None else request.robust.resonance
-    return PlantsAround(damping_plants(control.model.dynamics, sample_time, resonance), resonance)
+    kind = control.damping.type if request.damping is None else request.damping
+    acting = kind in KINDS and KINDS[kind].source == FORCE
+    return PlantsAround(damping_plants(control.model.dynamics, sample_time, resonance, acting=acting), resonance)
 
 
 def _require(name: str) -> None:
-    """Refuse a name that no damping has, and the one that needs what an axis does not measure.
+    """Refuse a name that no damping has.
 
     Raises
     ------
     ConfigurationError
     """
-    if name == FORCE_FEEDBACK:
-        raise ConfigurationError(
-            "--damping iff: integral force feedback needs a force joint, and none is there: an axis measures its "
-            "displacement alone (effort in joint_states is the preload that was set); take irc or ppf"
-        )
     if name not in (NONE, *KINDS):
         there = ", ".join((NONE, *KINDS))
         raise ConfigurationError(
@@ -199,7 +195,7 @@ def with_damping(
     _require(request.damping)
     if request.damping == NONE:
         return replace(control, damping=DampingParameters())
-    found = design_damping(request.damping, control.model.dynamics, sample_time, around.plants)
+    found = design_damping(request.damping, control.model.dynamics, sample_time, around.plants, control.model.force)
     return replace(control, damping=found)
 
 
@@ -218,7 +214,7 @@ def judge_damping(
         Bandwidth of the same design without damping [Hz].
     """
     dynamics = parameters.model.dynamics
-    loop = inner_loop(parameters.damping, dynamics, sample_time)
+    loop = inner_loop(parameters.damping, dynamics, sample_time, parameters.model.force)
     controller, _ = linear_loop(parameters, sample_time)
     bare = [one.plant for one in plants.plants]
     around = [loop.around(plant) for plant in bare]

@@ -71,8 +71,8 @@ def measured_margins(axis: AxisParameters, parameters: ControllerParameters, fou
     """
     plant, _ = _beside(parameters.model.dynamics, axis, found)
     sample_time = found.response.sample_time
-    controller, _ = whole_loop(parameters, sample_time)
-    return loop_of(controller, plant.frequency, plant.response, plant.radius, sample_time)
+    controller, model = whole_loop(parameters, sample_time)
+    return loop_of(controller, plant.frequency, plant.response, plant.radius, sample_time, model)
 
 
 def measured_lines(axis: AxisParameters, result: AxisDesign, found: Analysis) -> list[str]:

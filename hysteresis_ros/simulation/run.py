@@ -159,8 +159,9 @@ def differences(recorded: Recording, parameters: AxisParameters) -> dict[str, in
     """
     given = requests_per_sample(recorded) | {"skipped": recorded.signals.get("skipped")}
     if parameters.plant_simulator.driver:
-        nothing = np.zeros(len(recorded))
-        given["answers"] = {name: recorded.signals.get(name, nothing) for name in ("measured", "tripped")}
+        nothing = {"measured": 0.0, "tripped": 0.0, "force": np.nan}
+        absent = {name: np.full(len(recorded), value) for name, value in nothing.items()}
+        given["answers"] = {name: recorded.signals.get(name, values) for name, values in absent.items()}
     twin = simulate(parameters, setpoints=recorded.signals["setpoint"], changes=changes_of(recorded), **given)
     columns = {"time": (recorded.time, twin.time)}
     # nobody knows where a device really is

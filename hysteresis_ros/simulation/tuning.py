@@ -30,6 +30,7 @@ from hysteresis_ros.identification.restarted_nelder_mead import SimplexSettings,
 from hysteresis_ros.loop.axis import Axis
 from hysteresis_ros.loop.axis_parameters import AxisParameters
 from hysteresis_ros.loop.node_parameters import part
+from hysteresis_ros.models.force_sensor import ForceSensorParameters
 from hysteresis_ros.models.sensor import SensorParameters
 from hysteresis_ros.parameters import Parameters
 
@@ -82,6 +83,7 @@ def believed_axis(parameters: AxisParameters) -> AxisParameters:
         dynamics=model.dynamics,
         preload=model.preload,
         sensor=SensorParameters(),
+        force_sensor=ForceSensorParameters(**model.force.to_mapping()),
         safe_voltage=compensator.safe_voltage,
     )
     return replace(parameters, plant_simulator=plant)

@@ -271,11 +271,15 @@ def test_an_axis_with_a_resonance_has_a_row_with_damping_and_one_without_has_non
     bare = load_configuration("stage700").override("motion_controller", damping__type="none", type="open_loop")
     given = known(bare, 16)
     row = ("PID + damping", "exact inverse")
-    assert row in names(given.axis)
+    force = ("PID + force feedback", "exact inverse")
+    assert {row, force} <= set(names(given.axis))
+    deaf = bare.override("motion_controller", model__force__stack_stiffness=0.0)
+    assert force not in names(known(deaf, 16).axis) and row in names(known(deaf, 16).axis)
     assert row[0] not in {name for name, _ in names(known(load_configuration("picma_stage"), 16).axis)}
     conditions = Conditions()
-    (found,) = candidates(given, conditions, make_tasks(conditions, (0.0, 2e-5)), {row})
-    assert not found.refused and not found.marked
+    found, forced = candidates(given, conditions, make_tasks(conditions, (0.0, 2e-5)), {row, force})
+    assert not found.refused and not found.marked and not forced.refused
+    assert forced.motion_controller["damping.type"] == "iff" and forced.margins.bandwidth > 250.0
     assert found.motion_controller["damping.type"] == "irc" and found.margins.bandwidth > 300.0
     node = given.designed(found).motion_controller
     assert node.damping.type == "irc" and node.type == "pid"

@@ -12,6 +12,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -27,8 +28,16 @@ from hysteresis_ros.control.damping.plant import damped, inner_loop, modes
 from hysteresis_ros.control.damping.registry import KINDS
 from hysteresis_ros.control.gain_design import design_gains
 from hysteresis_ros.control.linearisation import linear_loop, whole_loop
-from hysteresis_ros.control.margins import margins_of
+from hysteresis_ros.control.margins import loop_transfer, margins_of
 from hysteresis_ros.errors import ParameterError
+from hysteresis_ros.models.force_sensor import (
+    ForceParameters,
+    ForceSensorParameters,
+    force_reading,
+    force_state,
+    note_acting,
+    pack_force,
+)
 from hysteresis_ros.models.linear import LinearDynamics, LinearParameters, zero_order_hold
 
 #: A stage of 700 Hz and 1 % damping at 20 kHz with a sample of delay, its output in µm, 2 µm a volt.
@@ -50,9 +59,12 @@ def stage(delay: float = T, frequency: float = 700.0, sample_time: float = T) ->
     )
 
 
+#: A stack ten times as stiff as the flexure it pushes against, and a sensor that loses what is below 3 Hz.
+FORCE = ForceParameters(stack_stiffness=2e7, flexure_stiffness=2e6, high_pass=3.0)
 CHOSEN = {
     "irc": {"k": 2000.0, "feedthrough": -2.5},
     "ppf": {"frequencies": (900.0, 3000.0), "damping": (0.4, 0.7), "gains": (0.2, 0.1)},
+    "iff": {"gain": 3e-5, "leak": 900.0, "high_pass": 600.0},
     "notch": {"frequencies": (700.0, 2100.0), "damping": (0.01, 0.1), "width": (0.5, 0.4)},
 }
 kinds = pytest.mark.parametrize("kind", CHOSEN)
@@ -63,14 +75,32 @@ def damping(kind: str, **changes) -> DampingParameters:
     return DampingParameters.from_mapping({"type": kind, **values})
 
 
-def controller(kind: str | None = None, dynamics: LinearParameters | None = None, **changes) -> ControllerParameters:
+def controller(
+    kind: str | None = None, dynamics: LinearParameters | None = None, force=FORCE, **changes
+) -> ControllerParameters:
     chosen = DampingParameters() if kind is None else damping(kind, **changes)
-    model = ModelParameters(dynamics=dynamics or stage())
+    model = ModelParameters(dynamics=dynamics or stage(), force=force)
     return ControllerParameters(type="open_loop", model=model, damping=chosen)
 
 
 def test_all_kinds_are_tried_here():
     assert set(KINDS) == set(CHOSEN)
+
+
+class Sensed:
+    """Dynamics whose input pushes a stack with a force sensor."""
+
+    def __init__(self, plant: LinearDynamics, force: ForceParameters):
+        values = {name: getattr(force, name) for name in ("stack_stiffness", "flexure_stiffness", "high_pass")}
+        self.plant, sensor = plant, ForceSensorParameters(**values)
+        self.p, self.x = pack_force(sensor, plant.parameters, plant.sample_time), force_state(sensor)
+
+    def read(self) -> float:
+        return force_reading(self.p, self.x, self.plant.output())
+
+    def step(self, command: float) -> None:
+        note_acting(self.p, self.x, self.plant.x, command)
+        self.plant.step(command)
 
 
 def response(system, hertz):
@@ -110,20 +140,66 @@ def test_integral_resonant_control_has_the_poles_of_its_characteristic_polynomia
     assert -wanted.real.max() > 0.1 * OMEGA  # and they are damped, by a tenth at least
 
 
+def test_integral_force_feedback_has_the_poles_of_its_characteristic_polynomial_and_preumonts_largest_damping():
+    # at 2 MHz without delay: (s² + 2 ζ ω s + ω²)(s + ω_c) + α K (s² + 2 ζ ω s + ω_z²) = 0, ω_z² = ω² k_f/K
+    fast, gain, leak = 5e-7, 1.5e-4, 200.0
+    whole = FORCE.stack_stiffness + FORCE.flexure_stiffness
+    without = ForceParameters(stack_stiffness=FORCE.stack_stiffness, flexure_stiffness=FORCE.flexure_stiffness)
+    chosen = damping("iff", gain=gain, leak=leak, high_pass=0.0)
+    found = damped(stage(delay=0.0, sample_time=fast), chosen, fast, without)
+    zeros = [1.0, 2.0 * DAMPING * OMEGA, OMEGA**2 * FORCE.flexure_stiffness / whole]
+    polynomial = np.polymul([1.0, 2.0 * DAMPING * OMEGA, OMEGA**2], [1.0, leak])
+    wanted = np.roots(np.polyadd(polynomial, gain * whole * np.array(zeros)))
+    poles = np.log(found.state_space.poles.astype(complex)[np.abs(found.state_space.poles) > 0.5]) / fast
+    assert np.sort_complex(poles) == pytest.approx(np.sort_complex(wanted), rel=5e-3)
+    # of an integrator alone no gain damps more than (ω_p − ω_z)/(2 ω_z), reached with α K = ω_p √(ω_p/ω_z)
+    soft = ForceParameters(stack_stiffness=2e7, flexure_stiffness=1e7)
+    ratio = math.sqrt(soft.flexure_stiffness / soft.whole)
+
+    def reached(level):
+        own = damping("iff", gain=level * OMEGA / soft.whole, leak=1.0, high_pass=0.0)
+        poles = damped(stage(delay=0.0, sample_time=fast), own, fast, soft).state_space.poles
+        return modes(poles.astype(complex), fast)[0][1]
+
+    best, most = math.sqrt(1.0 / ratio), (1.0 - ratio) / (2.0 * ratio)
+    assert reached(best) == pytest.approx(most, rel=0.05)
+    assert max(reached(0.5 * best), reached(2.0 * best)) < 0.8 * most
+
+
+@pytest.mark.parametrize("high_pass", [0.0, 600.0])
+def test_a_force_at_rest_does_not_move_what_the_law_means(high_pass):
+    own = controller("iff", force=replace(FORCE, high_pass=0.0), high_pass=high_pass)
+    between, plant = damping_block(own, T), LinearDynamics(stage(), T)
+    sensor = Sensed(plant, replace(FORCE, high_pass=0.0))
+    for _ in range(6000):
+        sensor.step(block.damp(between.p, between.x, 3e-6, plant.output(), sensor.read()))
+    assert plant.output() == pytest.approx(3e-6, rel=1e-6)
+    assert sensor.read() == pytest.approx(FORCE.flexure_stiffness * 3e-6, rel=1e-6)
+    # an offset of the sensor moves nothing behind the high-pass; without it by α/ω_c of it
+    for _ in range(6000):
+        sensor.step(block.damp(between.p, between.x, 3e-6, plant.output(), sensor.read() + 0.5))
+    moved = plant.output() - 3e-6
+    if high_pass:
+        assert abs(moved) < 1e-12
+    else:
+        assert moved == pytest.approx(-0.5 * 3e-5 / 900.0 / (1.0 + 2e6 * 3e-5 / 900.0), rel=1e-6)
+
+
 @kinds
 def test_what_a_law_sees_is_the_plant_behind_the_kernel(kind):
     own = controller(kind)
     seen = own.before_damping(T).model.dynamics
-    assert seen.order <= 8 + 3 and seen.delay == 0.0
+    assert seen.order <= 8 + 4 and seen.delay == 0.0
     assert seen.matrices.dc_gain / seen.resolved_input_scale * seen.output_scale == pytest.approx(1.0, rel=1e-9)
     plant, model = LinearDynamics(stage(), T), LinearDynamics(seen, T)
+    sensor = Sensed(plant, FORCE)
     between = damping_block(own, T)
     random = np.random.default_rng(3)
     # it begins at rest under what comes first
     for output in [0.0, *(1e-6 * random.standard_normal(300)).tolist()]:
         measured = plant.output()
         assert measured == pytest.approx(model.output(), abs=1e-15)
-        plant.step(block.damp(between.p, between.x, output, measured))
+        sensor.step(block.damp(between.p, between.x, output, measured, sensor.read()))
         model.step(output)
     assert abs(plant.output()) > 1e-8
 
@@ -131,13 +207,13 @@ def test_what_a_law_sees_is_the_plant_behind_the_kernel(kind):
 @kinds
 def test_at_rest_at_a_displacement_the_filter_begins_at_rest(kind):
     between = damping_block(controller(kind), T)
-    commands = [block.damp(between.p, between.x, 3e-6, 3e-6) for _ in range(50)]
+    commands = [block.damp(between.p, between.x, 3e-6, 3e-6, 0.0) for _ in range(50)]
     assert commands == pytest.approx([3e-6] * 50, rel=1e-12)
 
 
 def test_without_damping_nothing_is_touched():
     between = damping_block(controller(), T)
-    assert block.damp(between.p, between.x, 0.1, math.nan) == 0.1
+    assert block.damp(between.p, between.x, 0.1, math.nan, math.nan) == 0.1
     assert as_output(between.p, between.x, 0.3) == 0.3 and not np.any(between.x)
 
 
@@ -146,14 +222,15 @@ def test_without_damping_nothing_is_touched():
 @given(st.floats(-1e-5, 1e-5), st.floats(-1e-5, 1e-5), st.floats(-1e-5, 1e-5))
 def test_what_was_carried_out_is_heard_as_the_output_that_would_have_led_to_it(kind, output, measured, cut):
     between = damping_block(controller(kind), T)
-    block.damp(between.p, between.x, 1e-6, 2e-6)
+    block.damp(between.p, between.x, 1e-6, 2e-6, 0.0)
     before = between.x.copy()
-    command = block.damp(between.p, between.x, output, measured)
+    command = block.damp(between.p, between.x, output, measured, 0.0)
     assert as_output(between.p, between.x, command) == output
     heard = as_output(between.p, between.x, command - cut)
     again = damping_block(controller(kind), T)
     again.x[:] = before
-    assert block.damp(again.p, again.x, heard, measured) == pytest.approx(command - cut, abs=1e-18 + 1e-12 * abs(cut))
+    carried = block.damp(again.p, again.x, heard, measured, 0.0)
+    assert carried == pytest.approx(command - cut, abs=1e-18 + 1e-12 * abs(cut))
 
 
 @pytest.mark.parametrize(
@@ -166,6 +243,9 @@ def test_what_was_carried_out_is_heard_as_the_output_that_would_have_led_to_it(k
         ("ppf", {"frequencies": (900.0, 10000.0)}, r"damping\.ppf\.frequencies = .*half the sample rate, 10000 Hz"),
         ("ppf", {"frequencies": ()}, r"ppf\.frequencies = .*1 … 2 numbers"),
         ("ppf", {"damping": (0.4,)}, r"ppf\.damping = .*2 numbers"),
+        ("iff", {"gain": 3e-3}, r"damping\.iff = .*inner loop is unstable.*largest pole 1\.\d+"),
+        ("iff", {"gain": 0.0}, r"iff\.gain = 0.*must not be 0"),
+        ("iff", {"force": ForceParameters()}, r"model\.force\.stack_stiffness = 0.*missing force joint"),
         ("notch", {"frequencies": (700.0, 12000.0)}, r"damping\.notch\.frequencies = .*half the sample rate"),
         ("notch", {"width": (0.5,)}, r"notch\.width = .*2 numbers"),
     ],
@@ -181,19 +261,24 @@ def test_a_model_without_a_resonance_has_nothing_to_damp():
         design_damping("irc", lag, T, damping_plants(lag, T))
 
 
-def test_a_designed_damping_makes_the_pid_five_times_as_fast_with_the_resonance_off_to_both_sides():
+@pytest.mark.parametrize("kind", ["irc", "iff"])
+def test_a_designed_damping_makes_the_pid_five_times_as_fast_with_the_resonance_off_to_both_sides(kind):
     dynamics = stage()
-    plants = damping_plants(dynamics, T)
-    found = ControllerParameters(
-        type="pid", model=ModelParameters(dynamics=dynamics), damping=design_damping("irc", dynamics, T, plants)
-    )
-    loop = inner_loop(found.damping, dynamics, T)
+    plants = damping_plants(dynamics, T, acting=kind == "iff")
+    own = design_damping(kind, dynamics, T, plants, FORCE)
+    found = ControllerParameters(type="pid", model=ModelParameters(dynamics=dynamics, force=FORCE), damping=own)
+    loop = inner_loop(found.damping, dynamics, T, FORCE)
     closed = tuple(one.closed(loop.around) for one in plants)
     with_it = design_gains(found, "pid", T, plants=closed).parameters
-    without = design_gains(ControllerParameters(model=found.model), "pid", T, plants=plants)
+    without = design_gains(ControllerParameters(model=found.model), "pid", T, plants=damping_plants(dynamics, T))
     outer, _ = linear_loop(with_it, T)
     both, bare = whole_loop(with_it, T)
     assert bare.order == plants[0].plant.order
+    # cut at the plant, both feedbacks are in the loop
+    z = np.exp(1j * np.array([0.01, 0.1, 0.22, 1.0]))
+    P, fed = bare.response(z)[:, :, 0], loop.feedback.response(z)[:, 0, 0]
+    parts = loop.forward * outer.response(z)[:, 0, 1] * P[:, 0], fed * (P @ loop.seen[0])
+    assert loop_transfer(both, bare, z) == pytest.approx(-parts[0] - parts[1], rel=1e-9)
     for one, around in zip(plants, closed, strict=True):
         slowest, whole = margins_of(outer, around.plant, T), margins_of(both, one.plant, T)
         assert slowest.bandwidth >= 5.0 * without.margins.bandwidth

@@ -171,6 +171,16 @@ def lost_grip(fault):
     np.testing.assert_allclose(table["rear_force"], before["rear_force"], rtol=0.05)
 
 
+def lost_force(fault):
+    made = axis("stage700")
+    made.inject((f"{fault}:0.005:0.01",))
+    table = made.run(np.full(400, 4e-6))
+    np.testing.assert_array_equal(np.flatnonzero(np.isnan(table["force"])), np.arange(100, 300))
+    # whose damping does not need it does not notice
+    plain = axis("stage700").run(np.full(400, 4e-6))
+    assert_same_bits({name: values for name, values in table.items() if name != "force"}, plain)
+
+
 def stop(fault):
     _, table, plain = run(fault)
     same_before(table, plain)
@@ -192,6 +202,7 @@ CASES = {
     "lost_voltage": lost_voltage,
     "late_voltage": late_voltage,
     "lost_grip": lost_grip,
+    "lost_force": lost_force,
     "stop": stop,
 }
 

@@ -11,6 +11,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -57,7 +59,7 @@ def test_every_topic_has_the_signals_of_the_table(tmp_path, axis):
             np.testing.assert_array_equal(message.position, [table[signals.place(n), k] for n in names.values()])
 
 
-@pytest.mark.parametrize("axis", AXES)
+@pytest.mark.parametrize("axis", [*AXES, replace(ACTUATOR, joints=(*ACTUATOR.joints, "force"))])
 def test_joint_states_have_position_velocity_and_effort(tmp_path, axis):
     _, table, joints = samples = make_samples(axis, 200)
     with BagWriter(tmp_path / "bag") as bag:
@@ -73,9 +75,9 @@ def test_joint_states_have_position_velocity_and_effort(tmp_path, axis):
         else:
             measured = table[signals.MEASURED, k]
             velocity = (measured - before) * RATE if k else 0.0
-            np.testing.assert_array_equal(
-                [*message.position, *message.velocity, *message.effort], [measured, velocity, 5.88]
-            )
+            expected = np.array([[measured, 0.0], [velocity, 0.0], [5.88, table[signals.FORCE, k]]])
+            found = np.array([message.position, message.velocity, message.effort])
+            np.testing.assert_array_equal(found, expected[:, : len(axis.joints)])
             before = measured
 
 
@@ -281,7 +283,7 @@ def test_wrong_samples_are_named(tmp_path, axis, change, says):
 
 def test_an_actuator_has_one_joint(tmp_path):
     with BagWriter(tmp_path / "bag") as bag, pytest.raises(RecordingError, match="an actuator has one joint"):
-        SampleWriter(bag, AxisTopics(joints=("one", "two")))
+        SampleWriter(bag, AxisTopics(joints=("one", "two", "three")))
 
 
 def test_a_closed_bag_takes_no_samples(tmp_path):

@@ -9,13 +9,14 @@
 
 """Damping in the loop: one small filter between the law's output and the command, whatever its kind.
 
-u = γ w + F y, or u = F w (:mod:`~hysteresis_ros.control.damping.plant`); w is the law's output, y the measured
-displacement without preload offset. What the compensator cuts off the command concerns the law's output as
+u = γ w + F y, u = γ w + F f or u = F w (:mod:`~hysteresis_ros.control.damping.plant`); w is the law's output, y the
+measured displacement without preload offset, f the measured force in the stack. What the compensator cuts off the
+command concerns the law's output as
 
 w_applied = w + (u_applied − u) / b
 
 with b the direct gain from w to u: the output of the law that would have led to what was carried out. Where nothing is
-cut it is w exactly. The filter of a measurement sees the true displacement and needs no help with windup; one of the
+cut it is w exactly. The filter of a measurement sees what is there and needs no help with windup; one of the
 law's output has unit gain at rest and fades within its own time constants.
 """
 
@@ -25,8 +26,7 @@ import numpy as np
 
 from hysteresis_ros.block import Block, called, kernel
 from hysteresis_ros.control.base import bounded
-from hysteresis_ros.control.damping.kind import COMMAND as LAW_OUTPUT
-from hysteresis_ros.control.damping.kind import MOST_STATES, NOTHING
+from hysteresis_ros.control.damping.kind import FORCE, MEASUREMENT, MOST_STATES, NOTHING
 from hysteresis_ros.control.damping.plant import inner_loop
 from hysteresis_ros.linear_algebra import solve
 from hysteresis_ros.models.state_space import accumulate, advance
@@ -45,19 +45,23 @@ PARAMETERS = MATRICES + MOST_STATES * (MOST_STATES + 3)
 STARTED = 0  # 0.0: the next call starts at rest
 OUTPUT = 1  # last output of the law, w [m]
 COMMAND = 2  # last command, u [m]
-FILTERED = 3  # last input of the filter [m]
+FILTERED = 3  # last input of the filter [m] or [N]
 STATE = 4
 STATES = STATE + 2 * MOST_STATES
 
 
 @called
-def damp(p, x, output, measured):
-    """Return the command [m] for the law's ``output`` [m] and the ``measured`` displacement [m]."""
+def damp(p, x, output, measured, force):
+    """Return the command [m] for the law's ``output`` [m], the ``measured`` displacement [m] and ``force`` [N]."""
     if p[SOURCE] == NOTHING:
         return output
     n = int(p[ORDER])
     column = MATRICES + n * n
-    filtered = output if p[SOURCE] == LAW_OUTPUT else bounded(measured - p[PRELOAD])
+    filtered = output
+    if p[SOURCE] == MEASUREMENT:
+        filtered = bounded(measured - p[PRELOAD])
+    elif p[SOURCE] == FORCE:
+        filtered = force
     if x[STARTED] == 0.0:
         x[STARTED] = 1.0
         for i in range(n):
@@ -102,7 +106,7 @@ class Damping(Block):
         p[SOURCE], p[DIRECT] = damping.source, 1.0
         if damping.source == NOTHING:
             return p
-        loop = inner_loop(damping, parameters.model.dynamics, self.sample_time)
+        loop = inner_loop(damping, parameters.model.dynamics, self.sample_time, parameters.model.force)
         found = loop.filter
         p[ORDER], p[PRELOAD], p[FORWARD] = found.order, parameters.model.preload.offset, loop.forward
         p[THROUGH], p[DIRECT] = found.D.item(), loop.direct

@@ -30,15 +30,16 @@ from itertools import product as combinations
 import numpy as np
 
 from hysteresis_ros.control import design
-from hysteresis_ros.control.damping.kind import COMMAND, Mode
+from hysteresis_ros.control.damping.kind import COMMAND, FORCE, Mode
 from hysteresis_ros.control.damping.parameters import DampingParameters
-from hysteresis_ros.control.damping.plant import InnerLoop, inner_loop, modes
+from hysteresis_ros.control.damping.plant import InnerLoop, inner_loop, modes, require_force
 from hysteresis_ros.control.damping.registry import KINDS
 from hysteresis_ros.control.laws.pid.design import FILTER, pid_with_zeros, slowest_poles
 from hysteresis_ros.control.laws.pid.law import PidParameters, pid_state_space
 from hysteresis_ros.control.margins import REQUIRED, judge
 from hysteresis_ros.control.uncertainty import PossiblePlant, possible_plant
 from hysteresis_ros.errors import ParameterError
+from hysteresis_ros.models.force_sensor import ForceParameters
 from hysteresis_ros.models.linear import LinearParameters
 from hysteresis_ros.models.state_space import BOUNDARY, StateSpace
 
@@ -57,7 +58,7 @@ WELL, MUCH = 0.02, 5.0
 DAMPED = 0.7
 
 
-def mode_to_damp(dynamics: LinearParameters, sample_time: float) -> Mode:
+def mode_to_damp(dynamics: LinearParameters, sample_time: float, force: ForceParameters | None = None) -> Mode:
     """Return the resonance of least damping.
 
     Parameters
@@ -66,6 +67,8 @@ def mode_to_damp(dynamics: LinearParameters, sample_time: float) -> Mode:
         The model.
     sample_time : float
         [s]
+    force : ForceParameters, optional
+        What the model has of the force in the stack.
 
     Raises
     ------
@@ -77,11 +80,11 @@ def mode_to_damp(dynamics: LinearParameters, sample_time: float) -> Mode:
         allowed = f"has no resonance of less damping than {DAMPED:g}: nothing to damp; design without --damping"
         design.refuse("model.dynamics.A", dynamics.A, allowed)
     gain = dynamics.matrices.dc_gain * dynamics.output_scale / dynamics.resolved_input_scale
-    return Mode(*there[0], gain)
+    return Mode(*there[0], gain, 0.0 if force is None else force.whole * gain)
 
 
 def damping_plants(
-    dynamics: LinearParameters, sample_time: float, resonance: float = RESONANCE
+    dynamics: LinearParameters, sample_time: float, resonance: float = RESONANCE, *, acting: bool = False
 ) -> tuple[PossiblePlant, ...]:
     """Return the plants on which a damping is judged: the model, and all times shorter and longer.
 
@@ -92,13 +95,19 @@ def damping_plants(
         [s]
     resonance : float
         Part by which resonances may be off.
+    acting : bool
+        With the second output of :func:`~hysteresis_ros.control.margins.with_acting`, for a filter of the force.
     """
     slow = (1.0,) if resonance == 0.0 else (1.0, 1.0 - resonance, 1.0 + resonance)
-    return tuple(possible_plant(dynamics, sample_time, 1.0, slowness) for slowness in slow)
+    return tuple(possible_plant(dynamics, sample_time, 1.0, slowness, acting=acting) for slowness in slow)
 
 
 def design_damping(
-    kind: str, dynamics: LinearParameters, sample_time: float, plants: tuple[PossiblePlant, ...]
+    kind: str,
+    dynamics: LinearParameters,
+    sample_time: float,
+    plants: tuple[PossiblePlant, ...],
+    force: ForceParameters | None = None,
 ) -> DampingParameters:
     """Return the damping of a kind for a model.
 
@@ -112,14 +121,19 @@ def design_damping(
         [s]
     plants : tuple of PossiblePlant
         On which it is to work.
+    force : ForceParameters, optional
+        What the model has of the force in the stack.
 
     Raises
     ------
     ParameterError
-        ``model.dynamics.A``: the model has no resonance, or nothing of this kind damps it.
+        ``model.dynamics.A``: the model has no resonance, or nothing of this kind damps it; or
+        ``model.force.stack_stiffness``: nothing is known of the force that it works on.
     """
-    mode = mode_to_damp(dynamics, sample_time)
-    search = _Search(kind, mode, dynamics, sample_time, plants)
+    mode = mode_to_damp(dynamics, sample_time, force)
+    if KINDS[kind].source == FORCE:
+        require_force(kind, force)
+    search = _Search(kind, mode, dynamics, sample_time, plants, force)
     # first what bears a sample of delay more; where nothing does, what works as modelled
     for late in (REQUIRED.delay_margin, 0.0):
         found = search.best(late)
@@ -136,11 +150,12 @@ def design_damping(
 class _Search:
     """The plants on a grid of frequencies, and the search on them."""
 
-    def __init__(self, kind: str, mode: Mode, dynamics: LinearParameters, sample_time: float, plants):
+    def __init__(self, kind: str, mode: Mode, dynamics: LinearParameters, sample_time: float, plants, force):
+        self.force = force
         self.kind, self.mode, self.dynamics, self.sample_time = KINDS[kind], mode, dynamics, sample_time
         self.plants = plants
         self.z = np.exp(1j * _angles(plants))
-        self.responses = [one.plant.response(self.z)[:, 0, 0] for one in plants]
+        self.responses = [one.plant.response(self.z)[:, :, 0] for one in plants]
 
     def damping(self, point) -> DampingParameters:
         """Return the parameters of a point."""
@@ -158,7 +173,7 @@ class _Search:
             Where it is no larger than this, 0 is returned.
         """
         try:
-            loop = inner_loop(self.damping(point), self.dynamics, self.sample_time)
+            loop = inner_loop(self.damping(point), self.dynamics, self.sample_time, self.force)
         except (ParameterError, np.linalg.LinAlgError):
             return 0.0
         if not loop.direct > 0.0:
@@ -180,13 +195,14 @@ class _Search:
 
     def _gain(self, loop: InnerLoop, outer) -> float:
         """Return the largest gain of an outer controller on all plants, less where both loops would be too lively."""
-        filtered = loop.filter.response(self.z)[:, 0, 0]
+        filtered = loop.feedback.response(self.z)[:, 0, 0]
         forward = outer * (filtered if loop.source == COMMAND else loop.forward)
-        inner = [1.0 - (0.0 if loop.source == COMMAND else filtered) * P for P in self.responses]
-        gain = min(_largest(forward * P / left) for P, left in zip(self.responses, inner, strict=True))
+        inner = [1.0 - (0.0 if loop.source == COMMAND else filtered) * (P @ loop.seen[0]) for P in self.responses]
+        displaced = [P[:, 0] for P in self.responses]
+        gain = min(_largest(forward * P / left) for P, left in zip(displaced, inner, strict=True))
         whole = max(
             float(np.max(1.0 / np.minimum(np.abs(left + gain * forward * P), np.abs(left))))
-            for P, left in zip(self.responses, inner, strict=True)
+            for P, left in zip(displaced, inner, strict=True)
         )
         return gain * min(1.0, (SENSITIVITY / whole) ** 2)
 

@@ -18,8 +18,8 @@ from typing import Any
 from hysteresis_ros.models.state_space import StateSpace
 from hysteresis_ros.parameters import Parameters
 
-#: What a filter works on: nothing, the measured displacement, or the output of the law.
-NOTHING, MEASUREMENT, COMMAND = range(3)
+#: What a filter works on: nothing, the measured displacement, the output of the law, the measured force in the stack.
+NOTHING, MEASUREMENT, COMMAND, FORCE = range(4)
 #: Most states of a filter.
 MOST_STATES = 8
 
@@ -41,11 +41,14 @@ class Mode:
         Part of the critical one.
     gain : float
         Displacement per command at rest, of the whole model.
+    force : float
+        Force per command far above the resonance [N/m]; 0: none is measured.
     """
 
     frequency: float
     damping: float
     gain: float
+    force: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,7 +62,7 @@ class DampingKind:
     description : str
         A few words for the table of parameters.
     source : int
-        ``MEASUREMENT`` or ``COMMAND``: what the filter works on.
+        ``MEASUREMENT``, ``COMMAND`` or ``FORCE``: what the filter works on.
     parameters : type
         Group ``damping.<name>``.
     filter : callable

@@ -12,6 +12,9 @@
 With a filter F(z) on the measurement the command is u = γ w + F y. γ = 1 − F(1) P(1) keeps the gain at rest of the
 model P, so that gains, inverses and rest points of a law mean what they mean without damping. With a filter behind the
 law it is u = F w.
+
+A filter of the force f in the stack sees f = (k_a + k_f) d − k_a y, d what acts on the model, through the sensor's own
+high-pass; the plant then has the outputs (y, d).
 """
 
 from __future__ import annotations
@@ -21,10 +24,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hysteresis_ros.control.damping.kind import COMMAND, NOTHING
+from hysteresis_ros.control.damping.filters import in_series
+from hysteresis_ros.control.damping.kind import COMMAND, FORCE, MEASUREMENT, NOTHING
 from hysteresis_ros.control.damping.parameters import DampingParameters
+from hysteresis_ros.control.margins import with_acting
 from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.linear_algebra import product
+from hysteresis_ros.models.force_sensor import ForceParameters
 from hysteresis_ros.models.linear import LinearParameters
 from hysteresis_ros.models.state_space import BOUNDARY, StateSpace
 
@@ -63,11 +69,22 @@ class InnerLoop:
         What it works on.
     forward : float
         γ, weight of the law's output beside the filter; 0 where the filter works on it.
+    seen : ndarray, shape (1, q)
+        What the filter works on, of the outputs of the plant.
+    sensor : StateSpace, optional
+        What a sensor does to that before.
     """
 
     filter: StateSpace
     source: int
     forward: float
+    seen: np.ndarray
+    sensor: StateSpace | None = None
+
+    @property
+    def feedback(self) -> StateSpace:
+        """The filter behind its sensor."""
+        return self.filter if self.sensor is None else in_series((self.sensor, self.filter))
 
     @property
     def direct(self) -> float:
@@ -80,42 +97,48 @@ class InnerLoop:
         Parameters
         ----------
         plant : StateSpace
-            From command to measured displacement, y_k = C x_k.
+            From command to measured displacement, y_k = C x_k; under a filter of the force with its second output.
         scale : float
             SI units of the plant's output per its units, over those of its input.
         """
-        n, m, F = plant.order, self.filter.order, self.filter
+        F = self.feedback
+        n, m = plant.order, F.order
         if self.source == COMMAND:
             A = np.block([[F.A, np.zeros((m, n))], [product(plant.B, F.C), plant.A]])
             B = np.vstack([F.B, product(plant.B, F.D)])
         else:
-            measured = scale * plant.C
+            measured = scale * product(self.seen, plant.C)
             back = plant.A + product(plant.B, product(F.D, measured))
             A = np.block([[F.A, product(F.B, measured)], [product(plant.B, F.C), back]])
             B = np.vstack([np.zeros((m, 1)), self.forward * plant.B])
-        return StateSpace(A, B, np.hstack([np.zeros((1, m)), plant.C]), np.zeros((1, 1)))
+        return StateSpace(A, B, np.hstack([np.zeros((1, m)), plant.C[:1]]), np.zeros((1, 1)))
 
     def behind(self, controller: StateSpace) -> StateSpace:
-        """Return controller and damping as one, from (reference, measured) to the command.
+        """Return controller and damping as one, from (reference, the outputs of the plant) to the command.
 
         Parameters
         ----------
         controller : StateSpace
             From (reference, measured) to the law's output.
         """
-        n, m, F = controller.order, self.filter.order, self.filter
+        F = self.feedback
+        n, m = controller.order, F.order
         if self.source == COMMAND:
             A = np.block([[controller.A, np.zeros((n, m))], [F.B @ controller.C, F.A]])
             B = np.vstack([controller.B, F.B @ controller.D])
             return StateSpace(A, B, np.hstack([F.D @ controller.C, F.C]), F.D @ controller.D)
         A = np.block([[controller.A, np.zeros((n, m))], [np.zeros((m, n)), F.A]])
-        only_measured = np.array([[0.0, 1.0]])
-        B = np.vstack([controller.B, F.B @ only_measured])
-        D = self.forward * controller.D + F.D @ only_measured
+        only_seen = np.hstack([[[0.0]], self.seen])
+        # the law sees the displacement alone
+        unseen = (0, 0), (0, self.seen.shape[1] - 1)
+        B = np.vstack([np.pad(controller.B, unseen), F.B @ only_seen])
+        D = self.forward * np.pad(controller.D, unseen) + F.D @ only_seen
         return StateSpace(A, B, np.hstack([self.forward * controller.C, F.C]), D)
 
 
-def inner_loop(damping: DampingParameters, dynamics: LinearParameters, sample_time: float) -> InnerLoop:
+def inner_loop(
+    damping: DampingParameters, dynamics: LinearParameters, sample_time: float, force: ForceParameters | None = None
+) -> InnerLoop:
     """Return the inner loop of a damping for a model.
 
     Parameters
@@ -126,21 +149,53 @@ def inner_loop(damping: DampingParameters, dynamics: LinearParameters, sample_ti
         The model.
     sample_time : float
         [s]
+    force : ForceParameters, optional
+        What the model has of the force in the stack.
 
     Raises
     ------
     ParameterError
-        The filter cannot run at this sample time.
+        The filter cannot run at this sample time, or nothing is known of the force that it works on.
     """
     found, source = damping.filter(sample_time), damping.source
+    only_displacement = np.ones((1, 1))
     if source == COMMAND:
-        return InnerLoop(found, source, 0.0)
+        return InnerLoop(found, source, 0.0, only_displacement)
     gain = dynamics.matrices.dc_gain * dynamics.output_scale / dynamics.resolved_input_scale
-    return InnerLoop(found, source, 1.0 - found.dc_gain * gain)
+    if source == MEASUREMENT:
+        return InnerLoop(found, source, 1.0 - found.dc_gain * gain, only_displacement)
+    require_force(damping.type, force)
+    assert force is not None
+    seen = np.array([[-force.stack_stiffness, force.whole]])
+    if not force.high_pass:
+        return InnerLoop(found, source, 1.0 - found.dc_gain * force.flexure_stiffness * gain, seen)
+    slow = force.slow_part(sample_time)
+    matrices = (np.array([[value]]) for value in (1.0 - slow, slow, -1.0, 1.0))
+    return InnerLoop(found, source, 1.0, seen, StateSpace(*matrices))
+
+
+def require_force(kind: str, force: ForceParameters | None) -> None:
+    """Refuse a damping by force without a model of it.
+
+    Parameters
+    ----------
+    kind : str
+    force : ForceParameters or None
+
+    Raises
+    ------
+    ParameterError
+    """
+    if force is None or not force.there:
+        allowed = (
+            f"missing force joint: damping {kind} needs a force sensor in series with the stack; give the stiffness of "
+            "stack and flexure (model.force.…), or take irc or ppf"
+        )
+        raise ParameterError([Problem("model.force.stack_stiffness", 0.0, allowed)])
 
 
 def closing(
-    damping: DampingParameters, dynamics: LinearParameters, sample_time: float
+    damping: DampingParameters, dynamics: LinearParameters, sample_time: float, force: ForceParameters | None = None
 ) -> Callable[[StateSpace], StateSpace]:
     """Return the function that makes the damped plant of a plant in SI; without a damping it stays as it is.
 
@@ -151,10 +206,12 @@ def closing(
         The model.
     sample_time : float
         [s]
+    force : ForceParameters, optional
+        What the model has of the force in the stack.
     """
     if damping.source == NOTHING:
-        return lambda plant: plant
-    return inner_loop(damping, dynamics, sample_time).around
+        return lambda plant: plant.shown
+    return inner_loop(damping, dynamics, sample_time, force).around
 
 
 def undamped(dynamics: LinearParameters) -> StateSpace:
@@ -168,7 +225,9 @@ def undamped(dynamics: LinearParameters) -> StateSpace:
     return model.held() if model.D.item() != 0.0 else model
 
 
-def damped(dynamics: LinearParameters, damping: DampingParameters, sample_time: float) -> LinearParameters:
+def damped(
+    dynamics: LinearParameters, damping: DampingParameters, sample_time: float, force: ForceParameters | None = None
+) -> LinearParameters:
     """Return the model of the damped plant, in the units of the model.
 
     Parameters
@@ -178,6 +237,8 @@ def damped(dynamics: LinearParameters, damping: DampingParameters, sample_time: 
     damping : DampingParameters
     sample_time : float
         [s]
+    force : ForceParameters, optional
+        What the model has of the force in the stack.
 
     Raises
     ------
@@ -186,9 +247,10 @@ def damped(dynamics: LinearParameters, damping: DampingParameters, sample_time: 
     """
     if damping.source == NOTHING:
         return dynamics
-    loop = inner_loop(damping, dynamics, sample_time)
+    loop = inner_loop(damping, dynamics, sample_time, force)
     scale = dynamics.output_scale / dynamics.resolved_input_scale
-    found = loop.around(undamped(dynamics), scale)
+    plant = undamped(dynamics)
+    found = loop.around(with_acting(dynamics, plant) if damping.source == FORCE else plant, scale)
     radius = float(np.max(np.abs(found.poles)))
     if not radius < 1.0 - BOUNDARY or not loop.direct > 0.0:
         values = tuple(getattr(damping, damping.type).to_mapping().items())

@@ -40,11 +40,13 @@ class SimulatedDriver(Driver):
         self._actuator.reset()
         self._rest = self._actuator.voltage
         limits = parameters.limits
-        return Capabilities(1, 1, limits.minimum, limits.maximum, highest_rate=math.inf)
+        self._forces = int(parameters.force_sensor.there)
+        return Capabilities(1, 1, limits.minimum, limits.maximum, highest_rate=math.inf, forces=self._forces)
 
     def read(self) -> Reading:
         """Return what the sensor reads."""
-        return Reading((self._actuator.measure(),))
+        forces = (self._actuator.measure_force(),) if self._forces else ()
+        return Reading((self._actuator.measure(),), forces)
 
     def write(self, voltages: Sequence[float]) -> None:
         """Hold the voltage for a sample.

@@ -43,6 +43,10 @@ CALM = replace(REQUIRED, sensitivity_peak=1.4)
 AT_ZERO = 1e-3
 #: Cut-off of the derivative filter as a part of the sampling angular frequency, when none is given.
 FILTER = 0.2
+#: A slow pole with less of the answer to a step than this is left: a high-pass in a damping has a zero beside it.
+LITTLE = 0.02
+#: How near to a pole its residue is looked at, as a part of its distance from 1.
+NEAR = 1e-4
 #: Steps of the search for the gain.
 STEPS = 60
 
@@ -85,6 +89,8 @@ def slowest_poles(model: StateSpace) -> list[complex]:
     poles = sorted(eigenvalues(model.A), key=_slowness, reverse=True)
     # poles at zero are delay, which no zero takes away
     poles = [pole for pole in poles if _slowness(pole) > AT_ZERO**2] or [0.0]
+    while len(poles) > 1 and poles[0].imag == 0.0 and _share(model, poles[0].real) < LITTLE:
+        poles = poles[1:]
     if len(poles) == 1:
         return [complex(poles[0])]
     first = poles[0]
@@ -92,6 +98,13 @@ def slowest_poles(model: StateSpace) -> list[complex]:
         return [complex(first), complex(first.conjugate())]
     second = next((pole for pole in poles[1:] if pole.imag == 0.0), None)
     return [complex(first)] + ([] if second is None else [complex(second)])
+
+
+def _share(model: StateSpace, pole: float) -> float:
+    """Return which part of the answer to a step dies out with a real pole."""
+    near = NEAR * (1.0 - pole)
+    residue = near * complex(model.response([pole + near])[0, 0, 0])
+    return abs(residue / (1.0 - pole) / model.dc_gain)
 
 
 def _slowness(pole: complex) -> float:

@@ -1,0 +1,112 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Integral force feedback: the integral of the measured force in the stack, taken off the command [1]_, [2]_.
+
+u = γ w − α s / ((s + ω_c)(s + ω_h)) f
+
+The force has zeros below its poles (:mod:`hysteresis_ros.models.force_sensor`), whatever the mass. An integrator of
+it, in phase with the velocity between them, damps the poles, by (ω_p − ω_z)/(2 ω_z) at most where it does nothing
+else [1]_. A pure integrator would bring the force at rest, k_f y, to zero and with it the displacement. So it leaks
+at ω_c = α β, which is what a feedthrough β of the command into the force makes of it [3]_, and a high-pass at ω_h
+leaves out what is constant: an offset or a drift of the sensor does not move the axis, and at rest the law's output
+is the command, γ = 1. Without the high-pass, ω_h = 0, the force at rest stays in the loop and γ = 1 + k_f α/ω_c.
+
+It is discretised by the bilinear transformation, h = 2/T. Nothing in it winds up: its poles are stable and its input is
+measured, whatever of the command was carried out.
+
+A delay of more than about a quarter of the resonance's period turns the sign that damps: α < 0.
+
+References
+----------
+.. [1] Preumont, Vibration Control of Active Structures, 3rd ed. 2011 (integral force feedback).
+.. [2] Fleming, Nanopositioning system with force feedback for high-performance tracking and vibration control,
+   IEEE/ASME Trans. Mechatronics 15 (2010).
+.. [3] Teo, Russell, Aphale & Fleming, Optimal integral force feedback and structured PI tracking control:
+   Application for objective lens positioner, Mechatronics (2014).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from hysteresis_ros.control.damping.filters import first_order, second_order
+from hysteresis_ros.control.damping.kind import FORCE, DampingKind, Mode, shortened
+from hysteresis_ros.errors import Problem
+from hysteresis_ros.models.state_space import StateSpace
+from hysteresis_ros.parameters import Parameters, parameter
+
+
+@dataclass(frozen=True)
+class IffParameters(Parameters):
+    """Gain, leak and high-pass of integral force feedback."""
+
+    gain: float = parameter(
+        0.0, unit="m/(N s)", description="α of the integral; below 0 where a delay turns the sign that damps"
+    )
+    leak: float = parameter(100.0, unit="rad/s", low=1e-6, description="ω_c below which it no longer integrates")
+    high_pass: float = parameter(
+        100.0, unit="rad/s", low=0.0, description="ω_h below which the force is left out; 0: it counts at rest as well"
+    )
+
+    def check(self):
+        """Yield that it does nothing."""
+        if self.gain == 0.0:
+            yield Problem("gain", self.gain, "must not be 0: let `hysteresis design --damping iff` find it")
+
+
+def iff(parameters: IffParameters, sample_time: float) -> StateSpace:
+    """Return −α s/((s + ω_c)(s + ω_h)), from force to command.
+
+    Parameters
+    ----------
+    parameters : IffParameters
+    sample_time : float
+        [s]
+    """
+    gain, leak, high = parameters.gain, parameters.leak, parameters.high_pass
+    if not high:
+        return first_order(-gain, leak, sample_time)
+    return second_order((0.0, -gain, 0.0), (1.0, leak + high, leak * high), 2.0 / sample_time)
+
+
+def ranges(mode: Mode) -> tuple:
+    """Return where to look for (α by the stiffness over ω, both corners over ω), for both signs.
+
+    Parameters
+    ----------
+    mode : Mode
+    """
+    corner = (0.03, 3.0, True)
+    return ((0.1, 10.0, True), corner), ((-10.0, -0.1, True), corner)
+
+
+def chosen(point, mode: Mode) -> IffParameters:
+    """Return the parameters of a point.
+
+    Parameters
+    ----------
+    point : sequence of float, shape (2,)
+    mode : Mode
+    """
+    omega = 2.0 * math.pi * mode.frequency
+    gain, corner = shortened(omega * point[0] / mode.force), shortened(omega * point[1])
+    return IffParameters(gain=gain, leak=corner, high_pass=corner)
+
+
+DAMPING = DampingKind(
+    name="iff",
+    description="integral feedback of the force that a joint of its own measures (Preumont; Fleming 2010)",
+    source=FORCE,
+    parameters=IffParameters,
+    filter=iff,
+    ranges=ranges,
+    chosen=chosen,
+)
