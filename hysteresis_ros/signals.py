@@ -226,6 +226,9 @@ MOTOR_ROW = len(SIGNALS)
 #: Frame of ``joint_states`` while the plant has stopped the axis (``tripped`` is not 0).
 TRIPPED_FRAME = "tripped"
 
+#: What the log of changes says beside what people do: a node's parameters at the beginning, and that a run is over.
+CONFIGURED, ENDED = "configure", "end"
+
 #: SI units by name, with the time of the samples.
 UNITS = {"time": "s", **{signal.name: signal.unit for signal in SIGNALS}}
 

@@ -152,6 +152,7 @@ def axis(context):
     described.write_text(merged(config, override(given, "")), encoding="utf-8")
     overrides.write_text(json.dumps(override(given, str(described))), encoding="utf-8")
     running = set(names)
+    lockstep = given["rate"] == "lockstep" or (not given["rate"] and describes(config, "time_mode", "lockstep"))
     actions = []
     for name in names:
         options = dict(
@@ -161,7 +162,7 @@ def axis(context):
             parameters=[config, str(overrides)],
             output="screen",
             ros_arguments=["--log-level", given["log_level"]],
-            on_exit=farewell(name, running),
+            on_exit=farewell(name, running, name == "recorder" and not lockstep),
         )
         if name == "hysteresis_axis" and fused and given["record"]:
             options["arguments"] = ["--recorder"]
@@ -320,13 +321,19 @@ def configuration(text: str) -> str:
     raise FileNotFoundError(f"config:={text}: no such file; give a path or one of: {known}")
 
 
-def farewell(name: str, running: set):
-    """Return what is done when the process ``name`` leaves: none of an axis goes on without the others."""
+def farewell(name: str, running: set, dispensable: bool = False):
+    """Return what is done when the process ``name`` leaves: none of an axis goes on without the others.
+
+    A recorder in real time is ``dispensable``: when it dies nothing is recorded any more, and the axis goes on. One
+    that refuses to begin (exit code 2) ends the axis.
+    """
 
     def on_exit(event, context):
         running.discard(name)
         if context.is_shutdown:
             return None
+        if dispensable and event.returncode not in (0, 2) and running:
+            return [LogInfo(msg=f"{name} died: nothing is recorded any more, the axis goes on")]
         if event.returncode != 0:
             # An exception, not an event: only this makes `ros2 launch` itself leave with an exit code other than 0.
             raise RuntimeError(f"{name} died with exit code {event.returncode}; the rest of the axis is stopped")

@@ -64,6 +64,41 @@ class NodeName(click.ParamType):
         return [CompletionItem(name) for name in NODE_NAMES + OPTIONAL_NODE_NAMES if name.startswith(incomplete)]
 
 
+#: How a recording is split, as ``ros2 bag record`` does; the command gets both under these names.
+_SPLITS = (
+    click.option("--max-bag-size", type=click.IntRange(1), metavar="BYTES", help="Begin another file of the bag then."),
+    click.option(
+        "--max-bag-duration",
+        type=click.FloatRange(0, min_open=True),
+        metavar="SECONDS",
+        help="Begin another file of the bag after so long.",
+    ),
+)
+
+
+def split_options(command):
+    """Give a command the options of how a recording is split."""
+    for option in reversed(_SPLITS):
+        command = option(command)
+    return command
+
+
+def splitting(configuration, max_bag_size: int | None, max_bag_duration: float | None):
+    """Return the configuration whose recorder splits as the options say.
+
+    Parameters
+    ----------
+    configuration : Configuration
+    max_bag_size : int or None
+        Bytes of a file.
+    max_bag_duration : float or None
+        Seconds of a file.
+    """
+    given = {"max_bag_size": max_bag_size, "max_bag_duration": max_bag_duration}
+    given = {name: value for name, value in given.items() if value is not None}
+    return configuration.override("recorder", **given) if given else configuration
+
+
 #: Parameter files that are laid over the configuration; the command gets their names as ``laid_over``.
 params_file_option = click.option(
     "--params-file",

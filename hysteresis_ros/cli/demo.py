@@ -211,7 +211,7 @@ def _run_processes(axis, folder: pathlib.Path, progress: Progress) -> None:
 
 def _unlike_twin(bag: pathlib.Path) -> tuple[int, str]:
     """Return the number of samples of a recorded run, and in what it differs from its twin; empty: in nothing."""
-    from hysteresis_ros.cli.verify import differing
+    from hysteresis_ros.cli.verify import unlike
     from hysteresis_ros.configuration import parse_configuration
     from hysteresis_ros.recordings.files import load_run
     from hysteresis_ros.simulation.axes import single_axis
@@ -219,8 +219,7 @@ def _unlike_twin(bag: pathlib.Path) -> tuple[int, str]:
 
     run = load_run(bag, further=True)
     axis = single_axis(parse_configuration(run.configuration, str(bag)), run.metadata["namespace"])
-    found, missing = differences(run, axis), run.metadata["missing_samples"]
-    return run.time.size, differing(bag, found, missing) if found or missing else ""
+    return run.time.size, unlike(bag, run, differences(run, axis))
 
 
 def _same_as_live(folder: pathlib.Path) -> str:

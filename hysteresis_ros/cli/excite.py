@@ -16,7 +16,7 @@ import pathlib
 
 import click
 
-from hysteresis_ros.cli.arguments import ConfigurationName
+from hysteresis_ros.cli.arguments import ConfigurationName, split_options, splitting
 from hysteresis_ros.cli.progress import Progress
 from hysteresis_ros.cli.reference_options import reference_options
 from hysteresis_ros.references.recipes import RECIPES
@@ -26,6 +26,7 @@ from hysteresis_ros.references.recipes import RECIPES
 @click.argument("config", type=ConfigurationName())
 @click.option("--recipe", "name", type=click.Choice(list(RECIPES)), help="What to drive it with; or give --reference.")
 @click.option("--record", required=True, metavar="DIR", type=click.Path(path_type=pathlib.Path), help="New bag folder.")
+@split_options
 @click.option("--duration", type=float, help="Length of the run [s of the axis]; the recipe's own by default.")
 @click.option(
     "--rate", type=click.Choice(["realtime", "lockstep", "fused"]), help="Time mode; the configuration's by default."
@@ -45,7 +46,9 @@ from hysteresis_ros.references.recipes import RECIPES
 )
 @click.option("--namespace", help="Drive only the axis in this namespace.")
 @reference_options
-def excite(config, name, record, duration, rate, processes, plant, namespace, reference):
+def excite(
+    config, name, record, max_bag_size, max_bag_duration, duration, rate, processes, plant, namespace, reference
+):
     """Drive an axis of CONFIG in open loop without inverse, within the compensator's limits, and record a bag.
 
     The bag goes into `hysteresis identify` as it is. Recipes: triangles (growing peaks), decaying (minor loops),
@@ -95,6 +98,7 @@ def excite(config, name, record, duration, rate, processes, plant, namespace, re
             length = duration or played(waveform, 1.0 / sample_rate)
     if rate:
         configuration = configuration.override("", time_mode=rate)
+    configuration = splitting(configuration, max_bag_size, max_bag_duration)
     with reference.named():
         axis = axes(driven(configuration, limits, gain, waveform), given.namespace)[0]
     axis = axis.with_duration(length)

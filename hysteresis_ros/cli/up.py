@@ -12,10 +12,11 @@
 from __future__ import annotations
 
 import signal
+import sys
 
 import click
 
-from hysteresis_ros.cli.arguments import ConfigurationName, laid_under, params_file_option
+from hysteresis_ros.cli.arguments import ConfigurationName, laid_under, params_file_option, split_options, splitting
 from hysteresis_ros.cli.reference_options import reference_options
 
 
@@ -29,6 +30,7 @@ from hysteresis_ros.cli.reference_options import reference_options
     help="Four processes or one, which exchange messages; by default four, or --fused where these are too slow.",
 )
 @click.option("--record", metavar="DIR", help="Record everything into this new bag folder.")
+@split_options
 @click.option("--duration", type=float, help="Length of the run [s of the axis]; by default until Ctrl-C.")
 @click.option(
     "--rate", type=click.Choice(["realtime", "lockstep", "fused"]), help="Time mode; the configuration's by default."
@@ -69,6 +71,8 @@ def up(
     laid_over,
     processes,
     record,
+    max_bag_size,
+    max_bag_duration,
     duration,
     rate,
     fused,
@@ -95,6 +99,7 @@ def up(
 
     rate = _time_mode(rate, fused, processes)
     configuration = _overridden(reference.put_into(laid_under(config, laid_over)), rate, factor, force, plant)
+    configuration = splitting(configuration, max_bag_size, max_bag_duration)
     with reference.named():
         found = axes(configuration, namespace)
     for axis in found:
@@ -117,8 +122,7 @@ def up(
     with graph:
         ended = graph.wait(lambda: bool(requested))
         click.echo("the run ended" if ended else "stopping")
-    for bag in graph.bags:
-        click.echo(f"recorded: {bag}")
+    _say_recorded(graph)
     if verify:
         _verify(graph)
 
@@ -168,16 +172,23 @@ def _what_runs(axis, composed: bool) -> str:
     return f"{how}: {plant.sample_rate:g} Hz, real-time factor {plant.real_time_factor:g}, {length}"
 
 
+def _say_recorded(graph) -> None:
+    """Name the bags; a recorder that died has left one that was cut off, which is no good end."""
+    for bag in graph.bags:
+        click.echo(f"recorded: {bag}" + ("; it was cut off: hysteresis repair makes it whole" if graph.lost else ""))
+    if graph.lost:
+        sys.exit(1)
+
+
 def _verify(graph) -> None:
-    from hysteresis_ros.cli.verify import differing, equal
+    from hysteresis_ros.cli.verify import equal, unlike
     from hysteresis_ros.errors import HysteresisError
     from hysteresis_ros.recordings.align import read_recording
     from hysteresis_ros.simulation.run import differences
 
     for axis, bag in zip(graph.axes, graph.bags, strict=True):
         recorded = read_recording(bag, axis.namespace, further=True)
-        found = differences(recorded, axis)
-        missing = recorded.metadata.get("missing_samples", 0)
-        if found or missing:
-            raise HysteresisError(differing(bag, found, missing))
+        wrong = unlike(bag, recorded, differences(recorded, axis))
+        if wrong:
+            raise HysteresisError(wrong)
         click.echo(equal(bag, recorded.time.size))

@@ -17,6 +17,8 @@ from collections.abc import Mapping
 
 import click
 
+from hysteresis_ros.recordings.dataset import Recording
+
 
 @click.command(short_help="Compare a recorded run with its offline twin, bit for bit.")
 @click.argument("recording", type=click.Path(path_type=pathlib.Path))
@@ -29,44 +31,50 @@ def verify(recording: pathlib.Path, namespace: str | None) -> None:
     """
     from hysteresis_ros.configuration import parse_configuration
     from hysteresis_ros.errors import RecordingError
+    from hysteresis_ros.recordings.configured import in_force
     from hysteresis_ros.recordings.files import load_run
     from hysteresis_ros.simulation.axes import single_axis
     from hysteresis_ros.simulation.run import differences
 
     run = load_run(recording, namespace)
-    if not run.configuration:
+    text = in_force(run)
+    if not text:
         raise RecordingError(
             f"{recording}: holds no configuration, so nobody knows what it is a run of; verify the bag that "
             "'up --record' writes, or the .npz of 'simulate -o'"
         )
-    axis = single_axis(parse_configuration(run.configuration, str(recording)), run.metadata.get("namespace"))
+    axis = single_axis(parse_configuration(text, str(recording)), run.metadata.get("namespace"))
     simulated = run.metadata.get("source") == "offline simulation"
     if not simulated and axis.plant_simulator.time_mode == "realtime":
         raise RecordingError(
             f"{recording}: is a run in real time, which depends on when messages came; only lockstep and "
             "fused runs repeat"
         )
-    found, missing = differences(run, axis), run.metadata.get("missing_samples", 0)
-    if found or missing:
-        click.echo(f"hysteresis: {differing(recording, found, missing)}", err=True)
+    wrong = unlike(recording, run, differences(run, axis))
+    if wrong:
+        click.echo(f"hysteresis: {wrong}", err=True)
         sys.exit(1)
     click.echo(equal(recording, run.time.size))
 
 
-def differing(name: object, found: Mapping[str, int], missing: int) -> str:
-    """Return in one line in what a recording differs from its twin.
+def unlike(name: object, run: Recording, found: Mapping[str, int]) -> str:
+    """Return in one line in what a recording differs from its twin; empty: in nothing.
 
     Parameters
     ----------
     name : object
         Of the recording.
+    run : Recording
+        The recording.
     found : mapping of str to int
         Number of differing samples of each signal that differs.
-    missing : int
-        Samples that were not recorded.
     """
+    missing, lacking = (run.metadata.get(what, 0) for what in ("missing_samples", "missing_changes"))
+    if not (found or missing or lacking):
+        return ""
     wrong = ", ".join(f"{signal}: {count} samples" for signal, count in found.items())
-    return f"{name} differs from the offline twin ({wrong or 'no signal'}; {missing} samples missing)"
+    more = f"; {lacking} entries of the log of changes missing" if lacking else ""
+    return f"{name} differs from the offline twin ({wrong or 'no signal'}; {missing} samples missing{more})"
 
 
 def equal(name: object, samples: int) -> str:

@@ -445,12 +445,42 @@ class RecorderNodeParameters(NodeParameters):
         description="further topics to record (relative or absolute), each as 'name:package/msg/Type'",
     )
     chunk_time: float = parameter(
-        0.5,
+        0.25,
         unit="s",
         low=0.01,
-        high=3600.0,
+        high=0.5,
         read_only=True,
-        description="a chunk is written to disk at least this often",
+        description="what was recorded is handed to the operating system at least this often",
+    )
+    max_bag_size: int = parameter(
+        0,
+        unit="B",
+        low=0,
+        high=10**15,
+        read_only=True,
+        description="size of a file of the bag after which the next one begins; 0: any",
+    )
+    max_bag_duration: float = parameter(
+        0.0,
+        unit="s",
+        low=0.0,
+        high=1.0e9,
+        read_only=True,
+        description="length of a file of the bag after which the next one begins; 0: any",
+    )
+    warn_space: int = parameter(
+        2 * 10**9,
+        unit="B",
+        low=0,
+        high=10**15,
+        description="free space on the disk below which the recorder warns",
+    )
+    min_space: int = parameter(
+        2 * 10**8,
+        unit="B",
+        low=0,
+        high=10**15,
+        description="free space on the disk below which it ends the recording, never the axis",
     )
 
 

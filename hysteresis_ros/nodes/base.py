@@ -11,7 +11,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from array import array
 from typing import Any
@@ -27,6 +26,7 @@ from std_srvs.srv import Trigger
 from hysteresis_ros import signals
 from hysteresis_ros.errors import HysteresisError, ParameterError
 from hysteresis_ros.loop.node_parameters import NODE_PARAMETERS
+from hysteresis_ros.nodes.changes import ChangeLog
 from hysteresis_ros.nodes.compatibility import Compatibility
 from hysteresis_ros.nodes.diagnostics import diagnostics, introduction, warn_of_others
 from hysteresis_ros.nodes.fused import Fused
@@ -76,7 +76,7 @@ class AxisNode(TabledParameters, GuardedLifecycleNode):
         self.runner = None
         #: With time_mode fused: the axis of which this node is one, in this process.
         self.fused = None
-        self._changes = None
+        self.changes = ChangeLog(name)
         self.active = False
         #: Whether the process is about to end.
         self.leaving = False
@@ -176,12 +176,7 @@ class AxisNode(TabledParameters, GuardedLifecycleNode):
             With ``retune``: flat dotted parameters with their new values.
         """
         entry = {"sample": self.sample, "node": self.kind, "action": action, **self.change_details()}
-        self.publish_change({**entry, "parameters": parameters or {}})
-
-    def publish_change(self, entry: dict) -> None:
-        """Publish what was changed."""
-        if self._changes is not None:
-            self._changes.publish(String(data=json.dumps(entry)))
+        self.changes.publish({**entry, "parameters": parameters or {}})
 
     def change_details(self) -> dict:
         """Return what else a change's log says: what of the sample has been done before."""
@@ -221,7 +216,8 @@ class AxisNode(TabledParameters, GuardedLifecycleNode):
         names = self.state_names = tuple(self.state_signals()) if self.has_state else ()
         self._state = JointState(name=list(names), position=array("d", bytes(8 * len(names))))
         self._state_publisher = self.publisher(JointState, "~/state", self.qos()) if names else None
-        self._changes = self.publisher(String, "changes", self.changes_qos()) if names else None
+        if names:
+            self.changes.open(self.publisher(String, "changes", self.changes_qos()), self.parameters.to_mapping())
         self.runner.connect()
         self.connect()
 
@@ -234,7 +230,7 @@ class AxisNode(TabledParameters, GuardedLifecycleNode):
         self.partners.clear()
         self.interface.typed = None
         self.parameters = None
-        self._changes = None
+        self.changes.close()
 
     def on_activate(self, state):
         """Start working."""
@@ -439,9 +435,10 @@ class AxisNode(TabledParameters, GuardedLifecycleNode):
         return self.sample >= self.end_of_run
 
     def leave_when_done(self) -> None:
-        """Leave, if the run is over and the parameter exit_at_end says so."""
-        if self.parameters.exit_at_end and (self.is_done() or not self.runner.exact):
-            self.finished = True
+        """End the log of changes if the run is over, and leave if the parameter exit_at_end says so."""
+        if self.is_done() or not self.runner.exact:
+            self.changes.end(self.end_of_run)
+            self.finished |= self.parameters.exit_at_end
 
     def fail(self, text: str, exit_code: int = 1, announce: bool = True) -> None:
         """End the run with an error; the node answers no more samples, and in lockstep the others are told the same."""

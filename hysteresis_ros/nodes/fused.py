@@ -326,7 +326,7 @@ class FusedAxis:
         for change in self.loop.changes:
             if id(change) not in self._told:
                 self._told.add(id(change))
-                self.nodes[change.node].publish_change(
+                self.nodes[change.node].changes.publish(
                     {
                         "sample": change.sample,
                         "node": change.node,

@@ -20,6 +20,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
 
@@ -74,6 +75,10 @@ class GraphError(HysteresisError):
         self.exit_code = exit_code
 
 
+def _print_warning(text: str) -> None:
+    print(f"hysteresis: warning: {text}", file=sys.stderr)
+
+
 @dataclass
 class NodeProcess:
     """One running process of the graph."""
@@ -103,6 +108,8 @@ class Graph:
         Log level of the nodes.
     environment : dict of str to str, optional
         Environment variables of the nodes beside those of this process.
+    warn : callable
+        Takes a sentence when something is lost that does not end the run.
 
     Raises
     ------
@@ -118,6 +125,7 @@ class Graph:
         record=None,
         log_level: str = "warn",
         environment: dict[str, str] | None = None,
+        warn: Callable[[str], object] = _print_warning,
     ):
         self.composed = composed
         self.environment = node_environment() | (environment or {})
@@ -126,6 +134,9 @@ class Graph:
         self.log_level = log_level
         self.axes = [self._with_recorder(axis, len(axes) > 1) for axis in axes]
         self.processes: list[NodeProcess] = []
+        #: Recorders that died while the axis went on.
+        self.lost: list[NodeProcess] = []
+        self._warn = warn
         self._stack = contextlib.ExitStack()
         self._first_left = 0.0
 
@@ -187,6 +198,10 @@ class Graph:
         GraphError
             A node died, or left long before the others; the others have been stopped then.
         """
+        for node in [node for node in self.processes if self._is_lost_recorder(node)]:
+            self.processes.remove(node)
+            self.lost.append(node)
+            self._warn(f"{node.full_name} {_how_it_ended(node)}: nothing is recorded any more, the axis goes on")
         codes = [node.process.poll() for node in self.processes]
         ended = [node for node, code in zip(self.processes, codes, strict=True) if code is not None]
         dead = [node for node in ended if node.process.returncode != 0]
@@ -195,8 +210,7 @@ class Graph:
             first = min(dead, key=lambda node: (node.process.returncode > 0, node.process.returncode != 2))
             code = first.process.returncode
             self.stop()
-            reason = f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
-            raise GraphError(f"{first.full_name} {reason}; the rest was stopped", code if code > 0 else 1)
+            raise GraphError(f"{first.full_name} {_how_it_ended(first)}; the rest was stopped", code if code > 0 else 1)
         if ended and None in codes:
             self._first_left = self._first_left or time.monotonic()
             if time.monotonic() - self._first_left > PATIENCE:
@@ -204,6 +218,16 @@ class Graph:
                 self.stop()
                 raise GraphError(f"{names} left while the others went on; the rest was stopped", 1)
         return None in codes
+
+    def _is_lost_recorder(self, node: NodeProcess) -> bool:
+        """Tell whether a node is a recorder that died while an axis in real time, which does not need it, goes on.
+
+        One that refuses to begin ends the run, and in lockstep every partner is needed.
+        """
+        if node.name != "recorder" or node.process.poll() in (None, 0, 2):
+            return False
+        axis = next(axis for axis in self.axes if axis.namespace == node.namespace)
+        return axis.plant_simulator.time_mode != "lockstep"
 
     def wait(self, stop_requested=lambda: False) -> bool:
         """Wait until the run ends by itself (True) or ``stop_requested()`` becomes true (False).
@@ -271,6 +295,11 @@ def started(command: list[str], environment: dict[str, str], **options) -> subpr
     # A session of its own: Ctrl-C in a terminal reaches this process only, which then stops the nodes in order.
     guard = partial(die_with_parent, os.getpid())
     return subprocess.Popen(command, env=environment, start_new_session=True, preexec_fn=guard, **options)
+
+
+def _how_it_ended(node: NodeProcess) -> str:
+    code = node.process.returncode
+    return f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
 
 
 def _require_creatable(folder: pathlib.Path) -> None:

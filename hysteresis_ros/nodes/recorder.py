@@ -11,14 +11,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import time
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, String, UInt64
 
-from hysteresis_ros.bounded import BoundsError, read_text
+from hysteresis_ros.bounded import BoundsError, read_json, read_text
 from hysteresis_ros.configuration import parse_configuration
 from hysteresis_ros.errors import ConfigurationError, RecordingError
 from hysteresis_ros.nodes.base import AxisNode
@@ -27,6 +29,12 @@ from hysteresis_ros.nodes.spin import QUIET, run
 from hysteresis_ros.nodes.timing import STALE
 from hysteresis_ros.recordings.bag_writer import BagWriter
 from hysteresis_ros.recordings.batch_writer import CHUNK_TIME, AxisTopics, SampleWriter
+from hysteresis_ros.recordings.guarded_bag import GuardedBag, require_space
+from hysteresis_ros.recordings.provenance import RECORD, provenance
+from hysteresis_ros.signals import ENDED, MOTOR_SOURCE, PLANT, SOURCE, WRITERS
+
+#: Topic of what people change.
+CHANGES = "changes"
 
 #: Samples between two acknowledgements to the plant.
 STRIDE = 16
@@ -67,7 +75,7 @@ class RecorderNode(AxisNode):
 
     def __init__(self, **options):
         super().__init__("recorder", **options)
-        self.bag = None
+        self.recording: GuardedBag | None = None
         self._arrived = False
         self._samples: SampleWriter | None = None
         self._reader = self._fused_plant = None
@@ -85,11 +93,30 @@ class RecorderNode(AxisNode):
                 ) from None
         self._is_inchworm = parameters.inchworm or self._describes_inchworm(parameters.configuration)
         self._topics = sampled_topics(self._is_inchworm, parameters.external_plant)
+        loggers = {*WRITERS} - {SOURCE if self._is_inchworm else MOTOR_SOURCE}
+        self._loggers = loggers - {PLANT} if parameters.external_plant else loggers
         self._further = [_topic_and_type(entry) for entry in parameters.topics]
-        self.bag = BagWriter(parameters.path)
-        self._path = parameters.path
-        self._flushed = time.monotonic()
+        require_space(parameters.path, parameters.min_space)
+        split = {"max_bag_size": parameters.max_bag_size, "max_bag_duration": parameters.max_bag_duration}
+        bag = BagWriter(parameters.path, **split)
+        bag.describe(RECORD, provenance())
+        self.recording = GuardedBag(bag, parameters.chunk_time - self._period)
         self.reset_blocks()
+
+    @property
+    def _period(self) -> float:
+        """Seconds between two looks at what is to be written."""
+        return min(0.1, 0.5 * self.parameters.chunk_time)
+
+    @property
+    def bag(self) -> BagWriter | None:
+        """The bag; None before it is made, when it is finished, and when it could not go on."""
+        return None if self.recording is None else self.recording.bag
+
+    @property
+    def is_fused(self) -> bool:
+        """It has no part of a loop."""
+        return False
 
     def _describes_inchworm(self, source: str) -> bool:
         try:
@@ -102,6 +129,7 @@ class RecorderNode(AxisNode):
         """Count from sample 0 again; the bag goes on, readers of it show the longest run."""
         self._counts = [0] * len(self._topics)
         self._acknowledged = 0
+        self._ended: set[str] = set()
         self._last_arrival = time.monotonic()
 
     def connect(self) -> None:
@@ -114,7 +142,7 @@ class RecorderNode(AxisNode):
             self._record(topic, message_type, heard, durability, index, partner)
         self.subscribe_end()
         self._record("setpoint", Float64, setpoint_qos(), "volatile")
-        self._record("changes", String, self.changes_qos(), "transient_local")
+        self._record(CHANGES, String, self.changes_qos(), "transient_local")
         if self._is_inchworm:
             self._record("speed", Float64, setpoint_qos(), "volatile")
         self._record("/diagnostics", DiagnosticArray, diagnostics_qos(), "volatile")
@@ -126,40 +154,54 @@ class RecorderNode(AxisNode):
 
     def begin(self) -> None:
         """Write the configuration first, then tell the plant that it may begin."""
-        if self.bag is None:
-            raise RecordingError(f"{self._path} is finished; start another recorder with another path")
+        bag = self.bag
+        if bag is None:
+            raise RecordingError(f"{self.recording.path} is finished; start another recorder with another path")
         if self._configuration:
             self._announce.publish(String(data=self._configuration))
-            self.bag.add_topic(self._announce.topic_name, "std_msgs/msg/String", "transient_local")
-            self.bag.write_string(self._announce.topic_name, self._configuration, time.time_ns())
-            self.bag.flush()
+            bag.add_topic(self._announce.topic_name, "std_msgs/msg/String", "transient_local")
+            bag.write_string(self._announce.topic_name, self._configuration, time.time_ns())
+            bag.flush()
         self._began = self.runner.exact or not self.runner.by_message
         self._patience = time.monotonic() + PATIENCE_AT_START
         if self._began:
             self._send_acknowledgement()
-        self.timer(min(0.1, self.parameters.chunk_time), self._tend)
+        self.timer(self._period, self._tend)
 
     def _record(self, topic: str, message_type, qos, durability: str, index=-1, partner="") -> None:
         type_name = f"{message_type.__module__.split('.')[0]}/msg/{message_type.__name__}"
         subscription = None
 
         def write(data: bytes) -> None:
-            if self.bag is None or not self.active or not self.running:
+            if self.recording is None or not (topic == CHANGES or (self.active and self.running)):
                 return
             if topic == "joint_states" and self.end_of_run >= 0 and self.parameters.external_plant:
                 return  # somebody else goes on measuring
-            try:
-                self.bag.write(subscription.topic_name, type_name, data, time.time_ns())
-            except RecordingError as error:
-                self.fail(str(error))
-                return
+            self.recording.attempt(lambda bag: bag.write(subscription.topic_name, type_name, data, time.time_ns()))
             if index >= 0:
                 self._note(index)
+            elif topic == CHANGES:
+                self._note_change(data)
 
         subscription = self.subscriber(message_type, topic, write, qos, raw=True, partner=partner)
         self.bag.add_topic(subscription.topic_name, type_name, durability)
         if index >= 0:
             self._sampled.append(subscription.topic_name)
+
+    def _note_change(self, data: bytes) -> None:
+        """Remember whose log of changes is over."""
+        self._arrived = True
+        with contextlib.suppress(ValueError, AttributeError):
+            entry = read_json(deserialize_message(data, String).data)
+            if entry.get("action") == ENDED:
+                self._ended.add(entry.get("node"))
+
+    def _lacking_changes(self) -> set[str]:
+        """Return whose log of changes is not over, as long as there is hope: a lost message comes again late."""
+        waited = time.monotonic() - self._last_arrival
+        if waited > self.parameters.partner_timeout or not self.count_publishers(self.resolve_topic_name(CHANGES)):
+            return set()
+        return self._loggers - self._ended
 
     def _note(self, index: int) -> None:
         counts = self._counts
@@ -212,11 +254,8 @@ class RecorderNode(AxisNode):
             return
         stamps = self._fused_plant.stamps_of(np.arange(taken.first, taken.first + count))
         self._samples.force = self._fused_plant.parameters.preload.force
-        try:
-            self._samples.write(stamps, taken.table, joints=taken.joints, times=taken.times)
-        except RecordingError as error:
-            self.fail(str(error))
-            return
+        given = {"joints": taken.joints, "times": taken.times}
+        self.recording.attempt(lambda _: self._samples.write(stamps, taken.table, **given))
         self._counts = [taken.first + count - self._lost] * len(self._topics)
         self._arrived = True
 
@@ -229,18 +268,16 @@ class RecorderNode(AxisNode):
         self.take_samples()
         if self._arrived:
             self._last_arrival, self._arrived = now, False
-        if self.bag is not None and now - self._flushed > self.parameters.chunk_time:
-            self._flushed = now
-            try:
-                self.bag.flush()
-            except RecordingError as error:
-                self.fail(str(error))
+        self.recording.tend(self.parameters.min_space)
+        if self.recording.stopped:
+            self.warn("stopped", f"recording ended: {self.recording.stopped}", every=60.0, error=True)
         if not self._began:
             # real-time topics keep nothing for a late reader: let the plant begin when all publishers are there
             self._began = now > self._patience or all(self.count_publishers(topic) for topic in self._sampled)
             if self._began:
                 self._send_acknowledgement()
-        if self.end_of_run >= 0 and not self.runner.exact and now - self._last_arrival > SILENCE:
+        over = self.end_of_run >= 0 and not self.runner.exact and now - self._last_arrival > SILENCE
+        if over and not self._lacking_changes():
             self.leave_when_done()
 
     def _on_end(self, message) -> None:
@@ -253,7 +290,7 @@ class RecorderNode(AxisNode):
 
     def is_done(self) -> bool:
         """Tell whether every message of the run is in the bag."""
-        return min(self._counts) >= self.end_of_run
+        return min(self._counts) >= self.end_of_run and not self._lacking_changes()
 
     #: As long as a busy machine keeps messages waiting: the last of them are those of an axis that goes safe.
     listens_for = 3.0
@@ -271,15 +308,19 @@ class RecorderNode(AxisNode):
 
     def release(self) -> None:
         """Finish the bag: index and metadata."""
-        if self.bag is None:
+        if self.recording is None:
             return
-        self.take_samples()
-        self._samples = self._reader = None
-        bag, self.bag = self.bag, None
-        try:
-            bag.close()
-        except RecordingError as error:
-            self.fail(str(error))
+        if self.bag is not None:
+            self.take_samples()
+            self._samples = self._reader = None
+            try:
+                self.recording.finish()
+            except RecordingError as error:
+                self.recording.stopped = str(error)
+        if self.recording.stopped:
+            if self.leaving:
+                self.failure, self.exit_code = f"recording ended: {self.recording.stopped}", 1
+            return
         pairs = zip(self._topics, self._counts, strict=True)
         missing = [f"{topic} {self.end_of_run - count}" for (topic, *_), count in pairs if count < self.end_of_run]
         if missing:
@@ -288,9 +329,16 @@ class RecorderNode(AxisNode):
     def health(self):
         """Report what has been written, and whether nothing comes."""
         stale = self.pace.age > max(STALE, 3.0 / self.parameters.sample_rate) and self.end_of_run < 0
-        count = self.bag.message_count if self.bag else 0
-        values = {"messages": count, "acknowledged": self._acknowledged, "stale": stale}
-        return (2, "joint_states is stale", values) if stale else (0, "", values)
+        recording = self.recording
+        values = {"messages": recording.message_count, "acknowledged": self._acknowledged, "stale": stale}
+        values |= {"recording": self.bag is not None, "free_space_mb": f"{recording.free / 1e6:.0f}"}
+        if recording.stopped:
+            return 2, f"recording ended: {recording.stopped}", values
+        if stale:
+            return 2, "joint_states is stale", values
+        if recording.free < self.parameters.warn_space:
+            return 1, f"only {recording.free / 1e6:.4g} MB are free on the disk of {recording.path}", values
+        return 0, "", values
 
 
 def _topic_and_type(entry: str):

@@ -15,12 +15,13 @@ import contextlib
 
 import numpy as np
 
-from hysteresis_ros.bounded import read_json
 from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.recordings import cdr
 from hysteresis_ros.recordings.bag_reader import Bag, Topic, read_bag
+from hysteresis_ros.recordings.change_log import read_log
 from hysteresis_ros.recordings.configured import configured
 from hysteresis_ros.recordings.dataset import Recording
+from hysteresis_ros.recordings.provenance import RECORD
 from hysteresis_ros.signals import (
     COLUMNS,
     MOTOR_COLUMNS,
@@ -107,7 +108,8 @@ def align(bag: Bag, namespace: str | None = None, *, further: bool = False) -> R
     -------
     Recording
         Eight columns, or more with ``further``; ``metadata`` holds ``late_commands`` (as the plant last reported them),
-        ``missing_samples``, ``missing`` (per signal), ``messages`` (per topic), ``notes``, ``timing``,
+        ``missing_samples``, ``missing_changes``, ``missing`` (per signal), ``changes``, ``parameters`` (of each node as
+        it was configured), ``provenance`` (versions), ``messages`` (per topic), ``notes``, ``timing``,
         ``configuration``, ``namespace``, ``complete``, ``start_time_ns`` and ``source``.
 
     Raises
@@ -149,16 +151,22 @@ def align(bag: Bag, namespace: str | None = None, *, further: bool = False) -> R
         notes.append(
             f"{late} voltages came late, the plant held the one before: this machine was too busy for the rate"
         )
+    log = read_log(bag, prefix)
+    if log.lacking:
+        notes.append(f"{log.lacking} entries of the log of changes are missing: the run cannot be repeated")
     metadata = {
         "source": str(bag.path.name),
         "late_commands": late,
         "namespace": prefix,
         "configuration": configuration,
         "complete": bag.complete,
-        "changes": _changes(bag, prefix),
+        "changes": log.changes,
+        "parameters": log.parameters,
+        "provenance": bag.words.get(RECORD, {}),
         "start_time_ns": int(stamps[0]) if stamps.size else 0,
         "recorded_ns": _recorded(bag, prefix),
         "missing_samples": missing,
+        "missing_changes": log.lacking,
         "missing": per_signal,
         "messages": {name: len(bag.topics[name].data) for name in sorted(bag.topics) if name.startswith(f"{prefix}/")},
         "timing": _timing(bag, prefix, joints, rows, _is_paced(configuration, prefix)),
@@ -260,18 +268,6 @@ def _further(states: dict, stamps) -> dict[str, np.ndarray]:
             values = states[node].signal(name) if states[node] is not None else None
             if signal not in COLUMNS and values is not None:
                 found[signal] = _by_stamp(stamps, states[node].stamps, values)
-    return found
-
-
-def _changes(bag: Bag, prefix: str) -> list[dict]:
-    """Return what people changed while the axis ran, in the order of the bag; what cannot be read is left out."""
-    topic = bag.of_type(f"{prefix}/changes", cdr.STRING)
-    found = []
-    for text in cdr.decode_strings(topic.data, f"{prefix}/changes") if topic else ():
-        with contextlib.suppress(ValueError):
-            entry = read_json(text)
-            if isinstance(entry, dict):
-                found.append(entry)
     return found
 
 

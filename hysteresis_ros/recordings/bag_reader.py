@@ -20,7 +20,7 @@ from rosbags.rosbag2 import Reader
 
 from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.recordings import cdr
-from hysteresis_ros.recordings.mcap_stream import StreamResult, read_stream
+from hysteresis_ros.recordings.mcap_stream import StreamResult, read_stream, words_of
 from hysteresis_ros.recordings.sqlite_stream import read_database
 
 #: Types whose messages are kept; of others (images …) only the topic is remembered.
@@ -70,12 +70,15 @@ class Bag:
         False when the bag was cut off or is damaged.
     notes : list of str
         What a reader must know about it.
+    words : dict of str to dict
+        What its metadata records say, by their names.
     """
 
     path: pathlib.Path
     topics: dict[str, Topic] = field(default_factory=dict)
     complete: bool = True
     notes: list[str] = field(default_factory=list)
+    words: dict[str, dict[str, str]] = field(default_factory=dict)
     _count: int = 0
 
     def add(self, name: str, type_name: str, time_ns: int, data: bytes) -> None:
@@ -122,6 +125,7 @@ def read_bag(path) -> Bag:
         try:
             bag = Bag(path)
             _read_with_rosbags(bag, path)
+            bag.words = words_of(files[0]) if files and files[0].suffix == ".mcap" else {}
             return bag
         except RecordingError as error:
             notes.append(f"read in file order because the index cannot be used ({error})")
@@ -194,6 +198,7 @@ def _read_files(path: pathlib.Path, files: list[pathlib.Path], notes: list[str])
             result = read_stream(file, bag.add)
             bag.complete &= result.complete and not result.damaged_chunks
             bag.notes += _stream_notes(file, result)
+            bag.words = result.words | bag.words
         elif not read_database(file, bag.add):
             bag.complete = False
             bag.notes.append(f"{file.name} was cut off or is damaged: read up to the first page that is missing")

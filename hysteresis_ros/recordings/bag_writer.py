@@ -301,6 +301,8 @@ class BagWriter:
     def _failed(self, error: OSError) -> RecordingError:
         """Return the error that says so, now and at every later write."""
         self._failure = f"{self.path}: cannot be written: {error.strerror}"
+        if self._writer is not None:
+            self._writer.file.drop()  # without it there may be room for the end of the file
         return RecordingError(self._failure)
 
     def _alive(self) -> ChunkedWriter:

@@ -11,8 +11,14 @@
 
 from __future__ import annotations
 
-from hysteresis_ros.configuration import Configuration, parse_configuration
+from hysteresis_ros.configuration import Configuration, dump_configuration, parse_configuration
 from hysteresis_ros.errors import HysteresisError
+from hysteresis_ros.recordings.dataset import Recording
+from hysteresis_ros.signals import COMPENSATOR, CONTROLLER, PLANT
+
+#: Nodes whose parameters an axis needs, and the one that keeps no log.
+LOGGED = {PLANT, CONTROLLER, COMPENSATOR}
+OPTIONAL = ("displacement_camera",)
 
 
 def described(text: str, node: str, namespace: str = "") -> bool:
@@ -28,6 +34,25 @@ def configured(text: str, node: str, namespace: str = "") -> dict:
     """
     configuration = _parsed(text)
     return {} if configuration is None else configuration.node(node, namespace)
+
+
+def in_force(recording: Recording) -> str:
+    """Return the parameter file of what the nodes of a recording were really configured with.
+
+    Their own log knows what a parameter file does not: values of the command line, and what was set before they began.
+
+    Parameters
+    ----------
+    recording : Recording
+        Of any axis; one without such a log gives the configuration in it.
+    """
+    known = recording.metadata.get("parameters", {})
+    if not known.keys() >= LOGGED:
+        return recording.configuration
+    namespace = recording.metadata.get("namespace", "")
+    nodes = {node: configured(recording.configuration, node, namespace) for node in OPTIONAL} | known
+    given = {node: {name: value for name, value in values.items() if value != []} for node, values in nodes.items()}
+    return dump_configuration({f"{namespace}/{node}": values for node, values in given.items() if values})
 
 
 def _parsed(text: str) -> Configuration | None:

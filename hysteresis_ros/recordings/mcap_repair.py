@@ -20,7 +20,7 @@ from typing import Any, BinaryIO
 import numpy as np
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.reader import make_reader
+from mcap.reader import SeekingReader
 from mcap.records import Attachment, AttachmentIndex, Channel, Metadata, MetadataIndex, Schema
 
 from hysteresis_ros.errors import RecordingError
@@ -47,7 +47,7 @@ def whole_mcap(path: pathlib.Path) -> FileInformation | None:
     """
     try:
         with path.open("rb") as stream:
-            summary = make_reader(stream).get_summary()
+            summary = SeekingReader(stream, record_size_limit=path.stat().st_size).get_summary()
             if summary is None or summary.statistics is None:
                 return None
             # a file may have lost its end and got another one: the index must lie within it

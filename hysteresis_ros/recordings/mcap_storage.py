@@ -216,6 +216,10 @@ class ChunkStorage(McapWriter):
         except BaseException:
             self.index.forget(noted)
             raise
+        self.drop()
+
+    def drop(self) -> None:
+        """Forget the messages that came one by one and are not in the file."""
         self.chunk = PendingChunk(NEVER, 0, io.BytesIO(), defaultdict(list))
 
     def _append(self, pieces) -> None:

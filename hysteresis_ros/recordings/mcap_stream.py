@@ -20,7 +20,8 @@ from dataclasses import dataclass, field
 
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, DataEnd, Message, Schema
+from mcap.reader import SeekingReader
+from mcap.records import Channel, Chunk, DataEnd, Message, Metadata, Schema
 from mcap.stream_reader import StreamReader
 
 from hysteresis_ros.errors import RecordingError
@@ -44,6 +45,8 @@ class StreamResult:
         Messages taken from a chunk that was cut off.
     damaged_chunks : int
         Chunks inside the file that could not be unpacked.
+    words : dict of str to dict
+        What metadata records say, by their names.
     """
 
     complete: bool = False
@@ -51,6 +54,7 @@ class StreamResult:
     whole: int = 0
     salvaged: int = 0
     damaged_chunks: int = 0
+    words: dict[str, dict[str, str]] = field(default_factory=dict)
 
 
 @dataclass
@@ -127,6 +131,22 @@ def read_stream(path, sink) -> StreamResult:
     return result
 
 
+def words_of(path: pathlib.Path) -> dict[str, dict[str, str]]:
+    """Return what the metadata records of an MCAP file with an index say, by their names; nothing of other files.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        The file.
+    """
+    try:
+        with path.open("rb") as stream:
+            reader = SeekingReader(stream, record_size_limit=path.stat().st_size)
+            return {record.name: record.metadata for record in reader.iter_metadata()}
+    except Exception:  # see read_stream
+        return {}
+
+
 def _take(record, records: _Records, result: StreamResult) -> None:
     if isinstance(record, Chunk):
         try:
@@ -139,6 +159,8 @@ def _take(record, records: _Records, result: StreamResult) -> None:
         records.channel(record)
     elif isinstance(record, Message):
         records.message(record.channel_id, record.log_time, record.data)
+    elif isinstance(record, Metadata):
+        result.words[record.name] = record.metadata
     elif isinstance(record, DataEnd):
         result.complete = True
 

@@ -1,0 +1,153 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""The recorder: it waits for what is said late, and when it cannot go on the axis does."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+from dataclasses import replace
+
+import pytest
+
+from hysteresis_ros.nodes.launcher import Graph, GraphError, NodeProcess
+
+pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
+
+from nodes_support import (  # noqa: E402
+    REAL,
+    SINE,
+    RecordedRun,
+    axis_parameters,
+    compose,
+    diagnostics,
+    shortened,
+    until,
+)
+
+
+def test_a_change_that_comes_after_the_last_sample_is_still_recorded(inside, tmp_path):
+    """A message that was lost on the way comes again when the run may be over long since."""
+    from rclpy.parameter import Parameter
+
+    from hysteresis_ros.simulation.run import differences
+
+    overrides = {node: dict(values) for node, values in REAL.items()}
+    overrides["reference_generator"] |= SINE
+    axis = shortened(axis_parameters(overrides=overrides, time_mode="lockstep", exit_at_end=True), 150)
+    run = RecordedRun(inside, axis, tmp_path / "bag")
+    held, publisher = [], run.controller.changes._publisher
+    usual, publisher_of_log = publisher.publish, run.controller.changes
+    publisher_of_log._publisher = type("Held", (), {"publish": staticmethod(held.append)})
+    step = run.controller.after_step
+
+    def change():
+        step()
+        if run.controller.sample == 60:
+            assert run.controller.set_parameters_atomically([Parameter("pid.Ki", value=33.0)]).successful
+
+    run.controller.after_step = change
+    inside.spin()
+    recorder = run._recorder
+    until(lambda: recorder.end_of_run == 150 == min(recorder._counts), what="all samples")
+    assert not recorder.is_done() and not recorder.finished
+    until(lambda: len(held) == 2, what="the end of the log")
+    for message in held:
+        usual(message)
+    until(lambda: recorder.finished, what="the recorder")
+    recorded = run.result()
+    assert [entry["parameters"] for entry in recorded.metadata["changes"]] == [{"pid.Ki": 33.0}]
+    assert recorded.metadata["missing_changes"] == 0 and differences(recorded, axis) == {}
+
+
+def test_a_full_disk_ends_the_recording_and_not_the_axis(inside, observer, tmp_path, monkeypatch):
+    from diagnostic_msgs.msg import DiagnosticArray
+
+    from hysteresis_ros.nodes.recorder import RecorderNode
+    from hysteresis_ros.recordings import guarded_bag
+    from hysteresis_ros.recordings.files import load_run
+
+    slow = {"plant_simulator": {"real_time_factor": 0.05, "late_limit": -1}}
+    axis = axis_parameters(overrides=slow, time_mode="realtime")
+    axis = replace(axis, recorder=replace(axis.recorder, path=str(tmp_path / "bag"), min_space=1, warn_space=2))
+    heard = observer.listen(DiagnosticArray, "/diagnostics")
+    monkeypatch.setattr(guarded_bag, "LOOK", 0.0)
+    recorder = inside.add(RecorderNode, axis.recorder)
+    plant, *_ = compose(inside, axis)
+    inside.spin()
+    until(lambda: min(recorder._counts) > 30, what="samples")
+    monkeypatch.setattr(guarded_bag, "free_space", lambda path: 1)
+    until(lambda: "free on the disk" in (diagnostics(heard, "/recorder") or (0, ""))[1], what="the warning")
+    assert diagnostics(heard, "/recorder")[0] == 1 and recorder.bag is not None
+    monkeypatch.setattr(guarded_bag, "free_space", lambda path: 0)
+    until(lambda: "recording ended" in (diagnostics(heard, "/recorder") or (0, ""))[1], what="the error")
+    level, text, values = diagnostics(heard, "/recorder")
+    assert level == 2 and "less than min_space" in text and values["recording"] == "False"
+    now = plant.sample
+    until(lambda: plant.sample > now + 20, what="further samples")
+    assert not recorder.failure and recorder.exit_code == 0
+    back = load_run(tmp_path / "bag")
+    assert back.metadata["complete"] and len(back) > 30
+    recorder.leaving = True
+    recorder.release()
+    assert recorder.failure.startswith("recording ended") and recorder.exit_code == 1
+
+
+def test_parameters_versions_and_the_twin_are_in_the_bag_itself(inside, tmp_path):
+    """Nobody gives the recorder a parameter file, and a parameter is other than everywhere else."""
+    from rclpy.parameter import Parameter
+
+    from hysteresis_ros.configuration import parse_configuration
+    from hysteresis_ros.recordings.configured import in_force
+    from hysteresis_ros.simulation.axes import single_axis
+    from hysteresis_ros.simulation.run import differences
+
+    overrides = {node: dict(values) for node, values in REAL.items()}
+    overrides["reference_generator"] |= SINE
+    axis = shortened(axis_parameters(overrides=overrides, time_mode="lockstep"), 120)
+    run = RecordedRun(inside, axis, tmp_path / "bag")
+    controller = run.controller
+    assert controller.trigger_deactivate() is not None and controller.trigger_cleanup() is not None
+    assert controller.set_parameters_atomically([Parameter("sliding_mode.phi", value=0.9)]).successful
+    assert controller.configure_now() and controller.activate_now()
+    inside.spin()
+    recorded = run.result()
+    assert recorded.metadata["parameters"]["motion_controller"]["sliding_mode.phi"] == 0.9
+    assert recorded.metadata["provenance"]["hysteresis_ros"]
+    twin = single_axis(parse_configuration(in_force(recorded), "bag"), recorded.metadata["namespace"])
+    assert differences(recorded, twin) == {} and differences(recorded, axis) != {}
+
+
+def sleeper():
+    return subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"], start_new_session=True)
+
+
+@pytest.mark.parametrize("mode", ["realtime", "lockstep"])
+def test_a_killed_recorder_ends_a_run_in_lockstep_only(tmp_path, mode):
+    said = []
+    axis = axis_parameters(time_mode=mode)
+    graph = Graph([axis], record=tmp_path / "bag", warn=said.append)
+    graph.processes = [NodeProcess(name, "", sleeper()) for name in ("recorder", "plant_simulator")]
+    with graph._stack:
+        recorder = graph.processes[0]
+        try:
+            assert graph.poll()
+            recorder.process.send_signal(signal.SIGKILL)
+            recorder.process.wait()
+            if mode == "lockstep":
+                with pytest.raises(GraphError, match="/recorder was killed by SIGKILL; the rest was stopped"):
+                    graph.poll()
+            else:
+                assert graph.poll() and graph.poll()
+                assert said == ["/recorder was killed by SIGKILL: nothing is recorded any more, the axis goes on"]
+                assert graph.lost == [recorder]
+        finally:
+            graph.stop()
