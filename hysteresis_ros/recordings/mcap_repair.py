@@ -44,9 +44,18 @@ def whole_mcap(path: pathlib.Path) -> FileInformation | None:
     ----------
     path : pathlib.Path
         The file.
+
+    Raises
+    ------
+    RecordingError
+        It cannot be read.
     """
     try:
-        with path.open("rb") as stream:
+        stream = path.open("rb")
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read: {error.strerror}") from None
+    with stream:
+        try:
             summary = SeekingReader(stream, record_size_limit=path.stat().st_size).get_summary()
             if summary is None or summary.statistics is None:
                 return None
@@ -55,10 +64,8 @@ def whole_mcap(path: pathlib.Path) -> FileInformation | None:
                 stream.seek(chunk.chunk_start_offset)
                 if stream.read(1) != bytes([Opcode.CHUNK]):
                     return None
-    except OSError:
-        raise
-    except Exception:  # a damaged summary makes the parser fail in any way
-        return None
+        except Exception:  # a damaged summary, or a file without room for one, makes the parser fail in any way
+            return None
     told = summary.statistics
     index = McapIndex(summary.schemas, summary.channels, counts=told.channel_message_counts)
     if index.message_count:

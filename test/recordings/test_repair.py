@@ -205,8 +205,9 @@ def test_wrong_input_ends_in_a_line_and_leaves_nothing(tmp_path):
     assert "not an MCAP file; nothing can be saved" in refusal(tmp_path / "garbage.mcap")
     (tmp_path / "garbage.db3").write_bytes(b"\x00" * 100)
     assert "not a readable bag" in refusal(tmp_path / "garbage.db3")
-    (tmp_path / "empty.mcap").write_bytes(b"")
-    assert "nothing can be saved" in refusal(tmp_path / "empty.mcap")
+    for size in (0, 1, 12):
+        (tmp_path / "short.mcap").write_bytes(b"\x89MCAP0\r\n\x01\x00\x00\x00"[:size])
+        assert "nothing can be saved" in refusal(tmp_path / "short.mcap")
     (tmp_path / "folder").mkdir()
     assert "not a bag" in refusal(tmp_path / "folder")
     (tmp_path / "run.csv").write_text("time\n")
