@@ -26,7 +26,11 @@ from hysteresis_ros.cli.arguments import ConfigurationName
 @click.option("--seed", type=int, default=1, show_default=True, help="Of the moments.")
 @click.option("--list", "listed", is_flag=True, help="Print what would be done, and do nothing.")
 @click.option("-o", "output", type=click.Path(path_type=pathlib.Path), help="Page (Markdown) for it all.")
-def faults(config, ways, only, rounds, seed, listed, output):
+@click.option("--json", "figures", type=click.Path(path_type=pathlib.Path), help="JSON file for the figures.")
+@click.option(
+    "--add", multiple=True, type=click.Path(path_type=pathlib.Path), help="Figures of before for the page, too."
+)
+def faults(config, ways, only, rounds, seed, listed, output, figures, add):
     """Start the axis of CONFIG with a simulated plant, in a ROS domain of its own, and let everything go wrong.
 
     Nodes are killed and stopped, messages lost and forged, cores and disks taken; for each it is judged whether the
@@ -34,6 +38,7 @@ def faults(config, ways, only, rounds, seed, listed, output):
     held, 4 when something did not, 2 for wrong input.
     """
     from hysteresis_ros.reliability.catalogue import chosen
+    from hysteresis_ros.reliability.figures_file import load_results
     from hysteresis_ros.reliability.mishaps import chosen_ways
 
     wanted, mishaps = chosen_ways(ways), chosen(only)
@@ -41,8 +46,11 @@ def faults(config, ways, only, rounds, seed, listed, output):
         for mishap in mishaps:
             click.echo(f"{mishap.name} [{', '.join(mishap.ways)}]: {mishap.done}")
         return
-    if output is not None and not output.absolute().parent.is_dir():
-        raise click.UsageError(f"-o {output}: there is no such folder; choose another place")
+    for option, path in (("-o", output), ("--json", figures)):
+        if path is not None and not path.absolute().parent.is_dir():
+            raise click.UsageError(f"{option} {path}: there is no such folder; choose another place")
+    for path in add:
+        load_results(path)
     from hysteresis_ros.configuration import load_configuration
     from hysteresis_ros.nodes.campaign.start import campaign
     from hysteresis_ros.reliability.bounds import prepared
@@ -50,8 +58,7 @@ def faults(config, ways, only, rounds, seed, listed, output):
     configuration = load_configuration(config)
     for way in wanted:
         prepared(configuration, way, "/faults")
-    names = [mishap.name for mishap in mishaps]
-    place = str(output.absolute()) if output else ""
-    raise SystemExit(
-        campaign({"config": config, "ways": wanted, "only": names, "rounds": rounds, "seed": seed, "output": place})
-    )
+    request = {"config": config, "ways": wanted, "only": [mishap.name for mishap in mishaps]}
+    request |= {"rounds": rounds, "seed": seed, "add": [str(path.absolute()) for path in add]}
+    files = {"output": output, "json": figures}
+    raise SystemExit(campaign(request | {name: str(path.absolute()) if path else "" for name, path in files.items()}))

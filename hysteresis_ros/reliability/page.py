@@ -13,9 +13,9 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
-from hysteresis_ros.reliability.conditions import Conditions
+from hysteresis_ros.reliability.figures_file import Results
 from hysteresis_ros.reliability.judge import Figures, Verdict, worst
 from hysteresis_ros.reliability.mishaps import ALWAYS, Mishap
 
@@ -90,32 +90,22 @@ def _cell(mishap: Mishap, way: str, verdicts: list[Verdict]) -> str:
     return f"**not held, {len(failed)} of {len(verdicts)}**: {reasons}; {words}"
 
 
-def page(
-    config: str,
-    mishaps: Iterable[Mishap],
-    ways: tuple[str, ...],
-    verdicts: list[Verdict],
-    before: Conditions,
-    after: Conditions,
-) -> str:
+def page(mishaps: Iterable[Mishap], ways: Sequence[str], results: Results) -> str:
     """Return the page of a campaign.
 
     Parameters
     ----------
-    config : str
-        Which axis.
     mishaps : iterable of Mishap
         Those that were done.
-    ways : tuple of str
-    verdicts : list of Verdict
-    before, after : Conditions
-        At the beginning and the end.
+    ways : sequence of str
+    results : Results
     """
+    verdicts, before, after = results.verdicts, results.before, results.after
     lines = [HEAD.format(always=ALWAYS)]
     loads = [verdict.trace.load for verdict in verdicts] or [before.load]
     lines.append(
-        f"{before.date} … {after.date}; axis `{config}`; {before.machine}; load {min(loads):.1f} … {max(loads):.1f}; "
-        f"DDS transports: {before.transports}."
+        f"{before.date} … {after.date}; axis `{results.config}`; {before.machine}; "
+        f"load {min(loads):.1f} … {max(loads):.1f}; DDS transports: {before.transports}."
     )
     heading = None
     for mishap in mishaps:

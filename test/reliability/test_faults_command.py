@@ -34,6 +34,8 @@ def run(*words):
         (["picma_stag"], "did you mean picma_stage?"),
         (["inchworm_travel"], "an inchworm motor"),
         (["-o", "nowhere/page.md"], "there is no such folder"),
+        (["--add", "nowhere.json"], "nowhere.json: cannot be read"),
+        (["--add", "pyproject.toml"], "no figures of hysteresis faults --json"),
     ],
 )
 def test_wrong_input_is_refused_in_one_line(words, expected):
@@ -45,7 +47,9 @@ def test_wrong_input_is_refused_in_one_line(words, expected):
 def test_what_would_be_done_is_listed():
     result = run("--list", "--only", "Machine")
     assert result.exit_code == 0
-    assert "busy cores [fused, composed, processes]: all cores busy" in result.output and "kill" not in result.output
+    assert (
+        "busy cores [fused, composed, processes]: all cores busy" in result.output and "kill all" not in result.output
+    )
 
 
 @pytest.mark.skipif(importlib.util.find_spec("rclpy") is None, reason="rclpy is not installed: no nodes")

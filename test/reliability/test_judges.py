@@ -22,6 +22,7 @@ from hysteresis_ros.errors import ConfigurationError
 from hysteresis_ros.reliability.bounds import Bounds, bounds_of, prepared
 from hysteresis_ros.reliability.catalogue import CATALOGUE, chosen
 from hysteresis_ros.reliability.conditions import conditions
+from hysteresis_ros.reliability.figures_file import Results, load_results
 from hysteresis_ros.reliability.judge import judged, largest_step, time_to_safe, worst
 from hysteresis_ros.reliability.mishaps import FUSED, WAYS, Mishap, chosen_ways
 from hysteresis_ros.reliability.page import line, page
@@ -126,17 +127,22 @@ def test_a_recording_takes_the_place_of_what_was_seen_within_the_time_of_the_mis
     assert trace(recovered=math.nan).with_samples(samples()).samples.time[-1] == TIMES[-1]
 
 
-def test_the_page_has_a_row_for_each_mishap_with_the_worst_figures_of_each_way():
+def test_the_page_has_a_row_for_each_mishap_with_the_worst_figures_of_each_way(tmp_path):
     good, bad = judged(trace(), MISHAP, BOUNDS), judged(trace(recovered=math.nan, way="composed"), MISHAP, BOUNDS)
     late = judged(trace(recovered=1.9), MISHAP, BOUNDS)
     assert worst([good, late]).recovery == pytest.approx(0.9)
     mishap = replace(MISHAP, ways=("fused", "composed"), elsewhere="it cannot fall")
-    text = page("stage", [mishap], WAYS, [good, late, bad], conditions(), conditions())
+    earlier = Results("stage", (bad,), conditions(), conditions())
+    earlier.save(tmp_path / "earlier.json")
+    results = Results("stage", (good, late), conditions(), conditions()).and_of(load_results(tmp_path / "earlier.json"))
+    text = page([mishap], WAYS, results)
     row = next(row for row in text.splitlines() if row.startswith("| **drop**"))
     _, _, fused, composed, processes = (cell.strip() for cell in row.strip("| ").split(" | "))
     assert fused.startswith("held: 0 … 5 V, step 1.00, safe after 0.15 s, back after 0.9 s") and "late" in fused
     assert composed.startswith("**not held, 1 of 1**: the axis does not follow")
     assert processes == "does not apply: it cannot fall"
+    with pytest.raises(ConfigurationError, match="another do not belong beside"):
+        results.and_of(replace(earlier, config="another"))
     assert "NOT HELD" in line(bad) and "NOT HELD" not in line(good)
 
 

@@ -24,6 +24,8 @@ from hysteresis_ros.nodes.campaign.run import Campaign
 from hysteresis_ros.nodes.discovery import stay_on_this_machine
 from hysteresis_ros.reliability.catalogue import CATALOGUE
 from hysteresis_ros.reliability.conditions import conditions
+from hysteresis_ros.reliability.figures_file import Results, load_results
+from hysteresis_ros.reliability.mishaps import WAYS, Mishap
 from hysteresis_ros.reliability.page import line, page
 
 #: A claim did not hold.
@@ -44,9 +46,7 @@ def main() -> int:
                 request["config"], mishaps, ways, request["rounds"], request["seed"], pathlib.Path(folder)
             )
             verdicts = campaign.run(lambda verdict: print(line(verdict), flush=True))
-        if request["output"]:
-            text = page(request["config"], mishaps, ways, verdicts, before, conditions())
-            pathlib.Path(request["output"]).write_text(text, encoding="utf-8")
+        _write(request, mishaps, Results(request["config"], tuple(verdicts), before, conditions()))
     except HysteresisError as error:
         print(f"hysteresis: {' '.join(str(error).split())}", file=sys.stderr)
         return 2
@@ -55,6 +55,20 @@ def main() -> int:
     failed = {verdict.trace.mishap for verdict in verdicts if verdict.failures}
     print(f"{len(verdicts)} mishaps: {'all held' if not failed else 'not held: ' + ', '.join(sorted(failed))}")
     return NOT_HELD if failed else 0
+
+
+def _write(request: dict, mishaps: tuple[Mishap, ...], results: Results) -> None:
+    """Write the files that were asked for."""
+    if request["json"]:
+        results.save(pathlib.Path(request["json"]))
+    for path in request["add"]:
+        results = results.and_of(load_results(pathlib.Path(path)))
+    if request["output"]:
+        there = {verdict.trace.way for verdict in results.verdicts}
+        names = {verdict.trace.mishap for verdict in results.verdicts} | {mishap.name for mishap in mishaps}
+        rows = [mishap for name, mishap in CATALOGUE.items() if name in names]
+        text = page(rows, [way for way in WAYS if way in there], results)
+        pathlib.Path(request["output"]).write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":

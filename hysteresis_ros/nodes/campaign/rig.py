@@ -87,7 +87,8 @@ class Rig:
         self.group = Group(axis, way, folder, remap=REMAP if relayed else (), **options)
         self.witness = Witness(axis.namespace)
         self.relay = Relay(self.witness, self.bounds.stroke, random) if relayed else None
-        if not self.witness.until(lambda: len(self.witness.rows) > 5, FIRST_START):
+        self.witness.until(lambda: len(self.witness.rows) > 5 or self.group.died(), FIRST_START)
+        if not self.witness.rows:
             self._give_up("does not start")
         self.rest = self.witness.displacement
         # four processes that start at once on a busy machine may be late at first

@@ -11,8 +11,10 @@
 
 from __future__ import annotations
 
+import math
 import os
 import pathlib
+import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
@@ -27,7 +29,7 @@ from hysteresis_ros.nodes.campaign.surroundings import Device, small_disk
 from hysteresis_ros.reliability.bounds import bounds_of, prepared
 from hysteresis_ros.reliability.judge import Verdict, judged
 from hysteresis_ros.reliability.mishaps import DEVICE, FUSED, RELAY, SMALL_DISK, Mishap
-from hysteresis_ros.reliability.trace import Trace
+from hysteresis_ros.reliability.trace import Samples, Trace
 
 
 @dataclass(frozen=True)
@@ -93,7 +95,11 @@ class _Series:
         """Do them; yield what came of each."""
         todo = [(mishap, amount) for mishap in mishaps for amount in mishap.amounts for _ in range(rounds)]
         while todo:
-            rig = self._rig(*todo[0])
+            try:
+                rig = self._rig(*todo[0])
+            except HysteresisError as error:
+                yield self._not_begun(*todo.pop(0), str(error))
+                continue
             seen: list[tuple[Mishap, Trace]] = []
             try:
                 while not seen or (todo and self._goes_on(seen[-1], todo[0][0])):
@@ -109,6 +115,15 @@ class _Series:
                     yield judged(trace.with_samples(samples), mishap, self._bounds)
             if left:
                 raise HysteresisError(f"{self._way}, at the end: {'; '.join(left)}")
+
+    def _not_begun(self, mishap: Mishap, amount: float, reason: str) -> Verdict:
+        """Return what came of a mishap whose axis does not run."""
+        now = time.time()
+        none = Samples.of(())
+        trace = Trace(
+            mishap.name, self._way, amount, os.getloadavg()[0], now, now, math.nan, (0.0, 0.0), none, (reason,)
+        )
+        return judged(trace, mishap, self._bounds)
 
     def _goes_on(self, last: tuple[Mishap, Trace], following: Mishap) -> bool:
         """Tell whether the axis serves for another mishap."""

@@ -24,7 +24,8 @@ def campaign(request: dict) -> int:
     Parameters
     ----------
     request : dict
-        ``config``, ``only`` and ``ways`` (lists of names), ``rounds``, ``seed``, ``output`` (path, or empty).
+        ``config``, ``only`` and ``ways`` (lists of names), ``rounds``, ``seed``; ``output`` and ``json`` (paths,
+        or empty), ``add`` (paths).
 
     Raises
     ------

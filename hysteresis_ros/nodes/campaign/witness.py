@@ -30,6 +30,8 @@ from hysteresis_ros.nodes.spin import make_executor
 
 #: Seconds after which a service that does not answer is called dead.
 PATIENCE = 10.0
+#: And before somebody is asked again who may have been asked too early.
+BRIEF = 0.5
 #: Seconds between two looks.
 LOOK = 0.01
 #: Messages that may wait for the witness on a busy machine.
@@ -89,8 +91,10 @@ class Witness:
             if status.name.startswith(f"{self.namespace}/"):
                 level, who = int.from_bytes(status.level, "big"), status.name.split("/")[-1].split(":")[0]
                 self.said.append((time.time(), level, f"{who}: {status.message}"))
-                if who == "plant_simulator":
-                    self._counted = time.time(), next(int(v.value) for v in status.values if v.key == "samples")
+                # before its start and after its end a node has no samples
+                for value in status.values if who == "plant_simulator" else ():
+                    if value.key == "samples":
+                        self._counted = time.time(), int(value.value)
 
     # -- waiting and asking ----------------------------------------------------------------------------------------
 
@@ -135,7 +139,7 @@ class Witness:
         """
         self.setpoints.publish(Float64(data=setpoint))
 
-    def call(self, kind, service: str, request=None):
+    def call(self, kind, service: str, request=None, seconds: float = PATIENCE):
         """Return the answer of a service of the axis; None when there is none in time.
 
         Parameters
@@ -144,15 +148,17 @@ class Witness:
         service : str
             Below the namespace.
         request : object, optional
+        seconds : float
+            At most so long for each of finding it and its answer.
         """
         name = f"{self.namespace}/{service}"
         client = self._clients.get(name)
         if client is None:
             client = self._clients[name] = self.node.create_client(kind, name)
-        if not self.until(client.service_is_ready):
+        if not self.until(client.service_is_ready, seconds):
             return None
         future = client.call_async(request or kind.Request())
-        return future.result() if self.until(future.done) else None
+        return future.result() if self.until(future.done, seconds) else None
 
     def trigger(self, node: str, action: str) -> bool:
         """Call a service without arguments; tell whether it was answered, with whatever.
@@ -178,7 +184,8 @@ class Witness:
 
     def is_active(self, node: str) -> bool:
         """Tell whether a node is active."""
-        answer = self.call(GetState, f"{node}/get_state")
+        # one that was killed is still known for some time, and does not answer
+        answer = self.call(GetState, f"{node}/get_state", seconds=BRIEF)
         return answer is not None and answer.current_state.id == State.PRIMARY_STATE_ACTIVE
 
     def gravest(self, since: float) -> str:
