@@ -185,7 +185,7 @@ class Axis:
         columns[signals.SETPOINT] = setpoints
         columns[signals.SKIPPED] = 0.0 if skipped is None else skipped
         for place in self.plant.given:
-            columns[place] = 0.0 if answers is None else answers[signals.SIGNALS[place].name]
+            columns[place] = 0.0 if answers is None else answers.get(signals.SIGNALS[place].name, math.nan)
         if self.motor:
             columns[signals.REQUEST] = 0.0 if requests is None else requests
             columns[signals.SPEED] = math.nan if speeds is None else speeds

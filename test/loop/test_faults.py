@@ -239,7 +239,7 @@ def test_a_part_is_given_only_faults_of_what_it_takes_in():
     targets = {
         "controller": {faults.MEASUREMENT, faults.APPLIED, faults.STOP},
         "compensator": {faults.COMMAND},
-        "plant": {faults.VOLTAGE, faults.GRIP},
+        "plant": {faults.VOLTAGE, faults.GRIP, faults.FORCE},
     }
     arrays = {name: getattr(made, name).arrays.watch_p.faults for name in targets}
     targets["source"], arrays["source"] = {faults.MEASUREMENT}, made.source.arrays.p.faults
