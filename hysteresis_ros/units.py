@@ -75,9 +75,9 @@ WORDS = {
 FINE = 0.1
 
 _SENSITIVITY = re.compile(
-    r"^(?P<factor>[0-9.]+(?:[eE][-+]?[0-9]+)?)?\s*(?P<unit>[^\d\s/*]+)\s*/\s*(?P<per>[^\d\s/*]+)$"
+    r"^(?P<factor>(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:[eE][-+]?[0-9]+)?)?\s*(?P<unit>[^\d\s/*]+)\s*/\s*(?P<per>[^\d\s/*]+)$"
 )
-_QUANTITY = re.compile(r"^\s*(?P<number>[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*(?P<unit>.*?)\s*$")
+_QUANTITY = re.compile(r"^\s*(?P<number>[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:[eE][-+]?\d+)?)\s*(?P<unit>.*?)\s*$")
 
 
 def conversion(unit: str) -> tuple[str, float] | None:
@@ -99,7 +99,7 @@ def conversion(unit: str) -> tuple[str, float] | None:
         return None
     of, per = (UNITS.get(WORDS.get(parts[name].lower(), parts[name])) for name in ("unit", "per"))
     factor = float(parts["factor"] or 1.0)
-    if of is None or per is None or per[0] != "V" or not factor > 0.0:
+    if of is None or per is None or per[0] != "V" or not 0.0 < factor < math.inf:
         return None
     return of[0], of[1] / (per[1] * factor)
 

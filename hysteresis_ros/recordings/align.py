@@ -236,9 +236,7 @@ def setpoints_per_sample(recording: Recording) -> np.ndarray:
         raise RecordingError("the recording has no setpoints; record reference_generator/state or setpoint")
     if not np.isfinite(setpoint[0]):
         raise RecordingError("the setpoint of the first sample is not in the recording; a replay needs it")
-    if len(recording) == 1:
-        return setpoint.copy()
-    index = np.rint((recording.time - recording.time[0]) / recording.sample_time).astype(np.int64)
+    index = recording.sample_numbers()
     rows = np.where(np.isfinite(setpoint), np.arange(len(recording)), 0)
     held = setpoint[np.maximum.accumulate(rows)]
     return held[np.searchsorted(index, np.arange(index[-1] + 1), side="right") - 1]

@@ -18,6 +18,9 @@ import numpy as np
 from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.signals import COLUMNS, UNITS
 
+#: Sample times over which a recording may extend in any case, and else in numbers of its samples.
+SMALL, RATIO = 1_000_000, 100
+
 
 @dataclass(frozen=True, eq=False)
 class Recording:
@@ -137,6 +140,23 @@ class Recording:
             return float("nan")
         distances = np.diff(self.time)
         return float(np.sum(distances) / np.sum(np.maximum(np.rint(distances / np.median(distances)), 1.0)))
+
+    def sample_numbers(self) -> np.ndarray:
+        """Return the number of each sample, missing ones counted, shape (N,), int64; the first is 0.
+
+        Raises
+        ------
+        RecordingError
+            Nearly all samples are missing: a time among them is wrong.
+        """
+        if len(self) < 2:
+            return np.zeros(len(self), dtype=np.int64)
+        numbers = np.rint((self.time - self.time[0]) / self.sample_time)
+        if not numbers[-1] < SMALL + RATIO * len(self):
+            raise RecordingError(
+                f"{len(self)} samples lie within {numbers[-1]:.4g} sample times: a time among them is wrong"
+            )
+        return numbers.astype(np.int64)
 
     @property
     def notes(self) -> list[str]:

@@ -33,10 +33,7 @@ def requests_per_sample(recording: Recording) -> dict[str, np.ndarray]:
     """
     if not all(recording.has(name) for name in REQUESTS):
         return {}
-    if len(recording) == 1:
-        index = np.zeros(1, dtype=np.int64)
-    else:
-        index = np.rint((recording.time - recording.time[0]) / recording.sample_time).astype(np.int64)
+    index = recording.sample_numbers()
     requests, speeds = np.zeros(index[-1] + 1), np.full(index[-1] + 1, np.nan)
     requests[index] = np.nan_to_num(recording["request"])
     speeds[index] = recording["speed"]

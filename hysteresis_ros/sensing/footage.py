@@ -11,7 +11,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
+import os
 import pathlib
 import re
 from collections import Counter
@@ -22,7 +24,7 @@ import numpy as np
 
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.sensing.edge import nowhere
-from hysteresis_ros.sensing.images import FrameError
+from hysteresis_ros.sensing.images import MOST_PIXELS, FrameError
 from hysteresis_ros.sensing.tracker import Tracker
 
 #: How the names of pictures end.
@@ -41,6 +43,8 @@ def opencv() -> Any:
     FrameError
         It is not installed.
     """
+    # OpenCV believes heads of pictures of up to a gigapixel by itself; it looks here once
+    os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(MOST_PIXELS))
     try:
         import cv2
     except ImportError:
@@ -103,7 +107,9 @@ class Footage:
         by_number = dict(self._pictures)
         for number in range(self.count):
             path = by_number.get(number)
-            grey = None if path is None else self._cv2.imread(str(path), kind)
+            grey = None
+            with contextlib.suppress(self._cv2.error):  # what OpenCV raises at a head that it does not believe
+                grey = None if path is None else self._cv2.imread(str(path), kind)
             yield grey if grey is None or grey.dtype == np.uint8 else grey * np.float32(255.0 / 65535.0)
 
     def _each_of_video(self) -> Iterator[np.ndarray | None]:

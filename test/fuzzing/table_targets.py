@@ -146,7 +146,7 @@ def mutated_archive(random: Random, data: bytes, others: list[bytes], words: tup
         members[name] = mutated_bytes(random, content, others)
     elif change <= 3:  # the head of an array is text
         head = content.find(b"\n") + 1
-        text = mutated_text(random, content[10:head], others, HEAD_WORDS)
+        text = mutated_text(random, content[10:head], others, HEAD_WORDS)[: 1 << 15]
         members[name] = content[:8] + len(text).to_bytes(2, "little") + text + content[head:]
     elif change == 4:
         members[name] = array_bytes(random.choice(ODD_ARRAYS))

@@ -12,9 +12,13 @@
 from __future__ import annotations
 
 import bag_targets
+import device_targets
+import node_targets
 import parameter_targets
+import picture_targets
 import table_targets
+import word_targets
 
-_MODULES = (table_targets, parameter_targets, bag_targets)
+_MODULES = (table_targets, parameter_targets, bag_targets, device_targets, word_targets, picture_targets, node_targets)
 
 TARGETS = {target.name: target for module in _MODULES for target in module.TARGETS}

@@ -344,9 +344,8 @@ class GcsDriver(Driver):
         link.do(f"WGO {given.axis} 1")
         while link.number("DRL?", "1") < len(voltages) or link.ask_single(GENERATOR_STATUS).lower().lstrip("0x"):
             time.sleep(PATIENCE)
-        head, rows = link.table(f"DRR? 1 {len(voltages)}")
+        sample, rows = link.table(f"DRR? 1 {len(voltages)}", 2)
         self._recent.extend(voltages[-RECENT:])
-        sample = float(head["SAMPLE_TIME"])
         return Played(sample * np.arange(len(rows)), rows[:, 0], self._unit * rows[:, 1])
 
     def _define(self, link: GcsLink, values: list[float], rate: int) -> None:

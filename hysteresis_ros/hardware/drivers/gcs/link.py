@@ -12,6 +12,7 @@
 from __future__ import annotations
 
 import contextlib
+import math
 import socket
 
 import numpy as np
@@ -23,6 +24,8 @@ from hysteresis_ros.hardware.drivers.gcs.protocol import NO_ERROR, STOP, STOPPED
 END, MORE = b"\n", b" \n"
 #: Most bytes at a time.
 CHUNK = 65536
+#: What no answer is longer than: a controller that says more is none, or out of order.
+LONGEST_LINE, MOST_LINES = 1 << 20, 1 << 20
 
 
 class GcsLink:
@@ -87,6 +90,8 @@ class GcsLink:
 
     def _line(self, asked: str) -> bytes:
         while END not in self._rest:
+            if len(self._rest) > LONGEST_LINE:
+                raise self._gone(f"answers {asked!r} with more than {LONGEST_LINE} characters and no end")
             try:
                 data = self._socket.recv(CHUNK)
             except OSError as error:
@@ -116,6 +121,8 @@ class GcsLink:
     def _lines(self, question: str) -> list[str]:
         lines = [self._line(question)]
         while lines[-1].endswith(MORE):
+            if len(lines) > MOST_LINES:
+                raise self._gone(f"answers {question!r} with more than {MOST_LINES} lines")
             lines.append(self._line(question))
         return [line.decode("latin-1").rstrip() for line in lines]
 
@@ -201,12 +208,14 @@ class GcsLink:
             problem = f"answers '{question} {item}' with {text!r}, which is no number"
             raise DriverError(self.name, problem, "look at the controller and its firmware") from None
 
-    def table(self, question: str) -> tuple[dict[str, str], np.ndarray]:
-        """Return the head and the numbers of an answer that is an array, shape (points, tables).
+    def table(self, question: str, tables: int) -> tuple[float, np.ndarray]:
+        """Return the sample time [s] and the numbers of an answer that is an array, shape (points, tables).
 
         Parameters
         ----------
         question : str
+        tables : int
+            How many are asked for.
 
         Raises
         ------
@@ -219,8 +228,11 @@ class GcsLink:
         try:
             separator = chr(int(head["SEPARATOR"]))
             rows = [line.split(separator) for line in lines if not line.startswith("#")]
-            return head, np.array(rows, dtype=float).reshape(int(head["NDATA"]), int(head["DIM"]))
-        except (KeyError, ValueError) as error:
+            sample_time = float(head["SAMPLE_TIME"])
+            if not (int(head["DIM"]) == tables and 0.0 < sample_time < math.inf):
+                raise ValueError(f"{head['DIM']} tables of {sample_time:g} s")
+            return sample_time, np.array(rows, dtype=float).reshape(int(head["NDATA"]), tables)
+        except (KeyError, ValueError, OverflowError) as error:
             problem = f"answers {question!r} with no array ({type(error).__name__}: {error})"
             raise DriverError(self.name, problem, "look at the controller and its firmware") from None
 

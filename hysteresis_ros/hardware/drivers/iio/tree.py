@@ -24,6 +24,8 @@ from hysteresis_ros.hardware.driver import DriverError
 
 #: Volts of a unit of scale.
 MILLIVOLT = 1.0e-3
+#: Largest number of a raw value, scale or offset that is believed, and the smallest one over it.
+LARGEST = 1.0e20
 CHANNEL = re.compile(r"(alt)?voltage\d*")
 
 
@@ -127,7 +129,7 @@ class Channel:
         """
         text = self.attribute(name)
         try:
-            return None if text is None else float(text)
+            return None if text is None else _believed(text)
         except ValueError:
             problem = f"says {text!r} as {self.direction}_{self.channel}_{name}, which is no number"
             raise DriverError(self.name, problem, "look at its kernel driver") from None
@@ -199,7 +201,10 @@ class Channel:
             Nobody says them.
         """
         said = re.fullmatch(r"\[\s*(\S+)\s+(\S+)\s+(\S+)\s*\]", self.attribute("raw_available") or "")
-        ends = (float(said[1]), float(said[3])) if said else given
+        try:
+            ends = (_believed(said[1]), _believed(said[3])) if said else given
+        except ValueError:
+            ends = ()
         if not ends:
             raise DriverError(self.name, f"does not say the range of {self.raw.name}", "give iio.output_raw_range")
         low, high = sorted((raw + self.offset) * self.volts for raw in ends)
@@ -214,3 +219,11 @@ class Channel:
             Another process has it.
         """
         return claim(self.raw, self.name)
+
+
+def _believed(text: str) -> float:
+    """Return the number that a text is; ValueError where it is none, or one that no converter has."""
+    value = float(text)
+    if not abs(value) <= LARGEST or 0.0 < abs(value) < 1.0 / LARGEST:
+        raise ValueError(text)
+    return value
