@@ -29,7 +29,7 @@ from hysteresis_ros.nodes.plant_simulator import PlantSimulatorNode  # noqa: E40
 from hysteresis_ros.nodes.recorder import RecorderNode  # noqa: E402
 
 #: Parameters that are texts of any kind, and no paths.
-NO_PATHS = {"joint", "extender_joint", "faults", "topics", "waveform.file.column"}
+NO_PATHS = {"joint", "extender_joint", "force_joint", "faults", "topics", "waveform.file.column"}
 NO_PATHS |= {"gcs.host", "gcs.identification", "gcs.axis", "gcs.channel", "nv200.host", "nv200.actuator"}
 NO_PATHS |= {"iio.output_channel", "iio.input_channel", "calibration.sensor.unit", "calibration.amplifier.unit"}
 
