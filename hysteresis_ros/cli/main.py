@@ -47,6 +47,7 @@ COMMANDS = {
     "call": ("hysteresis_ros.cli.remote:call", "Ask a node to start, stop, reset …, or to change its lifecycle."),
     "echo": ("hysteresis_ros.cli.remote:echo", "Print what is said on a topic."),
     "ioc": ("hysteresis_ros.cli.ioc:ioc", "Serve axes as EPICS motor records."),
+    "policy": ("hysteresis_ros.cli.policy:policy", "Write the SROS 2 policy of the nodes of a configuration."),
     "simulate": ("hysteresis_ros.cli.simulate:simulate", "Run a configuration offline, without ROS."),
     "verify": ("hysteresis_ros.cli.verify:verify", "Compare a recorded run with its offline twin, bit for bit."),
     "parameters": (

@@ -27,6 +27,7 @@ from functools import partial
 from hysteresis_ros.errors import ConfigurationError, HysteresisError
 from hysteresis_ros.loop.axis_parameters import AxisParameters, node_names
 from hysteresis_ros.nodes.parent import die_with_parent
+from hysteresis_ros.nodes.security.policy import enclave_of
 
 #: Order in which nodes are told to leave: the voltage returns to safe while the plant still listens, the recorder last.
 STOP_ORDER = (
@@ -278,7 +279,7 @@ def node_command(name: str, namespace: str, path: pathlib.Path, *more: str, log_
     """
     module = "axis" if name == "hysteresis_axis" else name
     command = [sys.executable, "-m", f"hysteresis_ros.nodes.{module}", *more, "--ros-args"]
-    command += ["--params-file", str(path), "--log-level", log_level]
+    command += ["--params-file", str(path), "--log-level", log_level, "--enclave", enclave_of(namespace, name)]
     return [*command, "-r", f"__ns:={namespace}"] if namespace else command
 
 

@@ -23,8 +23,10 @@ from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
+from hysteresis_ros.configuration import normalised_namespace
 from hysteresis_ros.nodes.discovery import stay_on_this_machine
 from hysteresis_ros.nodes.qos import setpoint_qos
+from hysteresis_ros.nodes.security.policy import OPERATOR, enclave_of
 
 #: Seconds after which both sides know each other; a volatile message sent before is lost.
 ACQUAINTANCE = 0.5
@@ -37,10 +39,12 @@ class SetpointPublisher(Node):
     ----------
     schedule : list of (float, float)
         Time [s] since the first sample at which somebody listens, and setpoint [m], in order of time.
+    **options
+        Of the node.
     """
 
-    def __init__(self, schedule):
-        super().__init__("setpoint_publisher")
+    def __init__(self, schedule, **options):
+        super().__init__("setpoint_publisher", **options)
         self.schedule = list(schedule)
         self._first = None
         self._found: float | None = None
@@ -88,7 +92,9 @@ def main(arguments=None) -> int:
     if len(options.at) != len(options.setpoint):
         parser.error(f"{len(options.setpoint)} setpoints but {len(options.at)} times: give --at one time for each")
     stay_on_this_machine()
-    rclpy.init(args=["--ros-args", "-r", f"__ns:=/{options.namespace.strip('/')}"] if options.namespace else [])
+    namespace = normalised_namespace(options.namespace)
+    arguments = ["--ros-args", "--enclave", enclave_of(namespace, OPERATOR)]
+    rclpy.init(args=arguments + (["-r", f"__ns:={namespace}"] if namespace else []))
     node = SetpointPublisher(sorted(zip(options.at, options.setpoint, strict=True)))
     give_up = node.get_clock().now() + Duration(seconds=options.timeout)
     try:

@@ -14,6 +14,7 @@ from __future__ import annotations
 import os
 import pathlib
 import pwd
+import py_compile
 import tempfile
 from types import SimpleNamespace
 
@@ -146,6 +147,13 @@ def test_links_are_followed_and_their_folders_looked_at(place, tmp_path):
     assert f"chmod o-w {place.parent}" in refusal(aside / ".." / "lab" / "mine.py")
 
 
+def test_a_link_of_somebody_else_is_refused(place, monkeypatch):
+    link = place.parent / "link.py"
+    link.symlink_to("mine.py")
+    owned(monkeypatch, link, STRANGER)
+    assert f"{link} belongs to user {STRANGER}" in refusal(link)
+
+
 def test_stated_folders_are_the_only_ones(place, monkeypatch):
     monkeypatch.setenv(FOLDERS, f"/nowhere:{place.parent}")
     assert require_trusted(place)
@@ -170,5 +178,10 @@ def test_libraries_are_looked_at_before_they_are_loaded(place):
 
 
 def test_bytecode_that_somebody_left_is_not_used(place):
-    driver_of(str(place))
-    assert not (place.parent / "__pycache__").exists(), "nothing is left for others to change"
+    source, found = place.read_text(), place.stat()
+    place.write_text(source.replace("'one'", "'two'"))
+    os.utime(place, ns=(found.st_atime_ns, found.st_mtime_ns))
+    py_compile.compile(str(place))  # of the same size and time as what comes now
+    place.write_text(source)
+    os.utime(place, ns=(found.st_atime_ns, found.st_mtime_ns))
+    assert driver_of(str(place)).title == "one"

@@ -26,6 +26,7 @@ from hysteresis_ros.nodes.epics.link import AxisLink
 from hysteresis_ros.nodes.epics.record import SILENT
 from hysteresis_ros.nodes.epics.server import Motor, serve
 from hysteresis_ros.nodes.epics.settings import MotorSettings
+from hysteresis_ros.nodes.security.policy import RECORDS, enclave_of
 from hysteresis_ros.nodes.spin import LOOK, make_executor
 
 
@@ -36,8 +37,10 @@ def main() -> int:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda signum, frame: over.set())
     stay_on_this_machine()
-    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
-    node = rclpy.create_node("epics_ioc", start_parameter_services=False)
+    rclpy.init(
+        args=["--ros-args", "--enclave", enclave_of("", RECORDS)], signal_handler_options=SignalHandlerOptions.NO
+    )
+    node = rclpy.create_node(RECORDS, start_parameter_services=False)
     executor = make_executor()
     executor.add_node(node)
     settings = [MotorSettings(**motor) for motor in request["motors"]]

@@ -23,6 +23,7 @@ from rclpy.executors import SingleThreadedExecutor
 from hysteresis_ros.configuration import NODE_NAMES, OPTIONAL_NODE_NAMES, normalised_namespace
 from hysteresis_ros.errors import HysteresisError, did_you_mean
 from hysteresis_ros.nodes.discovery import stay_on_this_machine
+from hysteresis_ros.nodes.security.policy import OPERATOR, enclave_of
 
 #: Seconds of one look at the graph.
 LOOK = 0.02
@@ -57,7 +58,8 @@ class Client:
         if self._own:
             stay_on_this_machine()
             self._context = Context()
-            rclpy.init(args=[], context=self._context)
+            enclave = enclave_of(self.namespace, OPERATOR)
+            rclpy.init(args=["--ros-args", "--enclave", enclave], context=self._context)
         try:
             self.node = rclpy.create_node(
                 f"_hysteresis_{os.getpid()}",  # hidden, as names with an underscore are

@@ -1,0 +1,234 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""What the nodes of an axis really use: they are made and configured where nobody hears them, and asked.
+
+No driver is opened, nothing is activated: what a node uses does not depend on the device behind it, and it makes all
+its topics and services when it is configured.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import gc
+import os
+import pathlib
+import tempfile
+from dataclasses import replace
+
+import rclpy
+from rclpy.context import Context
+from rclpy.parameter import Parameter
+
+from hysteresis_ros.errors import HysteresisError
+from hysteresis_ros.loop.axis_parameters import AxisParameters, node_names
+from hysteresis_ros.nodes.discovery import stay_on_this_machine
+from hysteresis_ros.nodes.displacement_camera import DisplacementCameraNode
+from hysteresis_ros.nodes.epics.link import AxisLink
+from hysteresis_ros.nodes.epics.settings import RecordOptions, motor_settings
+from hysteresis_ros.nodes.fused import FusedAxis
+from hysteresis_ros.nodes.hysteresis_compensator import HysteresisCompensatorNode
+from hysteresis_ros.nodes.inchworm_sequencer import InchwormSequencerNode
+from hysteresis_ros.nodes.motion_controller import MotionControllerNode
+from hysteresis_ros.nodes.plant_simulator import PlantSimulatorNode
+from hysteresis_ros.nodes.recorder import RecorderNode
+from hysteresis_ros.nodes.reference_generator import ReferenceGeneratorNode
+from hysteresis_ros.nodes.remote.client import Client
+from hysteresis_ros.nodes.security.policy import (
+    MONITOR,
+    OPERATOR,
+    RECORDS,
+    Enclave,
+    Profile,
+    enclave_of,
+    monitor,
+    operator,
+    profile,
+)
+from hysteresis_ros.nodes.setpoint_publisher import SetpointPublisher
+
+NODES = {
+    "plant_simulator": PlantSimulatorNode,
+    "reference_generator": ReferenceGeneratorNode,
+    "inchworm_sequencer": InchwormSequencerNode,
+    "motion_controller": MotionControllerNode,
+    "hysteresis_compensator": HysteresisCompensatorNode,
+    "displacement_camera": DisplacementCameraNode,
+    "recorder": RecorderNode,
+}
+
+#: Node of somebody else in the plant's place, as in ``examples/driver_skeleton.py``.
+EXTERNAL = "driver"
+
+
+def used_by(node, name: str = "", namespace: str = "") -> Profile:
+    """Return what a node uses now.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        Who looks: itself, or another one.
+    name, namespace : str
+        Who is looked at; ``node`` itself by default.
+    """
+    name, namespace = name or node.get_name(), namespace or node.get_namespace()
+
+    def names(ask) -> list[str]:
+        return [found for found, _ in ask(name, namespace)]
+
+    topics = (names(node.get_publisher_names_and_types_by_node), names(node.get_subscriber_names_and_types_by_node))
+    services = (names(node.get_service_names_and_types_by_node), names(node.get_client_names_and_types_by_node))
+    return profile(namespace, name, topics, services)
+
+
+def enclaves_of(
+    axes: list[AxisParameters], *, composed: bool = False, record: bool = False, remap: tuple[str, ...] = ()
+) -> list[Enclave]:
+    """Return the enclaves of the processes that a graph of these axes has, and of who steers and watches it.
+
+    Parameters
+    ----------
+    axes : list of AxisParameters
+    composed : bool
+        The nodes of an axis in one process, as they always are when it is fused.
+    record : bool
+        With a recorder.
+    remap : tuple of str
+        ``FROM:=TO`` each, as the nodes get them.
+
+    Raises
+    ------
+    HysteresisError
+        A node cannot be made of its parameters, or a remapping is none.
+    """
+    stay_on_this_machine()
+    context = Context()
+    rclpy.init(args=[], context=context)
+    with tempfile.TemporaryDirectory() as folder:
+        try:
+            enclaves = []
+            for number, axis in enumerate(axes):
+                enclaves += _of_axis(axis, context, (composed, record), remap, pathlib.Path(folder) / str(number))
+            return [*enclaves, Enclave(enclave_of("", RECORDS), (_of_records(axes, context),))]
+        finally:
+            gc.collect()  # lifecycle nodes stand in reference cycles
+            context.try_shutdown()
+
+
+def _of_axis(axis, context, how: tuple[bool, bool], remap, folder: pathlib.Path) -> list[Enclave]:
+    """Return the enclaves of one axis."""
+    composed, record = how
+    fused, namespace = axis.plant_simulator.time_mode == "fused", axis.namespace
+    names = [name for name in node_names(axis.inchworm_sequencer is not None) if _is_ours(name, axis)]
+    names += ["displacement_camera"] * (axis.displacement_camera is not None) + ["recorder"] * record
+    arguments = ["--ros-args", *(word for rule in remap for word in ("-r", rule))] if remap else []
+    found = {}
+    with contextlib.ExitStack() as stack:
+        joined = FusedAxis()
+        for name in names:
+            node = _configured(name, axis, context, arguments, folder, joined if fused else None)
+            stack.callback(_destroyed, node)
+            found[name] = used_by(node)
+    own = _of_a_command(axis, context)
+    everyone = tuple(found.values())
+    alone = {"displacement_camera"} if fused else {"displacement_camera", "recorder"}
+    together = [name for name in names if name not in alone] if composed or fused else []
+    enclaves = []
+    if together:
+        enclaves.append(Enclave(enclave_of(namespace, "hysteresis_axis"), tuple(found[name] for name in together)))
+    enclaves += [Enclave(enclave_of(namespace, name), (found[name],)) for name in names if name not in together]
+    if axis.plant_simulator.external_plant:
+        external = _of_an_external_plant(axis, context)
+        everyone += (external,)
+        enclaves.append(Enclave(enclave_of(namespace, EXTERNAL), (external,)))
+    publisher = _of(lambda: SetpointPublisher([(1.0, 0.0)], context=context, namespace=namespace or "/"))
+    steering = operator(namespace, everyone, own), publisher
+    enclaves.append(Enclave(enclave_of(namespace, OPERATOR), steering))
+    enclaves.append(Enclave(enclave_of(namespace, MONITOR), (monitor(namespace, everyone, own),)))
+    return enclaves
+
+
+def _is_ours(name: str, axis: AxisParameters) -> bool:
+    return name != "plant_simulator" or not axis.plant_simulator.external_plant
+
+
+def _configured(name: str, axis: AxisParameters, context, arguments, folder: pathlib.Path, joined: FusedAxis | None):
+    """Return a node of an axis, configured."""
+    given = getattr(axis, name)
+    if name == "plant_simulator":
+        given = replace(given, driver="", driver_options=())
+    if name == "recorder":
+        given = replace(given, path=str(folder), configuration="", inchworm=axis.inchworm_sequencer is not None)
+    values = {key: list(value) if isinstance(value, tuple) else value for key, value in given.to_mapping().items()}
+    overrides = [Parameter(key, value=value) for key, value in values.items() if value != []]
+    try:
+        node = NODES[name](
+            context=context,
+            namespace=axis.namespace or "/",
+            parameter_overrides=overrides,
+            cli_args=arguments,
+            enable_logger_service=False,
+        )
+    except Exception as error:  # rclpy has one of its own for each thing wrong with a rule
+        raise HysteresisError(f"{name}: {' '.join(str(error).split(', at /')[0].split())}") from None
+    if joined is not None:
+        joined.join(node)
+    if not node.configure_now():
+        failure = node.failure
+        _destroyed(node)
+        raise HysteresisError(f"{name}: {failure}")
+    return node
+
+
+def _destroyed(node) -> None:
+    node.release()
+    node.destroy_node()
+
+
+def _of_a_command(axis: AxisParameters, context) -> Profile:
+    """Return what a command uses for itself, whatever its number and whether it is ours or ``ros2``."""
+    with Client(axis.namespace, context=context) as client:
+        own = used_by(client.node)
+        numbered = f"_hysteresis_{os.getpid()}"
+    there = {name.replace(numbered, "_hysteresis_*") for name in own.serves}
+    # the commands of ros2 are nodes of the root, which say what they log
+    there |= {"/_ros2cli_*/get_type_description"}
+    return replace(own, serves=tuple(sorted(there)), publishes=tuple(sorted({*own.publishes, "/rosout"})))
+
+
+def _of(make) -> Profile:
+    """Return what a plain node uses, which goes again."""
+    node = make()
+    try:
+        return used_by(node)
+    finally:
+        node.destroy_node()
+
+
+def _of_records(axes: list[AxisParameters], context) -> Profile:
+    """Return what the server of motor records uses."""
+
+    def server():
+        node = rclpy.create_node(RECORDS, context=context, start_parameter_services=False)
+        for axis in axes:
+            AxisLink(node, motor_settings(axis, RecordOptions("", "um", 4, 10.0)))
+        return node
+
+    return _of(server)
+
+
+def _of_an_external_plant(axis: AxisParameters, context) -> Profile:
+    """Return what a plain node in the plant's place uses that answers voltages by measurements."""
+    space = axis.namespace
+    plain = _of(lambda: rclpy.create_node(EXTERNAL, namespace=space or "/", context=context))
+    return replace(
+        plain,
+        publishes=tuple(sorted({*plain.publishes, f"{space}/joint_states"})),
+        hears=tuple(sorted({*plain.hears, f"{space}/voltage"})),
+    )

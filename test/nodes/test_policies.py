@@ -1,0 +1,178 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Policies of SROS 2: exactly what the nodes use, whoever looks; nobody but the compensator may say ``voltage``."""
+
+from __future__ import annotations
+
+import os
+import pathlib
+import subprocess
+import sys
+import xml.etree.ElementTree as xml
+from dataclasses import replace
+
+import pytest
+
+pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
+
+from nodes_support import axis_parameters, until  # noqa: E402
+
+from hysteresis_ros.errors import HysteresisError  # noqa: E402
+from hysteresis_ros.nodes.domain import entered  # noqa: E402
+from hysteresis_ros.nodes.fused import FusedAxis  # noqa: E402
+from hysteresis_ros.nodes.launcher import node_command, node_environment  # noqa: E402
+from hysteresis_ros.nodes.remote.client import Client  # noqa: E402
+from hysteresis_ros.nodes.security.policy import (  # noqa: E402
+    WORDS,
+    Enclave,
+    Profile,
+    operator,
+    policy_text,
+    profile,
+)
+from hysteresis_ros.nodes.security.used import NODES, enclaves_of, used_by  # noqa: E402
+
+LOOP = {"/left/reference", "/left/command", "/left/applied", "/left/voltage", "/left/joint_states"}
+
+
+def slow(time_mode: str, **more):
+    """Return an axis that a busy machine holds, with all that a node may use beside its loop."""
+    overrides = {"plant_simulator": {"late_limit": -1, "publish_clock": True}, "reference_generator": {}}
+    axis = axis_parameters("/left", overrides, sample_rate=100.0, time_mode=time_mode, **more)
+    return axis.with_recorder("recording")
+
+
+@pytest.fixture(scope="module")
+def policies():
+    """The enclaves of an axis in each way of running it."""
+    with entered():
+        ways = {mode: enclaves_of([slow(mode)], record=True) for mode in ("realtime", "fused")}
+        external = slow("realtime", external_plant=True)
+        return ways | {"external": enclaves_of([external], remap=("voltage:=amplifier/voltage",))}
+
+
+def profiles(enclaves: list[Enclave]) -> dict[str, Profile]:
+    return {one.node: one for enclave in enclaves for one in enclave.profiles}
+
+
+@pytest.mark.parametrize("mode", ["realtime", "fused"])
+def test_a_running_axis_uses_what_its_policy_allows_neither_more_nor_less(inside, observer, policies, tmp_path, mode):
+    axis, allowed = slow(mode), profiles(policies[mode])
+    joined = FusedAxis() if mode == "fused" else None
+    names = ["recorder", "plant_simulator", "hysteresis_compensator", "motion_controller", "reference_generator"]
+    for name in names:
+        given = getattr(axis, name)
+        given = replace(given, path=str(tmp_path / "bag")) if name == "recorder" else given
+        node = inside.add(NODES[name], given, autostart=False, namespace="/left")
+        if joined:
+            joined.join(node)
+    for step in ("configure_now", "activate_now"):
+        assert all(getattr(node, step)() for node in inside.nodes)
+    inside.spin()
+    plant = inside.nodes[1]
+    until(lambda: (joined.loop.sample if joined else plant.sample) > 5, what="samples")
+    for name in names:
+        # who looks is another participant: what it sees is what others could use
+        seen = lambda name=name: used_by(observer.node, name, "/left")  # noqa: E731
+        until(lambda name=name, seen=seen: seen() == allowed[name], what=f"{name}: {allowed[name]}")
+        assert allowed[name].publishes and allowed[name].serves
+
+
+def test_only_the_compensator_may_say_voltage(policies):
+    for mode in ("realtime", "fused"):
+        said = {name: set(one.publishes) for name, one in profiles(policies[mode]).items()}
+        assert {name for name, topics in said.items() if "/left/voltage" in topics} == {"hysteresis_compensator"}
+        assert not said["operator"] & LOOP and "/left/setpoint" in said["operator"]
+        assert said["monitor"] == {"/rosout", "/parameter_events"}
+        assert not any("*" in topic for topics in said.values() for topic in topics)
+    watching = profiles(policies["realtime"])["monitor"]
+    assert not watching.asks and not watching.calls and "/left/voltage" in watching.hears
+    steering = profiles(policies["realtime"])["operator"]
+    assert "/left/motion_controller/set_parameters" in steering.asks and "/left/estop" in steering.publishes
+
+
+def test_processes_have_enclaves_of_their_own_and_a_fused_axis_has_one(policies):
+    def nodes(mode):
+        return {enclave.path: {one.node for one in enclave.profiles} for enclave in policies[mode]}
+
+    apart = nodes("realtime")
+    assert apart["/left/hysteresis_compensator"] == {"hysteresis_compensator"} and "/left/hysteresis_axis" not in apart
+    together = nodes("fused")["/left/hysteresis_axis"]
+    assert {"hysteresis_compensator", "plant_simulator", "recorder"} < together
+    assert apart["/left/operator"] == {"operator", "setpoint_publisher"} and apart["/epics_ioc"] == {"epics_ioc"}
+
+
+def test_a_plant_of_somebody_else_and_remapped_names(policies):
+    found = profiles(policies["external"])
+    assert "plant_simulator" not in found and "recorder" not in found
+    assert "/left/joint_states" in found["driver"].publishes and "/left/voltage" not in found["driver"].publishes
+    assert "/left/amplifier/voltage" in found["hysteresis_compensator"].publishes
+    assert "/left/voltage" not in found["hysteresis_compensator"].publishes
+
+
+def test_a_rule_that_is_none_is_refused():
+    with entered(), pytest.raises(HysteresisError, match="plant_simulator: .*voltage"):
+        enclaves_of([slow("realtime")], remap=("voltage",))
+
+
+def test_the_file_is_written_as_ros2_security_reads_it(policies):
+    root = xml.fromstring(policy_text(policies["realtime"]))
+    assert (
+        root.tag == "policy" and root.attrib == {"version": "0.2.0"} and [child.tag for child in root] == ["enclaves"]
+    )
+    for enclave in root[0]:
+        assert enclave.tag == "enclave" and enclave.attrib["path"].startswith("/")
+        (all_profiles,) = enclave
+        for one in all_profiles:
+            assert one.tag == "profile" and set(one.attrib) == {"ns", "node"} and one.attrib["ns"].startswith("/")
+            for rules in one:
+                ((right, qualifier),) = rules.attrib.items()
+                assert (rules.tag[:-1], right) in WORDS.values() and qualifier == "ALLOW"
+                assert rules.tag.endswith("s") and {rule.tag for rule in rules} == {rules.tag[:-1]}
+                assert len(rules) and all(rule.text.startswith("/") for rule in rules)
+    again = {
+        (one.attrib["node"], rules.tag, *rules.attrib): tuple(rule.text for rule in rules)
+        for one in root.iter("profile")
+        for rules in one
+    }
+    compensator = profiles(policies["realtime"])["hysteresis_compensator"]
+    assert again["hysteresis_compensator", "topics", "publish"] == compensator.publishes
+    assert again["hysteresis_compensator", "topics", "subscribe"] == compensator.hears
+    assert again["hysteresis_compensator", "services", "reply"] == compensator.serves
+
+
+def test_actions_are_named_as_actions():
+    parts = ("feedback", "status"), ("send_goal", "cancel_goal", "get_result")
+    topics, services = ([f"/follow/_action/{part}" for part in names] for names in parts)
+    served = profile("", "n", (["/a", *topics], []), (["/s", *services], []))
+    assert (served.publishes, served.serves, served.executes) == (("/a",), ("/s",), ("/follow",))
+    called = profile("", "n", ([], topics), ([], services))
+    assert (called.hears, called.asks, called.calls) == ((), (), ("/follow",))
+    assert operator("", (served,), called).calls == ("/follow",)
+
+
+def test_processes_and_commands_say_whose_key_they_have(observer):
+    command = node_command("plant_simulator", "/left", pathlib.Path("axis.yaml"))
+    assert command[command.index("--enclave") + 1] == "/left/plant_simulator"
+    with Client("left", context=None) as client:
+        ((name, space, enclave),) = [
+            found for found in client.node.get_node_names_and_namespaces_with_enclaves() if found[0].startswith("_hyst")
+        ]
+    assert (name, space, enclave) == (f"_hysteresis_{os.getpid()}", "/left", "/left/operator")
+
+
+def test_security_that_is_asked_for_and_not_there_ends_a_node(tmp_path, domain):
+    """Never unprotected: without a keystore, and where Fast DDS was built without security, nothing starts."""
+    asked = {"ROS_SECURITY_ENABLE": "true", "ROS_SECURITY_STRATEGY": "Enforce"}
+    environment = node_environment() | asked | {"ROS_SECURITY_KEYSTORE": str(tmp_path), "ROS_DOMAIN_ID": str(domain)}
+    command = [sys.executable, "-m", "hysteresis_ros.nodes.recorder", "--ros-args", "-p", f"path:={tmp_path}/bag"]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=60, cwd=tmp_path)
+    assert done.returncode == 2 and "Traceback" not in done.stderr and "error:" in done.stderr
+    assert not (tmp_path / "bag").exists()
