@@ -21,9 +21,11 @@ pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
 from nodes_support import axis_parameters  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 
+from hysteresis_ros.hardware.registry import DRIVERS  # noqa: E402
 from hysteresis_ros.loop.node_parameters import NODE_PARAMETERS  # noqa: E402
 from hysteresis_ros.nodes import places  # noqa: E402
 from hysteresis_ros.nodes.discovery import LOCALHOST_ONLY, RANGE, stay_on_this_machine  # noqa: E402
+from hysteresis_ros.nodes.epics.serving import interfaces  # noqa: E402
 from hysteresis_ros.nodes.places import FOLDERS, misplaced  # noqa: E402
 from hysteresis_ros.nodes.plant_simulator import PlantSimulatorNode  # noqa: E402
 from hysteresis_ros.nodes.recorder import RecorderNode  # noqa: E402
@@ -153,3 +155,16 @@ def test_whoever_enters_the_graph_stays_on_this_machine():
         source = path.read_text(encoding="utf-8")
         before, entered, _ = source.partition("rclpy.init(")
         assert not entered or "stay_on_this_machine()" in before, path
+
+
+def test_servers_listen_on_this_machine_unless_asked(monkeypatch):
+    monkeypatch.delenv("EPICS_CAS_INTF_ADDR_LIST", raising=False)
+    assert interfaces(None) == ["127.0.0.1"] and interfaces("10.0.0.1") == ["10.0.0.1"]
+    hosts = [
+        item.default
+        for driver in DRIVERS.values()
+        if driver.device is not None
+        for item in driver.device.parameters.table()
+        if item.name == "host"
+    ]
+    assert hosts and set(hosts) == {"127.0.0.1"}
