@@ -109,7 +109,7 @@ def enclaves_of(
     """
     stay_on_this_machine()
     context = Context()
-    rclpy.init(args=[], context=context)
+    rclpy.init(args=["--ros-args", "--log-level", "warn"], context=context)
     with tempfile.TemporaryDirectory() as folder:
         try:
             enclaves = []
