@@ -94,6 +94,7 @@ def test_a_full_disk_ends_the_recording_and_not_the_axis(inside, observer, tmp_p
     now = plant.sample
     until(lambda: plant.sample > now + 20, what="further samples")
     assert not recorder.failure and recorder.exit_code == 0
+    assert recorder.trigger_deactivate() is not None and not recorder.failure
     back = load_run(tmp_path / "bag")
     assert back.metadata["complete"] and len(back) > 30
     recorder.leaving = True

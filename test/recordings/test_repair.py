@@ -225,6 +225,7 @@ def test_a_full_disk_leaves_no_half_bag(tmp_path, monkeypatch):
     os.truncate(tmp_path / "run" / "run.mcap", 40_000)
 
     def full(*_):
+        assert not (tmp_path / "run_repaired").exists()
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     monkeypatch.setattr(mcap_repair.McapIndex, "tail", full)
@@ -232,3 +233,5 @@ def test_a_full_disk_leaves_no_half_bag(tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == [tmp_path / "run"]
     monkeypatch.undo()
     assert CliRunner().invoke(main, ["repair", str(tmp_path / "run")]).output.endswith("run.mcap made whole\n")
+    with Reader(tmp_path / "run_repaired") as reader:
+        assert reader.message_count > 0
