@@ -268,7 +268,9 @@ class AxisNode(TabledParameters, GuardedLifecycleNode):
         self._work_timers.clear()
 
     def on_cleanup(self, state):
-        """Let go of topics and blocks."""
+        """Let go of topics and blocks; a loop that has this node's part ends with them."""
+        if self.is_fused:
+            self.fused.lose_a_part()
         self._disconnect()
         self.running = True
         return super().on_cleanup(state)

@@ -208,6 +208,11 @@ class FusedAxis:
         self.plant.make_safe()
         self.loop = None
 
+    def lose_a_part(self) -> None:
+        """Bring everything to safe and end the loop; a new one begins when all nodes are active again."""
+        self._make_safe()
+        self.end()
+
     def _make_safe(self) -> None:
         """Stop everything and wait until the voltage is at its safe value."""
         loop = self.loop

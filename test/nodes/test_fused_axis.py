@@ -121,6 +121,25 @@ def test_resets_and_a_plant_that_is_deactivated_are_repeated_too(steered, observ
     assert "equal the offline twin" in steered.verified()
 
 
+@pytest.mark.parametrize("node", [CONTROLLER, PLANT])
+def test_a_node_that_is_cleaned_up_ends_the_loop_safely_and_a_new_one_begins_with_it(steered, observer, node):
+    steered.ask(5e-6)
+    steered.at(5e-6)
+    for transition in ("deactivate", "cleanup"):
+        assert observer.transition(f"/{node}", transition)
+    assert observer.trigger(f"/{node}/reset") is not None
+    if node == CONTROLLER:
+        assert abs(steered.now("voltage")) < 0.01
+    silent = len(steered.states)
+    for transition in ("configure", "activate"):
+        assert observer.transition(f"/{node}", transition)
+    until(lambda: len(steered.states) > silent + 10, what="samples of a new loop")
+    steered.ask(4e-6)
+    steered.at(4e-6)
+    code, _ = steered.run.leave(signal.SIGINT)
+    assert code == 0 and "Traceback" not in steered.run.output, steered.run.output
+
+
 def test_topics_show_samples_at_their_rate_with_their_stamps(steered):
     until(lambda: len(steered.states) > 50)
     stamps = [state.header.stamp.sec * 10**9 + state.header.stamp.nanosec for state in steered.states]
