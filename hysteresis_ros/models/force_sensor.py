@@ -36,7 +36,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hysteresis_ros import elementary
-from hysteresis_ros.block import kernel
+from hysteresis_ros.block import called, kernel
 from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.models import linear
 from hysteresis_ros.models.linear import LinearParameters
@@ -130,7 +130,7 @@ def note_acting(p, x, dynamics_x, u):
         x[ACTING] = accumulate(p[THROUGH] * u, p, ROW, dynamics_x, linear.STATE, n)
 
 
-@kernel
+@called
 def force_reading(p, x, displacement):
     """Return what the sensor reads [N] while the dynamics are at ``displacement`` [m]; NaN: there is none."""
     if p.shape[0] == 0:
