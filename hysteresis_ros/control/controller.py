@@ -105,6 +105,7 @@ class ControllerParameters(Parameters):
 
     def check(self):
         """Yield what keeps the chosen controller from being designed."""
+        yield from super().check()
         rate = getattr(self, "sample_rate", None)  # the node's parameters, which contain these, know it
         sample_time = 1.0 / rate if rate else None
         known = sample_time or self.model.dynamics.sample_time
