@@ -327,12 +327,14 @@ def test_a_recorder_that_leaves_takes_what_a_busy_machine_keeps_waiting():
         runner = SimpleNamespace(part=int, go_safe=int, exact=False)
         made = SimpleNamespace(active=True, runner=runner, listens_at_exit=True, listens_for=listens_for)
         made.wait_acknowledged = lambda deadline: None
+        made.tell_health = lambda: None
         made.drained = lambda: len(heard) >= waiting
         made.release = lambda: left.setdefault(name, len(heard))
         return made
 
     def take(timeout_sec):
         heard.append(time.sleep(timeout_sec))
+        assert len(heard) < 1000, "nobody leaves"
 
     spin._leave(SimpleNamespace(spin_once=take), [node("recorder", 30.0, 60), node("plant", 0.2, 10**9)], False)
     assert left == {"plant": 60, "recorder": 60}
