@@ -29,10 +29,10 @@ from hysteresis_ros.nodes.parent import leave_with_ros2
 #: Seconds between two looks at signals and at nodes that have finished, when nothing happens otherwise.
 LOOK = 0.05
 
-#: Seconds that messages get to be received: at the regular end of a run, and when a signal or an error ends it. Where
-#: others are alive it takes as long as they are busy, and the last message is the safe voltage.
+#: Seconds that messages get to be acknowledged: at the regular end of a run, and when a signal or an error ends it. An
+#: acknowledgement waits for a heartbeat, seconds after the message has come: more would only make every exit slow.
 PATIENCE_AT_END = 5.0
-PATIENCE_AT_EXIT = 2.0
+PATIENCE_AT_EXIT = 0.3
 
 #: Module whose functions the compiler calls back.
 COMPILER = "llvmlite.binding.executionengine"
