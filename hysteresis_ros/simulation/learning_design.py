@@ -221,10 +221,10 @@ def closed_loop(
         The loop does not come to rest on its own model.
     """
     sample_time, dynamics = 1.0 / node.sample_rate, node.model.dynamics
-    model = plant_state_space(dynamics)
+    model, observed = plant_state_space(dynamics), plant_state_space(dynamics, acting=True)
     count = SHORTEST
     while True:
-        answers = [_impulse(node, model, count, *one) for one in ((TINY, 0.0), (0.0, TINY))]
+        answers = [_impulse(node, observed, count, *one) for one in ((TINY, 0.0), (0.0, TINY))]
         if all(np.max(np.abs(u[-count // 16 :])) <= LEFT * np.max(np.abs(u)) for u in answers):
             break
         count *= 2
@@ -251,18 +251,24 @@ def closed_loop(
 
 
 def _impulse(node: ControllerNodeParameters, model, count: int, reference: float, measured: float) -> np.ndarray:
-    """Return the commands after one impulse, shape (count,), per unit of it."""
-    control = part(node, ControllerParameters)
+    """Return the commands after one impulse, shape (count,), per unit of it; ``model``: with what acts on it."""
+    control, sample_time = part(node, ControllerParameters), 1.0 / node.sample_rate
     resting = replace(control, model=replace(control.model, preload=PreloadParameters()), learning=LearningParameters())
     resting = resting.law.near_rest(resting)
     loop = ControllerPart(replace(node, **{item.name: getattr(resting, item.name) for item in fields(resting)}))
     laws, arrays = Laws(*(loop.kernel,) * len(Laws._fields)), loop.arrays
     for _ in range(BEFORE):
-        answer(laws, arrays, 0.0, 0.0)
-    A, B, C = model.A, model.B[:, 0], model.C[0]
+        answer(laws, arrays, 0.0, 0.0, 0.0)
+    A, B, C, force = model.A, model.B[:, 0], model.C, resting.model.force
+    slow_part, slow = force.slow_part(sample_time), 0.0
     x, commands = np.zeros(len(A)), np.empty(count)
     for k in range(count):
-        commands[k] = answer(laws, arrays, float(C @ x) + measured, reference)
+        displacement, acting = C @ x
+        displacement += measured
+        # what moves the mass elsewhere is what the stack bears less, and its sensor loses what is slow of it
+        pressed = force.whole * acting - force.stack_stiffness * displacement - slow
+        slow += slow_part * pressed
+        commands[k] = answer(laws, arrays, displacement, reference, pressed)
         x = A @ x + B * commands[k]
         reference = measured = 0.0
     return commands / TINY

@@ -169,7 +169,8 @@ def test_a_launched_recording_holds_the_numbers_of_its_file(tmp_path, monkeypatc
     path = tmp_path / "axis.yaml"
     text = config_path("kim2009").read_text(encoding="utf-8").replace("maximum: 12.0e-6", "maximum: 12e-6")
     path.write_text(text, encoding="utf-8")
-    given = {"rate": "", "plant": "own", "samples": "", "factor": "", "autostart": "", "record": str(tmp_path / "bag")}
+    given = {"rate": "", "plant": "own", "samples": "", "factor": "", "autostart": "", "description": ""}
+    given["record"] = str(tmp_path / "bag")
     merged = launch.merged(str(path), launch.override(given, "described.yaml"))
     write_recording(scan(), tmp_path / "bag", merged)
     result = CliRunner().invoke(main, ["report", str(tmp_path / "bag")])
@@ -182,7 +183,7 @@ def load_launch_file(monkeypatch):
     """Return the launch file as a module; it imports nothing of the package, and of ROS what is not needed here."""
     for name in ("launch", "launch.actions", "launch.event_handlers", "launch.events", "launch.substitutions"):
         monkeypatch.setitem(sys.modules, name, MagicMock())
-    for name in ("launch_ros", "launch_ros.actions"):
+    for name in ("launch_ros", "launch_ros.actions", "launch_ros.parameter_descriptions", "launch_ros.substitutions"):
         monkeypatch.setitem(sys.modules, name, MagicMock())
     path = pathlib.Path(__file__).resolve().parents[2] / "launch" / "axis.launch.py"
     specification = importlib.util.spec_from_file_location("axis_launch", path)

@@ -74,7 +74,7 @@ def hold(axis, samples):
 
 def block(parameters):
     """Return the controller's own part of a node's parameters."""
-    return part(parameters, ControllerParameters)
+    return part(parameters, ControllerParameters).without_preload
 
 
 @pytest.mark.parametrize("changes", [ESTIMATING, {}], ids=["estimating", "published filter"])

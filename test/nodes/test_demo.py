@@ -48,7 +48,9 @@ def test_the_demonstration_leaves_bags_a_picture_a_report_and_a_table(tmp_path, 
     code, _ = running.leave(signal.SIGINT)
     assert code == 0 and "publishers" not in running.output and "runaway" not in running.output
     held = load_run(running.log.parent / "held")
-    assert held.time.size > 20 and set(held["setpoint"]) == {2.0e-6}
+    # before the first measurement a generator does not know where the axis is, and asks for nothing
+    asked = held["setpoint"][np.isfinite(held["setpoint"])]
+    assert asked.size > 20 and set(asked) == {2.0e-6}
 
     runs = {name: load_run(made / name, further=True) for name in (WITHOUT, WITH, STEPS, PROCESSES)}
     for name, run in runs.items():

@@ -94,7 +94,7 @@ def test_an_axis_behind_a_driver_follows_a_setpoint_and_says_so_without_a_true_d
     joints = moved(observer)
     stamps = [m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in joints[-50:]]
     assert [b - a for a, b in zip(stamps[:-1], stamps[1:], strict=True)] == pytest.approx([1e9 / RATE] * 49, abs=2)
-    assert list(states[-1].name) == ["measured", "voltage", "mode", "tripped", "late", "skipped"]
+    assert list(states[-1].name) == ["measured", "voltage", "mode", "tripped", "late", "skipped", "force"]
     until(lambda: diagnostics(reports, "/plant_simulator"))
     assert diagnostics(reports, "/plant_simulator")[2]["tripped"] == "False"
     assert "driver simulated: -30 … 120 V" in node.output and "no watchdog of its own" in node.output
