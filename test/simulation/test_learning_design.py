@@ -16,6 +16,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from force_support import IFF
 
 from hysteresis_ros.cli.main import main
 from hysteresis_ros.configuration import load_configuration, parse_configuration
@@ -57,6 +58,15 @@ def test_the_closed_loop_is_that_of_the_state_space_on_the_model_and_on_every_ot
     for values, one in zip(found.possible, plants, strict=True):
         exact = close(controller, one.plant).response(z)[:, 0, 0]
         np.testing.assert_allclose(values[1::97], exact, rtol=1e-4, atol=1e-7)
+
+
+def test_a_damping_by_force_is_part_of_the_closed_loop():
+    configuration = load_configuration("stage700").override("motion_controller", **IFF)
+    node = single_axis(configuration).motion_controller
+    found = closed_loop(node, NEAR).model
+    z = np.exp(1j * np.linspace(0.0, np.pi, len(found))[1::97])
+    exact = close(*linear_loop(part(node, ControllerParameters), 1.0 / node.sample_rate)).response(z)[:, 0, 0]
+    np.testing.assert_allclose(found[1::97], exact, rtol=1e-4, atol=1e-7)
 
 
 def test_a_static_feedforward_is_part_of_the_closed_loop():
