@@ -28,6 +28,8 @@ class ReferenceSource(Responder):
     refused = 0
     #: Setpoint in force [m].
     setpoint = 0.0
+    #: What was published last of whether it has settled; a node that leaves without topics has nothing to take back.
+    _told: bool | None = False
 
     def connect(self) -> None:
         """Make the topics."""
