@@ -37,7 +37,7 @@ SHARES = {
     "share/ament_index/resource_index/packages/hysteresis_ros",
     "share/hysteresis_ros/package.xml",
     "share/hysteresis_ros/launch/axis.launch.py",
-    *(f"share/hysteresis_ros/config/{path.name}" for path in (ROOT / "config").glob("*.yaml")),
+    *(f"share/hysteresis_ros/{path.relative_to(ROOT)}" for path in (ROOT / "config").rglob("*.yaml")),
 }
 #: Modules, the templates they read, and the mark that the package carries types.
 MODULES = {

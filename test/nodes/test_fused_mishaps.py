@@ -11,12 +11,15 @@
 
 from __future__ import annotations
 
+import signal
+
 import numpy as np
 import pytest
 
 pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
 
 from steered_support import Steered, assert_tame, at_random, tame  # noqa: E402
+from waiting import until  # noqa: E402
 
 from hysteresis_ros.block import COMPILED  # noqa: E402
 from hysteresis_ros.configuration import load_configuration  # noqa: E402
@@ -37,13 +40,17 @@ def test_changes_at_random_leave_voltages_within_limits_and_are_repeated_bit_for
     assert assert_tame(steered) > 600
 
 
-def test_a_full_disk_ends_the_run_safely_and_leaves_what_was_written(processes, observer, tmp_path):
+def test_a_full_disk_ends_the_recording_and_never_the_axis_and_leaves_what_was_written(processes, observer, tmp_path):
     # a limit on the size of files is what a full disk is to whoever writes
     full = ("bash", "-c", f'ulimit -f {ROOM}; exec "$@"', "bash")
     steered = Steered(processes, observer, tmp_path, *full)
     steered.ask(5e-6)
-    assert steered.run.wait() == 1, steered.run.output
-    assert "cannot be written" in steered.run.output and "Traceback" not in steered.run.output
+    until(lambda: "cannot be written" in steered.run.output, what="a recording that ends")
+    for setpoint in (2e-6, 7e-6):
+        steered.ask(setpoint)
+        steered.at(setpoint)
+    code, _ = steered.run.leave(signal.SIGINT)
+    assert code == 0 and "Traceback" not in steered.run.output, steered.run.output
     assert abs(steered.now("voltage")) < 0.01  # went to safe before it left
     run = load_run(steered.bag, further=True)
     assert differences(run, axes(load_configuration(tmp_path / "axis.yaml"))[0]) == {}

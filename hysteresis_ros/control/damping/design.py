@@ -197,7 +197,8 @@ class _Search:
         """Return the largest gain of an outer controller on all plants, less where both loops would be too lively."""
         filtered = loop.feedback.response(self.z)[:, 0, 0]
         forward = outer * (filtered if loop.source == COMMAND else loop.forward)
-        inner = [1.0 - (0.0 if loop.source == COMMAND else filtered) * (P @ loop.seen[0]) for P in self.responses]
+        back = 0.0 if loop.source == COMMAND else filtered
+        inner = [1.0 - back * (P * loop.seen[0]).sum(axis=1) for P in self.responses]
         displaced = [P[:, 0] for P in self.responses]
         gain = min(_largest(forward * P / left) for P, left in zip(displaced, inner, strict=True))
         whole = max(
