@@ -12,12 +12,17 @@
 from __future__ import annotations
 
 import io
+import pathlib
 import zipfile
 
 import numpy as np
 import pytest
 
 from hysteresis_ros.archives import ArchiveError, read_array, read_arrays, read_heads
+from hysteresis_ros.bounded import BoundsError, read_json
+from hysteresis_ros.errors import RecordingError
+from hysteresis_ros.recordings.bag_reader import Bag
+from hysteresis_ros.recordings.cdr import FLOAT64
 
 
 def archive(path, members, compression=zipfile.ZIP_STORED):
@@ -78,6 +83,29 @@ def test_an_archive_that_unpacks_to_far_more_than_its_size_is_refused(tmp_path):
 def test_what_is_no_array_of_numbers_or_texts_is_refused(content, compression, found, tmp_path):
     with pytest.raises(ArchiveError, match=found):
         read_arrays(archive(tmp_path / "a.npz", {"a.npy": content}, compression))
+
+
+def test_what_is_left_of_a_chunk_is_unpacked_within_bounds():
+    import struct
+
+    zstandard = pytest.importorskip("zstandard")
+    from hysteresis_ros.recordings.mcap_stream import SMALL, salvaged
+
+    packed = zstandard.ZstdCompressor().compress(bytes(4 * SMALL))
+    head = struct.pack("<QQQII", 0, 1, 4 * SMALL, 0, 4) + b"zstd" + struct.pack("<Q", len(packed))
+    whole = salvaged(b"\x06" + struct.pack("<Q", len(head) + len(packed)) + head + packed[:-10])
+    assert 0 < len(whole) <= SMALL
+
+
+@pytest.mark.parametrize("time, data", [(None, b""), (1.5, b""), (1, 10**10), (1, "text"), (1, None)])
+def test_what_is_no_message_costs_no_memory(time, data):
+    with pytest.raises(RecordingError, match="a message on /voltage is none"):
+        Bag(pathlib.Path("bag")).add("/voltage", FLOAT64, time, data)
+
+
+def test_json_that_is_too_deep_is_refused():
+    with pytest.raises(BoundsError, match="not readable as JSON"):
+        read_json("[" * 100_000)
 
 
 def test_a_file_that_is_missing_is_no_damaged_one(tmp_path):

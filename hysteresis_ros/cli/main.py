@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import contextlib
 import difflib
+import errno
 import gc
 import importlib
 import re
@@ -26,7 +27,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from hysteresis_ros.cli.interrupt import leave_interrupted
-from hysteresis_ros.errors import HysteresisError
+from hysteresis_ros.errors import HysteresisError, shortened
 
 #: Subcommands: name → (module:attribute, what it does in one line).
 COMMANDS = {
@@ -151,6 +152,11 @@ class LazyGroup(click.Group):
             _refuse(_usage(error), error.exit_code)
         except HysteresisError as error:
             _refuse(str(error), getattr(error, "exit_code", 2))
+        except OSError as error:
+            if error.errno not in (errno.ENAMETOOLONG, errno.ELOOP):
+                raise
+            # of a name of any length every look is refused, also that whether it is there
+            _refuse(f"{shortened(error.filename)}: {error.strerror}; give another name", 2)
         except MemoryError as error:
             _refuse(f"not enough memory: {error or 'ask for fewer samples'}; ask for a shorter run", 2)
         except (click.Abort, KeyboardInterrupt):

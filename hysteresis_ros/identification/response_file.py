@@ -119,6 +119,8 @@ def _response_of(held: dict[str, np.ndarray]) -> Analysis:
     shapes = {"total_variance": (-1, 1, 1), "noise_variance": (-1, 1, 1), "coherence": (-1, 1)}
     spreads = {name: _real(held, name, frequency.size).reshape(shape) for name, shape in shapes.items() if name in held}
     degrees = float(_real(held, "degrees", 1)[0]) if "degrees" in held else None
+    if degrees is not None and not (degrees > 0.0 and {"total_variance", "noise_variance"} & set(spreads)):
+        raise ValueError("degrees of freedom of no variance")
     levels = [_real(held, name, frequency.size) for name in LEVELS] if all(name in held for name in LEVELS) else None
     return Analysis(replace(response, **spreads, degrees=degrees), levels and Distortion(*levels), kind)
 

@@ -25,7 +25,7 @@ from rcl_interfaces.msg import (
 )
 from rclpy.parameter import Parameter
 
-from hysteresis_ros.errors import HysteresisError, ParameterError, Problem
+from hysteresis_ros.errors import HysteresisError, ParameterError, Problem, shortened
 from hysteresis_ros.nodes.command_line import assigned
 from hysteresis_ros.nodes.places import misplaced
 from hysteresis_ros.parameters import ARRAY_TYPES, ParameterRow
@@ -157,14 +157,18 @@ class ParameterInterface:
         YAML 1.1, by which ``ros2 param`` reads its values, takes 5e-7 for a word and 1 for a number, [] for nothing.
         """
         if row.type is float and not isinstance(value, bool):
-            with contextlib.suppress(TypeError, ValueError):
+            try:
                 return float(value)
+            except OverflowError:
+                return shortened(value)  # as a text it is refused by name
+            except (TypeError, ValueError):
+                return value
         if row.type is str and isinstance(value, int) and not isinstance(value, bool):
             return str(value)
         if row.type in ARRAY_TYPES and is_given and not value and not isinstance(value, (bool, int, float, str)):
             return []
         if row.type == tuple[float, ...] and isinstance(value, (list, array)) and value:
-            with contextlib.suppress(TypeError, ValueError):
+            with contextlib.suppress(TypeError, ValueError, OverflowError):
                 return array("d", map(float, value))
         return value
 

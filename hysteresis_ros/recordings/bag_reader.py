@@ -82,7 +82,15 @@ class Bag:
     _count: int = 0
 
     def add(self, name: str, type_name: str, time_ns: int, data: bytes) -> None:
-        """Append one message."""
+        """Append one message.
+
+        Raises
+        ------
+        RecordingError
+            Its time is none or its data are no bytes: in a database anything may stand in the place of anything.
+        """
+        if not (isinstance(time_ns, int) and isinstance(data, (bytes, bytearray, memoryview))):
+            raise RecordingError(f"{self.path}: a message on {name} is none, or has no time; the bag is damaged")
         topic = self.topics.get(name)
         if topic is None:
             topic = self.topics[name] = Topic(type_name)

@@ -21,7 +21,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from random import Random
 
-from mutations import mutated_bytes
+from mutations import LARGEST, mutated_bytes
 
 from hysteresis_ros.errors import HysteresisError
 
@@ -71,7 +71,8 @@ class Target:
                 yield seeds[number]
             else:
                 random = Random((seed << 40) | number)
-                yield self.mutate(random, random.choice(seeds), seeds, self.words)
+                data = self.mutate(random, random.choice(seeds), seeds, self.words)
+                yield data if len(data) <= 2 * LARGEST else random.choice(seeds)
 
 
 class Hang(BaseException):

@@ -14,6 +14,7 @@ from __future__ import annotations
 import functools
 import importlib
 import json
+import math
 from pathlib import Path
 
 from judging import Target
@@ -108,6 +109,7 @@ def _heard() -> list[bytes]:
     }
     image = {"header": header, "height": 40, "width": 48, "step": 48, "encoding": "mono8", "data": [20, 200] * 960}
     heard = [
+        *(["reference_generator", "setpoint", {"data": value}] for value in (1.0, -1.0, math.nan, math.inf)),
         *(["reference_generator", "setpoint", {"data": 1e-6}], ["reference_generator", "joint_states", joints]),
         *(["reference_generator", "joint_trajectory", path], ["motion_controller", "joint_states", joints]),
         *(["motion_controller", "reference", {"data": 1e-6}], ["motion_controller", "applied", {"data": 1e-6}]),
@@ -122,8 +124,6 @@ def _heard() -> list[bytes]:
 
 def _hear(data: bytes, folder: Path):
     """Nothing that a node hears may raise, end it, or leave an output that is not finite."""
-    import math
-
     from rclpy.parameter import Parameter
 
     entry = json.loads(data)
@@ -149,6 +149,9 @@ def _hear(data: bytes, folder: Path):
         for result in node.set_parameters(parameters):
             assert result.successful or result.reason, "refused without a reason"
     assert not node.failure, node.failure
+    if name == "reference_generator":
+        own = node.parameters
+        assert own.minimum <= node.setpoint <= own.maximum, f"a setpoint of {node.setpoint}"
     row = getattr(node, "row", None)
     if row is not None:
         for place, _ in node._outputs:
@@ -163,4 +166,4 @@ def _words() -> tuple[str, ...]:
     return ("extender", "joint_states", "setpoint", "joint_trajectory", "tripped", *names[::5])
 
 
-TARGETS = (Target("messages and parameters of nodes", _hear, _heard, mutated_value, _words(), suite=200),)
+TARGETS = (Target("messages and parameters of nodes", _hear, _heard, mutated_value, _words(), suite=600),)

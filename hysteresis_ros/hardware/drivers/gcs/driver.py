@@ -44,6 +44,8 @@ from hysteresis_ros.parameters import Parameters, parameter
 RECENT = 4
 #: Points of a wave that are sent at a time, and how often is looked whether it has been played [s].
 POINTS, PATIENCE = 40, 0.02
+#: Servo cycles are at most so many times as long as what is played by them.
+LONGEST = 1.0e6
 
 
 @dataclass(frozen=True)
@@ -338,7 +340,12 @@ class GcsDriver(Driver):
         if not 0 < len(voltages) <= longest or not low <= min(voltages) <= max(voltages) <= high:
             problem = f"plays up to {longest} voltages within {low:g} … {high:g} V"
             raise DriverError(link.name, problem, "give fewer or smaller ones")
-        rate = max(round(period / link.number("SPA?", item)), 1)
+        cycle = link.number("SPA?", item)
+        if not 0.0 < cycle < period * LONGEST:
+            raise DriverError(
+                link.name, f"says a servo cycle of {cycle:g} s", "look at the controller and its firmware"
+            )
+        rate = max(round(period / cycle), 1)
         ramp(lambda voltage: link.do(self._command(voltage)), self._recent[-1], voltages[0], given.safe_time)
         self._define(link, [self._value(voltage) for voltage in voltages], rate)
         link.do(f"WGO {given.axis} 1")
