@@ -49,6 +49,12 @@ EXTRAS = {
     "camera": ["opencv-python-headless"],
     # bars on terminals; without it commands say in lines how far they are
     "progress": ["rich"],
+    # results of sweeps as Parquet, sensitivities of Sobol and Morris
+    "sweep": ["pyarrow", "SALib"],
+    # the same sweep on many machines
+    "cluster": ["distributed"],
+    # the live page
+    "watch": ["aiohttp"],
     "notebook": ["pandas"],
     # the makers' package has wheels for 3.12 and 3.13 only
     "nv200": ["nv200>=1.6,<2; python_version >= '3.12'"],
@@ -56,11 +62,13 @@ EXTRAS = {
     "epics": ["caproto"],
 }
 EXTRAS["all"] = sorted({requirement for requirements in EXTRAS.values() for requirement in requirements})
+# Not part of "all": what makes the pages and runs the notebooks, for those who change them.
+EXTRAS["docs"] = ["sphinx", "myst-parser", "numpydoc>=1.8", "furo", "nbclient", "nbformat", "ipykernel"]
 # The last two are here because the tests build and install the package, as colcon does, which needs setuptools below 80
 # (`make setup` gives colcon itself an environment of its own).
 EXTRAS["test"] = [
-    *("pytest", "pytest-rerunfailures", "pytest-xdist", "hypothesis", "psutil", "ruff", "mypy", "numpydoc>=1.8"),
-    *("setuptools<80", "wheel"),
+    *("pytest", "pytest-rerunfailures", "pytest-xdist", "hypothesis", "psutil", "ruff", "mypy"),
+    *("setuptools<80", "wheel", *EXTRAS["docs"]),
 ]
 
 #: pip puts executables into bin/, with the Python of the environment in their first line, and never into lib/; only
