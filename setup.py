@@ -133,7 +133,7 @@ setup(
     license="Apache-2.0",
     python_requires=">=3.11",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
-    package_data={NAME: ["py.typed"], f"{NAME}.analysis": ["templates/*.j2"], f"{NAME}.hardware": ["*.h"]},
+    package_data={NAME: ["py.typed"], f"{NAME}.analysis": ["templates/*.j2", "assets/*"], f"{NAME}.hardware": ["*.h"]},
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),
         (SHARE, ["package.xml"]),

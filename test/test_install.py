@@ -39,11 +39,11 @@ SHARES = {
     "share/hysteresis_ros/launch/axis.launch.py",
     *(f"share/hysteresis_ros/{path.relative_to(ROOT)}" for path in (ROOT / "config").rglob("*.yaml")),
 }
-#: Modules, the templates they read, and the mark that the package carries types.
+#: Modules, the templates and assets of pages, and the mark that the package carries types.
 MODULES = {
     str(path.relative_to(ROOT))
     for path in (ROOT / "hysteresis_ros").rglob("*")
-    if path.suffix in (".py", ".j2", ".typed")
+    if path.suffix in (".py", ".j2", ".typed") or path.parent.name == "assets"
 }
 
 

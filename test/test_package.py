@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import ast
 import functools
+import hashlib
 import importlib.util
 import inspect
 import itertools
@@ -75,6 +76,14 @@ MAY_IMPORT = {
     | {"nodes", "hardware"},
 }
 ROS = re.compile(r"^(rclpy|ament_index_python|std_srvs|\w+_(msgs|interfaces))$")
+#: What others wrote and pages carry in themselves: uPlot 1.6.32 as its makers publish it (npm), under its own licence
+#: (MIT), which stands beside it. Neither our notice nor our linters apply to it, and nobody edits it: sha256 of each.
+ASSETS = PACKAGE / "analysis" / "assets"
+VENDORED = {
+    ASSETS / "uPlot.iife.min.js": "19c8d4c6ad88929a79f4ae49d6f7161566dfd0ba3d15cc495e974f787eb78f1f",
+    ASSETS / "uPlot.min.css": "df630c6a8d6f8eeaff264b50f73ce5b114f646ffd9a0bb74f049b0a00135fa04",
+    ASSETS / "uPlot.LICENSE": "8f989229699b4fe2f1a0432d0e9edc338a8a911e250e2d1b01ecd770a5f5b1bd",
+}
 #: Heavy or special packages, and the only folder that may import them.
 ONLY_IN = {
     "matplotlib": "analysis",
@@ -184,9 +193,15 @@ def test_every_source_begins_with_the_notice_of_its_licence():
     notice = opening(PACKAGE / "__init__.py")
     assert notice.startswith("Copyright 2026 ") and "Licensed under the Apache License, Version 2.0" in notice
     folders = ("hysteresis_ros", "test", "launch", "examples", "benchmarks", "docs")
-    sources = [path for name in folders for path in (ROOT / name).rglob("*") if path.suffix in (".py", ".c", ".h")]
+    paths = [path for name in folders for path in (ROOT / name).rglob("*") if path not in VENDORED]
+    sources = [path for path in paths if path.suffix in (".py", ".c", ".h", ".js")]
     without = [name_of(path) for path in [*sources, ROOT / "setup.py"] if opening(path) != notice]
     assert without == [], "copy the notice from hysteresis_ros/__init__.py"
+
+
+@pytest.mark.parametrize("path", VENDORED, ids=name_of)
+def test_what_others_wrote_is_as_they_published_it(path):
+    assert hashlib.sha256(path.read_bytes()).hexdigest() == VENDORED[path]
 
 
 def test_every_folder_of_sources_is_a_package():
