@@ -14,6 +14,8 @@ from __future__ import annotations
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
+from hysteresis_ros.nodes.discovery import named
+
 #: Topics whose reliability a parameter chooses.
 MEASUREMENTS = ("joint_states",)
 
@@ -75,10 +77,11 @@ class Compatibility:
         node, by_parameter = self._node, self._suspected[topic]
         full, own = node.resolve_topic_name(topic), node.get_fully_qualified_name()
         found = set()
+        subscriptions = node.get_subscriptions_info_by_topic(full)
         for publisher in node.get_publishers_info_by_topic(full):
-            for subscription in node.get_subscriptions_info_by_topic(full):
+            for subscription in subscriptions:
                 reason = unheard(publisher.qos_profile, subscription.qos_profile, by_parameter)
-                talks, hears = _full_name(publisher), _full_name(subscription)
+                talks, hears = named(publisher), named(subscription)
                 if reason and hears == own:
                     found.add(f"{full}: nothing is heard from {talks}, which {reason}")
                 elif reason and talks == own:
@@ -86,7 +89,3 @@ class Compatibility:
         if not found:
             del self._suspected[topic]
         return sorted(found)
-
-
-def _full_name(endpoint) -> str:
-    return f"{endpoint.node_namespace.rstrip('/')}/{endpoint.node_name}"

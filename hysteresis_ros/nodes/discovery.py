@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Who may find the nodes: this machine only, unless the environment says otherwise; imports no ROS."""
+"""Who may find the nodes: this machine only, unless the environment says otherwise; and who was found. No ROS here."""
 
 from __future__ import annotations
 
@@ -24,3 +24,16 @@ def stay_on_this_machine() -> None:
     """
     if not (os.environ.get(RANGE) or os.environ.get(LOCALHOST_ONLY)):
         os.environ[RANGE] = "LOCALHOST"
+
+
+def named(endpoint) -> str:
+    """Return the full name of the node of a publisher or subscription that was found.
+
+    Parameters
+    ----------
+    endpoint : TopicEndpointInfo
+        Its node is not known before discovery has told of it, and never where it is no node of ROS.
+    """
+    if "UNKNOWN" in endpoint.node_name:  # the word of rmw: _NODE_NAME_UNKNOWN_
+        return "somebody who has not told a name"
+    return f"{endpoint.node_namespace.rstrip('/')}/{endpoint.node_name}"

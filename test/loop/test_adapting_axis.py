@@ -100,7 +100,9 @@ def test_fused_it_is_its_twin_whatever_is_asked_of_it():
     loop.leave()
     made = assert_twin(loop, whole(loop), given)
     assert {states.ADAPTING, states.FROZEN, states.WAITING} <= set(made["adaptation"])
-    assert len(set(made["adapted_gain"])) > 500
+    # how many samples it adapts in is the machine's affair: in each of them the gain moves
+    moved = np.diff(made["adapted_gain"])[made["adaptation"][1:] == states.ADAPTING]
+    assert moved.size > 20 and np.count_nonzero(moved) > 0.9 * moved.size
 
 
 def test_frozen_by_a_service_by_a_stop_and_at_a_limit_and_the_voltage_does_not_jump():

@@ -11,6 +11,8 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import pytest
 
 pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
@@ -22,6 +24,7 @@ from sensor_msgs.msg import JointState  # noqa: E402
 from hysteresis_ros.errors import ParameterError  # noqa: E402
 from hysteresis_ros.nodes.compatibility import unheard  # noqa: E402
 from hysteresis_ros.nodes.diagnostics import WARN, diagnostics  # noqa: E402
+from hysteresis_ros.nodes.discovery import named  # noqa: E402
 from hysteresis_ros.nodes.motion_controller import MotionControllerNode  # noqa: E402
 from hysteresis_ros.nodes.qos import measured_qos  # noqa: E402
 
@@ -39,11 +42,12 @@ def test_a_driver_that_publishes_best_effort_is_named_with_what_to_set_and_heard
     deaf = controller(inside)
     driver = observer.talk(JointState, "/joint_states", BEST_EFFORT)
     inside.spin()
-    until(deaf.compatibility.complaint, what="that the driver is not heard")
-    assert deaf.compatibility.complaint() == (
+    said = (
         f"/joint_states: nothing is heard from /{observer.node.get_name()}, which offers best effort, reliable is "
         "asked for: set measurement_reliability: best_effort here, or let the publisher be reliable"
     )
+    # whose publisher it is may be told after what it offers
+    until(lambda: deaf.compatibility.complaint() == said, what="that the driver is not heard")
     status = diagnostics(deaf).status[0]
     assert status.level[0] >= WARN and "measurement_reliability" in status.message
     hears = controller(inside, measurement_reliability="best_effort")
@@ -63,6 +67,13 @@ def test_in_lockstep_no_sample_may_be_lost():
     with pytest.raises(ParameterError, match="measurement_reliability.*lockstep"):
         axis_parameters(time_mode="lockstep", measurement_reliability="best_effort")
     assert axis_parameters(measurement_reliability="best_effort").recorder.measurement_reliability == "best_effort"
+
+
+def test_who_has_not_told_a_name_is_no_node_of_that_name():
+    assert named(SimpleNamespace(node_namespace="/", node_name="stage")) == "/stage"
+    assert named(SimpleNamespace(node_namespace="/left", node_name="stage")) == "/left/stage"
+    unknown = SimpleNamespace(node_namespace="_NODE_NAMESPACE_UNKNOWN_", node_name="_NODE_NAME_UNKNOWN_")
+    assert named(unknown) == "somebody who has not told a name"
 
 
 def test_what_does_not_fit_and_what_to_do():

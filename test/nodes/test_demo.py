@@ -82,12 +82,13 @@ def test_the_demonstration_leaves_bags_a_picture_a_report_and_a_table(tmp_path, 
 
 
 def _judge_steps(run):
-    """Every setpoint came, and was reached where no sample was skipped: a skipped one shakes the stack."""
+    """Every setpoint came, and was reached where it was held and no sample was skipped: that shakes the stack."""
     assert set(np.unique(run["setpoint"])) == {value for _, value in SETPOINTS}
     starts = np.flatnonzero(np.diff(run["setpoint"])) + 1
     assert len(starts) == len(SETPOINTS)
-    for start, (_, value) in zip(starts, SETPOINTS, strict=True):
-        if not run["skipped"][start : start + 500].any():
+    # on a busy machine two of them may come one right after the other
+    for start, end, (_, value) in zip(starts, [*starts[1:], run.time.size], SETPOINTS, strict=True):
+        if end - start >= 500 and not run["skipped"][start : start + 500].any():
             assert np.median(run["displacement"][start + 200 : start + 500]) == pytest.approx(value, abs=0.05e-6)
 
 

@@ -21,6 +21,7 @@ from std_msgs.msg import Float64, String
 from hysteresis_ros import signals
 from hysteresis_ros.errors import HysteresisError
 from hysteresis_ros.loop.watch import STOPPED, TRIPPED
+from hysteresis_ros.nodes.discovery import named
 from hysteresis_ros.nodes.qos import setpoint_qos
 from hysteresis_ros.nodes.remote.client import SETTLED, AbsentError, Client, axis_nodes
 from hysteresis_ros.nodes.remote.services import lifecycle_states
@@ -87,7 +88,7 @@ def _source(client: Client, topic: str) -> str:
 
     def listeners() -> list[str]:
         found = client.node.get_subscriptions_info_by_topic(topic)
-        return [f"{one.node_namespace.rstrip('/')}/{one.node_name}" for one in found if one.node_name != "recorder"]
+        return [named(one) for one in found if one.node_name != "recorder"]
 
     def sources() -> list[str]:
         return [name for name in listeners() if name.rsplit("/", 1)[-1] in SOURCES]

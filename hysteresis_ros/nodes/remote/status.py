@@ -19,6 +19,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
 from hysteresis_ros.loop.axis_parameters import node_names
+from hysteresis_ros.nodes.discovery import named
 from hysteresis_ros.nodes.qos import diagnostics_qos
 from hysteresis_ros.nodes.remote.client import AbsentError, Client, axis_nodes
 from hysteresis_ros.nodes.remote.services import lifecycle_states
@@ -129,7 +130,7 @@ def _axis(client: Client, space: str, names: list[str], states: dict, reports: d
         rate = float(values["rate_hz"]) if "rate_hz" in values else None
         if name == "plant_simulator" and name not in names:
             publishers = client.node.get_publishers_info_by_topic(f"{space}/joint_states")
-            plant = ", ".join(f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in publishers)
+            plant = ", ".join(map(named, publishers))
             if plant:
                 continue
         nodes.append(NodeStatus(full, states.get(full, "absent"), word, message, rate))

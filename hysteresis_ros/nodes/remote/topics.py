@@ -21,6 +21,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
 from hysteresis_ros.errors import HysteresisError, did_you_mean
+from hysteresis_ros.nodes.discovery import named
 from hysteresis_ros.nodes.remote.client import AbsentError, Client
 
 
@@ -58,7 +59,7 @@ def echo(client: Client, topic: str, count: int | None) -> None:
                 return
             raise AbsentError(f"{said} of {count} messages came on {name}, then its publisher left")
         elif time.monotonic() - quiet > client.timeout and (count is not None or not said):
-            who = ", ".join(f"{info.node_namespace.rstrip('/')}/{info.node_name}" for info in publishers)
+            who = ", ".join(map(named, publishers))
             raise AbsentError(f"nothing came on {name} for {client.timeout:g} s; its publisher is {who}")
 
 
