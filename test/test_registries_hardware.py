@@ -28,7 +28,7 @@ from hysteresis_ros.hardware.library import option_texts
 from hysteresis_ros.hardware.located import driver_of
 from hysteresis_ros.hardware.registry import DRIVERS
 from hysteresis_ros.loop.device import MAKE_SAFE, READ, WRITE, call_alone, call_with, link_to
-from hysteresis_ros.loop.node_parameters import PlantNodeParameters
+from hysteresis_ros.loop.plant_parameters import PlantNodeParameters
 from hysteresis_ros.models.actuator import ActuatorParameters
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]

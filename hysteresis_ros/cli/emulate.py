@@ -60,7 +60,7 @@ def _bench_of(config: str):
     """Return the plant of an axis, with the time between its samples."""
     from hysteresis_ros.configuration import load_configuration
     from hysteresis_ros.hardware.emulation.bench import Bench
-    from hysteresis_ros.loop.node_parameters import part
+    from hysteresis_ros.loop.common_parameters import part
     from hysteresis_ros.models.actuator import ActuatorParameters
     from hysteresis_ros.simulation.axes import single_axis
 

@@ -31,7 +31,8 @@ def parameters(node):
 
 def lines(nodes: list[str]):
     """Yield the lines of the tables: first what all nodes share, then each node's own."""
-    from hysteresis_ros.loop.node_parameters import NODE_PARAMETERS, NodeParameters
+    from hysteresis_ros.loop.common_parameters import NodeParameters
+    from hysteresis_ros.loop.node_parameters import NODE_PARAMETERS
 
     shared = {row.name for row in NodeParameters.table()}
     yield "## Every node\n"

@@ -32,7 +32,7 @@ from hysteresis_ros.control.robust import robustness
 from hysteresis_ros.control.uncertainty import LARGEST, Uncertainty
 from hysteresis_ros.errors import HysteresisError
 from hysteresis_ros.loop.axis_parameters import AxisParameters
-from hysteresis_ros.loop.node_parameters import part
+from hysteresis_ros.loop.common_parameters import part
 from hysteresis_ros.simulation.axes import single_axis
 from hysteresis_ros.simulation.learning_design import LearningRequest, design_learning
 from hysteresis_ros.simulation.tuning import believed_axis, tune

@@ -25,7 +25,7 @@ from hysteresis_ros.comparison.plants import INSTANTS, ForeignPlant
 from hysteresis_ros.comparison.tasks import Conditions
 from hysteresis_ros.configuration import parse_configuration
 from hysteresis_ros.identification.workflow import identify
-from hysteresis_ros.loop.node_parameters import PlantNodeParameters
+from hysteresis_ros.loop.plant_parameters import PlantNodeParameters
 from hysteresis_ros.models.foreign import HYSTERESES, ForeignParameters
 from hysteresis_ros.models.limits import Limits
 from hysteresis_ros.models.sensor import Sensor

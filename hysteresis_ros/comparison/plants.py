@@ -19,7 +19,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hysteresis_ros.loop.node_parameters import PlantNodeParameters, part
+from hysteresis_ros.loop.common_parameters import part
+from hysteresis_ros.loop.plant_parameters import PlantNodeParameters
 from hysteresis_ros.loop.plants import ActuatorPlant
 from hysteresis_ros.models.actuator import Actuator, ActuatorParameters
 from hysteresis_ros.models.creep import OUTPUT, CreepParameters

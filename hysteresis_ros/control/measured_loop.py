@@ -20,7 +20,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hysteresis_ros.control.margins import Margins, loop_parts
+from hysteresis_ros.control.closed_loop import loop_parts
+from hysteresis_ros.control.margins import Margins
 from hysteresis_ros.models.state_space import StateSpace
 
 

@@ -24,7 +24,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hysteresis_ros.control.margins import REQUIRED, loop_parts
+from hysteresis_ros.control.closed_loop import loop_parts
+from hysteresis_ros.control.margins import REQUIRED
 from hysteresis_ros.models.state_space import StateSpace
 
 #: What may stand, as a multiple of the model's response, where nothing is known: a resonance of 3 % damping. One nearer

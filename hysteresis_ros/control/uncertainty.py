@@ -22,7 +22,8 @@ from typing import Any
 
 import numpy as np
 
-from hysteresis_ros.control.margins import UNSTABLE, Judged, Requirements, judge, plant_state_space
+from hysteresis_ros.control.closed_loop import plant_state_space
+from hysteresis_ros.control.margins import UNSTABLE, Judged, Requirements, judge
 from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.linear_algebra import product, rounded, solve
 from hysteresis_ros.models.linear import LinearParameters
@@ -202,7 +203,7 @@ def possible_plant(
     late : float
         Further delay [samples].
     acting : bool
-        With the second output of :func:`~hysteresis_ros.control.margins.with_acting`.
+        With the second output of :func:`~hysteresis_ros.control.closed_loop.with_acting`.
     """
     changed = slowed(dynamics, slowness) if slowness != 1.0 else {}
     matrices: dict[str, Any] = {name: tuple(changed[name]) for name in ("A", "B") if name in changed}
@@ -226,7 +227,7 @@ def drawn_plants(
         [s]
     uncertainty : Uncertainty
     acting : bool
-        With the second output of :func:`~hysteresis_ros.control.margins.with_acting`.
+        With the second output of :func:`~hysteresis_ros.control.closed_loop.with_acting`.
 
     Returns
     -------

@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hysteresis_ros.control.margins import plant_state_space
+from hysteresis_ros.control.closed_loop import plant_state_space
 from hysteresis_ros.control.response_uncertainty import (
     UNKNOWN,
     ResponseUncertainty,

@@ -19,6 +19,7 @@ from hysteresis_ros.compensation.reachable import commandable
 from hysteresis_ros.configuration import NODE_NAMES, Configuration, dump_configuration, normalised_namespace
 from hysteresis_ros.control.damping.kind import FORCE
 from hysteresis_ros.errors import ConfigurationError, ParameterError, Problem
+from hysteresis_ros.loop.common_parameters import NodeParameters, part
 from hysteresis_ros.loop.faults import parse_fault
 from hysteresis_ros.loop.inchworm_checks import inchworm_problems
 from hysteresis_ros.loop.node_parameters import (
@@ -27,12 +28,10 @@ from hysteresis_ros.loop.node_parameters import (
     ControllerNodeParameters,
     DisplacementCameraNodeParameters,
     InchwormSequencerNodeParameters,
-    NodeParameters,
-    PlantNodeParameters,
     RecorderNodeParameters,
     ReferenceNodeParameters,
-    part,
 )
+from hysteresis_ros.loop.plant_parameters import PlantNodeParameters
 from hysteresis_ros.loop.watch import samples_of
 
 #: Samples that a run may have at most: beyond this a counter in double precision skips numbers.

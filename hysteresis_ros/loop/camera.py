@@ -22,7 +22,8 @@ import numpy as np
 
 from hysteresis_ros import signals as at
 from hysteresis_ros.block import interpreted
-from hysteresis_ros.loop.node_parameters import DisplacementCameraNodeParameters, PlantNodeParameters, part
+from hysteresis_ros.loop.common_parameters import part
+from hysteresis_ros.loop.node_parameters import DisplacementCameraNodeParameters
 from hysteresis_ros.loop.plant import (
     PlantWatchArrays,
     actuate,
@@ -32,6 +33,7 @@ from hysteresis_ros.loop.plant import (
     sense_actuator,
     tell_joints,
 )
+from hysteresis_ros.loop.plant_parameters import PlantNodeParameters
 from hysteresis_ros.loop.plants import ActuatorPlant
 from hysteresis_ros.models.actuator import ActuatorArrays
 from hysteresis_ros.sensing.simulated_camera import SimulatedCamera

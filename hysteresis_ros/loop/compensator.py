@@ -34,7 +34,8 @@ from hysteresis_ros.compensation.recursive import AdaptationSettings, Adaptation
 from hysteresis_ros.configuration import dump_configuration
 from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.loop import faults as faulty
-from hysteresis_ros.loop.node_parameters import CompensatorNodeParameters, part
+from hysteresis_ros.loop.common_parameters import part
+from hysteresis_ros.loop.node_parameters import CompensatorNodeParameters
 from hysteresis_ros.loop.watch import (
     GUARD_STATES,
     HOLDING,

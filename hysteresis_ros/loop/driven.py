@@ -18,28 +18,16 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-import numpy as np
-
 from hysteresis_ros import signals as at
 from hysteresis_ros.block import interpreted
 from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.hardware.device import Device
 from hysteresis_ros.hardware.driver import Capabilities, DriverError
-from hysteresis_ros.hardware.library import nonsense
 from hysteresis_ros.hardware.located import driver_of
 from hysteresis_ros.loop import faults as faulty
 from hysteresis_ros.loop.device import (
-    ANSWERS,
-    CODE,
-    FAILED,
-    NONSENSE,
-    READING,
-    SAFE_CODE,
-    DevicePlantArrays,
-    link_to,
     stop_for_homing,
 )
-from hysteresis_ros.loop.node_parameters import PlantNodeParameters
 from hysteresis_ros.loop.plant import (
     DEVICE_FAILED,
     FINDING_HOME,
@@ -50,10 +38,11 @@ from hysteresis_ros.loop.plant import (
     told_force,
     watched_voltage,
 )
+from hysteresis_ros.loop.plant_parameters import PlantNodeParameters
 from hysteresis_ros.loop.plant_types import PLANTS
 from hysteresis_ros.loop.watch import FOLLOWS, HELD, hold_state, hold_voltage
 from hysteresis_ros.models.calibration import AmplifierCalibration, SensorCalibration
-from hysteresis_ros.models.limits import FLAGS, LIMITED_SAMPLES, OUTPUT, UNQUANTISED, Limits, LimitsParameters, limits
+from hysteresis_ros.models.limits import FLAGS, LIMITED_SAMPLES, OUTPUT, UNQUANTISED, Limits, LimitsParameters
 
 _TOLD = interpreted(told_force)
 
@@ -327,90 +316,6 @@ class DrivenPlant(Plant):
         self._device.close()
 
 
-class CompiledPlant(DrivenPlant):
-    """One actuator that is a device, read and written by machine code.
-
-    Parameters
-    ----------
-    parameters : PlantNodeParameters
-        With a driver that has a compiled form.
-    linked : bool
-        Whether there is a device. A twin of a recorded run has none: it is given what the device answered.
-
-    Raises
-    ------
-    DriverError
-        The device cannot be opened, is not what the axis needs, or only Python reaches it.
-    """
-
-    # places where others have the law of a simulated plant
-    kernels = (limits,) * 3
-
-    given = (at.MEASURED, at.TRIPPED, at.FORCE)
-
-    def __init__(self, parameters: PlantNodeParameters, linked: bool = True):
-        self._linked = linked
-        super().__init__(parameters)
-        compiled = joints = None
-        if linked:
-            compiled, joints = self._device.compiled(), self.capabilities
-            if compiled is None:
-                self.close()
-                problem = "is written in Python, which would wait for its lock in each sample"
-                remedy = "run the axis without --fused, or give the driver a compiled form (docs/hardware.md)"
-                raise DriverError(f"driver {parameters.driver}:", problem, remedy)
-        sizes = (joints.joints + joints.forces, joints.voltages) if joints is not None else (1, 1)
-        self.arrays = DevicePlantArrays(
-            link_to(compiled),
-            np.zeros(ANSWERS, dtype=np.int64),
-            *map(np.zeros, sizes),
-            self.limits.p,
-            self.limits.x,
-            self.sensor.p,
-            self.sensor.x,
-            self.amplifier.p,
-            self._watch_p,
-            self._watch_x,
-        )
-        self.reset()
-
-    def _open(self, parameters: PlantNodeParameters) -> None:
-        if self._linked:
-            super()._open(parameters)
-
-    @property
-    def _range(self) -> tuple[float, float]:
-        return super()._range if self._linked else (-math.inf, math.inf)
-
-    @property
-    def failure(self) -> str:
-        """What is wrong with a device that has stopped the axis."""
-        if self._watch_x.trip[TRIP] != DEVICE_FAILED or self._failure or not self._linked:
-            return self._failure
-        failed, code, safe_code = (int(self.arrays.answer[place]) for place in (FAILED, CODE, SAFE_CODE))
-        explain = self._device.compiled().explain
-        what = "written" if failed not in (READING, NONSENSE) else "read"
-        error = nonsense(self.parameters.driver) if failed == NONSENSE else explain(code)
-        text = f"driver {self.parameters.driver}: cannot be {what}: {error}"
-        return f"{text}; and it cannot be made safe: {explain(safe_code).problem}" if safe_code else text
-
-    def make_safe(self) -> None:
-        """Bring the device to its safe state.
-
-        Raises
-        ------
-        DriverError
-            It does not answer.
-        """
-        if self._linked:
-            super().make_safe()
-
-    def close(self) -> None:
-        """Let go of the device."""
-        if self._linked:
-            super().close()
-
-
 def _without_grid(limits: LimitsParameters) -> LimitsParameters:
     """Return limits that do not round: the converter is the device's."""
     return replace(limits, bits=0)
@@ -440,22 +345,3 @@ def plant_of(parameters: PlantNodeParameters) -> Plant:
         The device cannot be opened, or is not what the axis needs.
     """
     return DrivenPlant(parameters) if parameters.driver else PLANTS[parameters.type](parameters)
-
-
-def fused_plant_of(parameters: PlantNodeParameters, linked: bool = True) -> Plant:
-    """Return the plant of an axis that machine code runs: the device of its driver, or the simulated one of its type.
-
-    Parameters
-    ----------
-    parameters : PlantNodeParameters
-    linked : bool
-        Whether a device is opened; without it the plant is given what the device answered.
-
-    Raises
-    ------
-    DriverError
-        The device cannot be opened, is not what the axis needs, or only Python reaches it.
-    """
-    if not parameters.driver:
-        return PLANTS[parameters.type](parameters)
-    return CompiledPlant(parameters, linked)

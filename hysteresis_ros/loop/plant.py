@@ -27,7 +27,7 @@ from hysteresis_ros import signals as at
 from hysteresis_ros.block import by_part, kernel, nested
 from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.loop import faults as faulty
-from hysteresis_ros.loop.node_parameters import PlantNodeParameters
+from hysteresis_ros.loop.plant_parameters import PlantNodeParameters
 from hysteresis_ros.loop.watch import (
     HELD,
     HELD_AGE,

@@ -11,8 +11,9 @@
 
 from __future__ import annotations
 
-from hysteresis_ros.loop.node_parameters import PlantNodeParameters, part
+from hysteresis_ros.loop.common_parameters import part
 from hysteresis_ros.loop.plant import STIFFNESS, ActuatorPlantArrays, MotorPlantArrays, Plant
+from hysteresis_ros.loop.plant_parameters import PlantNodeParameters
 from hysteresis_ros.models import clamp as clamping
 from hysteresis_ros.models.actuator import (
     Actuator,

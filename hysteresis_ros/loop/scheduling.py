@@ -18,7 +18,7 @@ import os
 import sys
 import time
 
-from hysteresis_ros.loop.node_parameters import RealtimeParameters
+from hysteresis_ros.loop.plant_parameters import RealtimeParameters
 
 #: Turn of a thread of Python while the loop waits for another one [s].
 TURN = 5e-4

@@ -19,7 +19,8 @@ import numpy as np
 from hysteresis_ros import signals as at
 from hysteresis_ros.block import by_part, nested
 from hysteresis_ros.loop import faults as faulty
-from hysteresis_ros.loop.node_parameters import InchwormSequencerNodeParameters, ReferenceNodeParameters, part
+from hysteresis_ros.loop.common_parameters import part
+from hysteresis_ros.loop.node_parameters import InchwormSequencerNodeParameters, ReferenceNodeParameters
 from hysteresis_ros.loop.watch import RUNNING, STOPPED, TRIPPED
 from hysteresis_ros.references import generator as generating
 from hysteresis_ros.references import inchworm_layout as gait

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from hysteresis_ros.block import nested
 from hysteresis_ros.loop import compensator as compensating
-from hysteresis_ros.loop import controller as controlling
+from hysteresis_ros.loop import control_sample as controlling
 from hysteresis_ros.loop import plant as planting
 from hysteresis_ros.loop.source import hold, rest
 

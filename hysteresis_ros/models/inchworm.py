@@ -30,10 +30,11 @@ from hysteresis_ros.models import friction
 from hysteresis_ros.models.actuator import PRELOAD, Actuator, ActuatorParameters
 from hysteresis_ros.models.clamp import Clamp, ClampParameters, contact
 from hysteresis_ros.models.creep import creep
-from hysteresis_ros.models.friction import Slider, SliderParameters, slide, slide_elastically
+from hysteresis_ros.models.friction import slide, slide_elastically
 from hysteresis_ros.models.limits import limits
 from hysteresis_ros.models.linear import linear, linear_advance, linear_output
 from hysteresis_ros.models.sensor import Sensor, sensor
+from hysteresis_ros.models.slider import Contacts, Slider, SliderParameters
 from hysteresis_ros.parameters import Parameters, group, parameter
 
 #: Names of the joints, in the order in which they stand in ``xs.joints``.
@@ -106,11 +107,11 @@ class InchwormParameters(Parameters):
                     yield Problem(f"slider.{name}", getattr(self.slider, name), allowed)
 
     @property
-    def contacts(self) -> friction.Contacts:
+    def contacts(self) -> Contacts:
         """What the contacts are besides friction."""
         front, rear = self.front_clamp, self.rear_clamp
         kicks = [clamp.kick / clamp.static_friction if clamp.static_friction else 0.0 for clamp in (front, rear)]
-        return friction.Contacts(front.compliance, rear.compliance, *kicks)
+        return Contacts(front.compliance, rear.compliance, *kicks)
 
     def holding_force(self, front_voltage: float, rear_voltage: float) -> tuple[float, float]:
         """Return the loads [N] that front and rear clamp, each alone, hold at rest at their grip voltages [V]."""

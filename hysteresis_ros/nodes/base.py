@@ -17,7 +17,6 @@ from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import Clock, ClockType
-from rclpy.duration import Duration
 from rclpy.lifecycle import TransitionCallbackReturn
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String, UInt64
@@ -29,17 +28,18 @@ from hysteresis_ros.loop.node_parameters import NODE_PARAMETERS
 from hysteresis_ros.nodes.changes import ChangeLog
 from hysteresis_ros.nodes.compatibility import Compatibility
 from hysteresis_ros.nodes.diagnostics import diagnostics, introduction, warn_of_others
+from hysteresis_ros.nodes.endpoints import Endpoints
 from hysteresis_ros.nodes.fused import Fused
 from hysteresis_ros.nodes.lifecycle import GuardedLifecycleNode
 from hysteresis_ros.nodes.lockstep import Lockstep, Partners
 from hysteresis_ros.nodes.parameters import ParameterInterface, TabledParameters
-from hysteresis_ros.nodes.qos import diagnostics_qos, latched_qos, loop_qos
+from hysteresis_ros.nodes.qos import diagnostics_qos, latched_qos
 from hysteresis_ros.nodes.realtime import RealTime
 from hysteresis_ros.nodes.services import answered
 from hysteresis_ros.nodes.timing import Pace
 
 
-class AxisNode(TabledParameters, GuardedLifecycleNode):
+class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
     """Base of the nodes of an axis.
 
     Subclasses implement :meth:`build` (blocks from parameters), :meth:`connect` (publishers and subscriptions),
@@ -290,74 +290,6 @@ class AxisNode(TabledParameters, GuardedLifecycleNode):
         if self.fused is not None:
             self.fused.part(self)
         super().destroy_node()
-
-    # -- topics ------------------------------------------------------------------------------------------------
-
-    def qos(self):
-        """Quality of service of the topics between the nodes."""
-        return loop_qos(self.runner.keeps, self.parameters.queue_depth)
-
-    def changes_qos(self):
-        """Quality of service of what people have changed: kept for a recorder that comes later."""
-        return loop_qos(True, self.parameters.queue_depth)
-
-    def publisher(self, message_type, topic: str, qos, loop: bool = False):
-        """Make a publisher that goes with cleanup; ``loop``: lockstep needs its partner before the first answer."""
-        made = self.create_publisher(message_type, topic, qos, event_callbacks=self.compatibility.of_publisher(topic))
-        self._topic_handles.append((self.destroy_publisher, made))
-        if loop:
-            self._loop_publishers.append(made)
-        return made
-
-    def subscriber(self, message_type, topic: str, callback, qos, raw: bool = False, partner: str = ""):
-        """Make a subscription that goes with cleanup; ``partner``: who publishes it in lockstep, and is watched."""
-        events = self.compatibility.of_subscription(topic)
-        made = self.create_subscription(message_type, topic, callback, qos, raw=raw, event_callbacks=events)
-        self._topic_handles.append((self.destroy_subscription, made))
-        if partner:
-            self.partners.add(made.topic_name, partner)
-        return made
-
-    def drop(self, subscription) -> None:
-        """Destroy a subscription before cleanup does."""
-        self._topic_handles.remove((self.destroy_subscription, subscription))
-        self.destroy_subscription(subscription)
-
-    def timer(self, period: float, callback):
-        """Make a timer on the steady clock that goes with deactivation."""
-        made = self.create_timer(period, callback, clock=self.steady)
-        self._work_timers.append(made)
-        return made
-
-    def all_matched(self) -> bool:
-        """Tell whether every publisher of the loop has a subscription."""
-        return all(publisher.get_subscription_count() > 0 for publisher in self._loop_publishers)
-
-    def publish_state(self, stamp, *values: float) -> None:
-        """Publish ``~/state`` with the stamp of the measurement it belongs to; the message is reused."""
-        message = self._state
-        message.header.stamp = stamp
-        position = message.position
-        for index, value in enumerate(values):
-            position[index] = value
-        self._state_publisher.publish(message)
-
-    def warn(self, key: str, text: str, every: float = 1.0, error: bool = False) -> None:
-        """Log a warning (or error), at most one per ``key`` and ``every`` seconds."""
-        now = self.steady.now().nanoseconds
-        if now - self._warned.get(key, -(10**18)) >= every * 1e9:
-            self._warned[key] = now
-            # two lines, because rclpy ties a place in the source to one severity
-            if error:
-                self.get_logger().error(text)
-            else:
-                self.get_logger().warning(text)
-
-    def wait_acknowledged(self, deadline: float) -> None:
-        """Wait until all that was published has been received, at most until ``time.monotonic()`` is ``deadline``."""
-        for _, handle in self._topic_handles:
-            if hasattr(handle, "wait_for_all_acked"):
-                handle.wait_for_all_acked(Duration(seconds=max(deadline - time.monotonic(), 0.0)))
 
     # -- services and parameters -------------------------------------------------------------------------------
 

@@ -18,7 +18,8 @@ from hysteresis_ros.block import interpreted
 from hysteresis_ros.control.damping.kind import FORCE
 from hysteresis_ros.control.learning.correction import MODES
 from hysteresis_ros.errors import ParameterError, Problem
-from hysteresis_ros.loop.controller import ControllerPart, carried_out, control
+from hysteresis_ros.loop.control_sample import carried_out, control
+from hysteresis_ros.loop.controller import ControllerPart
 from hysteresis_ros.loop.tick import ANSWERED, Laws
 from hysteresis_ros.loop.watch import FOLLOWING, HOLDING, MODE_NAMES, REJECTED, RUNNING, STALE, STOPPED, TRIPPED
 from hysteresis_ros.nodes.controller_state import MISSING, ControllerState, message_types

@@ -215,7 +215,7 @@ class RealTimePlant(RealTime):
 
     def start_time(self) -> None:
         """Start the thread that keeps the time."""
-        self.node.set_start()
+        self.node.stamps.go_on(self.node.sample)
         self._start()
 
     def _start(self) -> None:
@@ -237,7 +237,7 @@ class RealTimePlant(RealTime):
         self.align()
         self._ended = False
         self.is_measured = False
-        self.node.set_start()
+        self.node.stamps.go_on(self.node.sample)
         if self._thread is not None and not self._thread.is_alive():
             self._start()  # it had left at the end of the run before
 
@@ -245,7 +245,7 @@ class RealTimePlant(RealTime):
         """Hold the time of the axis, or let it go on."""
         if not held:
             with self.node.lock:
-                self.node.set_start()
+                self.node.stamps.go_on(self.node.sample)
 
     def voltage(self, input_, message) -> None:
         """Take a voltage: the last one before the deadline counts."""
@@ -323,8 +323,8 @@ class RealTimePlant(RealTime):
                 self.is_measured = False
                 self._drop_late()
                 self._finish_sample()
-                if behind or node.is_off_clock:
-                    node.set_start()
+                if behind or node.stamps.are_off_clock:
+                    node.stamps.go_on(node.sample)
                 if node.parameters.samples and node.sample >= node.parameters.samples:
                     self._ended = True
                     node.finish()
@@ -386,7 +386,7 @@ class RealTimePlant(RealTime):
             self._given = dict.fromkeys(self._given, self._asked)
             node.part.forgive()
             node.pace.restart()
-            node.set_start()
+            node.stamps.go_on(node.sample)
 
     def _await_partners(self) -> None:
         """Let a run of given length begin when the loop is complete; one without end needs no beginning."""
@@ -400,7 +400,7 @@ class RealTimePlant(RealTime):
                 break
         with node.lock:
             if not node.sample:
-                node.set_start()
+                node.stamps.go_on(node.sample)
 
     def _wait_until(self, deadline: float) -> bool:
         """Wait; False when the node leaves."""

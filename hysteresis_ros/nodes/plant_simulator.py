@@ -22,7 +22,6 @@ import time
 from array import array
 from functools import partial
 
-import numpy as np
 from builtin_interfaces.msg import Time
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
@@ -31,7 +30,8 @@ from std_msgs.msg import Bool, Float64, UInt64
 from hysteresis_ros import signals
 from hysteresis_ros.block import interpreted
 from hysteresis_ros.errors import ConfigurationError, HysteresisError
-from hysteresis_ros.loop.driven import fused_plant_of, plant_of
+from hysteresis_ros.loop.compiled_plant import fused_plant_of
+from hysteresis_ros.loop.driven import plant_of
 from hysteresis_ros.loop.plant import actuate, sense
 from hysteresis_ros.loop.tick import MEASURED, Laws
 from hysteresis_ros.models.inchworm import EFFORT, JOINT_NAMES, POSITION, VELOCITY
@@ -42,13 +42,11 @@ from hysteresis_ros.nodes.plant_runners import LockstepPlant, RealTimePlant
 from hysteresis_ros.nodes.qos import latched_qos, setpoint_qos
 from hysteresis_ros.nodes.responder import TRIPPED_FRAME
 from hysteresis_ros.nodes.spin import run
+from hysteresis_ros.nodes.stamps import Stamps
 from hysteresis_ros.nodes.voltage_input import VOLTAGES, VoltageInput
 
 #: Seconds in which the voltage of a device goes to its safe value before the node leaves the device to itself.
 RETURN = 1.0
-
-#: How far the stamps of a sample may be from the wall clock [ns] before they go on from there.
-OFF_CLOCK = 100_000_000
 
 _SENSE, _ACTUATE = interpreted(sense), interpreted(actuate)
 
@@ -69,7 +67,6 @@ class PlantSimulatorNode(AxisNode):
         super().__init__("plant_simulator", **options)
         # real time: the thread and the executor both work on the plant
         self.lock = threading.Lock()
-        self._stamp = 0
 
     lockstep_runner = LockstepPlant
     real_time_runner = RealTimePlant
@@ -98,6 +95,7 @@ class PlantSimulatorNode(AxisNode):
             )
         self.parameters = parameters
         self.part = fused_plant_of(parameters) if parameters.time_mode == "fused" else plant_of(parameters)
+        self.stamps = Stamps(parameters)
         self.inputs = [VoltageInput(*given) for given in VOLTAGES[: 3 if self.is_motor else 1]]
         self.row = [0.0] * signals.MOTOR_ROW
         self._laws = Laws(*self.part.kernels, *(self.part.kernels[0],) * (len(Laws._fields) - 3))
@@ -130,7 +128,7 @@ class PlantSimulatorNode(AxisNode):
         self.row[:] = [0.0] * len(self.row)
         for input_ in self.inputs:
             input_.value, input_.received = math.nan, 0.0
-        self._start_stamp = 0
+        self.stamps.begin()
         self._first = 0.0
         self._told = False
         self._tripped = False
@@ -241,44 +239,20 @@ class PlantSimulatorNode(AxisNode):
 
     # -- samples -------------------------------------------------------------------------------------------------
 
-    def stamp_of(self, sample: int) -> int:
-        """Return the time of a sample [ns] from the beginning of the run."""
-        return round(sample * 1e9 / self.parameters.sample_rate)
-
-    def stamps_of(self, samples: np.ndarray) -> np.ndarray:
-        """Return the stamps [ns] of samples, both of shape (N,)."""
-        return self._start_stamp + np.rint(samples * 1e9 / self.parameters.sample_rate).astype(np.int64)
-
-    def set_start(self) -> None:
-        """Real time: let the stamps go on from now, or from zero where they are the source of time themselves.
-
-        A clock that was set back does not take them back: nobody believes a stamp that does not follow the last one.
-        """
-        now = max(time.time_ns(), self._stamp + self.stamp_of(1))
-        self._start_stamp = 0 if self.parameters.publish_clock else now - self.stamp_of(self.sample)
-
-    @property
-    def is_off_clock(self) -> bool:
-        """Whether stamps that stand for the wall clock are off it, because somebody has set it."""
-        parameters = self.parameters
-        stands = not parameters.publish_clock and parameters.real_time_factor == 1.0
-        return stands and abs(time.time_ns() - self._stamp) > OFF_CLOCK + self.stamp_of(1)
-
     def begin_run(self, origin: int) -> None:
         """Take the time of sample 0 of a loop [ns since 1970]."""
         self._first = time.monotonic()
         self._told = self._tripped = False
         self.sample = 0
-        self._start_stamp = 0 if self.parameters.publish_clock else origin
+        self.stamps.begin(origin)
 
     def publish_sample(self) -> None:
         """Measure the present sample and publish it."""
-        stamp = self._start_stamp + self.stamp_of(self.sample)
         before = self._message.position[0]
         self.sense()
         if not self.sample:
             self._first = time.monotonic()
-        self._publish_measured(stamp, before if self.sample else self.row[signals.MEASURED])
+        self._publish_measured(self.stamps.of(self.sample), before if self.sample else self.row[signals.MEASURED])
 
     def show(self, sample: int, before: float, quiet: bool):
         """Publish what stands in the row of a sample that a loop has made.
@@ -297,12 +271,12 @@ class PlantSimulatorNode(AxisNode):
         builtin_interfaces.msg.Time
             Its stamp.
         """
-        self._publish_measured(self._start_stamp + self.stamp_of(sample), before, quiet)
+        self._publish_measured(self.stamps.of(sample), before, quiet)
         self._publish_row()
         return self._message.header.stamp
 
     def _publish_measured(self, stamp: int, before: float, quiet: bool = False) -> None:
-        message, row, self._stamp = self._message, self.row, stamp
+        message, row, self.stamps.last = self._message, self.row, stamp
         message.header.stamp = Time(sec=stamp // 1_000_000_000, nanosec=stamp % 1_000_000_000)
         if self.is_motor:
             joints = self.part.arrays.x.joints

@@ -252,7 +252,7 @@ class RecorderNode(AxisNode):
             self.warn("lost", text, error=True)
         if not count:
             return
-        stamps = self._fused_plant.stamps_of(np.arange(taken.first, taken.first + count))
+        stamps = self._fused_plant.stamps.of_all(np.arange(taken.first, taken.first + count))
         self._samples.force = self._fused_plant.parameters.preload.force
         given = {"joints": taken.joints, "times": taken.times}
         self.recording.attempt(lambda _: self._samples.write(stamps, taken.table, **given))

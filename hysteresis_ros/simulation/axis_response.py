@@ -15,7 +15,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hysteresis_ros.control.margins import Margins, loop_transfer, margins_of
+from hysteresis_ros.control.closed_loop import loop_transfer
+from hysteresis_ros.control.margins import Margins, margins_of
 from hysteresis_ros.control.measured_loop import MeasuredLoop, loop_of
 from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.identification.excitations import Plan

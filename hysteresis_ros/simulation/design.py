@@ -33,7 +33,7 @@ from hysteresis_ros.control.uncertainty import Uncertainty
 from hysteresis_ros.errors import ConfigurationError, ParameterError
 from hysteresis_ros.loop.axis import Axis
 from hysteresis_ros.loop.axis_parameters import AxisParameters
-from hysteresis_ros.loop.node_parameters import part
+from hysteresis_ros.loop.common_parameters import part
 from hysteresis_ros.simulation.axes import single_axis
 from hysteresis_ros.simulation.damped_design import (
     DampedDesign,

@@ -17,18 +17,20 @@ from dataclasses import dataclass, field, fields, replace
 import numpy as np
 
 from hysteresis_ros.configuration import Configuration, parse_configuration
+from hysteresis_ros.control.closed_loop import plant_state_space
 from hysteresis_ros.control.controller import ControllerParameters
 from hysteresis_ros.control.learning.filters import KINDS, Filters, Response, contraction, design_filters
 from hysteresis_ros.control.learning.parameters import LearningParameters, period_samples
 from hysteresis_ros.control.linearisation import TINY
-from hysteresis_ros.control.margins import plant_state_space
 from hysteresis_ros.control.response_uncertainty import ResponseUncertainty
 from hysteresis_ros.control.uncertainty import Uncertainty, drawn_plants
 from hysteresis_ros.errors import ConfigurationError, ParameterError, did_you_mean
 from hysteresis_ros.loop.axis import Axis
 from hysteresis_ros.loop.axis_parameters import AxisParameters
-from hysteresis_ros.loop.controller import ControllerPart, answer
-from hysteresis_ros.loop.node_parameters import ControllerNodeParameters, part
+from hysteresis_ros.loop.common_parameters import part
+from hysteresis_ros.loop.control_sample import answer
+from hysteresis_ros.loop.controller import ControllerPart
+from hysteresis_ros.loop.node_parameters import ControllerNodeParameters
 from hysteresis_ros.loop.tick import Laws
 from hysteresis_ros.models.preload import PreloadParameters
 from hysteresis_ros.simulation.axes import single_axis

@@ -17,9 +17,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from hysteresis_ros.configuration import Configuration, dump_configuration, parse_configuration
+from hysteresis_ros.control.closed_loop import plant_state_space
 from hysteresis_ros.control.controller import ControllerParameters
 from hysteresis_ros.control.linearisation import whole_loop
-from hysteresis_ros.control.margins import REQUIRED, margins_of, plant_state_space
+from hysteresis_ros.control.margins import REQUIRED, margins_of
 from hysteresis_ros.control.measured_loop import MeasuredLoop, loop_of
 from hysteresis_ros.control.response_uncertainty import ResponseUncertainty
 from hysteresis_ros.errors import ConfigurationError

@@ -35,8 +35,8 @@ from hysteresis_ros.compensation.reachable import reachable_commands
 from hysteresis_ros.control.inversion import relative_degree
 from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.loop.axis_parameters import AxisParameters
+from hysteresis_ros.loop.common_parameters import part
 from hysteresis_ros.loop.inchworm_checks import inchworm_warnings
-from hysteresis_ros.loop.node_parameters import part
 from hysteresis_ros.models.linear import LinearParameters
 from hysteresis_ros.parameters import Parameters
 from hysteresis_ros.references.generator import ReferenceGenerator, ReferenceParameters

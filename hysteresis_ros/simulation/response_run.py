@@ -22,7 +22,7 @@ from hysteresis_ros.errors import ConfigurationError
 from hysteresis_ros.identification.excitations import PLACES, Experiment, Plan, excitation
 from hysteresis_ros.identification.response_analysis import LEAST_RATIO
 from hysteresis_ros.loop.axis_parameters import AxisParameters
-from hysteresis_ros.loop.node_parameters import part
+from hysteresis_ros.loop.common_parameters import part
 from hysteresis_ros.models.hysteresis import hysteresis_block
 from hysteresis_ros.models.state_space import StateSpace
 from hysteresis_ros.references.ways import REST, WAY, hold, there_and_back

@@ -18,7 +18,7 @@ import numpy as np
 from hysteresis_ros.errors import ConfigurationError, RecordingError
 from hysteresis_ros.loop.axis import STEPS, Axis, Change
 from hysteresis_ros.loop.axis_parameters import AxisParameters
-from hysteresis_ros.loop.driven import fused_plant_of
+from hysteresis_ros.loop.compiled_plant import fused_plant_of
 from hysteresis_ros.loop.tick import BEFORE
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.replay import requests_per_sample

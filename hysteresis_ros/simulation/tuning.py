@@ -29,7 +29,7 @@ from hysteresis_ros.errors import ConfigurationError, ParameterError
 from hysteresis_ros.identification.restarted_nelder_mead import SimplexSettings, restarted_nelder_mead
 from hysteresis_ros.loop.axis import Axis
 from hysteresis_ros.loop.axis_parameters import AxisParameters
-from hysteresis_ros.loop.node_parameters import part
+from hysteresis_ros.loop.common_parameters import part
 from hysteresis_ros.models.force_sensor import ForceSensorParameters
 from hysteresis_ros.models.sensor import SensorParameters
 from hysteresis_ros.parameters import Parameters

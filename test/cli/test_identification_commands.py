@@ -24,7 +24,8 @@ from hysteresis_ros.identification.parameter_file import load_chain
 from hysteresis_ros.identification.prediction import predict
 from hysteresis_ros.identification.registry import MODELS
 from hysteresis_ros.loop.axis import Axis
-from hysteresis_ros.loop.node_parameters import PlantNodeParameters, part
+from hysteresis_ros.loop.common_parameters import part
+from hysteresis_ros.loop.plant_parameters import PlantNodeParameters
 from hysteresis_ros.models.actuator import Actuator, ActuatorParameters
 from hysteresis_ros.models.creep import CreepParameters
 from hysteresis_ros.models.hysteresis import HysteresisParameters

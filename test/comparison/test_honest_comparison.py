@@ -25,8 +25,8 @@ from hysteresis_ros.comparison.compare import drawn_around, trial_around, trial_
 from hysteresis_ros.comparison.tasks import Conditions
 from hysteresis_ros.configuration import Configuration, load_configuration, parse_configuration
 from hysteresis_ros.control.margins import Requirements
-from hysteresis_ros.loop.node_parameters import PlantNodeParameters
 from hysteresis_ros.loop.plant import Plant
+from hysteresis_ros.loop.plant_parameters import PlantNodeParameters
 from hysteresis_ros.models.foreign import ForeignParameters
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.simulation.mismatch import mismatched

@@ -18,7 +18,7 @@ from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.control.controller import ControllerParameters
 from hysteresis_ros.control.robust import robustness
 from hysteresis_ros.control.uncertainty import Uncertainty
-from hysteresis_ros.loop.node_parameters import part
+from hysteresis_ros.loop.common_parameters import part
 
 NAME = "offset-free + feedforward", "none"
 

@@ -24,7 +24,7 @@ from hysteresis_ros.control.sliding_surface import LAST, OBSERVER
 from hysteresis_ros.control.succession import SAMPLES, History, note, successor
 from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.loop.axis import Axis
-from hysteresis_ros.loop.node_parameters import part
+from hysteresis_ros.loop.common_parameters import part
 from hysteresis_ros.simulation.axes import single_axis
 
 CONFIG = pathlib.Path(__file__).resolve().parents[2] / "config" / "kim2009.yaml"

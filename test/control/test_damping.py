@@ -19,6 +19,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hysteresis_ros.control.closed_loop import loop_transfer
 from hysteresis_ros.control.controller import ControllerParameters, ModelParameters, controller_block, damping_block
 from hysteresis_ros.control.damping import block
 from hysteresis_ros.control.damping.block import as_output
@@ -28,7 +29,7 @@ from hysteresis_ros.control.damping.plant import damped, inner_loop, modes
 from hysteresis_ros.control.damping.registry import KINDS
 from hysteresis_ros.control.gain_design import design_gains
 from hysteresis_ros.control.linearisation import linear_loop, whole_loop
-from hysteresis_ros.control.margins import loop_transfer, margins_of
+from hysteresis_ros.control.margins import margins_of
 from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.models.force_sensor import (
     ForceParameters,

@@ -32,7 +32,8 @@ from hysteresis_ros.hardware.library import _Capabilities
 from hysteresis_ros.hardware.located import driver_of, options_of
 from hysteresis_ros.loop.axis import Axis
 from hysteresis_ros.loop.axis_parameters import AxisParameters
-from hysteresis_ros.loop.driven import DrivenPlant, fused_plant_of
+from hysteresis_ros.loop.compiled_plant import fused_plant_of
+from hysteresis_ros.loop.driven import DrivenPlant
 from hysteresis_ros.loop.fused import FusedLoop
 
 pytestmark = needs_compiler

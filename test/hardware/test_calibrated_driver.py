@@ -26,7 +26,8 @@ from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.hardware.driver import DriverError
 from hysteresis_ros.loop.axis import Axis, Change, sample_times
 from hysteresis_ros.loop.axis_parameters import AxisParameters
-from hysteresis_ros.loop.driven import CompiledPlant, DrivenPlant, fused_plant_of
+from hysteresis_ros.loop.compiled_plant import CompiledPlant, fused_plant_of
+from hysteresis_ros.loop.driven import DrivenPlant
 from hysteresis_ros.loop.fused import FusedLoop
 from hysteresis_ros.loop.plant import FINDING_HOME
 from hysteresis_ros.recordings.dataset import Recording

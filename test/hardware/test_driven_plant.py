@@ -26,8 +26,8 @@ from hysteresis_ros.hardware.drivers.simulated import SimulatedDriver
 from hysteresis_ros.hardware.registry import DRIVERS
 from hysteresis_ros.loop.axis_parameters import AxisParameters
 from hysteresis_ros.loop.driven import DrivenPlant, plant_of
-from hysteresis_ros.loop.node_parameters import PlantNodeParameters
 from hysteresis_ros.loop.plant import DEVICE_FAILED
+from hysteresis_ros.loop.plant_parameters import PlantNodeParameters
 from hysteresis_ros.loop.watch import STALE, TRIPPED
 
 #: Limits, noise, 16 bits: what a plant can have.

@@ -32,7 +32,7 @@ from hysteresis_ros.hardware.drivers.gcs import driver as driving
 from hysteresis_ros.hardware.emulation.plant import assumed_stage
 from hysteresis_ros.hardware.registry import DRIVERS
 from hysteresis_ros.loop.driven import DrivenPlant
-from hysteresis_ros.loop.node_parameters import PlantNodeParameters
+from hysteresis_ros.loop.plant_parameters import PlantNodeParameters
 
 RATE, CYCLE = 100.0, 5.0e-4
 

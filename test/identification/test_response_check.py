@@ -17,7 +17,7 @@ from click.testing import CliRunner
 from foreign_plant import ForeignPlant
 
 from hysteresis_ros.cli.main import main
-from hysteresis_ros.control.margins import plant_state_space
+from hysteresis_ros.control.closed_loop import plant_state_space
 from hysteresis_ros.control.response_uncertainty import (
     UNKNOWN,
     UNSEEN,

@@ -117,7 +117,7 @@ def disorder(fault):
 
 
 def unanswered(fault):
-    from hysteresis_ros.loop.controller import UNFOLLOWED_SAMPLES
+    from hysteresis_ros.loop.control_sample import UNFOLLOWED_SAMPLES
 
     quick = {node: dict(values, safe_slew_rate=1.0) for node, values in PRELOAD.items()}
     made, table, plain = run(fault, **quick)

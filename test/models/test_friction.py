@@ -21,7 +21,8 @@ from hypothesis import strategies as st
 from hysteresis_ros.block import COMPILED, interpreted
 from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.models import friction
-from hysteresis_ros.models.friction import Slider, SliderParameters, slide
+from hysteresis_ros.models.friction import slide
+from hysteresis_ros.models.slider import Slider, SliderParameters
 
 STEP = 1e-4
 MASS = 0.05

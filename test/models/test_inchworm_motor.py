@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 from inchworm_support import GRIP, LINE, RISE, STACK, STEP, STIFFNESS, TOP, cycle, motor, phase, run
 
 from hysteresis_ros.errors import ParameterError
-from hysteresis_ros.loop.node_parameters import PlantNodeParameters
+from hysteresis_ros.loop.plant_parameters import PlantNodeParameters
 from hysteresis_ros.models import friction
 from hysteresis_ros.models.clamp import LagParameters
 from hysteresis_ros.models.creep import CreepParameters

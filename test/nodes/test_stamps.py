@@ -19,7 +19,7 @@ pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
 
 from nodes_support import axis_parameters, until  # noqa: E402
 
-import hysteresis_ros.nodes.plant_simulator as module  # noqa: E402
+import hysteresis_ros.nodes.stamps as module  # noqa: E402
 from hysteresis_ros.nodes.plant_simulator import PlantSimulatorNode  # noqa: E402
 
 SECOND = 1_000_000_000
@@ -37,8 +37,8 @@ def next_stamp(plant) -> int:
     plant.publish_sample()
     stamp = plant._message.header.stamp
     plant.finish_sample()
-    if plant.is_off_clock:
-        plant.set_start()
+    if plant.stamps.are_off_clock:
+        plant.stamps.go_on(plant.sample)
     return stamp.sec * SECOND + stamp.nanosec
 
 
@@ -47,7 +47,7 @@ def test_stamps_follow_a_clock_that_is_set_and_never_go_back(inside, monkeypatch
     assert plant.configure_now()
     now = [1_700_000_000 * SECOND]
     monkeypatch.setattr(module.time, "time_ns", lambda: now[0])
-    plant.set_start()
+    plant.stamps.go_on(plant.sample)
     stamps = []
     for step in [PERIOD] * 5 + [3600 * SECOND] + [PERIOD] * 5 + [-7200 * SECOND] + [PERIOD] * 5:
         stamps.append(next_stamp(plant))
@@ -61,22 +61,24 @@ def test_stamps_follow_a_clock_that_is_set_and_never_go_back(inside, monkeypatch
 def test_an_axis_that_is_the_source_of_time_or_runs_slower_has_stamps_of_its_own(inside, monkeypatch):
     plant = plant_of(inside, publish_clock=True)
     assert plant.configure_now()
-    plant.set_start()
+    plant.stamps.go_on(plant.sample)
     assert [next_stamp(plant) for _ in range(3)] == [0, PERIOD, 2 * PERIOD]
     slow = plant_of(inside, real_time_factor=0.5)
     assert slow.configure_now()
-    slow.set_start()
+    slow.stamps.go_on(slow.sample)
     next_stamp(slow)
     monkeypatch.setattr(module.time, "time_ns", lambda: 2_000_000_000 * SECOND)
-    assert not slow.is_off_clock
+    assert not slow.stamps.are_off_clock
 
 
 def test_stamps_stay_on_the_clock_when_samples_come_late(inside):
     plant = plant_of(inside)
     assert plant.configure_now() and plant.activate_now()
     until(lambda: plant.sample > 2, what="samples")
-    with plant.lock:  # nobody makes samples for 15 periods and more
-        time.sleep(0.08)
+    with plant.lock:
+        time.sleep(0.08)  # a delay on purpose: for 15 periods and more nobody makes samples
     late = plant.sample
     until(lambda: plant.sample > late + 1, what="further samples")
-    until(lambda: time.time_ns() - plant._stamp < 6 * PERIOD, what="stamps that are on the clock again", timeout=10.0)
+    until(
+        lambda: time.time_ns() - plant.stamps.last < 6 * PERIOD, what="stamps that are on the clock again", timeout=10.0
+    )

@@ -18,7 +18,7 @@ import pytest
 
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.control.controller import ControllerParameters
-from hysteresis_ros.loop.node_parameters import part
+from hysteresis_ros.loop.common_parameters import part
 from hysteresis_ros.papers.claims import format_claims
 from hysteresis_ros.papers.fleming2010 import axis as fleming
 from hysteresis_ros.papers.fleming2010 import reproduction as fleming2010

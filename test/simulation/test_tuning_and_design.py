@@ -28,7 +28,7 @@ from hysteresis_ros.control.laws.pid import PidParameters
 from hysteresis_ros.control.linearisation import margins
 from hysteresis_ros.errors import ConfigurationError, HysteresisError
 from hysteresis_ros.loop.axis import Axis
-from hysteresis_ros.loop.node_parameters import part
+from hysteresis_ros.loop.common_parameters import part
 from hysteresis_ros.simulation.axes import single_axis
 from hysteresis_ros.simulation.design import DesignRequest, design_axis
 from hysteresis_ros.simulation.reach import reachable_displacements

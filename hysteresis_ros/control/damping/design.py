@@ -96,7 +96,7 @@ def damping_plants(
     resonance : float
         Part by which resonances may be off.
     acting : bool
-        With the second output of :func:`~hysteresis_ros.control.margins.with_acting`, for a filter of the force.
+        With the second output of :func:`~hysteresis_ros.control.closed_loop.with_acting`, for a filter of the force.
     """
     slow = (1.0,) if resonance == 0.0 else (1.0, 1.0 - resonance, 1.0 + resonance)
     return tuple(possible_plant(dynamics, sample_time, 1.0, slowness, acting=acting) for slowness in slow)

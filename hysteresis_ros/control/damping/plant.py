@@ -24,10 +24,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hysteresis_ros.control.closed_loop import with_acting
 from hysteresis_ros.control.damping.filters import in_series
 from hysteresis_ros.control.damping.kind import COMMAND, FORCE, MEASUREMENT, NOTHING
 from hysteresis_ros.control.damping.parameters import DampingParameters
-from hysteresis_ros.control.margins import with_acting
 from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.linear_algebra import product
 from hysteresis_ros.models.force_sensor import ForceParameters

@@ -21,7 +21,7 @@ from hysteresis_ros.control.linearisation import margins
 from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.identification.restarted_nelder_mead import SimplexSettings, restarted_nelder_mead
 from hysteresis_ros.loop.axis import Axis
-from hysteresis_ros.loop.node_parameters import part
+from hysteresis_ros.loop.common_parameters import part
 from hysteresis_ros.papers.auwal2017 import axis as auwal
 from hysteresis_ros.papers.claims import Claim
 from hysteresis_ros.recordings.dataset import Recording

@@ -14,10 +14,10 @@ from __future__ import annotations
 import numpy as np
 
 from hysteresis_ros.configuration import Configuration
+from hysteresis_ros.control.closed_loop import close, plant_state_space
 from hysteresis_ros.control.controller import ControllerParameters
 from hysteresis_ros.control.laws.pid import pid_state_space
-from hysteresis_ros.control.margins import close, plant_state_space
-from hysteresis_ros.loop.node_parameters import part
+from hysteresis_ros.loop.common_parameters import part
 from hysteresis_ros.models.hysteresis.bouc_wen import BoucWenHysteresis
 from hysteresis_ros.models.state_space import StateSpace
 from hysteresis_ros.papers.auwal2017 import axis as auwal

@@ -17,12 +17,13 @@ from collections.abc import Callable
 import numpy as np
 
 from hysteresis_ros.configuration import Configuration
+from hysteresis_ros.control.closed_loop import plant_state_space
 from hysteresis_ros.control.controller import ControllerParameters, ModelParameters
 from hysteresis_ros.control.damping.parameters import DampingParameters
 from hysteresis_ros.control.damping.plant import closing
 from hysteresis_ros.control.laws.pid.law import PidParameters
 from hysteresis_ros.control.linearisation import linear_loop
-from hysteresis_ros.control.margins import Margins, margins_of, plant_state_space
+from hysteresis_ros.control.margins import Margins, margins_of
 from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.models.linear import LinearParameters, zero_order_hold
 from hysteresis_ros.simulation.axes import single_axis

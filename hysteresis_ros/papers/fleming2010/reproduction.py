@@ -17,12 +17,13 @@ import numpy as np
 
 from hysteresis_ros.analysis.comparison import errors_comparison, responses_comparison, traces_comparison
 from hysteresis_ros.configuration import Configuration, load_configuration, parse_configuration
+from hysteresis_ros.control.closed_loop import close
 from hysteresis_ros.control.controller import ControllerParameters, ModelParameters
 from hysteresis_ros.control.damping.design import damping_plants, design_damping
 from hysteresis_ros.control.damping.plant import closing
 from hysteresis_ros.control.gain_design import design_gains
 from hysteresis_ros.control.linearisation import linear_loop
-from hysteresis_ros.control.margins import close, margins_of
+from hysteresis_ros.control.margins import margins_of
 from hysteresis_ros.papers.claims import Claim, Reproduction
 from hysteresis_ros.papers.fleming2010 import axis as fleming
 from hysteresis_ros.papers.runner import run

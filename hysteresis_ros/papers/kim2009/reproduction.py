@@ -33,7 +33,7 @@ from hysteresis_ros.control import design
 from hysteresis_ros.control.controller import ControllerParameters
 from hysteresis_ros.control.kalman import filter_gain
 from hysteresis_ros.loop.axis_parameters import AxisParameters
-from hysteresis_ros.loop.node_parameters import part
+from hysteresis_ros.loop.common_parameters import part
 from hysteresis_ros.papers.claims import Claim, Reproduction
 from hysteresis_ros.papers.kim2009 import axis as kim
 from hysteresis_ros.papers.kim2009 import honest, identification, steps, triangle

@@ -21,7 +21,7 @@ from hysteresis_ros.control.controller import ControllerParameters
 from hysteresis_ros.identification.duhem import identify_duhem
 from hysteresis_ros.identification.duhem_loops import MajorLoop, major_loop, prepare_loops
 from hysteresis_ros.identification.shape_functions import LoopOperator
-from hysteresis_ros.loop.node_parameters import part
+from hysteresis_ros.loop.common_parameters import part
 from hysteresis_ros.models.hysteresis import hysteresis_block
 from hysteresis_ros.models.hysteresis.duhem import DuhemHysteresis
 from hysteresis_ros.models.linear import LinearDynamics, LinearParameters

@@ -15,10 +15,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from hysteresis_ros.control.closed_loop import plant_state_space
 from hysteresis_ros.control.law import UNFED, ControllerLaw, DesignTask, Tuning
 from hysteresis_ros.control.laws.pid.design import design_integral, design_pid, slowest_poles
 from hysteresis_ros.control.laws.pid.law import Pid, PidParameters, pid_state_space, require_stable_pid
-from hysteresis_ros.control.margins import plant_state_space
 
 #: A cancelled pole pair with less damping than this goes on ringing when something else than the reference excites it.
 LITTLE_DAMPING = 0.1

@@ -31,8 +31,9 @@ import numpy as np
 
 from hysteresis_ros import elementary
 from hysteresis_ros.control import design
+from hysteresis_ros.control.closed_loop import plant_state_space
 from hysteresis_ros.control.laws.pid.law import PidParameters, pid_state_space
-from hysteresis_ros.control.margins import AIMED, REQUIRED, Requirements, judge, plant_state_space
+from hysteresis_ros.control.margins import AIMED, REQUIRED, Requirements, judge
 from hysteresis_ros.control.uncertainty import PossiblePlant, judge_worst
 from hysteresis_ros.linear_algebra import eigenvalues, polynomial, solve
 from hysteresis_ros.models.state_space import StateSpace
