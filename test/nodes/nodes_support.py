@@ -31,6 +31,10 @@ os.environ["FASTDDS_BUILTIN_TRANSPORTS"] = "UDPv4"
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 #: Seconds in which a node has to leave, with slack for a machine whose cores are taken.
 LEAVE = 3.0
+#: Seconds after which an answer is taken to be lost.
+LOST = 8.0
+#: State after each transition.
+REACHED = {"configure": "inactive", "activate": "active", "deactivate": "inactive", "cleanup": "unconfigured"}
 
 _counter = itertools.count()
 
@@ -163,6 +167,7 @@ class Observer:
         self.executor.add_node(self.node)
         self._leaving = threading.Event()
         self.kept_clients: dict = {}
+        self.asked = 0
         self._thread = threading.Thread(target=self._spin, daemon=True)
         self._thread.start()
 
@@ -190,12 +195,26 @@ class Observer:
         client = self.kept_clients.get(name) or self.node.create_client(service_type, name)
         try:
             until(client.service_is_ready, what=f"service {name}")
-            future = client.call_async(request)
-            until(future.done, what=f"answer of {name}", every=0.001)
-            return future.result()
+            return self._answer(client, name, request)
         finally:
             if name not in self.kept_clients:
                 self.node.destroy_client(client)
+
+    def _answer(self, client, name: str, request):
+        """Ask, and again where nothing comes: an answer that is sent before the server has found the client is lost."""
+        futures = []
+
+        def answered():
+            return next((future for future in futures if future.done()), None)
+
+        deadline = time.monotonic() + PATIENCE
+        while answered() is None and time.monotonic() < deadline:
+            futures.append(client.call_async(request))
+            with contextlib.suppress(AssertionError):
+                until(answered, LOST, what=f"answer of {name}", every=0.001)
+        assert answered() is not None, f"{name} has not answered in {PATIENCE:g} s"
+        self.asked = len(futures)
+        return answered().result()
 
     def keep_client(self, service_type, name: str) -> None:
         """Find a service once for all calls: that takes longer than a call."""
@@ -209,11 +228,14 @@ class Observer:
 
     def transition(self, node: str, name: str) -> bool:
         from lifecycle_msgs.msg import Transition
-        from lifecycle_msgs.srv import ChangeState
+        from lifecycle_msgs.srv import ChangeState, GetState
 
         request = ChangeState.Request()
         request.transition.id = getattr(Transition, f"TRANSITION_{name.upper()}")
-        return self.call(ChangeState, f"{node}/change_state", request).success
+        success = self.call(ChangeState, f"{node}/change_state", request).success
+        if self.asked > 1:  # what was done at the first time is refused at the second
+            return self.call(GetState, f"{node}/get_state", GetState.Request()).current_state.label == REACHED[name]
+        return success
 
     def set_parameters(self, node: str, atomically: bool = True, **values):
         """Set parameters (double underscores for dots) and return (successful, reason)."""

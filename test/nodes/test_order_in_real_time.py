@@ -36,6 +36,8 @@ def moving_axis():
         "plant_simulator": {"real_time_factor": 0.02, "late_limit": -1},
     }
     overrides["reference_generator"] |= {"waveform__offset": 5.0e-6}
+    # a machine that stands still for a moment is no silence here: after one, references are faded to
+    overrides["motion_controller"] = {"measurement_timeout": 60.0}
     axis = axis_parameters(overrides=overrides, exit_at_end=True)
     ahead = replace(axis.motion_controller.feedforward, type="inverse_dynamics", preview=3)
     return replace(axis, motion_controller=replace(axis.motion_controller, type="open_loop", feedforward=ahead))
