@@ -52,7 +52,7 @@ def faults(config, ways, only, rounds, seed, listed, output, figures, add):
     for path in add:
         load_results(path)
     from hysteresis_ros.configuration import load_configuration
-    from hysteresis_ros.nodes.campaign.start import campaign
+    from hysteresis_ros.nodes.apart import run_apart
     from hysteresis_ros.reliability.bounds import prepared
 
     configuration = load_configuration(config)
@@ -61,4 +61,5 @@ def faults(config, ways, only, rounds, seed, listed, output, figures, add):
     request = {"config": config, "ways": wanted, "only": [mishap.name for mishap in mishaps]}
     request |= {"rounds": rounds, "seed": seed, "add": [str(path.absolute()) for path in add]}
     files = {"output": output, "json": figures}
-    raise SystemExit(campaign(request | {name: str(path.absolute()) if path else "" for name, path in files.items()}))
+    request |= {name: str(path.absolute()) if path else "" for name, path in files.items()}
+    raise SystemExit(run_apart("hysteresis_ros.nodes.campaign", request))

@@ -33,7 +33,8 @@ def policy(config, output, processes, rate, record, plant, namespace, remap):
     The nodes are made and asked where nobody hears them; no device is opened. Beside their enclaves there are those of
     an operator, who may say what people say and call services, of a monitor, who may only hear, and of epics_ioc.
     """
-    from hysteresis_ros.nodes.security.start import write_policy
+    from hysteresis_ros.nodes.apart import run_apart
 
     request = {"config": config, "output": str(output), "namespace": namespace, "rate": rate, "processes": processes}
-    raise SystemExit(write_policy({**request, "record": record, "external": plant == "external", "remap": list(remap)}))
+    request |= {"record": record, "external": plant == "external", "remap": list(remap)}
+    raise SystemExit(run_apart("hysteresis_ros.nodes.security", request))

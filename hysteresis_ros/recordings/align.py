@@ -146,6 +146,17 @@ def align(bag: Bag, namespace: str | None = None, *, further: bool = False) -> R
     if bag.complete:
         # a bag that was closed properly has no excuse for an incomplete end
         missing += recorded - stamps.size
+    metadata = {"configuration": configuration, "missing_samples": missing, "missing": per_signal}
+    metadata |= _told(bag, prefix, notes)
+    metadata["start_time_ns"] = int(stamps[0]) if stamps.size else 0
+    metadata["timing"] = _timing(bag, prefix, joints, rows, _is_paced(configuration, prefix))
+    time = (stamps - stamps[0]) / 1e9 if stamps.size else np.zeros(0)
+    signals = {name: columns[name] for name in (*COLUMNS, *motor)}
+    return Recording(time, signals | _more(states, stamps, set(signals), further), {}, metadata)
+
+
+def _told(bag: Bag, prefix: str, notes: list[str]) -> dict:
+    """Return what a bag says of an axis besides its signals; what is to be noted is added to ``notes``."""
     late = _late_commands(bag, prefix)
     if late:
         notes.append(
@@ -154,35 +165,33 @@ def align(bag: Bag, namespace: str | None = None, *, further: bool = False) -> R
     log = read_log(bag, prefix)
     if log.lacking:
         notes.append(f"{log.lacking} entries of the log of changes are missing: the run cannot be repeated")
-    metadata = {
+    return {
         "source": str(bag.path.name),
         "late_commands": late,
         "namespace": prefix,
-        "configuration": configuration,
         "complete": bag.complete,
         "changes": log.changes,
         "parameters": log.parameters,
         "provenance": bag.words.get(RECORD, {}),
-        "start_time_ns": int(stamps[0]) if stamps.size else 0,
         "recorded_ns": _recorded(bag, prefix),
-        "missing_samples": missing,
         "missing_changes": log.lacking,
-        "missing": per_signal,
         "messages": {name: len(bag.topics[name].data) for name in sorted(bag.topics) if name.startswith(f"{prefix}/")},
-        "timing": _timing(bag, prefix, joints, rows, _is_paced(configuration, prefix)),
         "notes": notes,
     }
-    time = (stamps - stamps[0]) / 1e9 if stamps.size else np.zeros(0)
-    signals = {name: columns[name] for name in (*COLUMNS, *motor)}
+
+
+def _more(states: dict, stamps: np.ndarray, present: set[str], further: bool) -> dict[str, np.ndarray]:
+    """Return the signals beyond the columns of a run: all there are with ``further``, else those that are not empty."""
+    more = {}
     if further:
-        signals |= {name: values for name, values in _further(states, stamps).items() if name not in signals}
+        more = {name: values for name, values in _further(states, stamps).items() if name not in present}
     skipped = np.nan_to_num(_of_plant(states[PLANT], stamps, "skipped"))
     if np.any(skipped):
-        signals["skipped"] = skipped
+        more["skipped"] = skipped
     force = _of_plant(states[PLANT], stamps, "force")
     if np.any(np.isfinite(force)):
-        signals["force"] = force
-    return Recording(time, signals, {}, metadata)
+        more["force"] = force
+    return more
 
 
 def _within_run(stamps, columns: dict, notes: list[str]):

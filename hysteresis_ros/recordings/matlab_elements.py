@@ -31,8 +31,13 @@ CELL, STRUCT, OBJECT, CHAR, SPARSE, FUNCTION, OPAQUE = 1, 2, 3, 4, 5, 16, 17
 DEEPEST, SMALL, RATIO = 20, 1 << 26, 100
 
 
+def is_hdf5(content: bytes) -> bool:
+    """Tell whether this is HDF5 with the header of MATLAB, as since 7.3."""
+    return 0 not in content[:4] and content[HEADER - 4 : HEADER] in HDF5
+
+
 def require_sound(content: bytes) -> None:
-    """Refuse a file of level 5 whose elements do not fit into each other; level 4 and HDF5 are let through.
+    """Refuse a file of level 5 whose elements do not fit into each other; level 4 is let through.
 
     Parameters
     ----------
@@ -44,7 +49,7 @@ def require_sound(content: bytes) -> None:
         It is damaged; the message says what is.
     """
     mark = content[HEADER - 4 : HEADER]
-    if 0 in content[:4] or mark in HDF5:
+    if 0 in content[:4]:
         return
     if mark not in ORDERS:
         raise ValueError("no header of a MATLAB file")

@@ -17,7 +17,7 @@ import pathlib
 import numpy as np
 
 from hysteresis_ros.errors import RecordingError
-from hysteresis_ros.recordings.matlab_elements import require_sound
+from hysteresis_ros.recordings.matlab_elements import is_hdf5, require_sound
 
 
 def read_matlab(path: pathlib.Path) -> dict[str, np.ndarray]:
@@ -42,10 +42,12 @@ def read_matlab(path: pathlib.Path) -> dict[str, np.ndarray]:
 
     try:
         data = path.read_bytes()
+        if is_hdf5(data):
+            raise RecordingError(f"{path}: a MATLAB file of version 7.3; save it with save(…, '-v7')")
         require_sound(data)
         content = scipy.io.loadmat(io.BytesIO(data), simplify_cells=True)
-    except NotImplementedError:  # what SciPy raises at HDF5
-        raise RecordingError(f"{path}: a MATLAB file of version 7.3; save it with save(…, '-v7')") from None
+    except RecordingError:
+        raise
     except Exception as error:  # SciPy raises whatever damaged bytes lead to
         raise RecordingError(f"{path}: not a readable MATLAB file: {error or type(error).__name__}") from None
     vectors = dict(_vectors("", {name: value for name, value in content.items() if not name.startswith("__")}))

@@ -30,6 +30,7 @@ import time
 
 leave_with_ros2()
 print("active")
+# it only lives: whoever started it ends it
 time.sleep(60)
 """
 

@@ -7,7 +7,11 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Run a campaign: ``python -m hysteresis_ros.nodes.campaign '{"config": "picma_stage", …}'``."""
+"""Run a campaign: ``python -m hysteresis_ros.nodes.campaign '{"config": "picma_stage", …}'``.
+
+The argument has ``config``, ``only`` and ``ways`` (lists of names), ``rounds``, ``seed``; ``output`` and ``json``
+(paths, or empty), ``add`` (paths).
+"""
 
 from __future__ import annotations
 

@@ -7,7 +7,11 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Write a policy as a command asks for it: ``python -m hysteresis_ros.nodes.security '{"config": …}'``."""
+"""Write a policy as a command asks for it: ``python -m hysteresis_ros.nodes.security '{"config": …}'``.
+
+The argument has ``config``, ``output``, ``namespace`` (or null), ``rate`` (or null), ``processes`` (or null: as `up`
+decides), ``record`` and ``external`` (truths), ``remap`` (list).
+"""
 
 from __future__ import annotations
 

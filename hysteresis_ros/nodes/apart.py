@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Start a campaign as a process of its own, in a ROS domain that nobody uses; imports no ROS itself."""
+"""Run a module as a process of its own, in a ROS domain that nobody uses; imports no ROS itself."""
 
 from __future__ import annotations
 
@@ -18,14 +18,15 @@ from hysteresis_ros.nodes.domain import Domain
 from hysteresis_ros.nodes.launcher import node_environment, require_ros, started
 
 
-def campaign(request: dict) -> int:
-    """Run a campaign and return its exit code.
+def run_apart(module: str, request: dict) -> int:
+    """Run a module where nobody hears its nodes, and return its exit code.
 
     Parameters
     ----------
+    module : str
+        One that takes its only argument as JSON.
     request : dict
-        ``config``, ``only`` and ``ways`` (lists of names), ``rounds``, ``seed``; ``output`` and ``json`` (paths,
-        or empty), ``add`` (paths).
+        What it is asked for.
 
     Raises
     ------
@@ -35,5 +36,5 @@ def campaign(request: dict) -> int:
     require_ros()
     with Domain() as domain:
         # the pip wheels of ROS restart the interpreter on import
-        command = [sys.executable, "-m", "hysteresis_ros.nodes.campaign", json.dumps(request)]
+        command = [sys.executable, "-m", module, json.dumps(request)]
         return started(command, node_environment() | domain.environment).wait()
