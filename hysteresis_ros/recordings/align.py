@@ -18,7 +18,7 @@ import numpy as np
 from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.recordings import cdr
 from hysteresis_ros.recordings.bag_reader import Bag, Topic, read_bag
-from hysteresis_ros.recordings.change_log import read_log
+from hysteresis_ros.recordings.change_log import ChangeLog, read_log
 from hysteresis_ros.recordings.configured import configured
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.provenance import RECORD
@@ -143,11 +143,12 @@ def align(bag: Bag, namespace: str | None = None, *, further: bool = False) -> R
     device = configured(configuration, "plant_simulator", prefix).get("driver")
     wanted = [name for name in present if not (device and name in ("measured", "displacement"))]
     missing, per_signal = _missing(stamps, columns, wanted, notes)
+    log = read_log(bag, prefix)
     if bag.complete:
-        # a bag that was closed properly has no excuse for an incomplete end
-        missing += recorded - stamps.size
+        # a bag that was closed properly has no excuse for an incomplete end, but for the sample that a stop cut off
+        missing += max(recorded - stamps.size - log.stopped, 0)
     metadata = {"configuration": configuration, "missing_samples": missing, "missing": per_signal}
-    metadata |= _told(bag, prefix, notes)
+    metadata |= _told(bag, prefix, log, notes)
     metadata["start_time_ns"] = int(stamps[0]) if stamps.size else 0
     metadata["timing"] = _timing(bag, prefix, joints, rows, _is_paced(configuration, prefix))
     time = (stamps - stamps[0]) / 1e9 if stamps.size else np.zeros(0)
@@ -155,14 +156,13 @@ def align(bag: Bag, namespace: str | None = None, *, further: bool = False) -> R
     return Recording(time, signals | _more(states, stamps, set(signals), further), {}, metadata)
 
 
-def _told(bag: Bag, prefix: str, notes: list[str]) -> dict:
+def _told(bag: Bag, prefix: str, log: ChangeLog, notes: list[str]) -> dict:
     """Return what a bag says of an axis besides its signals; what is to be noted is added to ``notes``."""
     late = _late_commands(bag, prefix)
     if late:
         notes.append(
             f"{late} voltages came late, the plant held the one before: this machine was too busy for the rate"
         )
-    log = read_log(bag, prefix)
     if log.lacking:
         notes.append(f"{log.lacking} entries of the log of changes are missing: the run cannot be repeated")
     return {

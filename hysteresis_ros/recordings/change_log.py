@@ -32,11 +32,14 @@ class ChangeLog:
         Flat dotted parameters that each node was configured with, by its name.
     lacking : int
         Entries that are missing between others, by their numbers.
+    stopped : bool
+        Whether the nodes have kept a log and no end of the run stands in it: somebody has stopped them.
     """
 
     changes: list[dict] = field(default_factory=list)
     parameters: dict[str, dict] = field(default_factory=dict)
     lacking: int = 0
+    stopped: bool = False
     _last: dict[str, int] = field(default_factory=dict)
 
     def take(self, entry: dict) -> None:
@@ -46,6 +49,7 @@ class ChangeLog:
             # a node that is configured anew begins with 1 again
             self.lacking += max(number - self._last.get(node, number - 1) - 1, 0)
             self._last[node] = number
+        self.stopped = action != ENDED
         if action == CONFIGURED:
             self._configure(node, entry.get("parameters"))
         elif action != ENDED:

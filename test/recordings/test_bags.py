@@ -9,6 +9,8 @@
 
 """Bags: what the nodes publish becomes the columns of a run, whoever wrote the bag and however it ended."""
 
+import json
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -281,6 +283,21 @@ def test_an_incomplete_end_is_left_out_and_counts_only_in_a_bag_that_was_closed(
     (tmp_path / "killed.mcap").write_bytes(file.read_bytes()[:-3000])
     killed = read_recording(tmp_path / "killed.mcap")
     assert not killed.metadata["complete"] and killed.metadata["missing_samples"] == 0
+
+
+@pytest.mark.parametrize(("ended", "whole", "missing"), [(True, 29, 1), (False, 29, 0), (False, 28, 1), (True, 30, 0)])
+def test_the_sample_in_which_a_run_was_stopped_is_not_missing(tmp_path, ended, whole, missing):
+    node = {"node": "motion_controller"}
+    with BagWriter(tmp_path / "bag") as bag:
+        bag.write_string("/changes", json.dumps(node | {"action": "configure", "number": 1, "parameters": {}}), 0)
+        for k in range(30):
+            bag.write_joint_state("/joint_states", k * 1000, ("piezo",), (0.0,))
+            if k < whole:
+                bag.write_joint_state("/motion_controller/state", k * 1000, ("command",), (k,))
+        if ended:
+            bag.write_string("/changes", json.dumps(node | {"action": "end", "number": 2, "sample": 30}), 30000)
+    run = read_recording(tmp_path / "bag")
+    assert len(run) == whole and run.metadata["missing_samples"] == missing
 
 
 def test_rate_and_jitter_come_from_the_times_of_reception(tmp_path):
