@@ -15,9 +15,9 @@ from collections.abc import Mapping
 from typing import Protocol
 
 from hysteresis_ros import __version__
+from hysteresis_ros.analysis.page import render_page, write_page
 from hysteresis_ros.analysis.pictures import Picture, picture_figure
 from hysteresis_ros.analysis.plots import data_uri
-from hysteresis_ros.analysis.report import render_page, write_page
 
 
 class Found(Protocol):

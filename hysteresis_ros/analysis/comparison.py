@@ -16,8 +16,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hysteresis_ros.analysis.page import render_page, write_page
 from hysteresis_ros.analysis.plots import data_uri, envelope, new_figure
-from hysteresis_ros.analysis.report import render_page, write_page
 from hysteresis_ros.analysis.settings import judged_reference
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.loops import loop_opening

@@ -71,11 +71,31 @@ def within(recording: Recording, first: float, last: float) -> Recording:
         return recording
     note = f"judged from {time[chosen][0]:.6g} s to {time[chosen][-1]:.6g} s of {time[-1]:.6g} s"
     metadata = {**recording.metadata, "notes": [*recording.notes, note]}
+    metadata.setdefault("first_s", float(recording.time[0]))
     if not chosen[0]:
         # what a preview looks back to is another than the first reference
         metadata["excerpt"] = True
     signals = {name: values[chosen] for name, values in recording.signals.items()}
     return replace(recording, time=recording.time[chosen], signals=signals, metadata=metadata)
+
+
+def period_ends(recording: Recording) -> np.ndarray:
+    """Return the instants at which whole periods of the reference end, the last first, shape (P + 1,) [s].
+
+    A period ends at a reversal; those of the last reversal's kind (high or low) count, since the first sample. Empty
+    when the reference does not repeat.
+
+    Parameters
+    ----------
+    recording : Recording
+    """
+    time, reference = recording.time - recording.time[0], recording["reference"]
+    finite = np.isfinite(reference)
+    points = np.flatnonzero(finite)[turning_points(reference[finite], REVERSAL)]
+    # the ends are no reversals; of each kind, high and low, every second one
+    ends = time[points[1:-1]][::-1][::2]
+    periods = -np.diff(ends)
+    return ends[:0] if periods.size < 1 or np.ptp(periods) > EQUAL * np.median(periods) else ends
 
 
 def last_periods(recording: Recording, count: int) -> Recording:
@@ -92,15 +112,10 @@ def last_periods(recording: Recording, count: int) -> Recording:
     RecordingError
         The reference does not repeat, or not so often.
     """
-    time, reference = recording.time - recording.time[0], recording["reference"]
-    finite = np.isfinite(reference)
-    points = np.flatnonzero(finite)[turning_points(reference[finite], REVERSAL)]
-    # the ends are no reversals; of each kind, high and low, every second one
-    ends = time[points[1:-1]][::-1][::2]
-    periods = -np.diff(ends)
-    if periods.size < 1 or np.ptp(periods) > EQUAL * np.median(periods):
+    ends = period_ends(recording)
+    if not ends.size:
         raise RecordingError("--last-periods: the reference does not repeat; choose a part with --range or --skip")
-    if count > periods.size:
-        raise RecordingError(f"--last-periods {count}: the run has {periods.size} whole periods between reversals")
+    if count > ends.size - 1:
+        raise RecordingError(f"--last-periods {count}: the run has {ends.size - 1} whole periods between reversals")
     # a sample at the end begins the next period
     return within(recording, float(ends[count]), float(ends[0]) - 0.5 * recording.sample_time)

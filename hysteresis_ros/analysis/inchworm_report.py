@@ -20,8 +20,8 @@ from hysteresis_ros.analysis.inchworm import (
 from hysteresis_ros.analysis.inchworm_moves import inchworm_run
 from hysteresis_ros.analysis.inchworm_plots import INCHWORM_PLOTS
 from hysteresis_ros.analysis.metrics import format_value, shown_row
+from hysteresis_ros.analysis.page import origin, render_page, write_page
 from hysteresis_ros.analysis.plots import data_uri
-from hysteresis_ros.analysis.report import origin, render_page, write_page
 from hysteresis_ros.recordings.dataset import Recording
 
 

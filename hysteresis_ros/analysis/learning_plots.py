@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from hysteresis_ros.analysis.plots import length_unit, new_figure
 from hysteresis_ros.recordings.configured import configured
 from hysteresis_ros.recordings.dataset import Recording
 
@@ -43,20 +42,3 @@ def period_errors(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
     error = (recording["reference"] - displacement + given.get("model.preload.offset", 0.0))[: count * samples]
     mean_square = np.nanmean(error.reshape(count, samples) ** 2, axis=1)
     return recording.time[samples - 1 : count * samples : samples], np.sqrt(mean_square)
-
-
-def periods_figure(recording: Recording):
-    """Return the figure of the error of each period [µm or nm] over time [s]; None where nothing was learned.
-
-    Parameters
-    ----------
-    recording : Recording
-    """
-    ends, errors = period_errors(recording)
-    if not ends.size:
-        return None
-    figure, (axis,) = new_figure(2.6)
-    unit, factor = length_unit(float(np.max(errors)))
-    axis.semilogy(ends, errors * factor, ".-", color="#d1495b", linewidth=1.0)
-    axis.set(xlabel="time [s]", ylabel=f"RMS of a period [{unit}]")
-    return figure

@@ -16,7 +16,7 @@ import numpy as np
 from hysteresis_ros.analysis.settings import axis_settings, judged_reference
 from hysteresis_ros.analysis.steps import HOLD_SAMPLES, JUMP, find_holds, scan_start, step_responses
 from hysteresis_ros.errors import RecordingError
-from hysteresis_ros.recordings.dataset import Recording
+from hysteresis_ros.recordings.dataset import LATENESS, Recording
 from hysteresis_ros.recordings.loops import loop_opening
 from hysteresis_ros.units import FINE
 
@@ -73,7 +73,8 @@ def compute_metrics(recording: Recording) -> dict:
     the recording's notes then say) less the preload offset W of the controller's model. With ``feedforward.preview``
     every figure is about the reference so many samples later. Samples where either is missing do not count, and in the
     errors none before the first reversal of a scan into which a jump leads
-    (:func:`hysteresis_ros.analysis.steps.scan_start`).
+    (:func:`hysteresis_ros.analysis.steps.scan_start`); where an excerpt begins its reader has chosen, and all of it
+    counts. Without a reference there are no errors; the stroke is then that of the displacement.
 
     ======================================= ==========================================================================
     ``rms_error_m``                         √(mean e²)
@@ -118,7 +119,7 @@ def compute_metrics(recording: Recording) -> dict:
     Parameters
     ----------
     recording : Recording
-        Needs ``reference`` and ``displacement`` (or ``measured``).
+        Needs ``displacement`` (or ``measured``).
 
     Returns
     -------
@@ -128,19 +129,18 @@ def compute_metrics(recording: Recording) -> dict:
     Raises
     ------
     RecordingError
-        Reference or displacement are missing altogether.
+        The displacement is missing altogether, or never there together with the reference.
     """
     notes: dict = {"recording": recording.notes}
-    actual = "displacement" if recording.has("displacement") else "measured"
-    for name in ("reference", actual):
-        if not recording.has(name):
-            raise RecordingError(f"the recording has no values of '{name}': nothing to compare; record the whole axis")
+    actual = actual_name(recording)
     if actual == "measured":
         notes["recording"] = [*notes["recording"], "no displacement: errors are judged by the measured one"]
     settings = axis_settings(recording)
     offset = settings.offset
     if offset:
         notes["recording"] = [*notes["recording"], f"preload offset of {offset * 1e6:.6g} µm subtracted"]
+    if not recording.has("reference"):
+        return _without_reference(recording, recording[actual] - offset, notes)
     if settings.preview:
         late = f"judged against the reference {settings.preview} samples after it was given (feedforward.preview)"
         notes["recording"] = [*notes["recording"], late]
@@ -149,7 +149,8 @@ def compute_metrics(recording: Recording) -> dict:
     if not np.any(good):
         raise RecordingError("no sample of the recording has both reference and displacement")
     figures = {name: None for name, *_ in FIGURES}
-    figures.update(_error_figures(time[good], reference[good], displacement[good], notes))
+    start = 0 if recording.metadata.get("excerpt") else scan_start(reference[good], displacement[good])
+    figures.update(_error_figures(time[good], reference[good], displacement[good], start, notes))
     figures.update(_step_figures(time[good], reference[good], displacement[good], figures["stroke_m"], notes))
     voltage = recording["voltage"][good] if recording.has("voltage") else None
     figures.update(_loop_figures(reference[good], displacement[good], voltage, figures["stroke_m"], notes))
@@ -159,9 +160,52 @@ def compute_metrics(recording: Recording) -> dict:
     return {**{name: _plain(value) for name, value in figures.items()}, "notes": notes}
 
 
-def _error_figures(time, reference, displacement, notes) -> dict:
+def actual_name(recording: Recording) -> str:
+    """Return the signal by which a run is judged: the true displacement, or the measured one without a true one.
+
+    Parameters
+    ----------
+    recording : Recording
+
+    Raises
+    ------
+    RecordingError
+        There is neither.
+    """
+    if recording.has("displacement"):
+        return "displacement"
+    if recording.has("measured"):
+        return "measured"
+    there = ", ".join(name for name in recording.signals if recording.has(name)) or "nothing"
+    raise RecordingError(
+        f"the recording has no values of 'displacement' or 'measured': nothing to judge; it has {there}"
+    )
+
+
+def _without_reference(recording: Recording, displacement, notes: dict) -> dict:
+    """Return what there is to say of a run whose reference nobody knows, as of identification."""
+    figures = {name: None for name, *_ in FIGURES}
+    notes["recording"] = [*notes["recording"], "no reference in the recording: nothing says how far off the axis was"]
+    for name in figures:
+        if "error" in name or name in ("iae_m_s", "overshoot_percent", "settling_time_s", "loop_width_percent"):
+            notes[name] = "no reference in the recording"
+    notes["residual_m"], notes["stroke_m"] = "no reference in the recording", "of the displacement"
+    good = np.isfinite(displacement)
+    figures["stroke_m"] = float(np.ptp(displacement[good]))
+    voltage = recording["voltage"][good] if recording.has("voltage") else None
+    opening = loop_opening(voltage, displacement[good]) if voltage is not None else None
+    if opening is None:
+        notes["voltage_loop_width_percent"] = "no voltage that goes to and fro in the recording"
+    else:
+        figures["voltage_loop_width_percent"] = 100.0 * opening / figures["stroke_m"]
+    figures.update(chattering_figures(recording.time[good], displacement[good], None, voltage, notes))
+    figures["saturated_percent"] = _saturated(recording, notes)
+    figures.update(sampling_figures(recording, notes))
+    return {**{name: _plain(value) for name, value in figures.items()}, "notes": notes}
+
+
+def _error_figures(time, reference, displacement, start, notes) -> dict:
     stroke = float(np.ptp(reference))
-    start = scan_start(reference, displacement)
     if start:
         text = f"errors count from {time[start]:.4g} s on: before the first reversal the axis jumps into the scan"
         notes["recording"] = [*notes["recording"], text]
@@ -316,8 +360,13 @@ def sampling_figures(recording: Recording, notes: dict) -> dict:
         figures["rate_hz"] = figures.get("sample_rate_hz")
         notes["rate_hz"] = "from the stamps: the recording has no times of reception"
         notes["jitter_p99_s"] = "no times of reception in the recording (simulated, or a plain table)"
-    if "lateness_max_s" in timing:
-        figures |= {name: timing[name] for name, *_ in TIMELINESS[:-1]}
+    late = recording["lateness"] if recording.has("lateness") else np.zeros(0)
+    late = late[np.isfinite(late)]
+    if late.size or "lateness_max_s" in timing:
+        # a recording that has only the figures of the whole run has no others for a part of it
+        figures |= {
+            name: float(np.percentile(late, part)) if late.size else timing[name] for name, part in LATENESS.items()
+        }
         figures["skipped_samples"] = int(np.sum(recording["skipped"])) if recording.has("skipped") else 0
     else:
         notes |= {name: "not a fused run in real time" for name, *_ in TIMELINESS}

@@ -13,8 +13,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from hysteresis_ros.analysis.page import render_page, write_page
 from hysteresis_ros.analysis.plots import data_uri, envelope, new_figure
-from hysteresis_ros.analysis.report import render_page, write_page
 
 _COLOURS = ("#1f6fb2", "#d1495b", "#2a9d8f", "#e09f3e")
 _BACKGROUND = "#b8b8b8"

@@ -7,102 +7,130 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The report of a run: one HTML file that needs nothing beside it."""
+"""The report of a run: a page that can be read anywhere, and looked into where scripts run."""
 
 from __future__ import annotations
 
-import os
-import pathlib
-import sys
-import time
 from collections.abc import Sequence
 
-from hysteresis_ros.analysis.learning_plots import periods_figure
-from hysteresis_ros.analysis.metrics import FIGURES, compute_metrics, shown_row
-from hysteresis_ros.analysis.plots import ADAPTED, MissingExtraError, data_uri
-from hysteresis_ros.analysis.plots import FIGURES as PLOTS
-from hysteresis_ros.errors import RecordingError
+import numpy as np
+
+from hysteresis_ros.analysis.charts import Chart, chart_figure
+from hysteresis_ros.analysis.error_charts import (
+    histogram_chart,
+    last_periods_chart,
+    spectrum_chart,
+    trace_retrace_chart,
+)
+from hysteresis_ros.analysis.metrics import FINER, compute_metrics
+from hysteresis_ros.analysis.page import asset, origin, render_page, write_page
+from hysteresis_ros.analysis.payload import TIME_POINTS, chart_payload, packed, script_text
+from hysteresis_ros.analysis.plots import data_uri
+from hysteresis_ros.analysis.run_charts import (
+    Judged,
+    adaptation_chart,
+    error_chart,
+    judged,
+    late_samples_chart,
+    lateness_chart,
+    learned_chart,
+    loops_chart,
+    traces_chart,
+    voltage_chart,
+)
+from hysteresis_ros.analysis.spans import ADDED, block_sums, columns_of, table_of
 from hysteresis_ros.recordings.dataset import Recording
+from hysteresis_ros.units import FINE
 
-#: Caption and figure of a run that learned.
-LEARNED = ("Error of each period that was learned (undelayed reference − displacement)", periods_figure)
-#: Endings of the names of pages.
-PAGES = (".html", ".htm")
+#: Charts of a run, in their order; each None where there is nothing to show.
+CHARTS = (
+    *(traces_chart, error_chart, loops_chart, trace_retrace_chart, last_periods_chart, spectrum_chart),
+    *(histogram_chart, voltage_chart, adaptation_chart, learned_chart, lateness_chart, late_samples_chart),
+)
+#: Largest size of a page [bytes]; what is drawn becomes coarser before a page becomes larger.
+LARGEST = 2_000_000
 
 
-def render_page(template: str, **values) -> str:
-    """Return the page that a template of this package gives with ``values``.
+def charts_of(run: Judged) -> list[Chart]:
+    """Return the charts that there are of a run.
 
-    Raises
-    ------
-    MissingExtraError
-        Jinja2 is not installed.
+    Parameters
+    ----------
+    run : Judged
     """
-    try:
-        import jinja2
-    except ImportError:
-        raise MissingExtraError("Jinja2") from None
-    environment = jinja2.Environment(
-        loader=jinja2.PackageLoader("hysteresis_ros.analysis"), autoescape=True, trim_blocks=True, lstrip_blocks=True
-    )
-    # not imported: the package imports this module
-    version = sys.modules[__name__.partition(".")[0]].__version__
-    made = f"hysteresis_ros {version}, {_date(time.time())}"
-    return environment.get_template(template).render(made=made, **values)
+    return [chart for make in CHARTS if (chart := make(run)) is not None]
 
 
-def _date(seconds: float) -> str:
-    """Return an instant of the clock in words."""
-    return time.strftime("%Y-%m-%d %H:%M UTC", time.gmtime(seconds))
-
-
-def origin(recording: Recording) -> str:
-    """Return where a run comes from: its axis, what it is stored in, and when it was recorded.
+def sampling_text(recording: Recording) -> str:
+    """Return at which instants a run is judged, in a sentence.
 
     Parameters
     ----------
     recording : Recording
     """
-    said = [
-        f"Axis in namespace {recording.metadata.get('namespace') or '/'}",
-        str(recording.metadata.get("source", "")),
-    ]
-    recorded = recording.metadata.get("recorded_ns")
-    said.append(f"recorded {_date(1e-9 * recorded)}" if recorded else "")
-    return " · ".join(filter(None, said))
+    if len(recording) < 2:
+        return "Judged at a single sample."
+    judged_at = f"Judged at all {len(recording)} samples, one every {1e3 * recording.sample_time:.6g} ms"
+    held = _samples_per_voltage(recording)
+    if held > 1:
+        return f"{judged_at}: {held} for each voltage, so between the commands too."
+    return f"{judged_at}; what happens between them is not in the recording."
 
 
-def require_page(path) -> None:
-    """Raise RecordingError for a file whose name is not that of a page, or whose folder is not there."""
-    suffix = pathlib.Path(path).suffix
-    if suffix.lower() not in PAGES:
-        raise RecordingError(f"{path}: unknown kind of report '{suffix}'; give the name of an .html file")
-    if not pathlib.Path(path).absolute().parent.is_dir():
-        raise RecordingError(f"{path}: cannot be written: there is no such folder; choose another place")
+def _samples_per_voltage(recording: Recording) -> int:
+    """Return for how many samples each voltage is held; 1 where it changes from sample to sample."""
+    if not recording.has("voltage"):
+        return 1
+    changes = np.flatnonzero(np.diff(recording["voltage"]) != 0.0)
+    return int(np.gcd.reduce(np.diff(changes))) if changes.size > 2 else 1
 
 
-def write_page(path, html: str) -> None:
-    """Write a page whole or not at all.
+def drawn(charts: Sequence[Chart]) -> list[dict]:
+    """Return the charts as a template shows them where no script runs: name, caption, picture and note.
 
-    Raises
-    ------
-    RecordingError
-        The file cannot be written, or its name is not that of a page.
+    Parameters
+    ----------
+    charts : sequence of Chart
     """
-    require_page(path)
-    path = pathlib.Path(path)
-    partial = path.with_name(path.name + ".partial")
-    try:
-        partial.write_text(html, encoding="utf-8")
-        os.replace(partial, path)
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be written: {error.strerror}; choose another place") from None
+    return [
+        dict(name=chart.name, caption=chart.caption, note=chart.note, source=data_uri(chart_figure(chart)))
+        for chart in charts
+    ]
+
+
+def render_interactive(template: str, charts: Sequence[Chart], about: dict, **values) -> str:
+    """Return a page with charts, no larger than :data:`LARGEST` where that can be had by coarser charts.
+
+    Parameters
+    ----------
+    template : str
+    charts : sequence of Chart
+    about : dict
+        What the page's script needs beside the charts; what JSON can hold.
+    **values
+        For the template.
+    """
+    pictures = drawn(charts)
+    points, html = TIME_POINTS, ""
+    while not html or (len(html.encode("utf-8")) > LARGEST and points > TIME_POINTS // 32):
+        payload = chart_payload(charts, points) | dict(finer=FINER, fine=FINE, joined=False) | about
+        html = render_page(
+            template,
+            charts=pictures,
+            block=payload["samples"],
+            data=script_text(payload),
+            styles=asset("uPlot.min.css"),
+            scripts=[asset("uPlot.iife.min.js"), asset("report.js")],
+            **values,
+        )
+        points //= 2
+    return html
 
 
 def render_report(
     recording: Recording, title: str, figures: dict | None = None, first: Sequence[tuple[str, str]] = ()
 ) -> str:
-    """Return the report as HTML: table of figures, plots, notes and configuration.
+    """Return the report as HTML: table of figures, charts, notes and configuration.
 
     Parameters
     ----------
@@ -118,21 +146,29 @@ def render_report(
     Raises
     ------
     HysteresisError
-        Matplotlib or Jinja2 is missing (the message says how to install them), or there is nothing to compare.
+        Matplotlib or Jinja2 is missing (the message says how to install them), or there is nothing to judge.
     """
     figures = figures or compute_metrics(recording)
-    rows = [
-        shown_row(label, figures[name], unit, factor) | dict(remark=figures["notes"].get(name, ""))
-        for name, label, unit, factor in FIGURES
-    ]
-    drawn = [(caption, draw(recording)) for caption, draw in (*PLOTS, ADAPTED, LEARNED)]
-    pictures = [*first, *((caption, data_uri(figure)) for caption, figure in drawn if figure is not None)]
-    return render_page(
+    run = judged(recording)
+    spans = columns_of(recording, figures)
+    about = {
+        "whole": [float(recording.time[0]), float(recording.time[-1])],
+        "first": float(recording.metadata.get("first_s", recording.time[0])),
+        "source": str(recording.metadata.get("source") or "RECORDING"),
+        "spans": [[name, begin, end] for name, begin, end, _ in spans],
+        "sums": {name: packed(values, "<f8") for name, values in block_sums(run).items()},
+    }
+    return render_interactive(
         "report.html.j2",
+        charts_of(run),
+        about,
         title=title,
-        rows=rows,
-        plots=[dict(caption=caption, source=source) for caption, source in pictures],
+        spans=spans,
+        rows=table_of([figures for *_, figures in spans]),
+        added=ADDED,
+        plots=[dict(caption=caption, source=source) for caption, source in first],
         notes=figures["notes"]["recording"],
+        judged=sampling_text(recording),
         configuration=recording.configuration,
         origin=origin(recording),
     )

@@ -17,8 +17,8 @@ from typing import Protocol
 
 import numpy as np
 
+from hysteresis_ros.analysis.page import render_page, write_page
 from hysteresis_ros.analysis.plots import add_legend, data_uri, new_figure
-from hysteresis_ros.analysis.report import render_page, write_page
 from hysteresis_ros.control.margins import REQUIRED
 from hysteresis_ros.control.measured_loop import MeasuredLoop
 from hysteresis_ros.errors import RecordingError

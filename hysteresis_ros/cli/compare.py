@@ -61,7 +61,7 @@ def compare(config, namespace, workers, json_path, best, outputs, sine, triangle
 
     pages, files = _sorted(outputs, best)
     if pages:
-        from hysteresis_ros.analysis.report import require_page
+        from hysteresis_ros.analysis.page import require_page
 
         for page in pages:
             require_page(page)  # now and not after minutes

@@ -76,7 +76,7 @@ def frf(source, outputs, plot, report, json_path, namespace, **options):
     95 % probability; a multisine tells noise, odd and even distortion apart. Exit code 2: wrong input, or an excitation
     that drowns in the noise.
     """
-    from hysteresis_ros.analysis.report import require_page
+    from hysteresis_ros.analysis.page import require_page
     from hysteresis_ros.analysis.response_plots import require_picture
     from hysteresis_ros.identification.response_file import require_response_file, save_response
 

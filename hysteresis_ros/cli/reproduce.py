@@ -53,7 +53,7 @@ def reproduce(experiment: str, json_path: str | None, output: pathlib.Path | Non
     from hysteresis_ros.papers.claims import format_claims
 
     if output is not None:
-        from hysteresis_ros.analysis.report import require_page
+        from hysteresis_ros.analysis.page import require_page
 
         require_page(output)  # now and not after minutes
     module = importlib.import_module(EXPERIMENTS[experiment])

@@ -20,7 +20,7 @@ from hysteresis_ros.recordings import cdr
 from hysteresis_ros.recordings.bag_reader import Bag, Topic, read_bag
 from hysteresis_ros.recordings.change_log import ChangeLog, read_log
 from hysteresis_ros.recordings.configured import configured
-from hysteresis_ros.recordings.dataset import Recording
+from hysteresis_ros.recordings.dataset import LATENESS, Recording
 from hysteresis_ros.recordings.provenance import RECORD
 from hysteresis_ros.signals import (
     COLUMNS,
@@ -102,7 +102,8 @@ def align(bag: Bag, namespace: str | None = None, *, further: bool = False) -> R
     namespace : str, optional
         Which axis, when there are several.
     further : bool
-        Also the signals beyond the columns of a run that ``~/state`` messages hold: all that a simulation gives.
+        Also the signals beyond the columns of a run that ``~/state`` messages hold: all that a simulation gives; and of
+        a fused run in real time ``lateness``, how long after its time each sample began [s].
 
     Returns
     -------
@@ -150,10 +151,16 @@ def align(bag: Bag, namespace: str | None = None, *, further: bool = False) -> R
     metadata = {"configuration": configuration, "missing_samples": missing, "missing": per_signal}
     metadata |= _told(bag, prefix, log, notes)
     metadata["start_time_ns"] = int(stamps[0]) if stamps.size else 0
-    metadata["timing"] = _timing(bag, prefix, joints, rows, _is_paced(configuration, prefix))
+    received = _received(bag, prefix, joints, rows)
+    paced = received is not None and _is_paced(configuration, prefix)
+    late = (received - joints.stamps) / 1e9 if paced else np.zeros(0)
+    metadata["timing"] = _timing(received, late)
     time = (stamps - stamps[0]) / 1e9 if stamps.size else np.zeros(0)
     signals = {name: columns[name] for name in (*COLUMNS, *motor)}
-    return Recording(time, signals | _more(states, stamps, set(signals), further), {}, metadata)
+    signals |= _more(states, stamps, set(signals), further)
+    if further and late.size:
+        signals["lateness"] = _by_stamp(stamps, joints.stamps, late)
+    return Recording(time, signals, {"lateness": "s"} if "lateness" in signals else {}, metadata)
 
 
 def _told(bag: Bag, prefix: str, log: ChangeLog, notes: list[str]) -> dict:
@@ -407,24 +414,24 @@ def _is_paced(configuration: str, prefix: str) -> bool:
     return plant.get("time_mode") == "fused" and not slowed
 
 
-#: Parts of the samples whose lateness is given.
-LATENESS = {"lateness_p50_s": 50.0, "lateness_p99_s": 99.0, "lateness_p999_s": 99.9, "lateness_max_s": 100.0}
-
-
-def _timing(bag: Bag, prefix: str, joints, rows: np.ndarray, paced: bool) -> dict:
-    """Rate and jitter of ``joint_states`` from the times of reception; of a paced run how late samples began."""
+def _received(bag: Bag, prefix: str, joints, rows: np.ndarray) -> np.ndarray | None:
+    """Return when each sample of ``joint_states`` was received [ns]; None where nobody recorded a clock."""
     if joints is None or rows.size < 3:
-        return {}
+        return None
     received = bag.topics[f"{prefix}/joint_states"].received()[rows]
-    if received[-1] <= received[0]:
-        return {}
-    if np.array_equal(received - received[0], joints.stamps - joints.stamps[0]):
-        # nobody recorded a clock: the stamps themselves are in its place (simulated run)
+    # the stamps themselves stand in its place in a simulated run
+    simulated = np.array_equal(received - received[0], joints.stamps - joints.stamps[0])
+    return None if received[-1] <= received[0] or simulated else received
+
+
+def _timing(received: np.ndarray | None, late: np.ndarray) -> dict:
+    """Rate and jitter of ``joint_states`` from the times of reception; of a paced run how late samples began."""
+    if received is None:
         return {}
     steps = np.diff(received) / 1e9
-    late = (received - joints.stamps) / 1e9
+    parts = LATENESS if late.size else {}
     return {
-        **{name: float(np.percentile(late, part)) for name, part in (LATENESS if paced else {}).items()},
+        **{name: float(np.percentile(late, part)) for name, part in parts.items()},
         "rate_hz": float((received.size - 1) / (received[-1] - received[0]) * 1e9),
         "jitter_p99_s": float(np.percentile(np.abs(steps - np.median(steps)), 99)),
     }

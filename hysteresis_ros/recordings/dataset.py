@@ -20,6 +20,8 @@ from hysteresis_ros.signals import COLUMNS, UNITS
 
 #: Sample times over which a recording may extend in any case, and else in numbers of its samples.
 SMALL, RATIO = 1_000_000, 100
+#: Figures of the lateness of samples, and in % the part of the samples that are no later.
+LATENESS = {"lateness_p50_s": 50.0, "lateness_p99_s": 99.0, "lateness_p999_s": 99.9, "lateness_max_s": 100.0}
 
 
 @dataclass(frozen=True, eq=False)

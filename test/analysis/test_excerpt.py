@@ -24,10 +24,11 @@ pytest.importorskip("jinja2", reason="jinja2 is not installed: no pages")
 
 from click.testing import CliRunner
 
-from hysteresis_ros.analysis import plots
+from hysteresis_ros.analysis.charts import chart_figure
 from hysteresis_ros.analysis.excerpt import last_periods, seconds, within
 from hysteresis_ros.analysis.metrics import compute_metrics, format_table
 from hysteresis_ros.analysis.report import render_report
+from hysteresis_ros.analysis.run_charts import error_chart, judged, loops_chart
 from hysteresis_ros.analysis.settings import judged_reference
 from hysteresis_ros.cli.main import main
 from hysteresis_ros.configuration import config_path, parse_configuration
@@ -58,7 +59,7 @@ def test_the_jump_into_a_scan_does_not_count_and_is_said():
     assert figures["max_error_m"] == pytest.approx(np.sqrt(2.0) * RIPPLE, rel=1e-2)
     assert figures["stroke_m"] == pytest.approx(10e-6)
     assert any("errors count from 0.1 s on" in note for note in figures["notes"]["recording"])
-    (axis,) = plots.error_figure(scan(start=1e-9)).axes
+    (axis,) = chart_figure(error_chart(judged(scan(start=1e-9)))).axes
     assert axis.get_legend() is not None and axis.get_ylabel() == "error [nm]"
     assert np.ptp(axis.get_ylim()) < 200.0, "what does not count makes the rest small"
 
@@ -118,19 +119,17 @@ def test_a_loop_that_is_drawn_has_a_width_also_where_the_voltage_is_noisy():
     """Noise that reverses the voltage by more than a hundredth of its range hides no loop."""
     run = scan(noise=3.0)
     assert compute_metrics(run)["voltage_loop_width_percent"] is not None
-    assert [axis.get_title().split(":")[0] for axis in plots.loop_figure(run).axes] == [
-        "before compensation",
-        "after compensation",
-    ]
+    lines = loops_chart(judged(run)).lines
+    assert [line.label.split(",")[0] for line in lines] == ["before compensation", "after compensation"]
 
 
 def test_no_loop_is_drawn_where_there_is_none():
     reference = np.repeat([0.0, 5e-6, 0.0, 5e-6], 100)
     columns = {"reference": reference, "displacement": reference + 1e-9, "voltage": reference * 1e7}
     run = Recording.from_columns({"time": np.arange(400) / RATE, **columns})
-    assert plots.loop_figure(run) is None
+    assert loops_chart(judged(run)) is None
     page = render_report(run, "steps")
-    assert "loop before and after" not in page and page.count("<figure>") == 3
+    assert "loop before and after" not in page and 'id="chart-voltage"' in page
 
 
 def test_a_page_says_what_when_and_with_which_version(tmp_path):

@@ -14,7 +14,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hysteresis_ros.analysis.learning_plots import period_errors, periods_figure
+from hysteresis_ros.analysis.charts import chart_figure
+from hysteresis_ros.analysis.learning_plots import period_errors
+from hysteresis_ros.analysis.run_charts import judged, learned_chart
 from hysteresis_ros.recordings.dataset import Recording
 
 LEARNED = "/**/motion_controller:\n  ros__parameters:\n    learning.type: inversion\n    learning.period: 0.02\n"
@@ -35,7 +37,7 @@ def test_it_is_that_of_the_whole_periods():
 
 def test_it_is_drawn_where_something_was_learned_only():
     pytest.importorskip("matplotlib")
-    (axis,) = periods_figure(recording(LEARNED)).axes
+    (axis,) = chart_figure(learned_chart(judged(recording(LEARNED)))).axes
     assert axis.get_yscale() == "log" and len(axis.lines[0].get_ydata()) == 4
-    assert periods_figure(recording(LEARNED.replace("inversion", "none"))) is None
-    assert periods_figure(recording(LEARNED, samples=50)) is None
+    assert learned_chart(judged(recording(LEARNED.replace("inversion", "none")))) is None
+    assert learned_chart(judged(recording(LEARNED, samples=50))) is None

@@ -15,8 +15,8 @@ import pytest
 pytest.importorskip("matplotlib")
 
 from hysteresis_ros.analysis.metrics import compute_metrics  # noqa: E402
-from hysteresis_ros.analysis.plots import error_figure  # noqa: E402
 from hysteresis_ros.analysis.report import render_report  # noqa: E402
+from hysteresis_ros.analysis.run_charts import judged  # noqa: E402
 from hysteresis_ros.analysis.settings import axis_settings, judged_reference  # noqa: E402
 from hysteresis_ros.papers.measurements import loop_width, step_figures  # noqa: E402
 from hysteresis_ros.recordings import Recording  # noqa: E402
@@ -50,7 +50,7 @@ def test_a_displacement_that_follows_the_delayed_reference_has_no_error():
     assert figures["max_error_m"] == figures["settling_time_s"] == figures["overshoot_percent"] == 0.0
     assert any(f"{PREVIEW} samples after it was given" in note for note in figures["notes"]["recording"])
     assert step_figures(run).settling == 0.0
-    assert np.all(error_figure(run).axes[0].lines[1].get_ydata() == 0.0)
+    assert np.all(judged(run).error == 0.0)
     assert f"{PREVIEW} samples after it was given" in render_report(run, "preview", figures)
 
 

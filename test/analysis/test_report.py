@@ -18,9 +18,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hysteresis_ros.analysis import plots
-from hysteresis_ros.analysis.plots import envelope
-from hysteresis_ros.analysis.report import render_report, write_report
+from hysteresis_ros.analysis.charts import chart_figure
+from hysteresis_ros.analysis.plots import envelope, png
+from hysteresis_ros.analysis.report import charts_of, render_report, write_report
+from hysteresis_ros.analysis.run_charts import judged, traces_chart, voltage_chart
 from hysteresis_ros.errors import HysteresisError, RecordingError
 from hysteresis_ros.recordings import Recording
 
@@ -50,37 +51,42 @@ def recording():
 
 def test_the_report_holds_everything_in_itself(recording):
     text = render_report(recording, "my <bag>")
-    assert text.count('src="data:image/png;base64,') == len(plots.FIGURES) == 4
-    addresses = re.findall(r'(?:src|href)="([^"]*)"', text)
+    names = [chart.name for chart in charts_of(judged(recording))]
+    assert names == ["traces", "error", "loops", "trace", "periods", "spectrum", "histogram", "voltage"]
+    assert text.count('src="data:image/png;base64,') == len(names)
+    own = re.sub(r"<script.*?</script>", "", text, flags=re.S)
+    addresses = re.findall(r'(?:src|href)="([^"]*)"', own)
     assert all(address.startswith("data:") for address in addresses)
-    assert not any(word in text for word in ("@import", "url(", "<script", "<link"))
+    assert not any(word in own for word in ("@import", "url(", "<link", "http"))
     assert html.escape(CONFIGURATION.strip()) in text
     assert "my &lt;bag&gt;" in text and "3 samples &lt; missing" in text and "/left" in text
     assert "RMS error" in text and "Loop width" in text
 
 
 def test_every_axis_says_quantity_and_unit(recording):
-    for _, draw in plots.FIGURES:
-        for axis in draw(recording).axes:
-            for label in (axis.get_xlabel(), axis.get_ylabel()):
-                assert re.search(r"\[(s|V|µm)\]$", label), label
+    for chart in charts_of(judged(recording)):
+        for label in (chart.across, chart.up):
+            assert re.search(r"\[(s|ms|V|µm|nm|%|Hz|nm/√Hz|% of its range)\]$", label), label
 
 
 def test_voltage_is_drawn_with_its_limits(recording):
-    (axis,) = plots.voltage_figure(recording).axes
-    levels = [line.get_ydata()[0] for line in axis.lines[1:]]
-    assert levels == [-30.0, 120.0]
+    chart = voltage_chart(judged(recording))
+    assert chart.levels == (-30.0, 120.0)
+    (axis,) = chart_figure(chart).axes
+    assert [line.get_ydata()[0] for line in axis.lines[1:]] == [-30.0, 120.0]
 
 
 def test_signals_without_values_are_not_drawn(recording):
-    (axis,) = plots.traces_figure(recording).axes
-    assert [line.get_label() for line in axis.lines] == ["reference", "displacement"]
+    (axis,) = chart_figure(traces_chart(judged(recording))).axes
+    assert [line.get_label() for line in axis.lines] == ["displacement", "reference"]
 
 
-def test_plots_of_a_recording_without_voltage(recording):
+def test_charts_of_a_recording_without_voltage(recording):
     bare = Recording.from_columns({name: recording[name] for name in ("time", "reference", "displacement")})
-    for _, draw in plots.FIGURES:
-        assert plots.png(draw(bare)).startswith(b"\x89PNG")
+    names = [chart.name for chart in charts_of(judged(bare))]
+    assert "voltage" not in names and "loops" in names
+    for chart in charts_of(judged(bare)):
+        assert png(chart_figure(chart)).startswith(b"\x89PNG")
 
 
 @given(size=st.integers(0, 5000), points=st.integers(4, 400), seed=st.integers(0, 10))

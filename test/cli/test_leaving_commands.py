@@ -35,7 +35,7 @@ def test_a_report_that_is_no_page_is_refused_by_name(tmp_path, name):
     pytest.importorskip("matplotlib")
     result = CliRunner().invoke(main, ["reproduce", "kim2009", "-o", str(tmp_path / name)])
     assert result.exit_code == 2 and name in result.output and ".html" in result.output
-    from hysteresis_ros.analysis.report import write_page
+    from hysteresis_ros.analysis.page import write_page
 
     with pytest.raises(RecordingError, match=r"\.html"):
         write_page(tmp_path / name, "")
