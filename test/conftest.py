@@ -25,6 +25,8 @@ settings.load_profile("untimed")
 
 #: Tests that start graphs of nodes: one after the other in one worker, since they need the time they have.
 GRAPHS = ("test/nodes/", "test/cli/test_excite_command.py")
+#: Tests whose loops run against the clock in the test's own process.
+CLOCKS = ("test/loop/", "test/hardware/", "test/commissioning/", "test/cli/")
 #: Those in lockstep, or whose axis may miss any deadline, need no time of their own: the other worker may run them.
 BESIDE = (
     *("lockstep", "faulty_nodes", "batch_recording", "processors", "graph_runner", "fused_driver", "fused_mishaps"),
@@ -41,12 +43,13 @@ def group_of(nodeid: str) -> str:
 def pytest_collection_modifyitems(config, items):
     """Let a worker begin with the graphs, which take longest; without workers the order stays.
 
-    A test over DDS that fails is tried once more: on a busy machine two participants now and then do not find each
-    other for a minute. What is wrong with the nodes fails again, and the summary counts every repetition.
+    A test over DDS that fails is tried again: on a busy machine two participants now and then do not find each other
+    for a minute. So is one against the clock, once. What is wrong with the nodes fails again, and the summary counts
+    every repetition.
     """
     for item in items:
-        if item.nodeid.startswith(GRAPHS):
-            item.add_marker(pytest.mark.flaky(reruns=1))
+        if item.nodeid.startswith((*GRAPHS, *CLOCKS)):
+            item.add_marker(pytest.mark.flaky(reruns=2 if item.nodeid.startswith(GRAPHS) else 1))
     if hasattr(config, "workerinput"):
         items.sort(key=lambda item: group_of(item.nodeid) != "graphs")
 

@@ -26,7 +26,7 @@ from hysteresis_ros.nodes import realtime  # noqa: E402
 from hysteresis_ros.nodes.realtime import GIVE_UP, SUSPICION, Follower, RealTimeResponder  # noqa: E402
 from hysteresis_ros.nodes.responder import Input  # noqa: E402
 
-SAMPLES = 300
+SAMPLES = 200
 
 
 def moving_axis():
