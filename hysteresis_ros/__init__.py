@@ -14,7 +14,8 @@ every model, inverse, controller and observer is a block (:mod:`hysteresis_ros.b
 the ROS 2 nodes call alike. Only :mod:`hysteresis_ros.nodes` needs ROS.
 
 For scripts and notebooks, ``import hysteresis_ros as hr`` gives ``hr.models``, ``hr.inverses``, ``hr.controllers``,
-``hr.references`` and the functions of :mod:`hysteresis_ros.api`. Each is imported at its first use.
+``hr.references`` and the functions of :mod:`hysteresis_ros.api` and :mod:`hysteresis_ros.studies`. Each is imported at
+its first use.
 """
 
 from __future__ import annotations
@@ -23,25 +24,69 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from hysteresis_ros import models, references
-    from hysteresis_ros.api import Columns, Design, Run, design, identify, load, report, simulate, validate
+    from hysteresis_ros.api import (
+        Columns,
+        Compared,
+        Configuration,
+        HysteresisError,
+        Identified,
+        Run,
+        configurations,
+        identify,
+        load,
+        plot,
+        report,
+        simulate,
+        validate,
+    )
     from hysteresis_ros.compensation import classes as inverses
     from hysteresis_ros.control import classes as controllers
+    from hysteresis_ros.studies import (
+        Design,
+        DesignedLearning,
+        Experiment,
+        Ranking,
+        Reproduction,
+        Response,
+        Uncertainty,
+        compare,
+        design,
+        design_learning,
+        frequency_response,
+        reproduce,
+    )
 
 #: The version; setup.py reads it from here, package.xml repeats it.
 __version__ = "0.1.0"
 
 __all__ = [
     "Columns",
+    "Compared",
+    "Configuration",
     "Design",
+    "DesignedLearning",
+    "Experiment",
+    "HysteresisError",
+    "Identified",
+    "Ranking",
+    "Reproduction",
+    "Response",
     "Run",
+    "Uncertainty",
+    "compare",
+    "configurations",
     "controllers",
     "design",
+    "design_learning",
+    "frequency_response",
     "identify",
     "inverses",
     "load",
     "models",
+    "plot",
     "references",
     "report",
+    "reproduce",
     "simulate",
     "validate",
 ]
@@ -53,6 +98,11 @@ _MODULES = {
     "inverses": "hysteresis_ros.compensation.classes",
     "controllers": "hysteresis_ros.control.classes",
 }
+#: What stands in :mod:`hysteresis_ros.studies`; all else stands in :mod:`hysteresis_ros.api`.
+_STUDIES = {
+    *("Design", "DesignedLearning", "Experiment", "Ranking", "Reproduction", "Response", "Uncertainty"),
+    *("compare", "design", "design_learning", "frequency_response", "reproduce"),
+}
 
 
 def __getattr__(name: str) -> Any:
@@ -62,7 +112,8 @@ def __getattr__(name: str) -> Any:
     if name in _MODULES:
         value: Any = importlib.import_module(_MODULES[name])
     elif name in __all__:
-        value = getattr(importlib.import_module("hysteresis_ros.api"), name)
+        place = "studies" if name in _STUDIES else "api"
+        value = getattr(importlib.import_module(f"hysteresis_ros.{place}"), name)
     else:
         import difflib
 

@@ -9,8 +9,9 @@
 
 """The workflow for scripts and notebooks: ``import hysteresis_ros as hr``, then a few lines. SI units everywhere.
 
-``hr.load``, ``hr.simulate``, ``hr.identify``, ``hr.validate``, ``hr.design`` and ``hr.report`` are what the commands of
-the same names do; ``docs/api.md`` shows them at work.
+``hr.load``, ``hr.simulate``, ``hr.identify``, ``hr.validate`` and ``hr.report`` are what the commands of the same names
+do; ``docs/api.md`` shows them at work. What takes more than one run, and designs, stand in
+:mod:`hysteresis_ros.studies`.
 """
 
 from __future__ import annotations
@@ -19,13 +20,17 @@ import os
 import pathlib
 import warnings
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, TypeAlias, Unpack
+from typing import Any, TypeAlias, Unpack
 
 from numpy.typing import ArrayLike
 
-from hysteresis_ros.configuration import Configuration, load_configuration, normalised_namespace, parse_configuration
-from hysteresis_ros.control.uncertainty import Uncertainty
-from hysteresis_ros.errors import ConfigurationError
+from hysteresis_ros.configuration import (
+    Configuration,
+    load_configuration,
+    parse_configuration,
+    shipped_configurations,
+)
+from hysteresis_ros.errors import ConfigurationError, HysteresisError, did_you_mean
 from hysteresis_ros.identification import workflow
 from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.reading import Columns, Reading, read_data
@@ -33,17 +38,26 @@ from hysteresis_ros.identification.registry import USUAL
 from hysteresis_ros.identification.workflow import Compared, Conditions, Identified
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.files import load_run
-from hysteresis_ros.results import Design, Run
+from hysteresis_ros.results import DesignedFile, Run
 from hysteresis_ros.simulation.axes import single_axis
-from hysteresis_ros.simulation.design import DesignRequest, design_axis, design_file, design_lines, doubts
-from hysteresis_ros.simulation.design_certainty import response_uncertainty
 from hysteresis_ros.simulation.reach import reach_warnings
 from hysteresis_ros.simulation.run import simulate as simulate_axis
 
-if TYPE_CHECKING:
-    pass
-
-__all__ = ["Columns", "Design", "Run", "design", "identify", "load", "report", "simulate", "validate"]
+__all__ = [
+    "Columns",
+    "Compared",
+    "Configuration",
+    "HysteresisError",
+    "Identified",
+    "Run",
+    "configurations",
+    "identify",
+    "load",
+    "plot",
+    "report",
+    "simulate",
+    "validate",
+]
 
 #: Endings of configuration files.
 CONFIGURATIONS = (".yaml", ".yml")
@@ -52,9 +66,26 @@ RECORDINGS = (".npz", ".csv", ".mcap", ".db3")
 
 
 #: What describes an axis: a file, the name of one that comes with the package, or what this module returned.
-Source: TypeAlias = "str | os.PathLike[str] | Configuration | Identified | Design | Recording"
+Source: TypeAlias = "str | os.PathLike[str] | Configuration | Identified | DesignedFile | Recording"
 #: What was measured: a file, or what was read already.
 Measured: TypeAlias = "str | os.PathLike[str] | Recording | IdentificationData | Reading"
+
+
+def configurations() -> tuple[str, ...]:
+    """Return the names of the configurations that come with the package; :func:`load` and :func:`simulate` take them.
+
+    Returns
+    -------
+    tuple of str
+        In the order of the alphabet.
+
+    Examples
+    --------
+    >>> import hysteresis_ros as hr
+    >>> "kim2009" in hr.configurations()
+    True
+    """
+    return tuple(sorted(shipped_configurations()))
 
 
 def load(path: str | os.PathLike[str], *, namespace: str | None = None) -> Configuration | Run:
@@ -151,7 +182,7 @@ def simulate(
     >>> run.displacement.shape, run.units["displacement"]
     ((30,), 'm')
     """
-    axis = single_axis(_configuration(config), namespace)
+    axis = single_axis(configuration_of(config), namespace)
     if faults:
         axis = axis.with_faults(tuple(faults))
     for text in reach_warnings(axis):
@@ -262,74 +293,6 @@ def validate(
     return workflow.validate(parameters, reading, namespace=namespace, inverse=inverse, **conditions)
 
 
-def design(
-    config: Source,
-    controller: str,
-    *,
-    bandwidth: float | None = None,
-    q: float | None = None,
-    criterion: str | None = None,
-    duration: float | None = None,
-    feedforward: bool = False,
-    preview: int | None = None,
-    noise: float | None = None,
-    robust: Uncertainty | None = None,
-    namespace: str | None = None,
-) -> Design:
-    """Design a controller for the model in a configuration (``motion_controller: model.dynamics``; never the plant's).
-
-    Parameters
-    ----------
-    config : path-like, Configuration, Identified, Design or Recording
-        The axis, see :func:`simulate`.
-    controller : str
-        ``pid``, ``smc``, ``integral_smc``, ``super_twisting`` or ``offset_free``.
-    bandwidth : float, optional
-        -3 dB bandwidth from reference to displacement [Hz].
-    q : float, optional
-        Kalman filter: variance of the input's noise over that of the measurement.
-    criterion : str, optional
-        Of a pid: ``iae``, ``ise`` or ``itae``, tune it on the waveform.
-    duration : float, optional
-        Length of the run that ``criterion`` judges [s].
-    feedforward : bool
-        Add the inverse of the dynamics.
-    preview : int, optional
-        Samples that the reference is ahead, with ``feedforward``; by default what the inverse needs.
-    noise : float, optional
-        RMS noise of the sensor [m], by which the fastest design is chosen; by default 0.01 % of the stroke.
-    robust : Uncertainty, optional
-        Plants around the model on each of which the margins are to be kept
-        (:class:`hysteresis_ros.control.uncertainty.Uncertainty`).
-    namespace : str, optional
-        Which axis of a configuration with several.
-
-    Returns
-    -------
-    Design
-        With ``parameters``, ``margins``, ``warnings`` and ``save(path)``; ``print`` shows a table.
-
-    Raises
-    ------
-    ConfigurationError
-        The configuration cannot be read, or requests exclude each other.
-    ParameterError
-        No design follows from the model; the message says what keeps it.
-
-    Examples
-    --------
-    >>> import hysteresis_ros as hr
-    >>> found = hr.design("kim2009", "offset_free", bandwidth=200.0)
-    >>> run = hr.simulate(found, duration=0.01)
-    """
-    configuration = _configuration(config)
-    axis = single_axis(configuration, namespace)
-    request = DesignRequest(controller, bandwidth, q, criterion, duration, feedforward, preview, noise, robust)
-    found = design_axis(axis, request, response_uncertainty(configuration))
-    text = design_file(configuration, found, normalised_namespace(axis.namespace))
-    return Design(found.parameters, found.margins, tuple(doubts(found)), tuple(design_lines(found)), text)
-
-
 def report(
     source: str | os.PathLike[str] | Recording | Compared,
     path: str | os.PathLike[str] | None = None,
@@ -383,7 +346,7 @@ def report(
             else:
                 write_validation_report(path, source)
         return source.figures
-    run = source if isinstance(source, Recording) else load_run(source, namespace, further=True)
+    run = _recording(source, namespace)
     heading = title or ("run" if isinstance(source, Recording) else pathlib.Path(source).name)
     from hysteresis_ros.analysis.inchworm_moves import is_inchworm
 
@@ -399,14 +362,79 @@ def report(
     return figures
 
 
-def _configuration(source: Source) -> Configuration:
-    """Return the configuration that describes an axis."""
+def plot(source: str | os.PathLike[str] | Recording, kind: str = "traces", *, namespace: str | None = None) -> Any:
+    """Draw a run; in a notebook ``%matplotlib inline`` shows what is returned.
+
+    Parameters
+    ----------
+    source : path-like or Recording
+        A recording, or what :func:`simulate` returned.
+    kind : str
+        ``traces`` (reference, displacement and estimate over time), ``error``, ``voltage`` or ``loop`` (displacement
+        over voltage, and over the reference).
+    namespace : str, optional
+        Which axis of a bag that holds several.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        To be changed, or written by ``savefig(path)``.
+
+    Raises
+    ------
+    HysteresisError
+        There is no such plot, the recording lacks what it shows, or Matplotlib is not installed.
+
+    Examples
+    --------
+    >>> import hysteresis_ros as hr
+    >>> hr.plot(hr.simulate("kim2009", duration=0.1), "loop").savefig("loop.png")  # doctest: +SKIP
+    """
+    from hysteresis_ros.analysis import plots
+
+    drawn = {
+        "traces": plots.traces_figure,
+        "error": plots.error_figure,
+        "voltage": plots.voltage_figure,
+        "loop": plots.loop_figure,
+    }
+    if kind not in drawn:
+        raise HysteresisError(f"kind = {kind!r}: must be one of {', '.join(drawn)}{did_you_mean(kind, drawn)}")
+    figure = drawn[kind](_recording(source, namespace))
+    if figure is None:
+        raise HysteresisError(f"kind = {kind!r}: the recording lacks what it shows")
+    return figure
+
+
+def configuration_of(source: Source) -> Configuration:
+    """Return the configuration that describes an axis.
+
+    Parameters
+    ----------
+    source : path-like, Configuration, Identified, Design, DesignedLearning or Recording
+        See :func:`simulate`.
+
+    Returns
+    -------
+    Configuration
+        With one axis or several.
+
+    Raises
+    ------
+    ConfigurationError
+        The file cannot be read, or the recording does not hold one.
+    """
     if isinstance(source, Configuration):
         return source
-    if isinstance(source, (Identified, Design)):
+    if isinstance(source, (Identified, DesignedFile)):
         return parse_configuration(source.text, f"the {type(source).__name__.lower()} axis")
     if isinstance(source, Recording):
         if not source.configuration:
             raise ConfigurationError("the recording does not hold the configuration of its axis; give the file")
         return parse_configuration(source.configuration, "the configuration in the recording")
     return load_configuration(source)
+
+
+def _recording(source: str | os.PathLike[str] | Recording, namespace: str | None) -> Recording:
+    """Return a recording, read where it is a file."""
+    return source if isinstance(source, Recording) else load_run(source, namespace, further=True)

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What the functions for scripts return: a run with its signals by name, and a designed controller with its file."""
+"""What the functions for scripts return: a run with its signals by name, designs with their files, and a response."""
 
 from __future__ import annotations
 
@@ -18,11 +18,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hysteresis_ros.control.controller import ControllerParameters
+from hysteresis_ros.control.learning.parameters import LearningParameters
 from hysteresis_ros.control.margins import Margins
 from hysteresis_ros.errors import HysteresisError
 from hysteresis_ros.identification.parameter_file import write_file
+from hysteresis_ros.identification.response_file import save_response
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.files import save_run
+from hysteresis_ros.simulation.axis_response import AxisResponse
 
 if TYPE_CHECKING:
     import pandas
@@ -88,6 +91,34 @@ class Run(Recording):  # numpydoc ignore=PR02
         columns = ", ".join(f"{name} [{unit}]" for name, unit in self.units.items())
         return f"Run of {len(self)} samples, {self.sample_time:.6g} s apart: {columns}"
 
+    def between(self, first: float, last: float) -> Run:
+        """Return the part of the run between two instants, both included; its arrays are copies.
+
+        Parameters
+        ----------
+        first, last : float
+            Seconds since the first sample.
+
+        Returns
+        -------
+        Run
+            The same signals.
+
+        Raises
+        ------
+        RecordingError
+            There are fewer than two samples.
+
+        Examples
+        --------
+        >>> import hysteresis_ros as hr
+        >>> len(hr.simulate("kim2009", duration=0.02).between(0.01, 0.015))
+        16
+        """
+        from hysteresis_ros.analysis.excerpt import within
+
+        return Run.of(within(self, first, last))
+
     def to_dataframe(self) -> pandas.DataFrame:
         """Return the signals as a table of pandas, the time [s] as its index.
 
@@ -133,27 +164,17 @@ class Run(Recording):  # numpydoc ignore=PR02
 
 
 @dataclass(frozen=True, eq=False)
-class Design:  # numpydoc ignore=PR02
-    """A designed controller, and the configuration that holds it.
+class DesignedFile:  # numpydoc ignore=PR02
+    """What was designed, and the parameter file that holds it.
 
     Parameters
     ----------
-    parameters : ControllerParameters
-        Type, gains and model of the controller.
-    margins : Margins
-        Bandwidth [Hz], margins and poles of the loop with the controller's model; ``margins.meets`` says whether
-        they are those that every design is held to, ``margins.misses()`` what is missing.
-    warnings : tuple of str
-        What is to be doubted, in sentences.
     lines : tuple of str
         The table that ``hysteresis design`` prints.
     text : str
-        The parameter file: that of the design's source with the new controller.
+        The parameter file: that of the design's source with what was designed.
     """
 
-    parameters: ControllerParameters
-    margins: Margins
-    warnings: tuple[str, ...]
     lines: tuple[str, ...]
     text: str
 
@@ -174,3 +195,83 @@ class Design:  # numpydoc ignore=PR02
             It cannot be written.
         """
         write_file(path, self.text)
+
+
+@dataclass(frozen=True, eq=False)
+class Design(DesignedFile):  # numpydoc ignore=PR02
+    """A designed controller, and the configuration that holds it.
+
+    Parameters
+    ----------
+    lines : tuple of str
+        The table that ``hysteresis design`` prints.
+    text : str
+        The parameter file: that of the design's source with the new controller.
+    parameters : ControllerParameters
+        Type, gains and model of the controller.
+    margins : Margins
+        Bandwidth [Hz], margins and poles of the loop with the controller's model; ``margins.meets`` says whether
+        they are those that every design is held to, ``margins.misses()`` what is missing.
+    warnings : tuple of str
+        What is to be doubted, in sentences.
+    """
+
+    parameters: ControllerParameters
+    margins: Margins
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class DesignedLearning(DesignedFile):  # numpydoc ignore=PR02
+    """A designed learning over the periods of a scan, and the configuration that holds it.
+
+    Parameters
+    ----------
+    lines : tuple of str
+        The table that ``hysteresis design --learning`` prints.
+    text : str
+        The parameter file: that of the design's source with the learning.
+    parameters : LearningParameters
+        Kind, period, filters and bounds of the learning.
+    """
+
+    parameters: LearningParameters
+
+
+class Response(AxisResponse):  # numpydoc ignore=PR02
+    """A measured frequency response of an axis; ``print`` shows the table of ``hysteresis frf``.
+
+    Parameters
+    ----------
+    plan : Plan
+        Where the excitation stands in the recording.
+    plant : Analysis
+        Response from voltage or command to the measured displacement, with its band: ``plant.response.frequency``
+        [Hz], ``plant.response.response``.
+    loop : MeasuredLoop, optional
+        Of a closed loop: loop transfer, sensitivity and margins.
+    model : ndarray of complex, shape (F,), optional
+        What the controller's model has for the plant, at the lines.
+    model_loop : ndarray of complex, shape (F,), optional
+        What it has for the loop.
+    margins : Margins, optional
+        Of the model's loop.
+    """
+
+    def __str__(self) -> str:
+        return "\n".join(self.lines())
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the response: ``.npz`` (for :func:`.design`), ``.csv`` or ``.yaml``; the ending decides.
+
+        Parameters
+        ----------
+        path : path-like
+            Where to; an existing file is replaced.
+
+        Raises
+        ------
+        RecordingError
+            The ending is another, or the file cannot be written.
+        """
+        save_response(path, self.plant, self.columns, self.figures)

@@ -24,7 +24,8 @@ import numpy as np
 import pytest
 
 import hysteresis_ros as hr
-from hysteresis_ros import api
+from hysteresis_ros import api, studies
+from hysteresis_ros.comparison.outcome import Comparison
 from hysteresis_ros.compensation.inverses import NAMES as INVERSES
 from hysteresis_ros.configuration import Configuration, load_configuration
 from hysteresis_ros.control.registry import LAWS
@@ -274,9 +275,87 @@ def test_a_design_is_a_configuration(tmp_path):
     np.testing.assert_array_equal(hr.simulate(design, duration=0.01).voltage, from_file.voltage)
 
 
-def test_examples_in_docstrings_are_true():
-    found = doctest.testmod(api, optionflags=doctest.NORMALIZE_WHITESPACE)
-    assert found.attempted >= 8 and found.failed == 0
+@pytest.mark.parametrize("module, examples", [(api, 8), (studies, 5)])
+def test_examples_in_docstrings_are_true(module, examples):
+    found = doctest.testmod(module, optionflags=doctest.NORMALIZE_WHITESPACE)
+    assert found.attempted >= examples and found.failed == 0
+
+
+def test_a_response_is_measured_saved_and_borne_by_a_design(tmp_path):
+    found = hr.frequency_response("kim2009", hr.Experiment(low=20.0, high=800.0, period=0.25, realisations=2))
+    measured = found.plant.response
+    # the controller's model is the plant's but for the hysteresis: no more than the slope of its branches apart
+    near = measured.frequency < 200.0
+    assert np.max(np.abs(np.abs(measured.response[near] / found.model[near]) - 1.0)) < 0.2
+    assert "signal-to-noise" in str(found)
+    found.save(tmp_path / "response.npz")
+    design = hr.design("kim2009", "offset_free", response=tmp_path / "response.npz")
+    assert any(line.startswith("measured") for line in design.lines)
+    assert str(hr.design("kim2009", "offset_free", response=found)) == str(design)
+    with pytest.raises(HysteresisError, match="excited already"):
+        hr.frequency_response(hr.simulate("kim2009", duration=0.01), amplitude=0.1)
+
+
+def test_a_learning_is_a_configuration():
+    scan = hr.load("kim2009").override(
+        "reference_generator",
+        waveform__type="sine",
+        waveform__amplitude=1e-6,
+        waveform__offset=6e-6,
+        waveform__frequency=10.0,
+    )
+    learned = hr.design_learning(hr.design(scan, "offset_free", bandwidth=200.0), "inversion")
+    assert learned.parameters.type == "inversion" and "0.1 s, 300 samples" in str(learned)
+    errors = hr.simulate(learned, duration=1.0)
+    first, last = errors.between(0.1, 0.2), errors.between(0.9, 1.0)
+    rms = [np.sqrt(np.mean((part.reference - part.displacement) ** 2)) for part in (first, last)]
+    assert rms[1] < 0.1 * rms[0]
+
+
+def test_changes_of_a_configuration_are_in_what_is_designed_from_it():
+    changed = hr.load("kim2009").override("plant_simulator", sensor__noise=7e-9)
+    design = hr.design(changed, "offset_free", bandwidth=200.0)
+    assert single_axis(api.configuration_of(design)).plant_simulator.sensor.noise == 7e-9
+
+
+def test_a_comparison_is_that_of_the_package(monkeypatch, tmp_path):
+    """The candidates themselves are run by the tests of the comparison."""
+    given = {}
+
+    def compared(configuration, conditions, **options):
+        given.update(options, configuration=configuration, conditions=conditions)
+        return Comparison(conditions, None, None, configuration)
+
+    monkeypatch.setattr(studies, "compare_candidates", compared)
+    found = hr.compare("kim2009", only={("PID", "none")}, draws=3, workers=1)
+    assert given["conditions"].draws == 3 and given["only"] == {("PID", "none")} and given["workers"] == 1
+    assert isinstance(found, hr.Ranking) and found.conditions is given["conditions"] and "Ranked by" in str(found)
+    for name, message in [("best.yaml", "no combination has a rank"), ("best.txt", "must end in .yaml")]:
+        with pytest.raises(ConfigurationError, match=message):
+            found.save(tmp_path / name)
+
+
+@pytest.mark.parametrize(
+    "ask, expected",
+    [
+        (lambda: hr.compare("kim2009", drawn=1), "no condition drawn; did you mean draws?"),
+        (lambda: hr.reproduce("kim2010"), "no paper 'kim2010'; .* did you mean kim2009?"),
+        (lambda: hr.design_learning("kim2009", "inverse"), "no learning 'inverse'.*did you mean inversion?"),
+        (lambda: hr.plot(hr.Run([0.0, 1.0], {"voltage": [0.0, 1.0]}), "trace"), "did you mean traces?"),
+    ],
+)
+def test_what_is_not_there_is_answered_with_the_nearest(ask, expected):
+    with pytest.raises(HysteresisError, match=expected):
+        ask()
+
+
+@pytest.mark.parametrize("kind", ["traces", "error", "voltage"])
+def test_a_run_is_drawn(run, tmp_path, kind):
+    pytest.importorskip("matplotlib", reason="plots need it")
+    figure = hr.plot(run, kind)
+    assert figure.axes[0].lines
+    with pytest.raises(HysteresisError, match="lacks"):
+        hr.plot(hr.Run([0.0, 1.0], {"reference": [0.0, 0.0], "displacement": [0.0, 0.0]}), "loop")
 
 
 def test_every_line_of_the_page_runs(tmp_path, monkeypatch):
@@ -292,8 +371,10 @@ def test_every_line_of_the_page_runs(tmp_path, monkeypatch):
 #: What the check of numpydoc asks of everything public: summary, every parameter with type and text, what is returned.
 ASKED = {"GL08", "SS01", "SS03", "PR01", "PR02", "PR03", "PR04", "PR06", "PR07", "RT01", "RT03"}
 PUBLIC = [
-    *(f"hysteresis_ros.api.{name}" for name in api.__all__),
-    *(f"hysteresis_ros.api.{name}" for name in ("Run.of", "Run.save", "Run.to_dataframe", "Design.save")),
+    *(f"{getattr(hr, name).__module__}.{name}" for name in hr.__all__ if name not in FACTORIES),
+    *(f"hysteresis_ros.results.Run.{name}" for name in ("of", "between", "save", "to_dataframe")),
+    *(f"hysteresis_ros.results.{name}.save" for name in ("Design", "DesignedLearning", "Response")),
+    "hysteresis_ros.studies.Ranking.save",
     *(
         f"hysteresis_ros.{getattr(hr, factory).__name__.removeprefix('hysteresis_ros.')}.{name}"
         for factory, name in CLASSES

@@ -17,14 +17,7 @@ import pathlib
 import click
 
 from hysteresis_ros.cli.data_options import write_json
-
-#: Experiments that can be repeated, and the module with their ``reproduce`` and ``figures``.
-EXPERIMENTS = {
-    "kim2009": "hysteresis_ros.papers.kim2009.reproduction",
-    "auwal2017": "hysteresis_ros.papers.auwal2017.reproduction",
-    "wang2014": "hysteresis_ros.papers.wang2014.reproduction",
-    "fleming2010": "hysteresis_ros.papers.fleming2010.reproduction",
-}
+from hysteresis_ros.papers.experiments import EXPERIMENTS
 
 
 @click.command()

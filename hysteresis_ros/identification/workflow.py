@@ -126,6 +126,20 @@ class Identified(Compared):
 
     Parameters
     ----------
+    data : IdentificationData
+        What was measured.
+    plant : PlantModel
+        The model: hysteresis, creep, dynamics, and the inverse a compensator uses.
+    predicted : ndarray, shape (N,)
+        What the model says [m].
+    validation : Validation
+        Errors, and whether what is left is white.
+    inverse : InverseValidation or None
+        The voltage that the inverse finds behind the displacement; None where there is no inverse.
+    figures : dict
+        By names with units, as of a :class:`Compared`.
+    warnings : tuple of str
+        What is to be doubted, in sentences.
     identification : Identification
         The result with deviations, assumptions and, for searches, the path of the parameters.
     text : str

@@ -172,6 +172,9 @@ class Reproduction:
     runs: dict[str, Recording]
     configuration: str = ""
 
+    def __str__(self) -> str:
+        return format_claims(self)
+
     @property
     def assumptions(self) -> tuple[str, ...]:
         """All assumptions in order of first use; the table numbers them from 1."""

@@ -1,0 +1,426 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Designs, and questions that take more than one run: ``hr.design``, ``hr.compare``, ``hr.reproduce`` … SI units.
+
+Each is what the command does: ``hysteresis design``, ``frf``, ``compare``, ``reproduce``.
+"""
+
+from __future__ import annotations
+
+import importlib
+import os
+import pathlib
+import tempfile
+from collections.abc import Callable, Collection
+from dataclasses import fields
+from typing import Any
+
+from hysteresis_ros.api import RECORDINGS, Source, configuration_of
+from hysteresis_ros.comparison.compare import compare as compare_candidates
+from hysteresis_ros.comparison.outcome import Comparison
+from hysteresis_ros.comparison.table import best_text, format_comparison, write_page
+from hysteresis_ros.comparison.tasks import Conditions
+from hysteresis_ros.configuration import Configuration, normalised_namespace, parse_configuration
+from hysteresis_ros.control.learning.filters import KINDS
+from hysteresis_ros.control.uncertainty import Uncertainty
+from hysteresis_ros.errors import ConfigurationError, did_you_mean
+from hysteresis_ros.identification.excitations import Experiment
+from hysteresis_ros.identification.parameter_file import write_file
+from hysteresis_ros.identification.response_file import load_response
+from hysteresis_ros.papers.claims import Reproduction
+from hysteresis_ros.papers.experiments import EXPERIMENTS
+from hysteresis_ros.recordings.dataset import Recording
+from hysteresis_ros.recordings.files import load_run
+from hysteresis_ros.results import Design, DesignedLearning, Response
+from hysteresis_ros.simulation.axes import single_axis
+from hysteresis_ros.simulation.axis_response import AxisResponse, axis_response
+from hysteresis_ros.simulation.design import DesignRequest, design_axis, design_file, design_lines, doubts
+from hysteresis_ros.simulation.design_certainty import response_uncertainty
+from hysteresis_ros.simulation.learning_design import (
+    LearningRequest,
+    learning_file,
+    learning_lines,
+)
+from hysteresis_ros.simulation.learning_design import (
+    design_learning as design_correction,
+)
+from hysteresis_ros.simulation.measured_design import measured_lines, measured_uncertainty
+from hysteresis_ros.simulation.recorded_response import plan_file, read_plan, recorded_response
+from hysteresis_ros.simulation.response_run import ResponseRequest, response_run
+from hysteresis_ros.simulation.run import simulate as simulate_axis
+
+__all__ = [
+    "Design",
+    "DesignedLearning",
+    "Experiment",
+    "Ranking",
+    "Reproduction",
+    "Response",
+    "Uncertainty",
+    "compare",
+    "design",
+    "design_learning",
+    "frequency_response",
+    "reproduce",
+]
+
+
+def design(
+    config: Source,
+    controller: str,
+    *,
+    bandwidth: float | None = None,
+    q: float | None = None,
+    criterion: str | None = None,
+    duration: float | None = None,
+    feedforward: bool = False,
+    preview: int | None = None,
+    noise: float | None = None,
+    robust: Uncertainty | None = None,
+    damping: str | None = None,
+    response: str | os.PathLike[str] | Response | None = None,
+    namespace: str | None = None,
+) -> Design:
+    """Design a controller for the model in a configuration (``motion_controller: model.dynamics``; never the plant's).
+
+    Parameters
+    ----------
+    config : path-like, Configuration, Identified, Design or Recording
+        The axis, see :func:`.simulate`.
+    controller : str
+        ``pid``, ``smc``, ``integral_smc``, ``super_twisting`` or ``offset_free``.
+    bandwidth : float, optional
+        -3 dB bandwidth from reference to displacement [Hz].
+    q : float, optional
+        Kalman filter: variance of the input's noise over that of the measurement.
+    criterion : str, optional
+        Of a pid: ``iae``, ``ise`` or ``itae``, tune it on the waveform.
+    duration : float, optional
+        Length of the run that ``criterion`` judges [s].
+    feedforward : bool
+        Add the inverse of the dynamics.
+    preview : int, optional
+        Samples that the reference is ahead, with ``feedforward``; by default what the inverse needs.
+    noise : float, optional
+        RMS noise of the sensor [m], by which the fastest design is chosen; by default 0.01 % of the stroke.
+    robust : Uncertainty, optional
+        Plants around the model on each of which the margins are to be kept
+        (:class:`hysteresis_ros.control.uncertainty.Uncertainty`).
+    damping : str, optional
+        Damp the model's resonance first: ``irc``, ``ppf``, ``iff`` or ``notch``; ``none`` leaves out that of the file.
+    response : path-like or Response, optional
+        What :func:`frequency_response` measured: the design bears it, and its margins are measured.
+    namespace : str, optional
+        Which axis of a configuration with several.
+
+    Returns
+    -------
+    Design
+        With ``parameters``, ``margins``, ``warnings`` and ``save(path)``; ``print`` shows a table.
+
+    Raises
+    ------
+    ConfigurationError
+        The configuration cannot be read, or requests exclude each other.
+    ParameterError
+        No design follows from the model; the message says what keeps it.
+
+    Examples
+    --------
+    >>> import hysteresis_ros as hr
+    >>> found = hr.design("kim2009", "offset_free", bandwidth=200.0)
+    >>> run = hr.simulate(found, duration=0.01)
+    """
+    configuration = _written(configuration_of(config), namespace)
+    axis = single_axis(configuration, namespace)
+    request = DesignRequest(controller, bandwidth, q, criterion, duration, feedforward, preview, noise, robust, damping)
+    measured = None
+    if response is not None:
+        measured = response.plant if isinstance(response, Response) else load_response(response)
+    known = response_uncertainty(configuration) if measured is None else measured_uncertainty(axis, measured)
+    found = design_axis(axis, request, known)
+    text = design_file(configuration, found, normalised_namespace(axis.namespace))
+    lines = [*design_lines(found), *([] if measured is None else measured_lines(axis, found, measured))]
+    return Design(tuple(lines), text, found.parameters, found.margins, tuple(doubts(found)))
+
+
+def _written(configuration: Configuration, namespace: str | None) -> Configuration:
+    """Return a configuration whose text says all that is in it: changes by ``override`` are written out."""
+    if parse_configuration(configuration.text, configuration.source).entries == configuration.entries:
+        return configuration
+    return parse_configuration(single_axis(configuration, namespace).configuration_text(), configuration.source)
+
+
+def design_learning(
+    config: Source,
+    learning: str,
+    *,
+    period: float | None = None,
+    bandwidth: float | None = None,
+    maximum: float | None = None,
+    namespace: str | None = None,
+) -> DesignedLearning:
+    """Design learning over the periods of a scan, for the controller and model that a configuration has.
+
+    Parameters
+    ----------
+    config : path-like, Configuration, Identified, Design or Recording
+        The axis, see :func:`.simulate`.
+    learning : str
+        ``inversion``, ``norm_optimal`` or ``repetitive``.
+    period : float, optional
+        Of the reference [s]; by default that of the waveform.
+    bandwidth : float, optional
+        Of the learning [Hz]; by default the highest at which it contracts on all possible plants.
+    maximum : float, optional
+        Largest correction [m]; by default 10 % of the stroke.
+    namespace : str, optional
+        Which axis of a configuration with several.
+
+    Returns
+    -------
+    DesignedLearning
+        With ``parameters`` and ``save(path)``; ``print`` shows a table.
+
+    Raises
+    ------
+    ConfigurationError
+        There is no such learning, no period is known, or nothing contracts.
+    ParameterError
+        The period is no whole number of samples.
+
+    Examples
+    --------
+    >>> import hysteresis_ros as hr
+    >>> axis = hr.design("kim2009", "offset_free", bandwidth=200.0)
+    >>> learned = hr.design_learning(axis, "inversion", period=0.1)  # doctest: +SKIP
+    """
+    if learning not in KINDS:
+        there = ", ".join(sorted(KINDS))
+        raise ConfigurationError(
+            f"no learning '{learning}' to design; there are: {there}{did_you_mean(learning, KINDS)}"
+        )
+    configuration = _written(configuration_of(config), namespace)
+    axis = single_axis(configuration, namespace)
+    request = LearningRequest(learning, period, bandwidth, maximum)
+    found = design_correction(axis, request, response_uncertainty(configuration))
+    text = learning_file(configuration, found, normalised_namespace(axis.namespace))
+    return DesignedLearning(tuple(learning_lines(found)), text, found.parameters)
+
+
+def frequency_response(
+    source: Source,
+    experiment: Experiment | None = None,
+    *,
+    loop: str | None = None,
+    at: str | None = None,
+    amplitude: str | float | None = None,
+    offset: str | float | None = None,
+    namespace: str | None = None,
+) -> Response:
+    """Measure the frequency response of the simulated plant of a configuration, or take it from a recording.
+
+    Parameters
+    ----------
+    source : path-like, Configuration, Identified, Design or Recording
+        An axis, see :func:`.simulate`; or a recording (a run, or a file of one), of which ``experiment``, ``amplitude``
+        and ``offset`` say nothing.
+    experiment : Experiment, optional
+        Kind, band and length of the excitation: ``hr.Experiment("stepped", low=10.0, high=500.0)``; by default an odd
+        random-phase multisine.
+    loop : str, optional
+        ``open`` or ``closed``; of a configuration ``open`` by default.
+    at : str, optional
+        Where it is excited: ``voltage``, ``command`` or ``reference``.
+    amplitude : str or float, optional
+        Peak of the excitation: ``"2V"``, ``"500nm"``, or a part of the range; by default 0.05.
+    offset : str or float, optional
+        Around which place: ``"40V"``, ``"30um"``, or a part of the range; by default its middle.
+    namespace : str, optional
+        Which axis of several.
+
+    Returns
+    -------
+    Response
+        With ``plant``, ``loop``, ``margins``, ``figures`` and ``save(path)``; ``print`` shows a table.
+
+    Raises
+    ------
+    ConfigurationError
+        What was asked does not fit the axis.
+    HysteresisError
+        The excitation drowns in the noise, or the recording has no such response.
+
+    Examples
+    --------
+    >>> import hysteresis_ros as hr
+    >>> found = hr.frequency_response("kim2009", hr.Experiment(low=20.0, high=800.0, period=0.25, realisations=2))
+    >>> found.figures["lines"] > 50
+    True
+    """
+    recorded = isinstance(source, Recording)
+    if isinstance(source, (str, os.PathLike)):
+        path = pathlib.Path(source)
+        recorded = path.suffix.lower() in RECORDINGS or path.is_dir()
+    if recorded:
+        if (experiment, amplitude, offset) != (None, None, None):
+            raise ConfigurationError("a recording was excited already; leave out experiment, amplitude and offset")
+        return _of_recording(source, loop, at, namespace)
+    sizes = (None if size is None else str(size) for size in (amplitude, offset))
+    asked = ResponseRequest(experiment or Experiment(), loop or "open", at, *sizes)
+    configuration = configuration_of(source)
+    with tempfile.TemporaryDirectory(prefix="hysteresis_") as folder:
+        axis, plan = response_run(configuration, namespace, asked, pathlib.Path(folder) / "excitation.npz")
+        run = simulate_axis(axis)
+    return _response(axis_response(run, plan, single_axis(configuration, namespace)))
+
+
+def _of_recording(source: Any, loop: str | None, at: str | None, namespace: str | None) -> Response:
+    """Return the response of a recording, or of its file, beside which its plan may stand."""
+    if isinstance(source, Recording):
+        return _response(recorded_response(source, None, loop, at))
+    plan = read_plan(plan_file(source)) if plan_file(source).exists() else None
+    return _response(recorded_response(load_run(source, namespace, further=True), plan, loop, at))
+
+
+def _response(found: AxisResponse) -> Response:
+    return Response(**vars(found))
+
+
+class Ranking(Comparison):  # numpydoc ignore=PR02
+    """Controllers and compensators in order; ``print`` shows the tables of ``hysteresis compare``.
+
+    Parameters
+    ----------
+    conditions : Conditions
+        What every candidate had to live with.
+    around, others : Table or None
+        Of plants around the configured one, and of plants of other classes; None where none were drawn. Each has
+        ``rows``, the best first.
+    configuration : Configuration
+        What the first is about.
+    """
+
+    def __str__(self) -> str:
+        return format_comparison(self)
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Write the configuration with the best combination (``.yaml``), or a page with plots (``.html``).
+
+        Parameters
+        ----------
+        path : path-like
+            Where to; the ending decides.
+
+        Raises
+        ------
+        ConfigurationError
+            No combination has a rank, or the ending is another.
+        HysteresisError
+            The file cannot be written, or a page needs Matplotlib and Jinja2.
+        """
+        ending = pathlib.Path(path).suffix.lower()
+        if ending == ".html":
+            write_page(self, path)
+        elif ending in (".yaml", ".yml"):
+            write_file(path, best_text(self))
+        else:
+            raise ConfigurationError(f"{path}: must end in .yaml (the best combination) or .html (a page)")
+
+
+def compare(
+    config: Source,
+    *,
+    only: Collection[tuple[str, str]] | None = None,
+    workers: int | None = None,
+    progress: Callable[[str], None] | None = None,
+    namespace: str | None = None,
+    **conditions: Any,
+) -> Ranking:
+    """Rank controllers and compensators on plants around the configured one, and on plants of other classes.
+
+    Parameters
+    ----------
+    config : path-like, Configuration, Identified, Design or Recording
+        The axis, see :func:`.simulate`.
+    only : collection of (str, str), optional
+        Names of the combinations (controller, compensator) to run, such as ``{("PID", "exact inverse")}``; all by
+        default, which takes minutes.
+    workers : int, optional
+        Processes that share the work; by default as many as there are processors.
+    progress : callable, optional
+        Called with what is finished, in words.
+    namespace : str, optional
+        Which axis of a configuration with several.
+    **conditions
+        ``mismatch``, ``noise`` [m rms], ``bits``, ``draws``, ``others``, ``seed``, ``robust``, ``sine_frequency`` and
+        ``triangle_frequency`` [Hz] …: see :class:`hysteresis_ros.comparison.tasks.Conditions`.
+
+    Returns
+    -------
+    Ranking
+        With ``tables``, ``best`` and ``save(path)``; ``print`` shows the tables.
+
+    Raises
+    ------
+    ConfigurationError
+        It is an inchworm, or there is no such condition.
+    ParameterError
+        A condition or parameter is out of range.
+
+    Examples
+    --------
+    >>> import hysteresis_ros as hr
+    >>> found = hr.compare("kim2009", draws=2, others=0)  # doctest: +SKIP
+    >>> print(found)  # doctest: +SKIP
+    """
+    known = {field.name for field in fields(Conditions)}
+    for name in conditions:
+        if name not in known:
+            raise ConfigurationError(f"there is no condition {name}{did_you_mean(name, known)}")
+    found = compare_candidates(
+        configuration_of(config),
+        Conditions(**conditions),
+        namespace=namespace,
+        only=only,
+        workers=workers,
+        progress=progress or (lambda text: None),
+    )
+    return Ranking(**vars(found))
+
+
+def reproduce(paper: str) -> Reproduction:
+    """Repeat the experiments of a paper: each claim beside what is found here.
+
+    Parameters
+    ----------
+    paper : str
+        ``kim2009``, ``auwal2017``, ``wang2014`` or ``fleming2010``.
+
+    Returns
+    -------
+    Reproduction
+        With ``claims``, ``runs`` and ``summary()``; ``print`` shows the table of ``hysteresis reproduce``.
+
+    Raises
+    ------
+    ConfigurationError
+        There is no such paper.
+
+    Examples
+    --------
+    >>> import hysteresis_ros as hr
+    >>> hr.reproduce("auwal2017").summary()  # doctest: +SKIP
+    """
+    if paper not in EXPERIMENTS:
+        there = ", ".join(EXPERIMENTS)
+        raise ConfigurationError(f"no paper '{paper}'; there are: {there}{did_you_mean(paper, EXPERIMENTS)}")
+    found: Reproduction = importlib.import_module(EXPERIMENTS[paper]).reproduce()
+    return found
