@@ -15,11 +15,11 @@ unexport PYTHONDONTWRITEBYTECODE
 WORKERS ?= 2
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: help setup demo test kernels lint format bench clean
+.PHONY: help setup demo test kernels lint format docs bench clean
 .DELETE_ON_ERROR:
 
 help:
-	@echo "make setup | demo | test | lint | format | bench | clean      (PYTHON=python3.12 chooses the Python)"
+	@echo "make setup | demo | test | lint | format | docs | bench | clean      (PYTHON=python3.12 chooses the Python)"
 
 setup: $(VENV)/installed
 
@@ -45,6 +45,11 @@ lint: setup
 format: setup
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
+
+# Pages for a browser, build/docs/index.html; a warning is an error. Nothing is fetched.
+docs: setup
+	$(BIN)/python -m sphinx -W --keep-going -q -d build/doctrees docs build/docs
+	@echo "build/docs/index.html"
 
 bench: setup
 	missed=0; for file in benchmarks/bench_*.py; do echo "== $$file"; $(BIN)/python $$file || missed=1; done; exit $$missed

@@ -63,7 +63,10 @@ EXTRAS = {
 }
 EXTRAS["all"] = sorted({requirement for requirements in EXTRAS.values() for requirement in requirements})
 # Not part of "all": what makes the pages and runs the notebooks, for those who change them.
-EXTRAS["docs"] = ["sphinx", "myst-parser", "numpydoc>=1.8", "furo", "nbclient", "nbformat", "ipykernel"]
+EXTRAS["docs"] = [
+    *("sphinx", "myst-nb", "myst-parser", "numpydoc>=1.8", "furo", "latex2mathml"),
+    *("nbclient", "nbformat", "ipykernel"),
+]
 # The last two are here because the tests build and install the package, as colcon does, which needs setuptools below 80
 # (`make setup` gives colcon itself an environment of its own).
 EXTRAS["test"] = [

@@ -53,6 +53,7 @@ if TYPE_CHECKING:
         design,
         design_learning,
         frequency_response,
+        mismatched,
         reproduce,
     )
 
@@ -82,6 +83,7 @@ __all__ = [
     "identify",
     "inverses",
     "load",
+    "mismatched",
     "models",
     "plot",
     "references",
@@ -101,7 +103,7 @@ _MODULES = {
 #: What stands in :mod:`hysteresis_ros.studies`; all else stands in :mod:`hysteresis_ros.api`.
 _STUDIES = {
     *("Design", "DesignedLearning", "Experiment", "Ranking", "Reproduction", "Response", "Uncertainty"),
-    *("compare", "design", "design_learning", "frequency_response", "reproduce"),
+    *("compare", "design", "design_learning", "frequency_response", "mismatched", "reproduce"),
 }
 
 

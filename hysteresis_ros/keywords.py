@@ -19,6 +19,7 @@ as is needed, dots written as two underscores (``dynamics__sample_time``). The w
 from __future__ import annotations
 
 import inspect
+import sys
 import textwrap
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
@@ -231,6 +232,18 @@ def signature_of(
     return inspect.Signature([*positional, *keywords, *named])
 
 
+def law_of(block: type) -> str:
+    """Return the law of a block, for the docstring of a class: what the module says in which it is defined.
+
+    Parameters
+    ----------
+    block : type
+        Its module begins with a line on what it is, then come equations, and sections such as ``References``.
+    """
+    _, _, text = inspect.cleandoc(sys.modules[block.__module__].__doc__ or "").partition("\n\n")
+    return f"\nNotes\n-----\n{text.strip()}\n" if text.strip() else ""
+
+
 def block_class(
     name: str,
     bases: tuple[type, ...],
@@ -241,6 +254,7 @@ def block_class(
     fixed: Mapping[str, Any] | None = None,
     own: tuple[str, ...] = (),
     hidden: Callable[[str], bool] = lambda name: False,
+    law: type | None = None,
 ) -> type:
     """Return a class whose constructor takes the parameters of a block as keywords.
 
@@ -262,6 +276,8 @@ def block_class(
         Groups whose parameters need no group's name.
     hidden : callable
         ``hidden(name)`` tells of a dotted name that it does not concern the class.
+    law : type, optional
+        Block whose module says what the law is.
     """
     decided = dict(fixed or {})
     rows = keywords_of((row for row in parameters.table() if row.name not in decided and not hidden(row.name)), own)
@@ -294,7 +310,7 @@ ParameterError
     A parameter is missing, mistyped or out of range; the message says what is allowed.
 KeywordError
     There is no such parameter; the message names the nearest one.
-"""
+{law_of(law) if law else ""}"""
     members = {"__init__": __init__, "__doc__": document, "__module__": module, "keywords": rows}
     made: Any = type(name, bases, members)
     return made

@@ -24,15 +24,13 @@ from typing import Any
 
 from hysteresis_ros.api import RECORDINGS, Source, configuration_of
 from hysteresis_ros.comparison.compare import compare as compare_candidates
-from hysteresis_ros.comparison.outcome import Comparison
-from hysteresis_ros.comparison.table import best_text, format_comparison, write_page
+from hysteresis_ros.comparison.ranking import Ranking
 from hysteresis_ros.comparison.tasks import Conditions
 from hysteresis_ros.configuration import Configuration, normalised_namespace, parse_configuration
 from hysteresis_ros.control.learning.filters import KINDS
 from hysteresis_ros.control.uncertainty import Uncertainty
 from hysteresis_ros.errors import ConfigurationError, did_you_mean
 from hysteresis_ros.identification.excitations import Experiment
-from hysteresis_ros.identification.parameter_file import write_file
 from hysteresis_ros.identification.response_file import load_response
 from hysteresis_ros.papers.claims import Reproduction
 from hysteresis_ros.papers.experiments import EXPERIMENTS
@@ -52,6 +50,7 @@ from hysteresis_ros.simulation.learning_design import (
     design_learning as design_correction,
 )
 from hysteresis_ros.simulation.measured_design import measured_lines, measured_uncertainty
+from hysteresis_ros.simulation.mismatch import mismatched as mismatched_configuration
 from hysteresis_ros.simulation.recorded_response import plan_file, read_plan, recorded_response
 from hysteresis_ros.simulation.response_run import ResponseRequest, response_run
 from hysteresis_ros.simulation.run import simulate as simulate_axis
@@ -68,6 +67,7 @@ __all__ = [
     "design",
     "design_learning",
     "frequency_response",
+    "mismatched",
     "reproduce",
 ]
 
@@ -294,45 +294,43 @@ def _response(found: AxisResponse) -> Response:
     return Response(**vars(found))
 
 
-class Ranking(Comparison):  # numpydoc ignore=PR02
-    """Controllers and compensators in order; ``print`` shows the tables of ``hysteresis compare``.
+def mismatched(config: Source, mismatch: float = 0.05, seed: int = 1, *, namespace: str | None = None) -> Configuration:
+    """Draw a plant around the configured one: gain, opening of the loop, creep and times are off; the models stay.
 
     Parameters
     ----------
-    conditions : Conditions
-        What every candidate had to live with.
-    around, others : Table or None
-        Of plants around the configured one, and of plants of other classes; None where none were drawn. Each has
-        ``rows``, the best first.
-    configuration : Configuration
-        What the first is about.
+    config : path-like, Configuration, Identified, Design or Recording
+        The axis, see :func:`.simulate`.
+    mismatch : float
+        Largest relative deviation of each factor, 0 … 0.5.
+    seed : int
+        Equal seeds give equal plants.
+    namespace : str, optional
+        Which axis of a configuration with several.
+
+    Returns
+    -------
+    Configuration
+        For :func:`.simulate`: the controller does not know.
+
+    Raises
+    ------
+    ConfigurationError
+        The configuration cannot be read, or holds several axes.
+    ParameterError
+        The mismatch is out of range.
+
+    Examples
+    --------
+    >>> import hysteresis_ros as hr
+    >>> run = hr.simulate(hr.mismatched("kim2009", 0.05, seed=2), duration=0.01)
     """
-
-    def __str__(self) -> str:
-        return format_comparison(self)
-
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the configuration with the best combination (``.yaml``), or a page with plots (``.html``).
-
-        Parameters
-        ----------
-        path : path-like
-            Where to; the ending decides.
-
-        Raises
-        ------
-        ConfigurationError
-            No combination has a rank, or the ending is another.
-        HysteresisError
-            The file cannot be written, or a page needs Matplotlib and Jinja2.
-        """
-        ending = pathlib.Path(path).suffix.lower()
-        if ending == ".html":
-            write_page(self, path)
-        elif ending in (".yaml", ".yml"):
-            write_file(path, best_text(self))
-        else:
-            raise ConfigurationError(f"{path}: must end in .yaml (the best combination) or .html (a page)")
+    configuration = configuration_of(config)
+    if namespace is not None:
+        configuration = parse_configuration(
+            single_axis(configuration, namespace).configuration_text(), configuration.source
+        )
+    return mismatched_configuration(configuration, mismatch, seed)
 
 
 def compare(

@@ -286,7 +286,7 @@ def test_a_response_is_measured_saved_and_borne_by_a_design(tmp_path):
     measured = found.plant.response
     # the controller's model is the plant's but for the hysteresis: no more than the slope of its branches apart
     near = measured.frequency < 200.0
-    assert np.max(np.abs(np.abs(measured.response[near] / found.model[near]) - 1.0)) < 0.2
+    assert np.max(np.abs(np.abs(measured.response[near, 0, 0] / found.model[near]) - 1.0)) < 0.2
     assert "signal-to-noise" in str(found)
     found.save(tmp_path / "response.npz")
     design = hr.design("kim2009", "offset_free", response=tmp_path / "response.npz")
@@ -374,7 +374,7 @@ PUBLIC = [
     *(f"{getattr(hr, name).__module__}.{name}" for name in hr.__all__ if name not in FACTORIES),
     *(f"hysteresis_ros.results.Run.{name}" for name in ("of", "between", "save", "to_dataframe")),
     *(f"hysteresis_ros.results.{name}.save" for name in ("Design", "DesignedLearning", "Response")),
-    "hysteresis_ros.studies.Ranking.save",
+    "hysteresis_ros.comparison.ranking.Ranking.save",
     *(
         f"hysteresis_ros.{getattr(hr, factory).__name__.removeprefix('hysteresis_ros.')}.{name}"
         for factory, name in CLASSES

@@ -70,6 +70,7 @@ def _made(kind: str) -> type[MotionController]:
         fixed={"type": kind},
         own=(kind,),
         hidden=lambda name: name.startswith(others),
+        law=law.block,
     )
 
 

@@ -79,6 +79,7 @@ def _made(name: str) -> type[Hysteresis]:
         model.parameters,
         module="hysteresis_ros.models",
         summary=f"{title}.",
+        law=model.block,
     )
     made.type = name
     return made

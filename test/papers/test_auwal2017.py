@@ -18,6 +18,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+import hysteresis_ros as hr
 from hysteresis_ros.cli.main import main
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.errors import ParameterError
@@ -43,7 +44,7 @@ NOT_HOLDING = {
 
 @pytest.fixture(scope="module")
 def found():
-    return auwal2017.reproduce()
+    return hr.reproduce("auwal2017")
 
 
 @pytest.fixture(scope="module")

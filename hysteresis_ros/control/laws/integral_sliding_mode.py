@@ -7,21 +7,24 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Integral sliding mode: a nominal controller, and a sliding mode that begins without a reaching phase.
+r"""Integral sliding mode: a nominal controller, and a sliding mode that begins without a reaching phase.
 
 The switching function is the distance of the state from the one that the nominal dynamics alone would have given it
 since the start (x̄_0 = x̂_0, so s_0 = 0):
 
-s_k      = S (x̂_k − x̄_k)
-x̄_(k+1)  = x̄_k + (A x̂_k + B (u0_k + Δ_k)) − x̂_k
-u_k      = u0_k + u1_k
-u0       = u* − Λ⁻¹ (S A − Φ S) x_e                                        (nominal state feedback)
-u1       = −d̂ − Λ⁻¹ (1 − ρ) s − (η |Λ|⁻¹ |s| + β) sign(Λ) s / (|s| + δ)    (rejection)
+.. math::
 
-so that s⁺ = ρ s (``rejection_pole``) less the nonlinear part, driven only by what the Kalman filter's model does not
-explain: s_(k+1) = ρ s_k − Λ u_n + S L ε. A step of the reference moves nothing of it; with ρ = 0 what is seen in one
-sample is rejected in the next one. Δ is what a hand-over or the limits changed of the last command; being known, it
-belongs to the nominal dynamics, and nothing winds up.
+   s_k &= S (\hat x_k - \bar x_k) \\
+   \bar x_{k+1} &= \bar x_k + A \hat x_k + B (u_{0,k} + \Delta_k) - \hat x_k \\
+   u_k &= u_{0,k} + u_{1,k} \\
+   u_0 &= u^* - \Lambda^{-1} (S A - \Phi S) \, x_e \\
+   u_1 &= -\hat d - \Lambda^{-1} (1 - \rho) s
+   - \left( \eta |\Lambda|^{-1} |s| + \beta \right) \mathrm{sign}(\Lambda) \frac{s}{|s| + \delta}
+
+with the nominal state feedback u0 and the rejection u1, so that s⁺ = ρ s (``rejection_pole``) less the nonlinear part,
+driven only by what the Kalman filter's model does not explain: s_(k+1) = ρ s_k − Λ u_n + S L ε [1]_ [2]_. A step of the
+reference moves nothing of it; with ρ = 0 what is seen in one sample is rejected in the next one. Δ is what a hand-over
+or the limits changed of the last command; being known, it belongs to the nominal dynamics, and nothing winds up.
 
 d̂ is the filter's estimate (``kalman.disturbance``). Without one a matched disturbance shows only through the
 innovation, and a part of it stays.

@@ -7,18 +7,26 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Sliding mode controller with boundary layer on the state estimated by a Kalman filter (K5, K6).
+r"""Sliding mode controller with boundary layer on the state estimated by a Kalman filter (K5, K6).
 
 With x_e = x̂ − x* the distance from the target (rest point or trajectory, see
 :mod:`hysteresis_ros.control.sliding_surface`), hyperplane s = S x_e and Λ = S B:
 
-u   = u* − d̂ + u_l + u_n
-u_l = −Λ⁻¹ (S A − Φ S) x_e                                        (reaching law s⁺ = Φ s)
-u_n = −(η |Λ|⁻¹ |s| + β) sign(Λ) s / (|s| + δ)                    (boundary layer of width δ)
+.. math::
 
-Kim, Kim & Park 2009, eqs 6-12; eq. 9 prints S B where S A is meant, and sign(Λ) is one for their Λ > 0. As printed the
-law regulates to zero; the rest point makes it follow a reference. With ``tracking: integral`` the state is x_e extended
-by z_k = z_(k-1) + r_k − y_k (in the model's output unit), and S, K have one entry more.
+   u &= u^* - \hat d + u_l + u_n \\
+   u_l &= -\Lambda^{-1} (S A - \Phi S) \, x_e \\
+   u_n &= -\left( \eta |\Lambda|^{-1} |s| + \beta \right) \mathrm{sign}(\Lambda) \, \frac{s}{|s| + \delta}
+
+with the reaching law s⁺ = Φ s and a boundary layer of width δ [1]_, eqs 6-12; eq. 9 prints S B where S A is meant, and
+sign(Λ) is one for their Λ > 0. As printed the law regulates to zero; the rest point makes it follow a reference. With
+``tracking: integral`` the state is x_e extended by z_k = z_(k-1) + r_k − y_k (in the model's output unit), and S, K
+have one entry more.
+
+References
+----------
+.. [1] Kim, Kim & Park, Development of an inchworm, International Journal of Precision Engineering and Manufacturing,
+   2009.
 """
 
 from __future__ import annotations

@@ -7,15 +7,28 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Super-twisting controller: a continuous command that holds the switching function at zero against a drifting cause.
+r"""Super-twisting controller: a continuous command that holds the switching function at zero against a drifting cause.
 
 With σ = Λ⁻¹ S x_e, the switching function in the unit of the command (see
 :mod:`hysteresis_ros.control.sliding_surface` for the target u*, x_e):
 
-u  = u* − d̂ − Λ⁻¹ (S A − S) x_e + u_st        (equivalent control: σ⁺ = σ + u_st + what the filter does not explain)
+.. math::
 
-explicit   u_st = −k1 |σ|^½ sign σ + w,         w⁺ = w − k2 T sign σ
-implicit   u_st = −k1 |σ̃|^½ sign σ + w⁺,        w⁺ = w − min(max(σ, −k2 T), k2 T),  σ̃ + k1 |σ̃|^½ sign σ̃ = σ
+   u = u^* - \hat d - \Lambda^{-1} (S A - S) \, x_e + u_{st}
+
+(equivalent control: σ⁺ = σ + u_st + what the filter does not explain), explicit
+
+.. math::
+
+   u_{st} = -k_1 |\sigma|^{1/2} \mathrm{sign}\,\sigma + w, \qquad w^+ = w - k_2 T \, \mathrm{sign}\,\sigma
+
+or implicit [2]_ [3]_
+
+.. math::
+
+   u_{st} = -k_1 |\tilde\sigma|^{1/2} \mathrm{sign}\,\sigma + w^+, \qquad
+   w^+ = w - \min(\max(\sigma, -k_2 T), k_2 T), \qquad
+   \tilde\sigma + k_1 |\tilde\sigma|^{1/2} \mathrm{sign}\,\tilde\sigma = \sigma
 
 The explicit law is the continuous one sampled: σ circles around zero, and its sign makes the command chatter by about
 k2 T. The implicit one takes the square root part at the end of the sample (backward Euler) and resolves the

@@ -7,12 +7,19 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Bouc-Wen hysteresis: displacement x = d_e V - h with a hysteretic part h of any exponent n (B3).
+r"""Bouc-Wen hysteresis: displacement x = d_e V - h with a hysteretic part h of any exponent n (B3).
 
-``dh/dt = α dV/dt - β |dV/dt| h |h|^(n-1) - γ dV/dt |h|^n`` does not contain time but through V: along a monotone step,
-with σ = |V - V_0| and g = ±h counted positive in the direction of motion,
+.. math::
 
-``dg/dσ = α - (β + γ) g^n`` for g > 0 and ``dg/dσ = α + (β - γ) |g|^n`` for g < 0.
+   x = d_e V - h, \qquad \dot h = \alpha \dot V - \beta |\dot V| \, h \, |h|^{n-1} - \gamma \dot V |h|^n
+
+[1]_, eqs 5-8. The law does not contain time but through V: along a monotone step, with σ = |V - V_0| and g = ±h
+counted positive in the direction of motion,
+
+.. math::
+
+   \frac{dg}{d\sigma} = \alpha - (\beta + \gamma) g^n \quad (g > 0), \qquad
+   \frac{dg}{d\sigma} = \alpha + (\beta - \gamma) |g|^n \quad (g < 0)
 
 For n = 1 both pieces are exponentials, which are evaluated exactly, including the voltage at which g passes zero. For
 other exponents each piece is integrated by the classical Runge-Kutta method in substeps over which the right-hand side
@@ -21,6 +28,11 @@ a solution of 12 digits the error stays below 1e-6 of the stroke for steps of an
 sweep.
 
 The paper prints |dV/dt| V in place of |dV/dt| h; read so, the output runs away.
+
+References
+----------
+.. [1] Auwal, Balogun, Auwal, Bashir, Adisa & Kadiri, A comparative study of open-loop and closed-loop control schemes
+   for hysteresis in a d33-mode piezoelectric actuator, 2017.
 """
 
 from __future__ import annotations

@@ -7,11 +7,20 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Bouc-Wen oscillator: the hysteretic force stands inside the equation of motion (Noël & Schoukens' benchmark).
+r"""Bouc-Wen oscillator: the hysteretic force stands inside the equation of motion (Noël & Schoukens' benchmark).
 
-``m y'' + c y' + k y + z = u`` and ``z' = α y' - β (γ |y'| |z|^(ν-1) z + δ y' |z|^ν)``; doi 10.4121/12967592. The force
-of the hysteresis depends on the velocity that it brakes, so this is one block with internal feedback, not a hysteresis
-followed by linear dynamics. It is integrated by the classical Runge-Kutta method in equal substeps of the sample time.
+.. math::
+
+   m \ddot y + c \dot y + k y + z = u, \qquad
+   \dot z = \alpha \dot y - \beta \left( \gamma |\dot y| |z|^{\nu - 1} z + \delta \dot y |z|^\nu \right)
+
+The force of the hysteresis depends on the velocity that it brakes, so this is one block with internal feedback, not a
+hysteresis followed by linear dynamics. It is integrated by the classical Runge-Kutta method in equal substeps of the
+sample time.
+
+References
+----------
+.. [1] Noël & Schoukens, Hysteretic benchmark with a dynamic nonlinearity, doi 10.4121/12967592.
 """
 
 from __future__ import annotations

@@ -7,15 +7,24 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Duhem hysteresis with free shape functions (Wang, Alici & Tan 2014; W3), and its inverse of the same form (W4).
+r"""Duhem hysteresis with free shape functions (Wang, Alici & Tan 2014; W3), and its inverse of the same form (W4).
 
-``dw = α |dv| [f(v) - w] + g(v) dv``: rising ``w' = α (f - w) + g``, falling ``w' = -α (f - w) + g``. The functions f
-and g are small networks of tanh units or cubic splines, both over the normalised input -1 … 1 and with normalised
-values, so that weights do not depend on units. Beyond the input range f goes on in a straight line, g stays constant.
+.. math::
+
+   \dot w = \alpha |\dot v| \left[ f(v) - w \right] + g(v) \dot v
+
+[1]_: rising dw/dv = α (f - w) + g, falling dw/dv = -α (f - w) + g. The functions f and g are small networks of tanh
+units or cubic splines, both over the normalised input -1 … 1 and with normalised values, so that weights do not depend
+on units. Beyond the input range f goes on in a straight line, g stays constant.
 
 Along a monotone step the equation is linear in w: each substep is integrated as ``e^(-α h) w`` plus a three-point Gauss
 rule for the integral of the shape functions under the exponential; with the substeps used the error is below 1e-9 of
 the output range. The inverse of W4 is the same equation with input and output exchanged and functions of its own.
+
+References
+----------
+.. [1] Wang, Alici & Tan, Modeling and inverse feedforward control for conducting polymer actuators with hysteresis,
+   Smart Materials and Structures 23, 2014.
 """
 
 from __future__ import annotations

@@ -7,11 +7,20 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Generalised, rate-dependent play operators: envelopes for rising and falling, thresholds that grow with the speed.
+r"""Generalised, rate-dependent play operators: envelopes for rising and falling, thresholds that grow with the speed.
 
-A generalised play follows two curves instead of one line: ``z = max(γ_r(V) - r, min(γ_f(V) + r, z))``, with
-``γ_r ≤ γ_f`` [1]_. Rate-dependent ones widen with the speed of the voltage, ``r = r_i + β |V'|`` [2]_. The output is
-``slope V + Σ w_i z_i + offset``; with ``γ_r = γ_f = V`` and β = 0 it is the classical Prandtl-Ishlinskii model.
+A generalised play follows two curves instead of one line [1]_; rate-dependent ones widen with the speed of the voltage
+[2]_:
+
+.. math::
+
+   z_i \leftarrow \max(\gamma_r(V) - r, \min(\gamma_f(V) + r, z_i)), \qquad r = r_i + \beta |\dot V|
+
+.. math::
+
+   x = s V + \sum_i w_i z_i + x_0
+
+with γ_r ≤ γ_f, slope s and offset x_0; for γ_r = γ_f = V and β = 0 it is the classical Prandtl-Ishlinskii model.
 
 The envelopes are parabolas over a range of voltages, ``γ = V + b h (ν² - 1)/2`` with ν = -1 … 1 over it and h half of
 it, and are γ = V beyond. The speed is that of the steps *before* the present one, averaged over ``memory``. So the

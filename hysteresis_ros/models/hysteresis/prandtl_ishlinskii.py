@@ -7,14 +7,26 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Prandtl-Ishlinskii hysteresis, classical and modified, with its analytic inverse (Kuhnen 2003).
+r"""Prandtl-Ishlinskii hysteresis, classical and modified, with its analytic inverse [1]_.
 
-A sum of play (backlash) operators ``z_i = max(V - r_i, min(V + r_i, z_i))``, ``x = Σ w_i z_i`` makes symmetric loops.
-Dead zones after it (the *modified* model) bend both branches alike: ``S(x) = x + Σ s_j d(x, t_j)`` with
-``d = max(x - t, 0)`` for a threshold t >= 0 and ``min(x - t, 0)`` for t < 0; the output is ``S(x) + offset``.
+A sum of play (backlash) operators makes symmetric loops; dead zones after it (the *modified* model) bend both branches
+alike:
 
-The inverse needs no operators of its own: S is inverted piece by piece, and along a monotone step the sum of plays is a
-piecewise linear function of V whose corners ``z_i ± r_i`` come in the order of the radii.
+.. math::
+
+   z_i \leftarrow \max(V - r_i, \min(V + r_i, z_i)), \qquad u = \sum_i w_i z_i
+
+.. math::
+
+   x = x_0 + u + \sum_j s_j \, d(u, t_j), \qquad d(u, t) = \max(u - t, 0) \; (t \geq 0), \quad \min(u - t, 0) \; (t < 0)
+
+The inverse needs no operators of its own: the bend is inverted piece by piece, and along a monotone step the sum of
+plays is a piecewise linear function of V whose corners ``z_i ± r_i`` come in the order of the radii.
+
+References
+----------
+.. [1] Kuhnen, Modeling, identification and compensation of complex hysteretic nonlinearities, European Journal of
+   Control 9(4), 2003.
 """
 
 from __future__ import annotations

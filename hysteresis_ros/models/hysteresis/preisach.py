@@ -7,12 +7,17 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Preisach hysteresis: a discrete Everett map with interpolation and a bounded memory of turning points.
+r"""Preisach hysteresis: a discrete Everett map with interpolation and a bounded memory of turning points.
 
-The Everett function ``E(a, b)`` is the change of the output when, coming from below, the input turns at ``a`` and falls
-to ``b``. Whatever the history, a rise from a minimum m to v adds ``E(v, m)`` and a fall from a maximum M to v takes
-``E(M, v)`` away (congruency); a loop that closes is forgotten (wiping-out). The table gives E at the nodes of a
-triangular grid; between them it is interpolated bilinearly, and linearly in the triangles at the diagonal.
+.. math::
+
+   x = x_0 + s V + E(v_1, m_0) - E(v_1, m_1) + E(v_2, m_1) - \cdots
+
+with maxima v and minima m since the last of each that was larger, offset x_0 and reversible slope s. The Everett
+function ``E(a, b)`` is the change of the output when, coming from below, the input turns at ``a`` and falls to ``b``.
+Whatever the history, a rise from a minimum m to v adds ``E(v, m)`` and a fall from a maximum M to v takes ``E(M, v)``
+away (congruency); a loop that closes is forgotten (wiping-out). The table gives E at the nodes of a triangular grid;
+between them it is interpolated bilinearly, and linearly in the triangles at the diagonal.
 
 Outside the range of the grid the memory does not change; the output goes on along the end of the major loop.
 """

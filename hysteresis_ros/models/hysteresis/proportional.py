@@ -7,7 +7,11 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""An actuator without hysteresis: displacement proportional to the voltage.
+r"""An actuator without hysteresis: displacement proportional to the voltage.
+
+.. math::
+
+   x = g V
 
 There is no history to go on from with new parameters: the compensator hands over in the voltage instead.
 """

@@ -7,18 +7,23 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""PID controller in parallel form with derivative filter, setpoint weights and anti-windup (B4).
+r"""PID controller in parallel form with derivative filter, setpoint weights and anti-windup (B4).
 
-u = u_ff + K_p (b r − y) + K_i ∫ e dt + K_d N d/dt (c r − y) filtered with N/(s + N),   e = r − y
+.. math::
+
+   u = u_{ff} + K_p (b r - y) + K_i \int e \, dt + K_d \frac{N}{s + N} \frac{d}{dt} (c r - y), \qquad e = r - y
 
 in the model's units (see ``input_scale`` and ``output_scale`` of the linear model), N the derivative filter [rad/s].
 
 Discretisation: exact for signals that are straight lines between the samples (first-order hold). With v = c r − y
 
-I_k = I_(k-1) + K_i T (e_k + e_(k-1)) / 2                            (trapezoidal rule)
-D_k = a D_(k-1) + K_d (1 − a) (v_k − v_(k-1)) / T,   a = exp(−N T)   (N = 0: no filter, a = 0)
+.. math::
 
-Neither sees the first sample as a step: I starts there from a value, D from zero.
+   I_k = I_{k-1} + K_i T \, \frac{e_k + e_{k-1}}{2}, \qquad
+   D_k = a D_{k-1} + K_d (1 - a) \frac{v_k - v_{k-1}}{T}, \qquad a = e^{-N T}
+
+(trapezoidal rule; N = 0: no filter, a = 0). Neither sees the first sample as a step: I starts there from a value, D
+from zero.
 
 Anti-windup rests on what was carried out: the excess is what the limits, one's own or those that the compensator
 reports by ``x[APPLIED]``, cut off the last command. *clamping* stops the integral while it would widen the excess,

@@ -7,10 +7,16 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Polynomial branch hysteresis of Kim, Kim & Park (2009), with a minor-loop rule, and its exact inverse.
+r"""Polynomial branch hysteresis of Kim, Kim & Park (2009), with a minor-loop rule, and its exact inverse.
 
 Three families of parabolas: the virgin curve ``x_v(V)``, rising branches ``x_r(V)`` and falling branches ``x_f(V)``
-(eqs 1-2); the coefficients of the branches are quadratic polynomials of ``V_max``, the largest peak so far (fig. 5).
+[1]_, eqs 1-2,
+
+.. math::
+
+   x_v = D_v + C_{1v} V + C_{2v} V^2, \qquad x_{r, f} = D(V_{max}) + C_1(V_{max}) V + C_2(V_{max}) V^2
+
+The coefficients of the branches are quadratic polynomials of ``V_max``, the largest peak so far (fig. 5).
 
 The paper fits branches that jump at reversals unless the fit enforces the corners, and says nothing of minor loops.
 The rule used here is continuous at every reversal for any coefficients:
@@ -26,6 +32,11 @@ The rule used here is continuous at every reversal for any coefficients:
 
 Because the blending is affine, a tiny reversal on a branch leads back onto the same branch. Only the two corners are
 remembered, not the corners of minor loops.
+
+References
+----------
+.. [1] Kim, Kim & Park, Development of an inchworm, International Journal of Precision Engineering and Manufacturing,
+   2009.
 """
 
 from __future__ import annotations

@@ -1,0 +1,116 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""The pages: every one is found, every public name is in the reference, and nothing in them is broken."""
+
+from __future__ import annotations
+
+import importlib.util
+import inspect
+import pathlib
+import re
+import subprocess
+import sys
+import types
+
+import pytest
+
+import hysteresis_ros as hr
+from hysteresis_ros.cli.main import COMMANDS
+
+for needed in ("sphinx", "myst_nb", "numpydoc", "latex2mathml"):
+    pytest.importorskip(needed, reason="pages need the extra docs")
+
+ROOT = pathlib.Path(__file__).resolve().parents[2]
+DOCS = ROOT / "docs"
+BLOCKS = ("models", "inverses", "controllers", "references")
+
+
+@pytest.fixture(scope="module")
+def pages():
+    """What makes the reference: docs/pages.py, which is no part of the package."""
+    specification = importlib.util.spec_from_file_location("pages", DOCS / "pages.py")
+    module = importlib.util.module_from_spec(specification)
+    specification.loader.exec_module(module)
+    return module
+
+
+def listed(text: str) -> set[str]:
+    """Return the pages that the lists of a page name."""
+    lists = re.findall(r"^```\{toctree\}\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+    return {line for block in lists for line in block.splitlines() if line and not line.startswith(":")}
+
+
+def test_every_page_and_notebook_is_in_a_list(pages):
+    source = [(DOCS / "index.md").read_text(encoding="utf-8")]
+    assert "% more" in source[0]
+    pages.with_all_pages(types.SimpleNamespace(srcdir=DOCS), "index", source)
+    there = {path.stem for path in DOCS.glob("*.md")} - {"index"}
+    there |= {f"notebooks/{path.stem}" for path in (DOCS / "notebooks").glob("*.ipynb")}
+    assert listed(source[0]) == there | {"reference/index"}
+
+
+def test_a_page_that_no_list_names_comes_into_the_last_one(pages, tmp_path):
+    for name in ("index", "known", "new"):
+        (tmp_path / f"{name}.md").write_text("")
+    source = ["```{toctree}\n:maxdepth: 1\n\nknown\n% more\n```\n"]
+    pages.with_all_pages(types.SimpleNamespace(srcdir=tmp_path), "index", source)
+    assert listed(source[0]) == {"known", "new"}
+
+
+def test_every_public_name_is_in_the_reference(pages):
+    made = pages.reference_pages()
+    named = set(re.findall(r"^   hysteresis_ros\.(\S+)$", "\n".join(made.values()), re.MULTILINE))
+    public = {name for name in hr.__all__ if name not in BLOCKS}
+    for block in BLOCKS:
+        space = getattr(hr, block)
+        members = {name: getattr(space, name) for name in dir(space) if not name.startswith("_")}
+        public |= {f"{block}.{name}" for name, value in members.items() if inspect.isclass(value)}
+    assert named == public
+    assert all(f"\nhysteresis {name}\n---" in made["commands"] for name in COMMANDS)
+    assert "``hysteresis_ros.recordings.mcap_repair``" in made["modules"]
+
+
+@pytest.mark.parametrize("block", BLOCKS[:1] + BLOCKS[2:3])
+def test_every_law_is_documented_with_what_it_is(block):
+    """Equations and sources stand in the module of the law, and in the help of its class."""
+    space = getattr(hr, block)
+    for name in dir(space):
+        made = getattr(space, name)
+        if inspect.isclass(made) and hasattr(made, "keywords") and name != "OpenLoop":
+            assert "\nNotes\n-----\n" in made.__doc__ and ".. math::" in made.__doc__, name
+
+
+def test_the_pages_are_made_without_a_warning(tmp_path):
+    """Read and linked, not written; notebooks are run by a test of their own."""
+    options = ["-W", "--keep-going", "-q", "-b", "dummy", "-D", "nb_execution_mode=off", "-d", tmp_path / "doctrees"]
+    command = [sys.executable, "-m", "sphinx", *options, DOCS, tmp_path / "pages"]
+    done = subprocess.run([str(word) for word in command], cwd=ROOT, capture_output=True, text=True)
+    assert done.returncode == 0 and done.stderr == "", done.stderr
+
+
+def test_equations_become_elements_that_browsers_draw(pages):
+    from docutils import nodes
+
+    written = types.SimpleNamespace(body=[])
+    with pytest.raises(nodes.SkipNode):
+        pages.mathml(written, nodes.math_block(r"\dot h = \frac{1}{2}", r"\dot h = \frac{1}{2}"))
+    assert "<mfrac>" in written.body[0] and 'display="block"' in written.body[0]
+
+
+def test_bars_are_bars_outside_of_equations_and_literals(pages):
+    lines = ["about |h| and ``|V|``", "", ".. math::", "", "   |h|^n", "", "|x| again"]
+    pages.with_bars(None, "class", "name", None, None, lines)
+    assert lines == [r"about \|h\| and ``|V|``", "", ".. math::", "", "   |h|^n", "", r"\|x\| again"]
+
+
+def test_what_pages_need_is_not_installed_with_the_package():
+    text = (ROOT / "setup.py").read_text(encoding="utf-8")
+    needed = re.search(r"install_requires=\[(.*?)\]", text)[1]
+    assert not re.search("sphinx|myst|numpydoc|furo|nbclient|latex2mathml", needed)
