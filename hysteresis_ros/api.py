@@ -370,8 +370,8 @@ def plot(source: str | os.PathLike[str] | Recording, kind: str = "traces", *, na
     source : path-like or Recording
         A recording, or what :func:`simulate` returned.
     kind : str
-        ``traces`` (reference, displacement and estimate over time), ``error``, ``voltage`` or ``loop`` (displacement
-        over voltage, and over the reference).
+        ``traces`` (reference, displacement and estimate over time), ``error``, ``voltage``, ``loops`` (before and
+        after compensation), ``spectrum``, ``histogram`` … as on the page of :func:`report`.
     namespace : str, optional
         Which axis of a bag that holds several.
 
@@ -388,22 +388,17 @@ def plot(source: str | os.PathLike[str] | Recording, kind: str = "traces", *, na
     Examples
     --------
     >>> import hysteresis_ros as hr
-    >>> hr.plot(hr.simulate("kim2009", duration=0.1), "loop").savefig("loop.png")  # doctest: +SKIP
+    >>> hr.plot(hr.simulate("kim2009", duration=0.1), "loops").savefig("loops.png")  # doctest: +SKIP
     """
-    from hysteresis_ros.analysis import plots
+    from hysteresis_ros.analysis.charts import chart_figure
+    from hysteresis_ros.analysis.report import charts_of
+    from hysteresis_ros.analysis.run_charts import judged
 
-    drawn = {
-        "traces": plots.traces_figure,
-        "error": plots.error_figure,
-        "voltage": plots.voltage_figure,
-        "loop": plots.loop_figure,
-    }
-    if kind not in drawn:
-        raise HysteresisError(f"kind = {kind!r}: must be one of {', '.join(drawn)}{did_you_mean(kind, drawn)}")
-    figure = drawn[kind](_recording(source, namespace))
-    if figure is None:
-        raise HysteresisError(f"kind = {kind!r}: the recording lacks what it shows")
-    return figure
+    charts = {chart.name: chart for chart in charts_of(judged(_recording(source, namespace)))}
+    if kind not in charts:
+        there = ", ".join(charts)
+        raise HysteresisError(f"kind = {kind!r}: of this recording there are {there}{did_you_mean(kind, charts)}")
+    return chart_figure(charts[kind])
 
 
 def configuration_of(source: Source) -> Configuration:

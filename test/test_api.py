@@ -341,7 +341,7 @@ def test_a_comparison_is_that_of_the_package(monkeypatch, tmp_path):
         (lambda: hr.compare("kim2009", drawn=1), "no condition drawn; did you mean draws?"),
         (lambda: hr.reproduce("kim2010"), "no paper 'kim2010'; .* did you mean kim2009?"),
         (lambda: hr.design_learning("kim2009", "inverse"), "no learning 'inverse'.*did you mean inversion?"),
-        (lambda: hr.plot(hr.Run([0.0, 1.0], {"voltage": [0.0, 1.0]}), "trace"), "did you mean traces?"),
+        (lambda: hr.plot(hr.Run([0.0, 1.0], {"displacement": [0.0, 0.0]}), "trace"), "did you mean traces?"),
     ],
 )
 def test_what_is_not_there_is_answered_with_the_nearest(ask, expected):
@@ -354,8 +354,8 @@ def test_a_run_is_drawn(run, tmp_path, kind):
     pytest.importorskip("matplotlib", reason="plots need it")
     figure = hr.plot(run, kind)
     assert figure.axes[0].lines
-    with pytest.raises(HysteresisError, match="lacks"):
-        hr.plot(hr.Run([0.0, 1.0], {"reference": [0.0, 0.0], "displacement": [0.0, 0.0]}), "loop")
+    with pytest.raises(HysteresisError, match="there are traces"):
+        hr.plot(hr.Run([0.0, 1.0], {"reference": [0.0, 0.0], "displacement": [0.0, 0.0]}), "loops")
 
 
 def test_every_line_of_the_page_runs(tmp_path, monkeypatch):
