@@ -173,9 +173,10 @@ def _what_runs(axis, composed: bool) -> str:
 
 
 def _say_recorded(graph) -> None:
-    """Name the bags; a recorder that died has left one that was cut off, which is no good end."""
+    """Name the bags; a recorder that died or had no room has left one that is shorter than the run: no good end."""
+    short = "; it ends before the run, and hysteresis repair makes it whole if it was cut off" if graph.lost else ""
     for bag in graph.bags:
-        click.echo(f"recorded: {bag}" + ("; it was cut off: hysteresis repair makes it whole" if graph.lost else ""))
+        click.echo(f"recorded: {bag}{short}")
     if graph.lost:
         sys.exit(1)
 

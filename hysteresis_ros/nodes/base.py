@@ -11,6 +11,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from array import array
 from typing import Any
@@ -27,11 +28,12 @@ from hysteresis_ros.errors import HysteresisError, ParameterError
 from hysteresis_ros.loop.node_parameters import NODE_PARAMETERS
 from hysteresis_ros.nodes.changes import ChangeLog
 from hysteresis_ros.nodes.compatibility import Compatibility
-from hysteresis_ros.nodes.diagnostics import diagnostics, introduction, warn_of_others
+from hysteresis_ros.nodes.diagnostics import diagnostics, introduction
 from hysteresis_ros.nodes.endpoints import Endpoints
 from hysteresis_ros.nodes.fused import Fused
 from hysteresis_ros.nodes.lifecycle import GuardedLifecycleNode
 from hysteresis_ros.nodes.lockstep import Lockstep, Partners
+from hysteresis_ros.nodes.masters import Masters, require_alone
 from hysteresis_ros.nodes.parameters import ParameterInterface, TabledParameters
 from hysteresis_ros.nodes.qos import diagnostics_qos, latched_qos
 from hysteresis_ros.nodes.realtime import RealTime
@@ -55,6 +57,12 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
 
     #: Whether the node has ``~/state``.
     has_state = True
+    #: Seconds without an input after which it is missed, and after which somebody else may feed it.
+    patience: float = math.inf
+    #: Whether something is missing of what this node is there for, however it leaves.
+    has_lost: bool = False
+    #: Whether the part may begin again amid an axis that runs, without a step of its output.
+    rests: bool = True
     #: Part of partner_timeout after which this node complains in lockstep. Who waits directly for the culprit complains
     #: first, so that the error names the culprit and not a node that waits itself.
     share = 1.0
@@ -72,6 +80,7 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
         self.interface = ParameterInterface(self, NODE_PARAMETERS[name], self._retune)
         self.steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.partners = Partners(self)
+        self.masters = Masters(self)
         self.parameters = None
         self.runner = None
         #: With time_mode fused: the axis of which this node is one, in this process.
@@ -228,6 +237,7 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
         self._topic_handles.clear()
         self._loop_publishers.clear()
         self.partners.clear()
+        self.masters.clear()
         self.interface.typed = None
         self.parameters = None
         self.changes.close()
@@ -235,10 +245,12 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
     def on_activate(self, state):
         """Start working."""
         try:
+            require_alone(self)
             self.active, self.active_since = True, time.monotonic()
             self.pace.restart()
             self.runner.begin()
             self.begin()
+            self.masters.begin()
         except HysteresisError as error:
             self.get_logger().error(f"not activated: {error}")
             self.exit_code = 2
@@ -390,6 +402,4 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
 
     def tell_health(self) -> None:
         """Publish how this node is, whatever the state of its life."""
-        if self.active and not self.runner.exact:  # in lockstep that ends the run
-            warn_of_others(self, self._loop_publishers)
         self._diagnostics.publish(diagnostics(self))

@@ -25,19 +25,6 @@ ITEM = "axis"
 START_UP = 10.0
 
 
-def warn_of_others(node, publishers) -> None:
-    """Say when somebody else publishes what a node publishes."""
-    for publisher in publishers:
-        count = node.count_publishers(publisher.topic_name)
-        if count > 1:
-            node.warn(
-                "others",
-                f"{publisher.topic_name} has {count} publishers: another graph runs in this ROS domain; "
-                "stop it, or give one of them another namespace or ROS_DOMAIN_ID",
-                every=10.0,
-            )
-
-
 def diagnostics(node) -> DiagnosticArray:
     """Return what a node says of itself: level, words and numbers.
 
@@ -84,6 +71,10 @@ def _at_work(node) -> tuple[int, str, dict]:
         level = WARN  # the others are only coming
     elif overruns and not level:
         level, text = WARN, f"{overruns} periods overrun"
+    contested = "" if node.runner.exact else node.masters.complaint()  # in lockstep that ends the run
+    if contested:
+        node.warn("others", contested, every=10.0, error=True)
+        level, text = ERROR, f"{text}; {contested}" if text else contested
     unconnected = node.compatibility.complaint()
     if unconnected:
         level, text = max(level, WARN), f"{text}; {unconnected}" if text else unconnected

@@ -16,6 +16,9 @@ import os
 #: What says how far discovery reaches; the second one is the older, deprecated form.
 RANGE, LOCALHOST_ONLY = "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY"
 
+#: Machines that are found besides.
+STATIC_PEERS = "ROS_STATIC_PEERS"
+
 
 def stay_on_this_machine() -> None:
     """Let nobody of another machine find the nodes that are made from now on, if nothing was said about it.
@@ -24,6 +27,13 @@ def stay_on_this_machine() -> None:
     """
     if not (os.environ.get(RANGE) or os.environ.get(LOCALHOST_ONLY)):
         os.environ[RANGE] = "LOCALHOST"
+
+
+def reaches_others() -> bool:
+    """Tell whether nodes of other machines can be found."""
+    if os.environ.get(LOCALHOST_ONLY) == "1":
+        return False
+    return os.environ.get(RANGE) not in ("LOCALHOST", "OFF") or bool(os.environ.get(STATIC_PEERS))
 
 
 def named(endpoint) -> str:

@@ -10,7 +10,8 @@
 """A ROS domain for a graph that nobody steers from outside; imports no ROS.
 
 A graph that a command or a test makes for itself must never meet an axis of the user: two graphs of one domain and
-namespace hear each other's commands.
+namespace hear each other's commands. So it gets a domain beyond those that people choose (0 to 101), on this machine
+only, and nodes that were not started for it are refused there as long as it runs.
 """
 
 from __future__ import annotations
@@ -22,8 +23,11 @@ from collections.abc import Iterator
 
 from hysteresis_ros.errors import HysteresisError
 
-#: Domains whose ports lie below those that Linux hands out by itself; 0 is everybody's.
-DOMAINS = range(101, 0, -1)
+#: Domains whose ports lie above those that Linux hands out by itself, as far as that of a claim is one.
+DOMAINS = range(231, 214, -1)
+
+#: Environment variable that tells processes for which domain they were started.
+OWN = "HYSTERESIS_DOMAIN"
 
 #: Participants of a domain whose ports are looked at.
 _PARTICIPANTS = 8
@@ -59,7 +63,8 @@ class Domain:
     @property
     def environment(self) -> dict[str, str]:
         """Environment variables of the processes of the graph."""
-        return {"ROS_DOMAIN_ID": str(self.number), "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+        number = str(self.number)
+        return {"ROS_DOMAIN_ID": number, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST", OWN: number}
 
     def close(self) -> None:
         """Give the domain back."""
@@ -86,6 +91,30 @@ def entered() -> Iterator[Domain]:
                     del os.environ[name]
                 else:
                     os.environ[name] = value
+
+
+def require_admission(number: int) -> None:
+    """Refuse that this process joins a graph that was made for itself by another one.
+
+    Parameters
+    ----------
+    number : int
+        ROS domain.
+
+    Raises
+    ------
+    HysteresisError
+        A :class:`Domain` promises it to somebody else.
+    """
+    if number not in DOMAINS or os.environ.get(OWN) == str(number):
+        return
+    probe = _bound(number, _CLAIM, "127.0.0.1")
+    if probe is None:
+        raise HysteresisError(
+            f"ROS domain {number} is that of a demonstration, a test or a benchmark that runs now: choose a "
+            "ROS_DOMAIN_ID from 0 to 101"
+        )
+    probe.close()
 
 
 def _bound(domain: int, offset: int, address: str = "") -> socket.socket | None:

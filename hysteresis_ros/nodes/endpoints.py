@@ -46,6 +46,17 @@ class Endpoints:
             self.partners.add(made.topic_name, partner)
         return made
 
+    def loop_input(self, message_type, topic: str, callback, qos, partner: str):
+        """Make a subscription of the loop: one publisher feeds it, in lockstep from the beginning to the end."""
+        if self.runner.exact:
+            return self.subscriber(message_type, topic, callback, qos, partner=partner)
+        return self.masters.add(message_type, topic, callback, qos, self.compatibility.of_subscription(topic))
+
+    @property
+    def loop_topics(self) -> list[str]:
+        """Full names of the topics of the loop that this node publishes."""
+        return [publisher.topic_name for publisher in self._loop_publishers]
+
     def drop(self, subscription) -> None:
         """Destroy a subscription before cleanup does."""
         self._topic_handles.remove((self.destroy_subscription, subscription))

@@ -26,6 +26,7 @@ from hysteresis_ros.loop.axis_parameters import AxisParameters, node_names
 from hysteresis_ros.loop.fused import BLOCKED, FusedLoop
 from hysteresis_ros.loop.node_parameters import RecorderNodeParameters
 from hysteresis_ros.loop.trial import require_speed
+from hysteresis_ros.nodes.loop_pace import LoopPace
 from hysteresis_ros.nodes.realtime import RealTime
 from hysteresis_ros.references import inchworm_layout as gait
 
@@ -36,52 +37,6 @@ SWITCH_INTERVAL = 5e-4
 
 #: Parts that are stopped while their nodes are not active, in the order in which they start again.
 STOPPABLE = ("hysteresis_compensator", "motion_controller")
-
-
-class LoopPace:
-    """Rate, jitter and misses of the loop, in the words of :class:`hysteresis_ros.nodes.timing.Pace`.
-
-    Parameters
-    ----------
-    fused : FusedAxis
-    """
-
-    def __init__(self, fused: FusedAxis):
-        self._fused = fused
-        self._last = 0.0
-        self._read = (0, 0.0)
-
-    @property
-    def total(self) -> int:
-        """Samples so far."""
-        loop = self._fused.loop
-        return loop.sample if loop is not None else 0
-
-    @property
-    def overruns(self) -> int:
-        """Samples so far that were skipped."""
-        loop = self._fused.loop
-        return loop.missed if loop is not None else 0
-
-    @property
-    def age(self) -> float:
-        """Seconds since samples were last seen; infinite before the first."""
-        return time.monotonic() - self._last if self._last else float("inf")
-
-    def tick(self) -> None:
-        """Note that there are new samples."""
-        self._last = time.monotonic()
-
-    def restart(self) -> None:
-        """Forget the last samples, so that a pause is not taken for a rate."""
-        self._read = (self.total, time.monotonic())
-
-    def read(self) -> tuple[float, float]:
-        """Return the rate since the last reading [Hz] and the lateness that 99 % of all samples do not exceed [s]."""
-        (before, then), self._read = self._read, (self.total, time.monotonic())
-        rate = (self._read[0] - before) / max(self._read[1] - then, 1e-9) if then else 0.0
-        loop = self._fused.loop
-        return max(rate, 0.0), loop.lateness().p99 if loop is not None else 0.0
 
 
 class FusedAxis:
@@ -232,12 +187,20 @@ class FusedAxis:
         if self.loop is None:
             return
         whole = node.kind == "plant_simulator"
+        if whole:
+            self._make_safe()  # what begins at rest has no voltage: from any other place that is a step
         for name in reversed(node_names(self.plant.is_motor)) if whole else (node.kind,):
             if name in self.axis.by_node:
                 self.apply(name, "reset")
         if node in (self.source, self.plant):
             self.source.setpoint = self.source.parameters.initial_setpoint
             self.loop.set(setpoint=self.source.setpoint)
+        if whole:
+            self._leaving = False
+            if node.running:
+                self.go_on()
+            else:
+                self.halt()
 
     # -- steering ------------------------------------------------------------------------------------------------
 
@@ -369,6 +332,11 @@ class Fused(RealTime):
     def fused(self) -> FusedAxis:
         """The axis of the node."""
         return self.node.fused
+
+    @property
+    def is_live(self) -> bool:
+        """Whether there are samples."""
+        return self.fused.loop is not None and self.fused.loop.running
 
     def make_pace(self) -> LoopPace:
         """Return what tells how regularly samples come."""

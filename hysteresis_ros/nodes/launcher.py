@@ -135,7 +135,7 @@ class Graph:
         self.log_level = log_level
         self.axes = [self._with_recorder(axis, len(axes) > 1) for axis in axes]
         self.processes: list[NodeProcess] = []
-        #: Recorders that died while the axis went on.
+        #: Who died, or could not record any more, while the axis went on.
         self.lost: list[NodeProcess] = []
         self._warn = warn
         self._stack = contextlib.ExitStack()
@@ -260,6 +260,7 @@ class Graph:
                 except subprocess.TimeoutExpired:
                     node.process.kill()
                     node.process.wait()
+            self.lost += [node for node in group if self.record is not None and node.process.returncode == 1]
         self._stack.close()
 
 

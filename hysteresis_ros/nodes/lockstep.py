@@ -15,6 +15,7 @@ import math
 
 from std_msgs.msg import String
 
+from hysteresis_ros.nodes.discovery import named
 from hysteresis_ros.nodes.qos import latched_qos
 from hysteresis_ros.nodes.runner import Runner
 
@@ -72,7 +73,8 @@ class Partners:
             known = self._known.get(topic)
             if len(present) > 1:
                 who = f"{partner} was restarted, or there are two" if known else "there must be one"
-                return f"{topic} has {len(present)} publishers at sample {sample}: {who}; {TOGETHER}"
+                names = " and ".join(sorted(map(named, found)))
+                return f"{topic} has {len(present)} publishers at sample {sample}, {names}: {who}; {TOGETHER}"
             if known is None or sample == 0:
                 if present:
                     self._known[topic] = present

@@ -68,6 +68,11 @@ class PlantSimulatorNode(AxisNode):
         # real time: the thread and the executor both work on the plant
         self.lock = threading.Lock()
 
+    @property
+    def patience(self) -> float:
+        """Seconds without a voltage after which the watchdog acts."""
+        return self.parameters.voltage_timeout
+
     lockstep_runner = LockstepPlant
     real_time_runner = RealTimePlant
 
@@ -145,7 +150,7 @@ class PlantSimulatorNode(AxisNode):
         self.subscriber(Bool, "estop", self._on_emergency, setpoint_qos())
         for input_ in self.inputs if self.runner.by_message else ():
             take = partial(self.runner.voltage, input_)
-            heard = self.subscriber(Float64, input_.topic, take, self.qos(), partner=input_.partner)
+            heard = self.loop_input(Float64, input_.topic, take, self.qos(), input_.partner)
             input_.full_name = heard.topic_name
         if self.parameters.wait_for_recorder and self.runner.by_message:
             topic, qos = "recorder/acknowledged", latched_qos()

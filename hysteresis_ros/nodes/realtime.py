@@ -134,6 +134,17 @@ class RealTime(Runner):
         parameters = self.node.parameters
         return 1.0 / (parameters.sample_rate * getattr(parameters, "real_time_factor", 1.0))
 
+    is_live = False
+
+    def require_rest(self) -> None:
+        """Refuse that one part begins again amid an axis in motion: that would be a step of its output."""
+        node = self.node
+        if node.active and not node.rests and self.is_live:
+            raise HysteresisError(
+                f"refused: the axis is live, and {node.kind} alone would make it jump; call ~/stop and wait until it "
+                "is safe, deactivate it, or reset the plant"
+            )
+
     def make_pace(self) -> Pace:
         """Return what tells how regularly samples come; only the plant knows how fast that is to be."""
         return Pace(self.period, keeps_time=hasattr(self.node.parameters, "real_time_factor"))
@@ -212,14 +223,10 @@ class RealTimeResponder(RealTime):
         self._counted = self._last = self._looked = time.monotonic()
         self.node.timer(WATCHDOG_PERIOD, self.watch)
 
-    def require_rest(self) -> None:
-        """Refuse that one part begins again amid an axis in motion: that would be a step of its output."""
-        node = self.node
-        if node.active and not node.rests and self.age <= node.patience:
-            raise HysteresisError(
-                f"refused: the axis is live, and {node.kind} alone would make it jump; call ~/stop and wait until it "
-                "is safe, deactivate it, or reset the plant"
-            )
+    @property
+    def is_live(self) -> bool:
+        """Whether what triggers answers has come within its time-out."""
+        return self.age <= self.node.patience
 
     @property
     def absent(self) -> tuple[str, ...]:

@@ -306,6 +306,11 @@ class RecorderNode(AxisNode):
             self._last_arrival, self._arrived = time.monotonic(), False
         return time.monotonic() - self._last_arrival > QUIET
 
+    @property
+    def has_lost(self) -> bool:
+        """Whether the recording ended before the run."""
+        return self.recording is not None and bool(self.recording.stopped)
+
     def release(self) -> None:
         """Finish the bag: index and metadata."""
         if self.recording is None:

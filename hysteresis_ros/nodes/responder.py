@@ -131,10 +131,10 @@ class Responder(AxisNode):
         if not self.runner.by_message:
             return
         heard = measured_qos(qos, self.parameters.measurement_reliability)
-        self.subscriber(JointState, "joint_states", self.take_measurement, heard, partner="plant_simulator")
+        self.loop_input(JointState, "joint_states", self.take_measurement, heard, "plant_simulator")
         for place, input_ in enumerate(self.inputs):
             heard = self._heard(place)
-            self.subscriber(Float64, input_.topic, heard, qos, partner=input_.partner)
+            self.loop_input(Float64, input_.topic, heard, qos, input_.partner)
 
     def _heard(self, place: int):
         def take(message) -> None:
@@ -229,11 +229,6 @@ class Responder(AxisNode):
     def patience(self) -> float:
         """Seconds without a trigger after which samples are counted without it."""
         return self.parameters.measurement_timeout
-
-    @property
-    def rests(self) -> bool:
-        """Whether the part may begin again amid an axis that runs, without a step of its output."""
-        return True
 
     @property
     def is_stale(self) -> bool:

@@ -23,7 +23,9 @@ from rclpy.signals import SignalHandlerOptions
 
 from hysteresis_ros.nodes.claim import claim
 from hysteresis_ros.nodes.discovery import stay_on_this_machine
+from hysteresis_ros.nodes.domain import require_admission
 from hysteresis_ros.nodes.footprint import release_compiler
+from hysteresis_ros.nodes.masters import await_discovery
 from hysteresis_ros.nodes.parent import leave_with_ros2
 
 #: Seconds between two looks at signals and at nodes that have finished, when nothing happens otherwise.
@@ -75,7 +77,8 @@ def run(factories, arguments=None) -> int:
     Returns
     -------
     int
-        0 after a run's end, Ctrl-C or SIGTERM; 2 for wrong parameters or arguments; 1 when a run broke.
+        0 after a run's end, Ctrl-C or SIGTERM; 2 for wrong parameters or arguments; 1 when a run broke, or a recording
+        ended before it.
     """
     stop: list[int] = []
 
@@ -103,8 +106,9 @@ def run(factories, arguments=None) -> int:
             rclpy.init(
                 args=arguments if arguments is not None else sys.argv, signal_handler_options=SignalHandlerOptions.NO
             )
-            nodes += [factory() for factory in factories]
             domain = rclpy.get_default_context().get_domain_id()
+            require_admission(domain)
+            nodes += [factory() for factory in factories]
             claims += [claim(domain, node.get_fully_qualified_name()) for node in nodes if node.kind != "recorder"]
         except Exception as error:  # rclpy raises its own and plain C++ errors for names and files that it refuses
             # without the places in rcl's C sources
@@ -115,6 +119,8 @@ def run(factories, arguments=None) -> int:
             executor.add_node(node)
         # all are configured before the first one moves
         for step in ("configure_now", "activate_now"):
+            if step == "activate_now":
+                await_discovery(nodes)
             for node in nodes:
                 if node.autostart and not getattr(node, step)():
                     return node.exit_code or 2
@@ -182,7 +188,7 @@ def _spin(executor, nodes, stop) -> int:
         regular = not stop and all(node.finished and not node.failure for node in nodes)
         _leave(executor, nodes, regular)
     if stop:
-        return 0
+        return max((node.exit_code for node in nodes if node.has_lost), default=0)
     return max((node.exit_code for node in nodes if node.failure), default=0)
 
 

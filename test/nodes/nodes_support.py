@@ -24,6 +24,8 @@ from dataclasses import replace
 
 from waiting import PATIENCE, until
 
+from hysteresis_ros.nodes.domain import OWN
+
 # Before the first participant: nobody outside is asked, and a process that is killed leaves no shared memory behind.
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 os.environ["FASTDDS_BUILTIN_TRANSPORTS"] = "UDPv4"
@@ -79,7 +81,7 @@ class Process:
 
     def __init__(self, command, folder, domain: int, name: str):
         self.log = folder / f"{name}-{next(_counter)}.log"
-        environment = dict(os.environ, ROS_DOMAIN_ID=str(domain), PYTHONUNBUFFERED="1")
+        environment = dict(os.environ, ROS_DOMAIN_ID=str(domain), PYTHONUNBUFFERED="1") | {OWN: str(domain)}
         paths = [str(ROOT), environment.get("PYTHONPATH", "")] if _from_tree() else [environment.get("PYTHONPATH", "")]
         environment["PYTHONPATH"] = os.pathsep.join(path for path in paths if path)
         with open(self.log, "w", encoding="utf-8") as output:

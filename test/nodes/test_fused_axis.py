@@ -111,7 +111,10 @@ def test_resets_and_a_plant_that_is_deactivated_are_repeated_too(steered, observ
     steered.at(0.0)  # the configured setpoint
     steered.ask(4e-6)
     steered.at(4e-6)
-    assert observer.trigger(f"/{CONTROLLER}/reset").success
+    assert not observer.trigger(f"/{CONTROLLER}/reset").success  # alone, amid an axis that is live
+    assert observer.trigger(f"/{CONTROLLER}/stop").success
+    until(lambda: observer.trigger(f"/{CONTROLLER}/reset").success, what="a controller that rests")
+    assert observer.trigger(f"/{CONTROLLER}/start").success
     steered.at(4e-6)
     assert observer.transition(f"/{PLANT}", "deactivate")
     silent = len(steered.states)

@@ -18,7 +18,15 @@ import pytest
 
 pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
 
-from steered_support import Steered, assert_tame, at_random, tame  # noqa: E402
+from steered_support import (  # noqa: E402
+    COMPENSATOR,
+    CONTROLLER,
+    PLANT,
+    Steered,
+    assert_tame,
+    at_random,
+    tame,
+)
 from waiting import until  # noqa: E402
 
 from hysteresis_ros.block import COMPILED  # noqa: E402
@@ -36,6 +44,16 @@ ROOM = 4096
 def test_changes_at_random_leave_voltages_within_limits_and_are_repeated_bit_for_bit(processes, observer, tmp_path):
     steered = tame(processes, observer, tmp_path)
     at_random(steered, observer, 60, np.random.default_rng(1))
+    for node in (PLANT, CONTROLLER, COMPENSATOR):
+        assert observer.trigger(f"/{node}/start").success
+    steered.ask(8e-6)
+    until(lambda: steered.now("displacement") > 6e-6, what="an axis far from rest")
+    for node in (CONTROLLER, COMPENSATOR):  # alone they would make it jump
+        answer = observer.trigger(f"/{node}/reset")
+        assert not answer.success and "the axis is live" in answer.message
+    assert observer.trigger(f"/{PLANT}/reset").success
+    steered.ask(5e-6)
+    until(lambda: steered.now("displacement") > 3e-6, what="an axis that goes on after a reset")
     assert "equal the offline twin bit for bit, none missing" in steered.verified()
     assert assert_tame(steered) > 600
 
@@ -50,7 +68,8 @@ def test_a_full_disk_ends_the_recording_and_never_the_axis_and_leaves_what_was_w
         steered.ask(setpoint)
         steered.at(setpoint)
     code, _ = steered.run.leave(signal.SIGINT)
-    assert code == 0 and "Traceback" not in steered.run.output, steered.run.output
+    output = steered.run.output
+    assert code == 1 and "it ends before the run" in output and "Traceback" not in output, output
     assert abs(steered.now("voltage")) < 0.01  # went to safe before it left
     run = load_run(steered.bag, further=True)
     assert differences(run, axes(load_configuration(tmp_path / "axis.yaml"))[0]) == {}

@@ -15,6 +15,7 @@ import contextlib
 import importlib.util
 import json
 import os
+import pathlib
 import socket
 import subprocess
 import sys
@@ -25,8 +26,9 @@ from click.testing import CliRunner
 
 from hysteresis_ros.cli.main import main
 from hysteresis_ros.configuration import load_configuration
+from hysteresis_ros.errors import HysteresisError
 from hysteresis_ros.nodes import graph_runner
-from hysteresis_ros.nodes.domain import Domain, entered
+from hysteresis_ros.nodes.domain import OWN, Domain, entered, require_admission
 from hysteresis_ros.nodes.launcher import GraphError, node_environment
 from hysteresis_ros.papers.claims import Claim, Reproduction
 from hysteresis_ros.papers.kim2009 import axis as kim
@@ -142,6 +144,21 @@ def test_no_two_claim_a_domain_and_nobody_that_of_the_caller(monkeypatch):
         assert Domain().number != free.number
         for other in others:
             other.communicate("")
+
+
+def test_nobody_joins_a_graph_of_its_own_and_no_user_has_such_a_domain(monkeypatch):
+    with Domain() as claimed:
+        assert not 0 <= claimed.number <= 101
+        ports = pathlib.Path("/proc/sys/net/ipv4/ip_local_port_range").read_text().split()
+        assert 7400 + 250 * claimed.number > int(ports[1])
+        monkeypatch.delenv(OWN, raising=False)
+        with pytest.raises(HysteresisError, match=f"ROS domain {claimed.number} is that of a demonstration"):
+            require_admission(claimed.number)
+        require_admission(7)
+        monkeypatch.setenv(OWN, claimed.environment[OWN])
+        require_admission(claimed.number)
+        monkeypatch.delenv(OWN)
+    require_admission(claimed.number)
 
 
 def test_a_graph_of_its_own_has_its_domain_only_as_long_as_it_runs(monkeypatch):

@@ -1,0 +1,249 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""One axis, one master: each input of a node is fed by one publisher, and by another one when that is silent.
+
+A node takes what comes on an input from whoever sent the first message, known by its identity, until nothing has come
+from there for as long as the node waits for the input before it goes safe. What somebody else sends meanwhile moves
+nothing, and diagnostics name both.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from functools import partial
+
+from sensor_msgs.msg import JointState
+
+from hysteresis_ros.errors import HysteresisError
+from hysteresis_ros.nodes.discovery import named, reaches_others
+from hysteresis_ros.nodes.identified import IdentifiedSubscription
+
+#: Longest wait for an input whose silence has no time-out of its own [s].
+PATIENCE = 1.0
+
+#: Seconds between two looks whether this process stands still itself, and looks that may fail to happen.
+LOOK, LATE = 0.01, 3.0
+
+#: Seconds in which nodes of other machines are found, and of a look whether they are.
+DISCOVERY, TURN = 2.0, 0.05
+
+#: What to do about two masters.
+REMEDY = "stop one of them, or give it another namespace or ROS_DOMAIN_ID"
+
+
+class Master:
+    """Who feeds an input.
+
+    Parameters
+    ----------
+    masters : Masters
+        Of the node.
+    topic : str
+        Full name.
+    callback : callable
+        Takes the messages that are let through.
+    """
+
+    def __init__(self, masters: Masters, topic: str, callback):
+        self._masters, self.topic, self._callback = masters, topic, callback
+        self.identity: bytes | None = None
+        self.name = self.rival = ""
+        self._refused: bytes | None = None
+        self.heard = -math.inf
+        self.refused = 0
+
+    def take(self, message, identity: bytes) -> None:
+        """Take a message, unless it is somebody else's.
+
+        Parameters
+        ----------
+        message : object
+            Any message; of joint_states those that lack the node's joint are nobody's.
+        identity : bytes
+            Of who sent it; empty: it cannot be told, and two publishers are one too many.
+        """
+        if identity != self.identity or not identity:
+            if not self._masters.is_of_axis(message):
+                if self.identity is None:
+                    self._callback(message)
+                return
+            if not self._admits(identity):
+                return
+        self.heard = time.monotonic()
+        self._callback(message)
+
+    def _admits(self, identity: bytes) -> bool:
+        masters, now = self._masters, time.monotonic()
+        free = self.identity in (None, identity) or masters.is_over(self.heard, now)
+        if free and (identity or masters.count(self.topic) < 2):
+            if self.identity not in (None, identity):
+                masters.tell_of_change(self, identity)
+            self.identity, self.name = identity, ""
+            return True
+        self.refused += 1
+        if identity != self._refused:
+            self._refused, self.rival = identity, masters.name_of(self.topic, identity)
+        self.name = self.name or masters.name_of(self.topic, self.identity or b"")
+        masters.warn(self)
+        return False
+
+    @property
+    def refusal(self) -> str:
+        """What is refused, and what to do."""
+        return f"{self.topic} is taken from {self.name}, and nothing of {self.rival}: {REMEDY}"
+
+
+class Masters:
+    """Who feeds the inputs of a node, and who else feeds the topics of its loop.
+
+    Parameters
+    ----------
+    node : AxisNode
+        In real time, with messages.
+    """
+
+    def __init__(self, node):
+        self._node = node
+        self._inputs: list[Master] = []
+        self._subscriptions: dict[tuple, IdentifiedSubscription] = {}
+        self._since = self._looked = time.monotonic()
+
+    @property
+    def patience(self) -> float:
+        """Seconds of silence after which somebody else may feed an input."""
+        found = self._node.patience
+        return found if math.isfinite(found) else PATIENCE
+
+    # -- inputs ----------------------------------------------------------------------------------------------------
+
+    def add(self, message_type, topic: str, callback, qos, events):
+        """Subscribe an input; the subscription stays when the node is cleaned up, and is used again."""
+        master = Master(self, self._node.resolve_topic_name(topic), callback)
+        self._inputs.append(master)
+        key = (topic, message_type, qos.depth, qos.reliability, qos.durability)
+        if key in self._subscriptions:
+            self._subscriptions[key].hand_over_to(master.take)
+            return self._subscriptions[key]
+        try:
+            made = IdentifiedSubscription(self._node, message_type, topic, master.take, qos, events)
+        except (AttributeError, OSError):  # another ROS than Jazzy: it cannot be told who sends
+            return self._node.subscriber(message_type, topic, partial(master.take, identity=b""), qos)
+        self._subscriptions[key] = made
+        return made
+
+    def clear(self) -> None:
+        """Take nothing any more."""
+        for subscription in self._subscriptions.values():
+            subscription.hand_over_to(None)
+        self._inputs.clear()
+
+    def begin(self) -> None:
+        """Watch whether this process itself stands still, in which it hears nobody."""
+        self._since = self._looked = time.monotonic()
+        if self._inputs:
+            self._node.timer(LOOK, self.look)
+
+    def look(self) -> None:
+        """Timer, and before somebody is taken for silent: note whether this process stood still."""
+        now = time.monotonic()
+        if now - self._looked > max(LATE * LOOK, 0.5 * self.patience):
+            self._since = now
+        self._looked = now
+
+    def is_over(self, heard: float, now: float) -> bool:
+        """Tell whether who was last heard then has been silent for too long.
+
+        Parameters
+        ----------
+        heard, now : float
+            Times on the steady clock [s].
+        """
+        self.look()
+        return now - max(heard, self._since) > self.patience
+
+    def is_of_axis(self, message) -> bool:
+        """Tell whether a message concerns this axis: others publish joint_states of theirs on the same topic."""
+        return not isinstance(message, JointState) or self._node.parameters.joint in message.name
+
+    # -- names -----------------------------------------------------------------------------------------------------
+
+    def count(self, topic: str) -> int:
+        """Return how many publish a topic."""
+        return self._node.count_publishers(topic)
+
+    def name_of(self, topic: str, identity: bytes) -> str:
+        """Return the full name of the node of a publisher; of one that cannot be told, who it may be."""
+        found = self._node.get_publishers_info_by_topic(topic)
+        names = {named(endpoint) for endpoint in found if not identity or bytes(endpoint.endpoint_gid) == identity}
+        return " or ".join(sorted(names)) or "a node that has left"
+
+    def tell_of_change(self, master: Master, identity: bytes) -> None:
+        """Say that somebody else feeds an input from now on."""
+        self._node.get_logger().info(
+            f"{master.topic} is taken from {self.name_of(master.topic, identity)} now: nothing has come from the one "
+            f"before for {self.patience:g} s"
+        )
+
+    def warn(self, master: Master) -> None:
+        """Say that somebody else's message was refused."""
+        self._node.warn(f"master {master.topic}", master.refusal, every=10.0, error=True)
+
+    def complaint(self) -> str:
+        """Say who feeds the topics of the loop beside their masters; empty when nobody does."""
+        node = self._node
+        refused = {m.topic: m for m in self._inputs if node.since_report(f"refused {m.topic}", m.refused)}
+        found = [master.refusal for master in refused.values()]
+        topics = {master.topic for master in self._inputs} | set(node.loop_topics)
+        for topic in sorted(topics - set(refused)):
+            names = publishers(node, topic)
+            if len(names) > 1:
+                found.append(f"{topic} is published by {' and '.join(names)}: {REMEDY}")
+        return "; ".join(found)
+
+
+def publishers(node, topic: str) -> list[str]:
+    """Return the full names of the nodes that publish a topic of the loop; all may publish joint_states of theirs."""
+    if node.count_publishers(topic) < 2:
+        return []
+    found = node.get_publishers_info_by_topic(topic)
+    return sorted({named(endpoint) for endpoint in found if endpoint.topic_type != "sensor_msgs/msg/JointState"})
+
+
+def rivals(node) -> list[str]:
+    """Say who would lead the axis beside a node that is about to: who publishes what it does, who has its name."""
+    own = node.get_fully_qualified_name()
+    found = [
+        f"{name} publishes {topic}" for topic in node.loop_topics for name in publishers(node, topic) if name != own
+    ]
+    if reaches_others():  # on this machine a name is claimed
+        names = [f"{space.rstrip('/')}/{name}" for name, space in node.get_node_names_and_namespaces()]
+        found += [f"another {own} runs on another machine"] * (names.count(own) > 1)
+    return found
+
+
+def require_alone(node) -> None:
+    """Refuse that a node goes to work on an axis that somebody leads already.
+
+    Raises
+    ------
+    HysteresisError
+        Says who is there.
+    """
+    found = rivals(node)
+    if found:
+        raise HysteresisError(f"{'; '.join(found)}: one axis has one master; {REMEDY}")
+
+
+def await_discovery(nodes: list) -> None:
+    """Wait until nodes of other machines are known, where there may be some, or one is in the way."""
+    until = time.monotonic() + (DISCOVERY if reaches_others() else 0.0)
+    while time.monotonic() < until and not any(map(rivals, nodes)):
+        time.sleep(TURN)
