@@ -35,6 +35,9 @@ LOOK, LATE = 0.01, 3.0
 #: Seconds in which nodes of other machines are found, and of a look whether they are.
 DISCOVERY, TURN = 2.0, 0.05
 
+#: Seconds between two complaints about refused messages.
+TELL = 10.0
+
 #: What to do about two masters.
 REMEDY = "stop one of them, or give it another namespace or ROS_DOMAIN_ID"
 
@@ -55,9 +58,8 @@ class Master:
     def __init__(self, masters: Masters, topic: str, callback):
         self._masters, self.topic, self._callback = masters, topic, callback
         self.identity: bytes | None = None
-        self.name = self.rival = ""
-        self._refused: bytes | None = None
-        self.heard = -math.inf
+        self._rival = b""
+        self.heard = self._told = -math.inf
         self.refused = 0
 
     def take(self, message, identity: bytes) -> None:
@@ -86,19 +88,20 @@ class Master:
         if free and (identity or masters.count(self.topic) < 2):
             if self.identity not in (None, identity):
                 masters.tell_of_change(self, identity)
-            self.identity, self.name = identity, ""
+            self.identity = identity
             return True
         self.refused += 1
-        if identity != self._refused:
-            self._refused, self.rival = identity, masters.name_of(self.topic, identity)
-        self.name = self.name or masters.name_of(self.topic, self.identity or b"")
-        masters.warn(self)
+        self._rival = identity
+        if now - self._told > TELL:  # the graph is asked for names then: not for every message of a flood
+            self._told = now
+            masters.warn(self)
         return False
 
     @property
     def refusal(self) -> str:
         """What is refused, and what to do."""
-        return f"{self.topic} is taken from {self.name}, and nothing of {self.rival}: {REMEDY}"
+        name, rival = (self._masters.name_of(self.topic, who) for who in (self.identity or b"", self._rival))
+        return f"{self.topic} is taken from {name}, and nothing of {rival}: {REMEDY}"
 
 
 class Masters:
@@ -114,6 +117,7 @@ class Masters:
         self._node = node
         self._inputs: list[Master] = []
         self._subscriptions: dict[tuple, IdentifiedSubscription] = {}
+        self._names: dict[bytes, str] = {}
         self._since = self._looked = time.monotonic()
 
     @property
@@ -183,7 +187,10 @@ class Masters:
         """Return the full name of the node of a publisher; of one that cannot be told, who it may be."""
         found = self._node.get_publishers_info_by_topic(topic)
         names = {named(endpoint) for endpoint in found if not identity or bytes(endpoint.endpoint_gid) == identity}
-        return " or ".join(sorted(names)) or "a node that has left"
+        text = " or ".join(sorted(names))
+        if text.startswith("/"):  # told already: who has left keeps it
+            self._names[identity] = text
+        return self._names.get(identity) or text or "a node that has left"
 
     def tell_of_change(self, master: Master, identity: bytes) -> None:
         """Say that somebody else feeds an input from now on."""
@@ -194,7 +201,7 @@ class Masters:
 
     def warn(self, master: Master) -> None:
         """Say that somebody else's message was refused."""
-        self._node.warn(f"master {master.topic}", master.refusal, every=10.0, error=True)
+        self._node.warn(f"master {master.topic}", master.refusal, every=0.0, error=True)
 
     def complaint(self) -> str:
         """Say who feeds the topics of the loop beside their masters; empty when nobody does."""
