@@ -35,7 +35,7 @@ TESTS = sorted((ROOT / "test").rglob("*.py"))
 
 #: What every folder may use of the package besides itself: imports go one way, in the order in which data flows.
 BASE = {"", "errors", "bounded", "archives", "parameters", "block", "keywords", "registry", "signals", "linear_algebra"}
-BASE |= {"elementary", "units"}
+BASE |= {"elementary", "units", "executors"}
 FORWARD = BASE | {"configuration", "models", "references", "recordings"}
 METHODS = FORWARD | {"compensation", "control", "identification"}
 MAY_IMPORT = {
@@ -53,6 +53,7 @@ MAY_IMPORT = {
     "block": {"", "errors", "parameters"},
     "signals": set(),
     "units": {"", "errors"},
+    "executors": {"", "errors"},
     "models": BASE,
     "references": BASE,
     "recordings": BASE | {"configuration"},
@@ -66,6 +67,7 @@ MAY_IMPORT = {
     "analysis": METHODS,
     "commissioning": METHODS | {"loop", "simulation", "analysis"},
     "comparison": METHODS | {"loop", "simulation", "analysis"},
+    "sweeps": METHODS | {"loop", "simulation", "analysis"},
     "papers": METHODS | {"loop", "simulation", "analysis"},
     "reliability": METHODS | {"loop", "simulation"},
     "results": METHODS | {"simulation", "analysis"},
@@ -73,7 +75,7 @@ MAY_IMPORT = {
     "studies": METHODS | {"loop", "simulation", "analysis", "comparison", "papers", "results", "api"},
     "nodes": METHODS | {"sensing", "loop", "simulation", "commissioning", "analysis", "reliability"},
     "cli": METHODS
-    | {"sensing", "loop", "simulation", "commissioning", "analysis", "comparison", "papers", "reliability"}
+    | {"sensing", "loop", "simulation", "commissioning", "analysis", "comparison", "sweeps", "papers", "reliability"}
     | {"nodes", "hardware"},
 }
 ROS = re.compile(r"^(rclpy|ament_index_python|std_srvs|\w+_(msgs|interfaces))$")
@@ -94,6 +96,7 @@ ONLY_IN = {
     "rosbags": "recordings",
     "mcap": "recordings",
     "cv2": "sensing",
+    "distributed": "executors",
 }
 #: What neither the blocks nor their parameters may bring into a node.
 HEAVY = ("scipy.signal", "scipy.optimize", "matplotlib", "jinja2", "rclpy", "click", "rosbags")

@@ -17,7 +17,6 @@ the true displacement between the samples.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Sequence
 
 from hysteresis_ros.comparison.candidates import known, names
@@ -26,10 +25,11 @@ from hysteresis_ros.comparison.outcome import Comparison, Tried, table_around, t
 from hysteresis_ros.comparison.plants import ModelledPlant
 from hysteresis_ros.comparison.rows import Row, Trial, compared_with
 from hysteresis_ros.comparison.tasks import Conditions, make_tasks
-from hysteresis_ros.comparison.workers import Job, done
 from hysteresis_ros.comparison.yardstick import yardstick
 from hysteresis_ros.configuration import Configuration, parse_configuration
 from hysteresis_ros.errors import ConfigurationError
+from hysteresis_ros.executors.executor import executor
+from hysteresis_ros.executors.jobs import Job
 from hysteresis_ros.simulation.axes import single_axis
 from hysteresis_ros.simulation.mismatch import mismatched
 
@@ -191,9 +191,10 @@ def compare(
         jobs += [Job(_rows_around, (trial, compensator, chosen)) for compensator in compensators]
         jobs.append(Job(_yardstick_around, (trial,)))
     found: dict[str, list] = {job.function.__name__: [] for job in jobs}
-    for name, (words, result) in done(jobs, workers or os.cpu_count() or 1):
-        progress(words)
-        found[name].append(result)
+    with executor(workers, jobs=len(jobs)) as shared:
+        for number, (words, result) in shared.results(jobs):
+            progress(words)
+            found[jobs[number].function.__name__].append(result)
     first = second = None
     if conditions.draws:
         first = table_around(axis, conditions, trial, sum(found["_rows_around"], []), found["_yardstick_around"][0])
