@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hysteresis_ros.analysis.settings import axis_settings, judged_reference
+from hysteresis_ros.analysis.settings import AxisSettings, axis_settings, judged_reference
 from hysteresis_ros.analysis.steps import HOLD_SAMPLES, JUMP, find_holds, scan_start, step_responses
 from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.recordings.dataset import LATENESS, Recording
@@ -66,7 +66,7 @@ FIGURES = (
 )
 
 
-def compute_metrics(recording: Recording) -> dict:
+def compute_metrics(recording: Recording, settings: AxisSettings | None = None) -> dict:
     """Return the figures of merit of a run.
 
     The error is e = reference - displacement, the displacement being the true one (the measured one on hardware, which
@@ -120,6 +120,8 @@ def compute_metrics(recording: Recording) -> dict:
     ----------
     recording : Recording
         Needs ``displacement`` (or ``measured``).
+    settings : AxisSettings, optional
+        What its configuration says, for who knows it already.
 
     Returns
     -------
@@ -135,7 +137,7 @@ def compute_metrics(recording: Recording) -> dict:
     actual = actual_name(recording)
     if actual == "measured":
         notes["recording"] = [*notes["recording"], "no displacement: errors are judged by the measured one"]
-    settings = axis_settings(recording)
+    settings = settings or axis_settings(recording)
     offset = settings.offset
     if offset:
         notes["recording"] = [*notes["recording"], f"preload offset of {offset * 1e6:.6g} µm subtracted"]
@@ -144,7 +146,11 @@ def compute_metrics(recording: Recording) -> dict:
     if settings.preview:
         late = f"judged against the reference {settings.preview} samples after it was given (feedforward.preview)"
         notes["recording"] = [*notes["recording"], late]
-    time, reference, displacement = recording.time, judged_reference(recording), recording[actual] - offset
+    time, reference, displacement = (
+        recording.time,
+        judged_reference(recording, settings.preview),
+        recording[actual] - offset,
+    )
     good = np.isfinite(reference) & np.isfinite(displacement)
     if not np.any(good):
         raise RecordingError("no sample of the recording has both reference and displacement")
@@ -209,18 +215,31 @@ def _error_figures(time, reference, displacement, start, notes) -> dict:
     if start:
         text = f"errors count from {time[start]:.4g} s on: before the first reversal the axis jumps into the scan"
         notes["recording"] = [*notes["recording"], text]
-    time, error = time[start:], (reference - displacement)[start:]
+    figures = error_figures(time[start:], (reference - displacement)[start:], stroke)
+    if stroke == 0.0:
+        notes |= {f"{name}_error_percent_of_stroke": "the reference never moves: no stroke" for name in ("rms", "max")}
+    return {**figures, "stroke_m": stroke}
+
+
+def error_figures(time, error, stroke: float) -> dict[str, float]:
+    """Return the figures of an error as :func:`compute_metrics` defines them; those of no stroke are left out.
+
+    Parameters
+    ----------
+    time, error : array, shape (N,)
+        [s], [m].
+    stroke : float
+        Of the reference [m].
+    """
+    size = np.abs(error)
     figures = {
-        "rms_error_m": float(np.sqrt(np.mean(error**2))),
-        "max_error_m": float(np.max(np.abs(error))),
-        "iae_m_s": float(np.sum(0.5 * np.diff(time) * (np.abs(error[1:]) + np.abs(error[:-1])))),
-        "stroke_m": stroke,
+        "rms_error_m": float(np.sqrt(np.mean(size**2))),
+        "max_error_m": float(np.max(size)),
+        "iae_m_s": float(np.sum(0.5 * np.diff(time) * (size[1:] + size[:-1]))),
     }
-    for name in ("rms_error", "max_error"):
-        if stroke > 0.0:
-            figures[f"{name}_percent_of_stroke"] = 100.0 * figures[f"{name}_m"] / stroke
-        else:
-            notes[f"{name}_percent_of_stroke"] = "the reference never moves: no stroke"
+    if stroke > 0.0:
+        parts = {name: 100.0 * figures[f"{name}_error_m"] / stroke for name in ("rms", "max")}
+        figures |= {f"{name}_error_percent_of_stroke": value for name, value in parts.items()}
     return figures
 
 

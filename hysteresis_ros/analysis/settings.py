@@ -57,7 +57,7 @@ def axis_settings(recording: Recording) -> AxisSettings:
     )
 
 
-def judged_reference(recording: Recording) -> np.ndarray:
+def judged_reference(recording: Recording, preview: int | None = None) -> np.ndarray:
     """Return the reference that the displacement is judged by, shape (N,) [m].
 
     With a preview of P samples that is the recorded one P samples later. What came before the recording is taken to
@@ -67,8 +67,10 @@ def judged_reference(recording: Recording) -> np.ndarray:
     ----------
     recording : Recording
         Needs ``reference``.
+    preview : int, optional
+        What its configuration says, for who knows it already.
     """
-    reference, preview = recording["reference"], axis_settings(recording).preview
+    reference, preview = recording["reference"], axis_settings(recording).preview if preview is None else preview
     if not preview or len(reference) < 2:
         return reference
     # by time and not by place: samples may be missing

@@ -67,6 +67,7 @@ COMMANDS = {
     "design": ("hysteresis_ros.cli.design:design", "Design a controller from the model in a configuration."),
     "report": ("hysteresis_ros.cli.report:report", "Judge a recording: figures, plots, HTML."),
     "compare": ("hysteresis_ros.cli.compare:compare", "Rank all controllers and compensators for an axis."),
+    "sweep": ("hysteresis_ros.cli.sweep:sweep", "Run an axis many times with other parameters: yield, sensitivity."),
     "reproduce": ("hysteresis_ros.cli.reproduce:reproduce", "Repeat a paper's experiments: paper, here, holds."),
     "camera": ("hysteresis_ros.cli.camera:camera", "Displacements out of a video or a folder of pictures."),
     "faults": ("hysteresis_ros.cli.faults:faults", "Let everything go wrong on an axis of its own, and say what held."),

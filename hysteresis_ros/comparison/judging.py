@@ -18,8 +18,9 @@ from typing import NamedTuple
 import numpy as np
 
 from hysteresis_ros.analysis.metrics import chattering_figures
-from hysteresis_ros.comparison.plants import INSTANTS, DrawnPlant
+from hysteresis_ros.comparison.plants import DrawnPlant
 from hysteresis_ros.comparison.tasks import Task
+from hysteresis_ros.simulation.between_samples import INSTANTS
 
 #: Delays that are tried, 0 … the longest one; between them a parabola finds the best.
 DELAYS = 41

@@ -21,7 +21,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hysteresis_ros.comparison.candidates import Known, known
-from hysteresis_ros.comparison.plants import INSTANTS, ForeignPlant
+from hysteresis_ros.comparison.plants import ForeignPlant
 from hysteresis_ros.comparison.tasks import Conditions
 from hysteresis_ros.configuration import parse_configuration
 from hysteresis_ros.identification.workflow import identify
@@ -32,6 +32,7 @@ from hysteresis_ros.models.sensor import Sensor
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.references.recipes import recipe
 from hysteresis_ros.references.waveforms import Waveform, WaveformParameters
+from hysteresis_ros.simulation.between_samples import INSTANTS
 
 #: Plants that are drawn around each one, besides itself and its worst corners.
 DRAWS = 3

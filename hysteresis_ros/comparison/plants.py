@@ -23,14 +23,10 @@ from hysteresis_ros.loop.common_parameters import part
 from hysteresis_ros.loop.plant_parameters import PlantNodeParameters
 from hysteresis_ros.loop.plants import ActuatorPlant
 from hysteresis_ros.models.actuator import Actuator, ActuatorParameters
-from hysteresis_ros.models.creep import OUTPUT, CreepParameters
+from hysteresis_ros.models.creep import CreepParameters
 from hysteresis_ros.models.foreign import Foreign, ForeignParameters
-from hysteresis_ros.models.linear import LinearDynamics, LinearParameters
-
-#: Instants a sample at which the displacement is judged.
-INSTANTS = 10
-#: Eigenvectors that are conditioned worse than this are those of a pole that stands twice: they give no coordinates.
-WORST_CONDITION = 1e10
+from hysteresis_ros.models.linear import LinearParameters
+from hysteresis_ros.simulation.between_samples import INSTANTS, displacement_between
 
 
 class DrawnPlant(ABC):
@@ -88,59 +84,10 @@ class ModelledPlant(DrawnPlant):
         return ModelledPlant(replace(self.parameters, dynamics=dynamics))
 
     def between(self, voltage) -> np.ndarray:
-        """Return the displacement [m] from rest without the preload offset, shape (N, INSTANTS).
-
-        The linear dynamics go on continuously while their input is held, so that at the samples it is that of the loop.
-        """
-        actuator = Actuator(part(self.parameters, ActuatorParameters), 1.0 / self.sample_rate)
-        rest = float(actuator.creep.x[OUTPUT])
-        crept = actuator.creep.simulate(actuator.hysteresis.simulate(voltage))
-        return between_samples(self.parameters.dynamics, 1.0 / self.sample_rate, rest, crept)
-
-
-def between_samples(parameters: LinearParameters, sample_time: float, rest: float, held) -> np.ndarray:
-    """Return the output [m] of linear dynamics between their samples, shape (N, INSTANTS).
-
-    Where the dynamics belong to no continuous model (poles at zero, or negative ones), the output goes in a straight
-    line from sample to sample.
-
-    Parameters
-    ----------
-    parameters : LinearParameters
-    sample_time : float
-        [s]
-    rest : float
-        Input [m] under which the dynamics are at rest before.
-    held : array, shape (N,)
-        Input [m], held from each sample to the next.
-    """
-    dynamics = LinearDynamics(parameters, sample_time)
-    dynamics.settle(rest)
-    begin, ends = dynamics.output(), dynamics.simulate(held)
-    model, (whole, part) = parameters.matrices, parameters.delayed_samples
-    order = model.order
-    poles, vectors = np.linalg.eig(model.A.astype(complex))
-    continuous = np.all((poles.imag != 0.0) | (poles.real > 0.0))
-    continuous &= not order or np.linalg.cond(vectors) < WORST_CONDITION
-    places = np.arange(1, INSTANTS + 1) / INSTANTS
-    if not continuous:
-        starts = np.concatenate([[begin], ends[:-1]])
-        return starts[:, np.newaxis] + (ends - starts)[:, np.newaxis] * places
-    # what acts in a sample under a delay is a mixture of what was held in two samples before
-    acting = np.concatenate([np.full(whole + 1, rest), held])
-    acting = (1.0 - part) * acting[1 : 1 + len(held)] + part * acting[: len(held)]
-    drive = acting / parameters.resolved_input_scale
-    # x(k + j) = A^j x(k) + (I - A^j) x_rest u, in the coordinates of the poles
-    unit = np.linalg.solve(vectors, np.linalg.solve(np.eye(order) - model.A, model.B[:, 0]))
-    states, state = np.empty((len(held), order), dtype=complex), unit * rest / parameters.resolved_input_scale
-    for k, u in enumerate(drive):
-        states[k] = state
-        state = poles * state + (1.0 - poles) * unit * u
-    out, found = model.C[0] @ vectors, np.empty((len(held), INSTANTS))
-    for j, place in enumerate(places):
-        decay = poles**place
-        found[:, j] = np.real(states @ (out * decay) + out @ ((1.0 - decay) * unit) * drive)
-    return (found + model.D.item() * drive[:, np.newaxis]) * parameters.output_scale
+        """Return the displacement [m] from rest without the preload offset, shape (N, INSTANTS)."""
+        return displacement_between(
+            Actuator(part(self.parameters, ActuatorParameters), 1.0 / self.sample_rate), voltage
+        )
 
 
 @dataclass(frozen=True)

@@ -16,11 +16,14 @@ compensator's and the controller's models stay as they are.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from hysteresis_ros.configuration import Configuration
 from hysteresis_ros.control.uncertainty import slowed
 from hysteresis_ros.errors import ParameterError, Problem
+from hysteresis_ros.loop.node_parameters import PlantNodeParameters
 from hysteresis_ros.models.declaration import Deviation
 from hysteresis_ros.simulation.axes import single_axis
 
@@ -55,14 +58,37 @@ def mismatched(configuration: Configuration, mismatch: float, seed: int) -> Conf
 
     # always in this order, so that a seed means the same factors for every model
     gain, opening, slowness, creeping = factor(), factor(), factor(), factor()
+    changed = deviating(plant, Deviation(gain, opening, factor), slowness, creeping)
+    return configuration.override("plant_simulator", **changed)
+
+
+def deviating(
+    plant: PlantNodeParameters, deviation: Deviation, slowness: float = 1.0, creeping: float = 1.0
+) -> dict[str, Any]:
+    """Return the parameters of a plant that deviates from a given one, as far as they differ.
+
+    Parameters
+    ----------
+    plant : PlantNodeParameters
+    deviation : Deviation
+        Of its hysteresis.
+    slowness, creeping : float
+        Factors on all times of the linear dynamics, and on the rate of the creep.
+
+    Returns
+    -------
+    dict
+        By dotted names.
+    """
     model, configured = plant.hysteresis.model, plant.hysteresis.chosen.to_mapping()
-    drawn = model.deviated(plant.hysteresis.chosen, Deviation(gain, opening, factor)).to_mapping()
+    drawn = model.deviated(plant.hysteresis.chosen, deviation).to_mapping()
     changed = {
         f"hysteresis.{model.name}.{name}": value for name, value in drawn.items() if value != configured.get(name)
     }
-    changed |= {f"dynamics.{name}": value for name, value in slowed(plant.dynamics, slowness).items()}
+    if slowness != 1.0:
+        changed |= {f"dynamics.{name}": value for name, value in slowed(plant.dynamics, slowness).items()}
     if plant.creep.type == "logarithmic":
         changed["creep.logarithmic.rate"] = plant.creep.logarithmic.rate * creeping
     elif plant.creep.type == "operators":
         changed["creep.operators.weights"] = (np.array(plant.creep.operators.weights) * creeping).tolist()
-    return configuration.override("plant_simulator", **changed)
+    return changed

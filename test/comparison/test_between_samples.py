@@ -19,11 +19,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hysteresis_ros.comparison.judging import Followed, best_delay, followed, judged
-from hysteresis_ros.comparison.plants import INSTANTS, ModelledPlant, between_samples
+from hysteresis_ros.comparison.plants import ModelledPlant
 from hysteresis_ros.comparison.tasks import Conditions, make_tasks
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.models.linear import LinearDynamics, LinearParameters, zero_order_hold
 from hysteresis_ros.simulation.axes import single_axis
+from hysteresis_ros.simulation.between_samples import INSTANTS, between_samples
 from hysteresis_ros.simulation.run import simulate
 
 T = 1e-3

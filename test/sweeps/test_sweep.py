@@ -1,0 +1,373 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Sweeps: what varies, the same bits whoever makes the runs, and figures that are known in closed form."""
+
+from __future__ import annotations
+
+import json
+import math
+import resource
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy
+from click.testing import CliRunner
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from sweep_support import AXIS, PLACE, PRODUCT, asked, axis, same_bits
+
+from hysteresis_ros.cli.main import main
+from hysteresis_ros.configuration import load_configuration
+from hysteresis_ros.errors import ConfigurationError, ParameterError
+from hysteresis_ros.executors import cluster
+from hysteresis_ros.loop.axis import Axis
+from hysteresis_ros.loop.node_parameters import PlantNodeParameters
+from hysteresis_ros.models.hysteresis import hysteresis_block
+from hysteresis_ros.simulation.axes import single_axis
+from hysteresis_ros.sweeps.journal import SUFFIX
+from hysteresis_ros.sweeps.judging import judged
+from hysteresis_ros.sweeps.outcome import load
+from hysteresis_ros.sweeps.plan import make_plan
+from hysteresis_ros.sweeps.sensitivity import sensitivity
+from hysteresis_ros.sweeps.summary import Summary
+from hysteresis_ros.sweeps.sweep import sweep
+from hysteresis_ros.sweeps.variations import DEVIATIONS, parse_variations, varied
+from hysteresis_ros.sweeps.variations import settings as settings_of
+from hysteresis_ros.sweeps.yields import interval, parse_bound
+
+GAIN = "plant_simulator.hysteresis.proportional.gain"
+
+
+@pytest.fixture
+def config(tmp_path):
+    path = tmp_path / "axis.yaml"
+    path.write_text(AXIS)
+    return str(path)
+
+
+def run_command(*words):
+    return CliRunner().invoke(main, ["sweep", *map(str, words)])
+
+
+@pytest.mark.parametrize(
+    ("words", "values"),
+    [
+        ("1um:5um:lin3", [1e-6, 3e-6, 5e-6]),
+        ("1um:100um:log3", [1e-6, 1e-5, 1e-4]),
+        ("1um, 2000nm,3e-6", [1e-6, 2e-6, 3e-6]),
+    ],
+)
+def test_levels_are_read_with_their_units(words, values):
+    (found,) = parse_variations([f"reference_generator.maximum={words}"], axis())
+    assert [found.over.at(i) for i in range(3)] == pytest.approx(values, rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("words", "at"),
+    [
+        ("±5%", {0.0: 0.95e-7, 0.5: 1e-7, 1.0: 1.05e-7}),
+        ("+-1e-8", {0.0: 0.9e-7, 1.0: 1.1e-7}),
+        ("uniform(1e-7,3e-7)", {0.25: 1.5e-7}),
+        ("loguniform(1e-7,4e-7)", {0.5: 2e-7}),
+        ("normal(1e-7,1e-9)", {0.5: 1e-7, float(scipy.special.ndtr(2.0)): 1.02e-7}),
+        ("normal(±2%)", {float(scipy.special.ndtr(-1.0)): 0.98e-7}),
+    ],
+)
+def test_distributions_are_where_their_distribution_functions_say(words, at):
+    variations = parse_variations([f"{GAIN}={words}"], axis())
+    for place, value in at.items():
+        assert settings_of(axis(), variations, [place])[1] == pytest.approx([value], rel=1e-9)
+
+
+def test_whole_numbers_are_drawn_with_both_ends():
+    (seeds,) = parse_variations(["plant_simulator.sensor.seed=uniform(1,4)"], axis())
+    drawn = [seeds.over.at(place) for place in np.linspace(0.0, 1.0, 4001)[:-1]]
+    assert np.bincount(drawn).tolist() == [0, 1000, 1000, 1000, 1000]
+
+
+def test_arrays_vary_as_a_whole_or_one_element():
+    stage = single_axis(load_configuration("kim2009"))
+    name = "plant_simulator.hysteresis.polynomial.rising_C1"
+    before = np.array(stage.plant_simulator.hysteresis.polynomial.rising_C1)
+    changes, numbers = settings_of(stage, parse_variations([f"{name}=±10%"], stage), [1.0])
+    assert changes["plant_simulator"]["hysteresis.polynomial.rising_C1"] == pytest.approx(1.1 * before)
+    assert numbers == pytest.approx([1.1])
+    changes, numbers = settings_of(stage, parse_variations([f"{name}[1]=±10%"], stage), [0.0])
+    assert changes["plant_simulator"]["hysteresis.polynomial.rising_C1"] == pytest.approx(before * [1.0, 0.9, 1.0])
+    assert numbers == pytest.approx([0.9 * before[1]])
+
+
+@settings(max_examples=10, deadline=None)
+@given(phi=st.floats(0.1, 0.99), noise=st.floats(0.0, 1e-8))
+def test_a_varied_axis_is_the_one_of_a_file_with_these_values(phi, noise):
+    """The short way to its parameters leads to the same place, and the model's side stays."""
+    configuration = load_configuration("kim2009")
+    names = {"motion_controller": ("sliding_mode.phi", phi), "plant_simulator": ("sensor.noise", noise)}
+    stage = single_axis(configuration)
+    found = varied(
+        stage, parse_variations([f"{node}.{name}={value!r}" for node, (name, value) in names.items()], stage), [0, 0]
+    )
+    for node, (name, value) in names.items():
+        configuration = configuration.override(node, **{name: value})
+    assert found == single_axis(configuration)
+    assert found.hysteresis_compensator == stage.hysteresis_compensator
+
+
+def test_a_plant_that_deviates_leaves_the_models_alone():
+    stage = single_axis(load_configuration("kim2009"))
+    variations = parse_variations(["plant_simulator=±5%"], stage)
+    assert [one.name for one in variations] == ["gain", "opening", "slowness"]  # it has no creep
+    found = varied(stage, variations, [1.0, 0.5, 0.5])
+    assert found.motion_controller == stage.motion_controller
+    assert found.hysteresis_compensator == stage.hysteresis_compensator
+    voltage = np.linspace(0.0, 100.0, 20)
+    larger, before = (hysteresis_block(one.plant_simulator.hysteresis, 1.0).simulate(voltage) for one in (found, stage))
+    assert larger == pytest.approx(1.05 * before)
+    assert not set(DEVIATIONS) & {row.name for row in PlantNodeParameters.table()}
+
+
+def test_all_levels_meet_the_same_draws_and_a_longer_sweep_begins_with_the_shorter():
+    variations = parse_variations(["plant_simulator.limits.bits=12,14,16", *PRODUCT], axis())
+    points = make_plan(variations, 30, 7).points(range(30))
+    assert points[:, 0].tolist() == [0, 1, 2] * 10
+    assert np.array_equal(points[0::3, 1:], points[1::3, 1:]) and np.array_equal(points[0::3, 1:], points[2::3, 1:])
+    assert len(np.unique(points[:, 1])) == 10
+    longer = make_plan(variations, 3000, 7)
+    assert np.array_equal(longer.points(range(11, 25)), points[11:25])
+    assert not np.array_equal(make_plan(variations, 30, 8).points(range(30)), points)
+
+
+def test_errors_between_the_samples_are_those_of_the_closed_form():
+    found = sweep(*asked())
+    gain, place = (found.parameters[name] for name in ("plant_simulator.gain", "reference_generator.initial_setpoint"))
+    for values in found.metrics.values():
+        assert values == pytest.approx(place * (gain - 1.0), rel=1e-9)
+
+
+@pytest.mark.parametrize("preview", [0, 3])
+def test_a_ramp_is_judged_between_the_samples_and_as_late_as_its_preview(preview):
+    """The voltage is held while the reference goes on: r(t) − r_k goes from nothing to a step within each sample."""
+    stage, step = axis(), 8e-6 / 1000.0
+    waveform = replace(stage.reference_generator.waveform, type="triangle", frequency=1.0, amplitude=4e-6)
+    source = replace(stage.reference_generator, initial_setpoint=0.0, waveform=waveform)
+    fed = replace(stage.motion_controller.feedforward, preview=preview)  # so late it follows
+    control = replace(stage.motion_controller, feedforward=fed)
+    ramp = Axis(replace(stage, reference_generator=source, motion_controller=control).with_duration(0.4))
+    found = judged(ramp, ramp.run(ramp.default_setpoints(400)), ("rms_error_m", "max_error_m", "stroke_m"))
+    rms = step * math.sqrt(np.mean((np.arange(1, 11) / 10) ** 2) * (399 - preview) / 399)
+    assert found == pytest.approx([rms, step, (399 - preview) * step], rel=1e-6)
+
+
+def test_a_jump_is_no_ramp():
+    """Nobody can follow a jump before it comes: there is an error at the instant of its sample, and none before."""
+    stage = axis()
+    steps = replace(stage.reference_generator.waveform.steps, values=(0.0, 4e-6), times=(0.0, 0.01))
+    waveform = replace(stage.reference_generator.waveform, type="steps", steps=steps)
+    source = replace(stage.reference_generator, initial_setpoint=0.0, waveform=waveform)
+    jump = Axis(replace(stage, reference_generator=source))
+    found = judged(jump, jump.run(jump.default_setpoints(20)), ("rms_error_m", "max_error_m"))
+    assert found == pytest.approx([4e-6 / math.sqrt(190), 4e-6], rel=1e-9)
+
+
+# -- the same bits -----------------------------------------------------------------------------------------------------
+
+
+def cut_short(study, plan, path, after, **options):
+    """Begin a sweep and interrupt it once so many runs are made."""
+
+    def interrupt(done):
+        if done >= after:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        sweep(study, plan, path, workers=1, progress=interrupt, **options)
+
+
+@pytest.mark.parametrize("kind", [".parquet", ".npz"])
+def test_a_sweep_goes_on_where_it_was_left_with_the_same_bits(tmp_path, monkeypatch, kind):
+    monkeypatch.setattr("hysteresis_ros.sweeps.sweep.JOB_RUNS", 5)
+    path, whole = tmp_path / f"f{kind}", sweep(*asked(runs=40), workers=1)
+    cut_short(*asked(runs=40), path, after=20)
+    journal = tmp_path / f"f{kind}{SUFFIX}"
+    kept = journal.read_bytes()
+    assert not path.exists() and 20 <= sum(len(json.loads(line)["rows"]) for line in kept.splitlines()[1:]) < 40
+    journal.write_bytes(kept[:-7])  # killed while it wrote
+    counted = []
+    assert same_bits(sweep(*asked(runs=40), path, workers=1, progress=counted.append), whole)
+    assert counted[0] >= 10 and not journal.exists()
+    assert same_bits(load(path), whole)
+    assert same_bits(sweep(*asked(runs=40), path), whole)  # nothing to do
+    longer = sweep(*asked(runs=55), path, workers=1)
+    assert same_bits(longer, sweep(*asked(runs=55), workers=1))
+
+
+def test_two_processes_find_what_one_does(tmp_path):
+    varied_ = (*PRODUCT, "plant_simulator.sensor.noise=0,1nm", "plant_simulator.sensor.seed=uniform(1,99)")
+    metrics = ("rms_error_m", "voltage_variation_v", "overshoot_percent")
+    one = sweep(*asked(varied_, metrics=metrics), workers=1)
+    assert same_bits(sweep(*asked(varied_, metrics=metrics), tmp_path / "two.npz", workers=2), one)
+    assert np.all(np.isnan(one.metrics["overshoot_percent"]))  # nothing steps
+
+
+# -- what is found -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("runs", [1, 7, 50])
+@pytest.mark.parametrize("confidence", [0.9, 0.95])
+def test_the_interval_covers_every_share(runs, confidence):
+    """Summed over all that may be seen: never less than stated, whatever the true share."""
+    ends = np.array([interval(good, runs, confidence) for good in range(runs + 1)])
+    for share in np.linspace(0.01, 0.99, 99):
+        chances = scipy.special.comb(runs, np.arange(runs + 1)) * share ** np.arange(runs + 1)
+        chances *= (1.0 - share) ** np.arange(runs, -1, -1)
+        covered = (ends[:, 0] <= share) & (share <= ends[:, 1])
+        assert np.sum(chances[covered]) >= confidence - 1e-12
+
+
+def test_the_yield_is_that_of_the_distribution():
+    """Of an error that is evenly distributed; unstable, refused or without a value is not good."""
+    study, plan = asked(("plant_simulator.gain=uniform(1.0,1.4)",), runs=2000)
+    summed = Summary(sweep(study, plan), plan, (parse_bound(f"max_error_m={0.25 * PLACE}"),))
+    assert summed.yield_.low < 0.25 / 0.4 < summed.yield_.high and summed.yield_.high - summed.yield_.low < 0.05
+    assert summed.results.metrics["max_error_m"][summed.worst("max_error_m")] == max(
+        summed.results.metrics["max_error_m"]
+    )
+
+
+def test_sensitivities_after_sobol_are_those_of_a_product():
+    """The error is place times deviation: E[XY | X] and the variances of a product are known."""
+    study, plan = asked(runs=4096, design="sobol", metrics=("rms_error_m",))
+    found = sensitivity(plan, "rms_error_m", sweep(study, plan).metrics["rms_error_m"])
+    means, variances = np.array([0.2, 1.5]), np.array([0.2**2, 1.0]) / 12.0
+    whole = np.prod(means**2 + variances) - np.prod(means**2)
+    first = variances * means[::-1] ** 2 / whole
+    assert found.columns["first"] == pytest.approx(first, abs=0.02)
+    assert found.columns["total"] == pytest.approx(first + np.prod(variances) / whole, abs=0.02)
+
+
+def test_effects_after_morris_are_the_slopes():
+    study, plan = asked(
+        (*PRODUCT, "plant_simulator.sensor.seed=uniform(1,9)"), runs=80, design="morris", metrics=("rms_error_m",)
+    )
+    found = sensitivity(plan, "rms_error_m", sweep(study, plan).metrics["rms_error_m"])
+    # over the width of each: 0.2 · place, deviation · 1 µm, and nothing of a seed without noise
+    assert found.columns["mean"] == pytest.approx([0.2 * 1.5e-6, 0.2e-6, 0.0], rel=0.25)
+
+
+# -- what is wrong -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        (["--vary", f"{GAIN}=±5%", "--metric", "rms_eror_m"], "did you mean rms_error_m?"),
+        (["--vary", f"{GAIN}=±5%", "--metric", "lateness_p99_s"], "lateness_p99_s"),
+        (["--vary", "plant_simulator.hysteresis.proportional.gian=±5%"], "did you mean hysteresis.proportional.gain?"),
+        (["--vary", "plant_simulatr.gain=±5%"], "did you mean plant_simulator?"),
+        (["--vary", f"{GAIN}=1e-7,-1e-7,2e-7"], "out of range"),
+        (["--vary", f"{GAIN}=1um:5um:lin3"], "is in m, allowed"),
+        (["--vary", f"{GAIN}=0.1:2:exp3"], "write 0.1:2:log20"),
+        (["--vary", "plant_simulator.gain=±60%"], "0.5 … 1.5"),
+        (["--vary", "plant_simulator.sensor.noise=±5%"], "configured as 0"),
+        (["--vary", "plant_simulator.sensor.noise=±1nm"], "out of range"),
+        (["--vary", "plant_simulator.limits.bits=12.5"], "whole number"),
+        (["--vary", f"{GAIN}=±5%", "--vary", f"{GAIN}=±2%"], "varies twice"),
+        (["--vary", "reference_generator.waveform.steps.values=1um"], "is an array"),
+        ([], "nothing varies"),
+        (["--vary", f"{GAIN}=1e-7:2e-7:lin9", "--vary", "plant_simulator=±1%", "--runs", "5"], "levels are 9"),
+        (["--vary", f"{GAIN}=±5%", "--bound", "rms_error_m=1V"], "is in V"),
+        (["--vary", f"{GAIN}=±5%", "--runs", "3", "--sensitivity", "sobol"], "needs at least"),
+        (["--vary", f"{GAIN}=±5%", "-o", "g.npz"], "one file"),
+        (["--vary", f"{GAIN}=±5%", "--scheduler", "tcp://127.0.0.1:9"], "no scheduler answers"),
+    ],
+)
+def test_the_command_names_what_is_wrong(config, tmp_path, monkeypatch, words, named):
+    monkeypatch.setattr(cluster, "CONNECT", 0.3)
+    answer = run_command(config, *words, "-o", tmp_path / "f.npz")
+    assert answer.exit_code == 2 and named in answer.output and "Traceback" not in answer.output
+    assert len(answer.output.strip().splitlines()) == 1
+
+
+def test_results_of_another_sweep_are_left_alone(config, tmp_path):
+    words = [config, "--vary", "plant_simulator.gain=±5%", "--runs", "5", "-o", tmp_path / "f.npz"]
+    assert run_command(*words).exit_code == 0
+    kept = (tmp_path / "f.npz").read_bytes()
+    for other, named in (
+        (["--seed", "2"], "seed: 1 there, 2 asked"),
+        (["--metric", "iae_m_s"], "metrics"),
+        (["--duration", "1"], "configuration"),
+    ):
+        answer = run_command(*words, *other)
+        assert answer.exit_code == 2 and "holds another sweep" in answer.output and named in answer.output
+    assert (tmp_path / "f.npz").read_bytes() == kept
+    (tmp_path / "f.npz").write_bytes(b"something else")
+    answer = run_command(*words)
+    assert answer.exit_code == 2 and "holds no results of a sweep" in answer.output
+
+
+def test_a_run_that_no_axis_can_make_is_named_and_the_others_are_kept(config, tmp_path):
+    """Each bound of a range is allowed, but not every combination."""
+    words = [
+        "--vary",
+        "plant_simulator.limits.minimum=-10,-20,300",
+        "--metric",
+        "max_error_m",
+        "-o",
+        tmp_path / "f.npz",
+    ]
+    answer = run_command(config, *words)
+    assert answer.exit_code == 2 and "1 of 3 runs were refused; run 2: plant_simulator: " in answer.output
+    found = load(tmp_path / "f.npz")
+    assert np.isfinite(found.metrics["max_error_m"]).tolist() == [True, True, False]
+    assert found.refused[2] and found.good.tolist() == [True, True, False]
+    assert run_command(config, *words).exit_code == 2
+
+
+def test_a_full_disk_loses_nothing(tmp_path, monkeypatch):
+    """Here a file may not become larger than a limit; what stands in it stays, and the sweep goes on with more room."""
+    monkeypatch.setattr("hysteresis_ros.sweeps.sweep.JOB_RUNS", 5)
+    path, before = tmp_path / "f.npz", resource.getrlimit(resource.RLIMIT_FSIZE)
+    cut_short(*asked(runs=40), path, after=5)
+    journal = tmp_path / f"f.npz{SUFFIX}"
+    resource.setrlimit(resource.RLIMIT_FSIZE, (journal.stat().st_size + 300, before[1]))
+    try:
+        with pytest.raises(ConfigurationError, match="cannot be written.*kept"):
+            sweep(*asked(runs=40), path, workers=1)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert journal.read_bytes().endswith(b"\n") and not path.exists()
+    assert same_bits(sweep(*asked(runs=40), path, workers=1), sweep(*asked(runs=40), workers=1))
+
+
+def test_two_sweeps_do_not_write_into_one_file(tmp_path):
+    path = tmp_path / "f.npz"
+
+    def meanwhile(done):
+        with pytest.raises(ConfigurationError, match="another sweep writes there"):
+            sweep(*asked(), path, workers=1)
+
+    sweep(*asked(), path, workers=1, progress=meanwhile)
+
+
+def test_a_sweep_is_shown(config, tmp_path):
+    words = ["--vary", "plant_simulator.gain=0.9:1.1:lin3", "--vary", "plant_simulator.sensor.noise=uniform(0,1nm)"]
+    words += ["--runs", "30", "--bound", "rms_error_m=100nm", "--json", tmp_path / "f.json"]
+    answer = run_command(config, *words, "-o", tmp_path / "f.parquet", "-o", tmp_path / "f.html")
+    assert answer.exit_code == 0, answer.output
+    found = json.loads((tmp_path / "f.json").read_text())
+    assert [one["good"] for one in found["levels"]] == [0, 10, 0] and found["yield"]["share"] == pytest.approx(1 / 3)
+    page = (tmp_path / "f.html").read_text()
+    assert page.count("<img") == 3 and "plant_simulator.gain" in page
+
+
+def test_what_is_refused_before_anything_is_made_is_a_parameter():
+    with pytest.raises(ParameterError, match="--vary plant_simulator.gain"):
+        parse_variations(["plant_simulator.gain=2"], axis())
