@@ -47,3 +47,8 @@ def named(endpoint) -> str:
     if "UNKNOWN" in endpoint.node_name:  # the word of rmw: _NODE_NAME_UNKNOWN_
         return "somebody who has not told a name"
     return f"{endpoint.node_namespace.rstrip('/')}/{endpoint.node_name}"
+
+
+def is_name(words: str) -> bool:
+    """Tell whether what :func:`named` returned is the name of a node."""
+    return words.startswith("/")

@@ -23,7 +23,7 @@ from functools import partial
 from sensor_msgs.msg import JointState
 
 from hysteresis_ros.errors import HysteresisError
-from hysteresis_ros.nodes.discovery import named, reaches_others
+from hysteresis_ros.nodes.discovery import is_name, named, reaches_others
 from hysteresis_ros.nodes.identified import IdentifiedSubscription
 
 #: Longest wait for an input whose silence has no time-out of its own [s].
@@ -188,7 +188,7 @@ class Masters:
         found = self._node.get_publishers_info_by_topic(topic)
         names = {named(endpoint) for endpoint in found if not identity or bytes(endpoint.endpoint_gid) == identity}
         text = " or ".join(sorted(names))
-        if text.startswith("/"):  # told already: who has left keeps it
+        if is_name(text):  # told already: who has left keeps it
             self._names[identity] = text
         return self._names.get(identity) or text or "a node that has left"
 
@@ -217,11 +217,16 @@ class Masters:
 
 
 def publishers(node, topic: str) -> list[str]:
-    """Return the full names of the nodes that publish a topic of the loop; all may publish joint_states of theirs."""
+    """Return the full names of the nodes that publish a topic of the loop; all may publish joint_states of theirs.
+
+    A node that was killed still stands in the graph beside the one that was started in its place, for some seconds: of one
+    name there is one. Who has not told a name yet may be anybody.
+    """
     if node.count_publishers(topic) < 2:
         return []
     found = node.get_publishers_info_by_topic(topic)
-    return sorted({named(endpoint) for endpoint in found if endpoint.topic_type != "sensor_msgs/msg/JointState"})
+    names = [named(endpoint) for endpoint in found if endpoint.topic_type != "sensor_msgs/msg/JointState"]
+    return sorted({name for name in names if is_name(name)}) + [name for name in names if not is_name(name)]
 
 
 def rivals(node) -> list[str]:

@@ -48,6 +48,7 @@ class FakeNode:
     parameters = SimpleNamespace(joint="stage")
 
     def __init__(self):
+        self.names = {OURS: "compensator", THEIRS: "stranger"}
         self.publishers, self.warned, self.told, self.loop_topics, self._reported = 2, [], [], [], {}
 
     def resolve_topic_name(self, topic):
@@ -57,9 +58,8 @@ class FakeNode:
         return self.publishers
 
     def get_publishers_info_by_topic(self, topic):
-        names = {OURS: "compensator", THEIRS: "stranger"}
         common = {"node_namespace": "/", "topic_type": "std_msgs/msg/Float64"}
-        return [SimpleNamespace(node_name=name, endpoint_gid=list(who), **common) for who, name in names.items()]
+        return [SimpleNamespace(node_name=name, endpoint_gid=list(who), **common) for who, name in self.names.items()]
 
     def warn(self, key, text, **options):
         self.warned.append(text)
@@ -116,6 +116,10 @@ def test_both_are_named_as_long_as_there_are_two(led):
     led.master.take(2.0, THEIRS)
     words = "/voltage is taken from /compensator, and nothing of /stranger: stop one of them"
     assert words in led.masters.complaint() and words in led.node.warned[0]
+    led.node.names = {OURS: "_NODE_NAME_UNKNOWN_", THEIRS: "_NODE_NAME_UNKNOWN_"}
+    assert "/voltage is published by somebody who has not told a name and somebody" in led.masters.complaint()
+    led.node.names = {OURS: "compensator", THEIRS: "compensator"}  # killed and started again
+    assert led.masters.complaint() == ""
     led.node.publishers = 1
     assert led.masters.complaint() == ""
 
