@@ -219,7 +219,7 @@ class Masters:
 def publishers(node, topic: str) -> list[str]:
     """Return the full names of the nodes that publish a topic of the loop; all may publish joint_states of theirs.
 
-    A node that was killed still stands in the graph beside the one that was started in its place, for some seconds: of one
+    A node that was killed stands in the graph beside the one that was started in its place, for some seconds: of one
     name there is one. Who has not told a name yet may be anybody.
     """
     if node.count_publishers(topic) < 2:
