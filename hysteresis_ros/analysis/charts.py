@@ -28,6 +28,8 @@ COLOURS = {
     "limit": ("#444444", "#b4b4b4"),
     "late": ("#b36a00", "#f0b050"),
 }
+#: Colours of the first, second … run where several stand side by side.
+SIDE_BY_SIDE = ("reference", "displacement", "estimated", "voltage", "late", "limit")
 #: Points of a path in a picture; in the page there are fewer.
 PATH_POINTS = 20000
 
@@ -72,7 +74,8 @@ class Chart:
         Its caption and the labels of its axes, with units.
     lines : sequence of Line
     kind : str
-        ``time``: x is the time of the run [s], shared by all such charts; ``graph``: x increases along each line;
+        ``time``: x is the time of the run [s], shared by all such charts; ``overlay``: the same of lines that have
+        instants of their own; ``graph``: x increases along each line;
         ``path``: x goes to and fro; ``steps``: x are the left edges of bars.
     logarithmic : str
         Which axes are logarithmic: ``x``, ``y``, both or none of them.

@@ -22,6 +22,7 @@ from hysteresis_ros.analysis.metrics import (
     sampling_figures,
     shown,
 )
+from hysteresis_ros.analysis.tables import aligned
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.references import inchworm_layout as at
 
@@ -135,26 +136,15 @@ def format_inchworm(figures: dict) -> str:
     rows = [("Move", [str(i + 1) for i in range(len(moves))], ""), ("outcome", [m["outcome"] for m in moves], "")]
     for name, label, unit, factor in MOVE_FIGURES:
         rows.append((label, [format_value(move[name], factor) for move in moves], unit))
-    lines = _aligned(rows) if moves else ["no moves: nothing was asked for"]
+    lines = aligned(rows) if moves else ["no moves: nothing was asked for"]
     lines.append("")
     of_run = []
     for values, names in ((figures["run"], RUN_FIGURES), (figures, COMMON_FIGURES)):
         for name, label, unit, factor in names:
             value, finer = shown(values[name], unit, factor)
             of_run.append((label, [value], finer))
-    lines += _aligned(of_run)
+    lines += aligned(of_run)
     return "\n".join([*lines, *(f"note: {note}" for note in figures["notes"]["recording"])])
-
-
-def _aligned(rows) -> list[str]:
-    width = max(len(label) for label, *_ in rows)
-    cells = [max(len(row[1][i]) for row in rows) for i in range(len(rows[0][1]))]
-    return [
-        f"{label:<{width}}  "
-        + "  ".join(f"{value:>{size}}" for value, size in zip(values, cells, strict=True))
-        + (f"  {unit}" if unit else "")
-        for label, values, unit in rows
-    ]
 
 
 def _move_figures(run: InchwormRun, move: Move) -> dict:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from hysteresis_ros.analysis.charts import Chart, Line
 from hysteresis_ros.analysis.inchworm_moves import InchwormRun
 from hysteresis_ros.analysis.plots import add_legend, envelope, new_figure
 from hysteresis_ros.references import inchworm_layout as at
@@ -201,15 +202,48 @@ def slip_figure(run: InchwormRun):
     return figure
 
 
+#: Charts of the page of which the picture is another one, with more in it: name, caption and picture.
+IN_THE_PLACE = (
+    ("travel", "Position over time", travel_figure),
+    ("final_error", "Final error, from each arrival to the end of the move", final_error_figure),
+)
 #: Plots of the page: caption and function of an :class:`InchwormRun`.
 INCHWORM_PLOTS = (
-    ("Position over time", travel_figure),
     (f"{SHOWN_STEPS} steps: positions, voltages and clamp forces", gait_figure),
     ("Arrival: the last micrometres and the last nanometres", arrival_figure),
-    ("Final error, from each arrival to the end of the move", final_error_figure),
     ("Length of the steps (the outermost bars on the right hold all steps beyond)", step_length_figure),
     ("Slip and missed grips", slip_figure),
 )
+
+
+def inchworm_charts(run: InchwormRun) -> list[Chart]:
+    """Return the charts over time into which one can look: position, final error, voltages.
+
+    Parameters
+    ----------
+    run : InchwormRun
+    """
+    captions = {name: caption for name, caption, _ in IN_THE_PLACE}
+    away = np.full(len(run.time), np.nan)
+    for move in run.moves:
+        if move.arrival is not None:
+            away[move.arrival : move.last] = (run.slider[move.arrival : move.last] - move.goal) * 1e9
+    travel = [
+        Line("setpoint", "limit", run.time, run.setpoint * 1e3, 1.1, (4.0, 3.0)),
+        Line("slider", "displacement", run.time, run.slider * 1e3, 1.4),
+    ]
+    charts = [Chart("travel", captions["travel"], "time [s]", "position [mm]", travel)]
+    if np.any(np.isfinite(away)):
+        limit, label = run.tolerance * 1e9, "slider − setpoint [nm]"
+        line = Line("slider − setpoint", "displacement", run.time, away, 1.0)
+        charts.append(Chart("final_error", captions["final_error"], "time [s]", label, [line], levels=(-limit, limit)))
+    voltages = (("front_voltage", "late", "front clamp"), ("rear_voltage", "voltage", "rear clamp"))
+    lines = [
+        Line(label, colour, run.time, run.signals[name], 1.0)
+        for name, colour, label in (*voltages, ("voltage", "reference", "extender"))
+        if name in run.signals
+    ]
+    return [*charts, Chart("voltages", "Voltages of clamps and extender", "time [s]", "voltage [V]", lines)]
 
 
 def steps_window(run: InchwormRun, count: int = SHOWN_STEPS) -> slice:

@@ -18,10 +18,11 @@ from hysteresis_ros.analysis.inchworm import (
     inchworm_figures,
 )
 from hysteresis_ros.analysis.inchworm_moves import inchworm_run
-from hysteresis_ros.analysis.inchworm_plots import INCHWORM_PLOTS
+from hysteresis_ros.analysis.inchworm_plots import IN_THE_PLACE, INCHWORM_PLOTS, inchworm_charts
 from hysteresis_ros.analysis.metrics import format_value, shown_row
-from hysteresis_ros.analysis.page import origin, render_page, write_page
+from hysteresis_ros.analysis.page import origin, write_page
 from hysteresis_ros.analysis.plots import data_uri
+from hysteresis_ros.analysis.report import render_interactive, sampling_text
 from hysteresis_ros.recordings.dataset import Recording
 
 
@@ -44,6 +45,10 @@ def render_inchworm_report(recording: Recording, title: str, figures: dict | Non
     """
     figures = figures or inchworm_figures(recording)
     run = inchworm_run(recording)
+    begin, end = float(run.time[0]), float(run.time[-1])
+    ends = [(float(run.time[move.first]), float(run.time[move.last - 1])) for move in run.moves]
+    spans = [["whole run", begin, end], *([f"move {i + 1}", *pair] for i, pair in enumerate(ends))]
+    drawn_already = {name: draw(run) for name, _, draw in IN_THE_PLACE}
     moves = [
         dict(outcome=move["outcome"], cells=[format_value(move[name], factor) for name, _, _, factor in MOVE_FIGURES])
         for move in figures["moves"]
@@ -54,9 +59,13 @@ def render_inchworm_report(recording: Recording, title: str, figures: dict | Non
         for values, names in ((figures["run"], RUN_FIGURES), (figures, COMMON_FIGURES))
         for name, label, unit, factor in names
     ]
-    return render_page(
+    return render_interactive(
         "inchworm.html.j2",
+        inchworm_charts(run),
+        {"whole": [begin, end], "spans": spans, "runs": []},
+        drawn_already,
         title=title,
+        spans=spans,
         headings=[(label, unit) for _, label, unit, _ in MOVE_FIGURES],
         moves=moves,
         rows=rows,
@@ -64,6 +73,7 @@ def render_inchworm_report(recording: Recording, title: str, figures: dict | Non
         notes=remarks["recording"],
         configuration=recording.configuration,
         origin=origin(recording),
+        judged=sampling_text(recording),
     )
 
 

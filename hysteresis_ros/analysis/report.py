@@ -38,7 +38,8 @@ from hysteresis_ros.analysis.run_charts import (
     traces_chart,
     voltage_chart,
 )
-from hysteresis_ros.analysis.spans import ADDED, block_sums, columns_of, table_of
+from hysteresis_ros.analysis.spans import ADDED, BLOCKS, block_sums, columns_of
+from hysteresis_ros.analysis.tables import table_of
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.units import FINE
 
@@ -85,20 +86,29 @@ def _samples_per_voltage(recording: Recording) -> int:
     return int(np.gcd.reduce(np.diff(changes))) if changes.size > 2 else 1
 
 
-def drawn(charts: Sequence[Chart]) -> list[dict]:
+def drawn(charts: Sequence[Chart], figures: dict) -> list[dict]:
     """Return the charts as a template shows them where no script runs: name, caption, picture and note.
 
     Parameters
     ----------
     charts : sequence of Chart
+    figures : dict
+        Name of a chart → the figure that is its picture, where it is not drawn from the chart.
     """
     return [
-        dict(name=chart.name, caption=chart.caption, note=chart.note, source=data_uri(chart_figure(chart)))
+        dict(
+            name=chart.name,
+            caption=chart.caption,
+            note=chart.note,
+            source=data_uri(figures.get(chart.name) or chart_figure(chart)),
+        )
         for chart in charts
     ]
 
 
-def render_interactive(template: str, charts: Sequence[Chart], about: dict, **values) -> str:
+def render_interactive(
+    template: str, charts: Sequence[Chart], about: dict, figures: dict | None = None, **values
+) -> str:
     """Return a page with charts, no larger than :data:`LARGEST` where that can be had by coarser charts.
 
     Parameters
@@ -107,20 +117,22 @@ def render_interactive(template: str, charts: Sequence[Chart], about: dict, **va
     charts : sequence of Chart
     about : dict
         What the page's script needs beside the charts; what JSON can hold.
+    figures : dict, optional
+        See :func:`drawn`.
     **values
         For the template.
     """
-    pictures = drawn(charts)
+    pictures = drawn(charts, figures or {})
     points, html = TIME_POINTS, ""
     while not html or (len(html.encode("utf-8")) > LARGEST and points > TIME_POINTS // 32):
-        payload = chart_payload(charts, points) | dict(finer=FINER, fine=FINE, joined=False) | about
+        payload = chart_payload(charts, points) | dict(finer=FINER, fine=FINE) | about
         html = render_page(
             template,
             charts=pictures,
             block=payload["samples"],
             data=script_text(payload),
             styles=asset("uPlot.min.css"),
-            scripts=[asset("uPlot.iife.min.js"), asset("report.js")],
+            scripts=[asset("uPlot.iife.min.js"), asset("span.js"), asset("charts.js")],
             **values,
         )
         points //= 2
@@ -154,24 +166,37 @@ def render_report(
     about = {
         "whole": [float(recording.time[0]), float(recording.time[-1])],
         "first": float(recording.metadata.get("first_s", recording.time[0])),
-        "source": str(recording.metadata.get("source") or "RECORDING"),
         "spans": [[name, begin, end] for name, begin, end, _ in spans],
-        "sums": {name: packed(values, "<f8") for name, values in block_sums(run).items()},
+        "runs": [dict(name="", sums=packed_sums(run))],
     }
     return render_interactive(
         "report.html.j2",
         charts_of(run),
         about,
         title=title,
-        spans=spans,
+        columns=[(name, f"{begin:.7g} … {end:.7g} s") for name, begin, end, _ in spans],
+        spans=about["spans"],
         rows=table_of([figures for *_, figures in spans]),
         added=ADDED,
+        shown=[""],
         plots=[dict(caption=caption, source=source) for caption, source in first],
         notes=figures["notes"]["recording"],
-        judged=sampling_text(recording),
-        configuration=recording.configuration,
-        origin=origin(recording),
+        judged=[sampling_text(recording)],
+        configurations=[("Configuration", recording.configuration)] if recording.configuration else [],
+        origins=[origin(recording)],
     )
+
+
+def packed_sums(run: Judged, blocks: int = BLOCKS) -> dict[str, str]:
+    """Return the sums over blocks of a run as a page holds them.
+
+    Parameters
+    ----------
+    run : Judged
+    blocks : int
+        Most blocks.
+    """
+    return {name: packed(values, "<f8") for name, values in block_sums(run, blocks).items()}
 
 
 def write_report(

@@ -11,7 +11,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -42,6 +42,8 @@ class Judged:
         What the displacement is judged by, and reference - displacement [m]; None: nobody knows a reference.
     start : int
         First sample whose error counts.
+    unit : tuple of (str, float)
+        Unit in which errors are drawn, and how many of it are in a metre.
     """
 
     recording: Recording
@@ -50,16 +52,12 @@ class Judged:
     reference: np.ndarray | None
     error: np.ndarray | None
     start: int
+    unit: tuple[str, float] = ("µm", _MICRO)
 
     @property
     def counted(self) -> np.ndarray:
         """Which samples have an error that counts, shape (N,)."""
         return np.isfinite(self.error) & (np.arange(len(self.recording)) >= self.start)
-
-    @property
-    def unit(self) -> tuple[str, float]:
-        """Unit in which errors are drawn, and how many of it are in a metre."""
-        return length_unit(float(np.max(np.abs(self.error[self.counted]), initial=0.0)))
 
 
 def judged(recording: Recording) -> Judged:
@@ -84,7 +82,18 @@ def judged(recording: Recording) -> Judged:
     start = 0
     if good.size and not recording.metadata.get("excerpt"):
         start = int(good[scan_start(reference[good], displacement[good])])
-    return Judged(recording, settings, displacement, reference, error, start)
+    run = Judged(recording, settings, displacement, reference, error, start)
+    return replace(run, unit=length_unit(largest_error(run)))
+
+
+def largest_error(run: Judged) -> float:
+    """Return the largest error that counts [m]; 0 where there is none.
+
+    Parameters
+    ----------
+    run : Judged
+    """
+    return 0.0 if run.error is None else float(np.max(np.abs(run.error[run.counted]), initial=0.0))
 
 
 def traces_chart(run: Judged) -> Chart:
@@ -128,7 +137,7 @@ def error_chart(run: Judged) -> Chart | None:
     shown: dict = {}
     if run.start:
         # what does not count does not make the rest small
-        largest = 1.5 * factor * float(np.max(np.abs(run.error[run.counted])))
+        largest = 1.5 * factor * largest_error(run)
         shown = dict(shaded=(time[0], time[run.start]), shaded_label="not counted: jump into the scan")
         shown["limits"] = (-largest, largest)
     caption = "Error (reference − displacement) over time"
@@ -158,7 +167,8 @@ def loops_chart(run: Judged) -> Chart | None:
         label = f"{text} ({low * factor:.4g} … {high * factor:.4g} {unit}): {100.0 * opening / stroke:.3g} % of stroke"
         part = 100.0 * (values - low) / (high - low)
         lines.append(Line(label, colour, part, run.displacement * _MICRO, 0.9, key=recording.time))
-    if not lines:
+    # a voltage that jumps to and fro with its reference has no loop either
+    if not lines or lines[-1].colour != inputs[-1][1]:
         return None
     across, caption = "voltage or reference [% of its range]", "Hysteresis loop before and after compensation"
     if run.reference is None:

@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 
 from hysteresis_ros.analysis.excerpt import period_ends, within
-from hysteresis_ros.analysis.metrics import FIGURES, compute_metrics, shown_row
+from hysteresis_ros.analysis.metrics import compute_metrics
 from hysteresis_ros.analysis.run_charts import Judged
 from hysteresis_ros.recordings.dataset import Recording
 
@@ -54,23 +54,6 @@ def columns_of(recording: Recording, figures: dict) -> list[tuple[str, float, fl
         name = "last period" if count == 1 else f"last {count} periods"
         found.append((name, float(part.time[0]), float(part.time[-1]), compute_metrics(part)))
     return found
-
-
-def table_of(columns) -> list[dict]:
-    """Return the rows of a table of figures with a cell for each span; units are those of the first.
-
-    Parameters
-    ----------
-    columns : sequence of dict
-        Figures of each span.
-    """
-    rows = []
-    for name, label, unit, factor in FIGURES:
-        cells = [shown_row(label, figures[name], unit, factor) for figures in columns]
-        remarks = dict.fromkeys(figures["notes"].get(name, "") for figures in columns)
-        remark = "; ".join(filter(None, remarks))
-        rows.append(dict(label=label, cells=cells, name=name, unit=unit, factor=factor, remark=remark))
-    return rows
 
 
 def block_sums(run: Judged, blocks: int = BLOCKS) -> dict[str, np.ndarray]:

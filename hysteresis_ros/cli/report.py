@@ -19,26 +19,64 @@ from hysteresis_ros.cli.data_options import write_json
 
 
 @click.command()
-@click.argument("recording", type=click.Path(path_type=pathlib.Path))
+@click.argument("recordings", nargs=-1, required=True, metavar="RECORDING...", type=click.Path(path_type=pathlib.Path))
 @click.option("-o", "--output", type=click.Path(path_type=pathlib.Path), help="HTML file to write.")
 @click.option(
     "--json", "json_path", metavar="FILE", help="JSON file for the figures; '-' prints them instead of the table."
 )
-@click.option("--namespace", help="Which axis, when the bag holds several.")
+@click.option("--namespace", help="Which axis, when a bag holds several.")
 @click.option("--title", help="Heading of the page; the recording's name by default.")
 @click.option("--range", "range_", metavar="FROM:TO", help="Judge this part only, e.g. 0.5s:2s.")
 @click.option("--skip", metavar="TIME", help="Leave out the beginning, e.g. 0.5s.")
 @click.option("--last-periods", type=click.IntRange(1), metavar="N", help="Judge the last N periods of the reference.")
-def report(recording, output, json_path, namespace, title, range_, skip, last_periods) -> None:
-    """Judge RECORDING (bag folder, .mcap, .db3, .npz or .csv): error, overshoot, settling, loop width, rate, jitter.
+def report(recordings, output, json_path, namespace, title, range_, skip, last_periods) -> None:
+    """Judge recordings (bag folder, .mcap, .db3, .npz or .csv): error, overshoot, settling, loop width, rate, jitter.
 
-    Of an inchworm: each move with its steps, speed, slip and final error. Prints a table; -o adds a self-contained HTML
-    file with plots (needs the extra: pip install "hysteresis_ros[report]").
+    Of an inchworm: each move with its steps, speed, slip and final error. Several recordings stand side by side. Prints
+    a table; -o adds a self-contained HTML file with charts to zoom (needs the extra: pip install
+    "hysteresis_ros[report]").
     """
-    from hysteresis_ros.analysis.inchworm_moves import is_inchworm
     from hysteresis_ros.recordings.files import load_run
 
-    run = _excerpt(load_run(recording, namespace, further=True), range_, skip, last_periods)
+    if output is not None:
+        from hysteresis_ros.analysis.page import require_page
+
+        require_page(output)
+    runs = {
+        label: _excerpt(load_run(path, namespace, further=True), range_, skip, last_periods)
+        for label, path in _labels(recordings).items()
+    }
+    if len(runs) > 1:
+        from hysteresis_ros.analysis.side_by_side import compare_runs, format_runs, write_side_by_side
+
+        figures = compare_runs(runs)
+        if output is not None:
+            write_side_by_side(runs, output, title or " · ".join(runs), figures)
+        write_json({"runs": figures}, json_path, format_runs(figures))
+    else:
+        ((label, run),) = runs.items()
+        _single(run, output, title or label, json_path)
+    if output is not None and json_path != "-":
+        click.echo(f"report: {output}")
+
+
+def _labels(paths) -> dict[str, pathlib.Path]:
+    """Return a name for each recording: that of its file, or as much of its path as tells it from the others."""
+    whole = [path.resolve() for path in paths]
+    if len(set(whole)) < len(whole):
+        again = next(path for path, full in zip(paths, whole, strict=True) if whole.count(full) > 1)
+        raise click.UsageError(f"{again} is given more than once")
+    for parts in range(1, max(len(path.parts) for path in whole) + 1):
+        labels = ["/".join(path.parts[-parts:]) for path in whole]
+        if len(set(labels)) == len(labels):
+            break
+    return dict(zip(labels, paths, strict=True))
+
+
+def _single(run, output, title: str, json_path: str | None) -> None:
+    """Judge one run, an inchworm's by its moves."""
+    from hysteresis_ros.analysis.inchworm_moves import is_inchworm
+
     if is_inchworm(run):
         from hysteresis_ros.analysis.inchworm import format_inchworm as table
         from hysteresis_ros.analysis.inchworm import inchworm_figures as judge
@@ -49,10 +87,8 @@ def report(recording, output, json_path, namespace, title, range_, skip, last_pe
         from hysteresis_ros.analysis.report import write_report as write
     figures = judge(run)
     if output is not None:
-        write(run, output, title or recording.resolve().name, figures)
+        write(run, output, title, figures)
     write_json(figures, json_path, table(figures))
-    if output is not None and json_path != "-":
-        click.echo(f"report: {output}")
 
 
 def _excerpt(run, range_: str | None, skip: str | None, periods: int | None):

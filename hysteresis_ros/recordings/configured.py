@@ -11,6 +11,8 @@
 
 from __future__ import annotations
 
+import functools
+
 from hysteresis_ros.configuration import Configuration, dump_configuration, parse_configuration
 from hysteresis_ros.errors import HysteresisError
 from hysteresis_ros.recordings.dataset import Recording
@@ -55,7 +57,9 @@ def in_force(recording: Recording) -> str:
     return dump_configuration({f"{namespace}/{node}": values for node, values in given.items() if values})
 
 
+@functools.lru_cache(maxsize=4)
 def _parsed(text: str) -> Configuration | None:
+    # a page asks for the same text a few dozen times, and reading YAML takes longer than anything else of it
     if not text:
         return None
     try:

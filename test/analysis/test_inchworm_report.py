@@ -251,7 +251,8 @@ def test_a_simulated_run(simulated):
 @pytest.mark.parametrize("case", ["simulated", "made up", "at rest", "one step"])
 def test_plots_say_quantity_and_unit(simulated, case):
     pytest.importorskip("matplotlib", reason="plots need Matplotlib")
-    from hysteresis_ros.analysis.inchworm_plots import INCHWORM_PLOTS
+    from hysteresis_ros.analysis.charts import chart_figure
+    from hysteresis_ros.analysis.inchworm_plots import IN_THE_PLACE, INCHWORM_PLOTS, inchworm_charts
     from hysteresis_ros.analysis.plots import png
 
     recordings = {
@@ -261,8 +262,8 @@ def test_plots_say_quantity_and_unit(simulated, case):
         "one step": lambda: walk(steps=1).recording(),
     }
     run = inchworm_run(recordings[case]())
-    for _, draw in INCHWORM_PLOTS:
-        figure = draw(run)
+    drawn = [draw(run) for *_, draw in (*INCHWORM_PLOTS, *IN_THE_PLACE)]
+    for figure in [*drawn, *(chart_figure(chart) for chart in inchworm_charts(run))]:
         assert png(figure).startswith(b"\x89PNG")
         for axis in figure.axes:
             for label in (axis.get_xlabel(), axis.get_ylabel()):
@@ -278,8 +279,9 @@ def test_the_command_writes_page_and_figures(simulated, tmp_path):
     result = CliRunner().invoke(report, arguments, catch_exceptions=False)
     assert result.exit_code == 0 and "final error" in result.output
     text = page.read_text(encoding="utf-8")
-    assert text.count('src="data:image/png;base64,') == 6
-    addresses = re.findall(r'(?:src|href)="([^"]*)"', text)
+    assert text.count('src="data:image/png;base64,') == 7
+    addresses = re.findall(r'(?:src|href)="([^"]*)"', re.sub(r"<script.*?</script>", "", text, flags=re.S))
+    assert ">move 2</option>" in text and 'id="chart-final_error"' in text and len(text) < 2_000_000
     assert all(address.startswith("data:") for address in addresses)
     assert "Moves" in text and "arrived" in text and "inchworm_sequencer" in text
     stored = json.loads(figures.read_text(encoding="utf-8"))

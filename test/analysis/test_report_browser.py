@@ -44,14 +44,14 @@ TRIAL = """
     target.dispatchEvent(new MouseEvent(kind, { bubbles: true, view: window, button: 0, movementX: 1, ...at }));
   };
   const soon = () => new Promise((go) => setTimeout(go, 50));
-  const shown = () => Object.fromEntries(
+  const column = () => Object.fromEntries(
     [...document.querySelectorAll("tr[data-figure]")].map(
       (row) => [row.dataset.figure, words(row.querySelector(".shown"))])
   );
   (async () => {
     await soon();
     const names = [...document.querySelectorAll("figure.live")].map((one) => one.id.slice(6));
-    const seen = { names, before: names.map(pixels), whole: shown() };
+    const seen = { names, before: names.map(pixels), whole: column() };
     const over = figure("error").querySelector(".u-over");
     mouse(over, "mouseenter", 0.25, 0.5);
     mouse(over, "mousemove", 0.25, 0.5);
@@ -67,9 +67,9 @@ TRIAL = """
     mouse(over, "mouseup", 0.5, 0.5);
     await soon();
     seen.after = names.map(pixels);
-    seen.zoomed = shown();
+    seen.zoomed = column();
     seen.ends = [document.getElementById("span-from").value, document.getElementById("span-to").value];
-    seen.head = words(document.getElementById("span-head"));
+    seen.head = words(document.querySelector(".span-head"));
     seen.command = words(document.getElementById("span-command"));
     document.querySelector("button[data-action=whole]").click();
     await soon();

@@ -182,9 +182,10 @@ def test_the_page_carries_these_sums_and_the_last_periods():
     page = report.render_report(run, "run")
     data = data_of(page)
     expected = spans.block_sums(judged(run))
-    assert set(data["sums"]) == set(expected)
+    (sums,) = (run["sums"] for run in data["runs"])
+    assert set(sums) == set(expected)
     for name, values in expected.items():
-        np.testing.assert_array_equal(unpacked(data["sums"][name], "<f8"), values)
+        np.testing.assert_array_equal(unpacked(sums[name], "<f8"), values)
     (whole, *_), (name, begin, end) = data["spans"]
     assert (whole, name) == ("whole run", "last 2 periods") and end - begin == pytest.approx(0.4 - 1 / RATE)
     figures = compute_metrics(within(run, begin, end))
@@ -285,7 +286,7 @@ def test_a_recording_without_a_reference_has_a_page_too():
     text = " ".join("".join(words.text).split())
     assert "no reference in the recording: nothing says how far off the axis was" in text
     assert words.pictures == ["Displacement over time", "Hysteresis loop", "Voltage"]
-    assert "errors" not in data_of(page)["sums"]
+    assert "errors" not in data_of(page)["runs"][0]["sums"]
 
 
 def test_long_runs_make_no_larger_pages(monkeypatch):
@@ -302,6 +303,6 @@ def test_long_runs_make_no_larger_pages(monkeypatch):
     page = report.render_report(run, "long", compute_metrics(run))
     assert len(page.encode()) < report.LARGEST and data_of(page)["samples"] == 4
     assert "the lowest and the highest of them" in page
-    monkeypatch.setattr(report, "drawn", lambda charts: [])
+    monkeypatch.setattr(report, "drawn", lambda charts, figures: [])
     wordy = Recording(run.time, run.signals, {}, {"configuration": "x" * 1_400_000})
     assert len(report.render_report(wordy, "long", compute_metrics(run)).encode()) < report.LARGEST

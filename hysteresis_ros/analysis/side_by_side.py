@@ -1,0 +1,238 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Runs side by side: one table of figures, and their charts laid over each other."""
+
+from __future__ import annotations
+
+import difflib
+from dataclasses import replace
+
+import numpy as np
+
+from hysteresis_ros.analysis.charts import SIDE_BY_SIDE, Chart, Line
+from hysteresis_ros.analysis.inchworm_moves import is_inchworm
+from hysteresis_ros.analysis.metrics import FIGURES, compute_metrics
+from hysteresis_ros.analysis.page import origin, write_page
+from hysteresis_ros.analysis.plots import length_unit
+from hysteresis_ros.analysis.report import charts_of, packed_sums, render_interactive, sampling_text
+from hysteresis_ros.analysis.run_charts import Judged, judged, largest_error
+from hysteresis_ros.analysis.spans import ADDED, BLOCKS
+from hysteresis_ros.analysis.tables import aligned, table_of
+from hysteresis_ros.errors import RecordingError
+from hysteresis_ros.recordings.dataset import Recording
+
+#: Of each chart the lines that are laid over those of other runs, and how each is drawn; more would be too many.
+OVERLAID = {
+    "traces": {"displacement": ()},
+    "error": {"error": ()},
+    "loops": {"after compensation": (), "before compensation": (2.0, 2.0)},
+    "trace": {"trace": (), "retrace": (2.0, 2.0)},
+    "periods": {"last": ()},
+    "spectrum": {"error": ()},
+    "histogram": {"samples": ()},
+    "voltage": {"voltage": ()},
+    "learned": {"period": ()},
+    "late_samples": {"samples": ()},
+}
+
+
+def compare_runs(runs: dict[str, Recording]) -> dict[str, dict]:
+    """Return the figures of merit of each run.
+
+    Parameters
+    ----------
+    runs : dict of str to Recording
+        Label and run.
+
+    Raises
+    ------
+    RecordingError
+        A run cannot be judged (the message begins with its label), or they have nothing in common.
+    """
+    motors = [name for name, run in runs.items() if is_inchworm(run)]
+    if motors:
+        raise RecordingError(f"{motors[0]} is a run of an inchworm, which is judged by its moves: report it by itself")
+    require_common({name: _there(run) for name, run in runs.items()})
+    found = {}
+    for name, run in runs.items():
+        try:
+            found[name] = compute_metrics(run)
+        except RecordingError as error:
+            raise RecordingError(f"{name}: {error}") from None
+    return found
+
+
+def _there(run: Recording) -> set[str]:
+    """Return what a run has values of; a measurement is a displacement."""
+    return {"displacement" if name == "measured" else name for name in run.signals if run.has(name)}
+
+
+def require_common(signals: dict[str, set[str]]) -> set[str]:
+    """Return the signals that all runs have.
+
+    Parameters
+    ----------
+    signals : dict of str to set of str
+        Name of each run and what it has.
+
+    Raises
+    ------
+    RecordingError
+        There is none; the message says what each run has.
+    """
+    common = set.intersection(*signals.values())
+    if not common:
+        said = "; ".join(f"{name} has {', '.join(sorted(there)) or 'nothing'}" for name, there in signals.items())
+        raise RecordingError(f"the runs have no signal in common: {said}; give runs that can be laid over each other")
+    return common
+
+
+def format_runs(figures: dict[str, dict]) -> str:
+    """Return the figures of several runs as aligned lines for a terminal.
+
+    Parameters
+    ----------
+    figures : dict of str to dict
+        Label and figures of each run.
+    """
+    rows: list = [("Run", list(figures), "")]
+    rows += [(row["label"], row["cells"], row["shown_unit"]) for row in table_of(list(figures.values()))]
+    notes = [f"note: {name}: {note}" for name, one in figures.items() for note in one["notes"]["recording"]]
+    return "\n".join([*aligned(rows), *notes])
+
+
+def overlaid(runs: dict[str, Judged]) -> list[Chart]:
+    """Return the charts of several runs laid over each other, each from its first sample on.
+
+    Parameters
+    ----------
+    runs : dict of str to Judged
+        Label and run.
+    """
+    unit = length_unit(max(largest_error(run) for run in runs.values()))
+    charts: dict[str, list[tuple[str, str, Chart]]] = {}
+    for number, (label, run) in enumerate(runs.items()):
+        colour = SIDE_BY_SIDE[number % len(SIDE_BY_SIDE)]
+        for chart in charts_of(replace(run, unit=unit)):
+            if chart.name in OVERLAID:
+                charts.setdefault(chart.name, []).append((label, colour, chart))
+    return [_laid_over(name, charts[name]) for name in OVERLAID if name in charts]
+
+
+def _laid_over(name: str, charts: list[tuple[str, str, Chart]]) -> Chart:
+    lines, notes = [], []
+    for label, colour, chart in charts:
+        for line in chart.lines:
+            found = next((start for start in OVERLAID[name] if line.label.startswith(start)), None)
+            if found is not None and not (name == "periods" and line.label != "last"):
+                words = label if len(OVERLAID[name]) == 1 else f"{label}: {line.label}"
+                lines.append(replace(line, label=words, colour=colour, dash=OVERLAID[name][found], width=1.2))
+        notes += [f"{label}: {chart.note}"] if chart.note else []
+    first = charts[0][2]
+    if name == "traces":
+        lines += _references(charts)
+    kind = "overlay" if first.kind == "time" else first.kind
+    caption = first.caption if name != "traces" else "Displacement over time since the first sample"
+    return replace(first, caption=caption, lines=lines, kind=kind, shaded=None, limits=None, note="\n".join(notes))
+
+
+def _references(charts: list[tuple[str, str, Chart]]) -> list[Line]:
+    """Return the references of the runs; of those that are alike the first one."""
+    found: list[Line] = []
+    for label, _, chart in charts:
+        for line in chart.lines:
+            if line.colour != "reference" or any(_alike(line, other) for other in found):
+                continue
+            words = "reference" if not found else f"reference of {label}"
+            found.append(replace(line, label=words, colour="setpoint", dash=(4.0, 3.0), width=1.0))
+    return found
+
+
+def _alike(line: Line, other: Line) -> bool:
+    """Tell whether two lines are the same to a thousandth of their range, as far as both go."""
+    last = min(line.x[-1], other.x[-1])
+    there = line.x <= last
+    apart = np.abs(np.interp(line.x[there], other.x, other.y) - line.y[there])
+    return bool(np.nanmax(apart, initial=0.0) <= 1e-3 * max(np.nanmax(line.y) - np.nanmin(line.y), 1e-12))
+
+
+def configurations(runs: dict[str, Recording]) -> list[tuple[str, str]]:
+    """Return headings and texts: the configuration of the first run, and in what those of the others differ.
+
+    Parameters
+    ----------
+    runs : dict of str to Recording
+    """
+    (first, base), *others = [(name, run.configuration) for name, run in runs.items()]
+    texts = [(f"Configuration of {first}", base)] if base else []
+    for name, text in others:
+        if text == base:
+            texts += [(f"Configuration of {name}", f"the same as that of {first}")] if text else []
+        elif text:
+            lines = difflib.unified_diff(base.splitlines(), text.splitlines(), first, name, lineterm="")
+            texts.append((f"Configuration of {name}: what differs from {first}", "\n".join(lines)))
+    return texts
+
+
+def render_side_by_side(runs: dict[str, Recording], title: str, figures: dict[str, dict] | None = None) -> str:
+    """Return the page of several runs: table of figures, charts laid over each other, configurations.
+
+    Parameters
+    ----------
+    runs : dict of str to Recording
+        Label and run.
+    title : str
+        Heading.
+    figures : dict of str to dict, optional
+        What :func:`compare_runs` gave, when it is known already.
+
+    Raises
+    ------
+    HysteresisError
+        Matplotlib or Jinja2 is missing, or see :func:`compare_runs`.
+    """
+    figures = figures or compare_runs(runs)
+    # each from its first sample on
+    since = {name: judged(replace(run, time=run.time - run.time[0])) for name, run in runs.items()}
+    longest = max(float(run.recording.time[-1]) for run in since.values())
+    blocks = max(100, BLOCKS // len(runs))
+    about = {
+        "whole": [0.0, longest],
+        "first": 0.0,
+        "spans": [["all", 0.0, longest]],
+        "runs": [dict(name=name, sums=packed_sums(run, blocks)) for name, run in since.items()],
+    }
+    return render_interactive(
+        "report.html.j2",
+        overlaid(since),
+        about,
+        title=title,
+        columns=[(name, f"{figures[name]['duration_s']:.7g} s") for name in runs],
+        spans=about["spans"],
+        rows=table_of(list(figures.values()), FIGURES),
+        added=ADDED,
+        shown=list(runs),
+        plots=[],
+        notes=[f"{name}: {note}" for name in runs for note in figures[name]["notes"]["recording"]],
+        judged=[f"{name}: {sampling_text(run)}" for name, run in runs.items()],
+        configurations=configurations(runs),
+        origins=[f"{name}: {origin(run)}" for name, run in runs.items()],
+    )
+
+
+def write_side_by_side(runs: dict[str, Recording], path, title: str, figures: dict[str, dict] | None = None) -> None:
+    """Write the page of several runs; see :func:`render_side_by_side`.
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be written.
+    """
+    write_page(path, render_side_by_side(runs, title, figures))
