@@ -15,17 +15,22 @@ unexport PYTHONDONTWRITEBYTECODE
 WORKERS ?= 2
 INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
 
-.PHONY: help setup demo test kernels lint format docs bench clean
+.PHONY: help setup demo quick test kernels lint format docs bench clean
 .DELETE_ON_ERROR:
 
 help:
-	@echo "make setup | demo | test | lint | format | docs | bench | clean      (PYTHON=python3.12 chooses the Python)"
+	@echo "make setup | demo | quick | test | lint | format | docs | bench | clean      (PYTHON=python3.12 chooses the Python)"
 
 setup: $(VENV)/installed
 
 demo: setup
 	rm -rf demo
 	$(BIN)/hysteresis demo -o demo
+
+# What starts no nodes and repeats no paper: while one works.
+quick: setup lint
+	$(BIN)/python -m pytest -n $(WORKERS) $(addprefix --ignore=test/,nodes cli commissioning comparison papers fuzzing docs) \
+		--ignore=test/test_install.py --ignore=test/test_extending.py
 
 test: setup
 	$(MAKE) --no-print-directory -j2 lint kernels

@@ -25,6 +25,7 @@ import sys
 import xml.etree.ElementTree
 
 import pytest
+import yaml
 
 import hysteresis_ros
 
@@ -148,12 +149,28 @@ def setup_arguments() -> dict:
     return json.loads(answer.stdout)
 
 
+def text_of(name: str) -> str:
+    return (ROOT / name).read_text(encoding="utf-8")
+
+
 def test_version_is_the_same_everywhere():
     manifest = xml.etree.ElementTree.parse(ROOT / "package.xml").getroot()
     arguments = setup_arguments()
     assert hysteresis_ros.__version__ == child(manifest, "version") == arguments["version"]
     assert re.fullmatch(r"\d+\.\d+\.\d+", hysteresis_ros.__version__), "ROS wants three numbers"
-    assert hysteresis_ros.__version__ in (ROOT / "CHANGELOG.rst").read_text(encoding="utf-8")
+    released = re.findall(r"^(\d+\.\d+\.\d+) \((\d{4}-\d\d-\d\d)\)\n-+$", text_of("CHANGELOG.rst"), re.MULTILINE)
+    assert released[0][0] == hysteresis_ros.__version__, "the newest release stands first, below Forthcoming"
+    cited = yaml.safe_load(text_of("CITATION.cff"))
+    assert (cited["version"], str(cited["date-released"])) == released[0] and cited["license"] == "Apache-2.0"
+
+
+def test_hooks_run_tools_of_the_environment_and_fetch_nothing():
+    (repository,) = yaml.safe_load(text_of(".pre-commit-config.yaml"))["repos"]
+    assert repository["repo"] == "local"
+    assert all(hook["language"] == "system" for hook in repository["hooks"])
+    tools = {hook["entry"].split()[0] for hook in repository["hooks"]}
+    assert tools <= {f".venv/bin/{name}" for name in ("ruff", "mypy", "numpydoc", "python")}
+    assert re.search(r"lint --ignore (\S+)", text_of("Makefile"))[1] in str(repository["hooks"]), "as make lint does"
 
 
 def test_manifest_and_setup_describe_the_same_package():

@@ -16,6 +16,7 @@ import pathlib
 import click
 
 from hysteresis_ros.cli.arguments import ConfigurationName
+from hysteresis_ros.cli.progress import shown
 from hysteresis_ros.control.damping import registry as damping
 from hysteresis_ros.control.learning.filters import KINDS
 from hysteresis_ros.control.registry import DESIGNS
@@ -90,7 +91,8 @@ def design(config, namespace, output, response, **options):
     known = response_uncertainty(configuration) if measured is None else measured_uncertainty(axis, measured)
     learns = asked(options)
     if learns is not None:
-        learned = design_learning(axis, learns, known)
+        with shown("designing"):
+            learned = design_learning(axis, learns, known)
         write_file(output, learning_file(configuration, learned, normalised_namespace(axis.namespace)))
         for line in learning_lines(learned):
             click.echo(line)
@@ -98,7 +100,8 @@ def design(config, namespace, output, response, **options):
         return
     ranges = {name: options.pop(option.replace("-", "_")) for name, option in OPTIONS.items()}
     request = DesignRequest(**options | {"robust": drawn_around(options["robust"], ranges)})
-    result = design_axis(axis, request, known)
+    with shown("designing"):
+        result = design_axis(axis, request, known)
     write_file(output, design_file(configuration, result, normalised_namespace(axis.namespace)))
     for line in design_lines(result):
         click.echo(line)

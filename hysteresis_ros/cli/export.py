@@ -15,6 +15,8 @@ import pathlib
 
 import click
 
+from hysteresis_ros.cli.progress import shown
+
 
 @click.command()
 @click.argument("recording", type=click.Path(path_type=pathlib.Path))
@@ -33,8 +35,9 @@ def export(recording: pathlib.Path, output: pathlib.Path, namespace: str | None)
 
     if output.suffix.lower() not in (".npz", ".csv"):
         raise RecordingError(f"{output}: unknown kind of file '{output.suffix}'; export writes .npz or .csv")
-    run = load_run(recording, namespace)
-    save_run(run, output)
+    with shown(f"writing {output.name}"):
+        run = load_run(recording, namespace)
+        save_run(run, output)
     missing = run.metadata.get("missing_samples", 0)
     click.echo(f"{output}: {len(run)} samples, {missing} missing")
     for note in run.notes:

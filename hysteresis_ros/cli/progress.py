@@ -41,6 +41,16 @@ def _bar(err: bool) -> Any:
     return Progress(*columns, console=Console(stderr=err), transient=True)
 
 
+def shown(what: str) -> contextlib.AbstractContextManager[None]:
+    """Show a bar, on terminals only, while something lasts that is short in most cases; print results after it.
+
+    Parameters
+    ----------
+    what : str
+    """
+    return Progress(err=True, bars_only=True).during(what)
+
+
 class Progress:
     """Says what is going on, and that it still does, on terminals, in files and through pipes alike.
 

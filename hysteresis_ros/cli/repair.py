@@ -15,6 +15,8 @@ import pathlib
 
 import click
 
+from hysteresis_ros.cli.progress import shown
+
 
 @click.command(short_help="Make a bag whole that was cut off or is damaged.")
 @click.argument("bag", type=click.Path(path_type=pathlib.Path))
@@ -30,7 +32,8 @@ def repair(bag: pathlib.Path, output: pathlib.Path | None) -> None:
     """
     from hysteresis_ros.recordings import repair as repairing
 
-    done = repairing.repair(bag, output)
+    with shown(f"repairing {bag.name}"):
+        done = repairing.repair(bag, output)
     if done.path is None:
         click.echo(f"{bag}: is whole, {done.messages} messages; nothing to repair")
         return

@@ -16,6 +16,7 @@ import pathlib
 import click
 
 from hysteresis_ros.cli.data_options import write_json
+from hysteresis_ros.cli.progress import shown
 
 
 @click.command()
@@ -42,16 +43,18 @@ def report(recordings, output, json_path, namespace, title, range_, skip, last_p
         from hysteresis_ros.analysis.page import require_page
 
         require_page(output)
-    runs = {
-        label: _excerpt(load_run(path, namespace, further=True), range_, skip, last_periods)
-        for label, path in _labels(recordings).items()
-    }
+    with shown("reading"):
+        runs = {
+            label: _excerpt(load_run(path, namespace, further=True), range_, skip, last_periods)
+            for label, path in _labels(recordings).items()
+        }
     if len(runs) > 1:
         from hysteresis_ros.analysis.side_by_side import compare_runs, format_runs, write_side_by_side
 
-        figures = compare_runs(runs)
-        if output is not None:
-            write_side_by_side(runs, output, title or " · ".join(runs), figures)
+        with shown(f"judging {len(runs)} runs"):
+            figures = compare_runs(runs)
+            if output is not None:
+                write_side_by_side(runs, output, title or " · ".join(runs), figures)
         write_json({"runs": figures}, json_path, format_runs(figures))
     else:
         ((label, run),) = runs.items()
@@ -85,9 +88,10 @@ def _single(run, output, title: str, json_path: str | None) -> None:
         from hysteresis_ros.analysis.metrics import compute_metrics as judge
         from hysteresis_ros.analysis.metrics import format_table as table
         from hysteresis_ros.analysis.report import write_report as write
-    figures = judge(run)
-    if output is not None:
-        write(run, output, title, figures)
+    with shown(f"judging {len(run)} samples"):
+        figures = judge(run)
+        if output is not None:
+            write(run, output, title, figures)
     write_json(figures, json_path, table(figures))
 
 

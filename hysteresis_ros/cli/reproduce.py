@@ -11,12 +11,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import pathlib
 
 import click
 
 from hysteresis_ros.cli.data_options import write_json
+from hysteresis_ros.cli.progress import shown
 from hysteresis_ros.papers.experiments import EXPERIMENTS
 
 
@@ -50,11 +52,16 @@ def reproduce(experiment: str, json_path: str | None, output: pathlib.Path | Non
 
         require_page(output)  # now and not after minutes
     module = importlib.import_module(EXPERIMENTS[experiment])
-    found = module.reproduce() if way == "offline" else _reproduce_through_nodes(module, jobs)
-    if output is not None:
-        from hysteresis_ros.analysis.comparison import write_claims_page
+    with contextlib.ExitStack() as stack:
+        if way == "offline":
+            stack.enter_context(shown(f"repeating the experiments of {experiment}"))
+            found = module.reproduce()
+        else:
+            found = _reproduce_through_nodes(module, jobs)
+        if output is not None:
+            from hysteresis_ros.analysis.comparison import write_claims_page
 
-        write_claims_page(output, found.page(), module.figures(found))
+            write_claims_page(output, found.page(), module.figures(found))
     rows = found.to_json()
     rows = {"experiment": rows.pop("experiment"), "through": way, **rows}
     write_json(rows, json_path, format_claims(found))

@@ -16,7 +16,7 @@ from typing import Any
 import click
 
 from hysteresis_ros.cli.arguments import ConfigurationName, laid_under, params_file_option
-from hysteresis_ros.cli.progress import Progress
+from hysteresis_ros.cli.progress import shown
 from hysteresis_ros.cli.reference_options import reference_options
 
 
@@ -69,7 +69,7 @@ def simulate(config, output, laid_over, duration, setpoints, faults, learned, dr
     if setpoints is not None:
         recorded = load_run(setpoints, namespace)
         replay = {"setpoints": setpoints_per_sample(recorded), **requests_per_sample(recorded)}
-    with Progress(err=True, bars_only=True).during("simulating; the first run of a version compiles"):
+    with shown("simulating; the first run of a version compiles"):
         keep = (lambda axis: axis.controller.save(learned, config)) if learned else None
         recording = run_offline(parameters, duration=duration, drift=drift or (0.0, 0.0), finished=keep, **replay)
     save_run(recording, output)

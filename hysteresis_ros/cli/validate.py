@@ -18,6 +18,7 @@ import click
 from hysteresis_ros.cli.arguments import ConfigurationName
 from hysteresis_ros.cli.data_options import data_options, format_figures, read, write_json
 from hysteresis_ros.cli.identify import FIRST
+from hysteresis_ros.cli.progress import shown
 
 
 @click.command(short_help="Validate a parameter file on a recording.")
@@ -36,7 +37,8 @@ def validate(params, data, report_path, no_inverse, skip, offset, intersample, i
     namespace = columns["namespace"] or ""
     reading = read(data, whole=True, **columns)
     conditions = dict(skip=skip, offset=offset, intersample=intersample, initial=initial)
-    found = workflow.validate(params, reading, namespace=namespace, inverse=not no_inverse, **conditions)
+    with shown("simulating what was measured"):
+        found = workflow.validate(params, reading, namespace=namespace, inverse=not no_inverse, **conditions)
     summary = {**found.figures, "warnings": list(found.warnings)}
     if report_path is not None:
         from hysteresis_ros.analysis.identification_report import write_validation_report

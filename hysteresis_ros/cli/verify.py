@@ -17,6 +17,7 @@ from collections.abc import Mapping
 
 import click
 
+from hysteresis_ros.cli.progress import shown
 from hysteresis_ros.recordings.dataset import Recording
 
 
@@ -36,7 +37,8 @@ def verify(recording: pathlib.Path, namespace: str | None) -> None:
     from hysteresis_ros.simulation.axes import single_axis
     from hysteresis_ros.simulation.run import differences
 
-    run = load_run(recording, namespace)
+    with shown(f"reading {recording.name}"):
+        run = load_run(recording, namespace)
     text = in_force(run)
     if not text:
         raise RecordingError(
@@ -50,7 +52,9 @@ def verify(recording: pathlib.Path, namespace: str | None) -> None:
             f"{recording}: is a run in real time, which depends on when messages came; only lockstep and "
             "fused runs repeat"
         )
-    wrong = unlike(recording, run, differences(run, axis))
+    with shown("repeating the run"):
+        found = differences(run, axis)
+    wrong = unlike(recording, run, found)
     if wrong:
         click.echo(f"hysteresis: {wrong}", err=True)
         sys.exit(1)

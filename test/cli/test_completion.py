@@ -11,11 +11,15 @@
 
 from __future__ import annotations
 
+import importlib
+import inspect
 import io
+import re
 import sys
 
 import pytest
 from click.shell_completion import ShellComplete
+from click.testing import CliRunner
 from waiting import until
 
 from hysteresis_ros.cli import progress as module
@@ -111,3 +115,50 @@ def test_a_fit_of_unknown_length_never_goes_back():
         state.report(number, "words")
         parts.append(state.part)
     assert parts[0] is None and parts[2] == 0.5 and parts[1:] == sorted(parts[1:]) and parts[-1] < 1.0
+
+
+#: Commands that take no time, say by themselves what they do, or last until they are ended.
+QUICK = {"new", "urdf", "policy", "parameters", "models", "setpoint", "status", "get", "set", "call", "echo"}
+TALKATIVE = {"up", "ioc", "emulate", "watch"}
+
+
+@pytest.mark.parametrize("name", [name for name in COMMANDS if name not in QUICK | TALKATIVE])
+def test_what_may_last_shows_that_it_goes_on(name):
+    module = importlib.import_module(COMMANDS[name][0].split(":")[0])
+    words = set(re.findall(r"\w+", inspect.getsource(module)))
+    assert words & {"Progress", "shown", "run_apart"}, "wrap what lasts in hysteresis_ros.cli.progress.shown"
+
+
+@pytest.mark.parametrize(
+    "words, expected",
+    [
+        (["design", "kim2009", "--controller", "pid", "-o", "F.yaml"], ["designing"]),
+        (["simulate", "kim2009", "--duration", "0.01", "-o", "run.npz"], ["simulating"]),
+        (["report", "run.npz"], ["reading run.npz", "judging 30 samples"]),
+        (["verify", "run.npz"], ["reading run.npz", "repeating the run"]),
+        (["export", "run.npz", "-o", "run.csv"], ["writing run.csv"]),
+    ],
+)
+def test_bars_are_shown_while_something_is_computed_and_results_go_where_they_belong(
+    words, expected, runs, monkeypatch, soon
+):
+    during, seen = Progress.during, []
+    monkeypatch.setattr(Progress, "during", lambda self, what, *rest: seen.append(what) or during(self, what, *rest))
+    result = CliRunner().invoke(main, words)
+    assert result.exit_code == 0 and result.stderr == "" and result.stdout
+    assert len(seen) == len(expected)
+    assert all(what.startswith(begun) for what, begun in zip(seen, expected, strict=True))
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    """A folder with a run in it."""
+    folder = tmp_path_factory.mktemp("runs")
+    CliRunner().invoke(main, ["simulate", "kim2009", "--duration", "0.01", "-o", str(folder / "run.npz")])
+    return folder
+
+
+@pytest.fixture
+def runs(made, monkeypatch):
+    """The current folder has a run in it."""
+    monkeypatch.chdir(made)
