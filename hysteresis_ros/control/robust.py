@@ -23,11 +23,15 @@ from hysteresis_ros.control.gain_design import Designed, design_gains
 from hysteresis_ros.control.linearisation import linear_loop
 from hysteresis_ros.control.margins import REQUIRED, Margins, Requirements, margins_of
 from hysteresis_ros.control.uncertainty import CORNERS, PossiblePlant, Uncertainty, drawn_plants
+from hysteresis_ros.executors.executor import shared
+from hysteresis_ros.executors.jobs import Job
 
 #: Part of M_s that a search aims at, whose grid of frequencies is coarser than that of the margins.
 COARSE = 0.99
 #: How often a plant may join those of the search.
 ROUNDS = 8
+#: Plants of one job, and about what the margins on one take [s].
+TOGETHER, SECONDS = 50, 2e-2
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,9 +116,15 @@ def _plants(parameters, sample_time: float, uncertainty: Uncertainty) -> tuple[P
     return tuple(one.closed(around) for one in drawn)
 
 
+def _margins(controller, plants, sample_time: float) -> list[Margins]:
+    return [margins_of(controller, one.plant, sample_time) for one in plants]
+
+
 def _robustness(parameters, sample_time: float, uncertainty: Uncertainty, plants) -> Robustness:
     controller, _ = linear_loop(parameters, sample_time)
-    found = [margins_of(controller, one.plant, sample_time) for one in plants]
+    pieces = [plants[i : i + TOGETHER] for i in range(0, len(plants), TOGETHER)]
+    jobs = [Job(_margins, (controller, piece, sample_time)) for piece in pieces]
+    found = [margins for piece in shared(jobs, SECONDS * len(plants)) for margins in piece]
     counted = [
         replace(margins, delay_margin=margins.delay_margin + one.late * sample_time)
         for margins, one in zip(found, plants, strict=True)

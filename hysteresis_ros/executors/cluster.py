@@ -52,8 +52,13 @@ class Cluster(Executor):
 
     def _threads(self) -> int:
         """Return how many jobs the cluster does at the same time."""
-        # what the client was told last; asking a scheduler that is gone would wait for it
-        return sum(worker["nthreads"] for worker in self.client.scheduler_info(n_workers=-1)["workers"].values())
+        try:
+            return sum(self.client.nthreads().values())
+        except (OSError, TimeoutError):
+            raise self._gone() from None
+
+    def _gone(self) -> HysteresisError:
+        return HysteresisError(f"--scheduler {self.address}: the scheduler is gone; start it again, and repeat")
 
     def submit(self, job: Job) -> Future:
         """Begin a job, and return what becomes of it.
@@ -78,7 +83,9 @@ class Cluster(Executor):
         """
         try:
             return future.result()
-        except (Exception, CancelledError) as error:  # whatever the other machine lacks
+        except CancelledError:
+            raise self._gone() from None
+        except Exception as error:  # whatever the other machine lacks
             raise HysteresisError(
                 f"--scheduler {self.address}: a worker could not do its work: {type(error).__name__}: {error}; all of "
                 "them need this version of the package"
@@ -93,7 +100,7 @@ class Cluster(Executor):
             The scheduler is gone, or has had no worker for :data:`PATIENCE` seconds.
         """
         if self.client.status not in ("running", "connecting"):
-            raise HysteresisError(f"--scheduler {self.address}: the scheduler is gone; start it again and repeat")
+            raise self._gone()
         if self.client.status == "running" and self._threads():
             self._seen = time.monotonic()
         if time.monotonic() - self._seen > PATIENCE:
@@ -128,7 +135,8 @@ def cluster(address: str) -> Iterator[Cluster]:
         def __del__(self):
             pass
 
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what is wrong is said in words of our own
+    for name in [name for name in logging.root.manager.loggerDict if name.startswith("distributed")]:
+        logging.getLogger(name).setLevel(logging.CRITICAL)  # what is wrong is said in words of our own
     try:
         client = Connected(address, timeout=CONNECT, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:

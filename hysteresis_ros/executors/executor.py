@@ -13,11 +13,38 @@ from __future__ import annotations
 
 import contextlib
 import os
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from typing import Any
 
 from hysteresis_ros.executors.cluster import cluster
-from hysteresis_ros.executors.jobs import Executor, InProcess
+from hysteresis_ros.executors.jobs import Executor, InProcess, Job
 from hysteresis_ros.executors.processes import processes
+
+#: Work that takes less than this in one process is not shared: others take a second or two to start [s].
+WORTH = 10.0
+
+
+def shared(jobs: Sequence[Job], seconds: float, workers: int | None = None) -> list[Any]:
+    """Return the results of jobs, in their order.
+
+    Parameters
+    ----------
+    jobs : sequence of Job
+    seconds : float
+        About what they take together in one process.
+    workers : int, optional
+        Processes; by default as many as there are processors where that is worth their start.
+
+    Raises
+    ------
+    HysteresisError
+        A job did, or a process ended by itself.
+    """
+    if workers is None and seconds < WORTH:
+        workers = 1
+    with executor(workers, jobs=len(jobs)) as found:
+        results = dict(found.results(jobs))
+    return [results[number] for number in range(len(jobs))]
 
 
 @contextlib.contextmanager

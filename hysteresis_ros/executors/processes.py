@@ -15,7 +15,9 @@ import contextlib
 import multiprocessing
 import os
 import signal
+import sys
 import threading
+import types
 from collections.abc import Iterator
 from concurrent.futures import Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -108,17 +110,23 @@ def _ended() -> HysteresisError:
 
 @contextlib.contextmanager
 def _alone() -> Iterator[None]:
-    """Let processes that are started meanwhile not hear an interrupt, and compute with one thread each."""
-    if threading.current_thread() is not threading.main_thread():  # only that one may
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # an interrupt is for the one that started them
+    """Let processes that are started meanwhile not hear an interrupt, and compute with one thread each.
+
+    They do not run the script of somebody who uses this package either, which need not be written for that.
+    """
+    main = sys.modules["__main__"]
+    mine = threading.current_thread() is threading.main_thread()  # only that one may
+    # an interrupt is for the one that started them
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN) if mine else None
     given = {name: os.environ.get(name) for name in THREADS}
     os.environ.update(dict.fromkeys(THREADS, "1"))
+    sys.modules["__main__"] = types.ModuleType("__main__")
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        sys.modules["__main__"] = main
+        if mine:
+            signal.signal(signal.SIGINT, before)
         for name, value in given.items():
             os.environ.pop(name)
             if value is not None:

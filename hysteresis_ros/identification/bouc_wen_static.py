@@ -125,7 +125,7 @@ def identify_bouc_wen_static(
             "the displacement falls with rising voltage; change the sign of one column (d_e must be above 0)"
         )
     settings = settings or SimplexSettings()
-    settings = replace(settings, starts=settings.starts or (1 if guess is not None else 4))
+    settings = replace(settings, starts=settings.starts or (1 if guess is not None else 4), workers=None)
     guess = guess or default_guess(voltage, displacement, exponent)
     problem = _Normalised(history, voltage, displacement, exponent=guess.exponent, free_offset=free_offset)
     units = problem.units
@@ -161,12 +161,11 @@ class _Normalised:
         self.v, self.x = np.concatenate([history, voltage]) / v_unit, displacement / x_unit
         self.y, self.state, self.p = np.empty_like(self.v), np.zeros(STATES), np.empty(5)
         self.p[4] = n
-        self.run = compiled(run_kernel)
 
     def residual(self, theta):
         """Return the simulated less the measured displacement, shape (N,)."""
         self.p[:4], self.state[:] = theta, 0.0
-        self.run(bouc_wen, self.p, self.state, self.v, self.y)
+        compiled(run_kernel)(bouc_wen, self.p, self.state, self.v, self.y)
         error = self.y[self.first :] - self.x
         return error - error.mean() if self.free_offset else error
 

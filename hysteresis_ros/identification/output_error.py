@@ -24,10 +24,13 @@ References
 from __future__ import annotations
 
 import itertools
+import time
 
 import numpy as np
 import scipy
 
+from hysteresis_ros.executors.executor import shared
+from hysteresis_ros.executors.jobs import Job
 from hysteresis_ros.identification.continuous import CanonicalSimulation
 from hysteresis_ros.identification.data import DataError, finite_array, refuse_short
 from hysteresis_ros.identification.data_checks import CONSTANT
@@ -35,6 +38,9 @@ from hysteresis_ros.identification.least_squares import ArxOrders, fit_arx
 from hysteresis_ros.identification.state_space import FitError
 from hysteresis_ros.identification.transfer_function import Search, Start, Structure, TransferFunctionFit
 from hysteresis_ros.identification.validation import final_prediction_error, fit_percent, parameter_covariance
+
+#: Most evaluations of a start, before the best of them goes on.
+EVALUATIONS = 40
 
 
 def fit_transfer_function(
@@ -80,7 +86,12 @@ def fit_transfer_function(
     ranked = sorted(candidates, key=problem.cost)[: max(1, search.starts)]
     if search.start_poles is not None and not any(np.array_equal(candidates[0], item) for item in ranked):
         ranked[-1] = candidates[0]
-    results = [(start, problem.solve(start, 40)) for start in ranked]
+    begun = time.perf_counter()
+    problem.cost(ranked[0])
+    # each evaluation takes as many more as there are parameters, for the slopes
+    seconds = (time.perf_counter() - begun) * EVALUATIONS * (1 + len(ranked[0])) * len(ranked)
+    solved = shared([Job(problem.solve, (start, EVALUATIONS)) for start in ranked], seconds)
+    results = list(zip(ranked, solved, strict=True))
     results.sort(key=lambda pair: pair[1].cost)
     best = problem.solve(results[0][1].x, 400)
     starts = tuple(

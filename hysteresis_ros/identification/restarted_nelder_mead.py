@@ -16,11 +16,14 @@ simplex until that brings nothing more.
 
 from __future__ import annotations
 
+import time
 from dataclasses import dataclass
 
 import numpy as np
 
 from hysteresis_ros.errors import IdentificationError
+from hysteresis_ros.executors.executor import shared
+from hysteresis_ros.executors.jobs import Job
 
 #: Size of the first simplex and spread of further starts, in scales.
 FIRST_STEP = 0.1
@@ -28,6 +31,8 @@ SPREAD = 0.5
 #: A restart counts as no better when it lowers the cost by less than this part.
 NO_BETTER = 1e-6
 MOST_RESTARTS = 10
+#: About what a start takes, to see whether more processes pay.
+EVALUATIONS = 500
 #: A cost that has fallen to this part of the guess's is that of a perfect fit; below there are rounding errors only.
 PERFECT = 1e-18
 
@@ -47,12 +52,15 @@ class SimplexSettings:
         Size of the simplex, in scales, and relative spread of its costs at which a run ends.
     seed : int
         Of the further starts.
+    workers : int, optional
+        Processes that share the starts, whose cost has to be picklable then; None: as many as pays.
     """
 
     starts: int | None = None
     iterations: int = 2000
     tolerance: float = 1e-8
     seed: int = 0
+    workers: int | None = 1
 
 
 @dataclass(frozen=True)
@@ -150,15 +158,7 @@ def restarted_nelder_mead(
         raise IdentificationError(f"starts = {starts}, iterations = {settings.iterations}: must be at least 1")
     random = np.random.default_rng(settings.seed)
     guesses = [start] + [start + SPREAD * scale * random.standard_normal(start.size) for _ in range(starts - 1)]
-
-    def finite_cost(z):
-        value = float(cost(z * scale))
-        return value if np.isfinite(value) else np.inf
-
-    runs = []
-    for number, guess in enumerate(guesses):
-        note = None if progress is None else lambda i, value, number=number: progress(number, i, value)
-        runs.append(_run(finite_cost, guess / scale, scale, settings, note))
+    runs = _runs(_FiniteCost(cost, scale), [guess / scale for guess in guesses], settings, progress)
     best = int(np.argmin([run.costs[-1] for run in runs]))
     if not np.isfinite(runs[best].costs[-1]):
         raise IdentificationError("the cost is not finite at any start; change the initial guess")
@@ -171,7 +171,36 @@ def restarted_nelder_mead(
     )
 
 
-def _run(cost, z, scale, settings: SimplexSettings, note) -> SimplexRun:
+class _FiniteCost:
+    """A cost of scaled parameters; not-a-number counts as infinite."""
+
+    def __init__(self, cost, scale: np.ndarray):
+        self.cost, self.scale = cost, scale
+
+    def __call__(self, z) -> float:
+        value = float(self.cost(z * self.scale))
+        return value if np.isfinite(value) else np.inf
+
+
+def _runs(cost: _FiniteCost, guesses: list[np.ndarray], settings: SimplexSettings, progress) -> list[SimplexRun]:
+    """Return the paths from all starts."""
+    if settings.workers == 1 or len(guesses) == 1:
+        runs = []
+        for number, guess in enumerate(guesses):
+            note = None if progress is None else lambda i, value, number=number: progress(number, i, value)
+            runs.append(_run(cost, guess, settings, note))
+        return runs
+    cost(guesses[0])  # what compiles does so now
+    begun = time.perf_counter()
+    cost(guesses[0])
+    seconds = (time.perf_counter() - begun) * EVALUATIONS * len(guesses)
+    runs = shared([Job(_run, (cost, guess, settings)) for guess in guesses], seconds, settings.workers)
+    for number, run in enumerate(runs if progress is not None else ()):
+        progress(number, run.iterations, float(run.costs[-1]))
+    return runs
+
+
+def _run(cost: _FiniteCost, z, settings: SimplexSettings, note=None) -> SimplexRun:
     from scipy.optimize import minimize  # imported here because only fits need it
 
     iterations, tolerance = settings.iterations, settings.tolerance
@@ -212,4 +241,4 @@ def _run(cost, z, scale, settings: SimplexSettings, note) -> SimplexRun:
         if values[-1] <= nothing or not values[-1] < (1.0 - NO_BETTER) * before:
             converged = True
             break
-    return SimplexRun(np.array(points) * scale, np.array(values), evaluations, converged)
+    return SimplexRun(np.array(points) * cost.scale, np.array(values), evaluations, converged)

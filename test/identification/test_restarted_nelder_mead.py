@@ -112,3 +112,12 @@ def test_bad_recordings_are_refused_and_budgets_reported():
         identify_bouc_wen_static(voltage, -x)
     short = identify_bouc_wen_static(voltage, x, guess=PUBLISHED_GUESS, settings=SimplexSettings(iterations=20))
     assert not short.converged and any("not converged after 20" in warning for warning in short.warnings)
+
+
+def test_starts_shared_by_processes_take_the_same_paths():
+    here, there = (
+        restarted_nelder_mead(np.linalg.norm, [1.0, -2.0], settings=SimplexSettings(starts=3, workers=workers))
+        for workers in (1, 2)
+    )
+    assert there.x.tobytes() == here.x.tobytes() and there.best == here.best
+    assert [run.trajectory.tobytes() for run in there.runs] == [run.trajectory.tobytes() for run in here.runs]

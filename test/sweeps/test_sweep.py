@@ -234,9 +234,9 @@ def test_the_interval_covers_every_share(runs, confidence):
 
 def test_the_yield_is_that_of_the_distribution():
     """Of an error that is evenly distributed; unstable, refused or without a value is not good."""
-    study, plan = asked(("plant_simulator.gain=uniform(1.0,1.4)",), runs=2000)
+    study, plan = asked(("plant_simulator.gain=uniform(1.0,1.4)",), runs=500)
     summed = Summary(sweep(study, plan), plan, (parse_bound(f"max_error_m={0.25 * PLACE}"),))
-    assert summed.yield_.low < 0.25 / 0.4 < summed.yield_.high and summed.yield_.high - summed.yield_.low < 0.05
+    assert summed.yield_.low < 0.25 / 0.4 < summed.yield_.high and summed.yield_.high - summed.yield_.low < 0.1
     assert summed.results.metrics["max_error_m"][summed.worst("max_error_m")] == max(
         summed.results.metrics["max_error_m"]
     )
@@ -244,13 +244,13 @@ def test_the_yield_is_that_of_the_distribution():
 
 def test_sensitivities_after_sobol_are_those_of_a_product():
     """The error is place times deviation: E[XY | X] and the variances of a product are known."""
-    study, plan = asked(runs=4096, design="sobol", metrics=("rms_error_m",))
+    study, plan = asked(runs=1024, design="sobol", metrics=("rms_error_m",))
     found = sensitivity(plan, "rms_error_m", sweep(study, plan).metrics["rms_error_m"])
     means, variances = np.array([0.2, 1.5]), np.array([0.2**2, 1.0]) / 12.0
     whole = np.prod(means**2 + variances) - np.prod(means**2)
     first = variances * means[::-1] ** 2 / whole
-    assert found.columns["first"] == pytest.approx(first, abs=0.02)
-    assert found.columns["total"] == pytest.approx(first + np.prod(variances) / whole, abs=0.02)
+    assert found.columns["first"] == pytest.approx(first, abs=0.05)
+    assert found.columns["total"] == pytest.approx(first + np.prod(variances) / whole, abs=0.05)
 
 
 def test_effects_after_morris_are_the_slopes():
