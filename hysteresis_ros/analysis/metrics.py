@@ -199,7 +199,8 @@ def _without_reference(recording: Recording, displacement, notes: dict) -> dict:
     good = np.isfinite(displacement)
     figures["stroke_m"] = float(np.ptp(displacement[good]))
     voltage = recording["voltage"][good] if recording.has("voltage") else None
-    opening = loop_opening(voltage, displacement[good]) if voltage is not None else None
+    moves = voltage is not None and figures["stroke_m"] > 0.0
+    opening = loop_opening(voltage, displacement[good]) if moves else None
     if opening is None:
         notes["voltage_loop_width_percent"] = "no voltage that goes to and fro in the recording"
     else:

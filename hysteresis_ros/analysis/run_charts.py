@@ -163,7 +163,7 @@ def loops_chart(run: Judged) -> Chart | None:
         opening = loop_opening(values, run.displacement) if stroke > 0.0 else None
         if opening is None:
             continue
-        low, high = float(np.nanmin(values)), float(np.nanmax(values))
+        low, high = float(np.min(_finite(values))), float(np.max(_finite(values)))
         label = f"{text} ({low * factor:.4g} … {high * factor:.4g} {unit}): {100.0 * opening / stroke:.3g} % of stroke"
         part = 100.0 * (values - low) / (high - low)
         lines.append(Line(label, colour, part, run.displacement * _MICRO, 0.9, key=recording.time))

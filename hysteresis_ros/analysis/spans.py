@@ -11,11 +11,14 @@
 
 from __future__ import annotations
 
+import contextlib
+
 import numpy as np
 
 from hysteresis_ros.analysis.excerpt import period_ends, within
 from hysteresis_ros.analysis.metrics import compute_metrics
 from hysteresis_ros.analysis.run_charts import Judged
+from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.recordings.dataset import Recording
 
 #: Blocks of samples of which the page knows the sums; a span of the page ends where blocks end.
@@ -52,7 +55,9 @@ def columns_of(recording: Recording, figures: dict) -> list[tuple[str, float, fl
         # a sample at the end begins the next period
         part = within(recording, float(ends[count]), float(ends[0]) - 0.5 * recording.sample_time)
         name = "last period" if count == 1 else f"last {count} periods"
-        found.append((name, float(part.time[0]), float(part.time[-1]), compute_metrics(part)))
+        # the measurement may have ended before the reference
+        with contextlib.suppress(RecordingError):
+            found.append((name, float(part.time[0]), float(part.time[-1]), compute_metrics(part)))
     return found
 
 

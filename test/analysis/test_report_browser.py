@@ -86,7 +86,8 @@ TRIAL = """
 def run() -> Recording:
     time = np.arange(4000) / 1000.0
     reference = 5e-6 * (1.0 - np.cos(2 * np.pi * 2.0 * time))
-    displacement = reference - 20e-9 * (1.0 + time) * np.sin(2 * np.pi * 31.0 * time)
+    displacement = reference - 10e-9 * (1.0 + time) * np.sin(2 * np.pi * 31.0 * time)
+    displacement[-1] += 80e-9  # the largest error of all is in the last block
     columns = {"time": time, "reference": reference, "displacement": displacement, "voltage": 1e7 * reference}
     return Recording.from_columns(columns)
 

@@ -212,7 +212,7 @@ def test_a_sine_has_its_line_and_its_variance_in_the_spectrum():
     there = np.isfinite(values)
     frequency, density = error_charts.amplitude_spectrum(time[there], values[there], 1.0 / RATE)
     assert frequency[np.argmax(density)] == pytest.approx(50.0, abs=0.1)
-    assert np.sum(density**2) * frequency[0] == pytest.approx(0.5 * 30e-9**2, rel=0.01)
+    assert np.sum((1e9 * density) ** 2) * frequency[0] == pytest.approx(0.5 * 30.0**2, rel=0.01)
 
 
 def test_trace_and_retrace_are_told_apart():
@@ -287,6 +287,24 @@ def test_a_recording_without_a_reference_has_a_page_too():
     assert "no reference in the recording: nothing says how far off the axis was" in text
     assert words.pictures == ["Displacement over time", "Hysteresis loop", "Voltage"]
     assert "errors" not in data_of(page)["runs"][0]["sums"]
+
+
+@pytest.mark.parametrize("case", ["one sample", "at rest", "measured for a while", "not finite", "a gap"])
+def test_odd_recordings_have_pages(case, monkeypatch):
+    monkeypatch.setattr(report, "drawn", lambda charts, figures: [])
+    run = scan()
+    part = np.where(run.time < 0.5, run["displacement"], np.nan)
+    broken = np.where(run.time > 0.1, np.inf, run["reference"])
+    twice = {name: np.tile(values, 2) for name, values in run.signals.items()}
+    recordings = {
+        "one sample": Recording(run.time[:1], {name: values[:1] for name, values in run.signals.items()}),
+        "at rest": Recording(run.time, {"displacement": np.zeros(2000), "voltage": run["voltage"]}),
+        "measured for a while": Recording(run.time, {**run.signals, "displacement": part}),
+        "not finite": Recording(run.time, {**run.signals, "reference": broken}),
+        "a gap": Recording(np.append(run.time, run.time + 1e4), twice),
+    }
+    data = data_of(report.render_report(recordings[case], case))
+    assert {"traces"} <= {chart["name"] for chart in data["charts"]} and data["runs"][0]["sums"]["samples"]
 
 
 def test_long_runs_make_no_larger_pages(monkeypatch):

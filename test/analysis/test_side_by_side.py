@@ -23,6 +23,7 @@ pytest.importorskip("jinja2", reason="jinja2 is not installed: no pages")
 
 from click.testing import CliRunner
 
+from hysteresis_ros.analysis import report
 from hysteresis_ros.analysis.metrics import compute_metrics
 from hysteresis_ros.analysis.run_charts import judged
 from hysteresis_ros.analysis.side_by_side import compare_runs, configurations, overlaid, render_side_by_side
@@ -77,6 +78,14 @@ def test_the_page_reads_without_scripts_and_holds_the_sums_of_each_run(runs):
     assert [one["name"] for one in data["runs"]] == ["slow", "fast"] and data["whole"] == [0.0, pytest.approx(1.998)]
     assert page.count("<img") == len(data["charts"]) == 8 and len(page.encode()) < 2_000_000
     assert "slow: Judged at all 1000 samples" in page and "fast: Judged at all 2400 samples" in page
+
+
+def test_a_name_cannot_leave_the_script_that_holds_it(runs, monkeypatch):
+    monkeypatch.setattr(report, "drawn", lambda charts, figures: [])
+    name = "</script><b>\u2028"
+    page = render_side_by_side({name: runs["slow"], "fast": runs["fast"]}, name)
+    data = json.loads(re.search(r'id="data">(.*?)</script>', page, re.S).group(1))
+    assert data["runs"][0]["name"] == data["charts"][0]["lines"][0]["label"] == name and "<b>" not in page
 
 
 def test_configurations_are_told_by_what_differs(runs):
