@@ -28,6 +28,7 @@ from hysteresis_ros.loop.node_parameters import RecorderNodeParameters
 from hysteresis_ros.loop.trial import require_speed
 from hysteresis_ros.nodes.loop_pace import LoopPace
 from hysteresis_ros.nodes.realtime import RealTime
+from hysteresis_ros.nodes.samples import SampleStream
 from hysteresis_ros.references import inchworm_layout as gait
 
 #: Seconds in which the voltage goes to its safe value before the loop of a node that leaves is ended.
@@ -253,6 +254,8 @@ class FusedAxis:
         samples = self._reader.take()
         if samples.table.shape[1]:
             self._show(samples)
+        if self.plant.runner.samples is not None:
+            self.plant.runner.samples.show(loop, ended)
         self._tell_changes()
         if loop.failure or loop.is_blocked:
             self._over = True
@@ -327,6 +330,14 @@ class Fused(RealTime):
             allowed = "needs the whole axis in one process: run hysteresis_axis, or hysteresis up CONFIG --fused"
             raise ParameterError([Problem("time_mode", node.parameters.time_mode, allowed)])
         super().__init__(node)
+        #: Of the plant's node: what shows all samples.
+        self.samples: SampleStream | None = None
+
+    def connect(self) -> None:
+        """Make the topics of the node, and of the plant the one with all samples."""
+        super().connect()
+        if self.node.kind == "plant_simulator":
+            self.samples = SampleStream(self.node)
 
     @property
     def fused(self) -> FusedAxis:

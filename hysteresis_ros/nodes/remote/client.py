@@ -46,12 +46,22 @@ class Client:
         Longest wait for somebody [s].
     context : rclpy.context.Context, optional
         An initialised one; a new one in the domain of the environment by default.
+    make_executor : callable, optional
+        Returns what takes the messages, of the default context; rclpy's own executor by default.
     """
 
-    def __init__(self, namespace: str = "", timeout: float = 5.0, context: Context | None = None):
+    def __init__(
+        self,
+        namespace: str = "",
+        timeout: float = 5.0,
+        context: Context | None = None,
+        make_executor: Callable[[], Any] | None = None,
+    ):
         self.namespace, self.timeout = normalised_namespace(namespace), timeout
         self._context = context
         self._own = context is None
+        self._make_executor = make_executor or (lambda: SingleThreadedExecutor(context=self._context))
+        self._clients: dict[str, Any] = {}
 
     def __enter__(self) -> Client:
         """Enter the graph."""
@@ -71,7 +81,7 @@ class Client:
         except Exception as error:  # rclpy has an error of its own for each thing wrong with a name
             self._leave()
             raise HysteresisError(f"namespace {self.namespace}: {str(error).splitlines()[0]}") from None
-        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor = self._make_executor()
         self._executor.add_node(self.node)
         return self
 
@@ -99,7 +109,11 @@ class Client:
             found = condition()
             if found or time.monotonic() >= deadline:
                 return found
-            self._executor.spin_once(timeout_sec=LOOK)
+            self.hear()
+
+    def hear(self) -> None:
+        """Take a message, or wait a moment for one."""
+        self._executor.spin_once(timeout_sec=LOOK)
 
     def full_name(self, name: str) -> str:
         """Return a name with the namespace in front, unless it is a whole one."""
@@ -164,18 +178,16 @@ class Client:
         AbsentError
             Nobody offers it, or nobody answers.
         """
-        client = self.node.create_client(kind, service)
+        # kept: finding a service takes longer than its answer
+        client = self._clients.get(service) or self._clients.setdefault(service, self.node.create_client(kind, service))
         allowed = self.timeout if seconds is None else seconds
         owner = service.rsplit("/", 1)[0]
-        try:
-            if not self.until(client.service_is_ready, allowed):
-                raise AbsentError(f"{owner} offers no {service} within {allowed:g} s; is it a node of an axis?")
-            future = client.call_async(request or kind.Request())
-            if not self.until(future.done, allowed):
-                raise AbsentError(f"{owner} does not answer within {allowed:g} s: it hangs, or has been killed")
-            return future.result()
-        finally:
-            self.node.destroy_client(client)
+        if not self.until(client.service_is_ready, allowed):
+            raise AbsentError(f"{owner} offers no {service} within {allowed:g} s; is it a node of an axis?")
+        future = client.call_async(request or kind.Request())
+        if not self.until(future.done, allowed):
+            raise AbsentError(f"{owner} does not answer within {allowed:g} s: it hangs, or has been killed")
+        return future.result()
 
 
 def axis_nodes(names) -> dict[str, list[str]]:

@@ -36,21 +36,63 @@ def get(client: Client, node: str, names: list[str]) -> None:
     known = _names(client, full)
     _refuse_unknown(full, names, known)
     asked = names or known
-    answer = client.ask(GetParameters, f"{full}/get_parameters", GetParameters.Request(names=asked))
-    values = [parameter_value_to_python(value) for value in answer.values]
-    for name, value in zip(asked, values, strict=True):
-        plain = value if value is None or isinstance(value, (str, bool, int, float)) else list(value)
+    for name, plain in values_of(client, full, asked).items():
         text = yaml.safe_dump(plain, default_flow_style=True, allow_unicode=True, width=10**6)
         print(f"{name}: {text.removesuffix(chr(10) + '...' + chr(10)).strip()}", flush=True)
 
 
+def values_of(client: Client, full: str, names: list[str] | None = None) -> dict:
+    """Return parameters of a node, as plain values.
+
+    Parameters
+    ----------
+    client : Client
+    full : str
+        Full name of a node that is there.
+    names : list of str, optional
+        All that have a value by default.
+    """
+    asked = _names(client, full) if names is None else names
+    answer = client.ask(GetParameters, f"{full}/get_parameters", GetParameters.Request(names=asked))
+    found = [plain_value(value) for value in answer.values]
+    return dict(zip(asked, found, strict=True))
+
+
+def plain_value(value):
+    """Return a parameter's value as plain Python: arrays are lists.
+
+    Parameters
+    ----------
+    value : rcl_interfaces.msg.ParameterValue
+    """
+    plain = parameter_value_to_python(value)
+    return plain if plain is None or isinstance(plain, (str, bool, int, float)) else list(plain)
+
+
 def set_(client: Client, node: str, values: dict[str, str]) -> None:
-    """Set parameters of a node, all of them or, when one is refused, none.
+    """Set parameters of a node, all of them or, when one is refused, none; and say so.
 
     Parameters
     ----------
     client : Client
     node : str
+    values : dict of str to str
+        As people write them: YAML, or a number with its unit.
+    """
+    full = client.find(node)
+    _refuse_unknown(full, list(values), _names(client, full))
+    change(client, full, values)
+    print(f"{full}: {', '.join(values)} set", flush=True)
+
+
+def change(client: Client, full: str, values: dict[str, str]) -> None:
+    """Set parameters of a node, all of them or, when one is refused, none.
+
+    Parameters
+    ----------
+    client : Client
+    full : str
+        Full name of a node that is there.
     values : dict of str to str
         As people write them: YAML, or a number with its unit.
 
@@ -59,8 +101,6 @@ def set_(client: Client, node: str, values: dict[str, str]) -> None:
     HysteresisError
         The node refuses; its reason.
     """
-    full = client.find(node)
-    _refuse_unknown(full, list(values), _names(client, full))
     table = NODE_PARAMETERS.get(full.rsplit("/", 1)[-1])
     rows = {row.name: row for row in table.table()} if table else {}
     request = SetParametersAtomically.Request()
@@ -70,7 +110,6 @@ def set_(client: Client, node: str, values: dict[str, str]) -> None:
     result = client.ask(SetParametersAtomically, f"{full}/set_parameters_atomically", request).result
     if not result.successful:
         raise HysteresisError(f"{full} refuses: {result.reason}; nothing was changed")
-    print(f"{full}: {', '.join(values)} set", flush=True)
 
 
 def _names(client: Client, full: str) -> list[str]:

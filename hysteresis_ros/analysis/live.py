@@ -1,0 +1,169 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""What a page shows of signals while they come: the last minute, and of it as much as a screen has columns.
+
+A column of a screen stands for many samples at kilohertz. Of each it gets the least and the greatest, in the order in
+which they came, so that no peak is lost however short it is.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import signal
+
+#: Samples that are kept at most: a minute at 20 kHz; at higher rates it is less.
+MOST_SAMPLES = 1_200_000
+#: Of a spectrum: samples of a segment at most and at least, how often the segments fit into what is looked at.
+LONGEST, SHORTEST, SEGMENTS = 16384, 64, 4
+#: Points of a spectrum at most, in equal steps of the logarithm of the frequency.
+POINTS = 320
+
+
+class History:
+    """The last samples of some signals.
+
+    Parameters
+    ----------
+    rows : int
+        Signals.
+    samples : int
+        How many are kept at least; the memory is twice as large, so that a part of it is always in one piece.
+
+    Attributes
+    ----------
+    end : int
+        Samples that were ever put in; the next one has this number.
+    """
+
+    def __init__(self, rows: int, samples: int):
+        self._keeps = int(min(samples, MOST_SAMPLES))
+        self._table = np.empty((rows, 2 * self._keeps))
+        self._filled = 0
+        self.end = 0
+
+    @property
+    def begin(self) -> int:
+        """Number of the first sample that is kept."""
+        return self.end - min(self._filled, self._keeps)
+
+    def append(self, table: np.ndarray) -> None:
+        """Put samples in.
+
+        Parameters
+        ----------
+        table : ndarray, shape (rows, N)
+        """
+        self.end += table.shape[1]
+        table = table[:, -self._keeps :]
+        if self._filled + table.shape[1] > self._table.shape[1]:
+            kept = self._keeps - table.shape[1]
+            self._table[:, :kept] = self._table[:, self._filled - kept : self._filled]
+            self._filled = kept
+        self._table[:, self._filled : self._filled + table.shape[1]] = table
+        self._filled += table.shape[1]
+
+    def part(self, first: int, last: int) -> np.ndarray:
+        """Return samples, shape (rows, last − first), as a view.
+
+        Parameters
+        ----------
+        first, last : int
+            Numbers between :attr:`begin` and :attr:`end`; the last one is not included.
+        """
+        behind = self.end - self._filled
+        return self._table[:, first - behind : last - behind]
+
+
+def places_of_extremes(table: np.ndarray, length: int) -> np.ndarray:
+    """Return where in each bin the least and the greatest value stand, in the order in which they came.
+
+    Parameters
+    ----------
+    table : ndarray, shape (rows, bins × length)
+        Values; NaN are passed over.
+    length : int
+        Samples of a bin.
+
+    Returns
+    -------
+    ndarray, shape (rows, bins, 2)
+        Columns of the table.
+    """
+    rows = table.shape[0]
+    bins = table.reshape(rows, -1, length)
+    missing = np.isnan(bins)
+    low = np.where(missing, np.inf, bins).argmin(axis=2)
+    high = np.where(missing, -np.inf, bins).argmax(axis=2)
+    begins = length * np.arange(bins.shape[1])
+    return np.sort(np.stack([low, high], axis=2), axis=2) + begins[:, None]
+
+
+def extremes(table: np.ndarray, length: int) -> np.ndarray:
+    """Return of each bin the least and the greatest value, in the order in which they came, shape (rows, bins, 2).
+
+    Parameters
+    ----------
+    table : ndarray, shape (rows, bins × length)
+        Values; a bin of nothing but NaN is NaN.
+    length : int
+        Samples of a bin.
+    """
+    places = places_of_extremes(table, length)
+    return np.take_along_axis(table, places.reshape(len(table), -1), axis=1).reshape(places.shape)
+
+
+def outline(table: np.ndarray, length: int) -> np.ndarray:
+    """Return points of a curve through several signals, of each bin those where a signal is least or greatest.
+
+    Parameters
+    ----------
+    table : ndarray, shape (rows, bins × length)
+    length : int
+        Samples of a bin.
+
+    Returns
+    -------
+    ndarray, shape (rows, points)
+        As many for each bin: all its samples, where it has no more than two for each signal.
+    """
+    rows = len(table)
+    if length <= 2 * rows:
+        return table
+    places = places_of_extremes(table, length)
+    return table[:, np.sort(np.concatenate(list(places), axis=1), axis=1).ravel()]
+
+
+def amplitude_density(values: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray]:
+    """Return the amplitude density of a signal by Welch's method, thinned to the screen: no peak is lost.
+
+    Parameters
+    ----------
+    values : ndarray, shape (N,)
+        NaN are taken for the mean.
+    rate : float
+        Samples per second [Hz].
+
+    Returns
+    -------
+    frequency : ndarray, shape (M,)
+        [Hz], without 0; empty where there are too few samples.
+    density : ndarray, shape (M,)
+        Of the signal's unit by √Hz.
+    """
+    segment = min(LONGEST, 2 ** int(np.log2(max(values.size // SEGMENTS, 1))))
+    known = np.isfinite(values)
+    if segment < SHORTEST or not known.any():
+        return np.empty(0), np.empty(0)
+    filled = np.where(known, values, values[known].mean())
+    frequency, power = signal.welch(filled, rate, nperseg=segment)
+    frequency, density = frequency[1:], np.sqrt(power[1:])
+    edges = np.geomspace(frequency[0], frequency[-1] * (1.0 + 1e-9), POINTS + 1)
+    begins = np.unique(np.searchsorted(frequency, edges[:-1]))
+    return frequency[begins], np.maximum.reduceat(density, begins)

@@ -1,0 +1,169 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""All samples of a fused axis on a topic, in blocks, for whoever looks at them while the axis runs.
+
+Its other topics show the last sample at ``publish_rate``; a peak between two of them would be seen by nobody. A block
+is a table: a row for each quantity, named in the label of the first dimension, and a column for each sample.
+"""
+
+from __future__ import annotations
+
+import time
+from array import array
+from typing import NamedTuple
+
+import numpy as np
+from rclpy.qos import QoSProfile
+from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayout
+
+from hysteresis_ros import signals
+from hysteresis_ros.errors import HysteresisError
+
+#: Name of the topic, below the plant.
+TOPIC = "samples"
+#: Seconds between two blocks: thirty a second, as often as a page is drawn.
+PERIOD = 1.0 / 30.0
+#: Blocks that wait for somebody who is slow: two seconds.
+DEPTH = 60
+#: Most samples of a block: what the ring of the fastest axis holds.
+MOST = 1_000_000
+#: Rows before the signals: stamp [s and ns since 1970], and number of the sample.
+STAMPED = ("stamp_s", "stamp_ns", "sample")
+#: What ``joint_states`` has of each joint of a motor.
+OF_JOINTS = ("position", "velocity", "effort")
+
+SECOND = 1_000_000_000
+
+
+class Block(NamedTuple):
+    """Samples that follow one another.
+
+    Parameters
+    ----------
+    stamps : ndarray, shape (N,)
+        [ns since 1970], int64.
+    numbers : ndarray, shape (N,)
+        Numbers of the samples, int64.
+    table : ndarray, shape (signals, N)
+        A row for each signal (:func:`hysteresis_ros.signals.row_signals`).
+    joints : ndarray or None, shape (3 × joints, N)
+        Of a motor: positions [m], velocities [m/s], efforts [N] of its joints.
+    """
+
+    stamps: np.ndarray
+    numbers: np.ndarray
+    table: np.ndarray
+    joints: np.ndarray | None
+
+
+def samples_qos() -> QoSProfile:
+    """Blocks for whoever looks: reliable, volatile, two seconds of them."""
+    return QoSProfile(depth=DEPTH)
+
+
+def labels(motor: bool, joints) -> tuple[str, ...]:
+    """Return the names of the rows of a block.
+
+    Parameters
+    ----------
+    motor : bool
+    joints : sequence of str
+        Of a motor: names in ``joint_states``.
+    """
+    row = tuple(signal.name for signal in signals.row_signals(motor))
+    return (*STAMPED, *row, *(f"{what} {name}" for what in OF_JOINTS for name in (joints if motor else ())))
+
+
+def message_of(names: tuple[str, ...], block: Block) -> Float64MultiArray:
+    """Return the message of a block.
+
+    Parameters
+    ----------
+    names : tuple of str
+        Of its rows, see :func:`labels`.
+    block : Block
+    """
+    stamped = np.vstack([block.stamps // SECOND, block.stamps % SECOND, block.numbers]).astype(float)
+    parts = [stamped, block.table] if block.joints is None else [stamped, block.table, block.joints]
+    table = np.ascontiguousarray(np.vstack(parts))
+    rows, count = table.shape
+    layout = MultiArrayLayout(
+        dim=[
+            MultiArrayDimension(label=",".join(names), size=rows, stride=rows * count),
+            MultiArrayDimension(label="samples", size=count, stride=count),
+        ]
+    )
+    return Float64MultiArray(layout=layout, data=array("d", table.tobytes()))
+
+
+def block_of(message: Float64MultiArray) -> Block:
+    """Return the block of a message.
+
+    Parameters
+    ----------
+    message : Float64MultiArray
+
+    Raises
+    ------
+    HysteresisError
+        It is none: somebody else uses the topic, or the axis runs another version of the package.
+    """
+    names = tuple(message.layout.dim[0].label.split(",")) if message.layout.dim else ()
+    motor = len(names) > len(STAMPED) + signals.ACTUATOR_ROW
+    row = len(signals.row_signals(motor))
+    begin = len(STAMPED)
+    count = len(message.data) // max(len(names), 1)
+    if names[: begin + row] != labels(motor, ())[: begin + row] or count * len(names) != len(message.data):
+        raise HysteresisError("samples: the rows are not those of this version; run the page with the axis' version")
+    table = np.frombuffer(message.data, float).reshape(len(names), count)
+    if count > MOST or not np.isfinite(table[:begin]).all():
+        raise HysteresisError(f"samples: a block has at most {MOST} samples, whose times and numbers are finite")
+    stamps = table[0].astype(np.int64) * SECOND + table[1].astype(np.int64)
+    joints = table[begin + row :] if motor else None
+    return Block(stamps, table[2].astype(np.int64), table[begin : begin + row], joints)
+
+
+class SampleStream:
+    """Publishes what a loop makes, as long as somebody listens.
+
+    Parameters
+    ----------
+    plant : AxisNode
+        The node that shows the plant.
+    """
+
+    def __init__(self, plant):
+        self._plant = plant
+        self._publisher = plant.publisher(Float64MultiArray, f"~/{TOPIC}", samples_qos())
+        self._loop = self._reader = None
+        self._last = 0.0
+
+    def show(self, loop, ended: bool) -> None:
+        """Publish what is new, when it is time.
+
+        Parameters
+        ----------
+        loop : FusedLoop
+        ended : bool
+            Whether nothing follows.
+        """
+        if not self._publisher.get_subscription_count():
+            self._reader = None
+            return
+        if self._reader is None or loop is not self._loop:
+            self._loop, self._reader = loop, loop.reader()
+        now = time.monotonic()
+        if now - self._last < PERIOD and not ended:
+            return
+        self._last, taken = now, self._reader.take()
+        numbers = np.arange(taken.first, taken.first + taken.table.shape[1])
+        if numbers.size:
+            block = Block(self._plant.stamps.of_all(numbers), numbers, taken.table, taken.joints)
+            self._publisher.publish(message_of(labels(self._plant.is_motor, self._plant.joint_names), block))
