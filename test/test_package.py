@@ -98,6 +98,7 @@ ONLY_IN = {
     "mcap": "recordings",
     "cv2": "sensing",
     "distributed": "executors",
+    "aiohttp": "nodes",
 }
 #: What neither the blocks nor their parameters may bring into a node.
 HEAVY = ("scipy.signal", "scipy.optimize", "matplotlib", "jinja2", "rclpy", "click", "rosbags")

@@ -41,6 +41,7 @@ COMMANDS = {
         "From a new parameter file to a closed loop that was judged, stage by stage.",
     ),
     "up": ("hysteresis_ros.cli.up:up", "Start the nodes of a configuration, record and report."),
+    "watch": ("hysteresis_ros.cli.watch:watch", "Show an axis in the browser, and tune it there, while it runs."),
     "setpoint": ("hysteresis_ros.cli.remote:setpoint", "Move an axis by hand, and say whether it takes the setpoint."),
     "status": ("hysteresis_ros.cli.remote:status", "Say who is there of each running axis, how well, and where it is."),
     "get": ("hysteresis_ros.cli.remote:get", "Print parameters of a running node."),

@@ -46,6 +46,7 @@ from hysteresis_ros.cli.reference_options import reference_options
     help="external: a node of yours publishes joint_states in plant_simulator's place.",
 )
 @click.option("--namespace", help="Start only the axis in this namespace.")
+@click.option("--watch", is_flag=True, help="Show each axis in the browser, as hysteresis watch does.")
 @click.option(
     "--verify",
     is_flag=True,
@@ -80,6 +81,7 @@ def up(
     force,
     plant,
     namespace,
+    watch,
     verify,
     faults,
     log_level,
@@ -94,6 +96,7 @@ def up(
         signal.signal(number, lambda signum, frame: requested.append(signum))
     from hysteresis_ros.nodes.bench import in_time
     from hysteresis_ros.nodes.launcher import Graph
+    from hysteresis_ros.nodes.watch.serving import PageOptions, Pages
     from hysteresis_ros.simulation.axes import axes
     from hysteresis_ros.simulation.reach import reach_warnings
 
@@ -115,14 +118,17 @@ def up(
     if requested:
         click.echo("stopping")
         return
+    pages = Pages([axis.namespace for axis in found] if watch else [], PageOptions())
     graph = Graph(found, composed=processes is False, record=record, log_level=log_level)
     for axis in found:
         for line in (_what_runs(axis, processes is False), *axis.timeouts()):
             click.echo(f"{axis.namespace}{': ' if axis.namespace else ''}{line}")
-    with graph:
-        ended = graph.wait(lambda: bool(requested))
+    with graph, pages:
+        ended = graph.wait(lambda: bool(requested) or pages.over())
         click.echo("the run ended" if ended else "stopping")
     _say_recorded(graph)
+    if pages.exit_code():
+        sys.exit(pages.exit_code())
     if verify:
         _verify(graph)
 

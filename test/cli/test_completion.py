@@ -43,7 +43,7 @@ def test_commands_options_waveforms_and_nodes_are_offered():
     assert "simulate" in offered("simlate", ""), "a mistyped command ends in words while a shell completes"
 
 
-@pytest.mark.parametrize("command", ["up", "simulate", "excite", "design", "compare", "validate"])
+@pytest.mark.parametrize("command", ["up", "watch", "simulate", "excite", "design", "compare", "validate"])
 def test_configurations_are_those_of_the_package_and_files_here(tmp_path, monkeypatch, command):
     (tmp_path / "kimono.yaml").write_text("")
     (tmp_path / "kimono.csv").write_text("")

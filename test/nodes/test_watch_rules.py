@@ -1,0 +1,173 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""What a page may ask for, who may, and what it gets: without nodes, without a web server."""
+
+from __future__ import annotations
+
+import json
+import struct
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from hysteresis_ros import signals
+from hysteresis_ros.analysis.live import History, extremes
+from hysteresis_ros.loop.node_parameters import NODE_PARAMETERS
+from hysteresis_ros.nodes.watch.access import Access, Control, is_loopback, new_token
+from hysteresis_ros.nodes.watch.requests import ACTIONS, RequestError, read_request
+from hysteresis_ros.nodes.watch.tuning import table_of
+from hysteresis_ros.nodes.watch.views import SHOWN, View
+
+ANYTHING = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=20),
+    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=8), inner, max_size=3),
+    max_leaves=8,
+)
+WORDS = ("id", "do", "value", "values", "node", "window", "columns", "on", "text", "by_force")
+
+
+@settings(max_examples=200)
+@given(st.text(max_size=60) | st.dictionaries(st.sampled_from(WORDS), ANYTHING | st.sampled_from(list(ACTIONS))))
+def test_garbage_is_refused_in_words_and_nothing_else_happens(garbage):
+    text = garbage if isinstance(garbage, str) else json.dumps(garbage)
+    try:
+        request = read_request(text)
+    except RequestError as error:
+        assert str(error) and len(str(error)) < 400
+    else:
+        assert request.action in ACTIONS and request.number >= 0
+
+
+@pytest.mark.parametrize(
+    ("asked", "words"),
+    [
+        ("[1]", "must be an object"),
+        ("{", "no JSON"),
+        ("[" * 100_000, "no JSON"),
+        ('{"do": "stop"}', "id = None"),
+        ('{"id": 1, "do": "stpo"}', "did you mean stop"),
+        ('{"id": 1, "do": "setpoint", "value": "5kg"}', "5kg"),
+        ('{"id": 1, "do": "setpoint", "value": "5V"}', "must be a length"),
+        ('{"id": 1, "do": "setpoint", "value": "nan"}', "nan"),
+        ('{"id": 1, "do": "view", "window": 1e9, "columns": 500}', "0.02 … 60 s"),
+        ('{"id": 1, "do": "view", "window": 1, "columns": NaN}', "finite"),
+        ('{"id": 1, "do": "set", "node": "motion_controller", "values": {}}', "1 … 50 parameters"),
+        ('{"id": 1, "do": "marker", "text": "   "}', "1 … 200 characters"),
+        ('{"id": 1, "do": "record", "on": 1}', "true or false"),
+    ],
+)
+def test_what_is_wrong_with_a_request_is_named(asked, words):
+    with pytest.raises(RequestError) as caught:
+        read_request(asked)
+    assert words in str(caught.value)
+
+
+def test_a_request_is_read_with_its_unit():
+    assert read_request('{"id": 7, "do": "setpoint", "value": " 5 um"}') == (7, "setpoint", {"metres": 5e-6})
+    assert read_request('{"id": 7, "do": "setpoint", "value": "-2e-6"}').values == {"metres": -2e-6}
+
+
+def test_only_its_own_names_call_the_page_of_this_machine():
+    here = Access("127.0.0.1", "")
+    for host in ("127.0.0.1:8642", "localhost:8642", "LOCALHOST", "[::1]:8642", "127.0.0.1"):
+        assert not here.refuses_host(host)
+    for host in ("evil.example:8642", "127.0.0.1.evil.example", "", "192.168.1.7:8642", "localhost.evil.org", "[::1"):
+        assert "localhost" in here.refuses_host(host)
+    there = Access("192.168.1.7", "secret")
+    assert not there.refuses_host("192.168.1.7:8642") and there.refuses_host("evil.example:8642")
+
+
+def test_only_its_own_page_may_change_something():
+    here = Access("127.0.0.1", "")
+    own = {"Host": "localhost:8642"}
+    assert not here.refuses_origin({**own, "Origin": "http://localhost:8642"})
+    for origin in (
+        "http://evil.example",
+        "null",
+        "http://localhost:9999",
+        "https://localhost:8642",
+        "http://localhost",
+    ):
+        assert origin in here.refuses_origin({**own, "Origin": origin})
+    assert "X-Hysteresis" in here.refuses_origin(own)
+    assert not here.refuses_origin({**own, "X-Hysteresis": "1"})
+    assert here.refuses_origin({**own, "Origin": "http://evil.example", "X-Hysteresis": "1"})
+
+
+def test_beyond_this_machine_a_token_is_needed_that_nobody_guesses():
+    assert is_loopback("127.0.0.1") and is_loopback("::1") and not is_loopback("0.0.0.0") and not is_loopback("::")
+    assert new_token("127.0.0.1") == "" and not Access("127.0.0.1", "").refuses_token("")
+    token = new_token("0.0.0.0")
+    assert len(token) >= 32 and token != new_token("0.0.0.0")
+    access = Access("0.0.0.0", token)
+    assert not access.refuses_token(token)
+    for wrong in ("", token[:-1], f"{token}x", "ü\ud800"):
+        assert access.refuses_token(wrong)
+
+
+def test_one_page_writes_at_a_time():
+    control = Control()
+    assert control.refuses(1) == "nobody has the control: take it first"
+    assert control.ask(1, "10.0.0.1") and not control.ask(2, "10.0.0.2")
+    assert not control.refuses(1) and "another page has the control (10.0.0.1" in control.refuses(2)
+    control.leave(2)
+    assert not control.refuses(1)
+    assert control.ask(2, "10.0.0.2", by_force=True) and control.refuses(1) and not control.refuses(2)
+    control.leave(2)
+    assert control.ask(1, "10.0.0.1") and control.told(1)["mine"] and not control.told(2)["mine"]
+
+
+def parts_of(frame: bytes) -> tuple[dict, np.ndarray]:
+    """Return the header of a frame and its signals, shape (signals, bins, 2)."""
+    (length,) = struct.unpack("<I", frame[:4])
+    header = json.loads(frame[4 : 4 + length])
+    numbers = np.frombuffer(frame[4 + length :], "<f4")
+    count = len(SHOWN) * header["bins"] * 2
+    return header, numbers[:count].reshape(len(SHOWN), header["bins"], 2)
+
+
+@given(st.lists(st.integers(0, 300), min_size=1, max_size=12), st.integers(50, 120), st.sampled_from([0.1, 0.37, 1.0]))
+def test_a_page_gets_every_bin_once_however_its_frames_come(counts, columns, window):
+    random = np.random.default_rng(sum(counts))
+    history, view = History(len(SHOWN), 10_000), View(window, columns, 1000.0, 0)
+    whole, heard, begun = np.empty((len(SHOWN), 0)), [], 0
+    for count in counts:
+        table = random.normal(size=(len(SHOWN), count))
+        whole = np.concatenate([whole, table], axis=1)
+        history.append(table)
+        frame = view.frame(history)
+        if frame is None:
+            continue
+        header, bins = parts_of(frame)
+        if header["fresh"]:
+            heard, begun = [], header["first"]
+        assert header["first"] == begun + sum(part.shape[1] for part in heard)
+        heard.append(bins)
+    length = header["length"]
+    found = np.concatenate(heard, axis=1)
+    expected = extremes(whole[:, begun * length : (begun + found.shape[1]) * length], length)
+    assert np.array_equal(found, expected.astype("f4"))
+    assert whole.shape[1] - (begun + found.shape[1]) * length < length, "a bin that is whole is missing"
+
+
+def test_only_parameters_are_shown_that_something_hangs_on_and_that_may_change():
+    given_values = NODE_PARAMETERS["motion_controller"]().to_mapping() | {"type": "pid"}
+    rows = {row["name"]: row for row in table_of("motion_controller", given_values)}
+    assert given_values["learning.type"] == "none" and {"learning.type", "learning.gain"} & set(rows) <= {
+        "learning.type"
+    }
+    assert "pid.Kp" in rows and not any(name.startswith("sliding_mode.") for name in rows)
+    assert "sample_rate" not in rows, "what is read only cannot be tuned"
+    row = next(row for row in NODE_PARAMETERS["motion_controller"].table() if row.name == "pid.Kp")
+    assert rows["pid.Kp"] | {"allowed": row.allowed(), "unit": row.unit, "low": row.low} == rows["pid.Kp"]
+    assert json.dumps(list(rows.values()))
+    assert set(SHOWN) - {"error"} <= {signal.name for signal in signals.SIGNALS}

@@ -1,0 +1,252 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""The server of the page with an axis that is only pretended: who is let in, who may write, and what garbage does."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import json
+from concurrent.futures import Future
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
+aiohttp = pytest.importorskip("aiohttp", reason="aiohttp is not installed: no page")
+TestServer = pytest.importorskip("aiohttp.test_utils").TestServer
+
+from hysteresis_ros import signals  # noqa: E402
+from hysteresis_ros.errors import HysteresisError  # noqa: E402
+from hysteresis_ros.nodes.samples import Block  # noqa: E402
+from hysteresis_ros.nodes.watch.access import Access  # noqa: E402
+from hysteresis_ros.nodes.watch.memory import Memory  # noqa: E402
+from hysteresis_ros.nodes.watch.server import FILES, Server  # noqa: E402
+
+PATIENCE = 20.0
+
+
+class Pretended:
+    """What a server asks of an axis, noted down; it stops when it is told to for the second time."""
+
+    def __init__(self):
+        self.memory, self.values, self.health, self.refusals = Memory(1000.0), {}, {}, []
+        self.version, self.recording, self.source, self.namespace = 1, None, "/reference_generator", ""
+        self.asked: list = []
+        self.elsewhere: list[str] = []
+        self.sample = 0
+        self.put()
+
+    def put(self, **values: float) -> None:
+        """Make a sample with these signals."""
+        table = np.zeros((signals.ACTUATOR_ROW, 1))
+        for name, value in values.items():
+            table[signals.place(name)] = value
+        numbers = np.array([self.sample])
+        assert self.memory.add(Block(numbers * 1_000_000, numbers, table, None))
+        self.sample += 1
+
+    def tables(self) -> dict:
+        return {"nodes": {}, "limits": {}, "namespace": "/", "mode": "fused", "rate": 1000.0}
+
+    def state(self) -> dict:
+        return {}
+
+    def ask(self, job) -> Future:
+        answer: Future = Future()
+        try:
+            answer.set_result(job())
+        except HysteresisError as error:
+            answer.set_exception(error)
+        return answer
+
+    def change(self, node: str, values: dict) -> str:
+        self.asked.append((node, values))
+        if "nan" in values.values():
+            raise HysteresisError("/motion_controller refuses: must be finite")
+        return "set"
+
+    def start(self) -> str:
+        self.asked.append("start")
+        return "started"
+
+    def move(self, metres: float) -> None:
+        self.asked.append(metres)
+        if metres > 1e-5:
+            self.refusals = [*self.refusals, f"setpoint {metres:g} m refused: out of range"]
+        else:
+            self.put(setpoint=metres)
+
+    def mark(self, text: str) -> None:
+        self.asked.append(text)
+
+    def stop(self) -> None:
+        self.asked.append("stop")
+        if self.asked.count("stop") > 1:
+            self.put(tripped=1.0)
+
+
+class Socket:
+    """A page without pictures."""
+
+    def __init__(self, socket):
+        self.socket, self.number, self.said = socket, 0, []
+
+    async def until(self, wanted):
+        """Hear until a message is wanted, and return it."""
+        while True:
+            message = await self.socket.receive(PATIENCE)
+            if message.type == aiohttp.WSMsgType.TEXT:
+                self.said.append(json.loads(message.data))
+                if wanted(self.said[-1]):
+                    return self.said[-1]
+            elif message.type != aiohttp.WSMsgType.BINARY:
+                raise ConnectionError(message.type)
+
+    async def ask(self, **words) -> dict:
+        self.number += 1
+        await self.socket.send_str(json.dumps({"id": self.number, **words}))
+        return await self.until(lambda said: said.get("answer") == self.number)
+
+
+class Bench(SimpleNamespace):
+    """A server, and who calls it."""
+
+    async def page(self, **headers) -> Socket:
+        headers = {"Origin": self.origin, **headers}
+        return Socket(
+            await self.stack.enter_async_context(self.session.ws_connect(f"{self.origin}/socket", headers=headers))
+        )
+
+
+def served(check, token: str = "") -> None:
+    """Run a check with a server."""
+
+    async def run() -> None:
+        link = Pretended()
+        server = Server(link, Access("0.0.0.0" if token else "127.0.0.1", token))
+        async with contextlib.AsyncExitStack() as stack:
+            given = await stack.enter_async_context(TestServer(server.application()))
+            jar = aiohttp.CookieJar(unsafe=True)
+            session = await stack.enter_async_context(aiohttp.ClientSession(cookie_jar=jar))
+            origin = f"http://127.0.0.1:{given.port}"
+            await check(Bench(link=link, server=server, session=session, origin=origin, stack=stack))
+
+    asyncio.run(asyncio.wait_for(run(), 3 * PATIENCE))
+
+
+def test_the_files_are_there_and_nothing_changes_by_get():
+    async def check(bench):
+        for path in FILES:
+            async with bench.session.get(bench.origin + path) as response:
+                assert response.status == 200 and "default-src 'self'" in response.headers["Content-Security-Policy"]
+        assert {"/", "/main.js", "/charts.js", "/tuning.js", "/watch.css", "/uPlot.iife.min.js"} <= set(FILES)
+        for path in ("/stop", "/start", "/../setup.py", "/socket", "/main.py"):
+            async with bench.session.get(bench.origin + path) as response:
+                assert response.status in (403, 404, 405), path
+        assert bench.link.asked == []
+
+    served(check)
+
+
+def test_a_foreign_page_neither_hears_nor_stops_anything():
+    async def check(bench):
+        for headers in ({"Origin": "http://evil.example"}, {"Host": "evil.example"}, {"Origin": "null"}):
+            with pytest.raises(aiohttp.WSServerHandshakeError) as caught:
+                await bench.page(**headers)
+            assert caught.value.status == 403
+            sent = {"Origin": bench.origin, **headers}
+            async with bench.session.post(f"{bench.origin}/stop", headers=sent) as response:
+                assert response.status == 403 and "hysteresis watch: " in await response.text()
+        async with bench.session.post(f"{bench.origin}/stop") as response:
+            assert response.status == 403
+        assert bench.link.asked == []
+
+    served(check)
+
+
+def test_stop_also_works_without_a_socket_and_waits_until_the_axis_stands():
+    async def check(bench):
+        async with bench.session.post(f"{bench.origin}/stop", headers={"X-Hysteresis": "1"}) as response:
+            assert response.status == 200 and "safe voltage" in await response.text()
+        assert bench.link.asked == ["stop", "stop"]
+
+    served(check)
+
+
+def test_the_token_comes_from_the_address_and_goes_into_a_cookie():
+    async def check(bench):
+        for path in ("/", "/main.js", "/?token=wrong"):
+            async with bench.session.get(bench.origin + path) as response:
+                assert response.status == 403
+        with pytest.raises(aiohttp.WSServerHandshakeError):
+            await bench.page()
+        async with bench.session.get(f"{bench.origin}/?token=secret", allow_redirects=False) as response:
+            assert response.status == 303 and response.headers["Location"] == "/"
+            assert "HttpOnly" in response.headers["Set-Cookie"] and "SameSite=Strict" in response.headers["Set-Cookie"]
+        page = await bench.page()
+        assert (await page.ask(do="start"))["ok"]
+
+    served(check, token="secret")
+
+
+def test_one_page_writes_the_others_look_on_and_stop():
+    async def check(bench):
+        first, second = await bench.page(), await bench.page()
+        refused = await second.ask(do="set", node="motion_controller", values={"pid.Kp": "1"})
+        assert not refused["ok"] and "another page has the control (127.0.0.1" in refused["text"]
+        assert bench.link.asked == []
+        stopped = await second.ask(do="stop")
+        assert stopped["ok"] and bench.link.asked == ["stop", "stop"]
+        assert not (await second.ask(do="control"))["ok"]
+        assert (await second.ask(do="control", by_force=True))["ok"]
+        await first.until(lambda said: said.get("control", {}).get("mine") is False)
+        assert not (await first.ask(do="start"))["ok"] and (await second.ask(do="start"))["ok"]
+        await second.socket.close()
+        await first.until(lambda said: said.get("pages") == 1)
+        assert (await first.ask(do="control"))["ok"] and (await first.ask(do="start"))["ok"]
+
+    served(check)
+
+
+def test_a_setpoint_is_answered_and_a_refusal_is_the_nodes_own():
+    async def check(bench):
+        page = await bench.page()
+        taken = await page.ask(do="setpoint", value="5um")
+        assert taken["ok"] and bench.link.asked == [5e-6]
+        refused = await page.ask(do="setpoint", value="50um")
+        assert not refused["ok"] and refused["text"] == "setpoint 5e-05 m refused: out of range"
+        again = await page.ask(do="setpoint", value="50um")
+        assert not again["ok"] and again["text"] == refused["text"], "the same refusal twice"
+        refused = await page.ask(do="set", node="motion_controller", values={"pid.Kp": "nan"})
+        assert not refused["ok"] and refused["text"] == "/motion_controller refuses: must be finite"
+
+    served(check)
+
+
+def test_garbage_is_answered_and_the_page_goes_on():
+    async def check(bench):
+        page = await bench.page()
+        for garbage in ("{", "[]", "\x00" * 50, '{"id": 1}', "null", "9" * 5000):
+            await page.socket.send_str(garbage)
+            assert not (await page.until(lambda said: "answer" in said))["ok"]
+        await page.socket.send_bytes(b"\xff\x00garbage")
+        assert "text" in (await page.until(lambda said: "answer" in said))["text"]
+        assert (await page.ask(do="start"))["ok"]
+        # more than any request is long: that page is closed, another one goes on
+        other = await bench.page()
+        await page.socket.send_str("x" * 70_000)
+        with pytest.raises(ConnectionError):
+            await page.until(lambda said: False)
+        assert (await other.ask(do="view", window=1.0, columns=300))["ok"]
+        assert bench.link.asked == ["start"]
+
+    served(check)
