@@ -12,6 +12,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 import inspect
 import pathlib
 import re
@@ -126,6 +127,7 @@ def modules_page() -> str:
     return text
 
 
+@functools.cache
 def reference_pages() -> dict[str, str]:
     """Return the pages of the reference by file name."""
     found = {"names": names_page(), **{f"hr_{name}": blocks_page(name) for name in BLOCKS}}
