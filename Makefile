@@ -60,7 +60,7 @@ bench: setup
 	missed=0; for file in benchmarks/bench_*.py; do echo "== $$file"; $(BIN)/python $$file || missed=1; done; exit $$missed
 
 clean:
-	rm -rf $(VENV) demo dist build install log *.egg-info .pytest_cache .ruff_cache .mypy_cache .hypothesis
+	rm -rf $(VENV) demo dist build docs/reference install log *.egg-info .pytest_cache .ruff_cache .mypy_cache .hypothesis
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # What is tested is what a user gets: a true installation, made anew after every change (build/lib would keep files

@@ -12,8 +12,11 @@
 Nothing is fetched: no other project's index, no fonts, no scripts from elsewhere; equations are MathML.
 """
 
+import logging
+import os
 import pathlib
 import sys
+import tempfile
 
 DOCS = pathlib.Path(__file__).resolve().parent
 sys.path[:0] = [str(DOCS.parent), str(DOCS)]
@@ -42,6 +45,14 @@ nb_execution_raise_on_error = True
 nb_execution_show_tb = True
 nb_merge_streams = True
 nb_execution_in_temp = True
+# kernels begin without the files of whoever makes the pages, and say only what is wrong
+KERNELS = tempfile.TemporaryDirectory(prefix="hysteresis_")
+os.environ["IPYTHONDIR"] = KERNELS.name
+(pathlib.Path(KERNELS.name) / "profile_default").mkdir()
+(pathlib.Path(KERNELS.name) / "profile_default" / "ipython_kernel_config.py").write_text(
+    "get_config().IPKernelApp.log_level = 40\n", encoding="utf-8"
+)
+logging.getLogger("traitlets").setLevel(logging.WARNING)
 
 autosummary_generate = True
 autosummary_ignore_module_all = False
