@@ -45,7 +45,7 @@ def report(recordings, output, json_path, namespace, title, range_, skip, last_p
         require_page(output)
     with shown("reading"):
         runs = {
-            label: _excerpt(load_run(path, namespace, further=True), range_, skip, last_periods)
+            label: _excerpt(label, load_run(path, namespace, further=True), range_, skip, last_periods)
             for label, path in _labels(recordings).items()
         }
     if len(runs) > 1:
@@ -95,17 +95,20 @@ def _single(run, output, title: str, json_path: str | None) -> None:
     write_json(figures, json_path, table(figures))
 
 
-def _excerpt(run, range_: str | None, skip: str | None, periods: int | None):
-    """Return the part of a run that is to be judged."""
+def _excerpt(label: str, run, range_: str | None, skip: str | None, periods: int | None):
+    """Return the part of a run that is to be judged; a run that lacks it is named."""
     from hysteresis_ros.analysis import excerpt
+    from hysteresis_ros.errors import RecordingError
 
     if sum(option is not None for option in (range_, skip, periods)) > 1:
         raise click.UsageError("--range, --skip and --last-periods exclude each other")
-    if periods is not None:
-        return excerpt.last_periods(run, periods)
     if range_ is not None and ":" not in range_:
         raise click.UsageError(f"--range {range_}: write FROM:TO, e.g. 0.5s:2s, 0.5: or :2")
     first, _, last = (range_ or f"{skip or 0}:").partition(":")
     option = "--skip" if skip else "--range"
     begin = excerpt.seconds(first or "0", option)
-    return excerpt.within(run, begin, excerpt.seconds(last, option) if last else float("inf"))
+    end = excerpt.seconds(last, option) if last else float("inf")
+    try:
+        return excerpt.within(run, begin, end) if periods is None else excerpt.last_periods(run, periods)
+    except RecordingError as error:
+        raise RecordingError(f"{label}: {error}") from None

@@ -51,7 +51,7 @@ TRIAL = """
   (async () => {
     await soon();
     const names = [...document.querySelectorAll("figure.live")].map((one) => one.id.slice(6));
-    const seen = { names, before: names.map(pixels), whole: column() };
+    const seen = { names, before: names.map(pixels), whole: column(), far: times[2].scales.y.max };
     const over = figure("error").querySelector(".u-over");
     mouse(over, "mouseenter", 0.25, 0.5);
     mouse(over, "mousemove", 0.25, 0.5);
@@ -67,6 +67,7 @@ TRIAL = """
     mouse(over, "mouseup", 0.5, 0.5);
     await soon();
     seen.after = names.map(pixels);
+    seen.closer = times[2].scales.y.max;
     seen.zoomed = column();
     seen.ends = [document.getElementById("span-from").value, document.getElementById("span-to").value];
     seen.head = words(document.querySelector(".span-head"));
@@ -89,7 +90,8 @@ def run() -> Recording:
     displacement = reference - 10e-9 * (1.0 + time) * np.sin(2 * np.pi * 31.0 * time)
     displacement[-1] += 80e-9  # the largest error of all is in the last block
     columns = {"time": time, "reference": reference, "displacement": displacement, "voltage": 1e7 * reference}
-    return Recording.from_columns(columns)
+    limits = "/**/hysteresis_compensator:\n  ros__parameters:\n    limits: {minimum: -30.0, maximum: 120.0}\n"
+    return Recording.from_columns(columns, {"configuration": limits})
 
 
 @pytest.fixture(scope="module")
@@ -130,6 +132,7 @@ def test_a_zoom_changes_what_is_drawn_and_its_figures(seen, run):
     changed = {name for name, a, b in zip(seen["names"], seen["before"], seen["after"], strict=True) if a != b}
     assert changed == {"traces", "error", "loops", "voltage"}, "charts over time, and the part of the loop"
     assert seen["back"] == seen["before"]
+    assert seen["far"] > 120.0 > seen["closer"], "the limits of the voltage are there until somebody looks closer"
     begin, end = (float(value) for value in seen["ends"])
     assert 0.8 < begin < 1.2 and 1.8 < end < 2.2
     first, last = (float(value) for value in re.findall(r"[\d.]+", seen["head"])[:2])

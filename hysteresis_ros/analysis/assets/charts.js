@@ -124,7 +124,8 @@ function spread(place, chart) {
 }
 
 function timeChart(chart, place, time) {
-  const whenWhole = (u) => u.scales.x.min <= whole[0] && u.scales.x.max >= whole[1];
+  // the chart's own scale is not set yet when it asks for this
+  const whenWhole = () => span[0] === whole[0] && span[1] === whole[1];
   const marked = marks(chart);
   const u = new uPlot(
     options(chart, place, {
@@ -162,7 +163,11 @@ function graphChart(chart, place) {
   const tables = chart.lines.map((line) => [Array.from(numbers(line.x, true)), gaps(numbers(line.y))]);
   const always = (u) => u.data[0].length && u.scales.x.min <= u.data[0][0];
   const marked = marks(chart);
-  const ends = (u, low, high) => [low, high];
+  // a round beginning gives round labels
+  const ends = (u, low, high) => {
+    const decade = 10 ** Math.floor(Math.log10(low));
+    return [Math.floor(low / decade) * decade, high];
+  };
   const wide = chart.logarithmic.includes("x") ? { time: false, distr: 3, range: ends } : { time: false };
   return new uPlot(
     options(chart, place, {
@@ -275,6 +280,8 @@ function draw() {
     const figure = document.getElementById("chart-" + chart.name);
     const place = figure.querySelector(".plot");
     place.replaceChildren();
+    place.setAttribute("role", "group");
+    place.setAttribute("aria-label", figure.querySelector("figcaption").textContent);
     figure.classList.add("live");
     try {
       let made;
