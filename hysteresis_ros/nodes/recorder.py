@@ -23,10 +23,12 @@ from std_msgs.msg import Float64, String, UInt64
 from hysteresis_ros.bounded import BoundsError, read_json, read_text
 from hysteresis_ros.configuration import parse_configuration
 from hysteresis_ros.errors import ConfigurationError, RecordingError
+from hysteresis_ros.loop.named_files import named_files
 from hysteresis_ros.nodes.base import AxisNode
 from hysteresis_ros.nodes.qos import diagnostics_qos, latched_qos, measured_qos, setpoint_qos
 from hysteresis_ros.nodes.spin import QUIET, run
 from hysteresis_ros.nodes.timing import STALE
+from hysteresis_ros.recordings.bag_files import FILES, packed_files
 from hysteresis_ros.recordings.bag_writer import BagWriter
 from hysteresis_ros.recordings.batch_writer import CHUNK_TIME, AxisTopics, SampleWriter
 from hysteresis_ros.recordings.guarded_bag import GuardedBag, require_space
@@ -100,6 +102,9 @@ class RecorderNode(AxisNode):
         split = {"max_bag_size": parameters.max_bag_size, "max_bag_duration": parameters.max_bag_duration}
         bag = BagWriter(parameters.path, **split)
         bag.describe(RECORD, provenance())
+        files = packed_files(named_files(self._configuration, self.get_namespace()))
+        if files:
+            bag.describe(FILES, files)
         self.recording = GuardedBag(bag, parameters.chunk_time - self._period)
         self.reset_blocks()
 

@@ -22,6 +22,7 @@ from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.recordings.bag_writer import BagWriter
 from hysteresis_ros.recordings.configured import configured
 from hysteresis_ros.recordings.dataset import Recording
+from hysteresis_ros.recordings.provenance import RECORD, provenance
 from hysteresis_ros.signals import MOTOR_SOURCE, SOURCE, WRITERS, float_topics, state_signals
 
 
@@ -83,6 +84,7 @@ def _prefix(namespace: str) -> str:
 
 
 def _write_topics(bag, recording, configuration, prefix, joint, start_time_ns) -> None:
+    bag.describe(RECORD, provenance())
     stamps = (np.rint(recording.time * 1e9).astype(np.int64) + int(start_time_ns)).tolist()
     bag.add_topic(f"{prefix}/configuration", "std_msgs/msg/String", "transient_local")
     if configuration:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from hysteresis_ros.errors import ConfigurationError, did_you_mean
 from hysteresis_ros.reliability.mishaps import (
+    CLOCK,
     COMMAND,
     DEVICE,
     FRESH,
@@ -168,6 +169,13 @@ def _of_people():
             amounts=(200.0,),
         )
     yield Mishap(
+        "second graph",
+        heading,
+        "the same nodes of the same names are started again, in processes of their own",
+        "they are refused with exit code 2 and say who is there; nothing moves",
+        "second graph",
+    )
+    yield Mishap(
         "storm of parameters",
         heading,
         "300 changes of any number of any node amid moves, each by 2 %, one in three to nonsense",
@@ -192,23 +200,19 @@ def _of_machines():
     yield Mishap(
         "killed while recording",
         heading,
-        "SIGKILL of the process that records; it is started again",
-        "the recording is readable and lacks at most its last 1.5 s",
+        "SIGKILL of the process that records: fused that of the axis, which is started again",
+        "the recording is readable and lacks at most its last 1.5 s; an axis of other processes goes on",
         "cut recording",
-        "hysteresis_axis",
         amounts=(0.5,),
-        ways=(FUSED,),
-        elsewhere=recorded,
         graph=FRESH,
     )
     yield Mishap(
         "time of day",
         heading,
-        "the clock of the machine jumps",
-        "it does not matter",
-        "load",
-        ways=(),
-        elsewhere="it is the whole machine's: nothing is timed by it, and stamps that jump are tried above",
+        "the time of day that the nodes see jumps an hour forward, two back, and is right again (DDS keeps its own)",
+        "the displacement stays within what was asked for",
+        "set clock",
+        graph=CLOCK,
     )
     yield Mishap(
         "full disk",

@@ -24,8 +24,8 @@ MESSAGES = (COMPOSED, PROCESSES)
 MEASUREMENT, COMMAND, VOLTAGE = TIMEOUTS = ("measurement", "command", "voltage")
 
 #: What there may be in a graph besides the axis: a relay of its measurements, a disk that is nearly full, a device in
-#: the simulated plant's place; or nothing, and nothing has happened to it before.
-RELAY, SMALL_DISK, DEVICE, FRESH = GRAPHS = ("relay", "small disk", "device", "fresh")
+#: the simulated plant's place, a time of day that can be set; or nothing, and nothing has happened to it before.
+RELAY, SMALL_DISK, DEVICE, CLOCK, FRESH = GRAPHS = ("relay", "small disk", "device", "clock", "fresh")
 
 #: What must hold in every mishap.
 ALWAYS = (

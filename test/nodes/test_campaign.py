@@ -12,6 +12,8 @@
 from __future__ import annotations
 
 import math
+import subprocess
+import sys
 import time
 from types import SimpleNamespace
 
@@ -24,12 +26,15 @@ from sensor_msgs.msg import JointState  # noqa: E402
 from waiting import until  # noqa: E402
 
 from hysteresis_ros.configuration import config_path, load_configuration  # noqa: E402
+from hysteresis_ros.nodes.campaign import group  # noqa: E402
 from hysteresis_ros.nodes.campaign.actions import ACTIONS  # noqa: E402
 from hysteresis_ros.nodes.campaign.measurement import SCHEDULE, scheduled  # noqa: E402
 from hysteresis_ros.nodes.campaign.relay import FOREIGN, Relay  # noqa: E402
+from hysteresis_ros.nodes.campaign.surroundings import Clock  # noqa: E402
+from hysteresis_ros.nodes.launcher import node_environment  # noqa: E402
 from hysteresis_ros.reliability.bounds import bounds_of, prepared  # noqa: E402
 from hysteresis_ros.reliability.catalogue import CATALOGUE  # noqa: E402
-from hysteresis_ros.reliability.mishaps import FUSED, GRAPHS, RELAY, TIMEOUTS  # noqa: E402
+from hysteresis_ros.reliability.mishaps import COMPOSED, FUSED, GRAPHS, RELAY, TIMEOUTS  # noqa: E402
 
 STROKE = 1e-4
 
@@ -129,3 +134,37 @@ def test_the_same_is_done_by_the_loop_as_by_the_relay():
     assert value("measurement delayed", 0.001) == 1.0
     assert value("measurement spikes", 0.2) == pytest.approx(0.2 * 44e-6)
     assert value("measurement dropped", 0.3) == 0.3
+
+
+def test_a_time_of_day_that_is_set_jumps_for_its_processes_and_steady_clocks_go_on(tmp_path):
+    clock = Clock(tmp_path)
+    words = "import time; input(); print(time.time_ns(), time.time(), time.monotonic(), flush=True)"
+    command, pipes = [sys.executable, "-c", words + "; " + words], dict(stdin=subprocess.PIPE, stdout=subprocess.PIPE)
+    environment = node_environment() | clock.environment
+    with subprocess.Popen(command, env=environment, text=True, **pipes) as process:
+        for offset in (3600, -3600):
+            clock.set(offset)
+            before = time.time(), time.monotonic()
+            process.stdin.write("\n")
+            process.stdin.flush()
+            told_ns, told, steady = map(float, process.stdout.readline().split())
+            after = time.time(), time.monotonic()
+            for seen in (1e-9 * told_ns, told):
+                assert before[0] - 1e-3 <= seen - offset <= after[0] + 1e-3
+            assert before[1] <= steady <= after[1]
+
+
+def test_a_group_whose_disk_is_full_may_say_so_when_it_leaves_and_no_other(tmp_path, monkeypatch):
+    """Of the processes only how they leave matters here."""
+    leave = "import signal, sys; signal.signal(signal.SIGTERM, lambda *_: sys.exit(1)); print('there', flush=True); "
+    command = [sys.executable, "-c", leave + "signal.pause()"]
+    monkeypatch.setattr(group, "node_command", lambda *given, **options: command)
+    axis = prepared(load_configuration(config_path("picma_stage")), FUSED, "/faults")
+    for number, (prefix, expected) in enumerate(
+        ((("env",), []), ((), ["hysteresis_axis left with exit code 1: there"]))
+    ):
+        folder = tmp_path / str(number)
+        folder.mkdir()
+        made = group.Group(axis, COMPOSED, folder, prefix=prefix)
+        until(lambda made=made: "there" in made.printed(), what="a process that is there")
+        assert made.codes() == [None] and made.close() == expected and made.codes() == [1]

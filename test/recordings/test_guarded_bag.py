@@ -10,6 +10,7 @@
 """Recordings in several files, with a disk that fills up, with what made them: one dataset all the same."""
 
 import errno
+import hashlib
 import os
 import time
 
@@ -19,9 +20,12 @@ from mcap.reader import make_reader
 from rosbags.rosbag2 import Reader
 from samples_support import ACTUATOR, make_samples
 
+from hysteresis_ros.configuration import dump_configuration, load_configuration
 from hysteresis_ros.errors import RecordingError
+from hysteresis_ros.loop.named_files import named_files
 from hysteresis_ros.recordings import Recording, cdr, guarded_bag
 from hysteresis_ros.recordings.align import read_recording
+from hysteresis_ros.recordings.bag_files import FILES, LARGEST, files_of, packed_files
 from hysteresis_ros.recordings.bag_reader import read_bag
 from hysteresis_ros.recordings.bag_writer import BagWriter
 from hysteresis_ros.recordings.batch_writer import SampleWriter
@@ -80,6 +84,39 @@ def test_a_bag_says_what_made_it(tmp_path):
     content = (tmp_path / "run" / "run.mcap").read_bytes()
     (tmp_path / "cut.mcap").write_bytes(content[: len(content) // 2])
     assert read_recording(tmp_path / "cut.mcap").metadata["provenance"] == made
+
+
+def test_a_simulated_run_says_what_made_it_too(tmp_path):
+    from hysteresis_ros.recordings.run_bag import write_recording
+    from hysteresis_ros.simulation.axes import axes
+    from hysteresis_ros.simulation.run import simulate
+
+    write_recording(simulate(axes(load_configuration("kim2009"))[0], duration=0.01), tmp_path / "run.mcap")
+    made = read_recording(tmp_path / "run.mcap").metadata["provenance"]
+    assert made.keys() >= {"hysteresis_ros", "numpy", "python"}
+
+
+def test_files_that_parameters_name_to_be_read_are_in_the_bag(tmp_path):
+    read, written, large = tmp_path / "learned.yaml", tmp_path / "next.yaml", tmp_path / "waveform.csv"
+    for path, content in ((read, b"a: 1\n"), (written, b"b"), (large, b"0\n" * LARGEST)):
+        path.write_bytes(content)
+    learning = {"learning.file": str(read), "learning.save_file": str(written)}
+    configuration = dump_configuration(
+        {
+            "/left/motion_controller": learning,
+            "/left/reference_generator": {"waveform.file.path": str(large)},
+            "/right/motion_controller": {"learning.file": str(written)},
+            "/left/recorder": {"configuration": str(written)},
+        }
+    )
+    named = named_files(configuration, "/left")
+    assert named == sorted([read, large]) and named_files("no: [yaml", "/left") == []
+    words = packed_files([*named, tmp_path / "gone"])
+    with BagWriter(tmp_path / "bag") as bag:
+        bag.describe(FILES, words)
+        bag.write_float64("/voltage", 1.0, 1)
+    assert files_of(tmp_path / "bag") == {str(read): b"a: 1\n"}
+    assert words[str(large)] == "sha256:" + hashlib.sha256(large.read_bytes()).hexdigest()
 
 
 def guarded(path, flush_time=0.0):

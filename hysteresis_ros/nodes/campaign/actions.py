@@ -26,4 +26,6 @@ ACTIONS = {
     "fill": machine.fill,
     "misbehave": machine.misbehave,
     "cut recording": machine.cut_recording,
+    "set clock": machine.set_clock,
+    "second graph": people.second_graph,
 }

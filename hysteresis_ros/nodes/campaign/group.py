@@ -22,8 +22,11 @@ from hysteresis_ros.nodes.axis import WITH_RECORDER
 from hysteresis_ros.nodes.launcher import PATIENCE, STOP_ORDER, node_command, node_environment, started
 from hysteresis_ros.reliability.mishaps import FUSED, PROCESSES
 
-#: The process that holds all nodes.
-AXIS = "hysteresis_axis"
+#: The process that holds all nodes, and the one that records beside those of messages.
+AXIS, RECORDER = "hysteresis_axis", "recorder"
+
+#: So many words of what was printed last say why somebody left.
+LAST_WORDS = 30
 
 
 class Group:
@@ -71,12 +74,12 @@ class Group:
         Parameters
         ----------
         name : str
-            Of :attr:`names`.
+            Of :attr:`names`, or :data:`RECORDER`.
         """
         axis, more = self._axis, []
-        if self._way == FUSED:
+        if self._way == FUSED or name == RECORDER:
             self.bags.append(self._folder / f"bag{len(self.bags)}")
-            axis, more = axis.with_recorder(str(self.bags[-1])), [WITH_RECORDER]
+            axis, more = axis.with_recorder(str(self.bags[-1])), [] if name == RECORDER else [WITH_RECORDER]
         path = self._folder / f"{name}.yaml"
         path.write_text(axis.configuration_text(), encoding="utf-8")
         command = [*self._prefix, *node_command(name, axis.namespace, path, *more, log_level="info"), *self._more]
@@ -115,6 +118,10 @@ class Group:
             process.wait()
             return None
 
+    def codes(self) -> list[int | None]:
+        """Return the exit codes of the processes, None of those that run."""
+        return [process.poll() for process in self._processes.values()]
+
     def died(self) -> list[str]:
         """Return who ended without having been asked to, in words."""
         found = []
@@ -144,8 +151,9 @@ class Group:
             if self._processes[name].poll() is not None:
                 continue
             code = self.end(name)
-            if code:
-                found.append(f"{name} left with exit code {code}")
+            if code and not (code == 1 and self._prefix):  # what has no room ends with a recording that is too short
+                last = " ".join(self.printed().split()[-LAST_WORDS:])
+                found.append(f"{name} left with exit code {code}: {last}")
             elif code is None:
                 found.append(f"{name} had to be killed after {time.monotonic() - begun:.0f} s")
         return found

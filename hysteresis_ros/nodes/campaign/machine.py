@@ -17,13 +17,15 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 
+from hysteresis_ros.nodes.campaign.group import AXIS, RECORDER
 from hysteresis_ros.nodes.campaign.processes import kill
-from hysteresis_ros.nodes.campaign.rig import Rig
-from hysteresis_ros.nodes.campaign.surroundings import ROOM
+from hysteresis_ros.nodes.campaign.rig import START, Rig
+from hysteresis_ros.nodes.campaign.surroundings import ROOM, Clock, Device
 from hysteresis_ros.nodes.launcher import node_environment, started
 from hysteresis_ros.recordings.align import read_recording
-from hysteresis_ros.reliability.mishaps import Mishap
+from hysteresis_ros.reliability.mishaps import FUSED, Mishap
 
 #: Keeps a core busy.
 BURN = "while True: sum(range(100000))"
@@ -31,8 +33,10 @@ BURN = "while True: sum(range(100000))"
 FILLED, AFTERWARDS = 0.75, 3.0
 #: Seconds in which a small disk is full.
 FULL = 60.0
-#: A recording that is cut off may lack so much of its end [s].
-LOST = 1.5
+#: A recording that is cut off may lack so much of its end [s], and how long it is before.
+LOST, RECORDED = 1.5, 2.0
+#: The time of day jumps to so far from what it is, and stays there [s].
+OFFSETS, APART = (3600, -3600, 0), 1.5
 
 
 @contextlib.contextmanager
@@ -94,16 +98,35 @@ def cut_recording(rig: Rig, mishap: Mishap, amount: float) -> None:
     mishap : Mishap
     amount : float
     """
+    if rig.way != FUSED:
+        rig.group.start(RECORDER)
+        rig.witness.until(lambda: rig.witness.is_active(RECORDER), START)
+        time.sleep(RECORDED)
     bag = rig.group.bags[-1]
     killed = time.time()
-    kill(rig, mishap, amount)
+    kill(rig, replace(mishap, victim=AXIS if rig.way == FUSED else RECORDER), amount)
     run = read_recording(bag, rig.axis.namespace, further=True)
     lost = killed - (run.time[-1] + 1e-9 * run.metadata["start_time_ns"])
     rig.notes.append(f"the recording lacks its last {lost:.2f} s")
-    if lost > LOST or run.metadata["missing_samples"]:
-        rig.broken.append(
-            f"the recording lacks {lost:.2f} s, and {run.metadata['missing_samples']} samples amid the rest"
-        )
+    missing = run.metadata["missing_samples"] if rig.way == FUSED else 0  # messages of a busy machine may come late
+    if lost > LOST or missing:
+        rig.broken.append(f"the recording lacks {lost:.2f} s, and {missing} samples amid the rest")
+
+
+def set_clock(rig: Rig, mishap: Mishap, amount: float) -> None:
+    """Let the time of day jump, while the axis moves.
+
+    Parameters
+    ----------
+    rig : Rig
+    mishap : Mishap
+    amount : float
+    """
+    assert isinstance(rig.beside, Clock)
+    for offset in OFFSETS:
+        rig.beside.set(offset)
+        rig.ask(rig.anywhere())
+        time.sleep(APART)
 
 
 def misbehave(rig: Rig, mishap: Mishap, amount: float) -> None:
@@ -117,6 +140,6 @@ def misbehave(rig: Rig, mishap: Mishap, amount: float) -> None:
     amount : float
         [s]
     """
-    assert rig.device is not None
-    rig.device.go_wrong(mishap.victim, amount)
+    assert isinstance(rig.beside, Device)
+    rig.beside.go_wrong(mishap.victim, amount)
     time.sleep(amount + 0.5)

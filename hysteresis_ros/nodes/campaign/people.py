@@ -22,8 +22,9 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
 from hysteresis_ros.configuration import NODE_NAMES
+from hysteresis_ros.nodes.campaign.group import Group
 from hysteresis_ros.nodes.campaign.machine import busy
-from hysteresis_ros.nodes.campaign.rig import Rig
+from hysteresis_ros.nodes.campaign.rig import START, Rig
 from hysteresis_ros.reliability.mishaps import Mishap
 
 #: Seconds for which something is done again and again, and the distance of two turns of it.
@@ -32,6 +33,8 @@ LONG, TURN = 3.0, 1e-3
 STEADY = 50
 #: A second sender's commands are within so many strokes.
 COMMANDED = 3.0
+#: Exit code and words of nodes that find others of their names at work.
+REFUSED, ONE_MASTER = 2, "one axis has one master"
 #: Values that no parameter may have.
 NONSENSE = (math.nan, -1e300, math.inf)
 #: Transitions of the lifecycle that are asked for: all but the end, and some that there are not.
@@ -95,6 +98,27 @@ def _other(rig: Rig, topic: str):
     message = JointState(name=[rig.axis.plant_simulator.joint], position=[rig.anywhere()])
     message.header.stamp = rig.witness.node.get_clock().now().to_msg()
     return message
+
+
+def second_graph(rig: Rig, mishap: Mishap, amount: float) -> None:
+    """Start the same axis again beside the one that runs.
+
+    Parameters
+    ----------
+    rig : Rig
+    mishap : Mishap
+    amount : float
+    """
+    folder = rig.group.log.parent / f"second{len(list(rig.group.log.parent.glob('second*')))}"
+    folder.mkdir()
+    second = Group(rig.axis, rig.way, folder)
+    try:
+        rig.witness.until(lambda: None not in second.codes(), START)
+        refused, said = second.codes(), second.printed()
+    finally:
+        second.close()
+    if set(refused) != {REFUSED} or said.count(ONE_MASTER) != len(refused):
+        rig.broken.append(f"a second graph ended with {refused}: {' '.join(said.split())[-200:]}")
 
 
 def storm(rig: Rig, mishap: Mishap, amount: float) -> None:

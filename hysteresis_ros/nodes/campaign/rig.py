@@ -22,7 +22,7 @@ from hysteresis_ros.errors import HysteresisError
 from hysteresis_ros.loop.axis_parameters import AxisParameters
 from hysteresis_ros.nodes.campaign.group import Group
 from hysteresis_ros.nodes.campaign.relay import REMAP, Relay
-from hysteresis_ros.nodes.campaign.surroundings import Device
+from hysteresis_ros.nodes.campaign.surroundings import Clock, Device
 from hysteresis_ros.nodes.campaign.witness import Witness
 from hysteresis_ros.recordings.align import read_recording
 from hysteresis_ros.reliability.bounds import REACHED, bounds_of
@@ -55,8 +55,8 @@ class Rig:
     random : numpy.random.Generator
     relayed : bool
         Whether a relay stands between the plant and the others.
-    device : Device, optional
-        That it drives, and ends with it.
+    beside : Device or Clock, optional
+        That ends with it.
     **options
         Of :class:`~hysteresis_ros.nodes.campaign.group.Group`.
 
@@ -73,10 +73,10 @@ class Rig:
         folder: pathlib.Path,
         random: np.random.Generator,
         relayed: bool = False,
-        device: Device | None = None,
+        beside: Device | Clock | None = None,
         **options,
     ):
-        self.device = device
+        self.beside = beside
         self.axis, self.way, self.random = axis, way, random
         self.bounds = bounds_of(axis)
         self.broken: list[str] = []
@@ -206,7 +206,7 @@ class Rig:
     def close(self) -> list[str]:
         """End the axis; return in words what went wrong with that."""
         found = self.group.close()
-        for other in (self.relay, self.device):
+        for other in (self.relay, self.beside):
             if other is not None:
                 other.close()
         self.witness.close()

@@ -25,10 +25,10 @@ from hysteresis_ros.errors import HysteresisError
 from hysteresis_ros.nodes.campaign.actions import ACTIONS
 from hysteresis_ros.nodes.campaign.measurement import scheduled
 from hysteresis_ros.nodes.campaign.rig import Rig
-from hysteresis_ros.nodes.campaign.surroundings import Device, small_disk
+from hysteresis_ros.nodes.campaign.surroundings import Clock, Device, small_disk
 from hysteresis_ros.reliability.bounds import bounds_of, prepared
 from hysteresis_ros.reliability.judge import Verdict, judged
-from hysteresis_ros.reliability.mishaps import DEVICE, FUSED, RELAY, SMALL_DISK, Mishap
+from hysteresis_ros.reliability.mishaps import CLOCK, DEVICE, FUSED, RELAY, SMALL_DISK, Mishap
 from hysteresis_ros.reliability.trace import Samples, Trace
 
 
@@ -143,6 +143,9 @@ class _Series:
         elif mishap.graph == SMALL_DISK:
             options["prefix"] = small_disk()
         elif mishap.graph == DEVICE:
-            device = options["device"] = Device(self._config)
+            device = options["beside"] = Device(self._config)
             axis = device.driven(axis)
+        elif mishap.graph == CLOCK:
+            clock = options["beside"] = Clock(folder)
+            options["environment"] = clock.environment
         return Rig(axis, self._way, folder, self._random, **options)
