@@ -23,7 +23,7 @@ from hysteresis_ros.analysis.error_charts import (
     trace_retrace_chart,
 )
 from hysteresis_ros.analysis.metrics import FINER, compute_metrics
-from hysteresis_ros.analysis.page import asset, origin, render_page, write_page
+from hysteresis_ros.analysis.page import asset, origin, render_page, require_page, write_page
 from hysteresis_ros.analysis.payload import TIME_POINTS, chart_payload, packed, script_text
 from hysteresis_ros.analysis.plots import data_uri
 from hysteresis_ros.analysis.run_charts import (
@@ -209,4 +209,6 @@ def write_report(
     RecordingError
         The file cannot be written.
     """
+    # before a second of drawing
+    require_page(path)
     write_page(path, render_report(recording, title, figures, first))

@@ -113,7 +113,8 @@ def test_thinned_paths_keep_their_extremes_in_both_directions(size, points, seed
     np.testing.assert_array_equal(x[path.key.astype(int)], path.x)
 
 
-def test_a_short_run_stands_in_the_page_sample_by_sample():
+def test_a_short_run_stands_in_the_page_sample_by_sample(monkeypatch):
+    monkeypatch.setattr(report, "drawn", lambda charts, figures: [])
     run = scan()
     data = data_of(report.render_report(run, "run"))
     np.testing.assert_array_equal(unpacked(data["time"], "<f8"), run.time)
@@ -177,7 +178,8 @@ def test_figures_of_a_span_are_those_of_the_metrics(ends, blocks, holes):
         assert value == pytest.approx(metrics[name], rel=1e-9, abs=1e-18), name
 
 
-def test_the_page_carries_these_sums_and_the_last_periods():
+def test_the_page_carries_these_sums_and_the_last_periods(monkeypatch):
+    monkeypatch.setattr(report, "drawn", lambda charts, figures: [])
     run = scan()
     page = report.render_report(run, "run")
     data = data_of(page)
