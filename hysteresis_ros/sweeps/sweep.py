@@ -27,6 +27,8 @@ from hysteresis_ros.sweeps.variations import settings
 
 #: Samples of one job, about a third of a second of work, and its most runs.
 JOB_SAMPLES, JOB_RUNS = 600_000, 250
+#: Of so many workers on jobs get longer, so that who hands them out keeps up.
+CROWD = 64
 #: Samples for which other processes are not worth their start.
 FEW = 3_000_000
 
@@ -124,7 +126,9 @@ def _fill(table: _Table, keep: Callable[[Runs], None], workers, scheduler, progr
     if workers is None and scheduler is None and left * study.samples < FEW:
         workers = 1
     with executor(workers, scheduler, jobs=left) as shared:
-        size = min(max(JOB_SAMPLES // study.samples, 1), JOB_RUNS, -(-max(left, 1) // (4 * shared.workers)))
+        crowd = max(shared.workers // CROWD, 1)
+        size = min(max(crowd * JOB_SAMPLES // study.samples, 1), crowd * JOB_RUNS)
+        size = min(size, -(-max(left, 1) // (4 * shared.workers)))
         for _, runs in shared.results(table.jobs(size)):
             table.put(runs)
             keep(runs)
