@@ -200,6 +200,10 @@ def test_a_sweep_goes_on_where_it_was_left_with_the_same_bits(tmp_path, monkeypa
     kept = journal.read_bytes()
     assert not path.exists() and 20 <= sum(len(json.loads(line)["rows"]) for line in kept.splitlines()[1:]) < 40
     journal.write_bytes(kept[:-7])  # killed while it wrote
+    with pytest.raises(ConfigurationError, match="holds another sweep, seed: 1 there, 2 asked"):
+        sweep(*asked(runs=40, seed=2), path, workers=1)
+    cut_short(*asked(runs=40), path, after=30)
+    assert all(map(json.loads, journal.read_text().splitlines()))
     counted = []
     assert same_bits(sweep(*asked(runs=40), path, workers=1, progress=counted.append), whole)
     assert counted[0] >= 10 and not journal.exists()
@@ -244,9 +248,10 @@ def test_the_yield_is_that_of_the_distribution():
 
 def test_sensitivities_after_sobol_are_those_of_a_product():
     """The error is place times deviation: E[XY | X] and the variances of a product are known."""
-    study, plan = asked(runs=1024, design="sobol", metrics=("rms_error_m",))
+    ranges = ("plant_simulator.gain=uniform(1.0,1.5)", "reference_generator.initial_setpoint=uniform(0um,2um)")
+    study, plan = asked(ranges, runs=1024, design="sobol", metrics=("rms_error_m",))
     found = sensitivity(plan, "rms_error_m", sweep(study, plan).metrics["rms_error_m"])
-    means, variances = np.array([0.2, 1.5]), np.array([0.2**2, 1.0]) / 12.0
+    means, variances = np.array([0.25, 1.0]), np.array([0.5**2, 2.0**2]) / 12.0
     whole = np.prod(means**2 + variances) - np.prod(means**2)
     first = variances * means[::-1] ** 2 / whole
     assert found.columns["first"] == pytest.approx(first, abs=0.05)
