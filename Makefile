@@ -45,7 +45,7 @@ lint: setup
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/numpydoc lint --ignore PR01,PR02,PR07,RT01,RT02,RT03,YD01,GL08 $(MODULES)
-	$(BIN)/numpydoc lint $(filter %/api.py %/studies.py %/results.py %/classes.py hysteresis_ros/__init__.py,$(MODULES))
+	$(BIN)/numpydoc lint $(filter %/api.py %/studies.py %/swept.py %/results.py %/classes.py hysteresis_ros/__init__.py,$(MODULES))
 
 format: setup
 	$(BIN)/ruff check --fix .

@@ -73,6 +73,7 @@ __all__ = [
     "Reproduction",
     "Response",
     "Run",
+    "Swept",
     "Uncertainty",
     "compare",
     "configurations",
@@ -90,6 +91,7 @@ __all__ = [
     "report",
     "reproduce",
     "simulate",
+    "sweep",
     "validate",
 ]
 
@@ -100,6 +102,8 @@ _MODULES = {
     "inverses": "hysteresis_ros.compensation.classes",
     "controllers": "hysteresis_ros.control.classes",
 }
+#: What stands in :mod:`hysteresis_ros.swept`; not among the types above: its results name the version from here.
+_SWEPT = {"Swept", "sweep"}
 #: What stands in :mod:`hysteresis_ros.studies`; all else stands in :mod:`hysteresis_ros.api`.
 _STUDIES = {
     *("Design", "DesignedLearning", "Experiment", "Ranking", "Reproduction", "Response", "Uncertainty"),
@@ -114,7 +118,7 @@ def __getattr__(name: str) -> Any:
     if name in _MODULES:
         value: Any = importlib.import_module(_MODULES[name])
     elif name in __all__:
-        place = "studies" if name in _STUDIES else "api"
+        place = "studies" if name in _STUDIES else "swept" if name in _SWEPT else "api"
         value = getattr(importlib.import_module(f"hysteresis_ros.{place}"), name)
     else:
         import difflib

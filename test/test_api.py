@@ -24,7 +24,7 @@ import numpy as np
 import pytest
 
 import hysteresis_ros as hr
-from hysteresis_ros import api, results, studies
+from hysteresis_ros import api, results, studies, swept
 from hysteresis_ros.comparison.outcome import Comparison
 from hysteresis_ros.compensation.inverses import NAMES as INVERSES
 from hysteresis_ros.configuration import Configuration, load_configuration
@@ -275,7 +275,7 @@ def test_a_design_is_a_configuration(tmp_path):
     np.testing.assert_array_equal(hr.simulate(design, duration=0.01).voltage, from_file.voltage)
 
 
-@pytest.mark.parametrize("module, examples", [(api, 8), (studies, 5), (results, 6)])
+@pytest.mark.parametrize("module, examples", [(api, 8), (studies, 5), (results, 6), (swept, 4)])
 def test_examples_in_docstrings_are_true(module, examples):
     found = doctest.testmod(module, optionflags=doctest.NORMALIZE_WHITESPACE)
     assert found.attempted >= examples and found.failed == 0
@@ -310,6 +310,16 @@ def test_a_learning_is_a_configuration():
     first, last = errors.between(0.1, 0.2), errors.between(0.9, 1.0)
     rms = [np.sqrt(np.mean((part.reference - part.displacement) ** 2)) for part in (first, last)]
     assert rms[1] < 0.1 * rms[0]
+
+
+def test_a_sweep_says_how_many_meet_a_bound(tmp_path):
+    vary, bounds = ["plant_simulator.gain=0.95,1,1.05"], ["rms_error_m=1m"]
+    found = hr.sweep("kim2009", vary, tmp_path / "F.npz", bounds=bounds, duration=0.02, workers=1)
+    assert found.met.tolist() == [True] * 3 and "rms_error_m" in str(found)
+    again = hr.sweep("kim2009", vary, tmp_path / "F.npz", bounds=bounds, duration=0.02, workers=1)
+    np.testing.assert_array_equal(again.results.metrics["rms_error_m"], found.results.metrics["rms_error_m"])
+    with pytest.raises(HysteresisError, match="sensor.nois"):
+        hr.sweep("kim2009", ["plant_simulator.sensor.nois=1nm,2nm"], duration=0.02)
 
 
 def test_changes_of_a_configuration_are_in_what_is_designed_from_it():
