@@ -176,7 +176,7 @@ def test_a_slider_moves_and_the_parameter_the_loop_and_the_pixels_change(watched
     async def run() -> None:
         async with Browser(watched.folder, f"{watched.address}/") as browser:
             await browser.until("Boolean(window.hysteresis)")
-            await browser.until(f"document.querySelector('#headline').className !== 'bad' && {SLIDER} !== null")
+            await browser.until(f"hysteresis.state.live && {SLIDER} !== null")
             await browser.until("hysteresis.state.mine && document.getElementById('setpoint').value !== ''")
             # the keys of a slider: the setpoint moves, and the axis with it
             given = float(await browser.value(FIELD))

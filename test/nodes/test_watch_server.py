@@ -28,6 +28,7 @@ from hysteresis_ros import signals  # noqa: E402
 from hysteresis_ros.errors import HysteresisError  # noqa: E402
 from hysteresis_ros.nodes.samples import Block  # noqa: E402
 from hysteresis_ros.nodes.watch.access import Access  # noqa: E402
+from hysteresis_ros.nodes.watch.link import AxisLink  # noqa: E402
 from hysteresis_ros.nodes.watch.memory import Memory  # noqa: E402
 from hysteresis_ros.nodes.watch.server import FILES, Server  # noqa: E402
 
@@ -230,6 +231,16 @@ def test_a_setpoint_is_answered_and_a_refusal_is_the_nodes_own():
         assert not refused["ok"] and refused["text"] == "/motion_controller refuses: must be finite"
 
     served(check)
+
+
+def test_a_page_that_leaves_before_its_answer_ends_nothing():
+    left: Future = Future()
+    assert left.cancel()
+    AxisLink._do(lambda: pytest.fail("nobody waits for it"), left)
+    stays: Future = Future()
+    AxisLink._do(lambda: [] + 1, stays)  # a mistake of ours is an answer too
+    with pytest.raises(HysteresisError, match="TypeError"):
+        stays.result()
 
 
 def test_garbage_is_answered_and_the_page_goes_on():

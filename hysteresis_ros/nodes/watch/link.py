@@ -128,11 +128,17 @@ class AxisLink:
         for source in (signals.SOURCE, signals.MOTOR_SOURCE):
             hear(String, name(f"{source}/refused"), lambda message: self._refused(message.data), setpoint_qos())
 
-    def _do(self, job: Callable[[], Any], answer: Future) -> None:
+    @staticmethod
+    def _do(job: Callable[[], Any], answer: Future) -> None:
+        """Do something for a page, unless that has gone meanwhile; what goes wrong is its answer."""
+        if not answer.set_running_or_notify_cancel():
+            return
         try:
             answer.set_result(job())
         except HysteresisError as error:
             answer.set_exception(error)
+        except Exception as error:  # one request must not end the page for everybody
+            answer.set_exception(HysteresisError(f"{type(error).__name__}: {error}"))
 
     def ask(self, job: Callable[[], Any]) -> Future:
         """Let the thread do something; return the future of what it returns or raises.
