@@ -124,7 +124,6 @@ class AxisLink:
         hear(DiagnosticArray, "/diagnostics", self._on_health, diagnostics_qos())
         hear(ParameterEvent, "/parameter_events", self._on_parameters, qos_profile_parameter_events)
         hear(String, name("changes"), self._on_change, loop_qos(True, DEPTH))
-        hear(String, name(MARKER), lambda message: self._write(MARKER, message.data), setpoint_qos())
         for source in (signals.SOURCE, signals.MOTOR_SOURCE):
             hear(String, name(f"{source}/refused"), lambda message: self._refused(message.data), setpoint_qos())
 
@@ -354,13 +353,14 @@ class AxisLink:
         self._setpoints.publish(Float64(data=metres))
 
     def mark(self, text: str) -> None:
-        """Publish a marker.
+        """Publish a marker, and write it into the recording; in the thread.
 
         Parameters
         ----------
         text : str
         """
         self._markers.publish(String(data=text))
+        self._write(MARKER, text)
 
     def stop(self) -> None:
         """Say that everything is to stop: to the plant, and where there is none of ours to all the others."""

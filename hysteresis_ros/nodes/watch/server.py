@@ -315,7 +315,7 @@ class Server:
         return await asyncio.wrap_future(self.link.ask(lambda: self.link.record(on)))
 
     async def _on_marker(self, page: Page, text: str) -> str:
-        self.link.mark(text)
+        await asyncio.wrap_future(self.link.ask(lambda: self.link.mark(text)))
         history = self.link.memory.history
         await self._everybody(marker={"text": text, "sample": history.end, "epoch": self.link.memory.epoch})
         return f"marked: {text}"
