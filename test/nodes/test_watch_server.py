@@ -24,10 +24,13 @@ pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
 aiohttp = pytest.importorskip("aiohttp", reason="aiohttp is not installed: no page")
 TestServer = pytest.importorskip("aiohttp.test_utils").TestServer
 
+from sensor_msgs.msg import JointState  # noqa: E402
+
 from hysteresis_ros import signals  # noqa: E402
 from hysteresis_ros.errors import HysteresisError  # noqa: E402
 from hysteresis_ros.nodes.samples import Block  # noqa: E402
 from hysteresis_ros.nodes.watch.access import Access  # noqa: E402
+from hysteresis_ros.nodes.watch.collect import Collector  # noqa: E402
 from hysteresis_ros.nodes.watch.link import AxisLink  # noqa: E402
 from hysteresis_ros.nodes.watch.memory import Memory  # noqa: E402
 from hysteresis_ros.nodes.watch.server import FILES, Server  # noqa: E402
@@ -261,3 +264,22 @@ def test_garbage_is_answered_and_the_page_goes_on():
         assert bench.link.asked == ["start"]
 
     served(check)
+
+
+def test_samples_of_nodes_that_exchange_messages_are_put_together_by_their_stamps():
+    nodes = ("plant_simulator", "reference_generator", "motion_controller", "hysteresis_compensator")
+    collector = Collector(nodes, motor=False)
+    # a plant that is late moves its schedule: stamps come closer, and no sample is taken twice
+    stamps = [0, 5_000_000, 12_000_000, 13_000_000, 18_000_000]
+    for number, stamp in enumerate(stamps):
+        for node in nodes:
+            names = list(signals.state_signals(node, motor=False))
+            message = JointState(name=names, position=[float(number)] * len(names))
+            message.header.stamp.nanosec = stamp
+            if (node, number) != (nodes[-1], 1):  # who says nothing of a sample is missing in it, and the rest is there
+                collector.add(node, message)
+    block = collector.take()
+    assert block.stamps.tolist() == stamps and block.numbers.tolist() == [0, 1, 2, 3, 4]
+    assert block.table[signals.MEASURED].tolist() == [0.0, 1.0, 2.0, 3.0, 4.0]
+    assert np.isnan(block.table[signals.VOLTAGE]).tolist() == [False, True, False, False, False]
+    assert collector.take().numbers.size == 0

@@ -183,7 +183,7 @@ class AxisLink:
         self._states, self._collector = [], None
         if self._axis.plant_simulator.time_mode != "fused":
             motor = self._axis.inchworm_sequencer is not None
-            self._collector = Collector(node_names(motor), motor, self._axis.plant_simulator.sample_rate)
+            self._collector = Collector(node_names(motor), motor)
             self._states = [self._hear_state(node) for node in node_names(motor)]
 
     def _hear_state(self, node: str):
