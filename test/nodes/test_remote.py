@@ -222,3 +222,8 @@ def test_commands_end_with_a_line_and_their_exit_code(processes):
     assert "hysteresis: nobody listens on /setpoint within 0.5 s; there is nobody in the ROS domain" in alone.output
     code, _ = waiting.leave(signal.SIGINT)
     assert code == 130 and waiting.output == "hysteresis: interrupted\n"
+
+
+def test_a_namespace_that_is_none_is_refused_in_a_line():
+    with pytest.raises(HysteresisError, match="namespace /a b: "), Client("a b", SHORT):
+        raise AssertionError("such a namespace")

@@ -21,6 +21,7 @@ from hypothesis import strategies as st
 
 from hysteresis_ros import signals
 from hysteresis_ros.analysis.live import History, extremes
+from hysteresis_ros.loop.common_parameters import NodeParameters
 from hysteresis_ros.loop.node_parameters import NODE_PARAMETERS
 from hysteresis_ros.nodes.watch.access import Access, Control, is_loopback, new_token
 from hysteresis_ros.nodes.watch.requests import ACTIONS, RequestError, read_request
@@ -166,8 +167,10 @@ def test_only_parameters_are_shown_that_something_hangs_on_and_that_may_change()
         "learning.type"
     }
     assert "pid.Kp" in rows and not any(name.startswith("sliding_mode.") for name in rows)
-    assert "sample_rate" not in rows, "what is read only cannot be tuned"
-    row = next(row for row in NODE_PARAMETERS["motion_controller"].table() if row.name == "pid.Kp")
+    table = NODE_PARAMETERS["motion_controller"].table()
+    fixed = {row.name for row in table if row.read_only} - {row.name for row in NodeParameters.table()}
+    assert fixed and not fixed & set(rows), "what is read only cannot be tuned"
+    row = next(row for row in table if row.name == "pid.Kp")
     assert rows["pid.Kp"] | {"allowed": row.allowed(), "unit": row.unit, "low": row.low} == rows["pid.Kp"]
     assert json.dumps(list(rows.values()))
     assert set(SHOWN) - {"error"} <= {signal.name for signal in signals.SIGNALS}

@@ -68,9 +68,10 @@ class Client:
         if self._own:
             stay_on_this_machine()
             self._context = Context()
-            enclave = enclave_of(self.namespace, OPERATOR)
-            rclpy.init(args=["--ros-args", "--enclave", enclave], context=self._context)
         try:
+            if self._own:
+                enclave = enclave_of(self.namespace, OPERATOR)
+                rclpy.init(args=["--ros-args", "--enclave", enclave], context=self._context)
             self.node = rclpy.create_node(
                 f"_hysteresis_{os.getpid()}",  # hidden, as names with an underscore are
                 namespace=self.namespace or "/",
