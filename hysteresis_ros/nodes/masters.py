@@ -230,10 +230,16 @@ def publishers(node, topic: str) -> list[str]:
 
 
 def rivals(node) -> list[str]:
-    """Say who would lead the axis beside a node that is about to: who publishes what it does, who has its name."""
+    """Say who would lead the axis beside a node that is about to: who publishes what it does, who has its name.
+
+    Who has no name is no reason to stay away: a node that has just left looks like that, and moves nothing.
+    """
     own = node.get_fully_qualified_name()
     found = [
-        f"{name} publishes {topic}" for topic in node.loop_topics for name in publishers(node, topic) if name != own
+        f"{name} publishes {topic}"
+        for topic in node.loop_topics
+        for name in publishers(node, topic)
+        if is_name(name) and name != own
     ]
     if reaches_others():  # on this machine a name is claimed
         names = [f"{space.rstrip('/')}/{name}" for name, space in node.get_node_names_and_namespaces()]

@@ -262,3 +262,22 @@ def test_a_node_does_not_go_to_work_where_somebody_leads(inside, observer, monke
     assert masters.rivals(other) and time.monotonic() - begun < masters.DISCOVERY + 30.0
     monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     assert masters.rivals(other) == [] and source.activate_now()
+
+
+def test_who_has_no_name_keeps_nobody_from_going_to_work(monkeypatch):
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+
+    def node(other: str):
+        names = "source", other
+        there = [
+            SimpleNamespace(node_namespace="/", node_name=name, topic_type="std_msgs/msg/Float64") for name in names
+        ]
+        return SimpleNamespace(
+            get_fully_qualified_name=lambda: "/source",
+            loop_topics=("/reference",),
+            count_publishers=lambda topic: 2,
+            get_publishers_info_by_topic=lambda topic: there,
+        )
+
+    assert masters.rivals(node("_NODE_NAME_UNKNOWN_")) == []
+    assert masters.rivals(node("another")) == ["/another publishes /reference"]
