@@ -37,13 +37,13 @@ SHARES = {
     "share/ament_index/resource_index/packages/hysteresis_ros",
     "share/hysteresis_ros/package.xml",
     "share/hysteresis_ros/launch/axis.launch.py",
-    *(f"share/hysteresis_ros/{path.relative_to(ROOT)}" for path in (ROOT / "config").rglob("*.yaml")),
+    *(f"share/hysteresis_ros/{path.relative_to(ROOT)}" for path in (ROOT / "config").rglob("*.*")),
 }
 #: Modules, the templates and assets of pages, and the mark that the package carries types.
 MODULES = {
     str(path.relative_to(ROOT))
     for path in (ROOT / "hysteresis_ros").rglob("*")
-    if path.suffix in (".py", ".j2", ".typed") or path.parent.name == "assets"
+    if path.suffix in (".py", ".j2", ".typed") or path.parent.name in ("assets", "page")
 }
 
 

@@ -99,7 +99,8 @@ class Page:
 def test_a_page_steers_and_records_an_axis_that_may_leave_and_return(watched):
     async def look(page: Page) -> None:
         await page.until(lambda: page.status.get("live") and GAIN in page.values.get("hysteresis_compensator", {}))
-        assert page.status["health"] and not page.status["tripped"]
+        await page.until(lambda: page.status["health"])
+        assert not page.status["tripped"]
         # what it asks of the axis, and the words of the nodes
         assert (await page.ask(do="setpoint", value="4um"))[0]
         ok, why = await page.ask(do="setpoint", value="400um")
@@ -184,6 +185,8 @@ def test_a_slider_moves_and_the_parameter_the_loop_and_the_pixels_change(watched
             before = await slope(browser, begun)
             # a page that pauses stays as it is, whatever comes
             await browser.value("document.getElementById('pause').click()")
+            # what was on its way is drawn still
+            await browser.until(f"{picture} === window.before || ((window.before = {picture}), false)")
             still, end = await browser.value(f"[{picture}, hysteresis.state.heard]")
             await browser.until(f"hysteresis.state.heard > {end} + 300")
             assert await browser.value(picture) == still
