@@ -61,6 +61,8 @@ class Watched:
 def watched(folder, domain_of_module):
     processes = Processes(folder, domain_of_module)
     yield Watched(processes)
+    for process in processes.started:  # shown where a test has failed
+        print(process.log, process.popen.poll(), process.output, sep="\n")
     processes.close()
 
 
@@ -83,9 +85,14 @@ class Page:
             assert message.type == aiohttp.WSMsgType.BINARY, message
 
     async def until(self, condition) -> None:
-        async with asyncio.timeout(PATIENCE):
-            while not condition():
-                await self.hear()
+        try:
+            async with asyncio.timeout(PATIENCE):
+                while not condition():
+                    await self.hear()
+        except TimeoutError:
+            raise AssertionError(
+                f"not within {PATIENCE:g} s; status {self.status}, values of {list(self.values)}"
+            ) from None
 
     async def ask(self, **words) -> tuple[bool, str]:
         self._number += 1
