@@ -24,22 +24,22 @@ def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("nodes")
 
 
+def unused_domain() -> Domain:
+    """Claim a domain; nodes stand in reference cycles, and until they are collected their participants hold theirs."""
+    gc.collect()
+    return Domain()
+
+
 @pytest.fixture
 def domain():
-    with Domain() as claimed:
+    with unused_domain() as claimed:
         yield claimed.number
-        # nodes stand in reference cycles: until they are collected their participant is still heard in the domain.
-        # What is there already and stays is not looked at each time.
-        gc.collect()
-        gc.freeze()
 
 
 @pytest.fixture(scope="module")
 def domain_of_module():
-    with Domain() as claimed:
+    with unused_domain() as claimed:
         yield claimed.number
-        gc.unfreeze()
-        gc.collect()
 
 
 @pytest.fixture
