@@ -14,14 +14,8 @@ from __future__ import annotations
 import numpy as np
 
 from hysteresis_ros.analysis.inchworm_moves import InchwormRun, Move, Steps, inchworm_run
-from hysteresis_ros.analysis.metrics import (
-    FIGURES,
-    TIMELINESS,
-    chattering_figures,
-    format_value,
-    sampling_figures,
-    shown,
-)
+from hysteresis_ros.analysis.metrics import FIGURES, TIMELINESS, chattering_figures, sampling_figures
+from hysteresis_ros.analysis.shown_figures import format_value, shown
 from hysteresis_ros.analysis.tables import aligned
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.references import inchworm_layout as at

@@ -19,10 +19,10 @@ from hysteresis_ros.analysis.inchworm import (
 )
 from hysteresis_ros.analysis.inchworm_moves import inchworm_run
 from hysteresis_ros.analysis.inchworm_plots import IN_THE_PLACE, INCHWORM_PLOTS, inchworm_charts
-from hysteresis_ros.analysis.metrics import format_value, shown_row
 from hysteresis_ros.analysis.page import origin, write_page
 from hysteresis_ros.analysis.plots import data_uri
 from hysteresis_ros.analysis.report import render_interactive, sampling_text
+from hysteresis_ros.analysis.shown_figures import format_value, shown_row
 from hysteresis_ros.recordings.dataset import Recording
 
 

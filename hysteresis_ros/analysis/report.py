@@ -22,7 +22,7 @@ from hysteresis_ros.analysis.error_charts import (
     spectrum_chart,
     trace_retrace_chart,
 )
-from hysteresis_ros.analysis.metrics import FINER, compute_metrics
+from hysteresis_ros.analysis.metrics import compute_metrics
 from hysteresis_ros.analysis.page import asset, origin, render_page, require_page, write_page
 from hysteresis_ros.analysis.payload import TIME_POINTS, chart_payload, packed, script_text
 from hysteresis_ros.analysis.plots import data_uri
@@ -38,6 +38,7 @@ from hysteresis_ros.analysis.run_charts import (
     traces_chart,
     voltage_chart,
 )
+from hysteresis_ros.analysis.shown_figures import FINER
 from hysteresis_ros.analysis.spans import ADDED, BLOCKS, block_sums, columns_of
 from hysteresis_ros.analysis.tables import table_of
 from hysteresis_ros.recordings.dataset import Recording

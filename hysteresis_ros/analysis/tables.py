@@ -13,7 +13,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from hysteresis_ros.analysis.metrics import FIGURES, FINER, format_value
+from hysteresis_ros.analysis.metrics import FIGURES
+from hysteresis_ros.analysis.shown_figures import FINER, format_value
 from hysteresis_ros.units import FINE
 
 

@@ -242,9 +242,10 @@ def _same_as_live(folder: pathlib.Path) -> str:
 def _report(folder: pathlib.Path, axes: dict, progress: Progress) -> None:
     """Write picture, report and figures, as far as the libraries for them are there."""
     from hysteresis_ros.analysis.demonstration import inverse_figure, moved_part, opening_of_stroke
-    from hysteresis_ros.analysis.metrics import compute_metrics, format_table
+    from hysteresis_ros.analysis.metrics import compute_metrics
     from hysteresis_ros.analysis.plots import MissingExtraError, data_uri, png
     from hysteresis_ros.analysis.report import write_report
+    from hysteresis_ros.analysis.shown_figures import format_table
     from hysteresis_ros.recordings.files import load_run
 
     runs = {name: load_run(folder / name, further=True) for name in axes}

@@ -86,8 +86,8 @@ def _single(run, output, title: str, json_path: str | None) -> None:
         from hysteresis_ros.analysis.inchworm_report import write_inchworm_report as write
     else:
         from hysteresis_ros.analysis.metrics import compute_metrics as judge
-        from hysteresis_ros.analysis.metrics import format_table as table
         from hysteresis_ros.analysis.report import write_report as write
+        from hysteresis_ros.analysis.shown_figures import format_table as table
     with shown(f"judging {len(run)} samples"):
         figures = judge(run)
         if output is not None:

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hysteresis_ros.analysis.metrics import format_value, shown
+from hysteresis_ros.analysis.shown_figures import format_value, shown
 from hysteresis_ros.sweeps.judging import BETWEEN, METRICS
 from hysteresis_ros.sweeps.outcome import Results
 from hysteresis_ros.sweeps.plan import RANDOM, Plan

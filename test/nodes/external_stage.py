@@ -50,7 +50,7 @@ class Stage(Node):
             self.samples.publish(message)
             deadline += 1.0 / RATE
             # a device keeps its own time: this is its clock
-            time.sleep(max(deadline - time.monotonic(), 0.0))
+            self.gone.wait(max(deadline - time.monotonic(), 0.0))
 
 
 rclpy.init()

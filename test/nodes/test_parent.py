@@ -26,12 +26,12 @@ from hysteresis_ros.nodes.parent import starts_nodes  # noqa: E402
 STARTER = "import subprocess, sys\nsys.exit(subprocess.call(sys.argv[2:]))\n"
 CHILD = """
 from hysteresis_ros.nodes.parent import leave_with_ros2
-import time
+import signal
 
 leave_with_ros2()
 print("active")
 # it only lives: whoever started it ends it
-time.sleep(60)
+signal.pause()
 """
 
 

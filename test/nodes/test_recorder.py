@@ -129,7 +129,7 @@ def test_parameters_versions_and_the_twin_are_in_the_bag_itself(inside, tmp_path
 
 def sleeper():
     """Start a process that only lives, in a node's place."""
-    return subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"], start_new_session=True)
+    return subprocess.Popen([sys.executable, "-c", "import signal; signal.pause()"], start_new_session=True)
 
 
 @pytest.mark.parametrize("mode", ["realtime", "lockstep"])
