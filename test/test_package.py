@@ -36,7 +36,7 @@ TESTS = sorted((ROOT / "test").rglob("*.py"))
 
 #: What every folder may use of the package besides itself: imports go one way, in the order in which data flows.
 BASE = {"", "errors", "bounded", "archives", "parameters", "block", "keywords", "registry", "signals", "linear_algebra"}
-BASE |= {"elementary", "units", "executors"}
+BASE |= {"elementary", "units", "executors", "files"}
 FORWARD = BASE | {"configuration", "models", "references", "recordings"}
 METHODS = FORWARD | {"compensation", "control", "identification"}
 MAY_IMPORT = {
@@ -46,6 +46,7 @@ MAY_IMPORT = {
     "errors": {""},
     "bounded": {"", "errors"},
     "archives": set(),
+    "files": {"", "errors"},
     "configuration": {"", "errors", "bounded"},
     "parameters": {"", "errors"},
     "registry": {"", "errors"},

@@ -11,7 +11,6 @@
 
 from __future__ import annotations
 
-import os
 import pathlib
 import sys
 import time
@@ -20,6 +19,7 @@ from importlib import resources
 from hysteresis_ros.analysis.charts import COLOURS
 from hysteresis_ros.analysis.plots import MissingExtraError
 from hysteresis_ros.errors import RecordingError
+from hysteresis_ros.files import write_text
 from hysteresis_ros.recordings.dataset import Recording
 
 #: Endings of the names of pages.
@@ -91,16 +91,17 @@ def require_page(path) -> None:
 def write_page(path, html: str) -> None:
     """Write a page whole or not at all.
 
+    Parameters
+    ----------
+    path : path-like
+        HTML file.
+    html : str
+        What :func:`render_page` gave.
+
     Raises
     ------
     RecordingError
         The file cannot be written, or its name is not that of a page.
     """
     require_page(path)
-    path = pathlib.Path(path)
-    partial = path.with_name(path.name + ".partial")
-    try:
-        partial.write_text(html, encoding="utf-8")
-        os.replace(partial, path)
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be written: {error.strerror}; choose another place") from None
+    write_text(path, html, RecordingError)

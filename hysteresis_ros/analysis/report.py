@@ -203,12 +203,23 @@ def packed_sums(run: Judged, blocks: int = BLOCKS) -> dict[str, str]:
 def write_report(
     recording: Recording, path, title: str, figures: dict | None = None, first: Sequence[tuple[str, str]] = ()
 ) -> None:
-    """Write the report; see :func:`render_report`.
+    """Write the report; the other parameters are those of :func:`render_report`.
+
+    Parameters
+    ----------
+    recording : Recording
+    path : path-like
+        HTML file.
+    title : str
+    figures : dict, optional
+    first : sequence of (str, str)
 
     Raises
     ------
+    MissingExtraError
+        Jinja2 is not installed.
     RecordingError
-        The file cannot be written.
+        There is nothing to judge, or the file cannot be written.
     """
     # before a second of drawing
     require_page(path)

@@ -11,7 +11,6 @@
 
 from __future__ import annotations
 
-import os
 import pathlib
 from typing import Protocol
 
@@ -22,6 +21,7 @@ from hysteresis_ros.analysis.plots import add_legend, data_uri, new_figure
 from hysteresis_ros.control.margins import REQUIRED
 from hysteresis_ros.control.measured_loop import MeasuredLoop
 from hysteresis_ros.errors import RecordingError
+from hysteresis_ros.files import replacing
 from hysteresis_ros.identification.response_analysis import Analysis
 from hysteresis_ros.identification.response_file import PROBABILITY
 
@@ -102,7 +102,6 @@ def write_response_picture(path, found: Shown) -> None:
         The file cannot be written, or its name is not that of a picture.
     """
     require_picture(path)
-    path = pathlib.Path(path)
     rows = _rows(found)
     looped = found.loop is not None
     figure, axes = new_figure(3.2 * rows + (9.2 if looped else 0.0), rows=rows + 2 * looped)
@@ -111,12 +110,8 @@ def write_response_picture(path, found: Shown) -> None:
         axes[0].get_gridspec().set_height_ratios([1.0] * (rows + 1) + [2.0])
         _sensitivities(axes[rows], found)
         _nyquist(axes[rows + 1], found)
-    partial = path.with_name(path.name + ".partial")
-    try:
-        figure.savefig(partial, format="png")
-        os.replace(partial, path)
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be written: {error.strerror}; choose another place") from None
+    with replacing(path, RecordingError) as beside:
+        figure.savefig(beside, format="png")
 
 
 def write_response_report(path, title: str, found: Shown) -> None:

@@ -228,11 +228,21 @@ def render_side_by_side(runs: dict[str, Recording], title: str, figures: dict[st
 
 
 def write_side_by_side(runs: dict[str, Recording], path, title: str, figures: dict[str, dict] | None = None) -> None:
-    """Write the page of several runs; see :func:`render_side_by_side`.
+    """Write the page of several runs; the other parameters are those of :func:`render_side_by_side`.
+
+    Parameters
+    ----------
+    runs : dict of str to Recording
+    path : path-like
+        HTML file.
+    title : str
+    figures : dict, optional
 
     Raises
     ------
+    MissingExtraError
+        Jinja2 is not installed.
     RecordingError
-        The file cannot be written.
+        There is nothing to judge, or the file cannot be written.
     """
     write_page(path, render_side_by_side(runs, title, figures))

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import pathlib
 from collections.abc import Iterable
 from dataclasses import asdict
@@ -21,6 +20,7 @@ from dataclasses import asdict
 from hysteresis_ros.bounded import read_json, read_text
 from hysteresis_ros.commissioning.outcome import CommissioningError, Outcome
 from hysteresis_ros.errors import ConfigurationError
+from hysteresis_ros.files import write_text
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.files import load_run, save_run
 
@@ -85,9 +85,7 @@ class Folder:
             raise ConfigurationError(f"{path}: cannot be read: {error}; begin anew in another --directory") from None
 
     def _write(self, name: str, content: dict) -> None:
-        partial = self.path / (name + ".partial")
-        partial.write_text(json.dumps(content, indent=1), encoding="utf-8")
-        os.replace(partial, self.path / name)
+        write_text(self.path / name, json.dumps(content, indent=1), ConfigurationError)
 
     def outcome(self, stage: str) -> Outcome | None:
         """Return what a stage found; None when it is not done.

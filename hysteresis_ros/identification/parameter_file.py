@@ -17,8 +17,6 @@ from __future__ import annotations
 
 import datetime
 import math
-import os
-import pathlib
 from dataclasses import replace
 
 import numpy as np
@@ -28,6 +26,7 @@ from hysteresis_ros.compensation.inverses import InverseParameters
 from hysteresis_ros.compensation.reachable import reachable_commands
 from hysteresis_ros.configuration import Configuration, dump_configuration, load_configuration, parse_configuration
 from hysteresis_ros.errors import ConfigurationError, IdentificationError, ParameterError
+from hysteresis_ros.files import write_text
 from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.identified import Identification, PlantModel, at_rest
 from hysteresis_ros.identification.linear_part import LinearPart, Mode
@@ -298,18 +297,17 @@ def model_warnings(result: Identification) -> tuple[str, ...]:
 def write_file(path, text: str) -> None:
     """Write a parameter file whole or not at all.
 
+    Parameters
+    ----------
+    path : path-like
+    text : str
+
     Raises
     ------
     IdentificationError
         It cannot be written.
     """
-    path = pathlib.Path(path)
-    partial = path.with_name(path.name + ".partial")
-    try:
-        partial.write_text(text, encoding="utf-8")
-        os.replace(partial, path)
-    except OSError as error:
-        raise IdentificationError(f"{path}: cannot be written: {error.strerror}; choose another place") from None
+    write_text(path, text, IdentificationError)
 
 
 def _block(configuration: Configuration, node: str, cls, namespace: str = ""):

@@ -11,7 +11,6 @@
 
 from __future__ import annotations
 
-import os
 import pathlib
 from dataclasses import replace
 
@@ -19,6 +18,7 @@ import numpy as np
 
 from hysteresis_ros.archives import ArchiveError, read_arrays, read_heads
 from hysteresis_ros.errors import RecordingError
+from hysteresis_ros.files import replacing
 from hysteresis_ros.identification.distortion import Distortion
 from hysteresis_ros.identification.excitations import KINDS
 from hysteresis_ros.identification.frequency_response import FrequencyResponse
@@ -71,14 +71,9 @@ def save_response(path, found: Analysis, columns: dict[str, np.ndarray], figures
         The suffix is another, or the file cannot be written.
     """
     require_response_file(path)
-    path = pathlib.Path(path)
-    partial = path.with_name(path.name + ".partial")
-    try:
-        with partial.open("wb") as stream:
-            WRITERS[path.suffix.lower()](stream, found, columns, figures)
-        os.replace(partial, path)
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be written: {error.strerror}; choose another place") from None
+    write = WRITERS[pathlib.Path(path).suffix.lower()]
+    with replacing(path, RecordingError) as beside, beside.open("wb") as stream:
+        write(stream, found, columns, figures)
 
 
 def load_response(path) -> Analysis:

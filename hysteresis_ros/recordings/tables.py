@@ -11,9 +11,7 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
-import os
 import pathlib
 import re
 import warnings
@@ -24,6 +22,7 @@ import numpy as np
 from hysteresis_ros.archives import read_arrays
 from hysteresis_ros.bounded import read_json
 from hysteresis_ros.errors import RecordingError
+from hysteresis_ros.files import replacing
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.signals import UNITS as SIGNAL_UNITS
 from hysteresis_ros.units import SUBUNITS
@@ -45,12 +44,9 @@ def write_csv(recording: Recording, path) -> None:
     names = ["time", *recording.signals]
     units = {"time": "s", **recording.units}
     columns = [recording[name].tolist() for name in names]
-
-    def write(stream):
+    with replacing(path, RecordingError) as beside, beside.open("w", encoding="utf-8") as stream:
         stream.write(",".join(f"{name} [{units[name]}]" for name in names) + "\n")
         stream.writelines(",".join(map(repr, row)) + "\n" for row in zip(*columns, strict=True))
-
-    _replace(path, "w", write)
 
 
 def read_csv(path) -> Recording:
@@ -110,15 +106,14 @@ def write_npz(recording: Recording, path) -> None:
         raise RecordingError(f"a signal may not be called {', '.join(sorted(reserved))} in an NPZ file; rename it")
 
     arrays = {"time": recording.time, **recording.signals, "units": np.array(units), "metadata": np.array(metadata)}
-
-    def write(stream):
+    with (
+        replacing(path, RecordingError) as beside,
         # as numpy.savez_compressed, whose compression takes longer than a simulation and saves little more
-        with zipfile.ZipFile(stream, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
-            for name, array in arrays.items():
-                with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
-                    np.lib.format.write_array(member, np.asanyarray(array), allow_pickle=False)
-
-    _replace(path, "wb", write)
+        zipfile.ZipFile(beside, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
+    ):
+        for name, array in arrays.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                np.lib.format.write_array(member, np.asanyarray(array), allow_pickle=False)
 
 
 def read_npz(path) -> Recording:
@@ -173,20 +168,6 @@ def _existing(path) -> pathlib.Path:
     if not path.is_file():
         raise RecordingError(f"{path}: no such file; give the path of a recording")
     return path
-
-
-def _replace(path, mode, write) -> None:
-    """Write beside the target and rename, so that a failure never leaves half a file under its name."""
-    path = pathlib.Path(path)
-    partial = path.with_name(path.name + ".partial")
-    try:
-        with partial.open(mode, encoding=None if "b" in mode else "utf-8") as stream:
-            write(stream)
-        os.replace(partial, path)
-    except OSError as error:
-        with contextlib.suppress(OSError):
-            partial.unlink(missing_ok=True)
-        raise RecordingError(f"{path}: cannot be written: {_reason(error)}; choose another place") from None
 
 
 def _reason(error) -> str:

@@ -11,7 +11,6 @@
 
 from __future__ import annotations
 
-import os
 import pathlib
 from typing import NamedTuple
 
@@ -20,6 +19,7 @@ import yaml
 
 from hysteresis_ros.bounded import BoundsError, read_text, read_yaml
 from hysteresis_ros.errors import ConfigurationError, ParameterError, Problem
+from hysteresis_ros.files import write_text
 
 #: First key of such a file.
 KIND = "inchworm_walk"
@@ -51,13 +51,8 @@ def write_walk(path, learned: LearnedWalk) -> None:
         The file cannot be written.
     """
     values = {"step": learned.step, "forward": learned.forward.tolist(), "backward": learned.backward.tolist()}
-    target = pathlib.Path(path).expanduser()
-    beside = target.with_name(f"{target.name}.new")
-    try:
-        beside.write_text(_HEADER + yaml.safe_dump({KIND: values}, sort_keys=False, default_flow_style=None, width=118))
-        os.replace(beside, target)
-    except OSError as error:
-        raise ConfigurationError(f"{path}: cannot be written: {error.strerror or error}") from None
+    text = _HEADER + yaml.safe_dump({KIND: values}, sort_keys=False, default_flow_style=None, width=118)
+    write_text(pathlib.Path(path).expanduser(), text, ConfigurationError)
 
 
 def read_walk(path, splines: int, step: float, bound: float) -> LearnedWalk:

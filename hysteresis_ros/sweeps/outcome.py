@@ -12,7 +12,6 @@
 from __future__ import annotations
 
 import json
-import os
 import pathlib
 from dataclasses import dataclass
 from typing import Any
@@ -21,6 +20,7 @@ import numpy as np
 
 from hysteresis_ros.archives import read_arrays
 from hysteresis_ros.errors import ConfigurationError
+from hysteresis_ros.files import replacing
 
 PARQUET, NPZ = ".parquet", ".npz"
 #: Name of the text in a file that says which sweep it was.
@@ -105,26 +105,18 @@ def save(results: Results, path) -> None:
         It cannot be written.
     """
     path = pathlib.Path(path)
-    beside = path.with_name(f".{path.name}.new")
     text = json.dumps(results.about)
-    try:
-        with open(beside, "wb") as stream:
-            if path.suffix == NPZ:
-                arrays: dict[str, Any] = {ABOUT: np.array(text), **results.columns}
-                np.savez(stream, **arrays)
-            else:
-                import pyarrow
-                import pyarrow.parquet
+    remedy = "all runs are kept in its journal: make room, and give the same command again"
+    with replacing(path, ConfigurationError, remedy) as beside, beside.open("wb") as stream:
+        if path.suffix == NPZ:
+            arrays: dict[str, Any] = {ABOUT: np.array(text), **results.columns}
+            np.savez(stream, **arrays)
+        else:
+            import pyarrow
+            import pyarrow.parquet
 
-                table = pyarrow.table(results.columns).replace_schema_metadata({ABOUT: text})
-                pyarrow.parquet.write_table(table, stream)
-        os.replace(beside, path)
-    except OSError as error:
-        beside.unlink(missing_ok=True)
-        raise ConfigurationError(
-            f"{path}: cannot be written: {error.strerror or error}; all runs are kept in its journal: make room, and "
-            "give the same command again"
-        ) from None
+            table = pyarrow.table(results.columns).replace_schema_metadata({ABOUT: text})
+            pyarrow.parquet.write_table(table, stream)
 
 
 def load(path) -> Results:

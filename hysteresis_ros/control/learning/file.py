@@ -11,7 +11,6 @@
 
 from __future__ import annotations
 
-import os
 import pathlib
 from dataclasses import dataclass
 
@@ -21,6 +20,7 @@ import yaml
 from hysteresis_ros.bounded import BoundsError, read_text, read_yaml
 from hysteresis_ros.control.learning.parameters import LONGEST, period_samples
 from hysteresis_ros.errors import ConfigurationError, ParameterError, Problem
+from hysteresis_ros.files import write_text
 
 #: First key of such a file.
 KIND = "learned_correction"
@@ -97,17 +97,12 @@ def write_learned(path, learned: Learned, configuration: str = "") -> None:
             "reference": learned.reference.tolist(),
         }
     }
-    target = pathlib.Path(path).expanduser()
-    beside = target.with_name(f"{target.name}.new")
     text = "# What an axis has learned over periods of its reference; learning.file of motion_controller loads it.\n"
     text += (
         "# period and sample_time [s]; correction and reference [m], sample by sample from the period's beginning.\n"
     )
-    try:
-        beside.write_text(text + yaml.safe_dump(values, sort_keys=False, default_flow_style=None, width=120))
-        os.replace(beside, target)
-    except OSError as error:
-        raise ConfigurationError(f"{path}: cannot be written: {error.strerror or error}") from None
+    text += yaml.safe_dump(values, sort_keys=False, default_flow_style=None, width=120)
+    write_text(pathlib.Path(path).expanduser(), text, ConfigurationError)
 
 
 def read_learned(path) -> Learned:
