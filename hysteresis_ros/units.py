@@ -34,6 +34,11 @@ SUBUNITS = {
 UNITS = {
     **SUBUNITS,
     **{unit: (unit, 1.0) for unit in ("s", "m", "V", "A", "N", "rad", "K", "Pa", "Hz", "1", "m/s", "m/s^2")},
+    "mm/s": ("m/s", 1e3),
+    "um/s": ("m/s", 1e6),
+    "µm/s": ("m/s", 1e6),
+    "μm/s": ("m/s", 1e6),
+    "nm/s": ("m/s", 1e9),
     "min": ("s", 1 / 60),
     "ns": ("s", 1e9),
     "cm": ("m", 1e2),

@@ -11,140 +11,22 @@
 
 from __future__ import annotations
 
-import asyncio
-import contextlib
-import json
 from concurrent.futures import Future
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
 aiohttp = pytest.importorskip("aiohttp", reason="aiohttp is not installed: no page")
-TestServer = pytest.importorskip("aiohttp.test_utils").TestServer
 
+from pretended_axis import served  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
 
 from hysteresis_ros import signals  # noqa: E402
 from hysteresis_ros.errors import HysteresisError  # noqa: E402
-from hysteresis_ros.nodes.samples import Block  # noqa: E402
-from hysteresis_ros.nodes.watch.access import Access  # noqa: E402
 from hysteresis_ros.nodes.watch.collect import Collector  # noqa: E402
 from hysteresis_ros.nodes.watch.link import AxisLink  # noqa: E402
-from hysteresis_ros.nodes.watch.memory import Memory  # noqa: E402
-from hysteresis_ros.nodes.watch.server import FILES, Server  # noqa: E402
-
-PATIENCE = 20.0
-
-
-class Pretended:
-    """What a server asks of an axis, noted down; it stops when it is told to for the second time."""
-
-    def __init__(self):
-        self.memory, self.values, self.health, self.refusals = Memory(1000.0), {}, {}, []
-        self.version, self.recording, self.source, self.namespace = 1, None, "/reference_generator", ""
-        self.asked: list = []
-        self.elsewhere: list[str] = []
-        self.sample = 0
-        self.put()
-
-    def put(self, **values: float) -> None:
-        """Make a sample with these signals."""
-        table = np.zeros((signals.ACTUATOR_ROW, 1))
-        for name, value in values.items():
-            table[signals.place(name)] = value
-        numbers = np.array([self.sample])
-        assert self.memory.add(Block(numbers * 1_000_000, numbers, table, None))
-        self.sample += 1
-
-    def tables(self) -> dict:
-        return {"nodes": {}, "limits": {}, "namespace": "/", "mode": "fused", "rate": 1000.0}
-
-    def state(self) -> dict:
-        return {}
-
-    def ask(self, job) -> Future:
-        answer: Future = Future()
-        try:
-            answer.set_result(job())
-        except HysteresisError as error:
-            answer.set_exception(error)
-        return answer
-
-    def change(self, node: str, values: dict) -> str:
-        self.asked.append((node, values))
-        if "nan" in values.values():
-            raise HysteresisError("/motion_controller refuses: must be finite")
-        return "set"
-
-    def start(self) -> str:
-        self.asked.append("start")
-        return "started"
-
-    def move(self, metres: float) -> None:
-        self.asked.append(metres)
-        if metres > 1e-5:
-            self.refusals = [*self.refusals, f"setpoint {metres:g} m refused: out of range"]
-        else:
-            self.put(setpoint=metres)
-
-    def mark(self, text: str) -> None:
-        self.asked.append(text)
-
-    def stop(self) -> None:
-        self.asked.append("stop")
-        if self.asked.count("stop") > 1:
-            self.put(tripped=1.0)
-
-
-class Socket:
-    """A page without pictures."""
-
-    def __init__(self, socket):
-        self.socket, self.number, self.said = socket, 0, []
-
-    async def until(self, wanted):
-        """Hear until a message is wanted, and return it."""
-        while True:
-            message = await self.socket.receive(PATIENCE)
-            if message.type == aiohttp.WSMsgType.TEXT:
-                self.said.append(json.loads(message.data))
-                if wanted(self.said[-1]):
-                    return self.said[-1]
-            elif message.type != aiohttp.WSMsgType.BINARY:
-                raise ConnectionError(message.type)
-
-    async def ask(self, **words) -> dict:
-        self.number += 1
-        await self.socket.send_str(json.dumps({"id": self.number, **words}))
-        return await self.until(lambda said: said.get("answer") == self.number)
-
-
-class Bench(SimpleNamespace):
-    """A server, and who calls it."""
-
-    async def page(self, **headers) -> Socket:
-        headers = {"Origin": self.origin, **headers}
-        return Socket(
-            await self.stack.enter_async_context(self.session.ws_connect(f"{self.origin}/socket", headers=headers))
-        )
-
-
-def served(check, token: str = "") -> None:
-    """Run a check with a server."""
-
-    async def run() -> None:
-        link = Pretended()
-        server = Server(link, Access("0.0.0.0" if token else "127.0.0.1", token))
-        async with contextlib.AsyncExitStack() as stack:
-            given = await stack.enter_async_context(TestServer(server.application()))
-            jar = aiohttp.CookieJar(unsafe=True)
-            session = await stack.enter_async_context(aiohttp.ClientSession(cookie_jar=jar))
-            origin = f"http://127.0.0.1:{given.port}"
-            await check(Bench(link=link, server=server, session=session, origin=origin, stack=stack))
-
-    asyncio.run(asyncio.wait_for(run(), 3 * PATIENCE))
+from hysteresis_ros.nodes.watch.server import FILES  # noqa: E402
 
 
 def test_the_files_are_there_and_nothing_changes_by_get():

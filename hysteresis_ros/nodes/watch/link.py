@@ -38,6 +38,7 @@ from hysteresis_ros.nodes.samples import TOPIC, Block, block_of, samples_qos
 from hysteresis_ros.nodes.spin import make_executor
 from hysteresis_ros.nodes.watch.collect import Collector
 from hysteresis_ros.nodes.watch.memory import Memory
+from hysteresis_ros.nodes.watch.motor import about
 from hysteresis_ros.nodes.watch.recording import MARKER, PageRecording
 from hysteresis_ros.nodes.watch.tuning import axis_of, limits_of, table_of
 
@@ -116,6 +117,7 @@ class AxisLink:
     def _connect(self) -> None:
         node, name = self._client.node, self._client.full_name
         self._setpoints = node.create_publisher(Float64, name("setpoint"), setpoint_qos())
+        self._speeds = node.create_publisher(Float64, name("speed"), setpoint_qos())
         self._stops = node.create_publisher(Bool, name("estop"), setpoint_qos())
         self._markers = node.create_publisher(String, name(MARKER), setpoint_qos())
         self._triggers = {kind: node.create_client(Trigger, name(f"{kind}/stop")) for kind in STOPPED}
@@ -197,7 +199,8 @@ class AxisLink:
         axis = self._axis
         if axis is not None:
             preview = axis.motion_controller.feedforward.preview
-            self.memory.restart(axis.plant_simulator.sample_rate, preview)
+            motor = axis.inchworm_sequencer is not None
+            self.memory.restart(axis.plant_simulator.sample_rate, preview, motor)
 
     # -- what is heard ---------------------------------------------------------------------------------------------
 
@@ -259,6 +262,7 @@ class AxisLink:
             "limits": limits_of(values),
             "mode": axis.plant_simulator.time_mode if axis else "",
             "rate": axis.plant_simulator.sample_rate if axis else None,
+            "motor": about(axis) if axis else None,
         }
 
     def state(self) -> dict[str, float]:
@@ -312,10 +316,20 @@ class AxisLink:
 
     def hold(self) -> str:
         """Let the reference stand where it is; return what to say."""
-        answer = self._client.ask(Trigger, f"{self.source}/stop")
-        if not answer.success:
-            raise HysteresisError(f"{self.source} refuses to stop: {answer.message}")
+        self.call("stop")
         return "the reference holds; start lets it go on"
+
+    def call(self, service: str) -> str:
+        """Ask the source of references for one of its services; return what it says.
+
+        Parameters
+        ----------
+        service : str
+        """
+        answer = self._client.ask(Trigger, f"{self.source}/{service}")
+        if not answer.success:
+            raise HysteresisError(f"{self.source} refuses to {service}: {answer.message}")
+        return answer.message
 
     def record(self, on: bool) -> str:
         """Begin or end a recording; return what to say.
@@ -351,6 +365,16 @@ class AxisLink:
         metres : float
         """
         self._setpoints.publish(Float64(data=metres))
+
+    def walk(self, speed: float) -> None:
+        """Publish the speed at which a motor is to walk.
+
+        Parameters
+        ----------
+        speed : float
+            [m/s]
+        """
+        self._speeds.publish(Float64(data=speed))
 
     def mark(self, text: str) -> None:
         """Publish a marker, and write it into the recording; in the thread.

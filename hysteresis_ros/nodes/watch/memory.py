@@ -19,7 +19,7 @@ import numpy as np
 from hysteresis_ros import signals
 from hysteresis_ros.analysis.live import History, amplitude_density
 from hysteresis_ros.nodes.samples import Block
-from hysteresis_ros.nodes.watch.views import MEMORY, SHOWN, View
+from hysteresis_ros.nodes.watch.views import MEMORY, MOTOR_SHOWN, SHOWN, View
 
 #: Seconds over which figures and the spectrum are taken, and within which a rate is counted.
 FIGURES, SPECTRUM, COUNTED = 2.0, 8.0, 2.0
@@ -43,18 +43,21 @@ class Memory:
         self.epoch = -1
         self.restart(rate, preview)
 
-    def restart(self, rate: float, preview: int = 0) -> None:
+    def restart(self, rate: float, preview: int = 0, motor: bool = False) -> None:
         """Forget everything: another run begins.
 
         Parameters
         ----------
         rate : float
         preview : int
+        motor : bool
+            Of an inchworm motor.
         """
         with self.lock:
             self.epoch += 1
-            self.rate = rate
-            self.history = History(len(SHOWN), max(round(MEMORY * rate), 2))
+            self.rate, self.motor = rate, motor
+            self._names = MOTOR_SHOWN if motor else SHOWN
+            self.history = History(len(self._names), max(round(MEMORY * rate), 2))
             self.lost = self.skipped = 0
             self.row: np.ndarray | None = None
             self._coming = np.full(preview, np.nan)
@@ -79,7 +82,7 @@ class Memory:
             self.lost += missing
             if missing:
                 gap = min(missing, round(MEMORY * self.rate))
-                self.history.append(np.full((len(SHOWN), gap), np.nan))
+                self.history.append(np.full((len(self._names), gap), np.nan))
             self._next = int(block.numbers[-1]) + 1
             self.history.append(self._shown(block.table))
             self.skipped += int(np.nansum(block.table[signals.SKIPPED]))
@@ -91,8 +94,10 @@ class Memory:
     def _shown(self, table: np.ndarray) -> np.ndarray:
         published = np.concatenate([self._coming, table[signals.REFERENCE]])
         reference, self._coming = published[: table.shape[1]], published[table.shape[1] :]
-        own = {"reference": reference, "error": table[signals.MEASURED] - reference}
-        return np.array([own[name] if name in own else table[signals.place(name)] for name in SHOWN])
+        # what a motor's controller follows is the slider less an origin, which is the extender while it walks
+        origin = table[signals.ORIGIN] if self.motor else 0.0
+        own = {"reference": reference, "error": table[signals.MEASURED] - origin - reference}
+        return np.array([own[name] if name in own else table[signals.place(name)] for name in self._names])
 
     @property
     def age(self) -> float:
@@ -127,7 +132,7 @@ class Memory:
         """
         with self.lock:
             begin = max(self.history.begin, self.history.end - round(seconds * self.rate))
-            return self.history.part(begin, self.history.end)[SHOWN.index(name)].copy()
+            return self.history.part(begin, self.history.end)[self._names.index(name)].copy()
 
     def frame(self, view: View) -> bytes | None:
         """Return the next frame of a page.
@@ -148,7 +153,7 @@ class Memory:
             [s]
         columns : int
         """
-        return View(window, columns, self.rate, self.epoch)
+        return View(window, columns, self.rate, self.epoch, self.motor)
 
     def figures(self) -> dict[str, float | None]:
         """Return the error of the last seconds [m]: root of its mean square, its largest, and the last values."""

@@ -18,6 +18,9 @@ from hysteresis_ros.bounded import BoundsError, read_json
 from hysteresis_ros.errors import HysteresisError, did_you_mean, shortened
 from hysteresis_ros.units import quantity
 
+#: What an inchworm motor may be asked for by its services.
+SERVICES = ("home", "release", "learn", "freeze", "forget")
+
 #: Longest text of a marker, most parameters at once, longest value.
 MARKER, PARAMETERS, VALUE = 200, 50, 4096
 #: Windows of time [s] and columns of the screen that may be asked for.
@@ -74,15 +77,30 @@ def _view(given: dict) -> dict:
     return {"window": _number("window", given.get("window"), *WINDOW, " s"), "columns": int(columns)}
 
 
-def _setpoint(given: dict) -> dict:
-    text = _text("setpoint", given.get("value"), 40)
+def _quantity(name: str, given: Any, wanted: str, meaning: str) -> float:
+    text = _text(name, given, 40)
     try:
-        metres, unit = quantity(text)
+        value, unit = quantity(text)
     except ValueError as error:
-        raise RequestError(f"setpoint {text}: {error}") from None
-    if unit not in ("", "m"):
-        raise RequestError(f"setpoint {text}: is in {unit}, must be a length, as 5um")
-    return {"metres": metres}
+        raise RequestError(f"{name} {text}: {error}") from None
+    if unit not in ("", wanted):
+        raise RequestError(f"{name} {text}: is in {unit}, must be {meaning}")
+    return value
+
+
+def _setpoint(given: dict) -> dict:
+    return {"metres": _quantity("setpoint", given.get("value"), "m", "a length, as 5um")}
+
+
+def _speed(given: dict) -> dict:
+    return {"speed": _quantity("speed", given.get("value"), "m/s", "a speed, as 50um/s")}
+
+
+def _call(given: dict) -> dict:
+    service = given.get("service")
+    if service not in SERVICES:
+        raise RequestError(f"service = {shortened(service)}: must be one of {', '.join(SERVICES)}")
+    return {"service": service}
 
 
 def _set(given: dict) -> dict:
@@ -100,6 +118,8 @@ ACTIONS = {
     "view": _view,
     "control": lambda given: {"by_force": _flag("by_force", given.get("by_force", False))},
     "setpoint": _setpoint,
+    "speed": _speed,
+    "call": _call,
     "set": _set,
     "start": lambda given: {},
     "hold": lambda given: {},

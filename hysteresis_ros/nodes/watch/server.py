@@ -27,6 +27,7 @@ from hysteresis_ros.errors import HysteresisError
 from hysteresis_ros.nodes.remote.setpoint import stands
 from hysteresis_ros.nodes.watch.access import COOKIE, Access, Control
 from hysteresis_ros.nodes.watch.link import AxisLink
+from hysteresis_ros.nodes.watch.motor import told
 from hysteresis_ros.nodes.watch.requests import FREE, Request, RequestError, read_request
 from hysteresis_ros.nodes.watch.views import View
 
@@ -259,6 +260,7 @@ class Server:
             "tripped": self._tripped(),
             "stands": stands(link.source, state) if memory.is_live else "",
             "figures": memory.figures(),
+            "motor": told(memory),
             "health": health,
             "recording": None
             if recording is None
@@ -283,24 +285,48 @@ class Server:
         return "this page has the control"
 
     async def _on_setpoint(self, page: Page, metres: float) -> str:
+        await self._given("setpoint", metres, "m", self.link.move)
+        return f"setpoint {1e6 * metres:g} µm taken"
+
+    async def _on_speed(self, page: Page, speed: float) -> str:
+        self._require_motor("has a speed")
+        await self._given("speed", speed, "m/s", self.link.walk)
+        return f"walks at {1e6 * speed:g} µm/s" if speed else "holds where it is until the next setpoint"
+
+    async def _given(self, name: str, value: float, unit: str, give: Callable[[float], None]) -> None:
+        """Give the source of references a value, and wait until it has taken it.
+
+        Raises
+        ------
+        HysteresisError
+            It refuses, nobody is there, or the axis would not move; in its words.
+        """
         link = self.link
         if not link.memory.is_live:
-            raise HysteresisError("the axis is silent: nobody would take the setpoint")
+            raise HysteresisError(f"the axis is silent: nobody would take the {name}")
         before = len(link.refusals), link.refusals[-1:]
-        link.move(metres)
+        give(value)
         deadline = time.monotonic() + SETPOINT
         while time.monotonic() < deadline:
             new = link.refusals if (len(link.refusals), link.refusals[-1:]) != before else []
-            refused = next((text for text in reversed(new) if text.startswith(f"setpoint {metres:g} m refused")), "")
+            refused = next((text for text in reversed(new) if text.startswith(f"{name} {value:g} {unit} refused")), "")
             if refused:
                 raise HysteresisError(refused)
-            if math.isclose(link.memory.value(signals.SETPOINT), metres, rel_tol=1e-12, abs_tol=1e-15):
+            if math.isclose(link.memory.value(signals.place(name)), value, rel_tol=1e-12, abs_tol=1e-15):
                 why = stands(link.source, link.state())
                 if why:
-                    raise HysteresisError(f"{link.source} has the setpoint but {why}")
-                return f"setpoint {1e6 * metres:g} µm taken"
+                    raise HysteresisError(f"{link.source} has the {name} but {why}")
+                return
             await asyncio.sleep(0.01)
-        raise HysteresisError(f"{link.source} has made no sample with the setpoint within {SETPOINT:g} s")
+        raise HysteresisError(f"{link.source} has made no sample with the {name} within {SETPOINT:g} s")
+
+    async def _on_call(self, page: Page, service: str) -> str:
+        self._require_motor(f"has a service {service}")
+        return await asyncio.wrap_future(self.link.ask(lambda: self.link.call(service)))
+
+    def _require_motor(self, what: str) -> None:
+        if not self.link.memory.motor:
+            raise HysteresisError(f"this axis is no inchworm motor: only one {what}")
 
     async def _on_set(self, page: Page, node: str, values: dict) -> str:
         return await asyncio.wrap_future(self.link.ask(lambda: self.link.change(node, values)))

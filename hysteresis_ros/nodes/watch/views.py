@@ -10,8 +10,8 @@
 """What of the history each page has still to get, and the frames it gets it in; knows no ROS and no web server.
 
 A frame is a header in JSON, with its length in front (4 bytes) and filled up with spaces to a multiple of 4, and then
-numbers, float32, little-endian: of each signal and column of the screen the least and the greatest value in the order
-in which they came, and after them the points of the loops. Numbers are SI.
+numbers, float32, little-endian: of each signal that the header names, and each column of the screen, the least and the
+greatest value in the order in which they came, and after them the points of the loops. Numbers are SI.
 """
 
 from __future__ import annotations
@@ -27,6 +27,9 @@ from hysteresis_ros.analysis.live import History, extremes, outline
 #: Signals over time, of a row or made here, and those of the loops: displacement over voltage and over the command.
 SHOWN = ("reference", "measured", "error", "command", "voltage", "estimated", "saturated", "skipped")
 LOOP = ("voltage", "command", "measured")
+#: The same of an inchworm motor, whose command and voltage are its extender's.
+MOTOR_SHOWN = (*SHOWN, "setpoint", "extender", "front_voltage", "rear_voltage", "phase")
+MOTOR_LOOP = ("voltage", "command", "extender")
 #: Seconds of the loops at most, and columns that they are cut into.
 LOOP_TIME, LOOP_COLUMNS = 4.0, 1000
 #: Seconds that are kept.
@@ -79,10 +82,14 @@ class View:
         Samples per second [Hz].
     epoch : int
         Of the history.
+    motor : bool
+        Of an inchworm motor.
     """
 
-    def __init__(self, window: float, columns: int, rate: float, epoch: int):
+    def __init__(self, window: float, columns: int, rate: float, epoch: int, motor: bool = False):
         self.window, self.columns, self.rate, self.epoch = window, columns, rate, epoch
+        self._shown, loop = (MOTOR_SHOWN, MOTOR_LOOP) if motor else (SHOWN, LOOP)
+        self._loop_rows = [self._shown.index(name) for name in loop]
         samples = max(round(window * rate), 1)
         length = max(-(-samples // columns), 1)
         self._time = Part(length, -(-samples // length))
@@ -96,15 +103,16 @@ class View:
         Parameters
         ----------
         history : History
-            With the rows :data:`SHOWN`.
+            With the rows :data:`SHOWN`, or :data:`MOTOR_SHOWN`.
         """
         fresh, first, table = self._time.due(history)
         loop_fresh, _, loop = self._loop.due(history)
         if not table.shape[1] and not loop.shape[1] and not fresh:
             return None
         bins = extremes(table, self._time.length)
-        points = outline(loop[[SHOWN.index(name) for name in LOOP]], self._loop.length)
+        points = outline(loop[self._loop_rows], self._loop.length)
         header = {
+            "shown": self._shown,
             "rate": self.rate,
             "epoch": self.epoch,
             "end": history.end,

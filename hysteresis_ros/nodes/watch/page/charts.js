@@ -50,7 +50,13 @@ function extent(arrays) {
   return [low, high];
 }
 
-const ticks = (factor) => (chart, splits) => splits.map((value) => (value === null ? "" : Number((value * factor).toPrecision(6)).toString()));
+/** Labels with as many decimals as tell them apart: of a place in millimetres also nanometres. */
+const ticks = (factor) => (chart, splits) => {
+  const step = Math.abs((splits[1] - splits[0]) * factor);
+  let digits = 0;
+  while (digits < 9 && Math.abs(step - Number(step.toFixed(digits))) > 0.01 * step) digits += 1;
+  return splits.map((value) => (value === null ? "" : String(Number((value * factor).toFixed(digits)))));
+};
 
 function axis(scale, label, more = {}) {
   return { scale, label, labelSize: 18, labelGap: 0, size: 58, font: "11px system-ui", labelFont: "12px system-ui", stroke: () => colour("quiet"),
@@ -73,17 +79,19 @@ export function readFrame(buffer) {
   return [header, new Float32Array(buffer, 4 + length)];
 }
 
-export const SHOWN = ["reference", "measured", "error", "command", "voltage", "estimated", "saturated", "skipped"];
+/** How many times the span of the others a guest of a chart may be away and still be in sight. */
+const FAR = 20;
 
 /** Signals over time: of each column of the screen the least and the greatest value. */
 export class Traces {
   constructor() { this.columns = 0; this.signals = {}; this.rate = 1; this.length = 1; this.end = 0; this.epoch = -1; this.next = -1; }
   take(header, numbers) {
-    const { bins, columns } = header;
+    const { bins, columns, shown } = header;
     const fresh = header.fresh || columns !== this.columns || header.first !== this.next;
-    if (fresh) for (const name of SHOWN) this.signals[name] = new Float32Array(2 * columns).fill(NaN);
+    if (fresh) this.signals = {};
+    if (fresh) for (const name of shown) this.signals[name] = new Float32Array(2 * columns).fill(NaN);
     Object.assign(this, { columns, rate: header.rate, length: header.length, end: header.end, epoch: header.epoch, next: header.first + bins });
-    SHOWN.forEach((name, index) => {
+    shown.forEach((name, index) => {
       const own = this.signals[name], count = Math.min(2 * bins, own.length);
       own.copyWithin(0, count);
       own.set(numbers.subarray(index * 2 * bins + 2 * bins - count, (index + 1) * 2 * bins), own.length - count);
@@ -109,17 +117,21 @@ export class TimeChart {
     const axes = [axis("x", this.more.x ? "time before now (s)" : "", this.more.x ? below : { size: 6, labelSize: 0, values: () => [] })];
     [...new Set(this.series.map((one) => one.scale))].forEach((scale, index) => {
       const { unit, title } = this.series.find((one) => one.scale === scale);
-      const factor = () => (unit === "m" ? this.unitOf(scale) : ["V", 1]);
-      axes.push(axis(scale, `${title} (${factor()[0]})`, { side: index ? 1 : 3, values: (chart, splits) => ticks(factor()[1])(chart, splits), ...beside, grid: { show: !index, stroke: () => colour("grid"), width: 1 } }));
+      const factor = () => (unit === "m" ? this.unitOf(scale) : [unit, 1]);
+      const own = this.more.names ? { splits: () => this.more.names.map((name, place) => place), values: () => [] } : { values: (chart, splits) => ticks(factor()[1])(chart, splits) };
+      axes.push(axis(scale, unit ? `${title} (${factor()[0]})` : title, { side: index ? 1 : 3, size: this.more.size || 58, ...own, ...beside, grid: { show: !index, stroke: () => colour("grid"), width: 1 } }));
     });
     const scales = { x: { time: false, range: () => [-(this.traces.columns * this.traces.length) / this.traces.rate, 0] } };
     for (const scale of Object.keys(this.range)) scales[scale] = { range: () => this.spanOf(scale) };
     const lines = this.series.map((one) => ({ scale: one.scale, label: one.name, stroke: () => colour(one.colour), width: one.width || 1.5, dash: one.dash, points: { show: false } }));
-    this.chart = made(this.place, { axes, scales, series: [{}, ...lines], padding: [6, axes.length > 2 ? 10 : 86, 0, 0], cursor: { sync: { key: "time" }, drag: { setScale: false, x: false, y: false }, points: { size: 6 } }, hooks: { draw: [() => this.decorate()] } }, [[], ...lines.map(() => [])]);
+    this.chart = made(this.place, { axes, scales, series: [{}, ...lines], padding: [6, axes.length > 2 || this.more.size ? 10 : 86, 0, 0], cursor: { sync: { key: "time" }, drag: { setScale: false, x: false, y: false }, points: { size: 6 } }, hooks: { draw: [() => this.decorate()] } }, [[], ...lines.map(() => [])]);
   }
   unitOf(scale) { const { low, high } = this.range[scale]; return Number.isFinite(low) ? lengthUnit(Math.max(Math.abs(low), Math.abs(high), 1e-10)) : ["µm", 1e6]; }
   spanOf(scale) {
-    const found = extent(this.series.filter((one) => one.scale === scale).map((one) => this.traces.signals[one.signal] || []));
+    if (this.more.names) return [-0.6, this.more.names.length - 0.4];
+    const of = (guests) => extent(this.series.filter((one) => one.scale === scale && Boolean(one.guest) === guests).map((one) => this.traces.signals[one.signal] || []));
+    const found = of(false), guests = of(true), reach = FAR * Math.max(found[1] - found[0], this.range[scale].least);
+    if (guests[0] > found[1] - reach && guests[1] < found[0] + reach) { found[0] = Math.min(found[0], guests[0]); found[1] = Math.max(found[1], guests[1]); }
     const limits = this.limits.filter((limit) => limit.scale === scale && limit.wide).map((limit) => limit.value);
     return this.range[scale].of(Math.min(found[0], ...limits), Math.max(found[1], ...limits));
   }
@@ -131,6 +143,7 @@ export class TimeChart {
     }
   }
   rebuild() { this.chart.destroy(); this.make(); }
+  destroy() { this.chart.destroy(); }
   line(ctx, x0, y0, x1, y1, stroke, dash) { ctx.strokeStyle = stroke; ctx.setLineDash(dash); ctx.beginPath(); ctx.moveTo(x0, y0); ctx.lineTo(x1, y1); ctx.stroke(); }
   decorate() {
     const { ctx, bbox } = this.chart;
@@ -141,7 +154,9 @@ export class TimeChart {
       const y = this.chart.valToPos(value, scale, true);
       this.line(ctx, bbox.left, y, bbox.left + bbox.width, y, colour("limit"), [6, 4]);
     }
-    ctx.font = `${11 * devicePixelRatio}px system-ui`; ctx.textAlign = "left"; ctx.textBaseline = "alphabetic";
+    ctx.font = `${11 * devicePixelRatio}px system-ui`; ctx.textAlign = "left"; ctx.textBaseline = "middle"; ctx.fillStyle = colour("quiet");
+    (this.more.names || []).forEach((name, place) => ctx.fillText(name, bbox.left + 4 * devicePixelRatio, this.chart.valToPos(place, this.series[0].scale, true)));
+    ctx.textBaseline = "alphabetic";
     for (const { sample, text, epoch } of this.marks.marks) {
       if (epoch !== this.traces.epoch) continue;
       const x = this.chart.valToPos((sample - this.traces.end) / this.traces.rate, "x", true);
@@ -179,6 +194,7 @@ export class LoopChart {
     this.chart = made(this.place, { axes, scales, series: [{}, { scale: "y", points: { show: false } }], cursor: { show: false }, hooks: { draw: [() => this.curve()] } }, [[0, 1], [null, null]]);
   }
   rebuild() { this.chart.destroy(); this.make(); }
+  destroy() { this.chart.destroy(); }
   draw(loops) {
     this.points = this.names.map((name) => loops[name]);
     this.chart.setData([[0, 1], [null, null]]);
@@ -218,6 +234,7 @@ export class SpectrumChart {
     this.chart = made(this.place, { axes, scales, series: [{}, { scale: "y", stroke: () => colour("error"), width: 1.5, points: { show: false }, fill: () => `${colour("error")}22` }], cursor: { drag: { setScale: false, x: false, y: false } } }, this.data);
   }
   rebuild() { this.chart.destroy(); this.make(); }
+  destroy() { this.chart.destroy(); }
   draw({ frequency, density }) {
     if (!frequency.length) return "";
     const shown = density.map((value) => Math.max(value * 1e9, 1e-9));

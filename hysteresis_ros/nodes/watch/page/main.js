@@ -9,20 +9,21 @@
 
 // The page: its socket to the server, what is shown of the axis, and what keys and buttons ask for.
 
-import { LoopChart, SHOWN, SpectrumChart, TimeChart, Traces, lengthUnit, readFrame, readable } from "/charts.js";
+import { LoopChart, SpectrumChart, TimeChart, Traces, lengthUnit, readFrame, readable } from "/charts.js";
+import { Motor } from "/motor.js";
 import { Tuning, throttled } from "/tuning.js";
 
 const byId = (name) => document.getElementById(name);
 const WINDOWS = [0.1, 0.5, 1, 5, 10, 30, 60];
 const GONE = 3000;
 
-const state = { socket: null, number: 0, waiting: new Map(), paused: false, window: 5, limits: {}, mine: false, live: false, dirty: false, heard: 0, marks: [], recording: null };
+const state = { socket: null, number: 0, waiting: new Map(), paused: false, window: 5, limits: {}, mine: false, live: false, dirty: false, heard: 0, marks: [], recording: null, motor: null };
 const traces = new Traces();
 const loops = { voltage: [], command: [], measured: [] };
 const charts = {};
 
 /** A number of as many characters as the last one, so that nothing jumps; a figure space stands for a missing sign. */
-const fixed = (value) => (Number.isFinite(value) ? value.toFixed(Math.abs(value) < 10 ? 3 : Math.abs(value) < 100 ? 2 : 1).replace(/^(?!-)/, "\u2007") : "–");
+const fixed = (value, word) => (Number.isFinite(value) ? value.toFixed(word === "mm" ? 6 : Math.abs(value) < 10 ? 3 : Math.abs(value) < 100 ? 2 : 1).replace(/^(?!-)/, "\u2007") : "–");
 
 // -- asking -----------------------------------------------------------------------------------------------------------
 
@@ -82,14 +83,14 @@ function hear(words) {
   else if (words.spectrum) { if (!state.paused) byId("peak").textContent = charts.spectrum.draw(words.spectrum); }
   else if (words.control) control(words.control, words.pages);
   else if (words.marker) state.marks = [...state.marks.slice(-50), words.marker];
-  else if (words.refused !== undefined) say("setpoint-said", { ok: false, text: words.refused });
+  else if (words.refused !== undefined) say(words.refused.startsWith("speed") ? "motor-said" : "setpoint-said", { ok: false, text: words.refused });
 }
 
 function frame(buffer) {
   if (state.paused) { state.missed = true; return; }
   const [header, numbers] = readFrame(buffer);
   traces.take(header, numbers);
-  const begin = 2 * SHOWN.length * header.bins;
+  const begin = 2 * header.shown.length * header.bins;
   Object.keys(loops).forEach((name, index) => {
     const own = numbers.subarray(begin + index * header.points, begin + (index + 1) * header.points);
     loops[name] = (header.loop_fresh ? [...own] : [...loops[name], ...own]).slice(-header.kept);
@@ -99,13 +100,14 @@ function frame(buffer) {
 
 function draw() {
   state.dirty = false;
-  charts.displacement.draw(); charts.error.draw(); charts.drive.draw();
+  const shown = Object.values(charts).filter((chart) => chart.legend);
+  for (const chart of shown) chart.draw();
   charts.before.draw(loops); charts.after.draw(loops);
-  for (const { legend, series } of [charts.displacement, charts.error, charts.drive])
+  for (const { legend, series, more } of shown)
     series.forEach(({ name, signal, scale, unit }, index) => {
       const { chart, unitOf } = legend.of(), values = traces.signals[signal] || [], at = chart.cursor.idx ?? values.length - 1;
       const [word, factor] = unit === "m" ? unitOf(scale) : [unit, 1];
-      legend.items[index].textContent = `${name} ${fixed(values[at] * factor)} ${word}`;
+      legend.items[index].textContent = more.names ? more.names[values[at]] ?? "–" : `${name} ${fixed(values[at] * factor, word)} ${word}`;
     });
 }
 
@@ -133,9 +135,10 @@ function status(now) {
     slider.value = now.figures.setpoint * state.factor;
     setpoint.value = Number((now.figures.setpoint * state.factor).toPrecision(6));
   }
-  const texts = { rms: readable(rms, "m"), largest: readable(largest, "m"), measured: measured === null || !state.factor ? "–" : `${fixed(measured * state.factor)} ${state.unit}`, voltage: voltage === null ? "–" : `${fixed(voltage)} V`,
+  const texts = { rms: readable(rms, "m"), largest: readable(largest, "m"), measured: measured === null || !state.factor ? "–" : `${fixed(measured * state.factor, state.unit)} ${state.unit}`, voltage: voltage === null ? "–" : `${fixed(voltage)} V`,
     rate: now.live ? `${Math.round(now.rate)} Hz` : "–", late: said === undefined ? "–" : `${Number(said)} µs`, skipped: String(now.skipped) };
   for (const [name, text] of Object.entries(texts)) byId(name).textContent = text;
+  motor.show(now.motor);
   byId("lost").textContent = now.lost ? `${now.lost} samples did not reach this page` : "";
   const on = Boolean(now.recording) && !now.recording.stopped;
   byId("record").setAttribute("aria-pressed", on);
@@ -151,7 +154,10 @@ function status(now) {
   }));
 }
 
-function axis({ namespace, nodes, limits, mode, rate }) {
+function axis({ namespace, nodes, limits, mode, rate, motor: about }) {
+  const other = JSON.stringify(about ?? null) !== JSON.stringify(state.motor);
+  state.motor = about ?? null;
+  if (other) { motor.introduce(state.motor); build(); }
   byId("name").textContent = namespace === "/" ? "axis" : namespace;
   document.title = `${namespace === "/" ? "axis" : namespace} – hysteresis watch`;
   byId("name").title = mode ? `${mode}, ${rate} Hz` : "";
@@ -235,6 +241,7 @@ WINDOWS.forEach((window, index) => {
 // -- beginning ------------------------------------------------------------------------------------------------------------
 
 const tuning = new Tuning(byId("parameters"), byId("filter"), ask);
+const motor = new Motor(ask, say);
 const length = { unit: "m", scale: "m", least: 1e-9, title: "displacement" };
 
 function legend(place, chart) {
@@ -247,16 +254,28 @@ function legend(place, chart) {
   chart.legend = { items, of: () => ({ chart: chart.chart, unitOf: (scale) => chart.unitOf(scale) }) };
 }
 
+/** Makes the charts, of an actuator or of a motor: there setpoint and displacement are the slider's, the rest the extender's. */
 function build() {
-  const make = (place, series, more) => new TimeChart(byId(place), traces, series, state, more);
+  for (const [name, chart] of Object.entries(charts)) { chart.destroy(); delete charts[name]; }
+  const inchworm = state.motor;
+  // a place in millimetres is written to the nanometre
+  const make = (place, series, more) => new TimeChart(byId(place), traces, series, state, { size: inchworm ? 84 : 0, ...more });
   const line = (signal, more) => ({ name: signal, signal, colour: signal, ...length, ...more });
-  charts.displacement = make("displacement", [line("estimated", { width: 1 }), line("measured"), line("reference", { dash: [6, 3] })], { words: true });
+  const volts = { unit: "V", scale: "V", least: 0.01, title: "voltage" };
+  byId("displacement-title").textContent = inchworm ? "Slider" : "Displacement";
+  const place = inchworm ? [line("measured", { least: 2e-7 }), line("setpoint", { dash: [6, 3], least: 2e-7, guest: true })] : [line("estimated", { width: 1 }), line("measured"), line("reference", { dash: [6, 3] })];
+  charts.displacement = make("displacement", place, { words: true });
   charts.error = make("error", [line("error", { title: "error" })], { });
-  charts.drive = make("drive", [line("voltage", { unit: "V", scale: "V", least: 0.01, title: "voltage" }), line("command", { title: "command", scale: "command" })], { flags: true, x: true });
+  if (inchworm) {
+    charts.extender = make("extender", [line("command", { width: 1, title: "extension" }), line("extender", { title: "extension" }), line("reference", { dash: [6, 3], title: "extension" })], {});
+    const clamps = ["front", "rear"].map((name) => line(`${name}_voltage`, { ...volts, name: `${name} clamp`, colour: name }));
+    charts.drive = make("drive", [line("voltage", { ...volts, name: "extender" }), ...clamps], { flags: true });
+    charts.phase = make("phase", [{ name: "phase", signal: "phase", colour: "phase", unit: "", scale: "phase", least: 1, title: "phase" }], { names: inchworm.phases, x: true });
+  } else charts.drive = make("drive", [line("voltage", volts), line("command", { title: "command", scale: "command" })], { flags: true, x: true });
   charts.before = new LoopChart(byId("before"), ["voltage", "measured"], ["voltage", "displacement"], "V");
   charts.after = new LoopChart(byId("after"), ["command", "measured"], ["command", "displacement"], "m");
   charts.spectrum = new SpectrumChart(byId("spectrum"));
-  for (const place of ["displacement", "error", "drive"]) legend(`legend-${place}`, charts[place]);
+  for (const [name, chart] of Object.entries(charts).filter(([, chart]) => chart instanceof TimeChart)) legend(`legend-${name}`, chart);
 }
 
 build();
