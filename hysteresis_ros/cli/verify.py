@@ -28,32 +28,27 @@ def verify(recording: pathlib.Path, namespace: str | None) -> None:
     """Repeat the run in RECORDING (bag, .npz or .csv) offline from the configuration in it, and compare bit for bit.
 
     A lockstep run made on one machine is repeated on any other. Ends with exit code 0 when all samples are equal, 1
-    when some differ or are missing, 2 when the recording cannot be repeated.
+    when some differ or are missing, 2 when the recording cannot be repeated. Files that parameters name are those in
+    the recording, whatever is on the disk by now.
     """
-    from hysteresis_ros.configuration import parse_configuration
     from hysteresis_ros.errors import RecordingError
-    from hysteresis_ros.recordings.configured import in_force
     from hysteresis_ros.recordings.files import load_run
-    from hysteresis_ros.simulation.axes import single_axis
+    from hysteresis_ros.simulation.repeated import recorded_axis
     from hysteresis_ros.simulation.run import differences
 
     with shown(f"reading {recording.name}"):
         run = load_run(recording, namespace)
-    text = in_force(run)
-    if not text:
-        raise RecordingError(
-            f"{recording}: holds no configuration, so nobody knows what it is a run of; verify the bag that "
-            "'up --record' writes, or the .npz of 'simulate -o'"
-        )
-    axis = single_axis(parse_configuration(text, str(recording)), run.metadata.get("namespace"))
-    simulated = run.metadata.get("source") == "offline simulation"
-    if not simulated and axis.plant_simulator.time_mode == "realtime":
-        raise RecordingError(
-            f"{recording}: is a run in real time, which depends on when messages came; only lockstep and "
-            "fused runs repeat"
-        )
-    with shown("repeating the run"):
-        found = differences(run, axis)
+    with recorded_axis(run, str(recording)) as (axis, notes):
+        simulated = run.metadata.get("source") == "offline simulation"
+        if not simulated and axis.plant_simulator.time_mode == "realtime":
+            raise RecordingError(
+                f"{recording}: is a run in real time, which depends on when messages came; only lockstep and "
+                "fused runs repeat"
+            )
+        for note in notes:
+            click.echo(f"hysteresis: note: {note}", err=True)
+        with shown("repeating the run"):
+            found = differences(run, axis)
     wrong = unlike(recording, run, found)
     if wrong:
         click.echo(f"hysteresis: {wrong}", err=True)

@@ -12,12 +12,22 @@
 from __future__ import annotations
 
 import pathlib
+from collections.abc import Iterator
 
 from hysteresis_ros.loop.node_parameters import NODE_PARAMETERS
 from hysteresis_ros.recordings.configured import configured
 
 #: The end of names of parameters of files that are written.
 WRITTEN = "save_file"
+
+
+def file_parameters(text: str, namespace: str = "") -> Iterator[tuple[str, str, pathlib.Path]]:
+    """Yield node, name and path of each parameter that names a file to be read; arguments as of :func:`named_files`."""
+    for node, kind in NODE_PARAMETERS.items():
+        values = configured(text, node, namespace) if node != "recorder" else {}
+        for row in kind.table():
+            if row.place == "files" and not row.name.endswith(WRITTEN) and values.get(row.name):
+                yield node, row.name, pathlib.Path(str(values[row.name])).expanduser()
 
 
 def named_files(text: str, namespace: str = "") -> list[pathlib.Path]:
@@ -30,9 +40,4 @@ def named_files(text: str, namespace: str = "") -> list[pathlib.Path]:
     namespace : str, optional
         Of the axis.
     """
-    found = []
-    for node, kind in NODE_PARAMETERS.items():
-        values = configured(text, node, namespace) if node != "recorder" else {}
-        named = [row.name for row in kind.table() if row.place == "files" and not row.name.endswith(WRITTEN)]
-        found += [pathlib.Path(str(values[name])).expanduser() for name in named if values.get(name)]
-    return sorted({path for path in found if path.is_file()})
+    return sorted({path for *_, path in file_parameters(text, namespace) if path.is_file()})

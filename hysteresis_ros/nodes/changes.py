@@ -10,12 +10,14 @@
 """The log of what a node is set to, and of what people change while it runs, on the topic ``changes``.
 
 Entries are numbered, so that a recorder knows which it lacks, and the last one says that a run is over: a message that
-was lost comes again only with the next one, or after seconds.
+was lost comes again only with the next one, or after seconds. A recorder in the process of a fused loop takes entries
+where they are made, as it takes the samples: by message they would come after them, or never when the process ends.
 """
 
 from __future__ import annotations
 
 import json
+from collections import deque
 
 from std_msgs.msg import String
 
@@ -33,6 +35,8 @@ class ChangeLog:
 
     def __init__(self, node: str):
         self._node = node
+        self._entries: deque[str] = deque()
+        self._made = 0
         self.close()
 
     def open(self, publisher, parameters: dict) -> None:
@@ -46,6 +50,7 @@ class ChangeLog:
             Flat dotted names.
         """
         self._publisher, self._number, self._is_over = publisher, 0, False
+        self._entries = deque(maxlen=publisher.qos_profile.depth)
         self.publish({"sample": 0, "node": self._node, "action": CONFIGURED, "parameters": parameters})
 
     def close(self) -> None:
@@ -62,10 +67,33 @@ class ChangeLog:
         """
         if self._publisher is not None:
             self._number += 1
-            self._publisher.publish(String(data=json.dumps({**entry, "number": self._number})))
+            text = json.dumps({**entry, "number": self._number})
+            self._entries.append(text)
+            self._made += 1
+            self._publisher.publish(String(data=text))
 
-    def end(self, sample: int) -> None:
-        """Say, once, that the run is over at a sample: no entry follows that belongs to it."""
+    def since(self, made: int) -> tuple[list[str], int]:
+        """Return the entries after the first so many, as JSON, and how many there are by now.
+
+        Parameters
+        ----------
+        made : int
+            What was returned before; 0: all that are still published.
+        """
+        new = min(self._made - made, len(self._entries))
+        return list(self._entries)[len(self._entries) - new :], self._made
+
+    def end(self, sample: int, stopped: bool = False) -> None:
+        """Say, once, that the run is over at a sample: no entry follows that belongs to it.
+
+        Parameters
+        ----------
+        sample : int
+            Number of the next sample.
+        stopped : bool
+            Whether somebody has ended it before its time.
+        """
         if not self._is_over:
             self._is_over = True
-            self.publish({"sample": sample, "node": self._node, "action": ENDED, "parameters": {}})
+            told = {"stopped": True} if stopped else {}
+            self.publish({"sample": sample, "node": self._node, "action": ENDED, "parameters": {}, **told})

@@ -256,7 +256,7 @@ class FusedAxis:
             self._show(samples)
         if self.plant.runner.samples is not None:
             self.plant.runner.samples.show(loop, ended)
-        self._tell_changes()
+        self.tell_changes()
         if loop.failure or loop.is_blocked:
             self._over = True
             self.plant.fail(loop.failure or self._explain_blocked())
@@ -291,10 +291,9 @@ class FusedAxis:
             if name != "plant_simulator":
                 self.nodes[name].show(stamp, self._leaving)
 
-    def _tell_changes(self) -> None:
+    def tell_changes(self) -> None:
         """Publish what was changed since the last time, with the samples from which on it held."""
-        assert self.loop is not None
-        for change in self.loop.changes:
+        for change in self.loop.changes if self.loop is not None else ():
             if id(change) not in self._told:
                 self._told.add(id(change))
                 self.nodes[change.node].changes.publish(

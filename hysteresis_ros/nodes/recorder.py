@@ -82,6 +82,8 @@ class RecorderNode(AxisNode):
         self._samples: SampleWriter | None = None
         self._reader = self._fused_plant = None
         self._lost = 0
+        #: Entries that were taken of each log of changes in this process.
+        self._entries_taken: dict[str, int] = {}
 
     def build(self, parameters) -> None:
         """Open the bag."""
@@ -106,6 +108,7 @@ class RecorderNode(AxisNode):
         if files:
             bag.describe(FILES, files)
         self.recording = GuardedBag(bag, parameters.chunk_time - self._period)
+        self._entries_taken.clear()
         self.reset_blocks()
 
     @property
@@ -180,24 +183,38 @@ class RecorderNode(AxisNode):
         def write(data: bytes) -> None:
             if self.recording is None or not (topic == CHANGES or (self.active and self.running)):
                 return
+            if topic == CHANGES and self._is_taken(data):
+                return
             if topic == "joint_states" and self.end_of_run >= 0 and self.parameters.external_plant:
                 return  # somebody else goes on measuring
             self.recording.attempt(lambda bag: bag.write(subscription.topic_name, type_name, data, time.time_ns()))
             if index >= 0:
                 self._note(index)
             elif topic == CHANGES:
-                self._note_change(data)
+                self._note_change(deserialize_message(data, String).data)
 
         subscription = self.subscriber(message_type, topic, write, qos, raw=True, partner=partner)
         self.bag.add_topic(subscription.topic_name, type_name, durability)
         if index >= 0:
             self._sampled.append(subscription.topic_name)
 
-    def _note_change(self, data: bytes) -> None:
+    @property
+    def _takes_logs(self) -> bool:
+        """Whether a loop in this process makes the samples, and what changes them is taken as they are."""
+        return self.fused is not None and self.runner is not None and not self.runner.by_message
+
+    def _is_taken(self, data: bytes) -> bool:
+        """Tell whether an entry is of a log in this process, whose entries are taken where they are made."""
+        with contextlib.suppress(ValueError, AttributeError):
+            logs = self.fused.nodes if self._takes_logs else ()
+            return read_json(deserialize_message(data, String).data).get("node") in logs
+        return False
+
+    def _note_change(self, text: str) -> None:
         """Remember whose log of changes is over."""
         self._arrived = True
         with contextlib.suppress(ValueError, AttributeError):
-            entry = read_json(deserialize_message(data, String).data)
+            entry = read_json(text)
             if entry.get("action") == ENDED:
                 self._ended.add(entry.get("node"))
 
@@ -246,10 +263,11 @@ class RecorderNode(AxisNode):
         self._reader, self._fused_plant = fused.loop.reader(), plant
 
     def take_samples(self) -> None:
-        """Write what the loop has made since the last time."""
-        if self._reader is None or self._samples is None or self.bag is None:
+        """Write what the loop has made since the last time, and before it what was changed for these samples."""
+        taken = self._reader.take() if self._reader is not None else None
+        self._take_changes()
+        if taken is None or self._samples is None or self.bag is None:
             return
-        taken = self._reader.take()
         count = taken.table.shape[1]
         self._lost += taken.lost
         if taken.lost:
@@ -263,6 +281,19 @@ class RecorderNode(AxisNode):
         self.recording.attempt(lambda _: self._samples.write(stamps, taken.table, **given))
         self._counts = [taken.first + count - self._lost] * len(self._topics)
         self._arrived = True
+
+    def _take_changes(self) -> None:
+        """Write what the logs in this process say: in the bag it comes before the samples that it is needed for."""
+        if not self._takes_logs:
+            return
+        self.fused.tell_changes()
+        topic, new = self.resolve_topic_name(CHANGES), []
+        for node in self.fused.nodes.values():
+            texts, self._entries_taken[node.kind] = node.changes.since(self._entries_taken.get(node.kind, 0))
+            new += texts
+        for text in new:
+            self.recording.attempt(lambda bag, text=text: bag.write_string(topic, text, time.time_ns()))
+            self._note_change(text)
 
     def _send_acknowledgement(self) -> None:
         self._acknowledged = min(self._counts)
@@ -309,7 +340,9 @@ class RecorderNode(AxisNode):
         """Tell whether no message is under way any more."""
         if self._arrived:
             self._last_arrival, self._arrived = time.monotonic(), False
-        return time.monotonic() - self._last_arrival > QUIET
+        silent = time.monotonic() - self._last_arrival > QUIET
+        # who stops a run tells all nodes at once in lockstep; elsewhere one axis may go on without its recorder
+        return silent and not ((self.runner.exact or self._ended) and self._lacking_changes())
 
     @property
     def has_lost(self) -> bool:

@@ -210,6 +210,8 @@ def _leave(executor, nodes, regular: bool) -> None:
         # A lockstep run that ended regularly has exactly one voltage a sample, and its plant is gone.
         if not (regular and node.runner.exact):
             node.runner.go_safe()
+            if not node.is_fused:  # a loop's recorder takes the log where it is made
+                node.changes.end(node.sample, stopped=True)
         if node.listens_at_exit and not regular:
             listening.append(node)
         else:

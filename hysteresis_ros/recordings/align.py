@@ -17,6 +17,7 @@ import numpy as np
 
 from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.recordings import cdr
+from hysteresis_ros.recordings.bag_files import FILES
 from hysteresis_ros.recordings.bag_reader import Bag, Topic, read_bag
 from hysteresis_ros.recordings.change_log import ChangeLog, read_log
 from hysteresis_ros.recordings.configured import configured
@@ -110,8 +111,8 @@ def align(bag: Bag, namespace: str | None = None, *, further: bool = False) -> R
     Recording
         Eight columns, or more with ``further``; ``metadata`` holds ``late_commands`` (as the plant last reported them),
         ``missing_samples``, ``missing_changes``, ``missing`` (per signal), ``changes``, ``parameters`` (of each node as
-        it was configured), ``provenance`` (versions), ``messages`` (per topic), ``notes``, ``timing``,
-        ``configuration``, ``namespace``, ``complete``, ``start_time_ns`` and ``source``.
+        it was configured), ``provenance`` (versions), ``files`` (that parameters name, packed), ``messages`` (per
+        topic), ``notes``, ``timing``, ``configuration``, ``namespace``, ``complete``, ``start_time_ns`` and ``source``.
 
     Raises
     ------
@@ -180,6 +181,7 @@ def _told(bag: Bag, prefix: str, log: ChangeLog, notes: list[str]) -> dict:
         "changes": log.changes,
         "parameters": log.parameters,
         "provenance": bag.words.get(RECORD, {}),
+        "files": bag.words.get(FILES, {}),
         "recorded_ns": _recorded(bag, prefix),
         "missing_changes": log.lacking,
         "messages": {name: len(bag.topics[name].data) for name in sorted(bag.topics) if name.startswith(f"{prefix}/")},

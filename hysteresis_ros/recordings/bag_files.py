@@ -16,9 +16,9 @@ import binascii
 import contextlib
 import hashlib
 import pathlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 
-from hysteresis_ros.recordings.bag_reader import read_bag
+from hysteresis_ros.errors import RecordingError
 
 #: Name of the words; of a file of more bytes than this there is only its digest.
 FILES, LARGEST = "hysteresis_ros files", 2**20
@@ -44,22 +44,61 @@ def packed_files(paths: Iterable[pathlib.Path]) -> dict[str, str]:
     return words
 
 
-def files_of(path) -> dict[str, bytes]:
-    """Return the files in a recording by the paths they had, as far as their content is there.
+def whole(words: Mapping[str, str]) -> dict[str, bytes]:
+    """Return the content of files by the paths they had, as far as it is there.
 
     Parameters
     ----------
-    path : path-like
-        Of the bag.
-
-    Raises
-    ------
-    RecordingError
-        It cannot be read.
+    words : mapping of str to str
+        As :func:`packed_files` gives them.
     """
     found = {}
-    for name, text in read_bag(pathlib.Path(path)).words.get(FILES, {}).items():
+    for name, text in words.items():
         if text.startswith(WHOLE):
             with contextlib.suppress(binascii.Error, ValueError):
                 found[name] = base64.b64decode(text.removeprefix(WHOLE), validate=True)
     return found
+
+
+def note_on_disk(name: str, content: bytes) -> str:
+    """Return in one line that the file on this disk is another one now; empty: it is not, or there is none.
+
+    Parameters
+    ----------
+    name : str
+        Path.
+    content : bytes
+        What the recording holds.
+    """
+    with contextlib.suppress(OSError, ValueError):
+        path = pathlib.Path(name)
+        if path.is_file() and (path.stat().st_size != len(content) or path.read_bytes() != content):
+            return f"{name} on this disk is not the file that the run was made with, which is in the recording and used"
+    return ""
+
+
+def require_same(name: str, text: str) -> None:
+    """Refuse to repeat a run with a file of which the recording holds a digest only, unless it is that on this disk.
+
+    Parameters
+    ----------
+    name : str
+        Path.
+    text : str
+        Words of the file.
+
+    Raises
+    ------
+    RecordingError
+        It is not there, or another one.
+    """
+    try:
+        with pathlib.Path(name).open("rb") as stream:
+            same = DIGEST + hashlib.file_digest(stream, "sha256").hexdigest() == text
+    except (OSError, ValueError):
+        same = False
+    if not same:
+        raise RecordingError(
+            f"{name}: the run was made with this file, which is too large for the recording, and it is not on this "
+            f"disk any more ({text}); put it there to repeat the run"
+        )

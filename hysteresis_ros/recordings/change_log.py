@@ -33,7 +33,7 @@ class ChangeLog:
     lacking : int
         Entries that are missing between others, by their numbers.
     stopped : bool
-        Whether the nodes have kept a log and no end of the run stands in it: somebody has stopped them.
+        Whether the nodes have kept a log that does not end with the end of the run: somebody has stopped them.
     """
 
     changes: list[dict] = field(default_factory=list)
@@ -49,7 +49,7 @@ class ChangeLog:
             # a node that is configured anew begins with 1 again
             self.lacking += max(number - self._last.get(node, number - 1) - 1, 0)
             self._last[node] = number
-        self.stopped = action != ENDED
+        self.stopped = action != ENDED or entry.get("stopped") is True
         if action == CONFIGURED:
             self._configure(node, entry.get("parameters"))
         elif action != ENDED:

@@ -17,6 +17,7 @@ from click.testing import CliRunner
 
 from hysteresis_ros.cli.main import main
 from hysteresis_ros.configuration import load_configuration
+from hysteresis_ros.recordings.bag_files import LARGEST, packed_files
 from hysteresis_ros.recordings.files import load_run, save_run
 from hysteresis_ros.simulation.axes import single_axis
 from hysteresis_ros.simulation.run import simulate
@@ -55,3 +56,43 @@ def test_what_cannot_be_repeated_is_refused(tmp_path):
     assert code == 2 and "only lockstep and fused runs repeat" in line
     code, line = verify(tmp_path / "nothing")
     assert code == 2 and "no such file" in line
+
+
+@pytest.fixture
+def scanned(tmp_path):
+    """Return what makes a recording of a run in lockstep along a file with so many empty lines, and that file."""
+
+    def made(empty: int):
+        scan = tmp_path / "scan.csv"
+        scan.write_text("reference [um]\n" + "".join(f"{0.1 * k:.1f}\n" for k in range(20)) + "\n" * empty)
+        of_file = {"path": str(scan), "sample_time": 1e-3}
+        followed = {"waveform__type": "file"} | {f"waveform__file__{name}": value for name, value in of_file.items()}
+        configuration = load_configuration("kim2009").override("reference_generator", **followed)
+        run = simulate(single_axis(configuration.override("", time_mode="lockstep")), duration=0.02)
+        run.metadata.update(source="bag", files=packed_files([scan]))
+        save_run(run, tmp_path / "run.npz")
+        return tmp_path / "run.npz", scan
+
+    return made
+
+
+def test_files_are_those_of_the_recording_whatever_has_become_of_them(scanned):
+    path, scan = scanned(0)
+    assert verify(path)[0] == 0
+    scan.write_text(scan.read_text().replace("0.7", "0.8"))
+    result = CliRunner().invoke(main, ["verify", str(path)])
+    assert result.exit_code == 0 and "equal the offline twin bit for bit" in result.stdout
+    assert f"{scan} on this disk is not the file that the run was made with" in result.stderr
+    scan.unlink()
+    code, line = verify(path)
+    assert code == 0 and "bit for bit" in line
+
+
+def test_a_file_that_is_too_large_for_the_recording_has_to_be_the_same_on_the_disk(scanned):
+    path, scan = scanned(LARGEST)
+    assert verify(path)[0] == 0
+    scan.write_text(scan.read_text().replace("0.7", "0.8"))
+    code, line = verify(path)
+    assert code == 2 and f"{scan}: the run was made with this file" in line
+    scan.unlink()
+    assert verify(path) == (code, line)

@@ -11,13 +11,17 @@
 
 from __future__ import annotations
 
+import itertools
+import shutil
 import signal
 import subprocess
 import sys
+import time
 from dataclasses import replace
 
 import pytest
 
+from hysteresis_ros.block import COMPILED
 from hysteresis_ros.nodes.launcher import Graph, GraphError, NodeProcess
 
 pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
@@ -32,6 +36,47 @@ from nodes_support import (  # noqa: E402
     shortened,
     until,
 )
+
+
+def change_often(fused, least: int) -> None:
+    """Change the controller of a fused axis, a few samples after each other, until it has made so many samples."""
+    values = itertools.cycle([0.9, 0.8])
+    while fused.loop.sample < least:
+        fused.apply("motion_controller", "retune", {"sliding_mode.phi": next(values)})
+
+
+@pytest.mark.skipif(not COMPILED, reason="without Numba the fused loop is too slow for this axis")
+@pytest.mark.parametrize("ending", ["stopped", "killed"])
+def test_a_fused_run_verifies_however_it_ends_though_no_message_of_its_log_has_come(inside, tmp_path, ending):
+    """Nobody spins: what a busy machine delivers late does not come at all here."""
+    from hysteresis_ros.nodes.fused import FusedAxis
+    from hysteresis_ros.nodes.recorder import RecorderNode
+    from hysteresis_ros.recordings.files import load_run
+    from hysteresis_ros.simulation.run import differences
+
+    overrides = {"plant_simulator": {"late_limit": -1}, "recorder": {"path": str(tmp_path / "bag")}}
+    axis = axis_parameters(overrides=overrides, time_mode="fused")
+    fused = FusedAxis()
+    recorder = fused.join(inside.add(RecorderNode, axis.recorder, autostart=False))
+    nodes = [recorder, *(fused.join(node) for node in compose(inside, axis, autostart=False))]
+    assert all(node.configure_now() for node in nodes) and all(node.activate_now() for node in nodes)
+    fused.loop.set(setpoint=4e-6)
+    change_often(fused, 600)
+    recorder.take_samples()
+    change_often(fused, 1500)
+    if ending == "killed":
+        recorder.take_samples()
+        change_often(fused, 2000)
+        # what the operating system has by now is what a SIGKILL leaves
+        shutil.copytree(tmp_path / "bag", tmp_path / "left")
+    for node in reversed(nodes):
+        node.leaving = True
+        node.release()
+    left = tmp_path / ("left" if ending == "killed" else "bag")
+    run = load_run(left, further=True)
+    assert run.metadata["complete"] == (ending == "stopped") and len(run) >= 600
+    assert sum(change["sample"] < len(run) for change in run.metadata["changes"]) > 4
+    assert differences(run, axis) == {} and run.metadata["missing_changes"] == 0
 
 
 def test_a_change_that_comes_after_the_last_sample_is_still_recorded(inside, tmp_path):
@@ -66,6 +111,47 @@ def test_a_change_that_comes_after_the_last_sample_is_still_recorded(inside, tmp
     recorded = run.result()
     assert [entry["parameters"] for entry in recorded.metadata["changes"]] == [{"pid.Ki": 33.0}]
     assert recorded.metadata["missing_changes"] == 0 and differences(recorded, axis) == {}
+
+
+def test_a_run_in_lockstep_that_is_stopped_keeps_its_last_change_however_late_its_message_comes(inside, tmp_path):
+    from rclpy.parameter import Parameter
+
+    from hysteresis_ros.nodes import spin
+    from hysteresis_ros.recordings.files import load_run
+    from hysteresis_ros.simulation.run import differences
+
+    overrides = {node: dict(values) for node, values in REAL.items()}
+    overrides["reference_generator"] |= SINE
+    run = RecordedRun(inside, axis_parameters(overrides=overrides, time_mode="lockstep"), tmp_path / "bag")
+    held, log = [], run.controller.changes
+    publish = log._publisher.publish
+    log._publisher = type("Held", (), {"publish": staticmethod(held.append)})
+    step = run.controller.after_step
+
+    def change():
+        step()
+        if run.controller.sample == 60:
+            assert run.controller.set_parameters_atomically([Parameter("pid.Ki", value=33.0)]).successful
+
+    drained, found = run._recorder.drained, []
+
+    def silent():
+        """It comes when all has been silent for so long that a recorder left."""
+        run._recorder._arrived, run._recorder._last_arrival = False, time.monotonic() - 2 * spin.QUIET
+        found.append(drained())
+        while held and not found[-1]:
+            publish(held.pop(0))
+        return found[-1]
+
+    run.controller.after_step, run._recorder.drained = change, silent
+    while run.controller.sample <= 80:
+        inside.executor.spin_once(timeout_sec=0.02)
+    spin._leave(inside.executor, inside.nodes, regular=False)
+    assert not held and found[-1]  # it left because all was said, and not because it had waited long enough
+    recorded = load_run(tmp_path / "bag", further=True)
+    assert [change["parameters"] for change in recorded.metadata["changes"]] == [{"pid.Ki": 33.0}]
+    assert len(recorded) > 60 and recorded.metadata["missing_samples"] == 0
+    assert differences(recorded, run.axis) == {}
 
 
 def test_a_full_disk_ends_the_recording_and_not_the_axis(inside, observer, tmp_path, monkeypatch):

@@ -285,8 +285,11 @@ def test_an_incomplete_end_is_left_out_and_counts_only_in_a_bag_that_was_closed(
     assert not killed.metadata["complete"] and killed.metadata["missing_samples"] == 0
 
 
-@pytest.mark.parametrize(("ended", "whole", "missing"), [(True, 29, 1), (False, 29, 0), (False, 28, 1), (True, 30, 0)])
-def test_the_sample_in_which_a_run_was_stopped_is_not_missing(tmp_path, ended, whole, missing):
+@pytest.mark.parametrize(
+    ("ending", "whole", "missing"),
+    [({}, 29, 1), (None, 29, 0), (None, 28, 1), ({}, 30, 0), ({"stopped": True}, 29, 0), ({"stopped": True}, 28, 1)],
+)
+def test_the_sample_in_which_a_run_was_stopped_is_not_missing(tmp_path, ending, whole, missing):
     node = {"node": "motion_controller"}
     with BagWriter(tmp_path / "bag") as bag:
         bag.write_string("/changes", json.dumps(node | {"action": "configure", "number": 1, "parameters": {}}), 0)
@@ -294,8 +297,9 @@ def test_the_sample_in_which_a_run_was_stopped_is_not_missing(tmp_path, ended, w
             bag.write_joint_state("/joint_states", k * 1000, ("piezo",), (0.0,))
             if k < whole:
                 bag.write_joint_state("/motion_controller/state", k * 1000, ("command",), (k,))
-        if ended:
-            bag.write_string("/changes", json.dumps(node | {"action": "end", "number": 2, "sample": 30}), 30000)
+        if ending is not None:
+            end = node | {"action": "end", "number": 2, "sample": 30} | ending
+            bag.write_string("/changes", json.dumps(end), 30000)
     run = read_recording(tmp_path / "bag")
     assert len(run) == whole and run.metadata["missing_samples"] == missing
 

@@ -25,7 +25,7 @@ from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.loop.named_files import named_files
 from hysteresis_ros.recordings import Recording, cdr, guarded_bag
 from hysteresis_ros.recordings.align import read_recording
-from hysteresis_ros.recordings.bag_files import FILES, LARGEST, files_of, packed_files
+from hysteresis_ros.recordings.bag_files import FILES, LARGEST, packed_files, whole
 from hysteresis_ros.recordings.bag_reader import read_bag
 from hysteresis_ros.recordings.bag_writer import BagWriter
 from hysteresis_ros.recordings.batch_writer import SampleWriter
@@ -115,7 +115,7 @@ def test_files_that_parameters_name_to_be_read_are_in_the_bag(tmp_path):
     with BagWriter(tmp_path / "bag") as bag:
         bag.describe(FILES, words)
         bag.write_float64("/voltage", 1.0, 1)
-    assert files_of(tmp_path / "bag") == {str(read): b"a: 1\n"}
+    assert whole(read_bag(tmp_path / "bag").words[FILES]) == {str(read): b"a: 1\n"}
     assert words[str(large)] == "sha256:" + hashlib.sha256(large.read_bytes()).hexdigest()
 
 
