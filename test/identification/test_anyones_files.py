@@ -263,7 +263,8 @@ def test_stamps_out_of_order_are_put_on_a_grid(tmp_path):
 def test_units_of_all_spellings_and_numbers_for_people():
     assert conversion("Volts") == conversion("V") == ("V", 1.0)
     assert conversion("10um/V") == ("m", pytest.approx(1e5)) and conversion("2 nm/mV") == ("m", pytest.approx(5e5))
-    assert conversion("furlong") is None and conversion("um/s") is None
+    assert conversion("furlong") is None and conversion("um/h") is None
+    assert conversion("um/s") == ("m/s", 1e6) and conversion("nm/s") == ("m/s", 1e9)
     assert named_column("ai0:10um/V") == ("ai0", "10um/V") and named_column("Position (µm)") == ("Position", "µm")
     assert [readable(value, "m") for value in (2.1484e-7, 4.32e-2, 3.3e-10)] == ["0.2148 µm", "43.2 mm", "0.33 nm"]
     assert [readable(value, "s") for value in (0.0175, 2e-5, 3.0)] == ["17.5 ms", "20 µs", "3 s"]
