@@ -7,10 +7,11 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""One axis, one master: each input of a node is fed by one publisher, and by another one when that is silent.
+"""One axis, one master: each input of a node is fed by one publisher, and by another one when that is silent or gone.
 
 A node takes what comes on an input from whoever sent the first message, known by its identity, until nothing has come
-from there for as long as the node waits for the input before it goes safe. What somebody else sends meanwhile moves
+from there for as long as the node waits for the input before it goes safe, or until its publisher, which was in the
+graph, has left it: a partner that is configured anew is taken at once. What somebody else sends meanwhile moves
 nothing, and diagnostics name both.
 """
 
@@ -38,6 +39,10 @@ DISCOVERY, TURN = 2.0, 0.05
 #: Seconds between two complaints about refused messages.
 TELL = 10.0
 
+#: Seconds between two looks whether a master has left the graph while somebody else sends: a look takes as long as ten
+#: messages.
+GRAPH_LOOK = 0.02
+
 #: What to do about two masters.
 REMEDY = "stop one of them, or give it another namespace or ROS_DOMAIN_ID"
 
@@ -59,7 +64,8 @@ class Master:
         self._masters, self.topic, self._callback = masters, topic, callback
         self.identity: bytes | None = None
         self._rival = b""
-        self.heard = self._told = -math.inf
+        self._was_there = False
+        self.heard = self._told = self._looked = -math.inf
         self.refused = 0
 
     def take(self, message, identity: bytes) -> None:
@@ -84,11 +90,12 @@ class Master:
 
     def _admits(self, identity: bytes) -> bool:
         masters, now = self._masters, time.monotonic()
-        free = self.identity in (None, identity) or masters.is_over(self.heard, now)
+        free = self.identity in (None, identity) or masters.is_over(self.heard, now) or self._has_left(now)
         if free and (identity or masters.count(self.topic) < 2):
             if self.identity not in (None, identity):
                 masters.tell_of_change(self, identity)
-            self.identity = identity
+            self.identity, self._was_there = identity, False
+            self.find()
             return True
         self.refused += 1
         self._rival = identity
@@ -96,6 +103,18 @@ class Master:
             self._told = now
             masters.warn(self)
         return False
+
+    def find(self) -> None:
+        """Note that the publisher which is followed is in the graph: only then can it be seen to leave."""
+        if self.identity and not self._was_there:
+            self._was_there = self._masters.is_there(self.topic, self.identity)
+
+    def _has_left(self, now: float) -> bool:
+        """Tell whether the publisher that was followed has left the graph in order; one that was killed stays in it."""
+        if not self._was_there or now - self._looked < GRAPH_LOOK:
+            return False
+        self._looked = now
+        return not self._masters.is_there(self.topic, self.identity)
 
     @property
     def refusal(self) -> str:
@@ -183,6 +202,11 @@ class Masters:
         """Return how many publish a topic."""
         return self._node.count_publishers(topic)
 
+    def is_there(self, topic: str, identity: bytes) -> bool:
+        """Tell whether the graph knows a publisher of a topic."""
+        found = self._node.get_publishers_info_by_topic(topic)
+        return any(bytes(endpoint.endpoint_gid) == identity for endpoint in found)
+
     def name_of(self, topic: str, identity: bytes) -> str:
         """Return the full name of the node of a publisher; of one that cannot be told, who it may be."""
         found = self._node.get_publishers_info_by_topic(topic)
@@ -195,8 +219,8 @@ class Masters:
     def tell_of_change(self, master: Master, identity: bytes) -> None:
         """Say that somebody else feeds an input from now on."""
         self._node.get_logger().info(
-            f"{master.topic} is taken from {self.name_of(master.topic, identity)} now: nothing has come from the one "
-            f"before for {self.patience:g} s"
+            f"{master.topic} is taken from {self.name_of(master.topic, identity)} now: the one before has left, or "
+            f"nothing has come from it for {self.patience:g} s"
         )
 
     def warn(self, master: Master) -> None:
@@ -206,6 +230,8 @@ class Masters:
     def complaint(self) -> str:
         """Say who feeds the topics of the loop beside their masters; empty when nobody does."""
         node = self._node
+        for master in self._inputs:
+            master.find()
         refused = {m.topic: m for m in self._inputs if node.since_report(f"refused {m.topic}", m.refused)}
         found = [master.refusal for master in refused.values()]
         topics = {master.topic for master in self._inputs} | set(node.loop_topics)

@@ -107,6 +107,40 @@ def test_who_came_first_is_heard_and_nobody_else_until_he_has_been_silent_for_th
     assert led.taken[-1] == 2.0
 
 
+@pytest.mark.parametrize("known", ["at once", "later"])
+def test_who_has_left_the_graph_is_followed_by_another_at_once_and_who_is_in_it_by_nobody(led, known):
+    if known == "later":  # the first message comes before the graph tells of its publisher
+        led.node.names = {THEIRS: "compensator"}
+    led.master.take(1.0, OURS)
+    led.master.take(2.0, THEIRS)
+    led.node.names = {OURS: "compensator", THEIRS: "compensator"}
+    if known == "later":
+        assert led.taken == [1.0]  # nobody has seen him come: he cannot be seen to leave
+        led.masters.complaint()
+    for _ in range(3):  # both are there
+        pass_time(led, 0.03)
+        led.master.take(2.0, THEIRS)
+    assert led.taken == [1.0]
+    led.node.names = {THEIRS: "compensator"} if known == "at once" else {}
+    pass_time(led, 0.03)
+    led.master.take(2.0, THEIRS)
+    assert led.taken == [1.0, 2.0] and "/voltage is taken from /compensator now" in led.node.told[0]
+    led.node.names |= {OURS: "compensator"}  # and now he is the second one
+    pass_time(led, 0.03)
+    led.master.take(1.0, OURS)
+    assert led.taken == [1.0, 2.0]
+
+
+def test_a_flood_of_somebody_else_does_not_ask_the_graph_for_each_message(led, monkeypatch):
+    asked = []
+    monkeypatch.setattr(led.masters, "is_there", lambda *of: asked.append(of) or True)
+    led.master.take(1.0, OURS)
+    for _ in range(1000):
+        led.clock.now += 1e-4
+        led.master.take(2.0, THEIRS)
+    assert led.taken == [1.0] and len(asked) <= 2 + 0.1 / masters.GRAPH_LOOK
+
+
 def test_both_are_named_as_long_as_there_are_two(led):
     led.node.publishers = 1
     assert led.masters.complaint() == ""
@@ -215,7 +249,7 @@ def test_a_second_sender_of_voltage_moves_nothing_and_diagnostics_name_both(insi
     """Also where ROS does not tell who sends: then nobody is heard while there are two."""
     if not told:
         monkeypatch.setattr(identified.ctypes, "PyDLL", lambda name: (_ for _ in ()).throw(OSError(name)))
-    overrides = {"plant_simulator": {"voltage_timeout": 60.0, "late_limit": -1, "real_time_factor": 1.0}}
+    overrides = {"plant_simulator": {"voltage_timeout": 600.0, "late_limit": -1, "real_time_factor": 1.0}}
     axis = axis_parameters(sample_rate=50.0, overrides=overrides)
     plant = inside.add(PlantSimulatorNode, axis.plant_simulator)
     inside.spin()
@@ -239,6 +273,14 @@ def test_a_second_sender_of_voltage_moves_nothing_and_diagnostics_name_both(insi
         return first in status.message and second in status.message
 
     until(both_named, what="both names")
+    assert 50.0 not in seen
+    observers[0].node.destroy_publisher(ours)  # as a partner does that is configured anew
+
+    def followed() -> bool:
+        theirs.publish(Float64(data=51.0))
+        return 51.0 in seen
+
+    until(followed, what="the other one's voltage, long before the time-out")
     assert 50.0 not in seen
 
 
