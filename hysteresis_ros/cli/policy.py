@@ -31,7 +31,8 @@ def policy(config, output, processes, rate, record, plant, namespace, remap):
     """Write what each process of CONFIG uses, and nothing else, as a policy that `ros2 security` reads.
 
     The nodes are made and asked where nobody hears them; no device is opened. Beside their enclaves there are those of
-    an operator, who may say what people say and call services, of a monitor, who may only hear, and of epics_ioc.
+    an operator, who may say what people say and call services, of a monitor, who may only hear, of watch, who serves
+    the page, and of epics_ioc.
     """
     from hysteresis_ros.nodes.apart import run_apart
 

@@ -15,6 +15,7 @@ import os
 import pathlib
 import subprocess
 import sys
+import threading
 import xml.etree.ElementTree as xml
 from dataclasses import replace
 
@@ -22,7 +23,10 @@ import pytest
 
 pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
 
+import rclpy  # noqa: E402
 from nodes_support import axis_parameters, until  # noqa: E402
+from rclpy.context import Context  # noqa: E402
+from waiting import PATIENCE  # noqa: E402
 
 from hysteresis_ros.errors import HysteresisError  # noqa: E402
 from hysteresis_ros.nodes.domain import entered  # noqa: E402
@@ -38,6 +42,7 @@ from hysteresis_ros.nodes.security.policy import (  # noqa: E402
     profile,
 )
 from hysteresis_ros.nodes.security.used import NODES, enclaves_of, used_by  # noqa: E402
+from hysteresis_ros.nodes.watch.link import AxisLink  # noqa: E402
 
 LOOP = {"/left/reference", "/left/command", "/left/applied", "/left/voltage", "/left/joint_states"}
 
@@ -88,14 +93,48 @@ def test_a_running_axis_uses_what_its_policy_allows_neither_more_nor_less(inside
         wanted = replace(allowed[name], hears=lasting)
         until(lambda seen=seen, wanted=wanted: seen() == wanted, what=f"{name}: {wanted}")
         assert allowed[name].publishes and allowed[name].serves
+    compare_with_a_page(observer, allowed["watch"], tmp_path)
+
+
+def compare_with_a_page(observer, allowed: Profile, folder) -> None:
+    """Let a page do all it can, and compare what it then uses."""
+    context, over = Context(), threading.Event()
+    rclpy.init(context=context, domain_id=observer.node.context.get_domain_id())
+    link = AxisLink("/left", folder, context)
+    working = threading.Thread(target=link.run, args=(over,), daemon=True)
+    working.start()
+    try:
+        until(lambda: link.memory.is_live, what="a page that hears samples")
+        asked = (
+            lambda: link.record(True),
+            lambda: link.change("motion_controller", {"sliding_mode.phi": "0.8"}),
+            lambda: link.mark("here"),
+            link.hold,
+            link.start,
+            lambda: link.record(False),
+        )
+        for job in asked:
+            link.ask(job).result(PATIENCE)
+        own = link.node.get_name()
+        lasting = tuple(topic for topic in allowed.hears if topic != "/left/joint_states")  # only as a recording begins
+        wanted = replace(allowed, hears=lasting, node=own)
+        wanted = replace(wanted, serves=tuple(name.replace("_hysteresis_*", own) for name in allowed.serves))
+        until(lambda: own in observer.node.get_node_names(), what="a page that is seen")
+        until(lambda: used_by(observer.node, own, "/left") == wanted, what=f"a page: {wanted}")
+    finally:
+        over.set()
+        working.join()
+        context.try_shutdown()
 
 
 def test_only_the_compensator_may_say_voltage(policies):
     for mode in ("realtime", "fused"):
         said = {name: set(one.publishes) for name, one in profiles(policies[mode]).items()}
         assert {name for name, topics in said.items() if "/left/voltage" in topics} == {"hysteresis_compensator"}
-        assert not said["operator"] & LOOP and "/left/setpoint" in said["operator"]
+        assert not (said["operator"] | said["watch"]) & LOOP and "/left/setpoint" in said["operator"]
         assert said["monitor"] == {"/rosout", "/parameter_events"}
+        steered = {f"/left/{name}" for name in ("setpoint", "speed", "estop", "marker")}
+        assert said["watch"] == steered | {"/parameter_events"}
         assert not any("*" in topic for topics in said.values() for topic in topics)
     watching = profiles(policies["realtime"])["monitor"]
     assert not watching.asks and not watching.calls and "/left/voltage" in watching.hears

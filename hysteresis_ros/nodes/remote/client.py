@@ -160,6 +160,18 @@ class Client:
             return f"there is nobody in the ROS domain {os.environ.get('ROS_DOMAIN_ID', '0')}: does an axis run?"
         return f"there are {', '.join(found)}{did_you_mean(wanted, found) if wanted else ''}"
 
+    def make_client(self, kind, service: str):
+        """Return what asks for a service, kept: finding a service takes longer than its answer.
+
+        Parameters
+        ----------
+        kind : type
+            Of the service.
+        service : str
+            Full name.
+        """
+        return self._clients.get(service) or self._clients.setdefault(service, self.node.create_client(kind, service))
+
     def ask(self, kind, service: str, request=None, seconds: float | None = None):
         """Return the answer of a service.
 
@@ -179,8 +191,7 @@ class Client:
         AbsentError
             Nobody offers it, or nobody answers.
         """
-        # kept: finding a service takes longer than its answer
-        client = self._clients.get(service) or self._clients.setdefault(service, self.node.create_client(kind, service))
+        client = self.make_client(kind, service)
         allowed = self.timeout if seconds is None else seconds
         owner = service.rsplit("/", 1)[0]
         if not self.until(client.service_is_ready, allowed):

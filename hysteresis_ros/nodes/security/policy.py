@@ -22,8 +22,8 @@ from dataclasses import dataclass, fields
 
 VERSION = "0.2.0"
 
-#: Enclaves of who steers an axis, who watches one, and who serves motor records.
-OPERATOR, MONITOR, RECORDS = "operator", "monitor", "epics_ioc"
+#: Enclaves of who steers an axis, who watches one, who serves its page, and who serves motor records.
+OPERATOR, MONITOR, PAGE, RECORDS = "operator", "monitor", "watch", "epics_ioc"
 
 #: Names of the topics and services that an action consists of have this in them.
 ACTION = "/_action/"

@@ -30,7 +30,7 @@ from hysteresis_ros.errors import HysteresisError
 from hysteresis_ros.loop.axis_parameters import AxisParameters, node_names
 from hysteresis_ros.nodes.discovery import stay_on_this_machine
 from hysteresis_ros.nodes.displacement_camera import DisplacementCameraNode
-from hysteresis_ros.nodes.epics.link import AxisLink
+from hysteresis_ros.nodes.epics.link import AxisLink as RecordsLink
 from hysteresis_ros.nodes.epics.settings import RecordOptions, motor_settings
 from hysteresis_ros.nodes.fused import FusedAxis
 from hysteresis_ros.nodes.hysteresis_compensator import HysteresisCompensatorNode
@@ -43,6 +43,7 @@ from hysteresis_ros.nodes.remote.client import Client
 from hysteresis_ros.nodes.security.policy import (
     MONITOR,
     OPERATOR,
+    PAGE,
     RECORDS,
     Enclave,
     Profile,
@@ -52,6 +53,7 @@ from hysteresis_ros.nodes.security.policy import (
     profile,
 )
 from hysteresis_ros.nodes.setpoint_publisher import SetpointPublisher
+from hysteresis_ros.nodes.watch.link import AxisLink
 
 NODES = {
     "plant_simulator": PlantSimulatorNode,
@@ -151,6 +153,7 @@ def _of_axis(axis, context, how: tuple[bool, bool], remap, folder: pathlib.Path)
     steering = operator(namespace, everyone, own), publisher
     enclaves.append(Enclave(enclave_of(namespace, OPERATOR), steering))
     enclaves.append(Enclave(enclave_of(namespace, MONITOR), (monitor(namespace, everyone, own),)))
+    enclaves.append(Enclave(enclave_of(namespace, PAGE), (_of_a_page(axis, context),)))
     return enclaves
 
 
@@ -202,6 +205,21 @@ def _of_a_command(axis: AxisParameters, context) -> Profile:
     return replace(own, serves=tuple(sorted(there)), publishes=tuple(sorted({*own.publishes, "/rosout"})))
 
 
+def _of_a_page(axis: AxisParameters, context) -> Profile:
+    """Return what the page of an axis uses, whatever the number of its process."""
+    link = AxisLink(axis.namespace, pathlib.Path(), context)
+    try:
+        link.connect_to(axis)
+        own = used_by(link.node)
+    finally:
+        link.close()
+    numbered = f"_hysteresis_{os.getpid()}"
+    serves = tuple(sorted(name.replace(numbered, "_hysteresis_*") for name in own.serves))
+    # heard only as long as a recording begins
+    hears = tuple(sorted({*own.hears, f"{axis.namespace}/joint_states"}))
+    return replace(own, node=PAGE, serves=serves, hears=hears)
+
+
 def _of(make) -> Profile:
     """Return what a plain node uses, which goes again."""
     node = make()
@@ -217,7 +235,7 @@ def _of_records(axes: list[AxisParameters], context) -> Profile:
     def server():
         node = rclpy.create_node(RECORDS, context=context, start_parameter_services=False)
         for axis in axes:
-            AxisLink(node, motor_settings(axis, RecordOptions("", "um", 4, 10.0)))
+            RecordsLink(node, motor_settings(axis, RecordOptions("", "um", 4, 10.0)))
         return node
 
     return _of(server)

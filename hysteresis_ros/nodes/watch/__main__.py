@@ -25,7 +25,7 @@ from aiohttp import web
 from rclpy.signals import SignalHandlerOptions
 
 from hysteresis_ros.nodes.discovery import stay_on_this_machine
-from hysteresis_ros.nodes.security.policy import OPERATOR, enclave_of
+from hysteresis_ros.nodes.security.policy import PAGE, enclave_of
 from hysteresis_ros.nodes.watch.access import Access, new_token
 from hysteresis_ros.nodes.watch.link import AxisLink
 from hysteresis_ros.nodes.watch.server import Server
@@ -39,7 +39,7 @@ def main() -> int:
     request = json.loads(sys.argv[1])
     stay_on_this_machine()
     namespace, bind = request["namespace"], request["bind"]
-    enclave = ["--ros-args", "--enclave", enclave_of(namespace, OPERATOR)]
+    enclave = ["--ros-args", "--enclave", enclave_of(namespace, PAGE)]
     over = threading.Event()
     try:
         rclpy.init(args=enclave, signal_handler_options=SignalHandlerOptions.NO)

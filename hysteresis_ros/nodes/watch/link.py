@@ -23,6 +23,8 @@ from typing import Any
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
 from rcl_interfaces.msg import ParameterEvent
+from rcl_interfaces.srv import GetParameters, ListParameters, SetParametersAtomically
+from rclpy.context import Context
 from rclpy.qos import qos_profile_parameter_events
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64, Float64MultiArray, String
@@ -40,6 +42,7 @@ from hysteresis_ros.nodes.watch.collect import Collector
 from hysteresis_ros.nodes.watch.memory import Memory
 from hysteresis_ros.nodes.watch.motor import about
 from hysteresis_ros.nodes.watch.recording import MARKER, PageRecording
+from hysteresis_ros.nodes.watch.requests import SERVICES
 from hysteresis_ros.nodes.watch.tuning import axis_of, limits_of, table_of
 
 #: Seconds between two looks at who is there, and that an answer may take.
@@ -49,6 +52,12 @@ LEVELS = ("ok", "warning", "error", "stale")
 #: Nodes that are asked to start, in this order; those that stop all that moves where no plant of ours hears a stop.
 STARTED = (signals.PLANT, signals.COMPENSATOR, signals.CONTROLLER, signals.SOURCE, signals.MOTOR_SOURCE)
 STOPPED = (signals.COMPENSATOR, signals.CONTROLLER, signals.SOURCE, signals.MOTOR_SOURCE)
+#: Services of parameters that are asked for.
+PARAMETER_SERVICES = {
+    "list_parameters": ListParameters,
+    "get_parameters": GetParameters,
+    "set_parameters_atomically": SetParametersAtomically,
+}
 #: Depth of the topics with one message a sample.
 DEPTH = 1000
 
@@ -62,6 +71,8 @@ class AxisLink:
         Of the axis.
     folder : pathlib.Path
         Where recordings go.
+    context : rclpy.context.Context, optional
+        The default one by default.
 
     Raises
     ------
@@ -69,7 +80,7 @@ class AxisLink:
         The namespace is none.
     """
 
-    def __init__(self, namespace: str, folder: pathlib.Path):
+    def __init__(self, namespace: str, folder: pathlib.Path, context: Context | None = None):
         self.namespace, self.folder = namespace, folder
         self.memory = Memory()
         self.values: dict[str, dict] = {}
@@ -85,7 +96,8 @@ class AxisLink:
         self._states: list = []
         self._changes: list[str] = []
         self._jobs: queue.SimpleQueue[tuple[Callable[[], Any], Future]] = queue.SimpleQueue()
-        self._client = Client(namespace, ANSWER, rclpy.get_default_context(), make_executor)
+        executor = make_executor if context is None else None
+        self._client = Client(namespace, ANSWER, context or rclpy.get_default_context(), executor)
         self._client.__enter__()
         self._connect()
 
@@ -112,7 +124,16 @@ class AxisLink:
         finally:
             if self.recording is not None:
                 self.recording.finish()
-            self._client.__exit__()
+            self.close()
+
+    @property
+    def node(self):
+        """The node that hears and asks."""
+        return self._client.node
+
+    def close(self) -> None:
+        """Leave the graph; :meth:`run` does so itself."""
+        self._client.__exit__()
 
     def _connect(self) -> None:
         node, name = self._client.node, self._client.full_name
@@ -120,7 +141,7 @@ class AxisLink:
         self._speeds = node.create_publisher(Float64, name("speed"), setpoint_qos())
         self._stops = node.create_publisher(Bool, name("estop"), setpoint_qos())
         self._markers = node.create_publisher(String, name(MARKER), setpoint_qos())
-        self._triggers = {kind: node.create_client(Trigger, name(f"{kind}/stop")) for kind in STOPPED}
+        self._triggers = {kind: self._client.make_client(Trigger, name(f"{kind}/stop")) for kind in STOPPED}
         hear = node.create_subscription
         hear(Float64MultiArray, name(f"{signals.PLANT}/{TOPIC}"), self._on_block, samples_qos())
         hear(DiagnosticArray, "/diagnostics", self._on_health, diagnostics_qos())
@@ -180,13 +201,29 @@ class AxisLink:
             self._refused(f"the parameters of the nodes do not fit together: {error}")
             return
         self._begin_anew()
+        self.connect_to(self._axis)
+
+    def connect_to(self, axis: AxisParameters) -> None:
+        """Make all topics and services that are needed of an axis.
+
+        Parameters
+        ----------
+        axis : AxisParameters
+        """
+        motor = axis.inchworm_sequencer is not None
+        nodes = node_names(motor)
         for subscription in self._states:
-            self._client.node.destroy_subscription(subscription)
+            self.node.destroy_subscription(subscription)
         self._states, self._collector = [], None
-        if self._axis.plant_simulator.time_mode != "fused":
-            motor = self._axis.inchworm_sequencer is not None
-            self._collector = Collector(node_names(motor), motor)
-            self._states = [self._hear_state(node) for node in node_names(motor)]
+        if axis.plant_simulator.time_mode != "fused":
+            self._collector = Collector(nodes, motor)
+            self._states = [self._hear_state(node) for node in nodes]
+        for full in map(self._client.full_name, nodes):
+            for kind, service in PARAMETER_SERVICES.items():
+                self._client.make_client(service, f"{full}/{kind}")
+            self._client.make_client(Trigger, f"{full}/start")
+        for service in SERVICES if motor else ():
+            self._client.make_client(Trigger, self._client.full_name(f"{signals.MOTOR_SOURCE}/{service}"))
 
     def _hear_state(self, node: str):
         def take(message: JointState) -> None:
