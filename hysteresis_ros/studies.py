@@ -369,7 +369,7 @@ def compare(
     Raises
     ------
     ConfigurationError
-        It is an inchworm, or there is no such condition.
+        It is an inchworm, or there is no such condition, controller or compensator; the message lists those there are.
     ParameterError
         A condition or parameter is out of range.
 

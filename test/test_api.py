@@ -349,6 +349,11 @@ def test_a_comparison_is_that_of_the_package(monkeypatch, tmp_path):
     "ask, expected",
     [
         (lambda: hr.compare("kim2009", drawn=1), "no condition drawn; did you mean draws?"),
+        (lambda: hr.compare("kim2009", only={("PIT", "none")}), "no controller 'PIT'.*did you mean PID.*offset-free"),
+        (
+            lambda: hr.compare("kim2009", only={("PID", "exact invers")}),
+            "no compensator 'exact invers'.*did you mean exact inverse.*there are: none",
+        ),
         (lambda: hr.reproduce("kim2010"), "no paper 'kim2010'; .* did you mean kim2009?"),
         (lambda: hr.design_learning("kim2009", "inverse"), "no learning 'inverse'.*did you mean inversion?"),
         (lambda: hr.plot(hr.Run([0.0, 1.0], {"displacement": [0.0, 0.0]}), "trace"), "did you mean traces?"),

@@ -27,7 +27,7 @@ from hysteresis_ros.comparison.rows import Row, Trial, compared_with
 from hysteresis_ros.comparison.tasks import Conditions, make_tasks
 from hysteresis_ros.comparison.yardstick import yardstick
 from hysteresis_ros.configuration import Configuration, parse_configuration
-from hysteresis_ros.errors import ConfigurationError
+from hysteresis_ros.errors import ConfigurationError, did_you_mean
 from hysteresis_ros.executors.executor import executor
 from hysteresis_ros.executors.jobs import Job
 from hysteresis_ros.simulation.axes import single_axis
@@ -139,6 +139,18 @@ def _rows_on_other(seed: int, conditions: Conditions, only) -> tuple[str, Tried]
     return f"plant {seed} of another class ({kind})", Tried(seed, kind, trial.stroke, rows, measure)
 
 
+def _require_known(only, possible: Sequence[tuple[str, str]]) -> None:
+    """Refuse combinations that the axis does not have: they would be missing from the tables without a word."""
+    for position, kind in enumerate(("controller", "compensator")):
+        known_names = list(dict.fromkeys(name[position] for name in possible))
+        for name in (combination[position] for combination in only):
+            if name not in known_names:
+                raise ConfigurationError(
+                    f"there is no {kind} {name!r} to compare{did_you_mean(name, known_names)} "
+                    f"(there are: {', '.join(known_names)})"
+                )
+
+
 def compare(
     configuration: Configuration,
     conditions: Conditions | None = None,
@@ -168,7 +180,8 @@ def compare(
     Raises
     ------
     ConfigurationError
-        The configuration holds several axes, or that of an inchworm, or the plants reach no common range.
+        The configuration holds several axes, or that of an inchworm, or the plants reach no common range; or
+        ``only`` asks for a combination that the axis does not have.
     ParameterError
         A parameter is wrong, or a reference is too fast for the sample rate.
     """
@@ -182,6 +195,8 @@ def compare(
     if namespace is not None:
         configuration = parse_configuration(axis.configuration_text(), configuration.source)
     conditions.require_slow(axis.plant_simulator.sample_rate)
+    if only is not None and conditions.draws:
+        _require_known(only, names(axis))
     # what takes longest first
     jobs = [Job(_rows_on_other, (conditions.seed + i, conditions, only)) for i in range(conditions.others)]
     if conditions.draws:
