@@ -20,6 +20,8 @@ from hysteresis_ros.signals import row_signals
 
 #: Real time that is easy to hold, also interpreted: 150 samples a second.
 SLOWLY = 0.05
+#: The same for the stage of 20 kHz.
+STAGE_SLOWLY = 0.0075
 #: Nothing trips, however busy the machine is.
 ANY_LATE = {"plant_simulator": {"late_limit": -1}, **HOLD}
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from fused_support import ANY_LATE, assert_twin, change, made_loop, whole
+from fused_support import ANY_LATE, STAGE_SLOWLY, assert_twin, change, made_loop, whole
 from loop_support import assert_same_bits, axis, steps
 from waiting import until
 
@@ -34,7 +34,7 @@ CHANGES = (
 
 
 def test_a_fused_axis_makes_the_samples_of_its_twin_with_damping_that_changes():
-    loop, given = made_loop("stage700", factor=1e-3, **ANY_LATE)
+    loop, given = made_loop("stage700", factor=STAGE_SLOWLY, **ANY_LATE)
     loop.set(setpoint=5e-6)
     loop.start()
     until(lambda: loop.sample > 30)

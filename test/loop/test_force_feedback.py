@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from force_support import CLEAN, IFF, changed
-from fused_support import ANY_LATE, assert_twin, change, made_loop, whole
+from fused_support import ANY_LATE, STAGE_SLOWLY, assert_twin, change, made_loop, whole
 from loop_support import assert_same_bits, axis, parameters
 from waiting import until
 
@@ -49,7 +49,7 @@ def test_both_loops_bear_the_delay_that_their_margin_says_and_no_more(late, stay
 
 def test_a_fused_axis_makes_the_samples_of_its_twin_with_force_feedback_that_changes():
     given = {"motion_controller": IFF, **ANY_LATE, "every": {"faults": ["lost_force:0.002:0.001"]}}
-    loop, parameters_ = made_loop("stage700", factor=1e-3, **given)
+    loop, parameters_ = made_loop("stage700", factor=STAGE_SLOWLY, **given)
     loop.set(setpoint=5e-6)
     loop.start()
     until(lambda: loop.sample > 70)

@@ -54,6 +54,12 @@ REAL = {
     "reference_generator": {"waveform__type": "sine", "waveform__amplitude": 4.0e-6},
 }
 SINE = {"waveform__frequency": 20.0, "waveform__offset": 5.0e-6}
+_LAG = {"A": (0.5,), "B": (0.5,), "C": (1.0,)}
+#: An axis in the open loop that is at rest after some samples: Kim's resonance rings for 1500, seconds at a slow rate.
+SOON_AT_REST = {
+    "plant_simulator": {f"dynamics__{name}": matrix for name, matrix in _LAG.items()},
+    "motion_controller": {"type": "open_loop", **{f"model__dynamics__{name}": m for name, m in _LAG.items()}},
+}
 
 
 def axis_parameters(namespace: str = "", overrides: dict | None = None, **common):

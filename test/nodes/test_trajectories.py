@@ -19,7 +19,7 @@ pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
 
 from action_msgs.msg import GoalStatus  # noqa: E402
 from builtin_interfaces.msg import Duration  # noqa: E402
-from nodes_support import axis_parameters, compose, until  # noqa: E402
+from nodes_support import SOON_AT_REST, axis_parameters, compose, until  # noqa: E402
 from rclpy.action import CancelResponse  # noqa: E402
 from rclpy.qos import DurabilityPolicy, QoSProfile  # noqa: E402
 from std_msgs.msg import Bool, Float64, Float64MultiArray, String  # noqa: E402
@@ -33,8 +33,8 @@ from hysteresis_ros.references.trajectory import HELD  # noqa: E402
 SOURCE = "reference_generator"
 #: Slow enough for a busy machine, and no trips.
 SLOW = {
-    "plant_simulator": {"late_limit": -1},
-    "motion_controller": {"type": "open_loop"},
+    **SOON_AT_REST,
+    "plant_simulator": {"late_limit": -1, **SOON_AT_REST["plant_simulator"]},
     SOURCE: {"trajectory__goal_time": 20.0, "initial_setpoint": 0.0, "settled__time": 0.5},
 }
 
