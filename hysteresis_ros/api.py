@@ -19,7 +19,7 @@ from __future__ import annotations
 import os
 import pathlib
 import warnings
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, TypeAlias, Unpack
 
 from numpy.typing import ArrayLike
@@ -67,6 +67,9 @@ RECORDINGS = (".npz", ".csv", ".mcap", ".db3")
 
 #: What describes an axis: a file, the name of one that comes with the package, or what this module returned.
 Source: TypeAlias = "str | os.PathLike[str] | Configuration | Identified | DesignedFile | Recording"
+#: What is judged: a run, several by their files or by the names they are to have, or what was identified.
+_OneRun: TypeAlias = "str | os.PathLike[str] | Recording"
+Reported: TypeAlias = "_OneRun | Compared | Sequence[str | os.PathLike[str]] | Mapping[str, _OneRun]"
 #: What was measured: a file, or what was read already.
 Measured: TypeAlias = "str | os.PathLike[str] | Recording | IdentificationData | Reading"
 
@@ -294,7 +297,7 @@ def validate(
 
 
 def report(
-    source: str | os.PathLike[str] | Recording | Compared,
+    source: Reported,
     path: str | os.PathLike[str] | None = None,
     *,
     title: str | None = None,
@@ -304,13 +307,14 @@ def report(
 
     Parameters
     ----------
-    source : path-like, Recording, Identified or Compared
-        A recording, or what :func:`simulate`, :func:`identify` or :func:`validate` returned.
+    source : path-like, Recording, Identified, Compared, sequence of path-like, or mapping
+        A recording, or what :func:`simulate`, :func:`identify` or :func:`validate` returned. Several runs are judged
+        side by side: files, or runs by the names that they are to have.
     path : path-like, optional
         HTML file to write, which needs nothing beside it. Plots need Matplotlib and Jinja2
         (``pip install "hysteresis_ros[report]"``).
     title : str, optional
-        Heading of the page of a run; by default the name of the recording.
+        Heading of the page of a run; by default the name of the recording, or those of all.
     namespace : str, optional
         Which axis of a bag that holds several.
 
@@ -318,7 +322,7 @@ def report(
     -------
     dict
         Figures in SI units, by names that hold their unit: ``rms_error_m``, ``settling_time_s`` …; of an inchworm its
-        moves and steps.
+        moves and steps. Of several runs these by their names.
 
     Raises
     ------
@@ -333,6 +337,8 @@ def report(
     >>> figures = hr.report(hr.simulate("kim2009", duration=0.1))
     >>> figures["samples"], figures["saturated_percent"]
     (300, 0.0)
+    >>> both = hr.report({"fine": "a.npz", "coarse": "b.npz"}, "both.html")  # doctest: +SKIP
+    >>> both["fine"]["rms_error_m"]  # doctest: +SKIP
     """
     if isinstance(source, Compared):
         if path is not None:
@@ -346,6 +352,11 @@ def report(
             else:
                 write_validation_report(path, source)
         return source.figures
+    if not isinstance(source, (str, os.PathLike, Recording)):
+        from hysteresis_ros.analysis.several import labels_of, report_several
+
+        named = source if isinstance(source, Mapping) else labels_of(source)
+        return report_several({name: _recording(run, namespace) for name, run in named.items()}, path, title)[0]
     run = _recording(source, namespace)
     heading = title or ("run" if isinstance(source, Recording) else pathlib.Path(source).name)
     from hysteresis_ros.analysis.inchworm_moves import is_inchworm

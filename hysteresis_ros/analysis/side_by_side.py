@@ -17,9 +17,8 @@ from dataclasses import replace
 import numpy as np
 
 from hysteresis_ros.analysis.charts import SIDE_BY_SIDE, Chart, Line
-from hysteresis_ros.analysis.inchworm_moves import is_inchworm
 from hysteresis_ros.analysis.metrics import FIGURES, compute_metrics
-from hysteresis_ros.analysis.page import origin, write_page
+from hysteresis_ros.analysis.page import origin
 from hysteresis_ros.analysis.plots import length_unit
 from hysteresis_ros.analysis.report import charts_of, packed_sums, render_interactive, sampling_text
 from hysteresis_ros.analysis.run_charts import Judged, judged, largest_error
@@ -56,9 +55,6 @@ def compare_runs(runs: dict[str, Recording]) -> dict[str, dict]:
     RecordingError
         A run cannot be judged (the message begins with its label), or they have nothing in common.
     """
-    motors = [name for name, run in runs.items() if is_inchworm(run)]
-    if motors:
-        raise RecordingError(f"{motors[0]} is a run of an inchworm, which is judged by its moves: report it by itself")
     require_common({name: _there(run) for name, run in runs.items()})
     found = {}
     for name, run in runs.items():
@@ -225,24 +221,3 @@ def render_side_by_side(runs: dict[str, Recording], title: str, figures: dict[st
         configurations=configurations(runs),
         origins=[f"{name}: {origin(run)}" for name, run in runs.items()],
     )
-
-
-def write_side_by_side(runs: dict[str, Recording], path, title: str, figures: dict[str, dict] | None = None) -> None:
-    """Write the page of several runs; the other parameters are those of :func:`render_side_by_side`.
-
-    Parameters
-    ----------
-    runs : dict of str to Recording
-    path : path-like
-        HTML file.
-    title : str
-    figures : dict, optional
-
-    Raises
-    ------
-    MissingExtraError
-        Jinja2 is not installed.
-    RecordingError
-        There is nothing to judge, or the file cannot be written.
-    """
-    write_page(path, render_side_by_side(runs, title, figures))

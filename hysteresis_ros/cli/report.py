@@ -37,6 +37,7 @@ def report(recordings, output, json_path, namespace, title, range_, skip, last_p
     a table; -o adds a self-contained HTML file with charts to zoom (needs the extra: pip install
     "hysteresis_ros[report]").
     """
+    from hysteresis_ros.analysis.several import labels_of, report_several
     from hysteresis_ros.recordings.files import load_run
 
     if output is not None:
@@ -46,34 +47,17 @@ def report(recordings, output, json_path, namespace, title, range_, skip, last_p
     with shown("reading"):
         runs = {
             label: _excerpt(label, load_run(path, namespace, further=True), range_, skip, last_periods)
-            for label, path in _labels(recordings).items()
+            for label, path in labels_of(recordings).items()
         }
     if len(runs) > 1:
-        from hysteresis_ros.analysis.side_by_side import compare_runs, format_runs, write_side_by_side
-
         with shown(f"judging {len(runs)} runs"):
-            figures = compare_runs(runs)
-            if output is not None:
-                write_side_by_side(runs, output, title or " · ".join(runs), figures)
-        write_json({"runs": figures}, json_path, format_runs(figures))
+            figures, table = report_several(runs, output, title)
+        write_json({"runs": figures}, json_path, table)
     else:
         ((label, run),) = runs.items()
         _single(run, output, title or label, json_path)
     if output is not None and json_path != "-":
         click.echo(f"report: {output}")
-
-
-def _labels(paths) -> dict[str, pathlib.Path]:
-    """Return a name for each recording: that of its file, or as much of its path as tells it from the others."""
-    whole = [path.resolve() for path in paths]
-    if len(set(whole)) < len(whole):
-        again = next(path for path, full in zip(paths, whole, strict=True) if whole.count(full) > 1)
-        raise click.UsageError(f"{again} is given more than once")
-    for parts in range(1, max(len(path.parts) for path in whole) + 1):
-        labels = ["/".join(path.parts[-parts:]) for path in whole]
-        if len(set(labels)) == len(labels):
-            break
-    return dict(zip(labels, paths, strict=True))
 
 
 def _single(run, output, title: str, json_path: str | None) -> None:

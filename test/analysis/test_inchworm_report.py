@@ -11,13 +11,16 @@
 
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from click.testing import CliRunner
 
+import hysteresis_ros as hr
 from hysteresis_ros.analysis.inchworm import format_inchworm, inchworm_figures
 from hysteresis_ros.analysis.inchworm_moves import REQUIRED, inchworm_run, is_inchworm
+from hysteresis_ros.analysis.motors_side_by_side import summary
 from hysteresis_ros.cli.report import report
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.errors import RecordingError
@@ -289,3 +292,49 @@ def test_the_command_writes_page_and_figures(simulated, tmp_path):
     assert [move["steps"] for move in stored["moves"]] == [
         move["steps"] for move in inchworm_figures(simulated)["moves"]
     ]
+
+
+def test_runs_of_motors_stand_side_by_side(tmp_path):
+    one, other = walk().recording(), walk(steps=3, moved=7.0e-6).recording()
+    paths = [tmp_path / "one.npz", tmp_path / "other.npz"]
+    save_run(one, paths[0])
+    save_run(replace(other, time=other.time + 5.0), paths[1])
+    page, figures = tmp_path / "both.html", tmp_path / "both.json"
+    result = CliRunner().invoke(report, [*map(str, paths), "-o", str(page), "--json", str(figures)])
+    assert result.exit_code == 0, result.output
+    found = json.loads(figures.read_text(encoding="utf-8"))["runs"]
+    summary = found["other.npz"]["summary"]
+    assert (summary["moves"], summary["arrived"], summary["failed"]) == (1, 1, 0)
+    assert summary["time_s"] == pytest.approx(0.060) and summary["final_error_max_m"] == pytest.approx(0.0)
+    assert summary["walking_speed_m_s"] == pytest.approx(7.0e-6 / 0.020)
+    assert found["one.npz"]["moves"] == inchworm_figures(one)["moves"]
+    html = page.read_text(encoding="utf-8")
+    data = json.loads(re.search(r'id="data">(.*?)</script>', html, re.S).group(1))
+    assert [chart["name"] for chart in data["charts"]] == ["travel", "final_error"]
+    assert [line["label"] for line in data["charts"][0]["lines"]] == ["one.npz", "other.npz"]
+    assert data["whole"] == [0.0, pytest.approx(one.time[-1])]  # each from its first sample on
+    # the same in Python, by files and by names
+    assert hr.report(paths) == found
+    assert list(hr.report({"first": one, "second": paths[1]})) == ["first", "second"]
+
+
+def test_moves_that_fail_are_counted_and_the_worst_is_told():
+    move = dict.fromkeys(("time_s", "walking_speed_m_s", "final_error_rms_m", "final_error_max_m", "overshoot_m"))
+    moves = [
+        {**move, "outcome": "arrived", "time_s": 2.0, "final_error_rms_m": 1e-9, "walking_speed_m_s": 3e-4},
+        {**move, "outcome": "arrived", "time_s": 3.0, "final_error_rms_m": 4e-9, "walking_speed_m_s": 2e-4},
+        {**move, "outcome": "not arrived"},
+        {**move, "outcome": "error: slip"},
+        {**move, "outcome": "stopped"},
+    ]
+    found = summary(moves)
+    assert (found["moves"], found["arrived"], found["failed"], found["time_s"]) == (5, 2, 2, 5.0)
+    assert (found["final_error_rms_m"], found["walking_speed_m_s"], found["overshoot_m"]) == (4e-9, 2e-4, None)
+
+
+def test_several_runs_that_are_none_or_twice_the_same_are_refused(tmp_path):
+    for given in ([], {}):
+        with pytest.raises(RecordingError, match="give at least one"):
+            hr.report(given)
+    with pytest.raises(RecordingError, match="more than once"):
+        hr.report([tmp_path / "a.npz", tmp_path / "a.npz"])
