@@ -215,32 +215,41 @@ def _error_figures(time, reference, displacement, start, notes) -> dict:
     if start:
         text = f"errors count from {time[start]:.4g} s on: before the first reversal the axis jumps into the scan"
         notes["recording"] = [*notes["recording"], text]
-    figures = error_figures(time[start:], (reference - displacement)[start:], stroke)
+    error = (reference - displacement)[start:]
+    figures = {**error_figures(error, stroke), "iae_m_s": absolute_integral(time[start:], error)}
     if stroke == 0.0:
         notes |= {f"{name}_error_percent_of_stroke": "the reference never moves: no stroke" for name in ("rms", "max")}
     return {**figures, "stroke_m": stroke}
 
 
-def error_figures(time, error, stroke: float) -> dict[str, float]:
-    """Return the figures of an error as :func:`compute_metrics` defines them; those of no stroke are left out.
+def error_figures(error, stroke: float) -> dict[str, float]:
+    """Return rms and largest error as :func:`compute_metrics` defines them; those of no stroke are left out.
+
+    Parameters
+    ----------
+    error : array, shape (N,)
+        [m].
+    stroke : float
+        Of the reference [m].
+    """
+    size = np.abs(error)
+    figures = {"rms_error_m": float(np.sqrt(np.mean(size**2))), "max_error_m": float(np.max(size))}
+    if stroke > 0.0:
+        parts = {name: 100.0 * figures[f"{name}_error_m"] / stroke for name in ("rms", "max")}
+        figures |= {f"{name}_error_percent_of_stroke": value for name, value in parts.items()}
+    return figures
+
+
+def absolute_integral(time, error) -> float:
+    """Return the integral of the absolute error [m s], by trapezoids.
 
     Parameters
     ----------
     time, error : array, shape (N,)
         [s], [m].
-    stroke : float
-        Of the reference [m].
     """
     size = np.abs(error)
-    figures = {
-        "rms_error_m": float(np.sqrt(np.mean(size**2))),
-        "max_error_m": float(np.max(size)),
-        "iae_m_s": float(np.sum(0.5 * np.diff(time) * (size[1:] + size[:-1]))),
-    }
-    if stroke > 0.0:
-        parts = {name: 100.0 * figures[f"{name}_error_m"] / stroke for name in ("rms", "max")}
-        figures |= {f"{name}_error_percent_of_stroke": value for name, value in parts.items()}
-    return figures
+    return float(np.sum(0.5 * np.diff(time) * (size[1:] + size[:-1])))
 
 
 def _step_figures(time, reference, displacement, stroke, notes) -> dict:

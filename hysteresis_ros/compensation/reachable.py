@@ -26,12 +26,22 @@ SWEEP = 257
 
 @lru_cache(maxsize=64)
 def _sweep(hysteresis: HysteresisParameters, low: float, high: float, sample_time: float) -> tuple[float, float]:
-    start = min(max(0.0, low), high)
+    block = hysteresis_block(hysteresis, sample_time)
     reached = []
-    for ends in ((start, high, low, high), (start, low, high, low)):
-        voltages = np.concatenate([np.linspace(a, b, SWEEP) for a, b in zip(ends, ends[1:], strict=False)])
-        reached.append(hysteresis_block(hysteresis, sample_time).simulate(voltages))
+    for voltages in _swept(low, high):
+        block.reset()
+        reached.append(block.simulate(voltages))
     return float(np.min(reached)), float(np.max(reached))
+
+
+@lru_cache(maxsize=8)
+def _swept(low: float, high: float) -> tuple[np.ndarray, ...]:
+    """Return voltages [V] from zero to one end, through all of the range and back, for each end."""
+    start = min(max(0.0, low), high)
+    return tuple(
+        np.concatenate([np.linspace(a, b, SWEEP) for a, b in zip(ends, ends[1:], strict=False)])
+        for ends in ((start, high, low, high), (start, low, high, low))
+    )
 
 
 def reachable_commands(compensator: CompensatorParameters, sample_time: float) -> tuple[float, float]:
@@ -89,6 +99,6 @@ def resting_displacements(actuator: ActuatorParameters, sample_time: float) -> t
         Sample time [s].
     """
     dynamics = actuator.dynamics
-    gain = dynamics.state_space.dc_gain * dynamics.output_scale / dynamics.resolved_input_scale
+    gain = dynamics.dc_gain * dynamics.output_scale / dynamics.resolved_input_scale
     ends = [gain * end for end in _reached(actuator.hysteresis, actuator.limits, sample_time)]
     return min(ends) + actuator.preload.offset, max(ends) + actuator.preload.offset

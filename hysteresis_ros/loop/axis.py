@@ -11,6 +11,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Sequence
 from typing import NamedTuple
@@ -228,6 +229,21 @@ class Axis:
             for change in changes:
                 if change.after == after:
                     self.apply(change)
+
+    def with_plant(self, parameters: AxisParameters) -> Axis:
+        """Return an axis with the source, the controller and the compensator of this one, as they are, and a new plant.
+
+        Where only the plant differs from run to run the others need not be built again; this axis is not used further.
+
+        Parameters
+        ----------
+        parameters : AxisParameters
+            The same ones but for the plant, which no camera looks at.
+        """
+        other = copy.copy(self)
+        other.parameters, other.sample = parameters, 0
+        other.plant = PLANTS[parameters.plant_simulator.type](parameters.plant_simulator)
+        return other
 
     def apply(self, change: Change) -> None:
         """Start, stop or retune a part between two samples.

@@ -20,6 +20,7 @@ A rate-independent hysteresis and a delay commute, so the delay may stand on eit
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass
 
@@ -115,6 +116,11 @@ class LinearParameters(Parameters):
         part = samples - whole
         return whole, part if part > DELAY_TOLERANCE else 0.0
 
+    @functools.cached_property
+    def dc_gain(self) -> float:
+        """DC gain in model units, of :attr:`state_space`."""
+        return self.state_space.dc_gain
+
     @property
     def state_space(self) -> StateSpace:
         """The dynamics in model units, one input and one output; the last inputs are its last states under a delay."""
@@ -156,7 +162,7 @@ class LinearParameters(Parameters):
         A, B, C = (np.array(values, dtype=float) for values in (self.A, self.B, self.C))
         return StateSpace(A.reshape(n, n), B[:, np.newaxis], C[np.newaxis], np.array([[D]]))
 
-    @property
+    @functools.cached_property
     def resolved_input_scale(self) -> float:
         """``input_scale``, or the one that makes the DC gain in SI one where it is 0."""
         return self.input_scale or self.output_scale * self.matrices.dc_gain

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hysteresis_ros.analysis.metrics import FIGURES, TIMELINESS, compute_metrics, error_figures
+from hysteresis_ros.analysis.metrics import FIGURES, TIMELINESS, absolute_integral, compute_metrics, error_figures
 from hysteresis_ros.analysis.settings import AxisSettings, delayed
 from hysteresis_ros.analysis.steps import JUMP, scan_start
 from hysteresis_ros.errors import ConfigurationError, did_you_mean
@@ -79,7 +79,7 @@ def judged(axis: Axis, signals: dict[str, np.ndarray], names: Sequence[str]) -> 
     figures: dict = {}
     dense = type(axis.plant) is ActuatorPlant and len(signals["time"]) > 1
     if isinstance(axis.plant, ActuatorPlant) and dense:
-        figures |= _between_samples(axis.plant.actuator, signals, settings)
+        figures |= _between_samples(axis.plant.actuator, signals, settings, "iae_m_s" in names)
     if not dense or any(name not in BETWEEN for name in names):
         run = Recording(signals["time"], {name: signals[name] for name in signals if name != "time"}, {}, {})
         figures = {**compute_metrics(run, settings), **figures}
@@ -87,8 +87,13 @@ def judged(axis: Axis, signals: dict[str, np.ndarray], names: Sequence[str]) -> 
     return [float("nan") if value is None else float(value) for value in values]
 
 
-def _between_samples(actuator: Actuator, signals: dict[str, np.ndarray], settings: AxisSettings) -> dict[str, float]:
-    """Return the figures of the error at :data:`INSTANTS` instants of each sample but the last one."""
+def _between_samples(
+    actuator: Actuator, signals: dict[str, np.ndarray], settings: AxisSettings, integral: bool
+) -> dict[str, float]:
+    """Return the figures of the error at :data:`INSTANTS` instants of each sample but the last one.
+
+    Its integral, which takes a good part of the time of a short run, is made only where it is asked for.
+    """
     reference = delayed(signals["reference"], settings.preview)
     sample_time = actuator.dynamics.sample_time
     stroke, step = float(np.ptp(reference)), np.diff(reference)
@@ -100,7 +105,10 @@ def _between_samples(actuator: Actuator, signals: dict[str, np.ndarray], setting
     wanted[:, -1] = reference[first + 1 :]
     wanted -= displacement
     error = wanted.ravel() - offset
-    return {**error_figures(sample_time / INSTANTS * np.arange(error.size), error, stroke), "stroke_m": stroke}
+    figures = {**error_figures(error, stroke), "stroke_m": stroke}
+    if integral:
+        figures["iae_m_s"] = absolute_integral(sample_time / INSTANTS * np.arange(error.size), error)
+    return figures
 
 
 def _unless_it_jumps(step: np.ndarray, stroke: float) -> np.ndarray:

@@ -19,6 +19,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy
+from adapting_support import adapting
 from click.testing import CliRunner
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -37,6 +38,7 @@ from hysteresis_ros.sweeps.judging import judged
 from hysteresis_ros.sweeps.outcome import load
 from hysteresis_ros.sweeps.plan import make_plan
 from hysteresis_ros.sweeps.sensitivity import sensitivity
+from hysteresis_ros.sweeps.study import Study
 from hysteresis_ros.sweeps.summary import Summary
 from hysteresis_ros.sweeps.sweep import sweep
 from hysteresis_ros.sweeps.variations import DEVIATIONS, parse_variations, varied
@@ -143,6 +145,21 @@ def test_all_levels_meet_the_same_draws_and_a_longer_sweep_begins_with_the_short
     longer = make_plan(variations, 3000, 7)
     assert np.array_equal(longer.points(range(11, 25)), points[11:25])
     assert not np.array_equal(make_plan(variations, 30, 8).points(range(30)), points)
+
+
+def test_each_run_begins_at_rest_whatever_the_one_before_has_left_behind():
+    """An inverse that adapts goes on from run to run where it is not put back."""
+    stage = adapting(plant_simulator={"samples": 900})
+    variations = parse_variations(["plant_simulator=±20%"], stage)
+    study = Study(stage, variations, ("rms_error_m", "max_error_m", "iae_m_s"))
+    points = make_plan(variations, 4).points(range(4))
+    found = study.runs(0, points)
+    for point, row in zip(points, found.rows, strict=True):
+        alone = Axis(varied(stage, variations, point))
+        made = alone.run(alone.default_setpoints(900))
+        assert np.any(made["adapted_gain"] != made["adapted_gain"][0])
+        assert row == [*judged(alone, made, study.metrics), 0.0]
+    assert len({row[0] for row in found.rows}) == 4 and not found.refused
 
 
 def test_errors_between_the_samples_are_those_of_the_closed_form():
