@@ -19,7 +19,8 @@ from hysteresis_ros.nodes.discovery import named
 from hysteresis_ros.nodes.qos import latched_qos
 from hysteresis_ros.nodes.runner import Runner
 
-#: Seconds a first sample may take: discovery, and compilation of the kernels on a machine that has no cache yet.
+#: Seconds a first sample may take: discovery, and compilation of the kernels on a machine that has no cache yet. Who
+#: has done its part of sample 0 waits so long too: with a recorder it counts as matched before its partner is there.
 STARTUP_TIMEOUT = 120.0
 
 #: Seconds between two looks at the partners, and between two looks at who publishes the inputs.
@@ -214,7 +215,7 @@ class Lockstep(Runner):
                 return
         limit = node.parameters.partner_timeout
         waited = (now - self._heard_at) * 1e-9
-        if waited < (limit * node.share if node.sample > 0 else max(limit, STARTUP_TIMEOUT)):
+        if waited < (limit * node.share if node.sample > 1 else max(limit, STARTUP_TIMEOUT)):
             return
         partner = self.missing_partner()
         if partner and (waited > limit or partner != PLANT):

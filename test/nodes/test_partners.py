@@ -12,12 +12,15 @@
 from __future__ import annotations
 
 import signal
+from types import SimpleNamespace
 
 import pytest
 
 pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
 
 from nodes_support import axis_parameters, until, write_axis  # noqa: E402
+
+from hysteresis_ros.nodes.lockstep import Lockstep  # noqa: E402
 
 NODES = ("plant_simulator", "hysteresis_compensator", "motion_controller", "reference_generator")
 
@@ -55,6 +58,23 @@ def test_run_ends_with_an_error_that_names_the_partner(running, victim, number):
         line = next(line for line in process.output.splitlines() if "[ERROR]" in line)
         assert victim in line.split("]: ", 1)[1], f"{name} says: {line}"
         assert "Traceback" not in process.output
+
+
+@pytest.mark.parametrize(("sample", "seconds", "fails"), [(0, 119, 0), (1, 119, 0), (1, 121, 1), (2, 9, 0), (2, 11, 1)])
+def test_who_is_still_loading_at_the_first_sample_is_waited_for(sample, seconds, fails):
+    """With a recorder the others begin without a partner that loads; they have done their part of sample 0 then."""
+    said, now = [], [0]
+    node = SimpleNamespace(sample=sample, share=1.0, parameters=SimpleNamespace(partner_timeout=10.0), fail=said.append)
+    node.active, node.failure, node.finished, node.holds_time, node.end_of_run = True, "", False, False, -1
+    node.steady = SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=now[0]))
+    node.partners = SimpleNamespace(forget=lambda: None, complaint=lambda sample: "")
+    node.missing_partner = lambda: "motion_controller"
+    runner = Lockstep(node)
+    node.sample, node.end_of_run = sample, -1
+    runner.watch_partners()
+    now[0] = seconds * 10**9
+    runner.watch_partners()
+    assert len(said) == fails and all("motion_controller has been silent" in text for text in said)
 
 
 @pytest.mark.parametrize("running", [60.0], indirect=True)
