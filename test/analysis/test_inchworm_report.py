@@ -20,7 +20,7 @@ from click.testing import CliRunner
 import hysteresis_ros as hr
 from hysteresis_ros.analysis.inchworm import format_inchworm, inchworm_figures
 from hysteresis_ros.analysis.inchworm_moves import REQUIRED, inchworm_run, is_inchworm
-from hysteresis_ros.analysis.motors_side_by_side import summary
+from hysteresis_ros.analysis.motors_side_by_side import laid_over, summary
 from hysteresis_ros.cli.report import report
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.errors import RecordingError
@@ -313,6 +313,8 @@ def test_runs_of_motors_stand_side_by_side(tmp_path):
     assert [chart["name"] for chart in data["charts"]] == ["travel", "final_error"]
     assert [line["label"] for line in data["charts"][0]["lines"]] == ["one.npz", "other.npz"]
     assert data["whole"] == [0.0, pytest.approx(one.time[-1])]  # each from its first sample on
+    late = replace(other, time=other.time + 5.0)
+    assert [line.x[0] for chart in laid_over({"one": one, "late": late})[:1] for line in chart.lines] == [0.0, 0.0]
     # the same in Python, by files and by names
     assert hr.report(paths) == found
     assert list(hr.report({"first": one, "second": paths[1]})) == ["first", "second"]
