@@ -18,7 +18,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
 
-from nodes_support import axis_parameters, compose, diagnostics, until  # noqa: E402
+from nodes_support import SOON_AT_REST, axis_parameters, compose, diagnostics, until  # noqa: E402
 
 from hysteresis_ros.loop.watch import RUNNING, TRIPPED  # noqa: E402
 from hysteresis_ros.signals import DISPLACEMENT, PLANT_VOLTAGE, SOURCE_MODE  # noqa: E402
@@ -27,11 +27,16 @@ SETPOINT = 6.0e-6
 NODES = ("plant_simulator", "hysteresis_compensator", "motion_controller", "reference_generator")
 
 
+#: Without hysteresis: a voltage that a busy machine loses would leave plant and inverse on different branches for good.
+LINEAR = {"hysteresis__type": "proportional", "hysteresis__proportional__gain": 1.0e-7}
+
+
 def slow_axis(**plant):
     """Return an axis with 10 ms of the wall clock a sample: what is late is so on purpose."""
-    plant = {"real_time_factor": 0.5, "safe_slew_rate": 2000.0} | plant
+    plant = {"real_time_factor": 0.5, "safe_slew_rate": 2000.0} | LINEAR | SOON_AT_REST["plant_simulator"] | plant
     overrides = {"plant_simulator": plant, "reference_generator": {"initial_setpoint": SETPOINT}}
-    overrides["motion_controller"] = {"type": "open_loop", "safe_slew_rate": 2.0e-4}
+    overrides["motion_controller"] = SOON_AT_REST["motion_controller"] | {"safe_slew_rate": 2.0e-4}
+    overrides["hysteresis_compensator"] = LINEAR
     return axis_parameters(overrides=overrides, sample_rate=200.0)
 
 
@@ -79,6 +84,7 @@ def test_voltages_that_answer_earlier_samples_stop_the_axis_until_it_is_started(
     joints = observer.listen(JointState, "/joint_states")
     states = observer.listen(JointState, "/plant_simulator/state")
     settled(plant)
+    until(lambda: joints, what="joint_states")
     before = plant.late
     assert not plant.part.tripped and joints[-1].header.frame_id == ""
     compensator.delay = delay
@@ -107,15 +113,16 @@ def test_voltages_that_answer_earlier_samples_stop_the_axis_until_it_is_started(
     compensator.delay = 0
     more(plant, 30)
     assert plant.part.tripped
-    since = len(states)
+    since, before = len(states), plant.late
     assert observer.trigger("/plant_simulator/start").success
     settled(plant)
     more(plant, 30)
     assert not plant.part.tripped and joints[-1].header.frame_id == ""
     assert [int(controller._mode), int(compensator._mode), int(source.row[SOURCE_MODE])] == [RUNNING] * 3
     moved = [state.position[2] for state in states[since - 1 :]]
-    # the amplifier goes back to what comes by 2000 V/s, 200 samples a second
-    assert max(abs(b - a) for a, b in zip(moved[:-1], moved[1:], strict=True)) <= 10.01
+    # it goes back to what comes by 2000 V/s, 200 samples a second; what a busy machine makes late comes at once
+    most = 10.01 * (1 + plant.late - before)
+    assert max(abs(b - a) for a, b in zip(moved[:-1], moved[1:], strict=True)) <= most
 
 
 def test_a_voltage_that_answers_an_earlier_sample_is_not_put_out(late_axis, observer):
