@@ -49,7 +49,7 @@ def demo(output, factor):
     In real time, fused: a triangle without and with the inverse of the hysteresis, and steps by setpoints on the topic.
     Then the triangle as four processes in lockstep, compared bit for bit with the offline twin.
     """
-    progress = Progress()
+    progress = Progress(steady=True)
     progress.say("Kim's axis at 3 kHz: a triangle without and with the inverse of the hysteresis, then steps")
     with progress.during("loading"):
         from hysteresis_ros.nodes.domain import entered

@@ -47,7 +47,7 @@ def doctor(path: pathlib.Path | None) -> None:
     if path is not None and not path.absolute().parent.is_dir():
         raise click.UsageError(f"--json {path}: there is no such folder; choose another place")
     begun = time.monotonic()
-    progress = Progress()
+    progress = Progress(steady=True)
     progress.say("what this machine holds (Kim's axis, simulated); it takes up to a minute")
     with progress.during("looking at the installation"):
         from hysteresis_ros.cli.machine import advice, kernel_cache, middleware, system, versions

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What a long command does: a bar on terminals, elsewhere lines, one at least every so many seconds."""
+"""What a long command does: a bar on terminals, elsewhere lines, fewer and fewer."""
 
 from __future__ import annotations
 
@@ -22,6 +22,8 @@ import click
 
 #: Longest silence of a command that people watch [s].
 SILENCE = 1.5
+#: Longest silence [s] where nobody may be watching: in files and pipes each silence is twice the one before up to this.
+LONGEST_SILENCE = 60.0
 #: Seconds after which something is long enough for a bar, and between two looks at it.
 SHORT, LOOK = 0.5, 0.1
 
@@ -59,13 +61,15 @@ class Progress:
     err : bool
         Say it on stderr: stdout is for results.
     silence : float
-        Longest silence [s] where there is no bar.
+        First silence [s] where there is no bar; from line to line it doubles, to :data:`LONGEST_SILENCE`.
     bars_only : bool
         Say nothing where there is no bar: for what is long only now and then.
+    steady : bool
+        It does not double: for what is the first that people see.
     """
 
-    def __init__(self, err: bool = False, silence: float = SILENCE, bars_only: bool = False):
-        self._err, self._silence, self._bars_only = err, silence, bars_only
+    def __init__(self, err: bool = False, silence: float = SILENCE, bars_only: bool = False, steady: bool = False):
+        self._err, self._silence, self._bars_only, self._steady = err, silence, bars_only, steady
         self._last = time.monotonic()
         self._lock = threading.Lock()
         self._bar: Any = None
@@ -129,12 +133,14 @@ class Progress:
             self._show(bar, what, state, part, over)
         if bar is not None or self._bars_only:
             return
-        while not over.wait(max(self._last + self._silence - time.monotonic(), 0.05)):
-            if time.monotonic() - self._last >= self._silence and not self._paused:
+        silence = self._silence
+        while not over.wait(max(self._last + silence - time.monotonic(), 0.05)):
+            if time.monotonic() - self._last >= silence and not self._paused:
                 done = part()
                 share = "" if done is None else f"{100.0 * done:.0f} %"
                 words = (f"{what}: {time.monotonic() - begun:.0f} s", share, state())
                 self.say("  … " + ", ".join(filter(None, words)))
+                silence = silence if self._steady else min(2.0 * silence, LONGEST_SILENCE)
 
     def _show(self, bar, what: str, state, part, over: threading.Event) -> None:
         """Keep a bar up to date; it leaves no trace."""

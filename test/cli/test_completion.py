@@ -16,7 +16,9 @@ import inspect
 import io
 import re
 import sys
+import time
 
+import numpy as np
 import pytest
 from click.shell_completion import ShellComplete
 from click.testing import CliRunner
@@ -106,6 +108,18 @@ def test_without_a_terminal_lines_say_that_it_goes_on(capsys, soon):
     with Progress(err=True, silence=0.01, bars_only=True).during("simulating", lambda: told.append(1) or "well"):
         pass
     assert capsys.readouterr().err == ""
+
+
+@pytest.mark.parametrize("steady", [False, True])
+def test_without_a_terminal_it_becomes_quiet(capsys, soon, steady):
+    told = []
+    with Progress(err=True, silence=0.05, steady=steady).during(
+        "exciting", lambda: told.append(time.monotonic()) or ""
+    ):
+        until(lambda: len(told) > 3)
+    silences = np.diff(told[:4])  # a busy machine makes them longer, nothing makes them shorter
+    assert np.all(silences > 0.99 * 0.05 * 2.0 ** (np.zeros(3) if steady else np.arange(1, 4)))
+    assert len(capsys.readouterr().err.splitlines()) == len(told)
 
 
 def test_a_fit_of_unknown_length_never_goes_back():
