@@ -14,6 +14,7 @@ from __future__ import annotations
 import contextlib
 import gc
 import importlib.util
+import itertools
 import json
 import os
 import pathlib
@@ -28,6 +29,7 @@ from click.testing import CliRunner
 from hysteresis_ros.cli.main import main
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.errors import HysteresisError
+from hysteresis_ros.nodes import domain as domains
 from hysteresis_ros.nodes import graph_runner
 from hysteresis_ros.nodes.domain import OWN, Domain, entered, require_admission
 from hysteresis_ros.nodes.launcher import GraphError, node_environment
@@ -120,11 +122,14 @@ def test_without_ros_one_line_says_what_to_install(monkeypatch):
     assert 'pip install "hysteresis_ros[ros]"' in result.output and "Traceback" not in result.output
 
 
-def test_a_domain_with_a_participant_is_left_alone():
+@pytest.mark.parametrize("number", [0, 10, 119])
+def test_a_domain_with_a_participant_is_left_alone(monkeypatch, number):
     with Domain() as claimed:
         first = claimed.number
+    turn = domains.DOMAINS.index(first)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as participant:
-        participant.bind(("", 7400 + 250 * first + 10))
+        participant.bind(("", 7400 + 250 * first + 10 + 2 * number))
+        monkeypatch.setattr(domains, "_turns", itertools.count(turn))
         with Domain() as claimed:
             assert claimed.number != first
 
