@@ -92,7 +92,8 @@ def solve(matrix, right) -> np.ndarray:
         pivot = j + int(np.argmax(np.abs(upper[j:, j])))
         if not abs(upper[pivot, j]) > 0.0:
             raise np.linalg.LinAlgError("Singular matrix")
-        upper[[j, pivot]], x[[j, pivot]] = upper[[pivot, j]], x[[pivot, j]]
+        if pivot != j:
+            upper[[j, pivot]], x[[j, pivot]] = upper[[pivot, j]], x[[pivot, j]]
         factors = (upper[j + 1 :, j] / upper[j, j])[:, np.newaxis]
         upper[j + 1 :] -= factors * upper[j]
         x[j + 1 :] -= factors * x[j]

@@ -30,7 +30,7 @@ DOMAINS = range(231, 214, -1)
 #: Environment variable that tells processes for which domain they were started.
 OWN = "HYSTERESIS_DOMAIN"
 
-#: Participants of a domain whose ports are looked at: all that it has. Those that joined last may be the only ones left.
+#: Participants of a domain whose ports are looked at: all that it can have, for the first ones may have left.
 _PARTICIPANTS = 120
 
 #: Offset of the port that a claim binds: that of the last of 120 participants.

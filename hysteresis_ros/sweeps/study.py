@@ -29,6 +29,9 @@ from hysteresis_ros.sweeps.variations import PLANT, Variation, varied
 
 #: Kernels are compiled, and Python runs, in one thread at a time: the others of a worker wait.
 _ONE_AT_A_TIME = threading.Lock()
+#: A block of so many bytes is had and given back before the runs: from then on the C library of Linux keeps what the
+#: runs give back. Otherwise the system hands out every page of their tables anew, 440 pages a run.
+KEPT = 31 * 2**20
 
 
 class Runs(NamedTuple):
@@ -97,6 +100,7 @@ class Study:
                 f"version {hysteresis_ros.__version__} of the package is installed where this should run, "
                 f"{self.version} asks: install the same one"
             )
+        np.empty(KEPT, dtype=np.uint8)
         found = Runs(first, [], {})
         build = self._builder()
         for number, point in enumerate(points, first):

@@ -13,7 +13,11 @@ from __future__ import annotations
 
 import json
 import math
+import pathlib
+import platform
 import resource
+import subprocess
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -25,6 +29,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sweep_support import AXIS, PLACE, PRODUCT, asked, axis, same_bits
 
+from hysteresis_ros.analysis.metrics import compute_metrics
+from hysteresis_ros.block import COMPILED
 from hysteresis_ros.cli.main import main
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.errors import ConfigurationError, ParameterError
@@ -33,6 +39,7 @@ from hysteresis_ros.loop.axis import Axis
 from hysteresis_ros.loop.node_parameters import PlantNodeParameters
 from hysteresis_ros.models.hysteresis import hysteresis_block
 from hysteresis_ros.simulation.axes import single_axis
+from hysteresis_ros.simulation.run import simulate
 from hysteresis_ros.sweeps.journal import SUFFIX
 from hysteresis_ros.sweeps.judging import judged
 from hysteresis_ros.sweeps.outcome import load
@@ -236,6 +243,36 @@ def test_two_processes_find_what_one_does(tmp_path):
     one = sweep(*asked(varied_, metrics=metrics), workers=1)
     assert same_bits(sweep(*asked(varied_, metrics=metrics), tmp_path / "two.npz", workers=2), one)
     assert np.all(np.isnan(one.metrics["overshoot_percent"]))  # nothing steps
+
+
+def test_a_run_of_a_sweep_is_that_of_simulate():
+    stage = single_axis(load_configuration("kim2009")).with_duration(0.1)
+    variations = parse_variations(["plant_simulator=±5%", "plant_simulator.sensor.noise=1nm"], stage)
+    study = Study(stage, variations, ("voltage_variation_v", "chattering_m", "voltage_rate_v_s"))
+    points = make_plan(variations, 3, 1).points(range(3))
+    for row, point in zip(study.runs(0, points).rows, points, strict=True):
+        alone = compute_metrics(simulate(varied(stage, variations, point)))
+        assert row == [*(alone[name] for name in study.metrics), 0.0] and row[0] > 1.0
+
+
+#: Says how many pages of memory the system hands out for each of 30 runs, after as many others.
+PAGES = """
+import resource, sys
+sys.path.insert(0, {folder!r})
+from sweep_support import asked
+study, plan = asked(runs=30)
+study = type(study)(study.axis.with_duration(3.0), study.variations, study.metrics)
+counted = [(study.runs(0, plan.points(range(30))), resource.getrusage(resource.RUSAGE_SELF).ru_minflt) for _ in "two"]
+print((counted[-1][1] - counted[-2][1]) / 30)
+"""
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc" or not COMPILED, reason="only there the C library is told so")
+def test_memory_of_a_run_serves_the_next_one():
+    """Tables of 3000 samples are more than 200 pages: had anew for each run, they cost a quarter of its time."""
+    script = PAGES.format(folder=str(pathlib.Path(__file__).parent))
+    found = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert float(found.stdout) < 100.0
 
 
 # -- what is found -----------------------------------------------------------------------------------------------------
