@@ -15,7 +15,6 @@ import os
 from collections.abc import Callable, Sequence
 
 from hysteresis_ros.api import Source, configuration_of
-from hysteresis_ros.errors import ConfigurationError
 from hysteresis_ros.simulation.axes import single_axis
 from hysteresis_ros.sweeps.judging import require_metrics
 from hysteresis_ros.sweeps.plan import RANDOM, make_plan
@@ -46,7 +45,7 @@ def sweep(
     path: str | os.PathLike[str] | None = None,
     *,
     runs: int | None = None,
-    metrics: Sequence[str] = ("rms_error_m",),
+    metrics: Sequence[str] = (),
     bounds: Sequence[str] = (),
     sensitivity: str | None = None,
     duration: float | None = None,
@@ -69,7 +68,7 @@ def sweep(
     runs : int, optional
         Number of all runs; levels alone need none.
     metrics : sequence of str
-        Figures of a report that are kept.
+        Figures of a report that are kept; by default ``rms_error_m``, of an inchworm ``final_error_rms_m``.
     bounds : sequence of str
         What a run is to meet: ``"rms_error_m=10nm"``.
     sensitivity : str, optional
@@ -110,10 +109,8 @@ def sweep(
     if sensitivity:
         require_library()
     allowed = tuple(map(parse_bound, bounds))
-    names = require_metrics([*metrics, *(bound.metric for bound in allowed)])
     axis = single_axis(configuration_of(config), namespace)
-    if axis.reference_generator is None:
-        raise ConfigurationError("an inchworm walks to setpoints; a sweep judges what follows a reference")
+    names = require_metrics([*metrics, *(bound.metric for bound in allowed)], axis)
     if duration is not None:
         axis = axis.with_duration(duration)
     variations = parse_variations(list(vary), axis)

@@ -112,7 +112,18 @@ def inchworm_figures(recording: Recording) -> dict:
     RecordingError
         Signals are missing; the message names them.
     """
-    run = inchworm_run(recording)
+    return figures_of(inchworm_run(recording), recording)
+
+
+def figures_of(run: InchwormRun, recording: Recording) -> dict:
+    """Return what :func:`inchworm_figures` does of a run whose moves are found already.
+
+    Parameters
+    ----------
+    run : InchwormRun
+    recording : Recording
+        In which they were found.
+    """
     notes: dict = {"recording": list(run.notes)}
     common = dict.fromkeys(COMMON)
     reference = run.signals.get("reference", run.setpoint)

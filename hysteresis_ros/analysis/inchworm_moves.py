@@ -19,6 +19,7 @@ from hysteresis_ros.errors import HysteresisError, RecordingError
 from hysteresis_ros.recordings.configured import configured, described
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.references import inchworm_layout as at
+from hysteresis_ros.references.inchworm_parameters import InchwormSequencerParameters
 from hysteresis_ros.signals import MOTOR_SOURCE as SEQUENCER
 
 #: What a run needs beside ``setpoint`` and ``displacement`` (or ``measured``): signals of the sequencer.
@@ -133,8 +134,14 @@ def is_inchworm(recording: Recording) -> bool:
     return _described(recording)
 
 
-def inchworm_run(recording: Recording) -> InchwormRun:
+def inchworm_run(recording: Recording, settings: InchwormSequencerParameters | None = None) -> InchwormRun:
     """Find steps and moves in a recording.
+
+    Parameters
+    ----------
+    recording : Recording
+    settings : InchwormSequencerParameters, optional
+        What its configuration says, for who knows it already.
 
     Raises
     ------
@@ -156,7 +163,7 @@ def inchworm_run(recording: Recording) -> InchwormRun:
         raise RecordingError("no sample of the recording has all the signals of an inchworm")
     signals = {name: values[good] for name, values in recording.signals.items()}
     time = recording.time[good]
-    parameters = _parameters(recording)
+    parameters = settings or _parameters(recording)
     tolerance = parameters.fine.tolerance if parameters else TOLERANCE
     home = parameters.home_position if parameters else None
     moves = find_moves(signals, signals[actual], tolerance, home)
@@ -235,13 +242,12 @@ def _described(recording: Recording) -> bool:
 
 def _parameters(recording: Recording):
     """Return the sequencer's parameters, None when the recording does not hold them."""
-    from hysteresis_ros.references.inchworm_parameters import InchwormSequencerParameters as Given
-
     if not _described(recording):
         return None
     values = configured(recording.configuration, SEQUENCER, str(recording.metadata.get("namespace", "")))
-    names = {row.name for row in Given.table()}
+    names = {row.name for row in InchwormSequencerParameters.table()}
+    known = {name: value for name, value in values.items() if name in names}
     try:
-        return Given.from_mapping({name: value for name, value in values.items() if name in names})
+        return InchwormSequencerParameters.from_mapping(known)
     except HysteresisError:
         return None

@@ -20,17 +20,22 @@ from hysteresis_ros.analysis.settings import AxisSettings, delayed
 from hysteresis_ros.analysis.steps import JUMP, scan_start
 from hysteresis_ros.errors import ConfigurationError, did_you_mean
 from hysteresis_ros.loop.axis import Axis
+from hysteresis_ros.loop.axis_parameters import AxisParameters
 from hysteresis_ros.loop.plants import ActuatorPlant
+from hysteresis_ros.loop.source import SequencerSource
 from hysteresis_ros.models.actuator import Actuator
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.simulation.between_samples import INSTANTS, PLACES, displacement_between
+from hysteresis_ros.sweeps.motors import MOTOR_METRICS, judged_motor
 
 #: Figures of clocks, which a simulated run has not.
 _OF_CLOCKS = {"rate_hz", "jitter_p99_s", "missing_samples", *(name for name, *_ in TIMELINESS)}
-#: What may be asked of a run: name → label, unit for people, factor from SI.
-METRICS: dict[str, tuple[str, str, float]] = {
+#: What may be asked of a run of an actuator: name → label, unit for people, factor from SI; the first one by default.
+ACTUATOR_METRICS: dict[str, tuple[str, str, float]] = {
     name: (label, unit, factor) for name, label, unit, factor in FIGURES if name not in _OF_CLOCKS
 }
+#: The same of any axis.
+METRICS = MOTOR_METRICS | ACTUATOR_METRICS
 #: Judged between the samples, at :data:`INSTANTS` instants of each.
 BETWEEN = (
     *("rms_error_m", "max_error_m", "iae_m_s", "rms_error_percent_of_stroke", "max_error_percent_of_stroke"),
@@ -38,23 +43,32 @@ BETWEEN = (
 )
 
 
-def require_metrics(names: Sequence[str]) -> tuple[str, ...]:
+def require_metrics(names: Sequence[str], axis: AxisParameters | None = None) -> tuple[str, ...]:
     """Return the names of metrics, each once.
 
     Parameters
     ----------
     names : sequence of str
+        None at all: the metric that an axis is judged by otherwise.
+    axis : AxisParameters, optional
+        Whose metrics they are to be.
 
     Raises
     ------
     ConfigurationError
-        There is no such metric.
+        There is no such metric, or the axis has none.
     """
+    known, whose = METRICS, ""
+    if axis is not None and axis.inchworm_sequencer is not None:
+        known, whose = MOTOR_METRICS, " of an inchworm motor"
+    elif axis is not None:
+        known, whose = ACTUATOR_METRICS, " of an actuator"
     for name in names:
-        if name not in METRICS:
-            near = did_you_mean(name, METRICS)
-            raise ConfigurationError(f"--metric {name}: there is no such metric; there are {', '.join(METRICS)}{near}")
-    return tuple(dict.fromkeys(names))
+        if name not in known:
+            near = did_you_mean(name, known)
+            text = f"there is no such metric{whose}; there are {', '.join(known)}{near}"
+            raise ConfigurationError(f"--metric {name}: {text}")
+    return tuple(dict.fromkeys(names or [next(iter(known))]))
 
 
 def judged(axis: Axis, signals: dict[str, np.ndarray], names: Sequence[str]) -> list[float]:
@@ -63,7 +77,8 @@ def judged(axis: Axis, signals: dict[str, np.ndarray], names: Sequence[str]) -> 
     Errors are those of the true displacement between the samples, less the preload of the controller's model, against
     the reference as late as its preview. That goes in straight lines from sample to sample, but where it jumps.
     All else is defined at the samples (:func:`~hysteresis_ros.analysis.metrics.compute_metrics`), as are the errors of
-    a plant that is seen by a camera.
+    a plant that is seen by a camera, and whatever is asked of an inchworm motor
+    (:func:`~hysteresis_ros.sweeps.motors.judged_motor`).
 
     Parameters
     ----------
@@ -72,8 +87,10 @@ def judged(axis: Axis, signals: dict[str, np.ndarray], names: Sequence[str]) -> 
     signals : dict of str to array
         What it has done.
     names : sequence of str
-        Of :data:`METRICS`.
+        Of its kind of axis.
     """
+    if isinstance(axis.source, SequencerSource):
+        return judged_motor(signals, axis.source.sequencer.parameters, names)
     control = axis.parameters.motion_controller
     settings = AxisSettings(offset=control.model.preload.offset, preview=control.feedforward.preview)
     figures: dict = {}

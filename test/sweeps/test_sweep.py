@@ -29,6 +29,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sweep_support import AXIS, PLACE, PRODUCT, asked, axis, same_bits
 
+from hysteresis_ros.analysis.inchworm import inchworm_figures
 from hysteresis_ros.analysis.metrics import compute_metrics
 from hysteresis_ros.block import COMPILED
 from hysteresis_ros.cli.main import main
@@ -41,7 +42,7 @@ from hysteresis_ros.models.hysteresis import hysteresis_block
 from hysteresis_ros.simulation.axes import single_axis
 from hysteresis_ros.simulation.run import simulate
 from hysteresis_ros.sweeps.journal import SUFFIX
-from hysteresis_ros.sweeps.judging import judged
+from hysteresis_ros.sweeps.judging import judged, require_metrics
 from hysteresis_ros.sweeps.outcome import load
 from hysteresis_ros.sweeps.plan import make_plan
 from hysteresis_ros.sweeps.sensitivity import sensitivity
@@ -253,6 +254,45 @@ def test_a_run_of_a_sweep_is_that_of_simulate():
     for row, point in zip(study.runs(0, points).rows, points, strict=True):
         alone = compute_metrics(simulate(varied(stage, variations, point)))
         assert row == [*(alone[name] for name in study.metrics), 0.0] and row[0] > 1.0
+
+
+def motor(duration=0.3):
+    """An inchworm that goes 6 µm forward and 2 µm back."""
+    schedule = {"setpoints.times": [0.02, 0.16], "setpoints.values": [6e-6, 4e-6]}
+    return single_axis(load_configuration("inchworm_travel").override("inchworm_sequencer", **schedule)).with_duration(
+        duration
+    )
+
+
+def test_a_motor_is_judged_by_the_worst_of_its_moves():
+    stage = motor()
+    variations = parse_variations(["plant_simulator.gain=±5%"], stage)
+    points = np.array([[0.1], [0.9]])
+    study = Study(stage, variations, ("final_error_max_m", "time_s", "not_arrived", "steps", "voltage_variation_v"))
+    rows = study.runs(0, points).rows
+    for row, point in zip(rows, points, strict=True):
+        alone = inchworm_figures(simulate(varied(stage, variations, point)))
+        moves = alone["moves"]
+        assert [move["setpoint_m"] for move in moves] == [6e-6, 4e-6]
+        worst = [max(move[name] for move in moves) for name in ("final_error_max_m", "time_s")]
+        assert row == [*worst, 0.0, alone["run"]["steps"], alone["voltage_variation_v"], 0.0]
+    assert rows[1][1] < rows[0][1]  # longer steps, sooner there
+
+
+def test_a_motor_that_does_not_arrive_has_no_final_error():
+    stage = motor(0.18)  # the second move has just begun
+    variations = parse_variations(["plant_simulator.gain=±5%"], stage)
+    study = Study(stage, variations, ("not_arrived", "final_error_rms_m", "time_s", "steps_forward"))
+    (row,) = study.runs(0, np.array([[0.5]])).rows
+    assert row[0] == 1.0 and np.isnan(row[1]) and np.isnan(row[2]) and row[3] > 0.0
+
+
+def test_metrics_are_those_of_the_kind_of_axis():
+    assert require_metrics([], motor()) == ("final_error_rms_m",) and require_metrics([], axis()) == ("rms_error_m",)
+    with pytest.raises(ConfigurationError, match="rms_error_m: there is no such metric of an inchworm motor; there"):
+        require_metrics(["rms_error_m"], motor())
+    with pytest.raises(ConfigurationError, match="not_arrived: there is no such metric of an actuator"):
+        require_metrics(["not_arrived"], axis())
 
 
 #: Says how many pages of memory the system hands out for each of 30 runs, after as many others.
