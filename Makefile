@@ -13,15 +13,25 @@ unexport LD_LIBRARY_PATH _ROS_WHEELS_BOOTSTRAP_COMPLETE
 unexport PYTHONDONTWRITEBYTECODE
 # Workers of the tests: graphs of nodes run one after the other in one of them, the rest beside.
 WORKERS ?= 2
-INSTALL := $(BIN)/python -m pip install --quiet --disable-pip-version-check
+# The versions that were tested; `make setup CONSTRAINTS=` takes the newest of everything instead.
+CONSTRAINTS ?= constraints.txt
+INSTALL := $(BIN)/python -m pip install --disable-pip-version-check $(addprefix --constraint ,$(CONSTRAINTS))
+# What pip prints, as one line for each large download and one for the installation.
+BRIEFLY := awk '/Downloading .*MB\)/ { gsub(/[(]/, "", $$(NF-1)); if ($$(NF-1) > 5) print "  fetching", $$2, $$(NF-1), "MB" } \
+	/^Installing collected/ { print "  installing", NF - 3, "packages" } { fflush() }'
+SHELL := /bin/bash
+.SHELLFLAGS := -o pipefail -c
 
-.PHONY: help setup demo quick test kernels lint format docs bench clean
+.PHONY: help setup setup-all demo quick test kernels lint format docs bench ci clean
 .DELETE_ON_ERROR:
 
 help:
-	@echo "make setup | demo | quick | test | lint | format | docs | bench | clean      (PYTHON=python3.12 chooses the Python)"
+	@echo "make setup | demo | quick | test | lint | format | docs | bench | ci | clean  (PYTHON=python3.12 chooses the Python)"
 
 setup: $(VENV)/installed
+
+# With the tools that check and document the package: what `make ci` needs.
+setup-all: setup $(VENV)/lint-tools $(VENV)/docs-tools $(VENV)/colcon-tools
 
 demo: setup
 	rm -rf demo
@@ -32,27 +42,31 @@ quick: setup lint
 	$(BIN)/python -m pytest -n $(WORKERS) $(addprefix --ignore=test/,nodes cli commissioning comparison papers fuzzing docs) \
 		--ignore=test/test_install.py --ignore=test/test_extending.py
 
-test: setup
+test: setup kernels
+	$(BIN)/python -m pytest -n $(WORKERS)
+
+# What continuous integration runs: every check and every test, none skipped because a tool is missing.
+ci: setup-all
 	$(MAKE) --no-print-directory -j2 lint kernels
 	$(BIN)/python -m pytest -n $(WORKERS)
 
-# Beside the lint, which keeps one core busy; pytest takes the modules of the current folder, so this does too.
+# Compiled once for all workers; pytest takes the modules of the current folder, so this does too.
 kernels: setup
 	-PYTHONPATH=$(CURDIR) $(BIN)/python test/compile_kernels.py
 
-lint: setup
+lint: setup $(VENV)/lint-tools
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/numpydoc lint --ignore PR01,PR02,PR07,RT01,RT02,RT03,YD01,GL08 $(MODULES)
 	$(BIN)/numpydoc lint $(filter %/api.py %/studies.py %/swept.py %/results.py %/classes.py hysteresis_ros/__init__.py,$(MODULES))
 
-format: setup
+format: $(VENV)/lint-tools
 	$(BIN)/ruff check --fix .
 	$(BIN)/ruff format .
 
 # Pages for a browser, build/docs/index.html; a warning is an error. Nothing is fetched.
-docs: setup
+docs: setup $(VENV)/docs-tools
 	$(BIN)/python -m sphinx -W --keep-going -q -d build/doctrees docs build/docs
 	@echo "build/docs/index.html"
 
@@ -66,18 +80,33 @@ clean:
 # What is tested is what a user gets: a true installation, made anew after every change (build/lib would keep files
 # that were removed from the tree).
 $(VENV)/installed: $(VENV)/requirements $(SOURCES)
-	rm -rf build/lib build/bdist.*
-	$(INSTALL) --no-deps --no-build-isolation --force-reinstall .
-	rm -rf build/lib build/bdist.* hysteresis_ros.egg-info
+	@echo "2 of 2: hysteresis_ros itself"
+	@rm -rf build/lib build/bdist.*
+	@$(INSTALL) --quiet --no-deps --no-build-isolation --force-reinstall .
+	@rm -rf build/lib build/bdist.* hysteresis_ros.egg-info
+	@touch $@
+
+$(VENV)/requirements: $(VENV)/python setup.py pyproject.toml $(CONSTRAINTS)
+	@echo "1 of 2: the packages that hysteresis_ros and its tests need (about 330 MB to fetch; 1 to 3 minutes the first time)"
+	@$(INSTALL) ".[all,test]" | $(BRIEFLY)
+	@touch $@
+
+$(VENV)/lint-tools: $(VENV)/requirements
+	@echo "ruff, mypy and numpydoc"
+	@$(INSTALL) ".[lint]" | $(BRIEFLY)
+	@touch $@
+
+$(VENV)/docs-tools: $(VENV)/requirements
+	@echo "Sphinx and Jupyter, for the pages and notebooks"
+	@$(INSTALL) ".[docs]" | $(BRIEFLY)
 	@touch $@
 
 # colcon, with which one test builds the package, is nowhere the environment of the nodes, and brings what slows each of
 # their starts (Numba imports `coverage` where it is installed).
-$(VENV)/requirements: $(VENV)/python setup.py pyproject.toml
-	@echo "installing into $(VENV) (some minutes the first time)"
-	$(INSTALL) ".[all,test]"
-	$(BIN)/python -m venv --clear --without-pip $(VENV)/colcon
-	$(INSTALL:install=--python $(VENV)/colcon/bin/python install) colcon-common-extensions "setuptools<80"
+$(VENV)/colcon-tools: $(VENV)/requirements
+	@echo "colcon"
+	@$(BIN)/python -m venv --clear --without-pip $(VENV)/colcon
+	@$(INSTALL:install=--python $(VENV)/colcon/bin/python install) colcon-common-extensions "setuptools<80" | $(BRIEFLY)
 	@touch $@
 
 $(VENV)/python:

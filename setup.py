@@ -68,11 +68,13 @@ EXTRAS["docs"] = [
     *("nbclient", "nbformat", "ipykernel"),
 ]
 # The last two are here because the tests build and install the package, as colcon does, which needs setuptools below 80
-# (`make setup` gives colcon itself an environment of its own).
+# (`make ci` gives colcon itself an environment of its own).
 EXTRAS["test"] = [
-    *("pytest", "pytest-rerunfailures", "pytest-xdist", "hypothesis", "psutil", "ruff", "mypy"),
-    *("setuptools<80", "wheel", *EXTRAS["docs"]),
+    *("pytest", "pytest-rerunfailures", "pytest-xdist", "hypothesis", "psutil"),
+    *("setuptools<80", "wheel"),
 ]
+# Checks of the sources. Their verdict hangs on their version and on that of what they look at: see constraints.txt.
+EXTRAS["lint"] = ["ruff", "mypy", "numpydoc>=1.8"]
 
 #: pip puts executables into bin/, with the Python of the environment in their first line, and never into lib/; only
 #: colcon obeys setup.cfg. This file stands in lib/hysteresis_ros of a wheel under each name and hands over to bin/.

@@ -65,6 +65,8 @@ html_theme = "furo"
 html_title = f"hysteresis_ros {release}"
 html_math_renderer = "mathml"
 html_copy_source = False
+html_static_path = ["static"]
+html_css_files = ["tables.css"]
 html_theme_options = {"source_repository": pages.REPOSITORY, "source_branch": "main", "source_directory": "docs/"}
 
 

@@ -123,7 +123,7 @@ def test_pip_installs_what_ros_2_looks_for(wheel, tmp_path):
 
 @pytest.mark.parametrize("options", [[], ["--symlink-install"]], ids=["copies", "symlinks"])
 def test_colcon_builds_the_package(tree, tmp_path, options):
-    # `make setup` puts it into an environment of its own; with apt it is on the path
+    # `make ci` puts it into an environment of its own; with apt it is on the path
     colcon = shutil.which("colcon", path=f"{sys.prefix}/colcon/bin") or shutil.which("colcon")
     if colcon is None:
         pytest.skip("colcon with its ROS extensions is not installed")
