@@ -20,6 +20,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from stage_support import built, needs_compiler
+from waiting import until_clock
 
 from hysteresis_ros.configuration import dump_configuration, parse_configuration
 from hysteresis_ros.hardware.device import Device
@@ -71,7 +72,7 @@ def hold(device, voltage: float, samples: int = 20) -> float:
     """Hold a voltage for some samples and return the last position of the first joint."""
     for _ in range(samples):
         device.write([voltage])
-        time.sleep(1.0 / RATE)  # the sample that a device with a clock of its own needs
+        until_clock(time.monotonic() + 1.0 / RATE)  # the sample that a device with a clock of its own needs
         position = device.read()[0]
     return position
 
@@ -160,7 +161,7 @@ def test_what_machine_code_calls_is_what_python_calls(opened):
     voltages[0] = 0.5 * (can.minimum + can.maximum)
     for _ in range(30):
         assert call_with(link, WRITE, voltages) == 0
-        time.sleep(1.0 / RATE)  # the sample that a device with a clock of its own needs
+        until_clock(time.monotonic() + 1.0 / RATE)  # the sample that a device with a clock of its own needs
         assert call_with(link, READ, positions) in (0, NOTHING_NEW)
     there = hold(opened, voltages[0])
     assert positions[0] == pytest.approx(there, abs=0.02 * abs(there))

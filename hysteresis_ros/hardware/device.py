@@ -62,6 +62,7 @@ class Device:
             raise DriverError(self.name, f"needs the package {declared.package}, which is not installed", remedy)
         self._driver = declared.driver()
         self._open = True
+        self._written: float | None = None
         try:
             with self._named("cannot be opened", ParameterError):
                 self.capabilities = self._driver.open(parameters, sample_rate)
@@ -129,7 +130,18 @@ class Device:
                 if not (math.isfinite(voltage) and low <= voltage <= high):
                     unit = self.capabilities.voltage_unit
                     raise ValueError(f"{voltage:g} {unit} is not within {low:g} … {high:g} {unit}")
+            self.note(float(voltages[0]))
             self._driver.write(voltages)
+
+    def note(self, voltage: float) -> None:
+        """Take it that the device puts out a voltage, which machine code has written.
+
+        Parameters
+        ----------
+        voltage : float
+            Of the first output [voltage_unit].
+        """
+        self._written = voltage
 
     def compiled(self) -> Compiled | None:
         """Return the functions by which machine code reads and writes the device; None when only Python can.
@@ -142,22 +154,54 @@ class Device:
         with self._named("has no compiled form"):
             return self._driver.compiled()
 
+    @property
+    def left_at(self) -> float | None:
+        """Voltage that it was told last [voltage_unit]; None when it is in its safe state, or was never told one."""
+        if self._written is None or self._driver.last_output is None:
+            return self._written
+        return self._driver.last_output
+
     def make_safe(self) -> None:
         """Bring the device to its safe state; once it is closed, nothing.
 
         Raises
         ------
         DriverError
-            It does not answer.
+            It does not answer; then the error says at which voltage its output still is.
         """
-        if self._open:
+        if not self._open:
+            return
+        try:
             with self._named("cannot be made safe"):
                 self._driver.make_safe()
+        except DriverError as error:
+            if self.left_at is None:
+                raise
+            unit = self.capabilities.voltage_unit
+            problem = f"{error.problem}: the output is still at {self.left_at:.6g} {unit}"
+            remedy = f"take the voltage off at the device itself; {error.remedy}"
+            raise DriverError(error.device, problem, remedy) from error
+        self._written = None
 
-    def close(self) -> None:
-        """Let go of the device; once it is closed, nothing."""
-        if self._open:
-            # there is nobody left who could do anything about it
-            with contextlib.suppress(DriverError), self._named("cannot be closed"):
-                self._driver.close()
-            self._open = False
+    def close(self) -> str:
+        """Let go of the device, which is made safe before if it was written to since; once it is closed, nothing.
+
+        Returns
+        -------
+        str
+            What is wrong with the device that is left, for instance that its output is still at a voltage; empty when
+            nothing is.
+        """
+        if not self._open:
+            return ""
+        wrong = ""
+        if self._written is not None:
+            try:
+                self.make_safe()
+            except DriverError as error:
+                wrong = str(error)
+        # there is nobody left who could do anything about it
+        with contextlib.suppress(DriverError), self._named("cannot be closed"):
+            self._driver.close()
+        self._open = False
+        return wrong

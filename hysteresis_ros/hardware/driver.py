@@ -165,6 +165,9 @@ class Driver(ABC):
         """
         return None
 
+    #: Voltage that the device was told last [voltage_unit], where the driver knows more than what was written.
+    last_output: float | None = None
+
     @abstractmethod
     def make_safe(self) -> None:
         """Bring the device to its safe state, from any state; doing so twice changes nothing.

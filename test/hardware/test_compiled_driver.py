@@ -164,10 +164,11 @@ def test_one_that_fails_is_made_safe_in_that_sample_and_left_alone_until_start(l
 def test_one_that_cannot_be_made_safe_either_is_said_to_be_so(library, kind):
     plant = kind(parameters(library, "fail_read=5", "fail_safe=1"))
     run(plant, [1.0] * 10)
-    assert plant.failure.endswith("does not listen") or "does not listen; switch it off" in plant.failure
-    with pytest.raises(DriverError, match="cannot be made safe: liblisted.so: does not listen; switch it off"):
+    left = f"does not listen: the output is still at {written(library)[-1]:.6g} V"
+    assert plant.failure.endswith(left) and "; and it cannot be made safe: " in plant.failure
+    with pytest.raises(DriverError, match=f"{left}; take the voltage off at the device itself; switch it off"):
         plant.make_safe()
-    plant.close()
+    assert left in plant.close()
 
 
 @pytest.mark.parametrize("kind", [CompiledPlant, DrivenPlant])
@@ -195,6 +196,44 @@ def test_the_fused_loop_reads_and_writes_once_a_sample_and_its_twin_is_the_same_
     assert set(differences(recorded, given)) == {"estimated", "seen"}
     loop.axis.plant.close()
     assert library.noted_closes() == 1
+
+
+#: A stage of 100 V that goes to safe and back at 150 V/s, and a triangle that asks for 850 V/s.
+FAST = {
+    "plant_simulator": {"safe_slew_rate": 150.0, "voltage_timeout": 0.1, "late_limit": -1},
+    "hysteresis_compensator": {"safe_slew_rate": 150.0},
+    "reference_generator": {
+        "waveform__type": "triangle",
+        "waveform__amplitude": 4.25e-6,
+        "waveform__frequency": 50.0,
+        "initial_setpoint": 5e-6,
+    },
+}
+
+
+def fast_axis(library) -> AxisParameters:
+    configuration = parse_configuration(STAGE.format(driver=library.path, options=""), "test")
+    for node, values in FAST.items():
+        configuration = configuration.override(node, **values)
+    return AxisParameters.from_configuration(configuration)
+
+
+def test_a_reference_faster_than_the_way_back_is_reached_and_what_is_recorded_is_what_was_written(library):
+    given = fast_axis(library)
+    loop, table = fused(given, 6000)
+    voltage, applied, reference = table[at.VOLTAGE], table[at.APPLIED], table[at.REFERENCE]
+    np.testing.assert_array_equal(voltage, written(library))
+    np.testing.assert_array_equal(voltage, table[at.PLANT_VOLTAGE])
+    # the device is at its safe 5 V and the path of 850 V/s begins some 45 V away: 0.3 s at 150 V/s
+    away = np.abs(voltage - 1e7 * reference)
+    ended = int(np.argmax(away < 1.0))
+    assert 0.1 < ended / 3000.0 < 1.0 and np.max(away[ended:]) < 1.0 and np.max(away[-100:]) < 1e-6
+    moved = np.abs(np.diff(voltage, prepend=5.0))
+    assert np.all(moved <= 150.0 / 3000.0 + np.abs(np.diff(1e7 * reference, prepend=1e7 * reference[0])) + 1e-9)
+    # what the controller is told is what the actuator was given
+    np.testing.assert_allclose(applied, 1e-7 * voltage, rtol=0.0, atol=1e-7 * 1e-9)
+    assert_equal_to_twin(given, loop, table)
+    loop.axis.plant.close()
 
 
 def assert_equal_to_twin(given: AxisParameters, loop: FusedLoop, table: np.ndarray) -> None:

@@ -15,11 +15,11 @@ import contextlib
 import re
 import socket
 import threading
-import time
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from gcs_stand_support import CYCLE, RATE, Stand
 from waiting import until
 
 from hysteresis_ros import signals as at
@@ -27,41 +27,11 @@ from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.hardware import bringup
 from hysteresis_ros.hardware.device import Device
 from hysteresis_ros.hardware.driver import DriverError
-from hysteresis_ros.hardware.drivers.gcs import MODELS, Controller, DeviceFaults, GcsParameters, Session, serving
+from hysteresis_ros.hardware.drivers.gcs import GcsParameters, serving
 from hysteresis_ros.hardware.drivers.gcs import driver as driving
-from hysteresis_ros.hardware.emulation.plant import assumed_stage
 from hysteresis_ros.hardware.registry import DRIVERS
 from hysteresis_ros.loop.driven import DrivenPlant
 from hysteresis_ros.loop.plant_parameters import PlantNodeParameters
-
-RATE, CYCLE = 100.0, 5.0e-4
-
-
-class Stand:
-    """An emulated controller at a port, with its driver's parameters."""
-
-    def __init__(self, model: str):
-        self.faults = DeviceFaults(time.monotonic)
-        self.controller = Controller(MODELS[model], assumed_stage(CYCLE), CYCLE, self.faults)
-        self.heard: list[str] = []
-        self.port = 0
-
-    def given(self, **changes) -> GcsParameters:
-        return GcsParameters(**{"port": self.port, "safe_time": 0.02, "timeout": 0.2, "check_period": 0.01} | changes)
-
-    def open(self, **changes) -> Device:
-        return Device(DRIVERS["gcs"], self.given(**changes).validated(), RATE)
-
-    def say(self, text: str) -> None:
-        """Let somebody at the controller do something."""
-        Session(self.controller).feed(text.encode() + b"\n")
-
-    def session(self) -> Session:
-        """Return a session that notes what is heard."""
-        session = Session(self.controller)
-        answer = session.answer
-        session.answer = lambda line: self.heard.append(line) or answer(line)
-        return session
 
 
 @pytest.fixture
@@ -230,7 +200,9 @@ def test_a_controller_that_is_not_there_or_is_no_controller_is_named():
                 link.recv(100)
 
         threading.Thread(target=greet, daemon=True).start()
-        with pytest.raises(DriverError, match=r"answers 'ERR\?' with 'Hello'; give the address of a controller"):
+        with pytest.raises(
+            DriverError, match="(says 'SSH-2.0.*a line too many|answers 'ERR.' with 'Hello').*; give the address"
+        ):
             Device(DRIVERS["gcs"], GcsParameters(port=other.getsockname()[1], timeout=0.2), RATE)
 
 
@@ -249,7 +221,7 @@ def test_a_slow_link_has_a_low_rate(stand, monkeypatch):
         ("SVA 1 90", "puts out 90 V where 20 V are commanded; look at gcs.open_loop_scale"),
         ("fault error:0:0.3:603", "has an error: error 603: the temperature is out of range"),
         ("fault busy:0:0.3", "has an error: error 1005: busy"),
-        ("fault silent:0:0.3", r"does not answer 'POS\? 1' \(timed out\)"),
+        ("fault silent:0:0.3", r"does not answer '(POS\? 1|ERR\?)' \(timed out\)"),
         ("fault cut:0:0.3", "it is off, or has another master"),
     ],
 )
@@ -307,3 +279,132 @@ def test_a_range_that_the_controller_does_not_have_is_refused(stand):
 def test_a_range_of_voltages_is_two_numbers_in_order():
     with pytest.raises(ParameterError, match=r"voltage_range = \(3.0, 1.0\): give the least and the greatest"):
         GcsParameters(voltage_range=(3.0, 1.0)).validated()
+
+
+#: What may go wrong with a single line, or with two.
+WRONG_LINES = ("repeat", "stale", "echo", "drop", "garbage", "half", "close")
+
+
+def assert_every_reading_is_of_now(stand, device, readings: int) -> int:
+    """Read while the stage moves; a reading is where the stage was between asking and answer, or an error."""
+    errors, voltage = 0, 0.0
+    for _ in range(readings):
+        voltage = 5.0 - voltage
+        before = stand.places()
+        try:
+            device.write([voltage])
+            measured = device.read()[0]
+        except DriverError:
+            errors += 1
+            continue
+        assert any(abs(measured - place) < 1e-12 for place in stand.places()[len(before) :]), "of another time"
+    return errors
+
+
+@pytest.mark.parametrize("lines", [1, 2])
+@pytest.mark.parametrize("happens", WRONG_LINES)
+@pytest.mark.parametrize("looks", ["each time", "seldom"])
+def test_a_line_that_is_wrong_or_too_many_gives_an_error_and_never_another_reading(stand, happens, lines, looks):
+    stand.number_readings()
+    device = stand.open(check_period=0.001 if looks == "each time" else 60.0)
+    # whatever line it happens to: those of the next reading, and of the one after that
+    for ask_before in range(3):
+        assert_every_reading_is_of_now(stand, device, ask_before)
+        stand.faults.add(f"{happens}:0:60:{lines}")
+        errors = assert_every_reading_is_of_now(stand, device, 12)
+        assert 1 <= errors <= 2 * lines, "taken for an answer, or not gone on after it"
+        stand.faults.add("none")
+    device.close()
+
+
+@pytest.mark.parametrize("lines", [1, 2])
+@pytest.mark.parametrize("happens", WRONG_LINES)
+@pytest.mark.parametrize("first", ["read", "make_safe"])
+def test_a_device_is_made_safe_whatever_line_goes_wrong(stand, happens, lines, first):
+    device = stand.open()
+    device.write([24.0])
+    until(lambda: device.read()[0] > 5.0e-6)
+    stand.faults.add(f"{happens}:0:60:{lines}")
+    if first == "read":
+        with pytest.raises(DriverError):
+            until(device.read)
+    device.make_safe()
+    assert stand.controller.axes["1"].open_value == 0.0
+    stand.faults.add("none")
+    device.close()
+    until(lambda: stand.controller.axes["1"].plant.voltage == 0.0)
+
+
+@pytest.mark.parametrize("happens", [*WRONG_LINES, "none"])
+def test_a_device_that_is_closed_is_safe_and_says_nothing(stand, happens):
+    device = stand.open()
+    device.write([24.0])
+    until(lambda: stand.controller.axes["1"].open_value == 24.0)
+    if happens != "none":
+        stand.faults.add(f"{happens}:0:60:1")
+    assert device.close() == "" and stand.controller.axes["1"].open_value == 0.0
+
+
+@pytest.mark.parametrize("happens", ["cut:0:60", "silent:0:60", "garbage:0:60:100000", "close:0:60:100000"])
+def test_a_device_that_cannot_be_made_safe_says_the_voltage_that_is_left_until_a_person_has_seen_it(stand, happens):
+    plant = DrivenPlant(plant_parameters(stand))
+    axis, row = stand.controller.axes["1"], [0.0] * 64
+    step(plant, row, 24.0, 60)
+    assert axis.open_value == pytest.approx(24.0)
+    stand.faults.add(happens)
+    until(lambda: step(plant, row, 24.0, 1) or plant.failure)
+    left = float(re.search(r"cannot be made safe: .*: the output is still at (\S+) V", plant.failure).group(1))
+    assert left == axis.open_value == plant.held() == pytest.approx(24.0)
+    step(plant, row, 24.0, 3)
+    assert row[at.PLANT_VOLTAGE] == left, "the row says a voltage that is not put out"
+    plant.reset()
+    step(plant, row, 24.0, 1)
+    assert f"the output is still at {left:g} V" in plant.failure, "a reset does not make it safe"
+    with pytest.raises(DriverError, match=f"the output is still at {left:g} V; take the voltage off at the device"):
+        plant.make_safe()
+    assert axis.open_value == left
+    stand.faults.add("none")
+    plant.make_safe()
+    assert axis.open_value == 0.0 == plant.held() and "still" not in plant.failure and plant.tripped
+    assert plant.close() == "", "it was safe"
+
+
+@pytest.mark.parametrize("happens", WRONG_LINES)
+def test_an_axis_that_a_wrong_line_has_stopped_is_safe_and_names_the_line(stand, happens):
+    plant = DrivenPlant(plant_parameters(stand))
+    axis, row = stand.controller.axes["1"], [0.0] * 64
+    step(plant, row, 24.0, 60)
+    stand.faults.add(f"{happens}:0:60:1")
+    until(lambda: step(plant, row, 24.0, 1) or plant.failure)
+    said = "(before it is asked .*, a line too many|answers '.*' with|does not answer '.*timed out|has hung up at)"
+    assert (
+        re.search(said, plant.failure) and "by somebody else" not in plant.failure and "puts out" not in plant.failure
+    )
+    assert plant.tripped and axis.open_value == 0.0 == row[at.PLANT_VOLTAGE]
+    stand.faults.add("none")
+    plant.start()
+    step(plant, row, 24.0, 60)
+    assert plant.failure == "" and axis.open_value == pytest.approx(24.0)
+    assert plant.close() == "" and axis.open_value == 0.0
+
+
+def test_a_device_that_is_left_with_a_voltage_says_so_at_the_end(stand):
+    device = stand.open()
+    device.write([24.0])
+    until(lambda: stand.controller.axes["1"].open_value == 24.0)
+    stand.faults.add("cut:0:60")
+    assert "the output is still at 24 V; take the voltage off" in device.close()
+    assert device.close() == ""
+
+
+def test_a_controller_that_does_not_do_what_it_takes_is_not_called_safe(stand):
+    device = stand.open()
+    device.write([24.0])
+    until(lambda: stand.controller.axes["1"].open_value == 24.0)
+    stand.deaf = True
+    with pytest.raises(DriverError, match=r"says 24 to 'SVA\?' where 0 was commanded to make it safe: the output is"):
+        device.make_safe()
+    stand.deaf = False
+    device.make_safe()
+    assert stand.controller.axes["1"].open_value == 0.0
+    device.close()

@@ -213,3 +213,35 @@ def test_busy_or_with_a_fault_of_the_hardware_it_refuses():
     bench.now += 1.0
     bench.ask("SVA 1 30")
     assert bench.error() == 0 and bench.raw(b"\x07") == "\xb1\n" and bench.number("SVA? 1") == 30.0
+
+
+def test_it_knows_what_the_makers_own_tools_ask_for():
+    """What PIPython 2.11 sends in ``pitools.startup`` and ``pitools.writewavepoints``, in bunches of two points."""
+    bench = Bench("E-727")
+    asked = {
+        "VER?": "FW_DSP: V1.000 of E-727.3CDA (emulated)",
+        "SSN?": "0000000000",
+        "FRF? 2": "2=1",
+        "TWG?": "3",
+        "WGC? 1": "1=0",
+        "WSL?": "1=0 \n2=0 \n3=0",
+        "\x04": "0x0",
+    }
+    assert {question: bench.ask(question) for question in asked} == asked
+    for line in ("WAV 2 X PNT 1 2 1.0 2.0", "WAV 2 & PNT 3 2 3.0 4.0", "WAV 2 & PNT 5 1 5.0"):
+        bench.ask(line)
+    assert bench.error() == 0 and bench.ask("WAV? 2") == "2 1=5"
+    assert bench.ask("GWD? 1 5 2").split(" \n")[-5:] == ["1", "2", "3", "4", "5"]
+    bench.ask("WAV 2 & PNT 2 2 7.0 8.0")
+    assert bench.ask("GWD? 1 5 2").split(" \n")[-5:] == ["1", "7", "8", "4", "5"]
+    bench.ask("WAV 2 & PNT 1 1 9.0")
+    assert bench.ask("GWD? 1 9 2").split(" \n")[-6:] == ["1", "7", "8", "4", "5", "9"]
+    for line in ("WSL 2 2", "WGC 2 3", "FRF 1"):
+        bench.ask(line)
+    assert bench.error() == 0 and (bench.ask("WSL? 2"), bench.ask("WGC? 2")) == ("2=2", "2=3")
+    for line in ("WAV 2 & PNT 8 1 0.0", "WAV 3 X PNT 2 1 0.0", "WAV 3 X PNT 0 1 0.0"):
+        bench.ask(line)
+        assert bench.error() == OUT_OF_RANGE, "points with a gap before them"
+    bench.ask("SVO 3 1")
+    bench.wait(1.0)
+    assert bench.ask("\x04") == "0x500", "the third axis has its servo on, and is there"

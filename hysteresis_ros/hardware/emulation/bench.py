@@ -52,8 +52,11 @@ class Running:
         With which its driver is opened.
     faults : DeviceFaults
         Faults may be added while it runs.
+    device : object
+        The device itself, to look at what it really does.
     """
 
     where: str
     driver: Parameters
     faults: DeviceFaults
+    device: object = None

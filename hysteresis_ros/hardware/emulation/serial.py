@@ -19,7 +19,7 @@ import time
 import tty
 from collections.abc import Callable, Iterator
 
-from hysteresis_ros.hardware.emulation.faults import DeviceFaults
+from hysteresis_ros.hardware.emulation.faults import DeviceFaults, Garbler
 from hysteresis_ros.hardware.emulation.server import TICK, Session
 
 
@@ -37,7 +37,7 @@ def serving_serial(session: Session, tick: Callable[[], None], faults: DeviceFau
     """
     ours, theirs = os.openpty()
     tty.setraw(theirs)
-    leaving = threading.Event()
+    leaving, garbler = threading.Event(), Garbler(faults)
 
     def serve() -> None:
         while not leaving.is_set():
@@ -51,7 +51,7 @@ def serving_serial(session: Session, tick: Callable[[], None], faults: DeviceFau
             if late is not None and answer:
                 time.sleep(late)
             if answer and "silent" not in faults:
-                os.write(ours, answer)
+                os.write(ours, garbler.garble(answer))  # a port has no link that could be closed
 
     thread = threading.Thread(target=serve, daemon=True)
     thread.start()

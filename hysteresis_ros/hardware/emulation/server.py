@@ -21,7 +21,7 @@ from collections.abc import Callable, Iterator
 from typing import Protocol
 
 from hysteresis_ros.errors import ConfigurationError
-from hysteresis_ros.hardware.emulation.faults import DeviceFaults
+from hysteresis_ros.hardware.emulation.faults import DeviceFaults, Garbler
 
 #: How often the plant of a device that nobody asks is advanced, and a link is looked at [s].
 TICK = 0.02
@@ -92,7 +92,7 @@ class _Connection(socketserver.BaseRequestHandler):
     def handle(self) -> None:
         """Answer."""
         self.request.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        session = self.server.session()
+        session, self._garbler = self.server.session(), Garbler(self.server.faults)
         try:
             with contextlib.suppress(OSError):
                 while not self.server.gone.is_set() and "cut" not in self.server.faults:
@@ -111,8 +111,8 @@ class _Connection(socketserver.BaseRequestHandler):
         if late is not None and answer:
             time.sleep(late)
         if answer and "silent" not in self.server.faults:
-            self.request.sendall(answer)
-        return True
+            self.request.sendall(self._garbler.garble(answer))
+        return not self._garbler.closed
 
 
 @contextlib.contextmanager

@@ -55,7 +55,7 @@ def start(given: EmulatedControllerParameters, bench: Bench) -> Iterator[Running
     address = given.host, given.port
     with serving(address, lambda: Session(controller), controller.tick, faults, given.masters) as server:
         where = f"{given.model} with {', '.join(controller.axes)} as axes at {given.host}:{server.port}"
-        yield Running(where, GcsParameters(host=given.host, port=server.port), faults)
+        yield Running(where, GcsParameters(host=given.host, port=server.port), faults, controller)
 
 
 @contextlib.contextmanager

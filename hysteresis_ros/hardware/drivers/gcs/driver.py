@@ -27,6 +27,7 @@ from hysteresis_ros.hardware.drivers.gcs.protocol import (
     AXIS_UNIT,
     GENERATOR_STATUS,
     MOTION_STATUS,
+    NO_ERROR,
     POSITION,
     READY,
     READY_STATUS,
@@ -44,6 +45,10 @@ from hysteresis_ros.parameters import Parameters, parameter
 RECENT = 4
 #: Points of a wave that are sent at a time, and how often is looked whether it has been played [s].
 POINTS, PATIENCE = 40, 0.02
+#: How often it is tried to make a controller safe, each time but the first on a new connection.
+ATTEMPTS = 3
+#: Part of a value that a controller may round away when it says what it was commanded.
+ROUNDING = 1.0e-3
 #: Servo cycles are at most so many times as long as what is played by them.
 LONGEST = 1.0e6
 
@@ -101,7 +106,7 @@ class GcsParameters(Parameters):
     )
     check_period: float = parameter(
         0.2,
-        description="how often errors, servo and voltage are looked at",
+        description="how often servo and voltage are looked at",
         unit="s",
         low=1e-3,
         high=60.0,
@@ -156,7 +161,7 @@ class GcsDriver(Driver):
         link = self._taken(first=True)
         low, high = self._range
         safe = self._command(parameters.safe_voltage)
-        rate = highest_rate(lambda: link.send(safe), lambda: link.number("POS?", parameters.axis))
+        rate = highest_rate(lambda: link.send(safe), lambda: link.numbers(("POS?", parameters.axis)))
         return Capabilities(joints=1, voltages=1, minimum=low, maximum=high, highest_rate=rate)
 
     # -- taking the controller -----------------------------------------------------------------------------------
@@ -165,7 +170,7 @@ class GcsDriver(Driver):
         """Return the link to the controller, in its safe state when it had to be taken."""
         given = self._given
         if self._link is not None and self._link.broken:
-            self.close()
+            self._hang_up()
         if self._link is None or self._failed:
             self._failed = True
             self._link = self._link or GcsLink(given.host, given.port, given.timeout)
@@ -175,16 +180,15 @@ class GcsDriver(Driver):
 
     def _take(self, link: GcsLink, first: bool) -> None:
         given = self._given
-        said = link.ask("*IDN?")[0][0]
+        said = link.ask("*IDN?")[0]  # and what went wrong before is over
         if given.identification.lower() not in said.lower():
             problem = f"says it is {said!r}, which does not contain gcs.identification = {given.identification!r}"
             raise DriverError(link.name, problem, "give the address of the right one, or its name")
-        link.error()  # what went wrong before is over
-        axes = link.ask("SAI?")[0]
+        axes = link.ask("SAI?")
         if given.axis not in axes:
             problem = f"has no axis {given.axis!r}, it has {', '.join(axes)}"
             raise DriverError(link.name, problem, "give one of them as gcs.axis")
-        self._commands = {line.split()[0].upper() for line in link.ask("HLP?")[0] if line.split()}
+        self._commands = {line.split()[0].upper() for line in link.ask("HLP?") if line.split()}
         if first:
             self._require_rest(link)
         self._unit = self._unit_of(link)
@@ -193,7 +197,7 @@ class GcsDriver(Driver):
             problem = f"has a range of {low:g} … {high:g} V without gcs.safe_voltage = {given.safe_voltage:g} V"
             raise DriverError(link.name, problem, "give one within it")
         self._make_safe(link)
-        self._check(link, *link.ask(*self._questions()))
+        self._check(link, *link.numbers(*self._looks))
 
     def _require_rest(self, link: GcsLink) -> None:
         """Refuse a controller that is not ready, or moves an axis for somebody else."""
@@ -211,8 +215,8 @@ class GcsDriver(Driver):
         given, said = self._given, ""
         if "PUN?" in self._commands:
             said = link.value("PUN?", given.axis)
-        elif answer := link.ask_maybe(f"SPA? {given.axis} {AXIS_UNIT}"):
-            said = answer[0].partition("=")[2].strip()
+        else:
+            said = link.find("SPA?", f"{given.axis} {AXIS_UNIT:#x}") or ""
         unit = said.lower() or given.position_unit
         if unit not in UNITS:
             problem = f"measures axis {given.axis} in {said}" if said else f"does not say the unit of axis {given.axis}"
@@ -232,11 +236,10 @@ class GcsDriver(Driver):
             return link.number("VMI?", self._channel), link.number("VMA?", self._channel)
         if given.voltage_range:
             return given.voltage_range[0], given.voltage_range[1]
-        items = [f"{self._channel} {number}" for number in (VOLTAGE_MINIMUM, VOLTAGE_MAXIMUM)]
-        low, high = (link.ask_maybe(f"SPA? {item}") for item in items)
-        if low is None or high is None:
+        items = [f"{self._channel} {number:#x}" for number in (VOLTAGE_MINIMUM, VOLTAGE_MAXIMUM)]
+        if any(link.find("SPA?", item) is None for item in items):
             raise DriverError(link.name, "does not say its voltages", "give gcs.voltage_range")
-        return link.number("SPA?", items[0], low), link.number("SPA?", items[1], high)
+        return link.number("SPA?", items[0]), link.number("SPA?", items[1])
 
     @property
     def _channel(self) -> str:
@@ -245,39 +248,45 @@ class GcsDriver(Driver):
     # -- samples -------------------------------------------------------------------------------------------------
 
     def read(self) -> Reading:
-        """Ask for the position, and now and then for errors, servo and voltage.
+        """Ask for the position and the last error, and now and then for servo and voltage.
 
         Raises
         ------
         DriverError
-            It does not answer, has an error, or somebody else has switched its servo or commands its voltage.
+            It does not answer what it is asked, has an error, or somebody else has switched its servo or commands its
+            voltage.
         """
         link, given = self._taken(), self._given
         due = time.monotonic() - self._checked >= given.check_period
         try:
-            answers = link.ask(f"POS? {given.axis}", *(self._questions() if due else ()))
+            (position, *others), code = link.numbers(("POS?", given.axis), *(self._looks if due else ()))
+            if code != NO_ERROR and not due:  # what has been changed says more than what was refused because of it
+                (others, _), due = link.numbers(*self._looks), True
             if due:
-                self._check(link, *answers[1:])
-            return Reading((self._unit * link.number("POS?", given.axis, answers[0]),))
+                self._check(link, others, code)
+            link.require(code, "has an error")
+            return Reading((self._unit * position,))
         except DriverError:
             self._failed = True
             raise
 
-    def _questions(self) -> tuple[str, ...]:
-        asked = (f"SVO? {self._given.axis}", "ERR?")
+    @property
+    def _looks(self) -> tuple[tuple[str, str], ...]:
+        """What is asked to see whether the controller is as this driver left it."""
+        servo = ("SVO?", self._given.axis)
         looks = self._given.mode == "open_loop" and "VOL?" in self._commands
-        return (*asked, f"VOL? {self._channel}") if looks else asked
+        return (servo, ("VOL?", self._channel)) if looks else (servo,)
 
-    def _check(self, link: GcsLink, servo: list[str], error: list[str], voltage: list[str] | None = None) -> None:
+    def _check(self, link: GcsLink, answers: list[float], code: int) -> None:
         """Refuse a controller that is not as this driver left it."""
-        given = self._given
+        given, (servo, *voltage) = self._given, answers
         on = given.mode == "servo"
-        if bool(link.number("SVO?", given.axis, servo)) != on:
+        if bool(servo) != on:
             problem = f"has its servo switched {'off' if on else 'on'} by somebody else"
             raise DriverError(link.name, problem, "end the program that does so")
-        link.require(link.code(error), "has an error")
-        if voltage is not None:
-            there, tolerance = link.number("VOL?", self._channel, voltage), given.voltage_tolerance
+        link.require(code, "has an error")
+        if voltage:
+            (there,), tolerance = voltage, given.voltage_tolerance
             low, high = min(self._recent), max(self._recent)
             if not low - tolerance <= there <= high + tolerance:
                 problem = f"puts out {there:g} V where {self._recent[-1]:g} V are commanded"
@@ -335,8 +344,8 @@ class GcsDriver(Driver):
         missing = {"WAV", "WGO", "DRC", "DRR?"} - self._commands
         if missing:
             raise DriverError(link.name, f"does not know {', '.join(sorted(missing))}", "send the voltages one by one")
-        (low, high), item = self._range, f"{given.axis} {SERVO_CYCLE}"
-        longest = int(link.number("SPA?", f"{given.axis} {WAVE_POINTS}"))
+        (low, high), item = self._range, f"{given.axis} {SERVO_CYCLE:#x}"
+        longest = int(link.number("SPA?", f"{given.axis} {WAVE_POINTS:#x}"))
         if not 0 < len(voltages) <= longest or not low <= min(voltages) <= max(voltages) <= high:
             problem = f"plays up to {longest} voltages within {low:g} … {high:g} V"
             raise DriverError(link.name, problem, "give fewer or smaller ones")
@@ -361,32 +370,40 @@ class GcsDriver(Driver):
         for first in range(0, len(values), POINTS):
             part = values[first : first + POINTS]
             points = " ".join(f"{value:.6f}" for value in part)
-            link.do(f"WAV 1 {'&' if first else 'X'} PNT 1 {len(part)} {points}")
+            link.do(f"WAV 1 {'&' if first else 'X'} PNT {first + 1} {len(part)} {points}")
         link.do(f"WSL {given.axis} 1", f"WGC {given.axis} 1", f"WTR 0 {rate} 0", f"RTR {rate}")
         link.do(f"SPA {given.axis} {RECORD_TABLES} 2", f"DRC 1 {self._channel} {VOLTAGE} 2 {given.axis} {POSITION}")
 
     # -- end -----------------------------------------------------------------------------------------------------
 
     def make_safe(self) -> None:
-        """Stop all motion, then go to the safe voltage, or the place that it stands for.
+        """Stop all motion, then go to the safe voltage, or the place that it stands for; on a new link if need be.
 
         Raises
         ------
         DriverError
-            It does not answer, or refuses.
+            It does not answer, or refuses, each time that it is tried.
         """
-        if self._link is None or self._link.broken:
-            self._taken()
-        else:
-            self._make_safe(self._link)
+        for attempt in range(ATTEMPTS):
+            try:
+                if self._link is None or self._link.broken:
+                    self._taken()
+                else:
+                    self._make_safe(self._link)
+                return
+            except DriverError:
+                self._hang_up()
+                if attempt + 1 == ATTEMPTS:
+                    raise
 
     def _make_safe(self, link: GcsLink) -> None:
         given = self._given
         safe = given.safe_voltage
         link.stop()
         if given.mode == "servo":
-            self._recent = deque([safe], RECENT)
             link.do(f"SVO {given.axis} 1", self._command(safe))
+            self._require_there(link, "MOV?", safe)
+            self._recent = deque([safe], RECENT)
             return
         link.do(f"SVO {given.axis} 0")
         now = link.number("SVA?", given.axis) * given.open_loop_scale
@@ -397,9 +414,27 @@ class GcsDriver(Driver):
             link.do(self._command(voltage))
 
         ramp(put_out, now, safe, given.safe_time)
+        self._require_there(link, "SVA?", safe)
+
+    def _require_there(self, link: GcsLink, question: str, safe: float) -> None:
+        """Make sure that the controller was given the safe value, whatever else it has answered."""
+        value = self._value(safe)
+        given = link.number(question, self._given.axis)
+        if not abs(given - value) <= ROUNDING * max(abs(value), abs(given), 1.0):
+            problem = f"says {given:g} to {question!r} where {value:g} was commanded to make it safe"
+            raise DriverError(link.name, problem, "end other programs that command it, look at its limits")
+
+    @property
+    def last_output(self) -> float | None:
+        """Voltage that was commanded last, also on the way to the safe one [V]."""
+        return self._recent[-1] if self._recent else None
 
     def close(self) -> None:
         """Hang up."""
+        self._hang_up()
+
+    def _hang_up(self) -> None:
         if self._link is not None:
             self._link.close()
             self._link = None
+            self._failed = True

@@ -17,8 +17,8 @@ space before the LF. Commands of one character need no LF.
 
 from __future__ import annotations
 
-#: Commands of one character: motion status, ready status, status of the wave generator, stop.
-MOTION_STATUS, READY_STATUS, GENERATOR_STATUS, STOP = "\x05", "\x07", "\x09", "\x18"
+#: Commands of one character: status register, motion status, ready status, status of the wave generator, stop.
+STATUS, MOTION_STATUS, READY_STATUS, GENERATOR_STATUS, STOP = "\x04", "\x05", "\x07", "\x09", "\x18"
 #: Answers to :data:`READY_STATUS`.
 READY, NOT_READY = b"\xb1", b"\xb0"
 

@@ -85,6 +85,7 @@ _of_each("VEL?", "get closed-loop velocity", lambda axis: _fixed(axis.velocity /
 _of_each("CST?", "get stage type", lambda axis: "EMULATED")
 _of_each("PUN?", "get position unit", lambda axis: str(axis.values[AXIS_UNIT]))
 _of_each("ATZ?", "get automatic zero point calibration", lambda axis: "1")
+_of_each("FRF?", "get referencing result; the emulated sensor is absolute", lambda axis: "1")
 _of_each("AOS?", "get analog input offset", lambda axis: _fixed(0.0))
 _of_each("WGO?", "get wave generator start mode", lambda axis: str(int(axis.generating)))
 
@@ -113,6 +114,18 @@ def _identify(controller, words):
     return [controller.model.identification]
 
 
+@command("VER?")
+def _versions(controller, words):
+    """Get versions of firmware and drivers."""
+    return [f"FW_DSP: V1.000 of {controller.model.identification.split(', ')[1]} (emulated)"]
+
+
+@command("SSN?")
+def _serial_number(controller, words):
+    """Get device serial number."""
+    return [controller.model.identification.split(", ")[2]]
+
+
 @command("CSV?")
 def _syntax(controller, words):
     """Get current syntax version."""
@@ -134,7 +147,9 @@ def _axes(controller, words):
 @command("HLP?")
 def _help(controller, words):
     """Get list of available commands."""
-    singles = [f"#{code} {text}" for code, text in ((5, "motion"), (7, "ready"), (9, "generator"), (24, "stop"))]
+    singles = [
+        f"#{code} {text}" for code, text in ((4, "status"), (5, "motion"), (7, "ready"), (9, "generator"), (24, "stop"))
+    ]
     named = [f"{name} {(COMMANDS[name].__doc__ or '').rstrip('.').lower()}" for name in sorted(COMMANDS)]
     return ["The following commands are available:", *singles, *named, "end of help"]
 
@@ -261,6 +276,13 @@ def _velocity(controller, words):
 def _zero(controller, words):
     """Set automatic zero point calibration; the emulated sensor needs none."""
     for word in words[::2]:
+        axis_of(controller, word)
+
+
+@command("FRF")
+def _reference(controller, words):
+    """Reference axes; the emulated sensor is absolute."""
+    for word in words:
         axis_of(controller, word)
 
 

@@ -22,6 +22,7 @@ from hysteresis_ros.hardware.drivers.gcs.protocol import (
     NOT_READY,
     READY,
     READY_STATUS,
+    STATUS,
     STOP,
     TOO_LONG,
     UNKNOWN_COMMAND,
@@ -93,6 +94,14 @@ class Session:
             controller.fail(refusal.args[0])
             return []
 
+    def _status(self) -> int:
+        """Return the status register; assumed: four bits an axis, on target, moving, servo on, generator running."""
+        axes = enumerate(self._controller.axes.values())
+        return sum(
+            (axis.on_target | axis.moving << 1 | axis.servo << 2 | axis.generating << 3) << 4 * place
+            for place, axis in axes
+        )
+
     def answer_single(self, character: str) -> bytes:
         """Return the answer to a command of one character.
 
@@ -103,6 +112,8 @@ class Session:
         controller = self._controller
         controller.tick()
         axes = list(controller.axes.values())
+        if character == STATUS:
+            return b"0x%x\n" % self._status()
         if character == MOTION_STATUS:
             return b"%x\n" % sum(axis.moving << place for place, axis in enumerate(axes))
         if character == READY_STATUS:

@@ -50,9 +50,14 @@ def _define_wave(controller, words):
         raise Refusal(SYNTAX)
     points = segment(kind, [real(word) for word in words[3:]])
     before = controller.waves.get(table, []) if append == "&" else []
-    if len(before) + len(points) > LONGEST:
+    # PI's own writewavepoints says where further points begin; 1 puts them behind those that there are
+    start = whole(words[3], 1, LONGEST) - 1 if kind == "PNT" else 0
+    if start > len(before):
+        raise Refusal(OUT_OF_RANGE)
+    start = start or len(before)
+    if start + len(points) > LONGEST:
         raise Refusal(WAVE_LENGTH)
-    controller.waves[table] = before + points
+    controller.waves[table] = before[:start] + points + before[start + len(points) :]
 
 
 @command("WAV?")
@@ -89,6 +94,29 @@ def _choose_wave(controller, words):
     for axis, value in pairs_of(controller, words):
         table = whole(str(value), 0, TABLES)
         controller.chosen[axis.name] = table
+
+
+@command("WSL?")
+def _chosen_wave(controller, words):
+    """Get connection of wave table to wave generator."""
+    return [f"{axis.name}={controller.chosen.get(axis.name, 0)}" for axis in _axes_of(controller, words)]
+
+
+@command("TWG?")
+def _generator_count(controller, words):
+    """Get number of wave generators."""
+    return [str(len(controller.axes))]
+
+
+@command("WGC?")
+def _repeated(controller, words):
+    """Get number of wave generator cycles."""
+    return [f"{axis.name}={controller.repeats[axis.name]}" for axis in _axes_of(controller, words)]
+
+
+def _axes_of(controller: Controller, words: list[str]) -> list[Axis]:
+    """Return the axes that are named, or all."""
+    return [axis_of(controller, word) for word in words] or list(controller.axes.values())
 
 
 @command("WGC")

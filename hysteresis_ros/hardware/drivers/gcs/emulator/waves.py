@@ -39,7 +39,7 @@ def segment(kind: str, numbers: list[float]) -> list[float]:
         The type is unknown, or numbers are missing or out of range.
     """
     if kind == "PNT":
-        if len(numbers) < 3 or numbers[0] != 1.0 or numbers[1] != len(numbers) - 2:
+        if len(numbers) < 3 or numbers[1] != len(numbers) - 2:
             raise Refusal(WRONG_COUNT)
         return numbers[2:]
     if kind not in SHAPES:

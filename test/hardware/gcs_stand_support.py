@@ -1,0 +1,76 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""What several tests of hardware share, first of all gcs driver."""
+
+from __future__ import annotations
+
+import time
+
+from hysteresis_ros.hardware.device import Device
+from hysteresis_ros.hardware.drivers.gcs import MODELS, Controller, DeviceFaults, GcsParameters, Session
+from hysteresis_ros.hardware.emulation.plant import assumed_stage
+from hysteresis_ros.hardware.registry import DRIVERS
+
+RATE, CYCLE = 100.0, 5.0e-4
+
+
+class Stand:
+    """An emulated controller at a port, with its driver's parameters."""
+
+    def __init__(self, model: str):
+        self.faults = DeviceFaults(time.monotonic)
+        self.controller = Controller(MODELS[model], assumed_stage(CYCLE), CYCLE, self.faults)
+        self.heard: list[str] = []
+        self.port = 0
+        self.deaf = False
+
+    def given(self, **changes) -> GcsParameters:
+        return GcsParameters(**{"port": self.port, "safe_time": 0.02, "timeout": 0.2, "check_period": 0.01} | changes)
+
+    def open(self, **changes) -> Device:
+        return Device(DRIVERS["gcs"], self.given(**changes).validated(), RATE)
+
+    def say(self, text: str) -> None:
+        """Let somebody at the controller do something."""
+        Session(self.controller).feed(text.encode() + b"\n")
+
+    def number_readings(self) -> None:
+        """Let each answer to POS? be another number: which of them a reading is, is seen by that."""
+        axis, self._numbers = self.controller.axes["1"], iter(range(1, 10**6))
+        self._told: list[float] = [0.0]
+
+        class Plant:
+            """The plant, whose measurement counts."""
+
+            @property
+            def measured(_):
+                self._told.append(1.0e-9 * next(self._numbers))
+                return self._told[-1]
+
+            def __getattr__(_, name):
+                return getattr(plant, name)
+
+        plant, axis.plant = axis.plant, Plant()
+
+    def places(self) -> list[float]:
+        """Return what the sensor has said so far, the last one last [m]."""
+        return list(self._told)
+
+    def session(self) -> Session:
+        """Return a session that notes what is heard."""
+        session = Session(self.controller)
+        answer = session.answer
+
+        def heard(line: str) -> list[str]:
+            self.heard.append(line)
+            return [] if self.deaf and line.startswith("SVA ") else answer(line)
+
+        session.answer = heard
+        return session
