@@ -28,6 +28,11 @@ NODE_NAMES = ("plant_simulator", "reference_generator", "motion_controller", "hy
 OPTIONAL_NODE_NAMES = ("recorder", "inchworm_sequencer", "displacement_camera")
 
 
+def node_names(inchworm: bool) -> tuple[str, ...]:
+    """Return the names of the nodes every axis has; an inchworm's sequencer stands for the reference generator."""
+    return tuple("inchworm_sequencer" if inchworm and name == "reference_generator" else name for name in NODE_NAMES)
+
+
 class _Loader(yaml.SafeLoader):
     """YAML as the ROS parameter parser reads it: ``5e-6`` is a number (YAML 1.1 wants ``5.0e-6``).
 

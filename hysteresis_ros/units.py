@@ -134,6 +134,35 @@ def quantity(text: str) -> tuple[float, str]:
     return value / found[1], found[0]
 
 
+def quantity_in(text: str, unit: str) -> float:
+    """Return a number with its unit, as people write it, in SI.
+
+    A length needs its unit, because 60 may be 60 µm or 60 nm to the person who writes it and would be 60 m here. Other
+    numbers without a unit are in SI.
+
+    Parameters
+    ----------
+    text : str
+        ``70um``, ``2 kHz``, ``0``.
+    unit : str
+        SI unit; empty where there is none.
+
+    Raises
+    ------
+    ValueError
+        The text is no finite number, has another unit, or is a length without one; the message says which.
+    """
+    value, given = quantity(text)
+    if not given and unit == "m" and value != 0.0:
+        bare = text.strip()
+        # the two that come nearest to what these actuators do, 10 µm
+        likely = sorted(("m", "mm", "um", "nm"), key=lambda name: abs(math.log10(abs(value) / UNITS[name][1] / 1e-5)))
+        raise ValueError(f"of which unit? Write {bare}{likely[0]} or {bare}{likely[1]}")
+    if given not in ("", unit or "1"):
+        raise ValueError(f"is in {given}, must be {f'in {unit}' if unit else 'a number without a unit'}")
+    return value
+
+
 def readable(value: float, unit: str) -> str:
     """Return a number for people: four digits and the part of the unit that leaves few zeros, as ``0.2148 µm``.
 

@@ -40,6 +40,23 @@ class ConfigurationName(click.ParamType):
         return found
 
 
+class Quantity(click.ParamType):
+    """A number with its unit, such as ``2nm``, ``100Hz``, ``0.5s``; its value is in SI. A length needs its unit."""
+
+    def __init__(self, unit: str):
+        self.unit = unit
+        self.name = {"m": "length", "s": "time", "Hz": "frequency"}[unit]
+
+    def convert(self, value, param, ctx) -> float:
+        """Return the number in SI; click reports what is refused, with exit code 2."""
+        from hysteresis_ros.units import quantity_in
+
+        try:
+            return quantity_in(value, self.unit) if isinstance(value, str) else float(value)
+        except ValueError as error:
+            self.fail(f"{value!r}: {error}", param, ctx)
+
+
 class WaveformName(click.ParamType):
     """The name of a waveform; what is none is refused where all waveforms are known."""
 

@@ -15,13 +15,15 @@ import pathlib
 
 import click
 
+from hysteresis_ros.cli.arguments import Quantity
+
 
 @click.command(short_help="Displacements out of a video or a folder of pictures.")
 @click.argument("frames", type=click.Path(path_type=pathlib.Path))
 @click.option("-o", "--output", type=click.Path(path_type=pathlib.Path), help="File to write: .npz, .csv or .mcap.")
 @click.option("--config", help="Take tracking and calibration from displacement_camera in this parameter file.")
 @click.option("--namespace", default="", help="Of the axis in that file.")
-@click.option("--rate", type=float, help="Frames per second; that of the video by default.")
+@click.option("--rate", type=Quantity("Hz"), help="Frames per second; that of the video by default.")
 @click.option("--method", type=click.Choice(["edge", "pattern"]), help="What is looked for.")
 @click.option("--along", type=click.Choice(["x", "y"]), help="Direction of the motion in the frames.")
 @click.option("--region", metavar="X,Y,W,H", help="Part of the frames that is looked at [px].")
@@ -65,13 +67,13 @@ def camera(frames, output, config, namespace, rate, known, target, **options):
 
 
 def _metres(option: str, text: str) -> float:
-    from hysteresis_ros.units import quantity
+    from hysteresis_ros.units import quantity_in
 
     try:
-        value, unit = quantity(text)
+        value = quantity_in(text, "m")
     except ValueError as error:
         raise click.UsageError(f"{option} {text}: {error}") from None
-    if unit not in ("", "m") or not value > 0.0:
+    if not value > 0.0:
         raise click.UsageError(f"{option} {text}: must be a length above 0")
     return value
 

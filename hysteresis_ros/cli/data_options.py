@@ -15,6 +15,7 @@ import pathlib
 
 import click
 
+from hysteresis_ros.cli.arguments import Quantity
 from hysteresis_ros.cli.progress import Progress
 
 #: Endings of figures' names: in which SI unit the figure is.
@@ -28,7 +29,7 @@ def data_options(command):
             click.option("--input", "input_", metavar="NAME[:UNIT]", help="Input column, e.g. control_V:V."),
             click.option("--output", "output_", metavar="NAME[:UNIT]", help="Output column, e.g. cap_sensor_um:um."),
             click.option("--time", metavar="NAME[:UNIT]", help="Time column, e.g. t_ms:ms."),
-            click.option("--sample-time", type=float, help="Sample time [s] of data without a time column."),
+            click.option("--sample-time", type=Quantity("s"), help="Of data without a time column, such as 1ms."),
             click.option("--namespace", help="Which axis, when a bag holds several."),
             click.option("--range", "range_", metavar="FIRST:LAST", help="Use these samples only, e.g. 0:6000."),
             click.option("--resample", metavar="SECONDS|auto", help="Bring the data to a uniform grid first."),

@@ -33,6 +33,8 @@ LOCKSTEP = 0.75
 #: How long the last setpoint is held [s of the axis], and the longest wait for all of them [s].
 HELD, PATIENCE = 0.2, 60.0
 
+#: Shortest silence where the output goes to a file or through a pipe [s].
+SILENCE = 10.0
 #: Length of the steps where nothing is compiled [s of the axis].
 INTERPRETED = 2.4
 
@@ -49,7 +51,8 @@ def demo(output, factor):
     In real time, fused: a triangle without and with the inverse of the hysteresis, and steps by setpoints on the topic.
     Then the triangle as four processes in lockstep, compared bit for bit with the offline twin.
     """
-    progress = Progress(steady=True)
+    # the result alone goes to stdout, its message first
+    progress = Progress(err=True, silence=SILENCE)
     progress.say("Kim's axis at 3 kHz: a triangle without and with the inverse of the hysteresis, then steps")
     with progress.during("loading"):
         from hysteresis_ros.nodes.domain import entered
@@ -61,8 +64,8 @@ def demo(output, factor):
     with entered():  # a running axis of the user and this one must not hear each other
         _compile(axes.values(), progress)
         _run_live(axes, folder, progress)
-        _run_processes(axes[WITH], folder, progress)
-    _report(folder, axes, progress)
+        proof = _run_processes(axes[WITH], folder, progress)
+    _report(folder, axes, proof, progress)
 
 
 def _new_folder(output: str) -> pathlib.Path:
@@ -136,7 +139,6 @@ def _run_live(axes: dict, folder: pathlib.Path, progress: Progress) -> None:
     """Run all axes side by side; one of them is moved by setpoints, and ends after the last."""
     from hysteresis_ros.errors import HysteresisError
     from hysteresis_ros.nodes.launcher import Graph, node_environment
-    from hysteresis_ros.recordings.files import load_run
 
     plant = axes[STEPS].plant_simulator
     live = plant.time_mode == "fused"
@@ -163,9 +165,6 @@ def _run_live(axes: dict, folder: pathlib.Path, progress: Progress) -> None:
             graphs.pop(STEPS).stop()
         for graph in graphs.values():
             graph.wait()
-    for name in axes:
-        run = load_run(folder / name, further=True)
-        progress.say(f"  {name}: {_pace(run, live)}")
 
 
 def _end(process: subprocess.Popen) -> None:
@@ -179,21 +178,11 @@ def _publisher_command(namespace: str) -> list[str]:
     return [*module, "--namespace", namespace, "--setpoint", *values, "--at", *times]
 
 
-def _pace(run, live: bool) -> str:
-    """Return in words how many samples a run has, how fast they were made, and how many were skipped."""
-    rate = run.metadata["timing"]["rate_hz"]
-    text = f"{run.time.size} samples, {rate:.0f} a second"
-    if not live:
-        return text
-    jitter = run.metadata["timing"]["jitter_p99_s"]
-    return f"{text}, {int(run['skipped'].sum())} skipped, 99 % of the periods within {1e6 * jitter:.0f} µs"
-
-
 # -- as processes ------------------------------------------------------------------------------------------------
 
 
-def _run_processes(axis, folder: pathlib.Path, progress: Progress) -> None:
-    """Run the triangle as four processes in lockstep, and compare it with the offline twin and with the live run."""
+def _run_processes(axis, folder: pathlib.Path, progress: Progress) -> list[str]:
+    """Run the triangle as four processes in lockstep, and return how all runs compare with their offline twins."""
     from hysteresis_ros.errors import HysteresisError
     from hysteresis_ros.nodes.launcher import Graph
 
@@ -202,11 +191,11 @@ def _run_processes(axis, folder: pathlib.Path, progress: Progress) -> None:
         graph.wait()
     with progress.during("the offline twins"):
         found = {name: _unlike_twin(folder / name) for name in (WITHOUT, WITH, STEPS, PROCESSES)}
-    for name, (samples, unlike) in found.items():
+    for _, unlike in found.values():
         if unlike:
             raise HysteresisError(unlike)
-        progress.say(f"  {name}: {samples} samples equal the offline twin bit for bit, none missing")
-    progress.say(f"  {_same_as_live(folder)}")
+    counts = ", ".join(f"{name} {samples}" for name, (samples, _) in found.items())
+    return [f"all samples equal the offline twin bit for bit, none missing: {counts}", _same_as_live(folder)]
 
 
 def _unlike_twin(bag: pathlib.Path) -> tuple[int, str]:
@@ -239,39 +228,48 @@ def _same_as_live(folder: pathlib.Path) -> str:
 # -- what it leaves ----------------------------------------------------------------------------------------------
 
 
-def _report(folder: pathlib.Path, axes: dict, progress: Progress) -> None:
-    """Write picture, report and figures, as far as the libraries for them are there."""
-    from hysteresis_ros.analysis.demonstration import inverse_figure, moved_part, opening_of_stroke
+def _report(folder: pathlib.Path, axes: dict, proof: list[str], progress: Progress) -> None:
+    """Write picture, report and figures, as far as the libraries for them are there, and say what came out."""
+    import numpy as np
+
+    from hysteresis_ros.analysis.demonstration import inverse_figure, message, opening_of_stroke
     from hysteresis_ros.analysis.metrics import compute_metrics
     from hysteresis_ros.analysis.plots import MissingExtraError, data_uri, png
     from hysteresis_ros.analysis.report import write_report
-    from hysteresis_ros.analysis.shown_figures import format_table
+    from hysteresis_ros.analysis.shown_figures import format_parts
     from hysteresis_ros.recordings.files import load_run
+    from hysteresis_ros.simulation.run import simulate
 
     runs = {name: load_run(folder / name, further=True) for name in axes}
-    steps = moved_part(runs[STEPS], before=SETPOINTS[0][0], after=HELD)
-    figures = compute_metrics(steps)
-    openings = {name: opening_of_stroke(runs[name]) for name in (WITHOUT, WITH)}
+    with progress.during("the method alone: offline, without a missed deadline"):
+        alone = {name: simulate(axes[name]) for name in (WITHOUT, WITH)}
+    figures = compute_metrics(runs[STEPS])
+    shares = {name: 100.0 * float(np.mean(run["skipped"] != 0.0)) for name, run in runs.items()}
+    opened = {name: opening_of_stroke(runs[name]) for name in alone}
+    left = {name: opening_of_stroke(run) for name, run in alone.items()}
     figures["demonstration"] = {
-        "loop_opening_of_stroke": openings,
+        "loop_opening_of_stroke": opened,
+        "loop_opening_without_missed_deadlines": left,
         "skipped_samples": {name: int(run["skipped"].sum()) for name, run in runs.items()},
+        "skipped_percent": shares,
         "rate_hz": {name: run.metadata["timing"]["rate_hz"] for name, run in runs.items()},
         "real_time_factor": axes[STEPS].plant_simulator.real_time_factor,
         "time_mode": axes[STEPS].plant_simulator.time_mode,
     }
     text = json.dumps(figures, indent=2, ensure_ascii=False, allow_nan=False)
     (folder / "metrics.json").write_text(text + "\n", encoding="utf-8")
-    click.echo(format_table(figures))
-    progress.say(
-        f"the loop is open by {100.0 * openings[WITHOUT]:.2g} % of the stroke without the inverse, by "
-        f"{100.0 * openings[WITH]:.2g} % with it"
-    )
+    here, clean, share = ((of[WITHOUT], of[WITH]) for of in (opened, left, shares))
+    said = message(here, clean, share, axes[STEPS].plant_simulator.time_mode == "fused")
+    missing = ""
     try:
         with progress.during("picture and report"):
-            picture = inverse_figure(runs[WITHOUT], runs[WITH])
+            picture = inverse_figure(*(alone[name] for name in alone), *(runs[name] for name in alone))
             (folder / "inverse.png").write_bytes(png(picture))
-            first = [("A triangle without and with the inverse", data_uri(picture))]
-            write_report(steps, folder / "report.html", "demo", figures, first)
+            first = [(" ".join(said), data_uri(picture))]
+            write_report(runs[STEPS], folder / "report.html", "demo", figures, first)
     except MissingExtraError as error:
-        progress.say(f"no picture and no report.html: {error}")
-    progress.say(f"bags, {', '.join(sorted(path.name for path in folder.iterdir() if path.is_file()))}: in {folder}")
+        missing = f"no picture and no report.html: {error}"
+    lines = [*said, "setpoints on the topic:", *(f"  {line}" for line in format_parts(figures)), *proof, missing]
+    click.echo("\n".join(filter(None, lines)))
+    files = ", ".join(sorted(path.name for path in folder.iterdir() if path.is_file()))
+    click.echo(f"bags, {files}: in {folder}")

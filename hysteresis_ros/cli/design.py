@@ -15,7 +15,7 @@ import pathlib
 
 import click
 
-from hysteresis_ros.cli.arguments import ConfigurationName
+from hysteresis_ros.cli.arguments import ConfigurationName, Quantity
 from hysteresis_ros.cli.progress import shown
 from hysteresis_ros.control.damping import registry as damping
 from hysteresis_ros.control.learning.filters import KINDS
@@ -35,17 +35,21 @@ from hysteresis_ros.control.registry import DESIGNS
     metavar="NAME",
     help=f"Damp the model's resonance first, the controller is for the damped plant: {', '.join(damping.KINDS)}, none.",
 )
-@click.option("--period", type=float, help="With --learning: of the reference [s].  [default: of the waveform]")
-@click.option("--maximum", type=float, help="With --learning: largest correction [m].  [default: 10 % of the stroke]")
-@click.option("--bandwidth", type=float, help="-3 dB bandwidth from reference to displacement, or of learning [Hz].")
+@click.option("--period", type=Quantity("s"), help="With --learning: of the reference.  [default: of the waveform]")
+@click.option(
+    "--maximum",
+    type=Quantity("m"),
+    help="With --learning: largest correction.  [default: 10 % of the stroke]",
+)
+@click.option("--bandwidth", type=Quantity("Hz"), help="-3 dB from reference to displacement, or of learning.")
 @click.option("--q", type=float, help="Kalman filter: variance of the input's noise over that of the measurement.")
-@click.option("--noise", type=float, help="RMS noise of the sensor [m], by which the fastest design is chosen.")
+@click.option("--noise", type=Quantity("m"), help="RMS noise of the sensor, by which the fastest design is chosen.")
 @click.option(
     "--criterion",
     type=click.Choice(["iae", "ise", "itae"]),
     help="Tune the gains by Nelder-Mead on the waveform (pid).",
 )
-@click.option("--duration", type=float, help="Length of the run that --criterion judges [s].")
+@click.option("--duration", type=Quantity("s"), help="Length of the run that --criterion judges.")
 @click.option("--feedforward", is_flag=True, help="Add the inverse of the dynamics as feedforward.")
 @click.option("--preview", type=int, help="Samples that the reference is ahead, with --feedforward.")
 @click.option("--robust", is_flag=True, help="Gains for the worst of plants drawn around the model, by these ranges:")
@@ -84,6 +88,7 @@ def design(config, namespace, output, response, **options):
     from hysteresis_ros.simulation.design_certainty import response_uncertainty
     from hysteresis_ros.simulation.learning_design import asked, design_learning, learning_file, learning_lines
     from hysteresis_ros.simulation.measured_design import measured_lines, measured_uncertainty
+    from hysteresis_ros.simulation.setpoint_step import step_lines
 
     configuration = load_configuration(config)
     axis = single_axis(configuration, namespace or None)
@@ -102,8 +107,10 @@ def design(config, namespace, output, response, **options):
     request = DesignRequest(**options | {"robust": drawn_around(options["robust"], ranges)})
     with shown("designing"):
         result = design_axis(axis, request, known)
-    write_file(output, design_file(configuration, result, normalised_namespace(axis.namespace)))
-    for line in design_lines(result):
+    text = design_file(configuration, result, normalised_namespace(axis.namespace))
+    lines = step_lines(text, axis.namespace or None, request.feedforward)
+    write_file(output, text)
+    for line in (*lines, *design_lines(result)):
         click.echo(line)
     if measured is not None:
         for line in measured_lines(axis, result, measured):

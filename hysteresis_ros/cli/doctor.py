@@ -117,6 +117,8 @@ def _fused(progress: Progress) -> list[dict]:
     rows = []
     for priority in (PRIORITY, 0):
         made = []
+        how = f"with SCHED_FIFO {priority}" if priority else "with normal priority"
+        progress.say(f"fused {how}")
         for rate in RATES:
             with progress.during(f"{rate:g} Hz"):
                 made.append(_trial(rate, priority))
@@ -127,10 +129,9 @@ def _fused(progress: Progress) -> list[dict]:
                 break
         held = max((row["rate_hz"] for row in made if row["held"]), default=0.0)
         words = f"holds {held:g} Hz" if held else "holds none of these rates at present"
-        how = f"with SCHED_FIFO {priority}" if priority else "with normal priority"
         if made[-1]["warning"]:
-            words = f"is not permitted: {made[-1]['warning']}"
-        progress.say(f"fused {how}: {words}")
+            words = f"not permitted: {made[-1]['warning']}"
+        progress.say(f"  = {words}")
         rows += made
     return rows
 

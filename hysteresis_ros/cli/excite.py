@@ -16,7 +16,7 @@ import pathlib
 
 import click
 
-from hysteresis_ros.cli.arguments import ConfigurationName, split_options, splitting
+from hysteresis_ros.cli.arguments import ConfigurationName, Quantity, split_options, splitting
 from hysteresis_ros.cli.progress import Progress
 from hysteresis_ros.cli.reference_options import reference_options
 from hysteresis_ros.references.recipes import RECIPES
@@ -27,7 +27,7 @@ from hysteresis_ros.references.recipes import RECIPES
 @click.option("--recipe", "name", type=click.Choice(list(RECIPES)), help="What to drive it with; or give --reference.")
 @click.option("--record", required=True, metavar="DIR", type=click.Path(path_type=pathlib.Path), help="New bag folder.")
 @split_options
-@click.option("--duration", type=float, help="Length of the run [s of the axis]; the recipe's own by default.")
+@click.option("--duration", type=Quantity("s"), help="Length of the run [s of the axis]; the recipe's own by default.")
 @click.option(
     "--rate", type=click.Choice(["realtime", "lockstep", "fused"]), help="Time mode; the configuration's by default."
 )

@@ -24,13 +24,20 @@ from hysteresis_ros.cli.arguments import ConfigurationName
 @click.option("--only", multiple=True, metavar="NAME", help="Only this mishap, or this group; may be repeated.")
 @click.option("--rounds", type=click.IntRange(1), default=1, show_default=True, help="How often, at other moments.")
 @click.option("--seed", type=int, default=1, show_default=True, help="Of the moments.")
+@click.option(
+    "--rate",
+    type=click.FloatRange(1.0, 1e5),
+    default=None,
+    metavar="HZ",
+    help="Sample rate in the place of the file's; losses of nodes are the same at 10, 200 and 3000.",
+)
 @click.option("--list", "listed", is_flag=True, help="Print what would be done, and do nothing.")
 @click.option("-o", "output", type=click.Path(path_type=pathlib.Path), help="Page (Markdown) for it all.")
 @click.option("--json", "figures", type=click.Path(path_type=pathlib.Path), help="JSON file for the figures.")
 @click.option(
     "--add", multiple=True, type=click.Path(path_type=pathlib.Path), help="Figures of before for the page, too."
 )
-def faults(config, ways, only, rounds, seed, listed, output, figures, add):
+def faults(config, ways, only, rounds, seed, rate, listed, output, figures, add):
     """Start the axis of CONFIG with a simulated plant, in a ROS domain of its own, and let everything go wrong.
 
     Nodes are killed and stopped, messages lost and forged, cores and disks taken; for each it is judged whether the
@@ -53,13 +60,13 @@ def faults(config, ways, only, rounds, seed, listed, output, figures, add):
         load_results(path)
     from hysteresis_ros.configuration import load_configuration
     from hysteresis_ros.nodes.apart import run_apart
-    from hysteresis_ros.reliability.bounds import prepared
+    from hysteresis_ros.reliability.bounds import at_rate, prepared
 
-    configuration = load_configuration(config)
+    configuration = at_rate(load_configuration(config), rate or 0.0)
     for way in wanted:
         prepared(configuration, way, "/faults")
     request = {"config": config, "ways": wanted, "only": [mishap.name for mishap in mishaps]}
-    request |= {"rounds": rounds, "seed": seed, "add": [str(path.absolute()) for path in add]}
+    request |= {"rounds": rounds, "seed": seed, "rate": rate or 0.0, "add": [str(path.absolute()) for path in add]}
     files = {"output": output, "json": figures}
     request |= {name: str(path.absolute()) if path else "" for name, path in files.items()}
     raise SystemExit(run_apart("hysteresis_ros.nodes.campaign", request))

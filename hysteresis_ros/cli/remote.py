@@ -65,13 +65,19 @@ def in_graph(command: str, namespace: str, timeout: float, **arguments) -> None:
     from functools import partial
 
     from hysteresis_ros.errors import HysteresisError
-    from hysteresis_ros.nodes.launcher import node_environment, require_ros
-    from hysteresis_ros.nodes.parent import die_with_parent
+    from hysteresis_ros.nodes.remote.door import ask_session
 
     if not 0.0 < timeout < math.inf:
         raise HysteresisError(f"--timeout {timeout:g}: must be a positive number of seconds")
-    require_ros()
     request = {"command": command, "namespace": namespace, "timeout": timeout, **arguments}
+    code = ask_session(request)
+    if code is not None:
+        raise SystemExit(code)
+
+    from hysteresis_ros.nodes.launcher import node_environment, require_ros
+    from hysteresis_ros.nodes.parent import die_with_parent
+
+    require_ros()
     # a process of its own: the pip wheels of ROS restart the interpreter on import
     words = [sys.executable, "-m", "hysteresis_ros.nodes.remote", json.dumps(request)]
     # in a session of its own: Ctrl-C in a terminal reaches this process only, which then takes the other one along
@@ -148,17 +154,16 @@ def echo(topic, once, count, namespace, timeout):
 @click.argument("value")
 @steered(timeout=30.0)  # an axis that is started for the first time compiles
 def setpoint(value, namespace, timeout):
-    """Publish the setpoint VALUE, e.g. 5um or 5.0e-6 [m], and say whether the axis takes it.
+    """Give the axis the setpoint VALUE, e.g. 5um or 5.0e-6m, and say whether its reference source takes it.
 
-    Ends with exit code 2 when it is refused (out of range, axis not active or stopped) or nobody listens.
+    Ends with exit code 2 when it is refused (out of range, axis not active or stopped), and with 1 when the source is
+    not found or does not answer: then it is not known to be taken.
     """
     from hysteresis_ros.errors import HysteresisError
-    from hysteresis_ros.units import quantity
+    from hysteresis_ros.units import quantity_in
 
     try:
-        metres, unit = quantity(value)
-        if unit not in ("", "m"):
-            raise ValueError(f"is in {unit}, must be a length")
+        metres = quantity_in(value, "m")
     except ValueError as error:
         raise HysteresisError(f"setpoint {value}: {error}") from None
     in_graph("setpoint", namespace, timeout, value=metres)

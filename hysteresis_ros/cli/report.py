@@ -63,6 +63,7 @@ def report(recordings, output, json_path, namespace, title, range_, skip, last_p
 def _single(run, output, title: str, json_path: str | None) -> None:
     """Judge one run, an inchworm's by its moves."""
     from hysteresis_ros.analysis.inchworm_moves import is_inchworm
+    from hysteresis_ros.analysis.limited import limited_text
 
     if is_inchworm(run):
         from hysteresis_ros.analysis.inchworm import format_inchworm as table
@@ -72,6 +73,9 @@ def _single(run, output, title: str, json_path: str | None) -> None:
         from hysteresis_ros.analysis.metrics import compute_metrics as judge
         from hysteresis_ros.analysis.report import write_report as write
         from hysteresis_ros.analysis.shown_figures import format_table as table
+    limited = limited_text(run)
+    if limited:
+        click.echo(f"hysteresis: warning: {limited}", err=True)
     with shown(f"judging {len(run)} samples"):
         figures = judge(run)
         if output is not None:

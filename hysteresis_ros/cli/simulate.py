@@ -15,7 +15,7 @@ from typing import Any
 
 import click
 
-from hysteresis_ros.cli.arguments import ConfigurationName, laid_under, params_file_option
+from hysteresis_ros.cli.arguments import ConfigurationName, Quantity, laid_under, params_file_option
 from hysteresis_ros.cli.progress import shown
 from hysteresis_ros.cli.reference_options import reference_options
 
@@ -24,7 +24,7 @@ from hysteresis_ros.cli.reference_options import reference_options
 @click.argument("config", type=ConfigurationName())
 @click.option("-o", "--output", required=True, help="File to write: .npz, .csv or .mcap.")
 @params_file_option
-@click.option("--duration", type=float, help="Length of the run [s]; the configuration's own by default.")
+@click.option("--duration", type=Quantity("s"), help="Length of the run [s]; the configuration's own by default.")
 @click.option(
     "--setpoints",
     help="Recording whose setpoints (of an inchworm requests and speeds too) are replayed, sample by sample.",

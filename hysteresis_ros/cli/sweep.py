@@ -15,7 +15,7 @@ import pathlib
 
 import click
 
-from hysteresis_ros.cli.arguments import ConfigurationName, laid_under, params_file_option
+from hysteresis_ros.cli.arguments import ConfigurationName, Quantity, laid_under, params_file_option
 from hysteresis_ros.cli.data_options import write_json
 from hysteresis_ros.cli.progress import Progress
 from hysteresis_ros.cli.reference_options import reference_options
@@ -66,7 +66,7 @@ REFUSED = 2
 @click.option("--json", "json_path", metavar="FILE", help="Summary as JSON; '-' prints it instead of the text.")
 @click.option("--workers", type=click.IntRange(1), help="Processes that share the work; as many as processors.")
 @click.option("--scheduler", metavar="ADDRESS", help="Dask scheduler whose workers do the work, tcp://host:8786.")
-@click.option("--duration", type=float, help="Length of each run [s]; the configuration's own by default.")
+@click.option("--duration", type=Quantity("s"), help="Length of each run [s]; the configuration's own by default.")
 @params_file_option
 @reference_options
 @click.option("--namespace", help="Which axis of the configuration, when it describes several.")

@@ -11,12 +11,20 @@
 
 from __future__ import annotations
 
+import pathlib
 import signal
 import sys
 
 import click
 
-from hysteresis_ros.cli.arguments import ConfigurationName, laid_under, params_file_option, split_options, splitting
+from hysteresis_ros.cli.arguments import (
+    ConfigurationName,
+    Quantity,
+    laid_under,
+    params_file_option,
+    split_options,
+    splitting,
+)
 from hysteresis_ros.cli.reference_options import reference_options
 
 
@@ -31,7 +39,7 @@ from hysteresis_ros.cli.reference_options import reference_options
 )
 @click.option("--record", metavar="DIR", help="Record everything into this new bag folder.")
 @split_options
-@click.option("--duration", type=float, help="Length of the run [s of the axis]; by default until Ctrl-C.")
+@click.option("--duration", type=Quantity("s"), help="Length of the run [s of the axis]; by default until Ctrl-C.")
 @click.option(
     "--rate", type=click.Choice(["realtime", "lockstep", "fused"]), help="Time mode; the configuration's by default."
 )
@@ -94,7 +102,7 @@ def up(
     requested = []
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda signum, frame: requested.append(signum))
-    from hysteresis_ros.nodes.bench import in_time
+    from hysteresis_ros.nodes.bench import in_time, require_carried
     from hysteresis_ros.nodes.launcher import Graph
     from hysteresis_ros.nodes.watch.serving import PageOptions, Pages
     from hysteresis_ros.simulation.axes import axes
@@ -114,6 +122,8 @@ def up(
         found = [axis.with_duration(duration) for axis in found]
     if rate is None and processes is None:
         found = [in_time(axis) for axis in found]
+    for axis in found:
+        require_carried(axis)
     _check_together(found, verify, record, factor)
     if requested:
         click.echo("stopping")
@@ -126,6 +136,7 @@ def up(
     with graph, pages:
         ended = graph.wait(lambda: bool(requested) or pages.over())
         click.echo("the run ended" if ended else "stopping")
+    _say_limited(graph)
     _say_recorded(graph)
     if pages.exit_code():
         sys.exit(pages.exit_code())
@@ -176,6 +187,27 @@ def _what_runs(axis, composed: bool) -> str:
     how = "fused, one process" if plant.time_mode == "fused" else "in real time, a process for each node"
     how = "in real time, one process" if composed and plant.time_mode == "realtime" else how
     return f"{how}: {plant.sample_rate:g} Hz, real-time factor {plant.real_time_factor:g}, {length}"
+
+
+#: Size of a bag [bytes] up to which it is read once more at the end of a run; of a longer one `report` says it.
+LOOKED_AT = 300_000_000
+
+
+def _say_limited(graph) -> None:
+    """Say first of a recorded run that limits kept its output from what was asked, when it was more than a moment."""
+    from hysteresis_ros.analysis.limited import limited_text
+    from hysteresis_ros.errors import HysteresisError
+    from hysteresis_ros.recordings.align import read_recording
+
+    for axis, bag in zip(graph.axes, graph.bags, strict=False):
+        if sum(path.stat().st_size for path in pathlib.Path(bag).rglob("*")) > LOOKED_AT:
+            continue
+        try:
+            limited = limited_text(read_recording(bag, axis.namespace, further=True))
+        except HysteresisError:
+            continue  # what is wrong with the bag is said below, or by whoever reads it
+        if limited:
+            click.echo(f"hysteresis: warning: {axis.namespace}{': ' if axis.namespace else ''}{limited}", err=True)
 
 
 def _say_recorded(graph) -> None:

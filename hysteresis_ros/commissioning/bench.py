@@ -17,7 +17,7 @@ import numpy as np
 
 from hysteresis_ros.commissioning.outcome import CommissioningError
 from hysteresis_ros.loop.axis_parameters import AxisParameters
-from hysteresis_ros.loop.plant import BEYOND_TRAVEL, DEVICE_FAILED, HALTED, WITHOUT_VOLTAGE
+from hysteresis_ros.loop.plant import BEYOND_TRAVEL, DEVICE_FAILED, HALTED, PARTNER_LOST, WITHOUT_VOLTAGE
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.simulation.run import simulate
 
@@ -28,6 +28,7 @@ TRIPPED = {
     BEYOND_TRAVEL: "the sensor measured farther than the actuator gets: look at its scaling, sign and cable",
     HALTED: "somebody stopped it; begin again when it may go on",
     DEVICE_FAILED: "the device failed, the line above says how; mend it and begin again",
+    PARTNER_LOST: "a node of the axis was lost, the line above says which; begin again",
 }
 #: Part of the samples that may be without a measurement.
 MOST_MISSING = 0.05

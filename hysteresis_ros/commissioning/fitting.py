@@ -28,11 +28,13 @@ from hysteresis_ros.errors import HysteresisError
 from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.parameter_file import SECTION, write_file
 from hysteresis_ros.identification.reading import Columns, read_data
+from hysteresis_ros.identification.safe_motion import largest_change, with_comments, with_safe_motion
 from hysteresis_ros.identification.workflow import Fast, Identified, identify
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.simulation.axes import single_axis
 from hysteresis_ros.simulation.design import AxisDesign, DesignRequest, design_axis, design_file
 from hysteresis_ros.simulation.design_certainty import response_uncertainty
+from hysteresis_ros.simulation.setpoint_step import require_gentle, setpoint_step
 from hysteresis_ros.units import readable
 
 #: Samples of a cycle that a hysteresis is found from; more say nothing new about it.
@@ -42,6 +44,8 @@ SAMPLES_A_CYCLE = 100
 OTHERS, AS_LIKELY = 2, 3.0
 #: They are, without a trial.
 USUAL = ("prandtl_ishlinskii", "duhem", "preisach")
+#: Stages that move in open loop before anything is designed.
+MOVED = ("gain", "resonance", "hysteresis", "creep")
 #: What of a node's parameters the model, the design and the limits of the range replace.
 MODELLED = ("hysteresis.", "creep.", "dynamics.", "preload.", "inverse.", "model.", "sensor.", "limits.", "waveform.")
 OWN = {
@@ -195,7 +199,7 @@ def commissioned_text(situation: Situation, found: Identified) -> str:
     """
     plan, namespace = situation.plan, situation.axis.namespace
     identified = parse_configuration(found.text, "the identified model")
-    limits = {"limits.minimum": plan.minimum, "limits.maximum": plan.maximum, "limits.slew_rate": plan.slew_rate}
+    limits = {"limits.minimum": plan.minimum, "limits.maximum": plan.maximum}
     # what is given for all nodes holds for the recorder, too
     nodes = {f"{namespace}/recorder": situation.configuration.node("recorder", namespace)}
     for node, replaced in OWN.items():
@@ -203,7 +207,9 @@ def commissioned_text(situation: Situation, found: Identified) -> str:
         kept = {name: value for name, value in given.items() if not name.startswith(replaced)}
         own = next((dict(values) for name, values in identified.entries if name == f"/**/{node}"), {})
         if node in ("plant_simulator", "hysteresis_compensator"):
-            own |= limits
+            own = {name: value for name, value in own.items() if not name.startswith("limits.")} | limits
+        # limits of motion follow from all recordings, those of the identified file from some
+        own = {name: value for name, value in own.items() if not name.startswith("approach.")}
         nodes[f"{namespace}/{node}"] = kept | own
     nodes[f"{namespace}/plant_simulator"]["sensor.noise"] = situation.figure("noise", "noise_rms_m")
     for section in (SECTION, PLAN_SECTION):
@@ -213,8 +219,20 @@ def commissioned_text(situation: Situation, found: Identified) -> str:
             nodes[section] = values
     text = f"# Identified by `hysteresis commission {situation.configuration.source}`. SI units.\n"
     text += dump_configuration({node: _plain(values) for node, values in nodes.items()})
+    text = with_safe_motion(text, "the identified axis", namespace, excited(situation), plan.amplifier)
     single_axis(parse_configuration(text, "the identified axis"), namespace)
     return text
+
+
+def excited(situation: Situation) -> float:
+    """Return the largest change of the voltage [V/s] that the stage was moved with in open loop.
+
+    Parameters
+    ----------
+    situation : Situation
+    """
+    recordings = (situation.folder.recording(stage) for stage in MOVED)
+    return max(largest_change(one["voltage"], 1.0 / situation.rate) for one in recordings)
 
 
 def design_stage(situation: Situation) -> Outcome:
@@ -301,6 +319,7 @@ def _tried(
         raise CommissioningError("; ".join(result.misses()))
     text = design_file(configuration, result, namespace)
     own = parse_configuration(text, "the designed axis")
+    require_gentle(setpoint_step(single_axis(own, namespace)))
     axes = {situation.found["identify"].figures["model"]: own}
     axes |= {name: _with_plant(own, values) for name, values in plants.items()}
     errors = {name: scan_error(situation, one, predicted_scan(situation, one)) for name, one in axes.items()}
@@ -315,8 +334,11 @@ def _with_plant(configuration: Configuration, values: dict) -> Configuration:
     nodes = dict(configuration.entries)
     name = next(name for name in nodes if name.endswith("/plant_simulator"))
     header = "".join(text + "\n" for text in configuration.text.splitlines() if text.startswith("# "))
-    plain = {**nodes, name: values}
+    # the amplifier is the same one
+    limits = {key: value for key, value in nodes[name].items() if key.startswith("limits.")}
+    plain = {**nodes, name: values | limits}
     text = header + dump_configuration({node: _plain(own) for node, own in plain.items()})
+    text = with_comments(text, configuration.text)
     return parse_configuration(text, configuration.source)
 
 

@@ -17,6 +17,7 @@ import numpy as np
 
 from hysteresis_ros.analysis.pictures import Picture, line
 from hysteresis_ros.commissioning.folder import LEARNING
+from hysteresis_ros.commissioning.learned_periods import learned_line
 from hysteresis_ros.commissioning.outcome import Outcome, verdict
 from hysteresis_ros.commissioning.response import measured_plant
 from hysteresis_ros.commissioning.scanning import (
@@ -100,16 +101,26 @@ def judge_learned(situation: Situation, recording: Recording) -> Outcome:
     recording : Recording
     """
     configuration, count = _learning(situation), periods(situation)
+    learning = single_axis(configuration, situation.axis.namespace).motion_controller.learning
     simulated = simulate(_axis(situation, configuration))
     runs = {"measured": _periods(situation, recording), "predicted": _periods(situation, simulated)}
     found, expected = (root_mean_square(errors[count:]) for errors in runs.values())
-    before, ratio = situation.figure("scan", "rms_error_m"), found / expected
+    # a folder of an earlier version has the scan's error against the delayed reference only
+    before, ratio = situation.found["scan"].figures.get("undelayed_rms_m", math.nan), found / expected
     what = f"triangle of {readable(scan_stroke(situation), 'm')} at {situation.plan.scan_frequency:g} Hz"
     lines = [
-        f"{what} after {count} periods: error {1e9 * found:.4g} nm RMS, {1e9 * before:.4g} nm without learning; "
-        f"predicted {1e9 * expected:.4g} nm, ratio {ratio:.3g}: {verdict(ratio, AS_PREDICTED)}",
+        f"{what} after {count} periods: error {1e9 * found:.4g} nm RMS, {1e9 * before:.4g} nm without learning, "
+        f"both against the undelayed reference; predicted {1e9 * expected:.4g} nm, ratio {ratio:.3g}: "
+        f"{verdict(ratio, AS_PREDICTED)}",
+        learned_line(learning, situation.rate, _signals(recording), scan_begin(situation), count),
     ]
-    figures = {"rms_error_m": found, "predicted_rms_m": expected, "ratio": ratio, "as_predicted": ratio <= AS_PREDICTED}
+    figures = {
+        "rms_error_m": found,
+        "undelayed_rms_without_m": before,
+        "predicted_rms_m": expected,
+        "ratio": ratio,
+        "as_predicted": ratio <= AS_PREDICTED,
+    }
     if recording.has("skipped"):
         kept = in_time(_by_period(situation, recording["skipped"]))[count:]
         undisturbed = root_mean_square(runs["measured"][count:][kept]) if np.any(kept) else math.nan
@@ -156,6 +167,11 @@ def missed_line(error: float, kept: np.ndarray) -> str:
     if count == len(kept):
         return "no deadline was missed"
     return f"deadlines were missed: in the {count} of {len(kept)} periods without, {1e9 * error:.4g} nm RMS"
+
+
+def _signals(recording: Recording) -> dict[str, np.ndarray]:
+    names = ("command", "applied", "measured", "skipped", "seen")
+    return {name: recording[name] for name in names if recording.has(name)}
 
 
 def _periods(situation: Situation, recording: Recording) -> np.ndarray:

@@ -19,11 +19,15 @@ import yaml
 
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.errors import ConfigurationError, HysteresisError
+from hysteresis_ros.identification.safe_motion import DIGITS, safe_slew
+from hysteresis_ros.loop.axis_parameters import require_message_rate
 from hysteresis_ros.simulation.axes import single_axis
-from hysteresis_ros.units import quantity
+from hysteresis_ros.units import quantity_in, readable
 
-#: Part of the range of voltage that may be used before anything is known, and seconds in which it may be crossed.
-FIRST_PART, FIRST_SECONDS = 0.1, 1.0
+#: What actuators do: strokes [m], gains [m/V] and sample rates [Hz] beyond these are mistakes of a unit.
+STROKES, GAINS, RATES = (1e-9, 0.1), (1e-12, 1e-3), (0.1, 1e6)
+#: Part of the range of voltage that may be used before anything is known, and of the slew rate that a setpoint takes.
+FIRST_PART = 0.1
 
 _TEMPLATE = string.Template("""\
 # An axis of which nothing is known yet, written by `hysteresis new`: open loop, no inverse, $percent % of the range,
@@ -37,7 +41,7 @@ $external
 /**/plant_simulator:                  # the device, or what stands for it offline
   ros__parameters:
 $driver
-    limits: {minimum: $low, maximum: $high, slew_rate: $slew}   # V, V, V/s
+    limits: {minimum: $low, maximum: $high, slew_rate: $slew}   # V, V, V/s: $reason
     safe_voltage: $safe               # V: where it goes when commands stop, and at the end
     safe_slew_rate: $slew             # V/s
     hysteresis: {type: proportional, proportional: {gain: $gain}}   # m/V: ASSUMED, stroke over range
@@ -47,7 +51,8 @@ $driver
     minimum: $nearest                 # m, what the limits allow
     maximum: $farthest
     initial_setpoint: $start
-    approach: {maximum_velocity: $velocity, maximum_acceleration: $acceleration}   # m/s, m/s²
+    # m/s, m/s², m/s³; nothing is known of resonances: $percent % of the slew rate, reached within $ramp s
+    approach: {maximum_velocity: $velocity, maximum_acceleration: $acceleration, maximum_jerk: $jerk}
 
 /**/motion_controller:
   ros__parameters:
@@ -110,7 +115,7 @@ def parsed(option: str, text: str, unit: str) -> float:
     option : str
         For the message.
     text : str
-        ``70um``, ``2kHz``; a bare number is in SI.
+        ``70um``, ``2kHz``; a number without a unit is in SI, and a length needs one.
     unit : str
         SI unit.
 
@@ -120,12 +125,9 @@ def parsed(option: str, text: str, unit: str) -> float:
         It is no number, or has another unit.
     """
     try:
-        value, given = quantity(text)
+        return quantity_in(text, unit)
     except ValueError as error:
         raise ConfigurationError(f"{option} {text!r}: {error}") from None
-    if given not in ("", unit):
-        raise ConfigurationError(f"{option} {text!r}: is in {given}; give it in {unit} or a part of it")
-    return value
 
 
 def parsed_range(option: str, text: str, unit: str) -> tuple[float, float]:
@@ -169,22 +171,27 @@ def new_text(axis: NewAxis) -> str:
         raise ConfigurationError("--driver and --plant external exclude each other; give one of them")
     if axis.driver_options and not axis.driver:
         raise ConfigurationError("--driver-option belongs to --driver; give both")
-    if not axis.stroke > 0.0:
-        raise ConfigurationError(f"--stroke {axis.stroke:g} m: must be above 0")
+    _require_plausible(axis)
     safe = min(max(0.0, axis.minimum), axis.maximum)
     small = FIRST_PART * (axis.maximum - axis.minimum)
     low, high = max(axis.minimum, safe - small), min(axis.maximum, safe + small)
-    gain, slew = axis.stroke / (axis.maximum - axis.minimum), (axis.maximum - axis.minimum) / FIRST_SECONDS
+    gain, first = axis.stroke / (axis.maximum - axis.minimum), safe_slew(axis.maximum - axis.minimum)
+    slew = first.rate
+    velocity, acceleration = FIRST_PART * gain * slew, gain * slew
+    # both averages of the approach last 2 V/A
+    jerk = acceleration**2 / velocity
     numbers = {
         "rate": axis.sample_rate,
         **{"low": low, "high": high, "safe": safe, "slew": slew, "gain": gain},
         **{"nearest": gain * low, "farthest": gain * high, "start": gain * safe},
-        **{"velocity": FIRST_PART * gain * slew, "acceleration": gain * slew},
+        **{"velocity": velocity, "acceleration": acceleration, "jerk": jerk},
         **{"minimum": axis.minimum, "maximum": axis.maximum, "stroke": axis.stroke},
     }
     text = _TEMPLATE.substitute(
         {name: _number(value) for name, value in numbers.items()},
         percent=f"{100.0 * FIRST_PART:g}",
+        reason=first.reason,
+        ramp=f"{4.0 * velocity / acceleration:.{DIGITS}g}",
         joint=_scalar(axis.joint),
         external="    external_plant: true              # a node of your own publishes joint_states\n"
         if axis.external
@@ -192,6 +199,25 @@ def new_text(axis: NewAxis) -> str:
         driver=_driver_lines(axis),
     )
     return text
+
+
+def _require_plausible(axis: NewAxis) -> None:
+    """Refuse what no actuator has; what is not above 0 is refused too."""
+    span = axis.maximum - axis.minimum
+    gain = axis.stroke / span
+    over = f"{readable(axis.stroke, 'm')} over {span:g} V"
+    for option, value, unit, (low, high), words in (
+        ("--stroke", axis.stroke, "m", STROKES, ""),
+        ("--stroke and --voltage", gain, "m/V", GAINS, f"{over} are "),
+        ("--rate", axis.sample_rate, "Hz", RATES, ""),
+    ):
+        if not low <= value <= high:
+            raise ConfigurationError(
+                f"{option}: {words}{value:.4g} {unit}: actuators have {low:g} to {high:g} {unit}; look at the units, "
+                "as in --stroke 100um --voltage 0:100V --rate 2kHz"
+            )
+    if axis.external:
+        require_message_rate(axis.sample_rate, "--plant external")
 
 
 def _driver_lines(axis: NewAxis) -> str:

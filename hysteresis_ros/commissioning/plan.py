@@ -38,6 +38,12 @@ class Plan(Parameters):
     slew_rate: float = parameter(
         0.0, description="largest change of the voltage that the amplifier can follow; 0: any", unit="V/s", low=0.0
     )
+    current: float = parameter(
+        0.0, description="largest current of the amplifier; 0: not known; needs capacitance", unit="A", low=0.0
+    )
+    capacitance: float = parameter(
+        0.0, description="capacitance of the actuator; 0: not known; needs current", unit="F", low=0.0
+    )
     noise_duration: float = parameter(
         4.0, description="how long the sensor is listened to", unit="s", low=0.5, high=600
     )
@@ -54,11 +60,20 @@ class Plan(Parameters):
         """Yield a Problem when the range is empty."""
         if not self.minimum < self.maximum:
             yield Problem("minimum", self.minimum, f"must be below maximum ({self.maximum:g} V)")
+        if (self.current > 0.0) != (self.capacitance > 0.0):
+            missing = "capacitance" if self.current > 0.0 else "current"
+            yield Problem(missing, 0.0, "current and capacitance give the slew rate together: give both, or neither")
 
     @property
     def span(self) -> float:
         """Width of the range [V]."""
         return self.maximum - self.minimum
+
+    @property
+    def amplifier(self) -> float:
+        """What the amplifier can follow [V/s]: its slew rate, or its current into the capacitance; 0: not known."""
+        charging = self.current / self.capacitance if self.capacitance > 0.0 else 0.0
+        return min((rate for rate in (self.slew_rate, charging) if rate > 0.0), default=0.0)
 
     @property
     def gain(self) -> float:

@@ -137,7 +137,7 @@ class Situation:
         configuration : Configuration
         low, high : float
         """
-        limits = {"limits.minimum": low, "limits.maximum": high, "limits.slew_rate": self.plan.slew_rate}
+        limits = {"limits.minimum": low, "limits.maximum": high, "limits.slew_rate": self.plan.amplifier}
         for node in ("plant_simulator", "hysteresis_compensator"):
             configuration = configuration.override(node, **limits)
         return configuration

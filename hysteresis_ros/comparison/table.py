@@ -18,6 +18,7 @@ import numpy as np
 from hysteresis_ros.analysis.ranking import errors_figure, ranking_figure, write_ranking_page
 from hysteresis_ros.comparison.outcome import Comparison, Table, judgement
 from hysteresis_ros.comparison.rows import Row
+from hysteresis_ros.identification.safe_motion import with_safe_motion
 from hysteresis_ros.simulation.axes import single_axis
 
 TITLE = "Controllers and compensators under honest conditions"
@@ -278,4 +279,5 @@ def best_text(comparison: Comparison) -> str:
         f"# Best of `hysteresis compare {source} --best`: {label(best)}\n"
         f"# on the worst plant {figures_}, with a delay of {delays(best)} ms.\n"
     )
-    return header + single_axis(chosen).configuration_text()
+    axis = single_axis(chosen)
+    return with_safe_motion(header + axis.configuration_text(), "the best combination", axis.namespace)

@@ -12,6 +12,11 @@
 A plant P (1 + Δ) with |Δ| ≤ l at each frequency keeps a loop stable as long as l |T| < 1, and then the distance of its
 loop transfer from −1 is at least |1 + L| − l |L|, whose inverse is the worst sensitivity [1]_.
 
+Where nothing is known a model says nothing of the plant, not even how large its response is. There a resonance of
+damping :data:`DAMPING` is assumed at whatever frequency suits the loop least: it adds a/(2 DAMPING) of the response at
+rest, which feedback meets by its own gain |C|. The part a of the displacement that passes through it is one, or less
+just above what is known: at f' below its frequency f it changes the response by a/((f/f')² − 1), which would show.
+
 References
 ----------
 .. [1] Skogestad & Postlethwaite, Multivariable Feedback Control, 2nd ed. 2005, section 7.5.
@@ -24,13 +29,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hysteresis_ros.control.closed_loop import loop_parts
 from hysteresis_ros.control.margins import REQUIRED
 from hysteresis_ros.models.state_space import StateSpace
 
-#: What may stand, as a multiple of the model's response, where nothing is known: a resonance of 3 % damping. One nearer
-#: to what is known than this factor would show there, by half of the response.
-UNKNOWN, UNSEEN = 1.0 / (2.0 * 0.03), 1.0 / (1.0 - 1.0 / 1.5) ** 0.5
+#: Damping of the resonance that is assumed where nothing is known, and its height over the response at rest. Bare
+#: stacks and flexures of metal without glue have dampings down to this.
+DAMPING = 0.003
+UNKNOWN = 1.0 / (2.0 * DAMPING)
+#: A resonance nearer to what is known than this factor, through which all of the displacement passes, would show there
+#: by half of the response.
+UNSEEN = 1.0 / (1.0 - 1.0 / 1.5) ** 0.5
+#: A resonance nearer to it than this part is not told from what is known.
+NEAREST = 0.12
 #: Distance from −1 that a loop keeps whatever the plant is within its uncertainty.
 KEPT = 0.2
 #: Points of the grid, over so many decades below half the sample rate, and around each pole.
@@ -62,7 +72,7 @@ class Borne(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ResponseUncertainty:
-    """Largest relative error l of a model's frequency response.
+    """Largest relative error l of a model's frequency response, and what may stand where none is known.
 
     Parameters
     ----------
@@ -71,7 +81,7 @@ class ResponseUncertainty:
     relative : ndarray, shape (n,)
         l at each; below the first it is that of the first, above the last nothing is known.
     known_to : float
-        Frequency [Hz] above which l is assumed.
+        Frequency [Hz] above which nothing is known; infinite where all is.
     """
 
     frequencies: np.ndarray
@@ -79,7 +89,7 @@ class ResponseUncertainty:
     known_to: float
 
     def at(self, frequencies) -> np.ndarray:
-        """Return l, shape (n,), straight between the points.
+        """Return l, shape (n,), straight between the points; where nothing is known with the height of a resonance.
 
         Parameters
         ----------
@@ -88,7 +98,53 @@ class ResponseUncertainty:
         """
         f = np.asarray(frequencies, dtype=float)
         known = np.interp(f, self.frequencies, self.relative)
-        return np.where(f > UNSEEN * self.known_to, UNKNOWN, known)
+        return np.where(f > self.known_to, np.maximum(known, self.height(f)), known)
+
+    def share(self, frequencies) -> np.ndarray:
+        """Return which part of the displacement may pass through a resonance that nobody saw, shape (n,); 0 if known.
+
+        Parameters
+        ----------
+        frequencies : array_like, shape (n,)
+            [Hz]
+        """
+        f = np.asarray(frequencies, dtype=float)
+        if self.known_to <= 0.0:
+            return np.ones_like(f)
+        above = f / self.known_to
+        shown = self.relative[-1] * np.maximum(above**2 - 1.0, NEAREST)
+        return np.where(above > UNSEEN, 1.0, np.where(above > 1.0, np.minimum(shown, 1.0), 0.0))
+
+    def height(self, frequencies) -> np.ndarray:
+        """Return how high a resonance may stand over the response at rest, shape (n,); 0 where it is known.
+
+        Parameters
+        ----------
+        frequencies : array_like, shape (n,)
+            [Hz]
+        """
+        return UNKNOWN * self.share(frequencies)
+
+    def assumption(self, sample_time: float) -> str:
+        """Return in words what is assumed where nothing is known, and which gain of the feedback follows; or nothing.
+
+        Parameters
+        ----------
+        sample_time : float
+            [s]
+        """
+        highest = 0.5 / sample_time
+        if self.known_to >= highest:
+            return ""
+        frequencies = np.geomspace(max(self.known_to, 1e-3 * highest), highest, POINTS)[1:]
+        height = self.height(frequencies)
+        most = float(np.max(height))
+        onwards = float(frequencies[np.argmax(height >= 0.99 * most)])
+        return (
+            f"above {self.known_to:.3g} Hz nothing is known of the plant; a resonance of damping {DAMPING:g} is "
+            f"assumed anywhere there, from {onwards:.3g} Hz on {most:.3g} times as high as the response at rest "
+            f"(nearer ones would have shown), which keeps the gain of feedback there below {(1.0 - KEPT) / most:.2g}"
+        )
 
     def borne_by(self, controller: StateSpace, plant: StateSpace, sample_time: float) -> Borne:
         """Return what is certain of a loop.
@@ -107,14 +163,20 @@ class ResponseUncertainty:
         near = [abs(np.angle(pole)) + 5.0 * abs(np.log(abs(pole))) * np.linspace(-1.0, 1.0, AROUND) for pole in poles]
         angles = np.unique(np.concatenate([angles, *near]))
         angles = angles[(angles > 0.0) & (angles <= np.pi)]
-        parts = loop_parts(controller, plant, np.exp(1j * angles))
+        z = np.exp(1j * angles)
+        feedback = controller.response(z)[:, 0, 1:]
+        parts = -feedback * plant.response(z)[:, :, 0]
         values = np.sum(parts, axis=1)
         frequencies = angles / (2.0 * np.pi * sample_time)
-        uncertain = self.at(frequencies)
-        distance = np.abs(1.0 + values) - uncertain * np.abs(parts[:, 0])
+        share = self.share(frequencies)
+        # what passes through a resonance that nobody saw is missing where the model has it
+        relative = np.maximum(np.interp(frequencies, self.frequencies, self.relative), share)
+        gain = np.abs(feedback[:, 0]) * abs(plant.response(np.ones(1))[0, 0, 0])
+        distance = np.abs(1.0 + values) - relative * np.abs(parts[:, 0]) - UNKNOWN * share * gain
         place = int(np.argmin(distance))
         nominal = float(np.min(np.abs(1.0 + values)))
-        return Borne(float(distance[place]), float(frequencies[place]), float(uncertain[place]), nominal)
+        found = float(distance[place]), float(frequencies[place]), float(self.at(frequencies[place : place + 1])[0])
+        return Borne(*found, nominal)
 
 
 def integral_controller(crossover: float, sample_time: float) -> StateSpace:

@@ -188,7 +188,7 @@ def check_samples(time, input, output, units=("V", "m"), minimum_samples: int = 
     if missing:
         index = int(np.argmax(~finite))
         text = f"{missing} of {len(time)} samples are missing (NaN), the first at index {index}"
-        found.append(Finding("nan", "error", f"{text}; choose a range without them or ask for resampling"))
+        found.append(Finding("nan", "error", f"{text}; choose a range without them (--range) or add --resample auto"))
     sample_time, jitter, finding = check_uniform(time)
     found += finding
     u, y = (input, output) if not missing else (input[finite], output[finite])
@@ -296,7 +296,11 @@ def check_uniform(time) -> tuple[float, float, list[Finding]]:
         )
     else:
         text = f"not uniformly sampled: distances from {distances.min():.6g} s to {distances.max():.6g} s"
-    return slope, jitter, [Finding("uniform", "error", f"{text}; ask for resampling, or choose a uniform range")]
+    return (
+        slope,
+        jitter,
+        [Finding("uniform", "error", f"{text}; add --resample auto, or choose a uniform range (--range)")],
+    )
 
 
 def _rounding(time):

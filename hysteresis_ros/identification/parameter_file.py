@@ -31,6 +31,7 @@ from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.identified import Identification, PlantModel, at_rest
 from hysteresis_ros.identification.linear_part import LinearPart, Mode
 from hysteresis_ros.identification.prediction import INITIAL
+from hysteresis_ros.identification.safe_motion import with_safe_motion
 from hysteresis_ros.models.actuator import ActuatorParameters
 from hysteresis_ros.models.creep import CreepParameters
 from hysteresis_ros.models.declaration import HysteresisModel
@@ -209,7 +210,7 @@ def assumptions(result: Identification) -> tuple[str, ...]:
     low, high = limits_of(result.chain)
     found = [
         f"limits {low:.6g} ... {high:.6g} V: the range of the recorded voltage, not the amplifier's",
-        "no noise, no quantisation, no slew rate: the recording does not say which of the blocks has them",
+        "no noise, no quantisation: the recording does not say which of the blocks has them",
     ]
     if result.chain.offset:
         found.append("preload.A1 holds the zero of the sensor: displacements count from there")
@@ -220,7 +221,7 @@ def assumptions(result: Identification) -> tuple[str, ...]:
     return (*found, *result.assumptions)
 
 
-def file_text(result: Identification, section: dict) -> str:
+def file_text(result: Identification, section: dict, excited: float = 0.0) -> str:
     """Return the text of the parameter file, checked: plant and compensator can be built from it.
 
     Parameters
@@ -228,6 +229,8 @@ def file_text(result: Identification, section: dict) -> str:
     result : Identification
     section : dict
         See :func:`identification_section`.
+    excited : float
+        Largest change of the voltage in the recordings [V/s]; 0: not known.
 
     Raises
     ------
@@ -247,7 +250,7 @@ def file_text(result: Identification, section: dict) -> str:
         _block(configuration, "hysteresis_compensator", CompensatorParameters)
     except ParameterError as error:
         raise IdentificationError(f"no usable model comes out of this data: {error}") from None
-    return text
+    return with_safe_motion(text, "the identified model", excited=excited)
 
 
 def example_text(model: HysteresisModel) -> str:

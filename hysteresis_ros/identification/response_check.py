@@ -21,6 +21,7 @@ import numpy as np
 
 from hysteresis_ros.control.closed_loop import plant_state_space
 from hysteresis_ros.control.response_uncertainty import (
+    DAMPING,
     UNKNOWN,
     ResponseUncertainty,
     fastest_integral,
@@ -37,6 +38,9 @@ from hysteresis_ros.models.linear import LinearParameters
 BANDS, NARROW_BANDS = 6, 24
 #: The response counts as known where two standard deviations are below this part of it.
 KNOWN = 0.5
+#: An error that is larger than that and certain is a resonance that the model lacks or has elsewhere: its mean over a
+#: narrow band is so many times below its peak, where its damping is as low as is assumed of one that nobody saw.
+PEAK = np.log(2.0) / NARROW_BANDS / (np.pi * DAMPING)
 #: A deviation of so many times two standard deviations is known too.
 CLEARLY = 2.0
 #: Overlapping windows: so many sums say what one independent does.
@@ -200,6 +204,7 @@ def _uncertainty(spectra: SegmentSpectra, response) -> tuple[ResponseUncertainty
     most, least = deviation + 2.0 * spread, np.maximum(deviation - 2.0 * spread, 0.0)
     np.maximum.at(most, band[seen], (narrow + 2.0 * wide)[seen])
     np.maximum.at(least, band[clear[band]], narrow[clear[band]])
+    most[clear & (most > KNOWN)] *= PEAK
     kept = known & (np.arange(len(centres)) <= last)
     known_to = float(centres[last]) * 2.0 ** (0.5 / BANDS)
     known_to = np.inf if known_to * spectra.sample_time >= WHOLE else known_to

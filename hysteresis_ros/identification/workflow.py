@@ -38,6 +38,7 @@ from hysteresis_ros.identification.parameter_file import (
 from hysteresis_ros.identification.prediction import at_rate, judge, predict
 from hysteresis_ros.identification.reading import Columns, read_data
 from hysteresis_ros.identification.response_check import ResponseCheck, check_response
+from hysteresis_ros.identification.safe_motion import largest_change
 from hysteresis_ros.identification.validation import Validation
 from hysteresis_ros.parameters import Parameters
 
@@ -290,7 +291,9 @@ def _finished(
         notes.insert(0, NOT_CONVERGED)
     chain = result.chain if fast else _at_recorded_rate(result.chain, data)
     result = replace(result, chain=chain, warnings=tuple(dict.fromkeys(notes)))
-    text = file_text(result, identification_section(result, data, figures, skip, checked.entries if checked else None))
+    section = identification_section(result, data, figures, skip, checked.entries if checked else None)
+    excited = max(largest_change(one.input, one.sample_time) for one in (data, fast.data if fast else data))
+    text = file_text(result, section, excited)
     named = {"model": result.model, "linear": result.linear, **figures, **result.numbers, "converged": result.converged}
     named |= checked.figures if checked else {}
     named |= {"sensor_zero_m": result.chain.offset} | ({"start": result.start} if result.start else {})

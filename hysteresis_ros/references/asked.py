@@ -19,7 +19,7 @@ from hysteresis_ros.errors import ParameterError, Problem, did_you_mean
 from hysteresis_ros.parameters import ParameterRow
 from hysteresis_ros.references.declaration import PREFIX
 from hysteresis_ros.references.waveforms import WAVEFORMS, Waveform, WaveformParameters
-from hysteresis_ros.units import quantity
+from hysteresis_ros.units import quantity, quantity_in
 
 
 def asked_waveform(kind: str, given: Mapping[str, str], gain: float | None = None) -> dict[str, Any]:
@@ -142,10 +142,14 @@ def _numbers(row: ParameterRow, texts: list[str], gain: float | None) -> list[fl
     found = [quantity(text) for text in texts]
     voltages = {"V": gain} if gain is not None and row.unit == "m" else {}
     bare = [text for text, (number, unit) in zip(texts, found, strict=True) if number and not unit]
-    if bare and (voltages or any(unit for _, unit in found)):
-        raise ValueError(f"{bare[0].strip()} of which unit? Write {'60V or 5um' if voltages else 'it behind'}")
-    allowed = {"": 1.0, row.unit or "1": 1.0} | voltages
+    if bare and voltages:
+        raise ValueError(f"{bare[0].strip()} of which unit? Write 60V or 5um")
+    if bare and row.unit != "m" and any(unit for _, unit in found):
+        raise ValueError(f"{bare[0].strip()} of which unit? Write it behind")
+    if not voltages:
+        return [quantity_in(text, row.unit) for text in texts]
+    allowed = {"": 1.0, row.unit: 1.0} | voltages
     wrong = [unit for _, unit in found if unit not in allowed]
     if wrong:
-        raise ValueError(f"is in {wrong[0]}, allowed: {row.allowed()}{' or in V' if voltages else ''}")
+        raise ValueError(f"is in {wrong[0]}, allowed: {row.allowed()} or in V")
     return [number * allowed[unit] for number, unit in found]

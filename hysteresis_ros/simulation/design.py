@@ -18,7 +18,6 @@ import numpy as np
 
 from hysteresis_ros.configuration import Configuration, parse_configuration
 from hysteresis_ros.control.controller import ControllerParameters
-from hysteresis_ros.control.damping.parameters import DampingParameters
 from hysteresis_ros.control.damping.plant import modes
 from hysteresis_ros.control.damping.registry import NONE
 from hysteresis_ros.control.feedforward import FeedforwardParameters
@@ -31,6 +30,7 @@ from hysteresis_ros.control.response_uncertainty import ResponseUncertainty
 from hysteresis_ros.control.robust import Robustness, design_robust
 from hysteresis_ros.control.uncertainty import Uncertainty
 from hysteresis_ros.errors import ConfigurationError, ParameterError
+from hysteresis_ros.identification.safe_motion import with_safe_motion
 from hysteresis_ros.loop.axis import Axis
 from hysteresis_ros.loop.axis_parameters import AxisParameters
 from hysteresis_ros.loop.common_parameters import part
@@ -216,10 +216,10 @@ def design_axis(
     found = certain_design(first, design, request, response, sample_time)
     damped = None
     if control.damping.type != NONE:
-        without = replace(given, feedforward=FeedforwardParameters(), damping=DampingParameters())
         bandwidth = None
-        with contextlib.suppress(ParameterError):
-            bandwidth = _gains(without, request, sample_time, quiet, around)[0].margins.bandwidth
+        plain = replace(request, damping=NONE, feedforward=False, preview=None)
+        with contextlib.suppress(ParameterError, ConfigurationError):
+            bandwidth = design_axis(axis, plain, response).margins.bandwidth
         damped = judge_damping(found.parameters, sample_time, around, bandwidth)
     # what was slowed down for what is unknown is no longer what was searched for
     kept = {"robustness": robust} if found is first else {"limited": response}
@@ -235,7 +235,7 @@ def _gains(
         aimed = replace(REQUIRED, command_noise_gain=quiet)
         return design_robust(control, name, sample_time, request.robust, q, aimed=aimed)
     aimed = replace(AIMED, command_noise_gain=quiet)
-    plants = () if request.damping is None else around.closed(control, sample_time)
+    plants = () if request.damping in (None, NONE) else around.closed(control, sample_time)
     return design_gains(control, name, sample_time, request.bandwidth, q, aimed=aimed, plants=plants), None
 
 
@@ -311,7 +311,8 @@ def design_file(configuration: Configuration, result: AxisDesign, namespace: str
     for name in ("bandwidth", "q", "noise", "criterion", "duration", "preview"):
         value = getattr(request, name)
         if value is not None:
-            words.append(f"--{name} {value:g}" if isinstance(value, float) else f"--{name} {value}")
+            unit = "m" if name == "noise" else ""
+            words.append(f"--{name} {value:g}{unit}" if isinstance(value, float) else f"--{name} {value}")
     if request.damping is not None:
         words.append(f"--damping {request.damping}")
     if request.feedforward:
@@ -329,6 +330,7 @@ def design_file(configuration: Configuration, result: AxisDesign, namespace: str
         f"delay margin {_delay(result.margins)}{misses}."
     )
     text = design_text(configuration, result.parameters, namespace, header)
+    text = with_safe_motion(text, "the designed file", namespace)
     Axis(single_axis(parse_configuration(text, "the designed file"), namespace or None))
     return text
 
@@ -422,11 +424,11 @@ def doubts(result: AxisDesign) -> list[str]:
             "ask for another bandwidth or q"
         )
     if result.limited is not None:
-        known = result.limited.known_to
-        why = f"nothing is known of the plant above {known:.3g} Hz" if np.isfinite(known) else "the identification says"
+        rests = result.limited.assumption(result.sample_time) or "the recording leaves the response open"
         found.append(
-            f"slowed down to a bandwidth of {_hertz(result.margins.bandwidth)}: {why}, and this is stable even so; "
-            "a recording with content there (hysteresis excite --recipe multisine) may allow a faster one"
+            f"slowed down to a bandwidth of {_hertz(result.margins.bandwidth)}, to be stable for every plant that the "
+            f"recording allows: {rests}; a recording with content there (hysteresis excite --recipe multisine) may "
+            "allow a faster one"
         )
     if result.damped is not None:
         found += result.damped.doubts()

@@ -24,9 +24,9 @@ from hysteresis_ros.errors import ConfigurationError, ParameterError
 from hysteresis_ros.identification.parameter_file import SECTION
 
 #: The bandwidth is halved up to so often, and then raised again in so many steps.
-HALVINGS, RAISED = 12, 3
+HALVINGS, RAISED = 18, 3
 #: Variances of the input's noise that are tried for a slower observer, over that of the measurement.
-OBSERVERS = (1.0, 0.3, 0.1, 0.03, 0.01, 1e-3)
+OBSERVERS = (1.0, 0.3, 0.1, 0.03, 0.01, 1e-3, 1e-5, 1e-7)
 #: ``design(bandwidth, q)``.
 Design = Callable[[float | None, float | None], Designed]
 
@@ -106,9 +106,13 @@ def certain_design(
     if certain.distance >= KEPT:
         return first
 
+    observes = request.q is None and "kalman" in first.parameters.law.groups
+    observers = OBSERVERS if observes else (request.q,)
+
     def found_with(bandwidth: float | None) -> Designed | None:
-        observes = request.q is None and "kalman" in first.parameters.law.groups
-        for q in OBSERVERS if observes else (request.q,):
+        if observes and not _bears_unknown(design, bandwidth, observers[-1], response, sample_time):
+            return None  # a faster observer has more gain there
+        for q in observers:
             with contextlib.suppress(ParameterError):  # the law does not reach this one
                 found = design(bandwidth, q)
                 if borne(found, response, sample_time).distance >= KEPT:
@@ -122,14 +126,22 @@ def certain_design(
             slower = _slower(found_with, min(first.margins.bandwidth, 0.4 / sample_time))
     if slower is not None:
         return slower
-    known = f"above {response.known_to:.3g} Hz nothing is known of the response, a resonance of 3 % damping is assumed"
-    if certain.frequency <= response.known_to:
+    known = response.assumption(sample_time)
+    if certain.frequency <= response.known_to or not known:
         known = f"the response is known there to {100.0 * certain.uncertainty:.0f} % only"
     raise ConfigurationError(
         f"the model is not fit for this feedback at {certain.frequency:.4g} Hz: {known}; ask for a lower bandwidth or "
         "none, take another controller (pid), or identify from a recording with content there (hysteresis excite "
         "--recipe multisine)"
     )
+
+
+def _bears_unknown(design: Design, bandwidth, q, response: ResponseUncertainty, sample_time: float) -> bool:
+    """Return whether a design leaves room for what may stand where nothing is known; True if there is no design."""
+    with contextlib.suppress(ParameterError):
+        found = borne(design(bandwidth, q), response, sample_time)
+        return found.distance >= KEPT or found.frequency <= response.known_to
+    return True
 
 
 def _slower(found_with: Callable[[float], Designed | None], fast: float) -> Designed | None:

@@ -25,6 +25,7 @@ from hysteresis_ros.control.linearisation import TINY
 from hysteresis_ros.control.response_uncertainty import ResponseUncertainty
 from hysteresis_ros.control.uncertainty import Uncertainty, drawn_plants
 from hysteresis_ros.errors import ConfigurationError, ParameterError, did_you_mean
+from hysteresis_ros.identification.safe_motion import with_safe_motion
 from hysteresis_ros.loop.axis import Axis
 from hysteresis_ros.loop.axis_parameters import AxisParameters
 from hysteresis_ros.loop.common_parameters import part
@@ -248,8 +249,9 @@ def closed_loop(
     elif response is not None:
         unknown = response.at(angles / (2.0 * np.pi * sample_time))
         others += [own * (1.0 + unknown * direction) for direction in DIRECTIONS]
+    pushed = centre * (1.0 + own * disturbed) / (1.0 - disturbed * (centre - own))
     model, *found = (other * asked / (1.0 - disturbed * (other - own)) for other in (centre, *others))
-    return Response(model, np.array(found))
+    return Response(model, np.array(found), pushed)
 
 
 def _impulse(node: ControllerNodeParameters, model, count: int, reference: float, measured: float) -> np.ndarray:
@@ -319,6 +321,7 @@ def design_learning(
         least_gain=LEAST_GAIN,
         maximum=float(f"{maximum:.4g}"),
         recovery=settling(loop) / rate,
+        late_recovery=min(knocked(loop), settling(loop)) / rate,
         shortfall=float(f"{SHORTFALL * (high - low):.4g}"),
     )
     return LearningDesign(request, parameters.validated("learning."), filters, loop, 1.0 / rate)
@@ -333,6 +336,20 @@ def settling(loop: Response) -> int:
     """
     answer = np.cumsum(np.abs(np.fft.irfft(loop.model)))
     return int(np.searchsorted(answer, (1.0 - SETTLED) * answer[-1]))
+
+
+def knocked(loop: Response) -> int:
+    """Return the samples in which the closed loop on the model answers one wrong sample of its voltage but for a part.
+
+    The part is one of the largest answer: what is left is small from then on, however long it lasts.
+
+    Parameters
+    ----------
+    loop : Response
+    """
+    assert loop.pushed is not None
+    answer = np.abs(np.fft.irfft(loop.pushed))
+    return int(np.flatnonzero(answer > SETTLED * np.max(answer))[-1]) + 1
 
 
 def waveform_period(axis: AxisParameters) -> float:
@@ -423,5 +440,6 @@ def learning_file(configuration: Configuration, result: LearningDesign, namespac
         f"{filters.contraction:.3f} with {_ranges(result.request.possible)}."
     )
     text = learning_text(configuration, result.parameters, namespace, words)
+    text = with_safe_motion(text, "the designed file", namespace)
     Axis(single_axis(parse_configuration(text, "the designed file"), namespace or None))
     return text

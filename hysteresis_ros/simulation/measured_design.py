@@ -27,6 +27,7 @@ from hysteresis_ros.errors import ConfigurationError
 from hysteresis_ros.identification.parameter_file import SECTION
 from hysteresis_ros.identification.response_analysis import Analysis
 from hysteresis_ros.identification.response_model import MeasuredPlant, dynamics_of, measured_plant
+from hysteresis_ros.identification.safe_motion import with_safe_motion
 from hysteresis_ros.loop.axis_parameters import AxisParameters
 from hysteresis_ros.models.linear import LinearParameters
 from hysteresis_ros.simulation.axes import single_axis
@@ -164,6 +165,7 @@ def with_measured_dynamics(
     section |= entries(uncertainty)
     text = single_axis(put, axis.namespace).configuration_text()
     text = _HEADER + text + dump_configuration({SECTION: _plain(section)})
+    text = with_safe_motion(text, "the measured axis", axis.namespace)
     parse_configuration(text, "the measured axis")
     return MeasuredDynamics(text, figures, fit.warnings)
 

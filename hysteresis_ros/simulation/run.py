@@ -21,6 +21,7 @@ from hysteresis_ros.loop.axis_parameters import AxisParameters
 from hysteresis_ros.loop.compiled_plant import fused_plant_of
 from hysteresis_ros.loop.tick import BEFORE
 from hysteresis_ros.recordings.dataset import Recording
+from hysteresis_ros.recordings.output import note_output, output_tolerance
 from hysteresis_ros.recordings.replay import requests_per_sample
 from hysteresis_ros.simulation.drift import drifting
 
@@ -91,6 +92,9 @@ def simulate(
     signals = axis.run(setpoints, changes=changes, **given)
     if finished is not None:
         finished(axis)
+    nodes = (parameters.plant_simulator, parameters.hysteresis_compensator)
+    tolerance = output_tolerance(*(node.to_mapping() for node in nodes))
+    note_output(signals, signals["plant_voltage"], signals["plant_mode"], tolerance)
     metadata = {
         "configuration": parameters.configuration_text() if describe else "",
         "namespace": parameters.namespace,

@@ -82,7 +82,7 @@ def test_a_driver_beside_the_file_is_taken_with_its_options(tmp_path):
 
 def test_an_external_plant_is_named_in_the_file(tmp_path):
     path = tmp_path / "stage.yaml"
-    assert called(path, *STAGE, "--plant", "external").exit_code == 0
+    assert called(path, *STAGE, "--rate", "300Hz", "--plant", "external").exit_code == 0
     assert single_axis(load_configuration(path)).plant_simulator.external_plant
 
 
@@ -91,12 +91,17 @@ WRONG = {
     "unit": (("--stroke", "100V", *STAGE[2:]), "--stroke '100V': is in V"),
     "number": (("--stroke", "far", *STAGE[2:]), "--stroke 'far'"),
     "falling": (("--stroke", "1um", "--voltage", "100:0V", "--rate", "1kHz"), "must rise"),
-    "negative": (("--stroke", "-1um", *STAGE[2:]), "must be above 0"),
+    "negative": (("--stroke", "-1um", *STAGE[2:]), "actuators have 1e-09 to 0.1 m"),
+    "length without a unit": (("--stroke", "60", *STAGE[2:]), "of which unit? Write 60um or 60nm"),
+    "no actuator's stroke": (("--stroke", "60m", *STAGE[2:]), "--stroke: 60 m: actuators have"),
+    "no actuator's gain": (("--stroke", "90mm", "--voltage", "0:10V", *STAGE[4:]), "90 mm over 10 V are 0.009 m/V"),
+    "no actuator's rate": ((*STAGE[:4], "--rate", "2000kHz"), "--rate: 2e+06 Hz: actuators have"),
+    "messages": ((*STAGE, "--plant", "external"), "take a sample rate of 300 Hz"),
     "driver": ((*STAGE, "--driver", "simulatd"), "did you mean simulated?"),
     "no driver there": ((*STAGE, "--driver", "./nothing.py"), "nothing.py is not there"),
     "options alone": ((*STAGE, "--driver-option", "a=1"), "belongs to --driver"),
     "two plants": ((*STAGE, "--driver", "simulated", "--plant", "external"), "exclude each other"),
-    "rate": ((*STAGE[:4], "--rate", "0Hz"), "sample_rate"),
+    "rate": ((*STAGE[:4], "--rate", "0Hz"), "--rate: 0 Hz"),
 }
 
 

@@ -16,6 +16,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from commissioning_support import RATE, STAGE, ForeignBench, Willing
+from sitting_support import sitting
 
 from hysteresis_ros.commissioning import voltages as volts
 from hysteresis_ros.commissioning.bench import require_sound
@@ -24,28 +25,11 @@ from hysteresis_ros.commissioning.folder import COMMISSIONED, Folder
 from hysteresis_ros.commissioning.new_file import NewAxis, write_new
 from hysteresis_ros.commissioning.outcome import CommissioningError
 from hysteresis_ros.commissioning.plan import plan_of
-from hysteresis_ros.commissioning.situation import Situation
 from hysteresis_ros.commissioning.stages import STAGES
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.errors import ConfigurationError, ParameterError
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.simulation.axes import single_axis
-
-#: Entries of the plan that make a commissioning short.
-SHORT = "    noise_duration: 0.5\n    cycle_frequency: 2.0\n    creep_duration: 2.0\n"
-
-
-def sitting(folder, resumed=False, plan="", **choices):
-    """Return what the stages know of a new axis."""
-    path = folder / "stage.yaml"
-    if not path.exists():
-        write_new(path, NewAxis(100e-6, 0.0, 100.0, RATE))
-        path.write_text(path.read_text() + SHORT + plan)
-    configuration = load_configuration(path)
-    axis = single_axis(configuration)
-    kept = Folder(folder / "kept", configuration.text, ForeignBench.name, resumed)
-    choices = {"model": "prandtl_ishlinskii", "controller": "pid", "against": ("polynomial",), **choices}
-    return Situation(configuration, axis, plan_of(configuration, axis), kept, **choices)
 
 
 class Counting(ForeignBench):
@@ -121,6 +105,8 @@ def test_all_stages_lead_to_a_loop_that_follows_the_scan_and_stay_within_what_th
     assert all(axis.plant_simulator.limits == axis.hysteresis_compensator.limits for axis in bench.runs[1:])
     assert bench.runs[0].plant_simulator.limits.maximum == 100.0, "a device's range is looked at before anything moves"
     written = single_axis(load_configuration(situation.folder.path / COMMISSIONED))
+    assert written.plant_simulator.limits.slew_rate > 0.0 and written.hysteresis_compensator.limits.slew_rate > 0.0
+    assert not written.reference_generator.approach.unlimited
     assert written.recorder.sample_rate == RATE and written.recorder.joint == "stage"
     assert written.motion_controller.type == "pid" and written.plant_simulator.sensor.noise > 2e-9
     # the plant is never the model: what the controller does not know is part of what is predicted

@@ -139,6 +139,8 @@ def test_the_best_has_a_rank_in_both_tables(comparison, tmp_path):
 def test_the_file_of_the_best_is_an_axis_with_it(comparison):
     text = table.best_text(comparison)
     axis = single_axis(parse_configuration(text, "best.yaml"))
+    assert axis.plant_simulator.limits.slew_rate > 0.0 and axis.hysteresis_compensator.limits.slew_rate > 0.0
+    assert not axis.reference_generator.approach.unlimited
     assert axis.motion_controller.type == "pid" and axis.motion_controller.feedforward.preview == 1
     assert axis.hysteresis_compensator.creep.type == "logarithmic"
     assert axis.plant_simulator.hysteresis == single_axis(comparison.configuration).plant_simulator.hysteresis

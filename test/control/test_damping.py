@@ -16,6 +16,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from damping_support import CHOSEN, DAMPING, FORCE, OMEGA, T, controller, damping, stage
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -24,7 +25,6 @@ from hysteresis_ros.control.controller import ControllerParameters, ModelParamet
 from hysteresis_ros.control.damping import block
 from hysteresis_ros.control.damping.block import as_output
 from hysteresis_ros.control.damping.design import damping_plants, design_damping
-from hysteresis_ros.control.damping.parameters import DampingParameters
 from hysteresis_ros.control.damping.plant import damped, inner_loop, modes
 from hysteresis_ros.control.damping.registry import KINDS
 from hysteresis_ros.control.gain_design import design_gains
@@ -39,49 +39,9 @@ from hysteresis_ros.models.force_sensor import (
     note_acting,
     pack_force,
 )
-from hysteresis_ros.models.linear import LinearDynamics, LinearParameters, zero_order_hold
+from hysteresis_ros.models.linear import LinearDynamics, LinearParameters
 
-#: A stage of 700 Hz and 1 % damping at 20 kHz with a sample of delay, its output in µm, 2 µm a volt.
-T, OMEGA, DAMPING = 5e-5, 2.0 * math.pi * 700.0, 0.01
-
-
-def stage(delay: float = T, frequency: float = 700.0, sample_time: float = T) -> LinearParameters:
-    omega = 2.0 * math.pi * frequency
-    A, B = zero_order_hold(
-        [[0.0, 1.0], [-omega * omega, -2.0 * DAMPING * omega]], [[0.0], [omega * omega]], sample_time
-    )
-    return LinearParameters(
-        A=tuple(A.ravel().tolist()),
-        B=tuple(B[:, 0].tolist()),
-        C=(2.0, 0.0),
-        output_scale=1e-6,
-        sample_time=sample_time,
-        delay=delay,
-    )
-
-
-#: A stack ten times as stiff as the flexure it pushes against, and a sensor that loses what is below 3 Hz.
-FORCE = ForceParameters(stack_stiffness=2e7, flexure_stiffness=2e6, high_pass=3.0)
-CHOSEN = {
-    "irc": {"k": 2000.0, "feedthrough": -2.5},
-    "ppf": {"frequencies": (900.0, 3000.0), "damping": (0.4, 0.7), "gains": (0.2, 0.1)},
-    "iff": {"gain": 3e-5, "leak": 900.0, "high_pass": 600.0},
-    "notch": {"frequencies": (700.0, 2100.0), "damping": (0.01, 0.1), "width": (0.5, 0.4)},
-}
 kinds = pytest.mark.parametrize("kind", CHOSEN)
-
-
-def damping(kind: str, **changes) -> DampingParameters:
-    values = {f"{kind}.{name}": value for name, value in (CHOSEN[kind] | changes).items()}
-    return DampingParameters.from_mapping({"type": kind, **values})
-
-
-def controller(
-    kind: str | None = None, dynamics: LinearParameters | None = None, force=FORCE, **changes
-) -> ControllerParameters:
-    chosen = DampingParameters() if kind is None else damping(kind, **changes)
-    model = ModelParameters(dynamics=dynamics or stage(), force=force)
-    return ControllerParameters(type="open_loop", model=model, damping=chosen)
 
 
 def test_all_kinds_are_tried_here():

@@ -15,36 +15,13 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from learning_support import RATE, REFERENCE, N, followed, learning
 
 from hysteresis_ros.control.learning import correction as at
-from hysteresis_ros.control.learning.block import Learning
 from hysteresis_ros.control.learning.correction import FORGETTING, FROZEN, LEARNING, LIMITED, learned_correction, shown
 from hysteresis_ros.control.learning.file import Learned, write_learned
 from hysteresis_ros.control.learning.filters import MARGIN, UNSEEN, Response, design_filters
-from hysteresis_ros.control.learning.parameters import LearningParameters
 from hysteresis_ros.errors import ConfigurationError, ParameterError
-
-RATE, N = 1000.0, 40
-REFERENCE = 1e-6 * (np.sin(2.0 * np.pi * np.arange(N) / N) + 0.3 * np.cos(6.0 * np.pi * np.arange(N) / N))
-
-
-def learning(fade=0.0, **values):
-    """Return a correction of period N with G = 1 and Q = 1."""
-    values = {"error_filter": (1.0,), "robustness_filter": (1.0,), "maximum": 1e-3, "period": N / RATE} | values
-    return Learning(LearningParameters(type="inversion", **values), 1.0 / RATE, fade)
-
-
-def followed(block, answer, periods, reference=REFERENCE, bad=()):
-    """Return corrections and errors, shape (periods, N), over a loop that adds ``answer`` (impulse response)."""
-    asked, m, e = np.zeros(periods * N + 100), [], []
-    for k in range(periods * N):
-        r = reference[k % N] if len(reference) == N else reference[k]
-        # the answer of this sample needs earlier samples only
-        y = sum(a * asked[k - i + 100] for i, a in enumerate(answer) if i)
-        e.append(r - y)
-        m.append(learned_correction(block.p, block.x, r, np.nan if k in bad else e[-1]))
-        asked[k + 100] = r + m[-1]
-    return np.array(m).reshape(periods, N), np.array(e).reshape(periods, N)
 
 
 def test_a_delayed_loop_of_wrong_gain_is_inverted_in_one_period_by_a_filter_that_looks_as_far_ahead():

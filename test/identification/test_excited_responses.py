@@ -16,15 +16,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy.signal
+from excited_support import RATE, A, B, plant, truth
 
 from hysteresis_ros.errors import ConfigurationError, IdentificationError
 from hysteresis_ros.identification.excitations import Experiment, Plan, excitation, uniform
 from hysteresis_ros.identification.response_analysis import analyse, plan_of_recording
 
-RATE = 1000.0
-#: 60 Hz with 10 % of damping.
-POLES = 2.0 * np.pi * 60.0 * np.array([-0.1 + 1j, -0.1 - 1j])
-B, A = scipy.signal.bilinear(*scipy.signal.zpk2tf([], POLES, abs(POLES[0]) ** 2), RATE)
 #: One kind each; how many seeds; which of its lines are counted, because those of noise hang together with their
 #: neighbours; and by how much more often than stated the band of one realisation may hold it: distortion that is not
 #: there is estimated as zero or more.
@@ -34,15 +31,6 @@ KINDS = {
     "stepped": (Experiment("stepped", low=4.0, period=0.1, points=25, settle=2), 60, 1, 0.0),
     "noise": (Experiment("noise", duration=16.0, period=1.0), 40, 3, 0.0),
 }
-
-
-def plant(u, noise, seed):
-    """Return the answer of the plant, with white noise."""
-    return scipy.signal.lfilter(B, A, u) + noise * np.random.default_rng(seed).standard_normal(u.size)
-
-
-def truth(frequency):
-    return scipy.signal.freqz(B, A, frequency, fs=RATE)[1]
 
 
 @pytest.mark.parametrize("kind", KINDS)

@@ -68,6 +68,9 @@ def test_a_true_model_is_known_as_far_as_the_voltage_has_content():
     assert half.uncertainty.known_to == pytest.approx(100.0, rel=0.2)
     assert half.uncertainty.at([90.0])[0] < 0.1
     assert half.uncertainty.at([1.01 * UNSEEN * half.uncertainty.known_to])[0] == UNKNOWN
+    # one just above would have shown by more than what was seen
+    known, near = half.uncertainty.height([90.0, 1.2 * half.uncertainty.known_to])
+    assert known == 0.0 and 0.0 < near < 0.2 * UNKNOWN
     assert "dynamics above" in half.warnings[0] and "are unknown" in half.warnings[0]
     # nobody has looked there: that is said and limits designs, but the recording shows nothing against the model
     assert half.fit_for_feedback and half.certain < 0.5 * half.believed

@@ -46,6 +46,8 @@ def test_from_arrays_to_a_file_that_predicts_other_arrays(tmp_path):
     np.testing.assert_allclose(found.predicted, loops().output, atol=5e-8)
     found.save(tmp_path / "axis.yaml")
     assert (tmp_path / "axis.yaml").read_text(encoding="utf-8") == found.text
+    # no file moves a stage without limits
+    assert all(f"      {name}: " in found.text for name in ("slew_rate", "maximum_velocity", "maximum_jerk"))
     other = validate(tmp_path / "axis.yaml", loops(80.0), skip=50)
     assert other.figures["rmse_m"] < 1.5e-8 and other.figures["inverse_rmse_v"] < 0.2
     assert other.validation.skipped == 50 and other.figures["identified_from"] == "arrays"

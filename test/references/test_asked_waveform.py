@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.references.asked import asked_waveform, played
 from hysteresis_ros.references.waveforms import WAVEFORMS, WaveformParameters
-from hysteresis_ros.units import quantity
+from hysteresis_ros.units import quantity, quantity_in
 
 
 @given(
@@ -54,8 +54,11 @@ def test_nothing_of_the_waveform_before_stays(kind, tmp_path):
     own = {"file.path": str(tmp_path / "a.csv")} if kind == "file" else own
     common = {"amplitude": 1e-6} if WAVEFORMS[kind].extent == "amplitude" else {}
     common |= {"cycles": 2} if kind == "decreasing_triangle" else {}
+    units = {row.name: "m" if row.unit == "m" else "" for row in WaveformParameters.table()}
     text = {
-        name: ",".join(map(repr, value)) if isinstance(value, tuple) else str(value)
+        name: ",".join(f"{one!r}{units[name]}" for one in value)
+        if isinstance(value, tuple)
+        else f"{value}{units[name]}"
         for name, value in {**common, **own}.items()
     }
     values = asked_waveform(kind, text)
@@ -89,13 +92,26 @@ def test_lengths_are_voltages_where_a_gain_makes_them_lengths():
         ("square", {"amplitude": "1um", "duty": "1.5"}, "out of range"),
         ("sine", {"amplitude": "-1um"}, "out of range"),
         ("sine", {"amplitude": "1um", "cycles": "1.5"}, "whole number"),
-        ("sine", {"amplitude": "1Hz"}, "is in Hz, allowed: double ≥ 0 m"),
+        ("sine", {"amplitude": "1Hz"}, "is in Hz, must be in m"),
     ],
 )
 def test_what_a_waveform_is_not_is_refused_by_name(kind, given_, expected):
     with pytest.raises(ParameterError) as refused:
         asked_waveform(kind, given_)
     assert expected in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "likely"),
+    [("60", "60um or 60nm"), ("5e-6", "5e-6m or 5e-6mm"), ("0.5", "0.5um or 0.5mm"), ("-2000", "-2000nm or -2000um")],
+)
+def test_a_length_without_a_unit_is_refused_with_its_two_likely_meanings(text, likely):
+    with pytest.raises(ValueError, match=f"of which unit. Write {likely}$"):
+        quantity_in(text, "m")
+    assert quantity_in("0", "m") == 0.0, "zero is the same in any unit"
+    assert quantity_in(text, "Hz") == quantity_in(text, "") == float(text), "other numbers are in SI"
+    with pytest.raises(ParameterError, match="amplitude.*of which unit"):
+        asked_waveform("sine", {"amplitude": text.lstrip("-")})
 
 
 def test_what_never_ends_has_no_length():

@@ -81,6 +81,8 @@ def test_in_ten_periods_on_another_plant_the_error_falls_to_less_than_a_tenth(ki
     text = learning_file(configuration, design_learning(single_axis(configuration), LearningRequest(kind)), "")
     other = parse_configuration(text, "designed")
     axis = single_axis(other)
+    assert axis.plant_simulator.limits.slew_rate > 0.0 and axis.hysteresis_compensator.limits.slew_rate > 0.0
+    assert not axis.reference_generator.approach.unlimited
     dynamics = axis.plant_simulator.dynamics
     plant = replace(axis.plant_simulator, dynamics=replace(dynamics, input_scale=dynamics.resolved_input_scale / 1.05))
     made = Axis(replace(axis, plant_simulator=plant))

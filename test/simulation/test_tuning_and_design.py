@@ -104,9 +104,14 @@ def test_designed_file_runs_and_keeps_the_rest_of_the_file(tmp_path, controller)
     assert "gain margin" in result.output and "closed-loop poles" in result.output
     text = (tmp_path / "f.yaml").read_text(encoding="utf-8")
     assert text.startswith("# Controller designed by `hysteresis design picma_stage.yaml --controller " + controller)
-    original = PICMA.read_text(encoding="utf-8")
-    first = original.index("/**/motion_controller:")
-    assert original[:first] in text and original[original.index("/**/reference_generator:") :] in text
+    # everything else stays as it is written, but for the slew rate, which a written file limits
+    given, written = (
+        "".join(line for line in lines.splitlines(keepends=True) if " slew_rate: " not in line)
+        for lines in (PICMA.read_text(encoding="utf-8"), text)
+    )
+    first = given.index("/**/motion_controller:")
+    assert given[:first] in written and given[given.index("/**/reference_generator:") :] in written
+    assert single_axis(load_configuration(tmp_path / "f.yaml")).plant_simulator.limits.slew_rate > 0.0
     recording = simulate(single_axis(load_configuration(tmp_path / "f.yaml")), duration=0.5)
     assert np.all(np.isfinite(recording.signals["displacement"]))
     if bandwidth:
@@ -145,7 +150,7 @@ REFUSED = [
     (["--controller", "smc", "--q", "-5"], "--q"),
     (["--controller", "pid", "--preview", "5"], "--feedforward"),
     (["--controller", "super_twisting", "--bandwidth", "10"], "no pole to place"),
-    (["--controller", "pid", "--criterion", "iae", "--duration", "nan"], "positive number of seconds"),
+    (["--controller", "pid", "--criterion", "iae", "--duration", "nan"], "must be a finite number"),
     (["--controller", "pid", "--criterion", "iae", "--duration", "0"], "positive number of seconds"),
 ]
 
@@ -267,6 +272,8 @@ def test_a_robust_design_says_for_which_plants_it_is(tmp_path):
         (["--robust", "--bandwidth", 5.0], "--robust and --bandwidth exclude each other"),
         (["--robust", "--criterion", "iae"], "--robust and --criterion exclude each other"),
         (["--noise", 0.0], "--noise 0: must be a noise in metres above 0"),
+        (["--noise", "2"], "'2': of which unit? Write 2um or 2mm"),
+        (["--noise", "2V"], "'2V': is in V, must be in m"),
     ],
 )
 def test_plants_and_noise_that_make_no_sense_are_refused_in_one_line(tmp_path, options, text):
@@ -278,10 +285,20 @@ def test_plants_and_noise_that_make_no_sense_are_refused_in_one_line(tmp_path, o
 def test_a_noisy_sensor_makes_a_calmer_design(tmp_path):
     """0.2 % of the stroke may be noise of the command; a nanometre of it decides nothing."""
     reached = {}
-    for noise in (1e-9, 1e-7):
-        result = run(PICMA, "--controller", "pid", "--noise", noise, "-o", tmp_path / "f.yaml")
+    for noise, written in ((1e-9, "1nm"), (1e-7, "100nm")):
+        result = run(PICMA, "--controller", "pid", "--noise", written, "-o", tmp_path / "f.yaml")
         rows = {line[:24].strip(): line[24:].strip() for line in result.output.splitlines()}
         reached[noise] = float(rows["noise in command"].split()[0])
     low, high = reachable_displacements(picma())
     stroke = high - low
     assert reached[1e-7] == pytest.approx(2e-3 * stroke / 1e-7, rel=0.06) and reached[1e-9] > 1.5 * reached[1e-7]
+
+
+def test_the_bandwidth_without_damping_is_that_of_the_design_without_damping(tmp_path):
+    def rows(*options):
+        result = run("kim2009", "--controller", "pid", *options, "-o", tmp_path / "f.yaml")
+        return {line.split("  ")[0]: line.split("  ", 1)[-1].strip() for line in result.output.splitlines()}
+
+    plain, none, damped = rows(), rows("--damping", "none"), rows("--damping", "irc")
+    assert plain["bandwidth reached"] == none["bandwidth reached"]
+    assert damped["bandwidth without damping"].startswith(plain["bandwidth reached"] + ";")

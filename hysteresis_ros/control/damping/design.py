@@ -194,11 +194,16 @@ class _Search:
         return PidParameters(Kp=Kp, Ki=Ki, Kd=Kd, derivative_filter=cut_off)
 
     def _gain(self, loop: InnerLoop, outer) -> float:
-        """Return the largest gain of an outer controller on all plants, less where both loops would be too lively."""
+        """Return the largest gain of an outer controller on all plants, less where both loops would be too lively.
+
+        No gain of the outer one makes up for an inner loop whose M_s is too large.
+        """
         filtered = loop.feedback.response(self.z)[:, 0, 0]
         forward = outer * (filtered if loop.source == COMMAND else loop.forward)
         back = 0.0 if loop.source == COMMAND else filtered
         inner = [1.0 - back * (P * loop.seen[0]).sum(axis=1) for P in self.responses]
+        if max(float(np.max(1.0 / np.abs(left))) for left in inner) > REQUIRED.sensitivity_peak:
+            return 0.0
         displaced = [P[:, 0] for P in self.responses]
         gain = min(_largest(forward * P / left) for P, left in zip(displaced, inner, strict=True))
         whole = max(

@@ -71,6 +71,7 @@ class Learning(Block):
         head[at.AVERAGING], head[at.MAXIMUM] = parameters.averaging, parameters.maximum
         head[at.SHORTFALL] = parameters.shortfall
         head[at.RECOVERY] = round(parameters.recovery / self.sample_time)
+        head[at.LATE_ANSWER] = round(parameters.late_answer / self.sample_time)
         head[at.MISSING] = UNLEARNED * sum(map(abs, parameters.error_filter))
         head[at.FADE] = 1.0 / max(round(self._fade / self.sample_time), 1)
         return np.concatenate([head, parameters.error_filter, parameters.robustness_filter])

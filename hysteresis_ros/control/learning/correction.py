@@ -19,7 +19,8 @@ of the samples around the one a period before; nothing has to be done at the end
 What cannot be learned from is not a finite number in the ring of errors: where more than a tenth of the filter's weight
 meets such samples, around them, the correction repeats itself; where the reason is that commands were not carried out,
 it gives way, or it would hold the axis at its limits. A voltage that came a sample too late moves the axis off its path
-by what the correction has no part in: nothing is learned from it until its answer has died away. A reference that is
+by what the correction has no part in: nothing is learned from it until its answer has died away, which takes less time
+than after limits: one sample is a small knock. A reference that is
 not the one of a period before takes the correction back.
 
 References
@@ -44,10 +45,11 @@ LEAST_GAIN = 5
 AVERAGING = 6  # n: in the j-th period γ is at most n / j; 0: it stays
 MAXIMUM = 7  # [m]
 SHORTFALL = 8  # command not carried out above which nothing is learned [m]
-RECOVERY = 11  # samples after a command that was not carried out, or came too late, in which nothing is learned
+RECOVERY = 11  # samples after a command that was not carried out, in which nothing is learned
+LATE_ANSWER = 12  # the same after a voltage that came too late
 FADE = 9  # part of the correction that comes or goes in a sample
 MISSING = 10  # weight of the error filter that may meet samples from which nothing can be learned
-FILTERS = 12
+FILTERS = 13
 
 # State; then three rings of as many samples as the filters reach back: correction, error, reference [m].
 MODE = 0
@@ -88,8 +90,12 @@ def shown(p, x, error, shortfall, skipped):
         x[RECOVERING] = p[RECOVERY]
         x[LOST] = LIMITED
     elif skipped != 0.0:
-        x[RECOVERING] = p[RECOVERY]
-        x[LOST] = math.nan
+        # one that came while the axis answers for longer to what was not carried out ends nothing of that
+        if x[RECOVERING] <= p[LATE_ANSWER]:
+            x[RECOVERING] = p[LATE_ANSWER]
+            x[LOST] = math.nan
+        else:
+            x[RECOVERING] -= 1.0
     elif x[RECOVERING] > 0.0:
         x[RECOVERING] -= 1.0
     else:

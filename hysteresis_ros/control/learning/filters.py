@@ -71,10 +71,13 @@ class Response(NamedTuple):
         T on the model.
     possible : ndarray, shape (p, m)
         T_p on all plants that are possible, the model among them.
+    pushed : ndarray, shape (m,), optional
+        From the input of the plant to the displacement, in closed loop, on the model.
     """
 
     model: np.ndarray
     possible: np.ndarray
+    pushed: np.ndarray | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -256,7 +259,9 @@ def _inversion(response: Response, period: int):
     for _ in range(ITERATIONS):
         inverse = np.sum(weights * possible.conj(), axis=0) / np.sum(weights * np.abs(possible) ** 2, axis=0)
         weights = weights * np.abs(1.0 - inverse * possible)
-        weights /= np.maximum(np.max(weights, axis=0), 1e-300)
+        largest = np.max(weights, axis=0)
+        # where the inverse is exact for all plants there is nothing left to weigh
+        weights = np.where(largest > 1e-300, weights / np.maximum(largest, 1e-300), 1.0)
 
     # where plants differ much Q dips just as far as contraction needs it
     allowed = np.minimum(1.0, (1.0 - DIP) / contraction(1.0, inverse, possible))

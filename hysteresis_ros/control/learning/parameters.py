@@ -71,7 +71,14 @@ class LearningParameters(Parameters):
         unit="s",
         low=0.0,
         high=1e3,
-        description="nor so long after that, or after a voltage that came too late, while the axis still answers to it",
+        description="nor so long after that, while the axis still answers to it",
+    )
+    late_recovery: float = parameter(
+        -1.0,
+        unit="s",
+        low=-1.0,
+        high=1e3,
+        description="nor so long after a voltage that came too late: one sample is a small knock; below 0: as recovery",
     )
     active: bool = parameter(True, description="whether it learns from the beginning; `learn` and `freeze` change it")
     file: str = parameter(
@@ -85,6 +92,11 @@ class LearningParameters(Parameters):
     def in_use(self) -> bool:
         """Whether there is a correction."""
         return self.type != "none"
+
+    @property
+    def late_answer(self) -> float:
+        """Time [s] after a voltage that came too late in which nothing is learned."""
+        return self.late_recovery if self.late_recovery >= 0.0 else self.recovery
 
     def check(self):
         """Yield what does not fit together."""

@@ -91,7 +91,8 @@ class PrandtlIshlinskiiParameters(Parameters):
         for side, zones in zip(("above", "below"), _zones(self), strict=True):
             slopes = 1.0 + np.cumsum([weight for _, weight in zones])
             if np.any(slopes <= 0.0):
-                allowed = f"{side} zero the slope 1 + Σ s falls to {slopes.min():.3g}; it must stay above 0 (monotone)"
+                lowest = np.min(slopes)
+                allowed = f"{side} zero the slope 1 + Σ s falls to {lowest:.3g}; it must stay above 0 (monotone)"
                 yield Problem("zone_weights", self.zone_weights, allowed)
 
 

@@ -1,0 +1,288 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""How fast an axis may move: the limits of voltage and setpoint that every command writes, and where they come from.
+
+*Slew rate of the voltage*, the least of what is known: the amplifier's own; twice what a recording held without harm;
+the range in one period of the lowest resonance, or in the slowest time constant of a model that only lags. Where
+nothing is known the range takes :data:`FIRST_SECONDS`.
+
+*Approach to setpoints*: half of the slew rate is for the setpoint, the other half for what feedback and hysteresis
+add. The approach is a ramp behind two moving averages (:mod:`hysteresis_ros.references.approach`). Each lasts one
+period of the resonance, where a moving average has a zero: the two are a double zero on the resonance, so a setpoint
+leaves little vibration even when the frequency is off by some per cent.
+
+What a file states, it keeps: a limit above 0 is never replaced.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+import numpy as np
+import yaml
+
+from hysteresis_ros.compensation.compensator import CompensatorParameters
+from hysteresis_ros.compensation.reachable import reachable_commands
+from hysteresis_ros.configuration import dump_configuration, matches, normalised_namespace, parse_configuration
+from hysteresis_ros.control.damping.plant import modes
+from hysteresis_ros.linear_algebra import eigenvalues
+from hysteresis_ros.models.linear import LinearParameters
+
+#: The range in so many seconds [s] is what an unknown stage is moved with.
+FIRST_SECONDS = 1.0
+#: How much faster than in the recording the voltage may change, and the setpoint's part of the slew rate.
+ROOM, FOR_SETPOINTS = 2.0, 0.5
+#: Damping from which a mode is not a resonance, and size of a pole below which it is a delay.
+NO_RESONANCE, DELAY = 0.5, 1e-3
+#: Where no resonance is known a moving average lasts this part of the crossing of the stroke.
+UNKNOWN_PART = 0.1
+#: Digits that are written: limits are no more exact.
+DIGITS = 3
+NODES = ("plant_simulator", "hysteresis_compensator")
+APPROACH = ("maximum_velocity", "maximum_acceleration", "maximum_jerk")
+
+
+@dataclass(frozen=True)
+class Slew:
+    """A slew rate [V/s] and where it comes from."""
+
+    rate: float
+    reason: str
+
+
+def largest_change(voltage: np.ndarray, sample_time: float) -> float:
+    """Return the largest change of a recorded voltage [V/s]; 0 for less than two samples."""
+    changes = np.abs(np.diff(voltage))
+    return float(np.nanmax(changes)) / sample_time if np.isfinite(changes).any() else 0.0
+
+
+def slowest(dynamics: LinearParameters, sample_time: float) -> tuple[float, bool]:
+    """Return the lowest resonance of a model [Hz] and True, or its slowest lag [1/s] and False; 0: neither."""
+    if not dynamics.order:
+        return 0.0, False
+    poles = np.asarray(eigenvalues(dynamics.state_space.A), dtype=complex)
+    resonances = [hertz for hertz, damping in modes(poles, sample_time) if damping < NO_RESONANCE]
+    if resonances:
+        return min(resonances), True
+    sizes = [abs(pole) for pole in poles if DELAY < abs(pole) < 1.0]
+    return (-float(np.log(max(sizes))) / sample_time, False) if sizes else (0.0, False)
+
+
+def safe_slew(
+    span: float, pace: float = 0.0, resonant: bool = False, excited: float = 0.0, amplifier: float = 0.0
+) -> Slew:
+    """Return the largest change of the voltage.
+
+    Parameters
+    ----------
+    span : float
+        Range of the voltage [V].
+    pace : float
+        Lowest resonance [Hz] or inverse of the slowest time constant [1/s]; 0: not known.
+    resonant : bool
+        Which of the two ``pace`` is.
+    excited : float
+        Largest change in the recording [V/s]; 0: there is none.
+    amplifier : float
+        What the amplifier can follow [V/s]; 0: not known.
+    """
+    first = span / FIRST_SECONDS
+    known = []
+    if amplifier > 0.0:
+        known.append(Slew(amplifier, "what the amplifier can follow"))
+    if excited > 0.0:
+        text = f"twice the largest change in the recording, {excited:.{DIGITS}g} V/s"
+        slow = f"the range in {FIRST_SECONDS:g} s; the recording had no more than {excited:.{DIGITS}g} V/s"
+        known.append(Slew(ROOM * excited, text) if ROOM * excited > first else Slew(first, slow))
+    if pace > 0.0:
+        lag = f"the lag of the model, {1e3 / pace:.{DIGITS}g} ms"
+        text = f"one period of the resonance, {pace:.{DIGITS}g} Hz" if resonant else lag
+        known.append(Slew(span * pace, f"the range in {text}"))
+    return min(known or [Slew(first, f"nothing is known: the range in {FIRST_SECONDS:g} s")], key=lambda one: one.rate)
+
+
+def safe_approach(slew: float, span: float, stroke: float, resonance: float = 0.0) -> tuple[float, float, float]:
+    """Return velocity [m/s], acceleration [m/s²] and jerk [m/s³] of the approach to setpoints.
+
+    Parameters
+    ----------
+    slew : float
+        Largest change of the voltage [V/s].
+    span : float
+        Range of the voltage [V].
+    stroke : float
+        What it moves [m].
+    resonance : float
+        The lowest [Hz]; 0: not known.
+    """
+    velocity = _rounded(FOR_SETPOINTS * slew * stroke / span)
+    length = 1.0 / resonance if resonance > 0.0 else UNKNOWN_PART * stroke / velocity
+    # windows of 2 V/A and 4 V/(2 V/A J), see the approach
+    return velocity, _rounded(2.0 * velocity / length), _rounded(4.0 * velocity / length**2)
+
+
+def with_safe_motion(text: str, source: str, namespace: str = "", excited: float = 0.0, amplifier: float = 0.0) -> str:
+    """Return the text of a parameter file with the limits of voltage and setpoint that it lacks, each with its reason.
+
+    Parameters
+    ----------
+    text : str
+        Parameter file of an axis.
+    source : str
+        What it is, for messages.
+    namespace : str
+        Of the axis.
+    excited, amplifier : float
+        See :func:`safe_slew`.
+    """
+    configuration, namespace = parse_configuration(text, source), normalised_namespace(namespace)
+    if configuration.describes("inchworm_sequencer", namespace):
+        return text  # a motor that walks has speeds of its own
+    nodes = {name: configuration.node(name, namespace) for name in (*NODES, "motion_controller")}
+    plant, compensator = (nodes[name] for name in NODES)
+    if not all(f"limits.{end}" in node for node in (plant, compensator) for end in ("minimum", "maximum")):
+        return text
+    span = float(compensator["limits.maximum"]) - float(compensator["limits.minimum"])
+    sample_time = 1.0 / float(plant.get("sample_rate", 1000.0))
+    found = [slowest(dynamics, sample_time) for dynamics in _dynamics(nodes)]
+    paces = [(resonant, pace) for pace, resonant in found if pace > 0.0]
+    # a resonance counts before a lag
+    resonant, pace = min(paces, key=lambda one: (not one[0], one[1]), default=(False, 0.0))
+    stated = [float(node.get("limits.slew_rate", 0.0)) for node in (plant, compensator)]
+    slew = safe_slew(span, pace, resonant, excited, amplifier)
+    if any(rate > 0.0 for rate in stated):
+        slew = Slew(min(rate for rate in stated if rate > 0.0), "as the other node has it")
+    rate = _rounded(slew.rate) if not any(stated) else slew.rate
+    for name, own in zip(NODES, stated, strict=True):
+        if not own > 0.0:
+            text = _with_values(text, name, namespace, "limits", {"slew_rate": (rate, f"V/s: {slew.reason}")})
+    reference = configuration.node("reference_generator", namespace)
+    if any(float(reference.get(f"approach.{name}", 0.0)) > 0.0 for name in APPROACH):
+        return text
+    stroke = float(reference.get("maximum", 0.0)) - float(reference.get("minimum", 0.0))
+    if not stroke > 0.0:
+        low, high = reachable_commands(_part(compensator, CompensatorParameters), sample_time)
+        stroke = high - low
+    resonance = pace if resonant else 0.0
+    each = f"{resonance:.{DIGITS}g} Hz: each average lasts one period" if resonance else "a tenth of the crossing each"
+    words = ("m/s: half of the slew rate over the range", f"m/s²; {each}", "m/s³, the same")
+    limits = safe_approach(rate, span, stroke, resonance)
+    chosen = dict(zip(APPROACH, zip(limits, words, strict=True), strict=True))
+    return _with_values(text, "reference_generator", namespace, "approach", chosen)
+
+
+def with_comments(text: str, commented: str) -> str:
+    """Return a text whose lines have the comments that the same lines have in another one.
+
+    Parameters
+    ----------
+    text, commented : str
+        Parameter files.
+    """
+    known = dict(line.split("  # ", 1) for line in commented.splitlines() if "  # " in line)
+    lines = (f"{line}  # {known[line]}" if line in known else line for line in text.splitlines())
+    return "".join(f"{line}\n" for line in lines)
+
+
+def _dynamics(nodes: dict[str, dict]) -> Iterable[LinearParameters]:
+    """Return the dynamics that plant and controller state."""
+    for node, prefix in (("plant_simulator", "dynamics."), ("motion_controller", "model.dynamics.")):
+        values = {name.removeprefix(prefix): value for name, value in nodes[node].items() if name.startswith(prefix)}
+        if values:
+            yield LinearParameters.from_mapping(values, prefix=f"{node}: {prefix}")
+
+
+def _part(values: dict, cls):
+    """Return the parameters of a block out of its node's."""
+    names = {row.name for row in cls.table()}
+    return cls.from_mapping({name: value for name, value in values.items() if name in names})
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.{DIGITS}g}")
+
+
+def _with_values(text: str, node: str, namespace: str, group: str, values: dict[str, tuple[float, str]]) -> str:
+    """Return the text with values in a group of a node's last section, their comments behind them; others stay.
+
+    A group that is written in one line gets its values there, the reasons behind the line.
+    """
+    full = f"{namespace}/{node}"
+    root = yaml.compose(text)
+    sections = [
+        (key, value) for key, value in root.value if key.value.rsplit("/", 1)[-1] == node and matches(key.value, full)
+    ]
+    if not sections:
+        given = {f"{group}.{name}": value for name, (value, _) in values.items()}
+        comment = "".join(f"# {name}: {reason}\n" for name, (_, reason) in values.items())
+        return f"{text.rstrip()}\n{comment}{dump_configuration({f'/**{full}': given})}"
+    parameters = next(value for key, value in sections[-1][1].value if key.value == "ros__parameters")
+    found = next(((key, value) for key, value in parameters.value if key.value == group), None)
+    lines = text.splitlines(keepends=True)
+    if lines and not lines[-1].endswith("\n"):
+        lines[-1] += "\n"
+    if found is None:
+        first = parameters.value[0][0].start_mark
+        at, inner = first.line, first.column + 2
+        added = [f"{' ' * first.column}{group}:\n"]
+        added += [f"{' ' * inner}{name}: {_number(value)}  # {reason}\n" for name, (value, reason) in values.items()]
+        return "".join(lines[:at] + added + lines[at:])
+    mapping = found[1]
+    before = {key.value: value for key, value in mapping.value}
+    # from behind, so that places before stay what they are
+    for name in sorted(set(values) & set(before), key=lambda name: before[name].start_mark.line, reverse=True):
+        value, reason = values[name]
+        mark, end = before[name].start_mark, before[name].end_mark
+        line = lines[mark.line]
+        rest = line[end.column :].rstrip("\n")
+        if mapping.flow_style:
+            lines[mark.line] = line[: mark.column] + _number(value) + rest + "\n"
+        else:
+            lines[mark.line] = f"{line[: mark.column]}{_number(value)}  # {reason}\n"
+    new = {name: pair for name, pair in values.items() if name not in before}
+    if mapping.flow_style:
+        return _in_flow("".join(lines), node, namespace, group, new)
+    last_key, last = mapping.value[-1]
+    at = last.end_mark.line if last.end_mark.column == 0 else last.end_mark.line + 1
+    at = max(at, last_key.start_mark.line + 1)
+    indent = " " * last_key.start_mark.column
+    added = [f"{indent}{name}: {_number(value)}  # {reason}\n" for name, (value, reason) in new.items()]
+    while at > last_key.start_mark.line + 1 and (not lines[at - 1].strip() or lines[at - 1].lstrip().startswith("#")):
+        at -= 1
+    return "".join(lines[:at] + added + lines[at:])
+
+
+def _in_flow(text: str, node: str, namespace: str, group: str, new: dict[str, tuple[float, str]]) -> str:
+    """Return the text with values before the brace that closes a group."""
+    if not new:
+        return text
+    full = f"{namespace}/{node}"
+    sections = [
+        value
+        for key, value in yaml.compose(text).value
+        if key.value.rsplit("/", 1)[-1] == node and matches(key.value, full)
+    ]
+    parameters = next(value for key, value in sections[-1].value if key.value == "ros__parameters")
+    mark = next(value.end_mark for key, value in parameters.value if key.value == group)
+    lines = text.splitlines(keepends=True)
+    line = lines[mark.line]
+    joined = ", ".join(f"{name}: {_number(value)}" for name, (value, _) in new.items())
+    reasons = "; ".join(reason for _, reason in new.values())
+    rest = line[mark.column :].rstrip("\n")
+    comment = f"{rest}; {reasons}" if "#" in rest else f"{rest}   # {reasons}"
+    lines[mark.line] = f"{line[: mark.column - 1]}, {joined}}}{comment}\n"
+    return "".join(lines)
+
+
+def _number(value: float) -> str:
+    """Return a number that YAML and ROS both read as a double."""
+    text = repr(float(value))
+    return text.replace("e", ".0e") if "e" in text and "." not in text else text

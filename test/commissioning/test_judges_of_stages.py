@@ -1,0 +1,110 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""What stages refuse: gains too large, zeros far away, axes that stopped themselves; each beside what passes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from sitting_support import sitting
+
+from hysteresis_ros.commissioning import voltages as volts
+from hysteresis_ros.commissioning.bench import require_sound
+from hysteresis_ros.commissioning.measuring import judge_gain, judge_hysteresis, judge_noise
+from hysteresis_ros.commissioning.outcome import CommissioningError, Outcome
+from hysteresis_ros.recordings.dataset import Recording
+
+#: Expected of the new axis: 100 µm over 100 V, at 2 kHz.
+RATE, GAIN = 2000.0, 1e-6
+NOISE = 3e-9
+
+
+def recorded(voltage, gain=GAIN, zero=0.0, **more) -> Recording:
+    """Return what a stage without memory makes of voltages."""
+    random = np.random.default_rng(1)
+    measured = zero + gain * voltage + NOISE * random.standard_normal(voltage.size)
+    return Recording(
+        np.arange(voltage.size) / RATE, {"reference": GAIN * voltage, "voltage": voltage, "measured": measured, **more}
+    )
+
+
+@pytest.fixture
+def situation(tmp_path):
+    found = sitting(tmp_path)
+    found.found["noise"] = Outcome(["quiet"], {"noise_rms_m": NOISE, "sensor_zero_m": 0.0})
+    return found
+
+
+@pytest.mark.parametrize("factor", [0.1, 0.32, 0.4, 1.0, 2.5, 3.3, 10.0])
+def test_a_gain_may_be_off_by_a_factor_of_three_to_both_sides(situation, factor):
+    step = recorded(volts.small_step(situation.plan, 0.0, RATE), factor * GAIN)
+    if 1.0 / 3.0 < factor < 3.0:
+        assert judge_gain(situation, step).figures["gain_m_per_v"] == pytest.approx(factor * GAIN, rel=0.01)
+    else:
+        with pytest.raises(CommissioningError, match="the gain is .* µm/V and 1 µm/V were expected"):
+            judge_gain(situation, step)
+
+
+@pytest.mark.parametrize("factor", [0.3, 0.5, 1.0, 2.0, 3.5])
+def test_so_may_the_stroke(situation, factor):
+    cycles = recorded(volts.decaying_cycles(situation.plan, 0.0, RATE), factor * GAIN)
+    if 1.0 / 3.0 < factor < 3.0:
+        assert judge_hysteresis(situation, cycles).figures["stroke_m"] == pytest.approx(factor * 1e-4, rel=0.01)
+    else:
+        with pytest.raises(CommissioningError, match="the whole range moved it by .*, 100 µm were expected"):
+            judge_hysteresis(situation, cycles)
+
+
+@pytest.mark.parametrize("strokes", [-25.0, -15.0, 0.0, 15.0, 25.0])
+def test_a_zero_many_strokes_away_is_that_of_another_unit(situation, strokes):
+    quiet = recorded(np.zeros(2000), zero=strokes * 1e-4)
+    if abs(strokes) < 20.0:
+        figures = judge_noise(situation, quiet).figures
+        assert figures["sensor_zero_m"] == pytest.approx(strokes * 1e-4, abs=1e-9)
+        assert figures["noise_rms_m"] == pytest.approx(NOISE, rel=0.1)
+    else:
+        with pytest.raises(CommissioningError, match="the sensor reads .* at rest, and a stroke of 100 µm is expected"):
+            judge_noise(situation, quiet)
+
+
+@pytest.mark.parametrize(("code", "why"), [(1.0, "too many voltages came late"), (2.0, "measured farther"), (3.0, "")])
+def test_an_axis_that_stopped_itself_is_no_measurement_and_one_that_is_homed_is(code, why):
+    stopped = np.where(np.arange(100) < 60, 0.0, code)
+    with pytest.raises(CommissioningError, match=f"the axis stopped itself after 0.03 s: .*{why}"):
+        require_sound(recorded(np.zeros(100), tripped=stopped), 100)
+    homed = np.where(np.arange(100) < 60, -1.0, 0.0)
+    assert len(require_sound(recorded(np.zeros(100), tripped=homed), 100)) == 100
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "safe", "step", "far"), [(0.0, 100.0, 0.0, 5.0, 80.0), (-100.0, 0.0, 0.0, -5.0, -80.0)]
+)
+def test_steps_go_to_the_end_that_is_farther_from_safe(situation, low, high, safe, step, far):
+    plan = replace(situation.plan, minimum=low, maximum=high)
+    assert volts.step_size(plan, safe) == pytest.approx(step)
+    assert volts.creeping_level(plan, safe) == pytest.approx(far)
+    found = volts.creeping_step(plan, safe, 1000.0)
+    assert found[np.argmax(np.abs(found))] == pytest.approx(far)
+
+
+@pytest.mark.parametrize("missing", [0, 40, 60, 500])
+def test_one_measurement_in_twenty_may_be_missing_no_more(missing):
+    recording = recorded(np.linspace(0.0, 10.0, 1000))
+    places = np.linspace(1, 998, missing).astype(int)
+    assert np.unique(places).size == missing
+    recording.signals["measured"][places] = np.nan
+    if missing <= 50:
+        found = require_sound(recording, 1000)["measured"]
+        np.testing.assert_allclose(found, GAIN * np.linspace(0.0, 10.0, 1000), atol=6 * NOISE)
+    else:
+        with pytest.raises(CommissioningError, match=rf"{missing / 10:.1f} % of 1000 samples have no measurement"):
+            require_sound(recording, 1000)

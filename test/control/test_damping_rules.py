@@ -1,0 +1,134 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Rules that every design of a damping is held to, one filter at a time: margins by the closed form of the loop."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from damping_support import T, stage
+
+from hysteresis_ros.control.damping.design import damping_plants, design_damping, mode_to_damp
+from hysteresis_ros.control.damping.parameters import DampingParameters
+from hysteresis_ros.control.damping.plant import damped, modes
+from hysteresis_ros.control.damping.registry import KINDS
+from hysteresis_ros.errors import ParameterError
+from hysteresis_ros.models.linear import LinearParameters, zero_order_hold
+
+IRC = KINDS["irc"]
+
+
+def design_among(monkeypatch, points, dynamics):
+    """Return k and feedthrough that a design takes where these are all there is."""
+
+    def boxes(mode):
+        return tuple(tuple((value, value, False) for value in point) for point in points)
+
+    def chosen(point, mode):
+        return IRC.parameters(k=point[0], feedthrough=point[1])
+
+    monkeypatch.setitem(KINDS, "irc", replace(IRC, ranges=boxes, chosen=chosen))
+    found = design_damping("irc", dynamics, T, damping_plants(dynamics, T))
+    return found.irc.k, found.irc.feedthrough
+
+
+def inner_loop(point, dynamics):
+    """Return M_s of 1/(1 − F P) and the least damping of its modes, on the model and with the resonance off by 10 %.
+
+    F = k/(s − k D_f) with s = h (z − 1)/(z + 1), h = 2/T; P from the poles of the stage, both as polynomials in z.
+    """
+    k, feedthrough = point
+    h = 2.0 / T
+    above, below = k * np.array([1.0, 1.0]), np.array([h - k * feedthrough, -h - k * feedthrough])
+    peaks, dampings = [], []
+    for plant in damping_plants(dynamics, T):
+        system = plant.plant
+        under = np.real(np.poly(system.A))
+        over = np.real(np.poly(system.A - system.B @ system.C)) - under
+        whole = np.polysub(np.polymul(below, under), np.polymul(above, over))
+        z = np.exp(1j * np.linspace(1e-5, np.pi, 40001))
+        peaks.append(np.max(np.abs(np.polyval(np.polymul(below, under), z) / np.polyval(whole, z))))
+        poles = np.roots(whole)
+        logarithms = np.log(poles[(poles.imag > 0.0) & (np.abs(poles) > 1e-3)])
+        dampings.append(np.min(-logarithms.real / np.abs(logarithms)))
+    return max(peaks), min(dampings)
+
+
+def test_an_inner_loop_of_too_large_a_peak_is_not_taken_however_slow_the_law_in_front_of_it(monkeypatch):
+    dynamics = stage()
+    lively, calm = (440.0, -1.6), (440.0, -2.5)
+    assert inner_loop(lively, dynamics)[0] > 2.5 and inner_loop(calm, dynamics)[0] < 1.7
+    assert design_among(monkeypatch, [calm, lively], dynamics) == calm
+    with pytest.raises(ParameterError, match="no irc damps the resonance at 700 Hz on all plants"):
+        design_among(monkeypatch, [lively], dynamics)
+
+
+def test_a_filter_that_leaves_the_mode_nearly_as_it_was_is_none(monkeypatch):
+    """The stage has 1 %: 2 % are asked for, on the plant that is damped least."""
+    dynamics = stage()
+    little, enough = (60.0, -2.5), (132.0, -2.5)
+    assert 0.011 < inner_loop(little, dynamics)[1] < 0.019 and 0.0205 < inner_loop(enough, dynamics)[1] < 0.03
+    assert design_among(monkeypatch, [little, enough], dynamics) == enough
+    with pytest.raises(ParameterError, match="no irc damps the resonance at 700 Hz"):
+        design_among(monkeypatch, [little], dynamics)
+
+
+def test_the_fastest_filter_is_left_where_a_slower_one_tolerates_a_sample_of_delay_more(monkeypatch):
+    """Without any such filter the fastest is better than none."""
+    dynamics = stage(delay=0.0, frequency=5000.0)
+    fast, slow = (3142.0, -2.5), (31416.0, -6.0)
+    assert design_among(monkeypatch, [fast, slow], dynamics) == slow
+    assert design_among(monkeypatch, [fast], dynamics) == fast
+    # one more sample of delay: only the slower one is a design there
+    late = stage(delay=T, frequency=5000.0)
+    with pytest.raises(ParameterError, match="no irc damps the resonance at 5000 Hz"):
+        design_among(monkeypatch, [fast], late)
+
+
+def test_modes_come_by_their_damping_the_least_damped_first():
+    wanted = [(700.0, 0.3), (2000.0, 0.01), (900.0, 0.05)]
+    omega = 2.0 * np.pi * np.array([frequency for frequency, _ in wanted])
+    zeta = np.array([damping for _, damping in wanted])
+    poles = np.exp(T * omega * (-zeta + 1j * np.sqrt(1.0 - zeta**2)))
+    found = modes(np.concatenate([poles, poles.conj(), [0.5, 0.0]]), T)
+    np.testing.assert_allclose(found, [(2000.0, 0.01), (900.0, 0.05), (700.0, 0.3)], rtol=1e-9)
+    # the design damps that one, wherever it stands
+    assert mode_to_damp(stage(), T).frequency == pytest.approx(700.0, rel=1e-6)
+
+
+@pytest.mark.parametrize(("damping", "there"), [(0.65, True), (0.75, False)])
+def test_a_mode_that_is_damped_by_itself_needs_no_filter(damping, there):
+    """Two poles of 700 Hz, complex up to the critical damping: a step overshoots by 7 % at 0.65 and by 3 % at 0.75."""
+    omega = 2.0 * np.pi * 700.0
+    A, B = zero_order_hold([[0.0, 1.0], [-(omega**2), -2.0 * damping * omega]], [[0.0], [omega**2]], T)
+    dynamics = replace(stage(), A=tuple(A.ravel().tolist()), B=tuple(B[:, 0].tolist()))
+    if there:
+        assert mode_to_damp(dynamics, T).damping == pytest.approx(damping, rel=1e-6)
+    else:
+        with pytest.raises(ParameterError, match="nothing to damp"):
+            mode_to_damp(dynamics, T)
+
+
+def test_all_resonances_off_to_both_sides_are_judged():
+    """Slower and faster by the part that is asked: the model's mode over 1 − part and 1 + part."""
+    found = [modes(one.plant.poles.astype(complex), T)[0][0] for one in damping_plants(stage(), T, 0.2)]
+    np.testing.assert_allclose(np.sort(found) / 700.0, [1 / 1.2, 1.0, 1 / 0.8], rtol=1e-3)
+    assert found[0] == pytest.approx(700.0, rel=1e-6)
+
+
+@pytest.mark.parametrize("k", [1.0, 2000.0])
+def test_a_filter_whose_gain_at_rest_outweighs_the_plant_is_refused(k):
+    """γ = 1 − F(1) P(1) is below zero: positive feedback above one, slow or fast."""
+    chosen = replace(DampingParameters(), type="irc", irc=IRC.parameters(k=k, feedthrough=-0.9))
+    still = LinearParameters(A=(0.5,), B=(0.5,), C=(1.0,), sample_time=T)
+    with pytest.raises(ParameterError, match=r"damping\.irc"):
+        damped(still, chosen, T)

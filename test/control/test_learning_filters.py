@@ -1,0 +1,74 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Filters of the learned correction beside closed forms: pure delays, plants of two gains, and one band of doubt."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hysteresis_ros.control.learning.filters import CHANGE, MARGIN, UNSEEN, Response, design_filters
+
+POINTS = 2049
+ANGLES = np.linspace(0.0, np.pi, POINTS)
+N = 400
+
+
+@pytest.mark.parametrize("delay", [1, 3, 6])
+def test_a_repetitive_filter_looks_ahead_by_the_delay_of_the_loop_no_sample_more_or_less(delay):
+    """Behind a pure delay the lead is that delay: G T is real at every frequency, k Q."""
+    model = np.exp(-1j * delay * ANGLES)
+    found = design_filters("repetitive", Response(model, model[np.newaxis]), N)
+    low_pass, learned = found.responses(ANGLES)
+    passed = np.abs(low_pass) > 0.1
+    through = (learned * model)[passed]
+    np.testing.assert_allclose(through.imag, 0.0, atol=1e-12)
+    gains = through.real / low_pass[passed]
+    np.testing.assert_allclose(gains, gains[0], rtol=1e-9)
+    assert 0.3 <= gains[0] <= 0.9
+
+
+@pytest.mark.parametrize(("low", "high"), [(1.0, 3.0), (0.5, 1.5)])
+def test_norm_optimal_learning_weighs_what_is_not_known_of_the_plants(low, high):
+    """At rest λ = 0: G = E T/(μ + E|T|² + ε²); the mean square holds the variance of the plants, (high − low)²/4."""
+    flat = np.ones(POINTS, dtype=complex)
+    response = Response(0.5 * (low + high) * flat, np.array([low * flat, high * flat]))
+    _, learned = design_filters("norm_optimal", response, N, bandwidth=0.3).responses([0.0])
+    mean, variance = 0.5 * (low + high), 0.25 * (high - low) ** 2
+    expected = mean / (CHANGE + mean**2 + variance + UNSEEN**2)
+    assert learned[0].real == pytest.approx(expected, rel=2e-3)
+    # what the variance and the unseen part change is more than that
+    assert abs(mean / (CHANGE + mean**2 + variance) / expected - 1.0) > 3e-3 or low == 1.0
+
+
+def test_where_all_plants_agree_inversion_is_the_inverse():
+    """An inverse that is exact leaves no error to weigh plants by."""
+    for model in (np.exp(-2j * ANGLES), 2.0 * np.exp(-1j * ANGLES)):
+        for plants in ([model], [model, model]):
+            found = design_filters("inversion", Response(model, np.array(plants)), N)
+            assert np.isfinite(found.contraction) and found.contraction <= 1.0 - MARGIN
+            low_pass, learned = found.responses(ANGLES)
+            passed = np.abs(ANGLES) < 0.5 * np.pi
+            np.testing.assert_allclose((learned * model)[passed], low_pass[passed], atol=0.02)
+
+
+def test_learning_by_inversion_leaves_out_one_band_of_doubt_and_goes_on_above_it():
+    """The plants are opposite in sign around a tenth of the sample rate: Q dips there, and is whole on both sides."""
+    place = ANGLES / (2.0 * np.pi)
+    within = np.exp(-(((place - 0.1) / 0.06) ** 2))
+    model = np.exp(-2j * ANGLES)
+    other = model * np.exp(1j * np.pi * within)
+    response = Response(model, np.array([model, other]))
+    found = design_filters("inversion", response, N)
+    low_pass, learned = found.responses(ANGLES)
+    sizes = np.max(np.abs(low_pass - learned * response.possible), axis=0) + UNSEEN * np.abs(learned)
+    assert np.max(sizes) == pytest.approx(found.contraction, rel=1e-9) and np.max(sizes) <= 1.0 - MARGIN
+    middle, above = np.argmin(np.abs(place - 0.1)), np.argmin(np.abs(place - 0.25))
+    assert found.bandwidth > 0.4 and abs(low_pass[middle]) < 0.9 and low_pass[above] == pytest.approx(1.0, abs=0.02)

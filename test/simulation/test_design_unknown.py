@@ -1,0 +1,122 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Designs on a model that knows nothing of two light resonances, closed around plants that have them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hysteresis_ros.configuration import load_configuration
+from hysteresis_ros.control.closed_loop import close
+from hysteresis_ros.control.linearisation import whole_loop
+from hysteresis_ros.control.response_uncertainty import DAMPING, UNKNOWN, UNSEEN, ResponseUncertainty
+from hysteresis_ros.errors import ConfigurationError
+from hysteresis_ros.identification.linear_part import LinearPart, Mode
+from hysteresis_ros.models.linear import LinearParameters
+from hysteresis_ros.models.state_space import StateSpace
+from hysteresis_ros.simulation.axes import single_axis
+from hysteresis_ros.simulation.design import DesignRequest, design_axis, doubts
+
+RATE = 3000.0
+STEP = 1.0 / RATE
+LAG = 0.0015
+#: What slow triangles leave: the response to 20 Hz, to 30 %.
+SLOW = ResponseUncertainty(np.array([1.0, 5.0, 20.0]), np.array([0.05, 0.1, 0.3]), 20.0)
+CONTROLLERS = ("pid", "offset_free", "integral_smc")
+
+
+def axis():
+    """Return an axis whose model is a lag."""
+    dynamics = LinearPart(lag=LAG, hold=STEP).dynamics(STEP)
+    values = {
+        f"model.dynamics.{name}": list(value) if isinstance(value, tuple) else value
+        for name, value in dynamics.to_mapping().items()
+        if value != ()
+    } | {"model.dynamics.sample_time": STEP}
+    return single_axis(load_configuration("kim2009").override("motion_controller", type="open_loop", **values), None)
+
+
+def held(dynamics: LinearParameters, gain: float) -> StateSpace:
+    """Return a plant with the input held last, and one sample of delay behind it."""
+    own = dynamics.state_space.held().scaled(gain)
+    n = own.order
+    A, B, C = np.zeros((n + 1, n + 1)), np.zeros((n + 1, 1)), np.zeros((1, n + 1))
+    A[:n, :n], A[n, :n], C[0, n] = own.A, own.C[0], 1.0
+    B[:n] = own.B
+    return StateSpace(A, B, C, np.zeros((1, 1)))
+
+
+def plants():
+    """Return plants that answer like the model up to 20 Hz, with modes of the least damping that is assumed."""
+    for frequency, damping in ((35.0, 0.01), (165.0, DAMPING), (421.0, DAMPING), (900.0, DAMPING)):
+        for gain in (0.9, 1.1):
+            part = LinearPart(modes=(Mode(frequency, damping),), lag=LAG, hold=STEP)
+            yield frequency, held(part.dynamics(STEP), gain)
+
+
+def radius(parameters, plant: StateSpace) -> float:
+    """Return the largest modulus of the poles of the closed loop."""
+    controller, _ = whole_loop(parameters, STEP)
+    return float(np.max(np.abs(np.linalg.eigvals(close(controller, plant).A))))
+
+
+@pytest.fixture(scope="module")
+def designs():
+    """Return designs of every controller for what slow triangles leave; None where it is refused."""
+    found = {}
+    for controller in CONTROLLERS:
+        try:
+            found[controller] = design_axis(axis(), DesignRequest(controller), SLOW)
+        except ConfigurationError as error:
+            assert "is not fit for this feedback" in str(error) and "damping 0.003" in str(error)
+            found[controller] = None
+    return found
+
+
+def test_no_controller_is_unstable_on_resonances_that_the_recording_did_not_show(designs):
+    assert designs["pid"] is not None
+    for controller, design in designs.items():
+        if design is not None:
+            unstable = [frequency for frequency, plant in plants() if not radius(design.parameters, plant) < 1.0]
+            assert not unstable, f"{controller} is unstable with modes at {unstable} Hz"
+
+
+def test_without_the_bound_the_same_controllers_are_unstable():
+    for controller in ("pid", "offset_free"):
+        bold = design_axis(axis(), DesignRequest(controller))
+        assert any(radius(bold.parameters, plant) > 1.0 for _, plant in plants()), "the plants are no test"
+
+
+def test_the_gain_of_the_feedback_stays_below_what_is_printed(designs):
+    frequencies = np.geomspace(UNSEEN * SLOW.known_to * 1.01, 0.5 * RATE, 300)
+    for design in filter(None, designs.values()):
+        controller, _ = whole_loop(design.parameters, STEP)
+        gain = np.abs(controller.response(np.exp(2j * np.pi * frequencies * STEP))[:, 0, 1])
+        assert np.max(gain) < 0.8 / UNKNOWN
+        note = next(text for text in doubts(design) if "slowed down to a bandwidth of" in text)
+        for words in ("above 20 Hz nothing is known", "damping 0.003", "167 times as high", "below 0.0048"):
+            assert words in note
+
+
+def test_the_bound_does_not_follow_the_model_where_nothing_is_known():
+    # a model that falls steeply says nothing of what the plant has there
+    steep = LinearPart(lag=0.02, hold=STEP).dynamics(STEP).state_space.held()
+    flat = LinearPart(lag=1e-4, hold=STEP).dynamics(STEP).state_space.held()
+    controller = StateSpace(np.zeros((1, 1)), np.zeros((1, 2)), np.zeros((1, 1)), np.array([[0.02, -0.02]]))
+    distances = [SLOW.borne_by(controller, plant, STEP).distance for plant in (steep, flat)]
+    assert max(distances) < 0.0
+
+
+def test_a_known_response_is_not_slowed_down():
+    whole = ResponseUncertainty(np.array([1.0, 1200.0]), np.array([0.01, 0.02]), np.inf)
+    first = design_axis(axis(), DesignRequest("pid"))
+    known = design_axis(axis(), DesignRequest("pid"), whole)
+    assert known.margins.bandwidth == first.margins.bandwidth and known.limited is None

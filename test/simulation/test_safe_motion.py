@@ -1,0 +1,197 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""No file hits a stage: the largest step moves the voltage by what the file states, and written files state limits."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+import yaml
+
+from hysteresis_ros.commissioning.new_file import NewAxis, new_text
+from hysteresis_ros.configuration import load_configuration, parse_configuration
+from hysteresis_ros.errors import ConfigurationError
+from hysteresis_ros.identification.safe_motion import largest_change, safe_approach, safe_slew, with_safe_motion
+from hysteresis_ros.models.linear import zero_order_hold
+from hysteresis_ros.simulation.axes import single_axis
+from hysteresis_ros.simulation.design import DesignRequest, design_axis, design_file
+from hysteresis_ros.simulation.run import simulate
+from hysteresis_ros.simulation.setpoint_step import require_gentle, setpoint_step, step_lines
+
+RATE = 2000.0
+NODES = ("plant_simulator", "hysteresis_compensator")
+#: Shipped configurations whose reference is a generator's; an inchworm motor walks.
+SHIPPED = (
+    *("auwal2017", "auwal2017_camera", "fleming2010", "kim2009", "picma_stage", "stage700"),
+    *("wang2014", "wang2014_duhem", "wang2014_duhem80", "wang2014_linear"),
+)
+STATED = re.compile(r"slew_rate: 0\.0  # .*a sample may step by ([0-9.]+) V: \w+")
+#: A stage in a flexure, 380 Hz with 1.5 % of damping, 100 µm over 150 V, which states no limit of motion.
+A, B = zero_order_hold(
+    [[0.0, 1.0], [-((2 * np.pi * 380.0) ** 2), -2 * 0.015 * 2 * np.pi * 380.0]],
+    [[0.0], [(2 * np.pi * 380.0) ** 2]],
+    1 / RATE,
+)
+DYNAMICS = (
+    f"{{A: {np.ravel(A).tolist()}, B: {np.ravel(B).tolist()}, C: [1.0, 0.0], sample_time: 0.0005, delay: 0.0005}}"
+)
+MODEL = "{type: proportional, proportional: {gain: 6.667e-07}}"
+FLEXURE = f"""\
+# A stage.
+/**:
+  ros__parameters: {{sample_rate: 2000.0, joint: stage}}
+/**/plant_simulator:
+  ros__parameters:
+    limits: {{minimum: 0.0, maximum: 150.0}}   # V
+    hysteresis: {MODEL}
+    dynamics: {DYNAMICS}
+/**/hysteresis_compensator:
+  ros__parameters:
+    hysteresis: {MODEL}
+    limits:
+      minimum: 0.0
+      maximum: 150.0   # V
+    inverse: {{type: exact}}
+/**/motion_controller:
+  ros__parameters:
+    type: open_loop
+    model:
+      dynamics: {DYNAMICS}
+/**/reference_generator:
+  ros__parameters:
+    minimum: 0.0
+    maximum: 99.0e-6
+"""
+
+
+def stated(text: str, axis) -> float:
+    """Return the step of the voltage in a sample [V] that a file states."""
+    limits = [getattr(axis, name).limits for name in NODES]
+    rates = [one.slew_rate for one in limits]
+    if all(rates):
+        return min(rates) / axis.plant_simulator.sample_rate
+    assert not any(rates), "one node limits the voltage and the other does not"
+    said = {float(value) for value in STATED.findall(text)}
+    assert len(said) == 1 and len(STATED.findall(text)) == len(NODES), "unlimited: the file says the step, and why"
+    return said.pop()
+
+
+def steps(configuration, bare: bool) -> np.ndarray:
+    """Return the voltages of a step to the farthest setpoint and back, as a bare waveform or through the approach."""
+    axis = single_axis(configuration)
+    own, count = axis.reference_generator, 400
+    way = max((own.minimum, own.maximum), key=lambda end: abs(end - own.initial_setpoint)) - own.initial_setpoint
+    values = {"waveform.type": "hold"}
+    if bare:
+        begins = [0.0, 20 / axis.plant_simulator.sample_rate, 200 / axis.plant_simulator.sample_rate]
+        values = {"waveform.type": "steps", "waveform.steps.values": [0.0, way, 0.0], "waveform.steps.times": begins}
+        values |= {"waveform.offset": 0.0, "waveform.steps.period": 0.0}
+    setpoints = np.full(count, own.initial_setpoint)
+    setpoints[20:200] += 0.0 if bare else way
+    still = single_axis(configuration.override("reference_generator", **values))
+    return simulate(still, setpoints=setpoints, describe=False)["voltage"]
+
+
+def designed(text: str, **asked) -> str:
+    """Return the file of a PID with feedforward."""
+    configuration = parse_configuration(text, "stage.yaml")
+    result = design_axis(single_axis(configuration), DesignRequest("pid", **asked))
+    return design_file(configuration, result, "")
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+@pytest.mark.parametrize("bare", [False, True])
+def test_the_largest_step_of_a_shipped_configuration_is_within_what_its_file_states(name, bare):
+    configuration = load_configuration(name)
+    allowed = stated(configuration.text, single_axis(configuration))
+    largest = np.max(np.abs(np.diff(steps(configuration, bare))))
+    assert 0.0 < largest <= allowed + 1e-9 + 2.0 * quantum(configuration)
+
+
+def quantum(configuration) -> float:
+    """Return the step of the converter [V], which the voltage is rounded to behind the slew rate."""
+    limits = single_axis(configuration).hysteresis_compensator.limits
+    return (limits.maximum - limits.minimum) / (2**limits.bits - 1) if limits.bits else 0.0
+
+
+def test_a_designed_file_limits_the_bare_step_and_the_setpoint_does_not_hit_the_stage():
+    before = parse_configuration(FLEXURE, "stage.yaml")
+    text = designed(FLEXURE, feedforward=True)
+    configuration = parse_configuration(text, "designed.yaml")
+    axis = single_axis(configuration)
+    # the range in one period of 380 Hz: 28.5 V in a sample of 0.5 ms
+    rate = pytest.approx(150.0 * 380.0, rel=5e-3)
+    assert axis.plant_simulator.limits.slew_rate == rate and axis.hysteresis_compensator.limits.slew_rate == rate
+    assert np.max(np.abs(np.diff(steps(configuration, bare=True)))) == pytest.approx(28.5, rel=5e-3)
+    found = setpoint_step(axis)
+    assert found.share < 1.0 and found.largest == found.asked < 0.75 * 28.5 and found.overshoot < 0.03
+    # without the limits the same controller hits it
+    bare = before.override("motion_controller", **configuration.node("motion_controller"))
+    hit = setpoint_step(single_axis(bare))
+    assert hit.largest > 100.0 and hit.overshoot > 0.2
+    assert [line.split("  ")[0] for line in step_lines(text, None, True)] == [row[0] for row in found.rows()]
+
+
+def test_a_feedforward_that_a_setpoint_drives_beyond_the_slew_rate_is_refused():
+    slow = FLEXURE.replace("maximum: 150.0}", "maximum: 150.0, slew_rate: 2000.0}")
+    slow = slow.replace("    maximum: 99.0e-6\n", "    maximum: 99.0e-6\n    approach: {maximum_velocity: 0.01}\n")
+    text = designed(slow, feedforward=True)
+    found = setpoint_step(single_axis(parse_configuration(text, "slow.yaml")))
+    assert found.largest <= 1.0 + 1e-9 and found.share > 1.0
+    with pytest.raises(ConfigurationError, match=r"inverse_dynamics: .* V in a sample, limits.slew_rate allows 1 V"):
+        step_lines(text, None, True)
+    # what was not asked for is said and not refused
+    assert "cut" in step_lines(text, None, False)[-1]
+
+
+def test_limits_that_a_file_states_are_kept_comments_too_and_nothing_is_added_twice():
+    text = with_safe_motion(FLEXURE, "stage.yaml")
+    assert with_safe_motion(text, "stage.yaml") == text
+    for line in FLEXURE.splitlines():
+        assert line.removesuffix("   # V").removesuffix("}") in text
+    lines = [line for line in text.splitlines() if "slew_rate" in line or "maximum_" in line]
+    assert len(lines) == 5 and all("#" in line for line in lines)
+    own = FLEXURE.replace("maximum: 150.0   # V", "maximum: 150.0\n      slew_rate: 3000.0")
+    values = yaml.safe_load(with_safe_motion(own, "stage.yaml"))
+    assert {values[f"/**/{name}"]["ros__parameters"]["limits"]["slew_rate"] for name in NODES} == {3000.0}
+    zero = FLEXURE.replace("maximum: 150.0   # V", "maximum: 150.0\n      slew_rate: 0.0")
+    values = yaml.safe_load(with_safe_motion(zero, "stage.yaml", amplifier=500.0))
+    assert {values[f"/**/{name}"]["ros__parameters"]["limits"]["slew_rate"] for name in NODES} == {500.0}
+
+
+def test_the_slew_rate_is_the_least_of_what_is_known():
+    assert safe_slew(150.0).rate == 150.0
+    assert safe_slew(150.0, excited=1e3).rate == 2e3 and "twice" in safe_slew(150.0, excited=1e3).reason
+    # a slow recording is no reason to be slower than what an unknown stage is moved with
+    assert safe_slew(150.0, excited=10.0).rate == 150.0
+    assert safe_slew(150.0, 380.0, True, 1e6).rate == 57e3 and "380 Hz" in safe_slew(150.0, 380.0, True, 1e6).reason
+    assert safe_slew(150.0, 380.0, True, 1e4, 700.0).rate == 700.0
+    assert largest_change(np.array([0.0, 1.0, -2.0, np.nan, 9.0]), 0.5) == 6.0
+
+
+def test_the_averages_of_the_approach_last_a_period_of_the_resonance():
+    velocity, acceleration, jerk = safe_approach(57e3, 150.0, 100e-6, 380.0)
+    assert velocity == pytest.approx(0.019) and 2.0 * velocity / acceleration == pytest.approx(1 / 380.0, rel=0.01)
+    assert 2.0 * acceleration / jerk == pytest.approx(1 / 380.0, rel=0.01)
+
+
+def test_a_new_file_limits_what_it_says():
+    text = new_text(NewAxis(100e-6, 0.0, 150.0, RATE))
+    own = yaml.safe_load(text)["/**/reference_generator"]["ros__parameters"]["approach"]
+    assert all(value > 0.0 for value in own.values()) and len(own) == 3 and "nothing is known" in text
+    assert np.max(np.abs(np.diff(steps(parse_configuration(text, "new.yaml"), bare=True)))) <= 150.0 / RATE + 1e-12
+
+
+def test_a_design_does_not_refuse_gentle_steps_and_walkers_have_none():
+    require_gentle(None)
+    require_gentle(setpoint_step(single_axis(parse_configuration(designed(FLEXURE), "designed.yaml"))))
+    assert step_lines(load_configuration("inchworm_travel").text, None, True) == []
