@@ -232,6 +232,10 @@ CONFIGURED, ENDED = "configure", "end"
 #: SI units by name, with the time of the samples.
 UNITS = {"time": "s", **{signal.name: signal.unit for signal in SIGNALS}}
 
+#: What was asked for, in a run of which something else has left as ``voltage``.
+ASKED_VOLTAGE = "asked_voltage"
+UNITS[ASKED_VOLTAGE] = "V"
+
 #: Columns that every recording of a run has, and those that one of a motor has besides.
 COLUMNS = tuple(signal.name for signal in SIGNALS[: ESTIMATED + 1])
 MOTOR_COLUMNS = tuple(signal.name for signal in SIGNALS[ORIGIN : STEP_ACHIEVED + 1])
@@ -268,6 +272,14 @@ def place(name: str) -> int:
     """
     return _PLACES[name]
 
+
+#: Values of the signals that say what a part does, ``mode``: as it should be; no usable input in this sample, the last
+#: output stays; none for too long, the output goes to its safe value; stopped, likewise; the plant has stopped the
+#: axis, likewise; no node reports achieved commands, they follow the displacement.
+MODE_RUNNING, MODE_HOLDING, MODE_STALE, MODE_STOPPED, MODE_TRIPPED, MODE_FOLLOWING = range(6)
+
+#: Beyond the converters' grids voltages that differ by less are the same [V].
+LEAST_DIFFERENCE = 1e-9
 
 _PLACES = {signal.name: index for index, signal in enumerate(SIGNALS)}
 

@@ -19,6 +19,7 @@ from hysteresis_ros.recordings.loops import loop_opening, turning_points
 
 _MICRO = 1e6
 _COLOURS = "#d1495b", "#1f3b73"
+_MISSED = "#e08e0b"
 
 
 def opening_of_stroke(run: Recording) -> float:
@@ -44,7 +45,36 @@ def moved_part(run: Recording, before: float, after: float) -> Recording:
     return Recording(run.time[part] - run.time[begin], signals, run.units, run.metadata)
 
 
-def inverse_figure(without: Recording, with_inverse: Recording):
+def message(here, alone, skipped, live: bool) -> list[str]:
+    """Return what the demonstration shows, in sentences: what the method leaves, then what this machine made of it.
+
+    Parameters
+    ----------
+    here, alone : (float, float)
+        Opening of the loop without and with the inverse, as parts of the stroke: as recorded, and of the offline twin
+        that misses no deadline.
+    skipped : (float, float)
+        Samples that this machine skipped in both runs, in % of all.
+    live : bool
+        The runs were in real time.
+    """
+    without, inverse = (f"{100.0 * part:.2g} %" for part in alone)
+    said = [
+        f"The loop is open by {without} of the stroke without the inverse of the hysteresis, by {inverse} with it: "
+        "the method, offline, without a missed deadline."
+    ]
+    if not live:
+        return [*said, f"In lockstep, as run here: {100.0 * here[0]:.2g} % and {100.0 * here[1]:.2g} %."]
+    if not any(skipped):
+        return [*said, "This machine skipped no sample of either run: the same in real time, at 3 kHz."]
+    return [
+        *said,
+        f"This machine skipped {skipped[0]:.2g} % and {skipped[1]:.2g} % of the samples of the two runs: "
+        f"{100.0 * here[0]:.2g} % without the inverse, {100.0 * here[1]:.2g} % with it.",
+    ]
+
+
+def inverse_figure(without: Recording, with_inverse: Recording, *here: Recording):
     """Return the figure of displacement over reference, and of the error over reference, of both runs [µm].
 
     The first branch is left out: it starts at rest and belongs to no loop.
@@ -52,7 +82,9 @@ def inverse_figure(without: Recording, with_inverse: Recording):
     Parameters
     ----------
     without, with_inverse : Recording
-        Open-loop runs of one triangle, with two of its cycles or more.
+        Open-loop runs of one triangle, with two of its cycles or more, without a missed deadline.
+    *here : Recording
+        The same two as this machine made them: each sample that it skipped is marked.
 
     Raises
     ------
@@ -60,12 +92,21 @@ def inverse_figure(without: Recording, with_inverse: Recording):
         Matplotlib is not installed.
     """
     figure, (loop, error) = new_figure(4.4, 2)
-    for run, colour, words in zip((without, with_inverse), _COLOURS, ("without", "with"), strict=True):
+    marked = False
+    runs = zip((without, with_inverse), here or (None, None), _COLOURS, ("without", "with"), strict=True)
+    for run, made, colour, words in runs:
         first = int(turning_points(run["reference"])[1])
         reference, displacement = run["reference"][first:] * _MICRO, run["displacement"][first:] * _MICRO
         label = f"{words} inverse: open by {100.0 * opening_of_stroke(run):.2g} % of the stroke"
         loop.plot(reference, displacement, color=colour, linewidth=1.3, label=label)
         error.plot(reference, displacement - reference, color=colour, linewidth=1.3)
+        missed = np.flatnonzero(made["skipped"][first:]) + first if made is not None else np.zeros(0, dtype=int)
+        if made is not None and missed.size:
+            x, y = made["reference"][missed] * _MICRO, made["displacement"][missed] * _MICRO
+            style = dict(color=_MISSED, marker="x", markersize=5, linewidth=0.0, zorder=4)
+            loop.plot(x, y, label=None if marked else "samples that this machine skipped", **style)
+            error.plot(x, y - x, **style)
+            marked = True
     loop.plot(loop.get_xlim(), loop.get_xlim(), color="#9a9a9a", linestyle=(0, (4, 3)), linewidth=0.9, zorder=1)
     error.axhline(0.0, color="#9a9a9a", linestyle=(0, (4, 3)), linewidth=0.9, zorder=1)
     loop.set(xlabel="reference [µm]", ylabel="displacement [µm]")

@@ -15,14 +15,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from hysteresis_ros.analysis.steps import REVERSAL
+from hysteresis_ros.analysis.parts import find_parts, stopped
 from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.recordings.dataset import Recording
-from hysteresis_ros.recordings.loops import turning_points
 from hysteresis_ros.units import quantity
-
-#: Periods of a reference that repeats differ by at most this part.
-EQUAL = 0.05
 
 
 def seconds(text: str, option: str) -> float:
@@ -82,20 +78,17 @@ def within(recording: Recording, first: float, last: float) -> Recording:
 def period_ends(recording: Recording) -> np.ndarray:
     """Return the instants at which whole periods of the reference end, the last first, shape (P + 1,) [s].
 
-    A period ends at a reversal; those of the last reversal's kind (high or low) count, since the first sample. Empty
-    when the reference does not repeat.
+    They are those of the longest part of the run that repeats, since the first sample. Empty when nothing does.
 
     Parameters
     ----------
     recording : Recording
     """
     time, reference = recording.time - recording.time[0], recording["reference"]
-    finite = np.isfinite(reference)
-    points = np.flatnonzero(finite)[turning_points(reference[finite], REVERSAL)]
-    # the ends are no reversals; of each kind, high and low, every second one
-    ends = time[points[1:-1]][::-1][::2]
-    periods = -np.diff(ends)
-    return ends[:0] if periods.size < 1 or np.ptp(periods) > EQUAL * np.median(periods) else ends
+    finite = np.flatnonzero(np.isfinite(reference))
+    parts = [part for part in find_parts(reference[finite], off=stopped(recording)[finite]) if len(part.ends) > 1]
+    longest = max(parts, key=lambda part: part.stop - part.start, default=None)
+    return time[:0] if longest is None else time[finite[list(longest.ends[::-1])]]
 
 
 def last_periods(recording: Recording, count: int) -> Recording:

@@ -13,8 +13,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from hysteresis_ros.analysis.parts import NOT_JUDGED, Kind, find_parts, part_figures, step_figures, stopped
 from hysteresis_ros.analysis.settings import AxisSettings, axis_settings, judged_reference
-from hysteresis_ros.analysis.steps import HOLD_SAMPLES, JUMP, find_holds, scan_start, step_responses
+from hysteresis_ros.analysis.steps import HOLD_SAMPLES, JUMP, find_holds, scan_start
 from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.recordings.dataset import LATENESS, Recording
 from hysteresis_ros.recordings.loops import loop_opening
@@ -65,7 +66,7 @@ FIGURES = (
 )
 
 
-def compute_metrics(recording: Recording, settings: AxisSettings | None = None) -> dict:
+def compute_metrics(recording: Recording, settings: AxisSettings | None = None, parts: bool = True) -> dict:
     """Return the figures of merit of a run.
 
     The error is e = reference - displacement, the displacement being the true one (the measured one on hardware, which
@@ -73,7 +74,9 @@ def compute_metrics(recording: Recording, settings: AxisSettings | None = None) 
     every figure is about the reference so many samples later. Samples where either is missing do not count, and in the
     errors none before the first reversal of a scan into which a jump leads
     (:func:`hysteresis_ros.analysis.steps.scan_start`); where an excerpt begins its reader has chosen, and all of it
-    counts. Without a reference there are no errors; the stroke is then that of the displacement.
+    counts. Where the axis is stopped (:func:`hysteresis_ros.analysis.parts.stopped`) nothing is judged: errors, steps,
+    loops and the residual leave it out. Without a reference there are no errors; the stroke is then that of the
+    displacement.
 
     ======================================= ==========================================================================
     ``rms_error_m``                         √(mean e²)
@@ -82,7 +85,8 @@ def compute_metrics(recording: Recording, settings: AxisSettings | None = None) 
     ``stroke_m``                            largest less smallest reference of the run
     ``iae_m_s``                             ∫ abs(e) dt, trapezoidal
     ``overshoot_percent``                   farthest displacement beyond the value finally reached, in the direction of
-                                            the step, in % of the step; the largest of all steps
+                                            the step, in % of the step; the largest of all steps in the parts of the run
+                                            that are steps
     ``settling_time_s``                     from the step until the displacement stays within 2 % of the step around
                                             the value finally reached (mean of the last tenth of the hold); the longest
                                             of all steps
@@ -112,6 +116,10 @@ def compute_metrics(recording: Recording, settings: AxisSettings | None = None) 
     ``lateness_p50_s``, ``…p99_s``,         of a fused run: how late half, 99 % and 99.9 % of the samples began at most,
     ``…p999_s``, ``…max_s``                 and the latest one
     ``skipped_samples``                     of a fused run: samples whose time was missed, which nobody answered
+    ``parts``                               list of dicts, the parts of the run in their order: ``part`` (approach,
+                                            steps, scan, path, hold, shutdown), ``from_s``, ``to_s``, what the part is
+                                            judged by (figures as above, of a scan over its whole periods), and where
+                                            its reference repeats ``periods`` and ``period_s``
     ``notes``                               dict: figure → why it is None or how to read it; ``recording`` → list
     ======================================= ==========================================================================
 
@@ -120,12 +128,14 @@ def compute_metrics(recording: Recording, settings: AxisSettings | None = None) 
     recording : Recording
         Needs ``displacement`` (or ``measured``).
     settings : AxisSettings, optional
-        What its configuration says, for who knows it already.
+        What its configuration says, where that is known already.
+    parts : bool
+        Judge the parts of the run one by one too.
 
     Returns
     -------
     dict
-        float, int or None for each figure, and ``notes``; everything JSON can hold.
+        float, int or None for each figure, ``parts`` and ``notes``; everything JSON can hold.
 
     Raises
     ------
@@ -154,15 +164,57 @@ def compute_metrics(recording: Recording, settings: AxisSettings | None = None) 
     if not np.any(good):
         raise RecordingError("no sample of the recording has both reference and displacement")
     figures = {name: None for name, *_ in FIGURES}
-    start = 0 if recording.metadata.get("excerpt") else scan_start(reference[good], displacement[good])
-    figures.update(_error_figures(time[good], reference[good], displacement[good], start, notes))
-    figures.update(_step_figures(time[good], reference[good], displacement[good], figures["stroke_m"], notes))
-    voltage = recording["voltage"][good] if recording.has("voltage") else None
-    figures.update(_loop_figures(reference[good], displacement[good], voltage, figures["stroke_m"], notes))
-    figures.update(chattering_figures(time[good], reference[good], *_signals(recording, good), notes))
+    off = stopped(recording)[good]
+    time, reference, displacement = time[good], reference[good], displacement[good]
+    found = find_parts(reference, displacement, off)
+    figures["stroke_m"] = float(np.ptp(reference))
+    judged = np.flatnonzero(~off)
+    if judged.size:
+        _judge(figures, found, time, reference, displacement, judged, recording, notes, good)
+    else:
+        notes |= {name: NOT_JUDGED[Kind.SHUTDOWN] for name, *_ in FIGURES if name in _JUDGED}
+    if judged.size < off.size:
+        lost = float(np.sum(np.diff(time)[off[1:]]))
+        text = f"errors, steps and loops do not count {lost:.4g} s of shutdown: the axis was stopped"
+        notes["recording"] = [*notes["recording"], text]
+    figures.update(chattering_figures(time, reference, *_signals(recording, good), notes))
     figures["saturated_percent"] = _saturated(recording, notes)
     figures.update(sampling_figures(recording, notes))
-    return {**{name: _plain(value) for name, value in figures.items()}, "notes": notes}
+    figures = {name: _plain(value) for name, value in figures.items()} | {"notes": notes}
+    if not parts:
+        return figures
+    stroke = figures["stroke_m"]
+    each = [
+        dict(part=str(part.kind), from_s=float(time[part.start]), to_s=float(time[part.stop - 1]))
+        | part_figures(part, time, reference, displacement, stroke)
+        for part in found
+    ]
+    return {"parts": each, **figures}
+
+
+#: Figures that a shutdown does not count in.
+_JUDGED = (
+    *("rms_error_m", "rms_error_percent_of_stroke", "max_error_m", "max_error_percent_of_stroke", "iae_m_s"),
+    *("overshoot_percent", "settling_time_s", "steady_state_error_m", "residual_m"),
+    *("loop_width_percent", "voltage_loop_width_percent"),
+)
+
+
+def _judge(figures, parts, time, reference, displacement, judged, recording, notes, good) -> None:
+    """Fill in errors, steps and loops of the samples in which the axis was not stopped."""
+    voltage = recording["voltage"][good][judged] if recording.has("voltage") else None
+    inside = reference[judged], displacement[judged]
+    start = 0 if recording.metadata.get("excerpt") else scan_start(*inside)
+    stroke = figures["stroke_m"]
+    figures.update(_error_figures(time[judged], *inside, start, stroke, notes))
+    figures.update(_step_figures(parts, time, reference, displacement, notes))
+    zero = [hold for hold in find_holds(inside[0]) if abs(hold.level) <= 1e-9 * stroke]
+    zero = [hold for hold in zero if np.any(np.abs(inside[0][: hold.start]) > 1e-9 * stroke)]
+    if zero:
+        figures["residual_m"] = float(np.mean(inside[1][zero[-1].final]))
+    else:
+        notes["residual_m"] = "the reference does not return to zero and stay there"
+    figures.update(_loop_figures(*inside, voltage, stroke, notes))
 
 
 def actual_name(recording: Recording) -> str:
@@ -207,11 +259,10 @@ def _without_reference(recording: Recording, displacement, notes: dict) -> dict:
     figures.update(chattering_figures(recording.time[good], displacement[good], None, voltage, notes))
     figures["saturated_percent"] = _saturated(recording, notes)
     figures.update(sampling_figures(recording, notes))
-    return {**{name: _plain(value) for name, value in figures.items()}, "notes": notes}
+    return {"parts": [], **{name: _plain(value) for name, value in figures.items()}, "notes": notes}
 
 
-def _error_figures(time, reference, displacement, start, notes) -> dict:
-    stroke = float(np.ptp(reference))
+def _error_figures(time, reference, displacement, start, stroke, notes) -> dict:
     if start:
         text = f"errors count from {time[start]:.4g} s on: before the first reversal the axis jumps into the scan"
         notes["recording"] = [*notes["recording"], text]
@@ -219,7 +270,7 @@ def _error_figures(time, reference, displacement, start, notes) -> dict:
     figures = {**error_figures(error, stroke), "iae_m_s": absolute_integral(time[start:], error)}
     if stroke == 0.0:
         notes |= {f"{name}_error_percent_of_stroke": "the reference never moves: no stroke" for name in ("rms", "max")}
-    return {**figures, "stroke_m": stroke}
+    return figures
 
 
 def error_figures(error, stroke: float) -> dict[str, float]:
@@ -252,28 +303,22 @@ def absolute_integral(time, error) -> float:
     return float(np.sum(0.5 * np.diff(time) * (size[1:] + size[:-1])))
 
 
-def _step_figures(time, reference, displacement, stroke, notes) -> dict:
-    responses = step_responses(time, reference, displacement)
-    figures: dict = {"steps": len(responses)}
-    if responses:
-        figures["overshoot_percent"] = 100.0 * max(response.overshoot for response in responses)
-        figures["steady_state_error_m"] = max(abs(response.steady_state_error) for response in responses)
-        times = [response.settling_time for response in responses]
-        unsettled = sum(value is None for value in times)
-        if unsettled:
-            notes["settling_time_s"] = f"{unsettled} of {len(times)} steps do not stay within 2 % before the hold ends"
-        else:
-            figures["settling_time_s"] = max(times)
-    else:
+def _step_figures(parts, time, reference, displacement, notes) -> dict:
+    """Return the worst figures of all steps, of those parts that are steps."""
+    inside = [slice(part.start, part.stop) for part in parts if part.kind is Kind.STEPS]
+    each = [step_figures(time[part], reference[part], displacement[part]) for part in inside]
+    each = [figures for figures in each if figures["steps"]]
+    if not each:
         for name in ("overshoot_percent", "settling_time_s", "steady_state_error_m"):
             notes[name] = "no steps from one hold of the reference to another"
-    zero = [hold for hold in find_holds(reference) if abs(hold.level) <= 1e-9 * stroke]
-    zero = [hold for hold in zero if np.any(np.abs(reference[: hold.start]) > 1e-9 * stroke)]
-    if zero:
-        figures["residual_m"] = float(np.mean(displacement[zero[-1].final]))
+        return {"steps": 0}
+    found: dict = {name: max(one[name] for one in each) for name in ("overshoot_percent", "steady_state_error_m")}
+    found["steps"], unsettled = (sum(one[name] for one in each) for name in ("steps", "unsettled"))
+    if unsettled:
+        notes["settling_time_s"] = f"{unsettled} of {found['steps']} steps do not stay within 2 % before the hold ends"
     else:
-        notes["residual_m"] = "the reference does not return to zero and stay there"
-    return figures
+        found["settling_time_s"] = max(one["settling_time_s"] for one in each)
+    return found
 
 
 def _loop_figures(reference, displacement, voltage, stroke, notes) -> dict:

@@ -17,11 +17,8 @@ from hysteresis_ros.analysis.charts import SIDE_BY_SIDE, Chart
 from hysteresis_ros.analysis.inchworm import COMMON_FIGURES, RUN_FIGURES, inchworm_figures
 from hysteresis_ros.analysis.inchworm_moves import inchworm_run
 from hysteresis_ros.analysis.inchworm_plots import inchworm_charts
-from hysteresis_ros.analysis.page import origin
-from hysteresis_ros.analysis.report import render_interactive, sampling_text
-from hysteresis_ros.analysis.side_by_side import configurations
-from hysteresis_ros.analysis.tables import aligned, table_of
-from hysteresis_ros.errors import RecordingError
+from hysteresis_ros.analysis.side_by_side import figures_of_each, format_rows, render_laid_over
+from hysteresis_ros.analysis.tables import table_of
 from hysteresis_ros.recordings.dataset import Recording
 
 #: What the moves of a run come to: name, label, unit shown to people, factor from SI.
@@ -76,14 +73,8 @@ def compare_motors(runs: dict[str, Recording]) -> dict[str, dict]:
     RecordingError
         A run cannot be judged; the message begins with its label.
     """
-    found = {}
-    for name, run in runs.items():
-        try:
-            figures = inchworm_figures(run)
-        except RecordingError as error:
-            raise RecordingError(f"{name}: {error}") from None
-        found[name] = {"summary": summary(figures["moves"]), **figures}
-    return found
+    found = figures_of_each(runs, inchworm_figures)
+    return {name: {"summary": summary(figures["moves"]), **figures} for name, figures in found.items()}
 
 
 def _rows(figures: dict[str, dict]) -> list[dict]:
@@ -104,10 +95,7 @@ def format_motors(figures: dict[str, dict]) -> str:
     figures : dict of str to dict
         Of :func:`compare_motors`.
     """
-    rows: list = [("Run", list(figures), "")]
-    rows += [(row["label"], row["cells"], row["shown_unit"]) for row in _rows(figures)]
-    notes = [f"note: {name}: {note}" for name, one in figures.items() for note in one["notes"]["recording"]]
-    return "\n".join([*aligned(rows), *notes])
+    return format_rows(figures, _rows(figures))
 
 
 def laid_over(runs: dict[str, Recording]) -> list[Chart]:
@@ -147,21 +135,4 @@ def render_motors(runs: dict[str, Recording], title: str, figures: dict[str, dic
         Matplotlib or Jinja2 is missing, or see :func:`compare_motors`.
     """
     figures = figures or compare_motors(runs)
-    longest = max(float(run.time[-1] - run.time[0]) for run in runs.values())
-    about = {"whole": [0.0, longest], "first": 0.0, "spans": [["all", 0.0, longest]], "runs": []}
-    return render_interactive(
-        "report.html.j2",
-        laid_over(runs),
-        about,
-        title=title,
-        columns=[(name, f"{figures[name]['duration_s']:.7g} s") for name in runs],
-        spans=about["spans"],
-        rows=_rows(figures),
-        added=(),
-        shown=[],
-        plots=[],
-        notes=[f"{name}: {note}" for name in runs for note in figures[name]["notes"]["recording"]],
-        judged=[f"{name}: {sampling_text(run)}" for name, run in runs.items()],
-        configurations=configurations(runs),
-        origins=[f"{name}: {origin(run)}" for name, run in runs.items()],
-    )
+    return render_laid_over(runs, title, figures, laid_over(runs), _rows(figures))

@@ -22,6 +22,7 @@ from hysteresis_ros.analysis.error_charts import (
     spectrum_chart,
     trace_retrace_chart,
 )
+from hysteresis_ros.analysis.limited import limited_text
 from hysteresis_ros.analysis.metrics import compute_metrics
 from hysteresis_ros.analysis.page import asset, origin, render_page, require_page, write_page
 from hysteresis_ros.analysis.payload import TIME_POINTS, chart_payload, packed, script_text
@@ -38,7 +39,7 @@ from hysteresis_ros.analysis.run_charts import (
     traces_chart,
     voltage_chart,
 )
-from hysteresis_ros.analysis.shown_figures import FINER
+from hysteresis_ros.analysis.shown_figures import FINER, leading, part_rows
 from hysteresis_ros.analysis.spans import ADDED, BLOCKS, block_sums, columns_of
 from hysteresis_ros.analysis.tables import table_of
 from hysteresis_ros.recordings.dataset import Recording
@@ -72,7 +73,9 @@ def sampling_text(recording: Recording) -> str:
     """
     if len(recording) < 2:
         return "Judged at a single sample."
-    judged_at = f"Judged at all {len(recording)} samples, one every {1e3 * recording.sample_time:.6g} ms"
+    limited = limited_text(recording)
+    first = f"{limited[0].upper()}{limited[1:]}. " if limited else ""
+    judged_at = f"{first}Judged at all {len(recording)} samples, one every {1e3 * recording.sample_time:.6g} ms"
     held = _samples_per_voltage(recording)
     if held > 1:
         return f"{judged_at}: {held} for each voltage, so between the commands too."
@@ -177,7 +180,8 @@ def render_report(
         title=title,
         columns=[(name, f"{begin:.7g} … {end:.7g} s") for name, begin, end, _ in spans],
         spans=about["spans"],
-        rows=table_of([figures for *_, figures in spans]),
+        rows=table_of([figures for *_, figures in spans], leading([figures])),
+        parts=part_rows(figures),
         added=ADDED,
         shown=[""],
         plots=[dict(caption=caption, source=source) for caption, source in first],

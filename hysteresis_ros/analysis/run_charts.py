@@ -18,6 +18,7 @@ import numpy as np
 from hysteresis_ros.analysis.charts import Chart, Line
 from hysteresis_ros.analysis.learning_plots import period_errors
 from hysteresis_ros.analysis.metrics import actual_name
+from hysteresis_ros.analysis.parts import stopped
 from hysteresis_ros.analysis.plots import length_unit
 from hysteresis_ros.analysis.settings import AxisSettings, axis_settings, judged_reference
 from hysteresis_ros.analysis.steps import scan_start
@@ -39,7 +40,8 @@ class Judged:
     displacement : array, shape (N,)
         True, or measured, less the preload offset [m].
     reference, error : array, shape (N,), or None
-        What the displacement is judged by, and reference - displacement [m]; None: nobody knows a reference.
+        What the displacement is judged by, and reference - displacement [m], NaN where the axis is stopped; None: the
+        recording has no reference.
     start : int
         First sample whose error counts.
     unit : tuple of (str, float)
@@ -77,7 +79,7 @@ def judged(recording: Recording) -> Judged:
     if not recording.has("reference"):
         return Judged(recording, settings, displacement, None, None, 0)
     reference = judged_reference(recording)
-    error = reference - displacement
+    error = np.where(stopped(recording), np.nan, reference - displacement)
     good = np.flatnonzero(np.isfinite(error))
     start = 0
     if good.size and not recording.metadata.get("excerpt"):
@@ -160,7 +162,8 @@ def loops_chart(run: Judged) -> Chart | None:
     stroke = np.ptp(_finite(run.displacement if run.reference is None else run.reference))
     lines = []
     for text, colour, values, unit, factor in inputs:
-        opening = loop_opening(values, run.displacement) if stroke > 0.0 else None
+        inside = values if run.error is None else np.where(np.isfinite(run.error), values, np.nan)
+        opening = loop_opening(inside, run.displacement) if stroke > 0.0 else None
         if opening is None:
             continue
         low, high = float(np.min(_finite(values))), float(np.max(_finite(values)))

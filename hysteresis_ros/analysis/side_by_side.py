@@ -12,16 +12,18 @@
 from __future__ import annotations
 
 import difflib
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from hysteresis_ros.analysis.charts import SIDE_BY_SIDE, Chart, Line
-from hysteresis_ros.analysis.metrics import FIGURES, compute_metrics
+from hysteresis_ros.analysis.metrics import compute_metrics
 from hysteresis_ros.analysis.page import origin
 from hysteresis_ros.analysis.plots import length_unit
 from hysteresis_ros.analysis.report import charts_of, packed_sums, render_interactive, sampling_text
 from hysteresis_ros.analysis.run_charts import Judged, judged, largest_error
+from hysteresis_ros.analysis.shown_figures import format_parts, leading, part_rows
 from hysteresis_ros.analysis.spans import ADDED, BLOCKS
 from hysteresis_ros.analysis.tables import aligned, table_of
 from hysteresis_ros.errors import RecordingError
@@ -56,10 +58,28 @@ def compare_runs(runs: dict[str, Recording]) -> dict[str, dict]:
         A run cannot be judged (the message begins with its label), or they have nothing in common.
     """
     require_common({name: _there(run) for name, run in runs.items()})
+    return figures_of_each(runs, compute_metrics)
+
+
+def figures_of_each(runs: dict[str, Recording], figures: Callable[[Recording], dict]) -> dict[str, dict]:
+    """Return the figures of each run.
+
+    Parameters
+    ----------
+    runs : dict of str to Recording
+        Label and run.
+    figures : callable
+        ``figures(run)``
+
+    Raises
+    ------
+    RecordingError
+        A run cannot be judged; the message begins with its label.
+    """
     found = {}
     for name, run in runs.items():
         try:
-            found[name] = compute_metrics(run)
+            found[name] = figures(run)
         except RecordingError as error:
             raise RecordingError(f"{name}: {error}") from None
     return found
@@ -98,10 +118,24 @@ def format_runs(figures: dict[str, dict]) -> str:
     figures : dict of str to dict
         Label and figures of each run.
     """
-    rows: list = [("Run", list(figures), "")]
-    rows += [(row["label"], row["cells"], row["shown_unit"]) for row in table_of(list(figures.values()))]
+    parts = [line for name, one in figures.items() for line in format_parts(one, name)]
+    columns = list(figures.values())
+    return "\n".join([*parts, format_rows(figures, table_of(columns, leading(columns)))])
+
+
+def format_rows(figures: dict[str, dict], rows: list[dict]) -> str:
+    """Return a table of several runs as aligned lines for a terminal, and what is noted of each run.
+
+    Parameters
+    ----------
+    figures : dict of str to dict
+        Label and figures of each run.
+    rows : list of dict
+        Of :func:`hysteresis_ros.analysis.tables.table_of`.
+    """
+    lines = [("Run", list(figures), ""), *((row["label"], row["cells"], row["shown_unit"]) for row in rows)]
     notes = [f"note: {name}: {note}" for name, one in figures.items() for note in one["notes"]["recording"]]
-    return "\n".join([*aligned(rows), *notes])
+    return "\n".join([*aligned(lines), *notes])
 
 
 def overlaid(runs: dict[str, Judged]) -> list[Chart]:
@@ -197,24 +231,51 @@ def render_side_by_side(runs: dict[str, Recording], title: str, figures: dict[st
     figures = figures or compare_runs(runs)
     # each from its first sample on
     since = {name: judged(replace(run, time=run.time - run.time[0])) for name, run in runs.items()}
-    longest = max(float(run.recording.time[-1]) for run in since.values())
     blocks = max(100, BLOCKS // len(runs))
-    about = {
-        "whole": [0.0, longest],
-        "first": 0.0,
-        "spans": [["all", 0.0, longest]],
-        "runs": [dict(name=name, sums=packed_sums(run, blocks)) for name, run in since.items()],
-    }
+    sums = [dict(name=name, sums=packed_sums(run, blocks)) for name, run in since.items()]
+    return render_laid_over(
+        runs, title, figures, overlaid(since), table_of(list(figures.values()), leading(list(figures.values()))), sums
+    )
+
+
+def render_laid_over(
+    runs: dict[str, Recording],
+    title: str,
+    figures: dict[str, dict],
+    charts: list[Chart],
+    rows: list[dict],
+    sums: Sequence[dict] = (),
+) -> str:
+    """Return a page of several runs from its charts and its table.
+
+    Parameters
+    ----------
+    runs : dict of str to Recording
+        Label and run.
+    title : str
+        Heading.
+    figures : dict of str to dict
+        Label and figures of each run.
+    charts : list of Chart
+        From the first sample of each run on.
+    rows : list of dict
+        Of :func:`hysteresis_ros.analysis.tables.table_of`.
+    sums : sequence of dict
+        Sums of each run for the figures of the span shown, where there are any.
+    """
+    longest = max(float(run.time[-1] - run.time[0]) for run in runs.values())
+    about = {"whole": [0.0, longest], "first": 0.0, "spans": [["all", 0.0, longest]], "runs": list(sums)}
     return render_interactive(
         "report.html.j2",
-        overlaid(since),
+        charts,
         about,
         title=title,
         columns=[(name, f"{figures[name]['duration_s']:.7g} s") for name in runs],
         spans=about["spans"],
-        rows=table_of(list(figures.values()), FIGURES),
-        added=ADDED,
-        shown=list(runs),
+        rows=rows,
+        parts=[row | dict(run=name) for name in runs for row in part_rows(figures[name])],
+        added=ADDED if sums else (),
+        shown=list(runs) if sums else [],
         plots=[],
         notes=[f"{name}: {note}" for name in runs for note in figures[name]["notes"]["recording"]],
         judged=[f"{name}: {sampling_text(run)}" for name, run in runs.items()],

@@ -17,6 +17,7 @@ import numpy as np
 
 from hysteresis_ros.analysis.excerpt import period_ends, within
 from hysteresis_ros.analysis.metrics import compute_metrics
+from hysteresis_ros.analysis.parts import Kind
 from hysteresis_ros.analysis.run_charts import Judged
 from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.recordings.dataset import Recording
@@ -25,6 +26,8 @@ from hysteresis_ros.recordings.dataset import Recording
 BLOCKS = 1500
 #: Periods of the second column of figures.
 LAST = 2
+#: Kinds of parts that have a column, most of them, and the share of a run from which on a part is all of it.
+SHOWN, PARTS, WHOLE = (Kind.STEPS, Kind.SCAN, Kind.PATH), 2, 0.98
 #: Figures that the page adds up for the span it shows; the others need every sample of it.
 ADDED = (
     *("rms_error_m", "rms_error_percent_of_stroke", "max_error_m", "max_error_percent_of_stroke", "iae_m_s"),
@@ -34,7 +37,7 @@ ADDED = (
 
 
 def columns_of(recording: Recording, figures: dict) -> list[tuple[str, float, float, dict]]:
-    """Return the spans whose figures stand in the page's table: the whole run, and its last periods where it repeats.
+    """Return the spans whose figures stand in the page's table: the whole run, its longest parts, and last periods.
 
     Parameters
     ----------
@@ -49,14 +52,21 @@ def columns_of(recording: Recording, figures: dict) -> list[tuple[str, float, fl
     """
     time = recording.time
     found = [("whole run", float(time[0]), float(time[-1]), figures)]
-    ends = period_ends(recording) if recording.has("reference") else time[:0]
+    # a part that is all of the run has its column
+    parts = [one for one in figures.get("parts", ()) if one["part"] in SHOWN]
+    parts = [one for one in parts if one["to_s"] - one["from_s"] < WHOLE * (time[-1] - time[0])]
+    parts = sorted(parts, key=lambda one: one["to_s"] - one["from_s"])[-PARTS:]
+    spans = [(one["part"], one["from_s"], one["to_s"]) for one in sorted(parts, key=lambda one: one["from_s"])]
+    ends = time[0] + (period_ends(recording) if recording.has("reference") else time[:0])
     count = min(LAST, ends.size - 2)
     if count > 0:
         # a sample at the end begins the next period
-        part = within(recording, float(ends[count]), float(ends[0]) - 0.5 * recording.sample_time)
         name = "last period" if count == 1 else f"last {count} periods"
+        spans.append((name, float(ends[count]), float(ends[0]) - 0.5 * recording.sample_time))
+    for name, first, last in spans:
         # the measurement may have ended before the reference
         with contextlib.suppress(RecordingError):
+            part = within(recording, first - time[0], last - time[0])
             found.append((name, float(part.time[0]), float(part.time[-1]), compute_metrics(part)))
     return found
 

@@ -22,9 +22,11 @@ from hysteresis_ros.recordings.bag_reader import Bag, Topic, read_bag
 from hysteresis_ros.recordings.change_log import ChangeLog, read_log
 from hysteresis_ros.recordings.configured import configured
 from hysteresis_ros.recordings.dataset import LATENESS, Recording
+from hysteresis_ros.recordings.output import note_output, output_tolerance
 from hysteresis_ros.recordings.provenance import RECORD
 from hysteresis_ros.signals import (
     COLUMNS,
+    COMPENSATOR,
     MOTOR_COLUMNS,
     MOTOR_SOURCE,
     PLANT,
@@ -72,6 +74,12 @@ def choose_namespace(bag: Bag, namespace: str | None) -> str:
     """
     found = namespaces(bag)
     listed = ", ".join(name or "/" for name in found)
+    if not found and (not bag.complete or not len(bag)):
+        reasons = "; ".join(bag.notes) or "there are no messages in it"
+        raise RecordingError(
+            f"{bag.path}: damaged, or nothing was recorded ({reasons}): no joint_states and no ~/state messages "
+            "are left; use a copy that is whole, or record again"
+        )
     if not found:
         topics = ", ".join(sorted(bag.topics)[:8]) or "none"
         raise RecordingError(
@@ -121,7 +129,7 @@ def align(bag: Bag, namespace: str | None = None, *, further: bool = False) -> R
     """
     prefix = choose_namespace(bag, namespace)
     notes = list(bag.notes)
-    configuration = _configuration(bag, prefix)
+    configuration = _configuration(bag, prefix, notes)
     joints, rows = _one_run(bag, f"{prefix}/joint_states", notes)
     states = {node: _one_run(bag, f"{prefix}/{node}/state", [])[0] for node in WRITERS}
     key = joints or next(state for state in states.values() if state is not None)
@@ -159,9 +167,17 @@ def align(bag: Bag, namespace: str | None = None, *, further: bool = False) -> R
     time = (stamps - stamps[0]) / 1e9 if stamps.size else np.zeros(0)
     signals = {name: columns[name] for name in (*COLUMNS, *motor)}
     signals |= _more(states, stamps, set(signals), further)
+    left, mode = (_of_plant(states[PLANT], stamps, name) for name in ("voltage", "mode"))
+    note_output(signals, left, mode, _tolerance(configuration, log, prefix))
     if further and late.size:
         signals["lateness"] = _by_stamp(stamps, joints.stamps, late)
     return Recording(time, signals, {"lateness": "s"} if "lateness" in signals else {}, metadata)
+
+
+def _tolerance(configuration: str, log: ChangeLog, prefix: str) -> float:
+    """Return by how much what was asked and what was put out differ by rounding [V]; infinite: nobody knows."""
+    given = [log.parameters.get(node) or configured(configuration, node, prefix) for node in (PLANT, COMPENSATOR)]
+    return output_tolerance(*given)
 
 
 def _told(bag: Bag, prefix: str, log: ChangeLog, notes: list[str]) -> dict:
@@ -287,9 +303,21 @@ def _further(states: dict, stamps) -> dict[str, np.ndarray]:
     return found
 
 
-def _configuration(bag: Bag, prefix: str) -> str:
-    topic = bag.of_type(f"{prefix}/configuration", cdr.STRING)
-    return cdr.decode_strings(topic.data[-1:], f"{prefix}/configuration")[0] if topic else ""
+def _configuration(bag: Bag, prefix: str, notes: list[str]) -> str:
+    """Return the last configuration that can be read: anybody may publish on its topic."""
+    name = f"{prefix}/configuration"
+    topic = bag.of_type(name, cdr.STRING)
+    messages = topic.data if topic else ()
+    for number, data in enumerate(reversed(messages)):
+        try:
+            text = cdr.decode_strings([data], name)[0]
+        except RecordingError as error:
+            notes.append(f"a message is left out: {error}")
+            continue
+        if number:
+            notes.append(f"{name}: the one before is used, {number} of {len(messages)} messages cannot be decoded")
+        return text
+    return ""
 
 
 def _one_run(bag: Bag, name: str, notes: list[str]):
@@ -405,7 +433,7 @@ def _late_commands(bag: Bag, prefix: str) -> int:
     for _, name, _, _, values in cdr.decode_diagnostics(topic.data, "/diagnostics") if topic else ():
         if name.startswith(f"{prefix}/plant_simulator:"):
             with contextlib.suppress(ValueError):
-                count = int(values.get("late_commands", count))
+                count = int(values.get("late_samples", values.get("late_commands", count)))
     return count
 
 

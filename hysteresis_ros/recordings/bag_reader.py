@@ -11,8 +11,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import pathlib
 import re
+import tempfile
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -22,6 +25,11 @@ from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.recordings import cdr
 from hysteresis_ros.recordings.mcap_stream import StreamResult, read_stream, words_of
 from hysteresis_ros.recordings.sqlite_stream import read_database
+
+#: How the files of a bag end, and what ``ros2 bag record`` puts behind that where it compresses whole files.
+ENDINGS, COMPRESSED = (".mcap", ".db3"), ".zstd"
+#: Bytes that are decompressed at a time.
+PIECE = 1 << 20
 
 #: Types whose messages are kept; of others (images …) only the topic is remembered.
 KEPT_TYPES = frozenset({cdr.FLOAT64, cdr.STRING, cdr.JOINT_STATE, cdr.DIAGNOSTICS})
@@ -117,7 +125,7 @@ def read_bag(path) -> Bag:
     ----------
     path : path-like
         A folder with ``metadata.yaml`` (MCAP or sqlite3, also split and compressed), a folder without it (its
-        ``.mcap`` or ``.db3`` files are read), or one such file.
+        ``.mcap`` or ``.db3`` files are read), or one such file; a whole file may be compressed (``.db3.zstd``).
 
     Raises
     ------
@@ -128,7 +136,7 @@ def read_bag(path) -> Bag:
     files = files_of(path)
     notes = []
     if not path.is_dir() or (path / "metadata.yaml").exists():
-        if path.suffix == ".mcap":
+        if path.suffix in (".mcap", COMPRESSED):
             return _read_files(path, files, [])
         try:
             bag = Bag(path)
@@ -156,7 +164,7 @@ def files_of(path: pathlib.Path) -> list[pathlib.Path]:
         There is no such path, or it is no bag.
     """
     if path.is_dir():
-        files = sorted(path.glob("*.mcap"), key=_natural) or sorted(path.glob("*.db3"), key=_natural)
+        files = _files_in(path, ".mcap") or _files_in(path, ".db3")
         within = _recordings_within(path, files)
         if within:
             listed = ", ".join(map(str, within))
@@ -166,9 +174,16 @@ def files_of(path: pathlib.Path) -> list[pathlib.Path]:
         return files
     if not path.exists():
         raise RecordingError(f"{path}: no such file or folder; give the path of a recorded bag")
-    if path.suffix not in (".mcap", ".db3"):
+    if pathlib.Path(path.name.removesuffix(COMPRESSED)).suffix not in ENDINGS:
         raise RecordingError(f"{path}: unknown kind of recording; give a bag folder, a .mcap, .db3, .npz or .csv file")
     return [path]
+
+
+def _files_in(folder: pathlib.Path, ending: str) -> list[pathlib.Path]:
+    """Return the files of a folder that end so; of one that is there twice, the one that is not compressed."""
+    plain = list(folder.glob(f"*{ending}"))
+    packed = [file for file in folder.glob(f"*{ending}{COMPRESSED}") if file.with_suffix("") not in plain]
+    return sorted(plain + packed, key=_natural)
 
 
 def _recordings_within(path: pathlib.Path, files: list[pathlib.Path]) -> list[pathlib.Path]:
@@ -202,15 +217,41 @@ def _read_files(path: pathlib.Path, files: list[pathlib.Path], notes: list[str])
         raise RecordingError(f"{path}: not a readable bag: {'; '.join(notes)}")
     bag = Bag(path, notes=notes)
     for file in files:
-        if file.suffix == ".mcap":
-            result = read_stream(file, bag.add)
-            bag.complete &= result.complete and not result.damaged_chunks
-            bag.notes += _stream_notes(file, result)
-            bag.words = result.words | bag.words
-        elif not read_database(file, bag.add):
-            bag.complete = False
-            bag.notes.append(f"{file.name} was cut off or is damaged: read up to the first page that is missing")
+        with _decompressed(file) as (plain, whole):
+            if not whole:
+                bag.complete = False
+                bag.notes.append(f"{file.name} was cut off or is damaged: read as far as it can be decompressed")
+            if plain.suffix == ".mcap":
+                result = read_stream(plain, bag.add)
+                bag.complete &= result.complete and not result.damaged_chunks
+                bag.notes += _stream_notes(plain, result)
+                bag.words = result.words | bag.words
+            elif not read_database(plain, bag.add):
+                bag.complete = False
+                bag.notes.append(f"{plain.name} was cut off or is damaged: read up to the first page that is missing")
     return bag
+
+
+@contextlib.contextmanager
+def _decompressed(file: pathlib.Path) -> Iterator[tuple[pathlib.Path, bool]]:
+    """Yield a file without its compression, and whether all of it could be decompressed."""
+    if file.suffix != COMPRESSED:
+        yield file, True
+        return
+    import zstandard
+
+    with tempfile.TemporaryDirectory(prefix="hysteresis_") as folder:
+        plain, whole = pathlib.Path(folder) / file.name.removesuffix(COMPRESSED), True
+        with file.open("rb") as source, plain.open("wb") as target:
+            try:
+                reader = zstandard.ZstdDecompressor().stream_reader(source, read_across_frames=True)
+                while piece := reader.read(PIECE):
+                    target.write(piece)
+            except zstandard.ZstdError:
+                whole = False
+            except OSError as error:
+                raise RecordingError(f"{file}: cannot be decompressed: {error.strerror}") from None
+        yield plain, whole
 
 
 def _stream_notes(file: pathlib.Path, result: StreamResult) -> list[str]:

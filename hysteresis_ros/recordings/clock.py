@@ -67,12 +67,11 @@ def mend_clock(time: np.ndarray, signals) -> Clock:
         Time goes back as no jitter makes it, with the row where it does; or it stands still.
     """
     warnings = []
-    kept = np.isfinite(time)
-    if not kept.all():
-        count = int(np.count_nonzero(~kept))
-        warnings.append(f"{count} rows without an instant left out, the first is row {int(np.argmin(kept))}")
-    else:
-        kept = None
+    finite = np.isfinite(time)
+    kept = None if finite.all() else finite
+    if kept is not None:
+        count = int(np.count_nonzero(~finite))
+        warnings.append(f"{count} rows without an instant left out, the first is row {int(np.argmin(finite))}")
     instants = time if kept is None else time[kept]
     distances = np.diff(instants)
     if np.all(distances > 0.0):

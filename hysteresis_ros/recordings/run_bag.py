@@ -23,7 +23,7 @@ from hysteresis_ros.recordings.bag_writer import BagWriter
 from hysteresis_ros.recordings.configured import configured
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.provenance import RECORD, provenance
-from hysteresis_ros.signals import MOTOR_SOURCE, SOURCE, WRITERS, float_topics, state_signals
+from hysteresis_ros.signals import ASKED_VOLTAGE, MOTOR_SOURCE, SOURCE, WRITERS, float_topics, state_signals
 
 
 def write_recording(
@@ -91,6 +91,9 @@ def _write_topics(bag, recording, configuration, prefix, joint, start_time_ns) -
         bag.write_string(f"{prefix}/configuration", configuration, stamps[0] if stamps else int(start_time_ns))
     values = {name: column.tolist() for name, column in recording.signals.items()}
     values.setdefault("plant_voltage", values.get("voltage"))
+    # the topics of the compensator hold what it asked for
+    if ASKED_VOLTAGE in values:
+        values["voltage"] = values[ASKED_VOLTAGE]
     states = []
     absent = SOURCE if "phase" in values else MOTOR_SOURCE
     for node in WRITERS:

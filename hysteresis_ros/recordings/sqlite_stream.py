@@ -57,9 +57,9 @@ def opened(path: pathlib.Path) -> Iterator[sqlite3.Connection]:
         except OSError as error:
             raise RecordingError(f"{path}: cannot be read: {error.strerror}") from None
         except sqlite3.Error as error:
-            raise RecordingError(f"{path}: not a readable bag: {error}") from None
+            raise RecordingError(f"{path}: not a readable bag: damaged, or no database ({error})") from None
         if not {"topics", "messages"} <= names:
-            raise RecordingError(f"{path}: not a readable bag: no tables of messages and topics in it")
+            raise RecordingError(f"{path}: not a readable bag: damaged, or no tables of messages and topics in it")
         yield connection
 
 

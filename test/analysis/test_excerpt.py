@@ -200,3 +200,18 @@ def test_what_a_preview_looks_back_to_before_an_excerpt_is_not_made_up():
     assert np.isnan(judged[:3]).all()
     np.testing.assert_array_equal(judged[3:], run["reference"][500:598])
     np.testing.assert_array_equal(judged_reference(within(described, 0.0, 0.6))[:3], run["reference"][0])
+
+
+def test_a_launch_file_refuses_what_is_no_parameter_file(monkeypatch, tmp_path):
+    module = load_launch_file(monkeypatch)
+    assert module.configuration("kim2009").endswith("config/kim2009.yaml")
+    for text in (
+        "root:x:0:0:root:/root:/bin/bash\n",
+        "[1, 2]\n",
+        "a: {b: 1}\n",
+        "a: [\n",
+        "x: 1\ny: {ros__parameters: {}}\n",
+    ):
+        (tmp_path / "given").write_text(text)
+        with pytest.raises(ValueError, match="config:=.*given: no ROS 2 parameter file"):
+            module.configuration(str(tmp_path / "given"))

@@ -291,7 +291,7 @@ def test_an_axis_at_rest_has_figures_without_meaning_and_says_why():
     assert figures["rms_error_m"] == pytest.approx(1e-9)
     assert figures["missing_samples"] == 3 and figures["notes"]["recording"] == ["a note"]
     assert json.loads(json.dumps(figures, allow_nan=False)) == figures
-    assert list(figures) == [*(name for name, *_ in FIGURES), "notes"]
+    assert list(figures) == ["parts", *(name for name, *_ in FIGURES), "notes"]
     assert "a note" in format_table(figures)
 
 

@@ -438,14 +438,64 @@ def test_paths_that_are_no_bags_are_named(tmp_path):
     (tmp_path / "text.mcap").write_text("hello world")
     with pytest.raises(RecordingError, match="not an MCAP file"):
         read_bag(tmp_path / "text.mcap")
-    (tmp_path / "text.db3").write_text("hello world")
     with pytest.raises(RecordingError, match="not a readable bag"):
-        read_bag(tmp_path / "text.db3")
+        read_bag((tmp_path / "text.mcap").rename(tmp_path / "text.db3"))
     (tmp_path / "metadata.yaml").write_text("[")
-    (tmp_path / "text.mcap").unlink()
     with pytest.raises(RecordingError, match="not a readable bag"):
         read_bag(tmp_path)
     with BagWriter(tmp_path / "empty") as bag:
         bag.write_string("/chatter", "hello", 0)
     with pytest.raises(RecordingError, match=r"no axis in it.*topics: /chatter"):
         align(read_bag(tmp_path / "empty"))
+
+
+@pytest.mark.parametrize("plugin", [StoragePlugin.SQLITE3, StoragePlugin.MCAP])
+def test_a_compressed_file_is_read_without_metadata_bare_and_as_far_as_it_goes(tmp_path, plugin):
+    original = make_run()
+    write_recording(original, tmp_path / "bag")
+    copy_bag(tmp_path / "bag", tmp_path / "copy", plugin, CompressionMode.FILE)
+    (packed,) = (tmp_path / "copy").glob("*.zstd")
+    (tmp_path / "copy" / "metadata.yaml").unlink()
+    assert_same_run(read_recording(tmp_path / "copy"), original)
+    assert_same_run(read_recording(packed), original)
+    assert sorted((tmp_path / "copy").iterdir()) == [packed], "something was left beside it"
+    damaged = packed.with_name(f"damaged{''.join(packed.suffixes)}")
+    damaged.write_bytes(b"\x00" * 100)
+    with pytest.raises(RecordingError, match="damaged"):
+        read_recording(damaged)
+
+
+@pytest.mark.parametrize("bad", [b"", b"\x00\x01", b"\x00\x01\x00\x00\xff\xff\xff\x7fx"])
+def test_a_configuration_that_cannot_be_decoded_does_not_cost_the_recording(tmp_path, bad):
+    for name, texts in (("only", [None]), ("second", ["/**:\n  ros__parameters: {sample_rate: 500.0}\n", None])):
+        with BagWriter(tmp_path / name) as bag:
+            for text in texts:
+                if text is None:
+                    bag.write("/configuration", cdr.STRING, bad, 0)
+                else:
+                    bag.write_string("/configuration", text, 0)
+            axis(bag, "")
+        run = read_recording(tmp_path / name)
+        assert len(run) == 50 and any("/configuration" in note for note in run.notes)
+        assert run.configuration == (texts[0] or "")
+
+
+def test_a_recording_of_which_nothing_is_left_is_called_damaged(tmp_path):
+    original = make_run()
+    write_recording(original, tmp_path / "bag")
+    copy_bag(tmp_path / "bag", tmp_path / "copy", StoragePlugin.SQLITE3)
+    database = (tmp_path / "copy" / "copy.db3").read_bytes()
+    said = "damaged"
+    for size in (0, 10, 100, 4096, 8192, 20000):
+        (tmp_path / "cut.db3").write_bytes(database[:size])
+        with pytest.raises(RecordingError, match=said):
+            read_recording(tmp_path / "cut.db3")
+    stream = (tmp_path / "bag" / "bag.mcap").read_bytes()
+    for size in (0, 8, 100):
+        (tmp_path / "cut.mcap").write_bytes(stream[:size])
+        with pytest.raises(RecordingError, match=said):
+            read_recording(tmp_path / "cut.mcap")
+    with BagWriter(tmp_path / "empty"):
+        pass
+    with pytest.raises(RecordingError, match="nothing was recorded"):
+        read_recording(tmp_path / "empty")

@@ -148,20 +148,22 @@ def test_a_file_that_may_not_grow_is_closed_with_what_it_has(tmp_path):
 
 
 KILLED = """
-import sys, time
+import signal, sys, time
 import numpy as np
 from hysteresis_ros.recordings.bag_writer import BagWriter
 from hysteresis_ros.recordings.batch_writer import AxisTopics, SampleWriter
 from hysteresis_ros.signals import ACTUATOR_ROW
+signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGALRM])
 bag = BagWriter(sys.argv[1])
 writer = SampleWriter(bag, AxisTopics(sample_rate=1000.0), block_bytes=10**9)
+signal.setitimer(signal.ITIMER_REAL, 0.02, 0.02)  # what samples come in
 begin, count = time.monotonic(), 0
 while True:
     until = int((time.monotonic() - begin) * 1000.0) + 1
     writer.write(np.arange(count, until) * 1_000_000, np.zeros((ACTUATOR_ROW, until - count)))
     count = until
     print(count, time.monotonic(), flush=True)
-    time.sleep(0.02)  # the pace of the samples that are written, until the kill
+    signal.sigwait([signal.SIGALRM])
 """
 
 

@@ -1,0 +1,327 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Parts of a run: approach, steps, scan, path, hold and shutdown, each with what it is judged by.
+
+A scan repeats: its reference equals itself one period later, which is looked at and not assumed from two reversals.
+Steps lead from one hold to another. What moves otherwise is a path; a single move into a scan is its approach. While
+the axis is stopped its voltage goes to the safe value and nothing follows the reference: a shutdown is not judged.
+"""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hysteresis_ros.analysis.steps import (
+    HOLD_SAMPLES,
+    JUMP,
+    REVERSAL,
+    SETTLING_BAND,
+    Hold,
+    find_holds,
+    scan_start,
+    step_responses,
+)
+from hysteresis_ros.recordings.dataset import Recording
+from hysteresis_ros.recordings.loops import loop_opening, turning_points
+from hysteresis_ros.signals import MODE_STALE, MODE_STOPPED, MODE_TRIPPED
+
+#: A reference repeats when it differs from itself one period later by at most this part of its range, for at most so
+#: many samples in a row by more, and over this part of a period beyond the first one.
+EQUAL, JITTER, EVIDENCE = 0.05, 2, 0.45
+#: Most reversals of a period.
+REVERSALS = 40
+#: Modes of nodes that say that the axis is stopped.
+MODES = ("plant_mode", "compensator_mode", "controller_mode")
+
+
+class Kind(enum.StrEnum):
+    """What a part of a run is."""
+
+    APPROACH = "approach"
+    STEPS = "steps"
+    SCAN = "scan"
+    PATH = "path"
+    HOLD = "hold"
+    SHUTDOWN = "shutdown"
+
+
+#: Figures that judge each kind, in their order; the figures are those of
+#: :func:`hysteresis_ros.analysis.metrics.compute_metrics`.
+JUDGED_BY = {
+    Kind.APPROACH: (),
+    Kind.STEPS: ("overshoot_percent", "settling_time_s", "steady_state_error_m"),
+    Kind.SCAN: (
+        *("rms_error_m", "rms_error_percent_of_stroke", "max_error_m", "max_error_percent_of_stroke"),
+        "loop_width_percent",
+    ),
+    Kind.PATH: ("rms_error_m", "rms_error_percent_of_stroke", "max_error_m", "max_error_percent_of_stroke"),
+    Kind.HOLD: ("rms_error_m", "max_error_m"),
+    Kind.SHUTDOWN: (),
+}
+#: Why a kind is not judged.
+NOT_JUDGED = {
+    Kind.APPROACH: "not judged: it leads into the scan",
+    Kind.SHUTDOWN: "not judged: the axis was stopped, its voltage goes to the safe value",
+}
+
+
+@dataclass(frozen=True)
+class Part:
+    """Samples ``start`` to ``stop`` (exclusive) of one kind; ``ends`` are the samples at which whole periods end.
+
+    ``moves`` is the number of moves from hold to hold.
+    """
+
+    kind: Kind
+    start: int
+    stop: int
+    ends: tuple[int, ...] = ()
+    moves: int = 1
+
+    def moved(self, by: int) -> Part:
+        """Return the same part of a run that begins so many samples earlier."""
+        return replace(self, start=self.start + by, stop=self.stop + by, ends=tuple(end + by for end in self.ends))
+
+
+def stopped(recording: Recording) -> np.ndarray:
+    """Return at which samples the axis is stopped, shape (N,).
+
+    The plant says so, or a node between reference and voltage. A node without input counts with them when the axis is
+    stopped next, or the run ends so. Without these signals it is what stopped the nodes, as far as the recording knows.
+    """
+    said = [recording[name] for name in MODES if recording.has(name)]
+    tripped = np.nan_to_num(recording["tripped"]) != 0.0 if recording.has("tripped") else np.zeros(0, dtype=bool)
+    if not said and not tripped.size:
+        return _stopped_by_changes(recording)
+    certain = tripped if tripped.size else np.zeros(len(recording), dtype=bool)
+    safe = certain.copy()
+    for mode in said:
+        certain |= (mode == MODE_STOPPED) | (mode == MODE_TRIPPED)
+        safe |= mode == MODE_STALE
+    safe |= certain
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], safe, [False]))))
+    for first, last in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+        if last < safe.size and not certain[first:last].any():
+            safe[first:last] = False
+    return safe
+
+
+def _stopped_by_changes(recording: Recording) -> np.ndarray:
+    found = np.zeros(len(recording), dtype=bool)
+    if len(recording) < 2:
+        return found
+    since = recording.time - float(recording.metadata.get("first_s", recording.time[0]))
+    numbers = np.rint(since / recording.sample_time)
+    changes = [change for change in recording.metadata.get("changes") or () if change.get("node") == "plant_simulator"]
+    for change in sorted(changes, key=lambda change: change.get("sample", 0)):
+        if change.get("action") in ("stop", "halt", "start"):
+            found[numbers >= change.get("sample", 0)] = change["action"] != "start"
+    return found
+
+
+def find_parts(reference, displacement=None, off=None) -> list[Part]:
+    """Return the parts of a run in their order; together they are all of it.
+
+    Parameters
+    ----------
+    reference : array, shape (N,)
+        What the axis is judged by [m], finite.
+    displacement : array, shape (N,), optional
+        [m], finite; with it a jump into a scan is an approach.
+    off : array of bool, shape (N,), optional
+        Where the axis is stopped, see :func:`stopped`.
+    """
+    reference = np.asarray(reference, dtype=np.float64)
+    off = np.zeros(reference.size, dtype=bool) if off is None else off
+    edges = [0, *(np.flatnonzero(np.diff(off)) + 1).tolist(), reference.size]
+    parts: list[Part] = []
+    for first, last in zip(edges[:-1], edges[1:], strict=True):
+        if last > first and off[first]:
+            parts.append(Part(Kind.SHUTDOWN, first, last))
+        elif last > first:
+            own = [part.moved(first) for part in _running(reference[first:last])]
+            parts += own if displacement is None else _jumped(own, reference, displacement)
+    return parts
+
+
+def _jumped(parts: list[Part], reference, displacement) -> list[Part]:
+    """Let a scan or a hold into which a jump leads begin with its approach: up to the first reversal, or settled."""
+    if parts[0].kind is Kind.HOLD:
+        inside = slice(parts[0].start, parts[0].stop)
+        error = np.abs(reference[inside] - displacement[inside])
+        far = np.flatnonzero(error > SETTLING_BAND * error[0])
+        stroke = max(float(np.ptp(reference)), float(np.ptp(displacement)))
+        if error[0] > JUMP * stroke and error[0] >= np.max(error[error.size // 2 :]) and far[-1] + 1 < error.size:
+            settled = parts[0].start + int(far[-1]) + 1
+            return [Part(Kind.APPROACH, parts[0].start, settled), replace(parts[0], start=settled), *parts[1:]]
+    for number, part in enumerate(parts):
+        if part.kind is Kind.SCAN and all(before.kind is Kind.HOLD for before in parts[:number]):
+            inside = slice(part.start, part.stop)
+            first = part.start + scan_start(reference[inside], displacement[inside])
+            if first > part.start:
+                ends = tuple(end for end in part.ends if end >= first)
+                split = [Part(Kind.APPROACH, part.start, first), replace(part, start=first, ends=ends)]
+                return [*parts[:number], *split, *parts[number + 1 :]]
+    return parts
+
+
+def _running(reference) -> list[Part]:
+    """Return the parts of a run in which the axis follows its reference."""
+    moving = np.flatnonzero(np.diff(reference))
+    if not moving.size:
+        return [Part(Kind.HOLD, 0, reference.size)]
+    first, last = int(moving[0]) + 1, int(moving[-1]) + 2
+    found = _repeating(reference, 0 if first < HOLD_SAMPLES else first - 1, min(last, reference.size))
+    if found is None:
+        return _joined(_between_holds(reference))
+    holds = find_holds(reference[found.start : found.stop])
+    if sum(hold.stop - hold.start for hold in holds) > 0.5 * (found.stop - found.start):
+        # steps that repeat: with the holds around them
+        stop = max((hold.stop for hold in find_holds(reference) if hold.start <= found.stop), default=found.stop)
+        stop = max(stop, found.stop)
+        found = replace(found, kind=Kind.STEPS, moves=len(holds), start=_with_hold(reference, found.start), stop=stop)
+    if reference.size - found.stop < HOLD_SAMPLES:
+        found = replace(found, stop=reference.size)
+    before = _running(reference[: found.start]) if found.start else []
+    after = _running(reference[found.stop :]) if found.stop < reference.size else []
+    return _joined([*before, found, *(part.moved(found.stop) for part in after)])
+
+
+def _with_hold(reference, start: int) -> int:
+    """Return where a part begins that needs the end of the hold before it."""
+    held = next((hold for hold in find_holds(reference) if hold.start <= start <= hold.stop), None)
+    return start if held is None else max(min(start, held.stop) - HOLD_SAMPLES, held.start)
+
+
+def _repeating(reference, first: int, last: int) -> Part | None:
+    """Return the longest stretch between two samples in which the reference equals itself one period later."""
+    points = turning_points(reference[first:last], REVERSAL)[1:-1] + first
+    size = EQUAL * float(np.ptp(reference[first:last]))
+    # the last reversals may belong to the way back, the first one to the way there
+    counts = range(2, min(points.size, REVERSALS + 1), 2)
+    for reversals, skipped, tail in ((n, i, j) for n in counts for i in range(2) for j in range(3)):
+        ends = points[: points.size - tail][::-1][::reversals][::-1][skipped:]
+        if ends.size < 2:
+            continue
+        periods = np.diff(ends)
+        period = round(float(np.median(periods)))
+        if np.ptp(periods) > max(EQUAL * period, JITTER):
+            continue
+        unlike = np.abs(reference[first + period : last] - reference[first : last - period]) > size
+        # what lasts a sample or two is where a jump falls between samples
+        unlike[JITTER:] &= unlike[1 : unlike.size - JITTER + 1] & unlike[: unlike.size - JITTER]
+        begin, end = int(ends[0]) - first, max(int(ends[-1]) - first - period, int(ends[0]) - first + 1)
+        if end > unlike.size or unlike[begin:end].any():
+            continue
+        before, after = np.flatnonzero(unlike[:begin]), np.flatnonzero(unlike[end:])
+        start = int(before[-1]) + 1 if before.size else 0
+        stop = end + int(after[0]) if after.size else unlike.size
+        if stop - start < EVIDENCE * period:
+            continue
+        begin, end = first + start, first + stop + period
+        near = round(EQUAL * period) + JITTER
+        begin, end = (first if begin - first <= near else begin), (last if last - end <= near else end)
+        return Part(Kind.SCAN, begin, end, tuple(int(k) for k in ends if begin <= k < end))
+    return None
+
+
+def _between_holds(reference) -> list[Part]:
+    """Return the parts of a reference that does not repeat as a whole: what happens between its holds."""
+    holds = find_holds(reference)
+    if not holds or holds[0].start > 0:
+        holds = [Hold(0, 0, float(reference[0])), *holds]
+    if holds[-1].stop < reference.size:
+        holds = [*holds, Hold(reference.size, reference.size, float(reference[-1]))]
+    parts = [Part(Kind.HOLD, holds[0].start, holds[0].stop)] if holds[0].stop else []
+    for before, after in zip(holds[:-1], holds[1:], strict=True):
+        first, last = before.stop, after.start
+        moves = reference[max(first - 1, 0) : min(last + 1, reference.size)]
+        single = len(turning_points(moves, REVERSAL)) <= 2 or last - first <= HOLD_SAMPLES
+        if single and before.stop > before.start and after.stop > after.start:
+            parts.append(Part(Kind.STEPS, first, after.stop))
+            continue
+        scan = None if single else _repeating(reference, first, last)
+        if scan is None:
+            parts.append(Part(Kind.PATH, first, last))
+        else:
+            parts += [
+                Part(Kind.PATH, first, scan.start),
+                scan,
+                Part(Kind.PATH, scan.stop, last),
+            ]
+        parts.append(Part(Kind.HOLD, after.start, after.stop))
+    parts = [part for part in parts if part.stop > part.start]
+    return [
+        replace(part, start=_with_hold(reference, part.start)) if part.kind is Kind.STEPS else part for part in parts
+    ]
+
+
+def _joined(parts: list[Part]) -> list[Part]:
+    """Join steps that follow each other, give them the end of the hold before them, and name what leads into a scan."""
+    joined: list[Part] = []
+    for part in parts:
+        if joined and part.kind is Kind.STEPS:
+            last = joined[-1]
+            if last.kind is Kind.STEPS and not last.ends and not part.ends:
+                joined[-1] = replace(last, stop=part.stop, moves=last.moves + part.moves)
+                continue
+            if last.kind is Kind.HOLD and last.stop > part.start:
+                joined[-1] = replace(last, stop=part.start)
+                if joined[-1].stop <= joined[-1].start + 1:
+                    part = replace(part, start=last.start)
+                    joined.pop()
+            elif last.stop > part.start:
+                part = replace(part, start=last.stop)
+        joined.append(part)
+    for number, (part, following) in enumerate(zip(joined[:-1], joined[1:], strict=True)):
+        if following.kind is Kind.SCAN and part.kind in (Kind.STEPS, Kind.PATH) and part.moves == 1:
+            joined[number] = replace(part, kind=Kind.APPROACH)
+    return joined
+
+
+def part_figures(part: Part, time, reference, displacement, stroke: float) -> dict:
+    """Return the figures that judge a part, the number of its steps, and its whole periods.
+
+    Those of a scan are over its whole periods, where it has any.
+    """
+    found: dict = dict.fromkeys(JUDGED_BY[part.kind])
+    inside = slice(part.start, part.stop)
+    if part.kind is Kind.STEPS:
+        found |= step_figures(time[inside], reference[inside], displacement[inside])
+    if part.ends[1:]:
+        period = (time[part.ends[-1]] - time[part.ends[0]]) / (len(part.ends) - 1)
+        found |= {"periods": len(part.ends) - 1, "period_s": float(period)}
+        inside = slice(part.ends[0], part.ends[-1])
+    if "rms_error_m" in found:
+        error = np.abs(reference[inside] - displacement[inside])
+        found |= {"rms_error_m": float(np.sqrt(np.mean(error**2))), "max_error_m": float(np.max(error))}
+        for name in ("rms", "max"):
+            if f"{name}_error_percent_of_stroke" in found and stroke > 0.0:
+                found[f"{name}_error_percent_of_stroke"] = 100.0 * found[f"{name}_error_m"] / stroke
+    if "loop_width_percent" in found:
+        opening = loop_opening(reference[inside], displacement[inside])
+        found["loop_width_percent"] = None if opening is None else 100.0 * opening / stroke
+    return found
+
+
+def step_figures(time, reference, displacement) -> dict:
+    """Return the worst figures of the steps there, how many there are, and how many do not settle."""
+    responses = step_responses(time, reference, displacement)
+    found: dict = {"steps": len(responses)}
+    if responses:
+        times = [response.settling_time for response in responses]
+        found["unsettled"] = sum(value is None for value in times)
+        found["overshoot_percent"] = 100.0 * max(response.overshoot for response in responses)
+        found["settling_time_s"] = None if found["unsettled"] else max(value for value in times if value is not None)
+        found["steady_state_error_m"] = max(abs(response.steady_state_error) for response in responses)
+    return found

@@ -1,0 +1,54 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""A run whose output was limited for more than a moment says so, and by what."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hysteresis_ros.analysis.limited import limited_text
+from hysteresis_ros.analysis.report import sampling_text
+from hysteresis_ros.loop.watch import STALE
+from hysteresis_ros.recordings.dataset import Recording
+
+N = 2000
+
+
+def run(cut, voltage=None, mode=0.0):
+    time = np.arange(N) / 1000.0
+    voltage = 50.0 + 40.0 * np.sin(20.0 * time) if voltage is None else voltage
+    signals = {"voltage": voltage, "saturated": np.asarray(cut, dtype=float), "plant_mode": np.full(N, mode)}
+    return Recording(time, signals, {}, {})
+
+
+def test_most_of_a_run_at_a_slew_rate_is_said_first_with_its_share_and_time():
+    recording = run(np.arange(N) < 1340)
+    said = limited_text(recording)
+    assert said.startswith("the output was limited for 67 % of the run, 1.34 s, by safe_slew_rate or limits.slew_rate")
+    assert sampling_text(recording).startswith("The output was limited for 67 %")
+    assert "Judged at all 2000 samples" in sampling_text(recording)
+
+
+@pytest.mark.parametrize(("samples", "said"), [(0, False), (19, False), (20, False), (21, True), (101, True)])
+def test_a_moment_is_not_mentioned(samples, said):
+    assert bool(limited_text(run(np.arange(N) < samples))) == said
+
+
+def test_the_range_and_the_way_to_safe_are_named():
+    voltage = np.clip(50.0 + 90.0 * np.sin(20.0 * np.arange(N) / 1000.0), 0.0, 100.0)
+    ends = (voltage == 0.0) | (voltage == 100.0)
+    assert "by the range limits.minimum … limits.maximum" in limited_text(run(ends, voltage))
+    assert "by the way to safe_voltage at safe_slew_rate (50 %)" in limited_text(run(np.arange(N) < 1000, mode=STALE))
+
+
+def test_a_recording_that_does_not_say_what_was_cut_says_nothing():
+    recording = Recording(np.arange(3) / 1000.0, {"voltage": np.zeros(3)}, {}, {})
+    assert limited_text(recording) == ""

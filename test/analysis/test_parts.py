@@ -1,0 +1,198 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Parts of synthetic runs that are known, and of runs that were stopped."""
+
+import json
+
+import numpy as np
+import pytest
+
+from hysteresis_ros.analysis.excerpt import period_ends
+from hysteresis_ros.analysis.metrics import compute_metrics
+from hysteresis_ros.analysis.parts import Kind, find_parts, stopped
+from hysteresis_ros.analysis.run_charts import judged
+from hysteresis_ros.analysis.shown_figures import format_table, leading
+from hysteresis_ros.analysis.side_by_side import format_runs
+from hysteresis_ros.analysis.spans import columns_of
+from hysteresis_ros.recordings import Recording
+
+RATE = 1000.0
+TIME = np.arange(1000) / RATE
+TRIANGLE = 10e-6 * (1.0 - np.abs(1.0 - 2.0 * ((5.0 * TIME + 1e-9) % 1.0)))
+SINE = 5e-6 + 3e-6 * np.sin(2.0 * np.pi * 5.0 * TIME)
+STEPS = np.repeat([0.0, 2e-6, 0.0, 5e-6, 9e-6, 3e-6, 0.0], 200)
+REST = np.zeros(200)
+DWELL = np.tile(np.r_[np.linspace(0, 1, 100), np.ones(30), np.linspace(1, 0, 100), np.zeros(30)], 4)
+
+RUNS = {
+    "triangle": (TRIANGLE, [("scan", 0, 1000)]),
+    "triangle between rests": ([REST, TRIANGLE, REST], [("hold", 0, 200), ("scan", 200, 1200), ("hold", 1200, 1400)]),
+    "steps": (STEPS, [("hold", 0, 190), ("steps", 190, 1400)]),
+    "one step": (np.repeat([0.0, 1.0], 200), [("hold", 0, 190), ("steps", 190, 400)]),
+    "a slow move": ([REST, np.linspace(0, 1, 300), REST + 1], [("hold", 0, 190), ("steps", 190, 700)]),
+    "approach, scan, way back": (
+        [REST, np.linspace(0, 5e-6, 200), SINE, np.linspace(5e-6, 0, 200), REST],
+        [("hold", 0, 200), ("approach", 200, 400), ("scan", 400, 1400), ("path", 1400, 1600), ("hold", 1600, 1800)],
+    ),
+    "a move to where a scan begins": (
+        [REST, np.linspace(0, 5e-6, 200), REST + 5e-6, SINE],
+        [("hold", 0, 190), ("approach", 190, 600), ("scan", 600, 1600)],
+    ),
+    "steps before a scan": (
+        [STEPS, TRIANGLE, REST],
+        [("hold", 0, 190), ("steps", 190, 1400), ("scan", 1400, 2400), ("hold", 2400, 2600)],
+    ),
+    "a small scan after large steps": (
+        [30.0 * STEPS, TRIANGLE],
+        [("hold", 0, 190), ("steps", 190, 1400), ("scan", 1400, 2400)],
+    ),
+    "a scan that rests at its ends": (DWELL, [("scan", 0, 1010), ("hold", 1010, 1040)]),
+    "periods of one length that are not alike": (
+        np.concatenate([k * TRIANGLE[:200] for k in (1.0, 2.0, 1.5, 3.0, 1.2)]),
+        [("path", 0, 1000)],
+    ),
+    "chirp": (np.sin(40.0 * TIME**2), [("path", 0, 1000)]),
+    "one way there and back": (TRIANGLE[:200], [("path", 0, 200)]),
+    "at rest": (REST, [("hold", 0, 200)]),
+    "one sample": ([0.0], [("hold", 0, 1)]),
+}
+
+
+def run(reference, displacement=None, **more):
+    reference = np.concatenate(reference) if isinstance(reference, list) and np.ndim(reference[0]) else reference
+    columns = {"reference": reference, "displacement": reference if displacement is None else displacement, **more}
+    return Recording.from_columns({"time": np.arange(len(reference)) / RATE, **columns})
+
+
+@pytest.mark.parametrize("name", RUNS)
+def test_a_run_falls_into_its_parts(name):
+    given, expected = RUNS[name]
+    reference = np.concatenate(given) if np.ndim(given[0]) else np.asarray(given)
+    found = find_parts(reference)
+    assert [part.kind for part in found] == [kind for kind, *_ in expected]
+    # the beginning of a scan is known to a part of its period: what is before it is like it for a while
+    for part, (_, start, stop) in zip(found, expected, strict=True):
+        assert part.start == pytest.approx(start, abs=12) and part.stop == pytest.approx(stop, abs=12)
+    assert found[0].start == 0 and found[-1].stop == reference.size
+    assert all(one.stop == other.start for one, other in zip(found[:-1], found[1:], strict=True))
+
+
+@pytest.mark.parametrize("reference", [STEPS, STEPS[200:1200], np.repeat([0.0, 2e-6, 0.0, 5e-6, 0.0], 200)])
+def test_no_period_is_invented_for_steps_that_do_not_repeat(reference):
+    assert not period_ends(run(reference)).size
+    assert all("period_s" not in part for part in compute_metrics(run(reference))["parts"])
+    assert [name for name, *_ in columns_of(run(reference), compute_metrics(run(reference)))][-1] != "last period"
+
+
+@pytest.mark.parametrize("frequency", [5.0, 7.3, 13.7])
+@pytest.mark.parametrize(("shape", "kind"), [(np.sin, "scan"), (lambda phase: np.sign(np.sin(phase + 0.1)), "steps")])
+def test_what_repeats_has_its_period(frequency, shape, kind):
+    (*_, part) = compute_metrics(run(1e-6 * shape(2.0 * np.pi * frequency * TIME)))["parts"]
+    assert part["part"] == kind and part["period_s"] == pytest.approx(1.0 / frequency, abs=1.1 / RATE)
+    assert part["periods"] in (int(frequency) - 1, int(frequency))
+
+
+def test_two_tones_repeat_after_all_of_their_reversals():
+    (part,) = compute_metrics(run(np.sin(10.0 * np.pi * TIME) + 0.7 * np.sin(30.0 * np.pi * TIME + 1.0)))["parts"]
+    assert part["part"] == "scan" and part["period_s"] == pytest.approx(0.2)
+
+
+def test_a_scan_is_judged_over_its_whole_periods():
+    """Before the first reversal and at rest the error is another, which the scan is not judged by."""
+    reference = np.concatenate([REST, TRIANGLE, REST])
+    time = np.arange(1400) / RATE
+    inside = (time >= 0.299) & (time < 1.1)
+    error = np.where(inside, np.sqrt(2.0) * 20e-9 * np.sin(2.0 * np.pi * 25.0 * time), 300e-9)
+    hold, scan, rest = compute_metrics(run(reference, reference - error))["parts"]
+    assert scan["rms_error_m"] == pytest.approx(20e-9, rel=1e-2)
+    assert scan["max_error_m"] == pytest.approx(np.sqrt(2.0) * 20e-9, rel=1e-2)
+    assert scan["rms_error_percent_of_stroke"] == pytest.approx(0.2, rel=1e-2)
+    assert (scan["periods"], scan["period_s"]) == (4, pytest.approx(0.2))
+    assert hold["rms_error_m"] == pytest.approx(300e-9) and "loop_width_percent" in scan and "steps" not in scan
+    assert compute_metrics(run(reference))["steps"] == 0, "a scan between rests is no step"
+    higher = np.concatenate([REST, TRIANGLE, np.full(200, 5e-6)])
+    assert compute_metrics(run(higher))["overshoot_percent"] is None
+
+
+def stopped_run(stop: int = 1000, signal: str = "tripped", value: float = 3.0):
+    """Steps that are followed with 10 % overshoot; then the axis is stopped, which moves it by 1.5 µm."""
+    displacement = STEPS.copy()
+    for start in np.flatnonzero(np.diff(STEPS)) + 1:
+        displacement[start : start + 5] += 0.1 * (STEPS[start] - STEPS[start - 1])
+    displacement[stop:] = 1.5e-6
+    flag = np.where(np.arange(STEPS.size) >= stop, value, 0.0)
+    voltage = np.where(flag, 0.0, STEPS / 0.1e-6 + 1.0)
+    return run(STEPS, displacement, voltage=voltage, **{signal: flag})
+
+
+@pytest.mark.parametrize(
+    ("signal", "value"),
+    [("tripped", 3.0), ("plant_mode", 4.0), ("controller_mode", 3.0), ("compensator_mode", 3.0), ("plant_mode", 2.0)],
+)
+def test_a_shutdown_is_no_step_and_is_not_judged(signal, value):
+    recording = stopped_run(signal=signal, value=value)
+    figures = compute_metrics(recording)
+    assert [part["part"] for part in figures["parts"]] == ["hold", "steps", "shutdown"]
+    assert set(figures["parts"][-1]) == {"part", "from_s", "to_s"} and figures["parts"][-1]["from_s"] == 1.0
+    assert figures["overshoot_percent"] == pytest.approx(10.0) and figures["steps"] == 4
+    assert figures["settling_time_s"] == pytest.approx(0.005) and figures["steady_state_error_m"] < 1e-15
+    assert figures["max_error_m"] == pytest.approx(0.5e-6), "10 % of 5 µm: nothing of the shutdown"
+    assert figures["duration_s"] == pytest.approx(1.399) and figures["samples"] == 1400
+    assert "0.4 s of shutdown" in " ".join(figures["notes"]["recording"])
+    assert not judged(recording).counted[1000:].any() and judged(recording).counted[:1000].all()
+    names, *_ = zip(*columns_of(recording, figures), strict=True)
+    assert names == ("whole run", "steps")
+    assert columns_of(recording, figures)[0][1:3] == (0.0, pytest.approx(1.399))
+    assert columns_of(recording, figures)[1][3]["overshoot_percent"] == pytest.approx(10.0)
+
+
+def test_what_stopped_the_nodes_counts_where_no_signal_says_it():
+    recording = stopped_run(signal="skipped")
+    changes = [{"sample": 1000, "node": "plant_simulator", "action": "halt"}]
+    known = Recording(recording.time, recording.signals, recording.units, {"changes": changes})
+    assert not stopped(recording).any() and np.flatnonzero(stopped(known))[0] == 1000
+    again = [*changes, {"sample": 1200, "node": "plant_simulator", "action": "start"}]
+    known = Recording(recording.time, recording.signals, recording.units, {"changes": again})
+    assert np.count_nonzero(stopped(known)) == 200 and not stopped(known)[1200:].any()
+    assert [part.kind for part in find_parts(STEPS, off=stopped(known))].count(Kind.SHUTDOWN) == 1
+
+
+def test_a_node_that_waits_for_input_for_a_while_has_not_stopped_the_axis():
+    mode = np.zeros(1400)
+    mode[700:760] = 2.0
+    assert not stopped(run(STEPS, controller_mode=mode)).any()
+    mode[1000:] = 2.0
+    assert np.count_nonzero(stopped(run(STEPS, controller_mode=mode))) == 400
+
+
+def test_a_run_that_is_stopped_throughout_says_so():
+    figures = compute_metrics(run(STEPS, STEPS - 1e-6, tripped=np.ones(1400)))
+    assert figures["rms_error_m"] is None and "not judged" in figures["notes"]["rms_error_m"]
+    assert "not judged" in format_table(figures) and json.dumps(figures, allow_nan=False)
+
+
+def test_a_jump_to_the_first_reference_is_an_approach():
+    reference = np.full(500, 5e-6)
+    displacement = reference * (1.0 - np.exp(-TIME[:500] / 0.01))
+    approach, hold = compute_metrics(run(reference, displacement))["parts"]
+    assert approach["part"] == "approach" and approach["to_s"] == pytest.approx(0.039)
+    assert hold["part"] == "hold" and hold["max_error_m"] <= 0.1e-6
+
+
+def test_text_leads_with_the_parts_and_what_judges_the_longest():
+    lines = format_table(compute_metrics(stopped_run())).splitlines()
+    assert lines[1].startswith("steps") and "overshoot 10 %" in lines[1] and "worst of 4 steps" in lines[1]
+    assert lines[2].startswith("shutdown") and "not judged" in lines[2]
+    assert lines[3].startswith("Overshoot")
+    assert [name for name, *_ in leading([compute_metrics(run(TRIANGLE))])][:1] == ["rms_error_m"]
+    figures = {"a": compute_metrics(stopped_run()), "b": compute_metrics(run(TRIANGLE))}
+    text = format_runs(figures)
+    assert "a: shutdown" in text and "b: scan" in text and text.index("b: scan") < text.index("Overshoot")
+    assert "over 4 whole periods of 200 ms" in text
