@@ -54,6 +54,7 @@ from hysteresis_ros.simulation.mismatch import mismatched as mismatched_configur
 from hysteresis_ros.simulation.recorded_response import plan_file, read_plan, recorded_response
 from hysteresis_ros.simulation.response_run import ResponseRequest, response_run
 from hysteresis_ros.simulation.run import simulate as simulate_axis
+from hysteresis_ros.simulation.setpoint_step import step_lines
 
 __all__ = [
     "Design",
@@ -147,7 +148,8 @@ def design(
     known = response_uncertainty(configuration) if measured is None else measured_uncertainty(axis, measured)
     found = design_axis(axis, request, known)
     text = design_file(configuration, found, normalised_namespace(axis.namespace))
-    lines = [*design_lines(found), *([] if measured is None else measured_lines(axis, found, measured))]
+    lines = [*step_lines(text, axis.namespace or None, feedforward), *design_lines(found)]
+    lines += [] if measured is None else measured_lines(axis, found, measured)
     return Design(tuple(lines), text, found.parameters, found.margins, tuple(doubts(found)))
 
 

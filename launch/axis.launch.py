@@ -312,13 +312,34 @@ def configuration(text: str) -> str:
     ------
     FileNotFoundError
         There is no such file.
+    ValueError
+        It is no parameter file.
     """
     installed = CONFIGURATIONS / f"{text}.yaml"
     for path in (pathlib.Path(text).expanduser(), installed):
         if path.is_file():
+            require_parameters(path)
             return str(path.resolve())
     known = ", ".join(sorted(path.stem for path in CONFIGURATIONS.glob("*.yaml")))
     raise FileNotFoundError(f"config:={text}: no such file; give a path or one of: {known}")
+
+
+def require_parameters(path: pathlib.Path) -> None:
+    """Refuse a file that holds no parameters of ROS 2 nodes.
+
+    Raises
+    ------
+    ValueError
+        It says why, and what is allowed.
+    """
+    try:
+        content = yaml.safe_load(path.read_text(encoding="utf-8"))
+        why = "" if any(values_of(content, "ros__parameters")) else "no ros__parameters in it"
+    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        why = " ".join(str(error).split())
+    if why or not all(isinstance(section, dict) for section in content.values()):
+        reason = why or "a section is no mapping"
+        raise ValueError(f"config:={path}: no ROS 2 parameter file ({reason}); give one, or the name of a shipped one")
 
 
 def farewell(name: str, running: set, dispensable: bool = False):

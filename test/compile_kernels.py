@@ -9,7 +9,7 @@
 
 """Compile what most tests run, before they begin: else each worker and the first nodes compile it for themselves.
 
-``make test`` runs this beside the lint; without it tests only take longer.
+``make test`` runs this first; without it tests only take longer.
 """
 
 from __future__ import annotations

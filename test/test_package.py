@@ -373,3 +373,22 @@ def test_a_node_imports_no_more_than_it_needs():
     code = f"import {modules}; print(*[name for name in {HEAVY} if name in sys.modules])"
     answer = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
     assert answer.stdout.split() == []
+
+
+def test_every_tool_and_library_has_a_tested_version():
+    """`make setup` on a new machine installs what was tested, whatever has been published since."""
+    pinned = dict(re.findall(r"^([a-z0-9-]+)==([^;\s]+)", text_of("constraints.txt"), re.MULTILINE))
+    arguments = setup_arguments()
+    asked = [*arguments["install_requires"], *itertools.chain(*arguments["extras_require"].values())]
+    names = {re.match(r"[\w.-]+", requirement)[0].lower().replace("_", "-").replace(".", "-") for requirement in asked}
+    assert names <= set(pinned)
+    assert "://" not in text_of("constraints.txt"), "no package index is named"
+
+
+def test_the_test_command_runs_tests_and_the_lint_is_a_command_of_its_own():
+    """A new version of a checker must not make the tests of a new user fail."""
+    makefile = text_of("Makefile")
+    rules = dict(re.findall(r"^([\w-]+):([^=\n]*(?:\n\t[^\n]*)*)", makefile, re.MULTILINE))
+    assert "lint" not in rules["test"] and "pytest" in rules["test"]
+    assert "lint" in rules["ci"] and "pytest" in rules["ci"] and "make --no-print-directory ci" in text_of(".ci/run")
+    assert not {"ruff", "mypy", "sphinx", "colcon-common-extensions"} & set(setup_arguments()["extras_require"]["test"])

@@ -29,3 +29,8 @@ def until(condition, timeout: float = PATIENCE, what: str = "", every: float = 0
         if time.monotonic() > deadline:
             raise AssertionError(f"not within {timeout:g} s: {what or condition}")
         pause.wait(every)
+
+
+def until_clock(moment: float) -> None:
+    """Wait until ``time.monotonic()`` shows ``moment`` [s]: where a length of time is itself what is tried."""
+    until(lambda: time.monotonic() >= moment, every=1e-3, what="the moment")

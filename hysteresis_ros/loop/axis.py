@@ -103,6 +103,8 @@ class Axis:
             self.source = GeneratorSource(parameters.reference_generator)
         self.controller = ControllerPart(parameters.motion_controller)
         self.compensator = CompensatorPart(parameters.hysteresis_compensator)
+        if self.plant.begins_safe or parameters.plant_simulator.time_mode == "fused":
+            self.compensator.follow_plant(self.plant.rounding, self.plant.begins_safe)
         self.sample = 0
 
     @property

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 
 from hysteresis_ros.compensation.compensator import CompensatorParameters
 from hysteresis_ros.compensation.reachable import commandable
-from hysteresis_ros.configuration import NODE_NAMES, Configuration, dump_configuration, normalised_namespace
+from hysteresis_ros.configuration import Configuration, dump_configuration, node_names, normalised_namespace
 from hysteresis_ros.control.damping.kind import FORCE
 from hysteresis_ros.errors import ConfigurationError, ParameterError, Problem
 from hysteresis_ros.loop.common_parameters import NodeParameters, part
@@ -34,13 +34,27 @@ from hysteresis_ros.loop.node_parameters import (
 from hysteresis_ros.loop.plant_parameters import PlantNodeParameters
 from hysteresis_ros.loop.watch import samples_of
 
+#: Samples per second of the wall clock up to which nodes that exchange messages answer in time nearly always (0.25 % of
+#: the voltages late, docs/real_time.md), and beyond which such a loop is refused (at 1 kHz 3 to 12 % are late).
+MESSAGE_RATE, HIGHEST_MESSAGE_RATE = 300.0, 1000.0
 #: Samples that a run may have at most: beyond this a counter in double precision skips numbers.
 COUNTABLE = 2.0**53
 
 
-def node_names(inchworm: bool) -> tuple[str, ...]:
-    """Return the names of the nodes every axis has; an inchworm's sequencer stands for the reference generator."""
-    return tuple("inchworm_sequencer" if inchworm and name == "reference_generator" else name for name in NODE_NAMES)
+def require_message_rate(sample_rate: float, where: str) -> None:
+    """Refuse a real-time loop whose samples [Hz] come faster than messages between nodes can carry them.
+
+    Raises
+    ------
+    ConfigurationError
+        The message begins with ``where`` and names the rate that would do.
+    """
+    if sample_rate > HIGHEST_MESSAGE_RATE:
+        raise ConfigurationError(
+            f"{where}: {sample_rate:g} samples/s are too many for messages between nodes, which hold "
+            f"{MESSAGE_RATE:g} Hz well and never more than {HIGHEST_MESSAGE_RATE:g} Hz; take a sample rate of "
+            f"{MESSAGE_RATE:g} Hz, or a driver (--driver), which runs in one process with the loop"
+        )
 
 
 def _inchworm_mismatches(plant, parts) -> list[Problem]:

@@ -73,6 +73,13 @@ class NodeParameters(Parameters):
         "realtime only",
     )
 
+    setpoint_reliability: str = parameter(
+        "reliable",
+        choices=("reliable", "best_effort"),
+        read_only=True,
+        description="how setpoint is subscribed: best_effort matches every publisher, and a setpoint may be lost",
+    )
+
     def check(self):
         """Yield what does not fit together."""
         yield from super().check()

@@ -83,7 +83,8 @@ _ADAPTED_HEADER = """\
 # Own parameters.
 SAFE_VOLTAGE = 0  # [V]
 SAFE_STEP = 1  # [V] a sample
-OWN_PARAMETERS = 2
+TOLERANCE = 2  # what the plant puts out may differ by so much from what was asked [V]; infinite: it is not known here
+OWN_PARAMETERS = 3
 
 # Own state.
 STOP = 0  # 1 while told to stop
@@ -101,6 +102,8 @@ def compensate(laws, part, row):
 def compensate_fixed(laws, arrays, row):
     """Answer a command by the inverse as it is.
 
+    Where the plant has put out something else than was asked, the model follows what was put out, and the next voltage
+    goes on from there: what is said of the command that is carried out stays true, and the next step is a small one.
     In a sample that was skipped the voltage stays where it is, and the model follows that.
     """
     p, x = arrays.p, arrays.x
@@ -108,6 +111,10 @@ def compensate_fixed(laws, arrays, row):
     guard_p, guard = arrays.watch_p.guard, arrays.watch_x.guard
     faults_p, faults = arrays.watch_p.faults, arrays.watch_x.faults
     command = receive(guard_p, guard, faults_p, faults, faulty.COMMAND, row[at.COMMAND], 0.0)
+    if abs(row[at.PLANT_VOLTAGE] - x.limits[limiting.OUTPUT]) > own_p[TOLERANCE]:
+        x.limits[limiting.UNQUANTISED] = row[at.PLANT_VOLTAGE]
+        compensator_hold(laws.model, p, x, row[at.PLANT_VOLTAGE])
+        own[RETURNING] = 1.0
     mode = RUNNING
     if row[at.TRIPPED] != 0.0:
         mode = TRIPPED
@@ -126,7 +133,10 @@ def compensate_fixed(laws, arrays, row):
         if own[RETURNING] != 0.0:
             own[RETURNING] = 0.0
             compensator_resume(laws.model, laws.inverse, p, x, own[COMMAND])
+        difference = x.out[compensating.BIAS]
         voltage = compensator_step(laws.model, laws.inverse, p, x, own[COMMAND])
+        # beside what the path itself asks, no faster than to safe
+        x.out[compensating.BIAS] = towards(difference, x.out[compensating.BIAS], own_p[SAFE_STEP])
     else:
         if mode not in (RUNNING, HOLDING):
             own[RETURNING] = 1.0
@@ -139,6 +149,14 @@ def compensate_fixed(laws, arrays, row):
     row[at.COMPENSATOR_MODE] = mode
     row[at.ADAPTATION] = adapting.OFF
     row[at.ADAPTED_GAIN] = 1.0
+
+
+@kernel
+def note_output(own_p, row):
+    """Let the row of a sample say what has left for the actuator where that is not what was asked."""
+    if abs(row[at.PLANT_VOLTAGE] - row[at.VOLTAGE]) > own_p[TOLERANCE]:
+        row[at.VOLTAGE] = row[at.PLANT_VOLTAGE]
+        row[at.SATURATED] = 1.0
 
 
 @nested
@@ -221,6 +239,25 @@ class CompensatorPart:
             self.adaptation = Adaptation(parameters.adaptation, self.compensator)
             self.arrays = AdaptiveArrays(*arrays, self.adaptation.settings, self.adaptation.xs)
         self._pack_own(parameters)
+        self.arrays.watch_p.own[TOLERANCE] = math.inf
+        self._begins_safe = False
+
+    def follow_plant(self, rounding: float, begins_safe: bool) -> None:
+        """Go on from what the plant puts out wherever that is not what was asked.
+
+        Only where one loop makes whole samples: between nodes nobody tells the compensator in time.
+
+        Parameters
+        ----------
+        rounding : float
+            Largest difference [V] that the plant's converter makes; infinite: the plant does not say what it puts out.
+        begins_safe : bool
+            The plant is at its safe voltage at first, and the way from there to the command is part of the run.
+        """
+        rounding += self.arrays.p.limits[limiting.STEP]
+        self.arrays.watch_p.own[TOLERANCE] = rounding + at.LEAST_DIFFERENCE
+        self._begins_safe = begins_safe
+        self.arrays.watch_x.own[RETURNING] = float(begins_safe)
 
     def _pack_own(self, parameters) -> None:
         own = self.arrays.watch_p.own
@@ -299,6 +336,7 @@ class CompensatorPart:
         stopped = watch_x.own[STOP]
         watch_x.own[:] = 0.0
         watch_x.own[STOP] = stopped
+        watch_x.own[RETURNING] = float(self._begins_safe)
 
     def retune(self, parameters: CompensatorNodeParameters) -> None:
         """Take new model parameters and limits; the voltage does not jump.

@@ -60,6 +60,8 @@ class CompiledPlant(DrivenPlant):
 
     given = (at.MEASURED, at.TRIPPED, at.FORCE)
 
+    rounding, begins_safe = 0.0, True
+
     def __init__(self, parameters: PlantNodeParameters, linked: bool = True):
         self._linked = linked
         super().__init__(parameters)
@@ -104,7 +106,10 @@ class CompiledPlant(DrivenPlant):
         what = "written" if failed not in (READING, NONSENSE) else "read"
         error = nonsense(self.parameters.driver) if failed == NONSENSE else explain(code)
         text = f"driver {self.parameters.driver}: cannot be {what}: {error}"
-        return f"{text}; and it cannot be made safe: {explain(safe_code).problem}" if safe_code else text
+        if not safe_code:
+            return text
+        left = f"the output is still at {self.arrays.voltages[0]:.6g} {self.capabilities.voltage_unit}"
+        return f"{text}; and it cannot be made safe: {explain(safe_code).problem}: {left}"
 
     def make_safe(self) -> None:
         """Bring the device to its safe state.
@@ -115,12 +120,12 @@ class CompiledPlant(DrivenPlant):
             It does not answer.
         """
         if self._linked:
+            self._device.note(float(self.arrays.voltages[0]))
             super().make_safe()
 
-    def close(self) -> None:
-        """Let go of the device."""
-        if self._linked:
-            super().close()
+    def close(self) -> str:
+        """Let go of the device; return what is wrong with it as it is left, empty when nothing is."""
+        return super().close() if self._linked else ""
 
 
 def fused_plant_of(parameters: PlantNodeParameters, linked: bool = True) -> Plant:

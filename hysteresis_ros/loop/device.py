@@ -202,23 +202,32 @@ def sense_device(laws, arrays, row):
     else:
         stop_for_homing(trip, row[at.TRIPPED] == FINDING_HOME)
     row[at.DISPLACEMENT] = math.nan
+    row[at.PLANT_VOLTAGE] = arrays.limits_x[OUTPUT]
     row[at.TRIPPED] = trip[TRIP]
 
 
 @nested
 def actuate_device(laws, arrays, row):
-    """Put out the voltage of the row, or what the watch makes of it."""
-    trip = arrays.watch_x.trip
+    """Put out the voltage of the row, or what the watch makes of it.
+
+    In a sample that was skipped nothing is written: the voltage stays, though it may be on its way to safe or back.
+    """
+    trip, hold = arrays.watch_x.trip, arrays.watch_x.hold
     failed = trip[TRIP] == DEVICE_FAILED
+    before = hold[HELD]
     held = watched_voltage(arrays.watch_p, arrays.watch_x, row)
     if failed:
         trip[TRIP] = DEVICE_FAILED
         rest_device(arrays.limits_x, arrays.watch_p, arrays.watch_x)
         row[at.PLANT_VOLTAGE] = arrays.limits_x[OUTPUT]
         return
+    if row[at.SKIPPED] != 0.0:
+        hold[HELD] = before
+        row[at.PLANT_VOLTAGE] = arrays.limits_x[OUTPUT]
+        return
     arrays.voltages[0] = amplifier_value(arrays.amplifier_p, limits(arrays.limits_p, arrays.limits_x, held))
     row[at.PLANT_VOLTAGE] = arrays.limits_x[OUTPUT]
-    if is_linked(arrays.link) and row[at.SKIPPED] == 0.0:
+    if is_linked(arrays.link):
         code = call_with(arrays.link, WRITE, arrays.voltages)
         if code != 0:
             fail_device(arrays, WRITING, code)

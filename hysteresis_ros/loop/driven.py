@@ -15,6 +15,7 @@ Besides, a device that fails stops the axis: it is made safe, and left alone unt
 
 from __future__ import annotations
 
+import contextlib
 import math
 from dataclasses import replace
 
@@ -67,6 +68,8 @@ class DrivenPlant(Plant):
     kernels = (None,) * 3
 
     _failure = ""
+    #: What was wrong when a device could not be made safe, and the voltage [V] that it has been left at.
+    _left, _left_at = "", math.nan
 
     def __init__(self, parameters: PlantNodeParameters):
         self.limits = Limits(_without_grid(parameters.limits), 1.0 / parameters.sample_rate)
@@ -89,8 +92,8 @@ class DrivenPlant(Plant):
 
     @property
     def failure(self) -> str:
-        """What is wrong with a device that has stopped the axis."""
-        return self._failure
+        """What is wrong with a device that has stopped the axis, and the voltage that it may still put out."""
+        return f"{self._failure}; and it {self._left}" if self._left else self._failure
 
     def _require(self, can: Capabilities) -> None:
         """Raise a DriverError unless the device is what the axis needs."""
@@ -177,7 +180,7 @@ class DrivenPlant(Plant):
         """
         interpreted(faulty.begin_sample)(self._watch_x.faults)
         row[at.MEASURED] = row[at.FORCE] = math.nan
-        if not self.failure:
+        if not self._failure:
             try:
                 position, *forces = self._device.read()
                 row[at.MEASURED] = self.sensor.step(position)
@@ -196,24 +199,21 @@ class DrivenPlant(Plant):
         row : sequence of float
         """
         self._put_out(watched_voltage(self._watch_p, self._watch_x, row))
-        row[at.PLANT_VOLTAGE] = float(self.limits.x[OUTPUT])
+        row[at.PLANT_VOLTAGE] = self._left_at if self._left else float(self.limits.x[OUTPUT])
 
     def _put_out(self, voltage: float) -> None:
-        if not self.failure:
+        if not self._failure:
             try:
                 self._device.write((self.amplifier.value(self.limits.step(voltage)),))
             except DriverError as error:
                 self._fail(error)
 
     def _fail(self, error: DriverError) -> None:
-        """Stop the axis: the device is made safe, as far as it still listens."""
+        """Stop the axis: the device is made safe, on a new connection if need be."""
         self._failure = str(error)
         self._watch_x.trip[TRIP] = DEVICE_FAILED
-        try:
-            self._device.make_safe()
-        except DriverError as another:
-            self._failure += f"; and it {another.problem}"
-        self._at_rest()
+        with contextlib.suppress(DriverError):  # the failure says it
+            self.make_safe()
 
     def _at_rest(self) -> None:
         """Go on from the safe voltage."""
@@ -225,18 +225,33 @@ class DrivenPlant(Plant):
 
     def start(self) -> None:
         """Let the axis go on; a device that has failed is tried again, and has lost the zero of a relative sensor."""
-        if self.failure:
+        failed = bool(self.failure)
+        if failed:
             self.sensor.begin_homing()
         super().start()
-        self._failure = ""
+        self._acknowledge()
+        if failed:
+            self._try_device()
+
+    def _acknowledge(self) -> None:
+        """Forget what was wrong: a person has seen it. What is still wrong shows at the next sample."""
+        self._failure = self._left = ""
+
+    def _try_device(self) -> None:
+        """Read and write the device once at its safe voltage: a person who starts the axis hears if it still fails."""
+        try:
+            self._device.read()
+            self._device.write((self.amplifier.value(self.limits.x[OUTPUT]),))
+        except DriverError as error:
+            self._fail(error)
 
     def reset(self) -> None:
         """Begin again where the device is: its voltage goes to the safe one, and to what comes, without a jump."""
+        self._acknowledge()
         held = self.held()
         super().reset()
         self._watch_x.hold[HELD], self._watch_x.hold[FOLLOWS] = held, 0.0
         self.limits.x[FLAGS] = self.limits.x[LIMITED_SAMPLES] = 0.0
-        self._failure = ""
 
     def home(self) -> None:
         """Take the place where the actuator stands for that of home.
@@ -287,18 +302,27 @@ class DrivenPlant(Plant):
     def step_to_safe(self) -> bool:
         """Take the voltage a sample further towards the safe one; False when it is there, or out of reach."""
         p, x, safe = self._watch_p.hold, self._watch_x.hold, self.parameters.safe_voltage
-        if self.failure or (x[HELD] == safe and self.limits.x[OUTPUT] == safe):
+        if self._failure or (x[HELD] == safe and self.limits.x[OUTPUT] == safe):
             return False
         self._put_out(hold_voltage(p, x, math.nan, 1.0, -math.inf))
         return True
 
     def refresh(self) -> None:
         """Put the voltage out again, for the device's watchdog."""
-        if not self.failure:
+        if not self._failure:
             try:
                 self._device.write((self.amplifier.value(self.limits.x[OUTPUT]),))
             except DriverError as error:
                 self._fail(error)
+
+    def held(self, input_: int = 0) -> float:
+        """Return the voltage that is put out [V], also by a device that could not be made safe.
+
+        Parameters
+        ----------
+        input_ : int
+        """
+        return self._left_at if self._left else super().held(input_)
 
     def make_safe(self) -> None:
         """Bring the device to its safe state.
@@ -306,14 +330,21 @@ class DrivenPlant(Plant):
         Raises
         ------
         DriverError
-            It does not answer.
+            It does not answer; then the error says at which voltage its output still is, and so does :attr:`failure`
+            until the device is safe, or the axis is started or reset by a person.
         """
+        left_at = self._left_at if self._left else float(self.limits.x[OUTPUT])
         self._at_rest()
-        self._device.make_safe()
+        try:
+            self._device.make_safe()
+        except DriverError as error:
+            self._left, self._left_at = error.problem, left_at
+            raise
+        self._left = ""
 
-    def close(self) -> None:
-        """Let go of the device."""
-        self._device.close()
+    def close(self) -> str:
+        """Let go of the device; return what is wrong with it as it is left, empty when nothing is."""
+        return self._device.close()
 
 
 def _without_grid(limits: LimitsParameters) -> LimitsParameters:

@@ -111,8 +111,8 @@ LIMIT, FORGIVEN, LOWEST, HIGHEST, STIFFNESS = range(5)
 TRIP_PARAMETERS = 5
 
 # Why the plant has tripped: too many late voltages; a measurement beyond where it may be; somebody said so; a device
-# that failed, which nothing but a start makes up for.
-NOT_TRIPPED, WITHOUT_VOLTAGE, BEYOND_TRAVEL, HALTED, DEVICE_FAILED = range(5)
+# that failed, which nothing but a start makes up for; a node of the axis that is lost.
+NOT_TRIPPED, WITHOUT_VOLTAGE, BEYOND_TRAVEL, HALTED, DEVICE_FAILED, PARTNER_LOST = range(6)
 # A relative sensor is being homed: over by itself, and below all others, which take its place.
 FINDING_HOME = -1
 
@@ -179,6 +179,7 @@ def sense_actuator(laws, arrays, row):
     row[at.MEASURED] = actuator_measure(arrays.p, arrays.x)
     row[at.FORCE] = told_force(arrays.watch_p, arrays.watch_x, actuator_force(arrays.p, arrays.x))
     row[at.DISPLACEMENT] = arrays.x.sensor[acting.DISPLACEMENT]
+    row[at.PLANT_VOLTAGE] = arrays.x.limits[limiting.OUTPUT]
     row[at.TRIPPED] = arrays.watch_x.trip[TRIP]
 
 
@@ -336,11 +337,20 @@ class Plant:
     #: What is wrong with a device that has stopped the axis, and with the last reading of its sensor.
     failure = complaint = ""
 
+    #: The node whose loss has stopped the axis.
+    lost = ""
+
     #: Whether the axis stands still because its sensor is homed.
     finding_home = False
 
     #: Whether a force in the stack is measured besides the displacement.
     measures_force = False
+
+    #: Rounding [V] of what it puts out, which it says before each sample; infinite: it does not say.
+    rounding = math.inf
+
+    #: Whether the way from its safe voltage to what comes begins with the first sample.
+    begins_safe = False
 
     #: Whether machine code makes its samples.
     is_compiled = True
@@ -397,7 +407,14 @@ class Plant:
     def start(self) -> None:
         """Let the axis go on after the plant has tripped."""
         self._watch_x.trip[TRIP] = 0.0
+        self.lost = ""
         self.forgive()
+
+    def lose(self, name: str) -> None:
+        """Stop the axis because a node of it is lost, until it is started again; another reason stays beside it."""
+        self.lost = name
+        if self._watch_x.trip[TRIP] in (NOT_TRIPPED, WITHOUT_VOLTAGE):
+            self._watch_x.trip[TRIP] = PARTNER_LOST
 
     def halt(self) -> None:
         """Stop the axis at once, until it is started again."""
@@ -411,6 +428,7 @@ class Plant:
         """Begin again at rest."""
         x = self._watch_x
         x.trip[:] = 0.0
+        self.lost = ""
         x.faults[:] = faulty.fault_state(self._watch_p.faults)
         for hold, voltage in zip(x[2:], self.resting_voltages, strict=True):
             hold[:] = hold_state(voltage)
@@ -446,5 +464,6 @@ class Plant:
     def make_safe(self) -> None:
         """Bring a device to its safe state."""
 
-    def close(self) -> None:
-        """Let go of a device."""
+    def close(self) -> str:
+        """Let go of a device; return what is wrong with it as it is left, empty when nothing is."""
+        return ""

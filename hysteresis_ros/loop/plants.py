@@ -15,6 +15,7 @@ from hysteresis_ros.loop.common_parameters import part
 from hysteresis_ros.loop.plant import STIFFNESS, ActuatorPlantArrays, MotorPlantArrays, Plant
 from hysteresis_ros.loop.plant_parameters import PlantNodeParameters
 from hysteresis_ros.models import clamp as clamping
+from hysteresis_ros.models import limits as limiting
 from hysteresis_ros.models.actuator import (
     Actuator,
     ActuatorParameters,
@@ -48,6 +49,11 @@ class ActuatorPlant(Plant):
     def measures_force(self) -> bool:
         """Whether there is a force sensor."""
         return self.parameters.force_sensor.there
+
+    @property
+    def rounding(self) -> float:
+        """Rounding [V] of the voltage that is put out."""
+        return float(self.arrays.p.limits[limiting.STEP])
 
     @property
     def resting_voltages(self) -> tuple[float, float, float]:

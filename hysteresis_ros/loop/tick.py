@@ -23,7 +23,7 @@ from typing import NamedTuple
 
 from hysteresis_ros import signals as at
 from hysteresis_ros.block import kernels_of
-from hysteresis_ros.loop.compensator import CompensationArrays, compensate
+from hysteresis_ros.loop.compensator import CompensationArrays, compensate, note_output
 from hysteresis_ros.loop.control_sample import ControllerArrays, carried_out, control
 from hysteresis_ros.loop.plant import ActuatorPlantArrays, MotorPlantArrays, actuate, sense
 from hysteresis_ros.loop.source import GeneratorSourceArrays, SequencerSourceArrays, refer
@@ -88,6 +88,7 @@ def ticks(laws, parts, given, columns, row, what):
             control(laws, parts.controller, row)
             compensate(laws, parts.compensator, row)
             actuate(laws, parts.plant, row)
+            note_output(parts.compensator.watch_p.own, row)
         if what in (WHOLE, CONFIRM):
             carried_out(parts.controller, row[at.APPLIED])
         for i in range(row.shape[0]):

@@ -20,13 +20,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hysteresis_ros import signals
 from hysteresis_ros.block import called, kernel
 from hysteresis_ros.loop import faults as faulty
 
-#: Modes of a part: as it should be; no usable input in this sample, the last output stays; none for too long, the
-#: output goes to its safe value; told to stop, likewise; the plant has stopped the axis, likewise; nobody carries
-#: commands out, they follow the displacement.
-RUNNING, HOLDING, STALE, STOPPED, TRIPPED, FOLLOWING = range(6)
+#: Modes of a part, see :mod:`hysteresis_ros.signals`.
+RUNNING, HOLDING, STALE = signals.MODE_RUNNING, signals.MODE_HOLDING, signals.MODE_STALE
+STOPPED, TRIPPED, FOLLOWING = signals.MODE_STOPPED, signals.MODE_TRIPPED, signals.MODE_FOLLOWING
 MODE_NAMES = ("running", "holding", "stale", "stopped", "tripped", "following")
 
 
@@ -181,10 +181,14 @@ def hold_voltage(p, x, voltage, stopped, least):
     """Return the voltage [V] to put out for a sample, given the one that came in time (NaN: none).
 
     It is the last one that came. After the time-out, and while ``stopped`` is not 0, it goes to the safe voltage by at
-    most a step a sample, and back to what comes in the same way. While what is wanted is below ``least``, it goes there
-    instead.
+    most a step a sample. On the way back its difference to what comes shrinks by at least a step a sample: beside the
+    step it may move as far as what comes has moved, so the way back ends however fast that is. While what is wanted is
+    below ``least``, it goes there instead.
     """
+    step = p[SAFE_STEP]
     if voltage - voltage == 0.0:
+        if x[HELD_BEGUN] != 0.0 and x[HELD_AGE] < p[HOLD_TIMEOUT]:
+            step += abs(voltage - x[GIVEN])
         x[GIVEN] = voltage
         x[HELD_AGE] = 0.0
         x[HELD_BEGUN] = 1.0
@@ -194,15 +198,17 @@ def hold_voltage(p, x, voltage, stopped, least):
     silent = stopped != 0.0 or x[HELD_AGE] >= p[HOLD_TIMEOUT]
     if silent:
         x[FOLLOWS] = 0.0
+        step = p[SAFE_STEP]
         target = max(p[SAFE], x[HELD]) if p[KEEP] != 0.0 else p[SAFE]
     if target < least:
+        step = p[SAFE_STEP]
         x[FOLLOWS] = 0.0
         target = least
     if x[FOLLOWS] != 0.0:
         x[HELD] = target
         return target
-    x[HELD] = towards(x[HELD], target, p[SAFE_STEP])
-    if not silent and x[HELD] == x[GIVEN]:
+    x[HELD] = towards(x[HELD], target, step)
+    if not silent and x[HELD_BEGUN] != 0.0 and x[HELD] == x[GIVEN]:
         x[FOLLOWS] = 1.0
     return x[HELD]
 

@@ -103,7 +103,7 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
         self._reported: dict[str, int] = {}
         self.active_since = 0.0
         self.compatibility = Compatibility(self)
-        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", diagnostics_qos())
+        self._diagnostics = self.create_publisher(DiagnosticArray, "/diagnostics", diagnostics_qos(keeps=True))
         self.create_timer(1.0, self.tell_health, clock=self.steady)
         for service in self.triggers:
             self.create_service(Trigger, f"~/{service}", answered(getattr(self, f"_on_{service}")))
@@ -169,6 +169,10 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
 
     def on_running(self, running: bool) -> None:
         """``~/start`` (True) or ``~/stop`` (False) was called."""
+
+    def hindrance(self) -> str:
+        """Say why this node does not work though nobody has stopped it; empty when it does."""
+        return "" if self.active else "inactive: activate it first"
 
     def missing_partner(self) -> str:
         """Name who has not delivered what the present sample needs; empty when nobody is awaited."""
@@ -316,12 +320,17 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
             self.running = running
             self.pace.restart()
             self.on_running(running)
-        return self._answer_service(response, "running" if running else "stopped")
+        response = self._answer_service(response, "running" if running else "stopped")
+        hindrance = self.hindrance() if running and response.success else ""
+        if hindrance:
+            response.success, response.message = False, f"not running: {hindrance}"
+        return response
 
     def _on_reset(self, request, response):
         if self.parameters is not None:
             self.runner.require_rest()
             self.failure, self.exit_code = "", 0
+            self.masters.release()
             self.pace.restart()
             self.runner.clear()
             if self.runner.by_message:

@@ -17,14 +17,26 @@ import tempfile
 
 from hysteresis_ros.block import COMPILED
 from hysteresis_ros.commissioning.bench import Bench
-from hysteresis_ros.loop.axis_parameters import AxisParameters
+from hysteresis_ros.loop.axis_parameters import MESSAGE_RATE, AxisParameters, require_message_rate
 from hysteresis_ros.nodes.domain import Domain
 from hysteresis_ros.nodes.launcher import Graph, require_ros
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.files import load_run
 
-#: Samples per second of the wall clock up to which nodes that exchange messages answer in time nearly always.
-MESSAGE_RATE = 300.0
+
+def require_carried(axis: AxisParameters) -> None:
+    """Refuse an axis with a plant of the user's own whose samples come faster than messages can carry them.
+
+    Raises
+    ------
+    ConfigurationError
+        With the rate that would do.
+    """
+    plant = axis.plant_simulator
+    if plant.external_plant and plant.time_mode == "realtime":
+        require_message_rate(
+            plant.sample_rate * plant.real_time_factor, f"{axis.namespace}/plant_simulator: external_plant"
+        )
 
 
 def in_time(axis: AxisParameters) -> AxisParameters:
@@ -78,7 +90,10 @@ class GraphBench(Bench):
             A node died or refused to start, such as one whose device is not there.
         RecordingError
             Nothing was recorded.
+        ConfigurationError
+            Its samples come faster than messages can carry them.
         """
+        require_carried(axis)
         with contextlib.ExitStack() as stack:
             folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="hysteresis_"))
             options = {"composed": True, "record": pathlib.Path(folder) / "bag"}

@@ -16,23 +16,23 @@ from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 
 from hysteresis_ros.nodes.discovery import named
 
-#: Topics whose reliability a parameter chooses.
-MEASUREMENTS = ("joint_states",)
+#: Topics whose reliability a parameter chooses, and that parameter.
+CHOSEN = {"joint_states": "measurement_reliability", "setpoint": "setpoint_reliability"}
 
 
-def unheard(offered, asked, by_parameter: bool) -> str:
+def unheard(offered, asked, chosen_by: str) -> str:
     """Say why a subscription hears nothing of a publisher, and what to do; empty when it does.
 
     Parameters
     ----------
     offered, asked : QoSProfile
         Of the publisher and of the subscription.
-    by_parameter : bool
-        Whether the subscription is one whose reliability the parameter ``measurement_reliability`` chooses.
+    chosen_by : str
+        Parameter that chooses the reliability of the subscription; empty where none does.
     """
     best_effort, reliable = ReliabilityPolicy.BEST_EFFORT, ReliabilityPolicy.RELIABLE
     if offered.reliability == best_effort and asked.reliability == reliable:
-        choice = "set measurement_reliability: best_effort here, or " if by_parameter else ""
+        choice = f"set {chosen_by}: best_effort here, or " if chosen_by else ""
         return f"offers best effort, reliable is asked for: {choice}let the publisher be reliable"
     latched, volatile = DurabilityPolicy.TRANSIENT_LOCAL, DurabilityPolicy.VOLATILE
     if offered.durability == volatile and asked.durability == latched:
@@ -50,19 +50,19 @@ class Compatibility:
 
     def __init__(self, node):
         self._node = node
-        self._suspected: dict[str, bool] = {}
+        self._suspected: dict[str, str] = {}
 
     def of_subscription(self, topic: str) -> SubscriptionEventCallbacks:
         """Return what hears of publishers that do not fit a subscription."""
-        by_parameter = topic in MEASUREMENTS
-        return SubscriptionEventCallbacks(incompatible_qos=lambda event: self._suspect(topic, by_parameter))
+        chosen_by = CHOSEN.get(topic, "")
+        return SubscriptionEventCallbacks(incompatible_qos=lambda event: self._suspect(topic, chosen_by))
 
     def of_publisher(self, topic: str) -> PublisherEventCallbacks:
         """Return what hears of subscriptions that do not fit a publisher."""
-        return PublisherEventCallbacks(incompatible_qos=lambda event: self._suspect(topic, False))
+        return PublisherEventCallbacks(incompatible_qos=lambda event: self._suspect(topic, ""))
 
-    def _suspect(self, topic: str, by_parameter: bool) -> None:
-        self._suspected[topic] = by_parameter
+    def _suspect(self, topic: str, chosen_by: str) -> None:
+        self._suspected[topic] = chosen_by
         self.complaint()
 
     def complaint(self) -> str:
@@ -74,13 +74,13 @@ class Compatibility:
 
     def _look(self, topic: str) -> list[str]:
         """Return what does not fit on a topic; one on which everybody has found each other is forgotten."""
-        node, by_parameter = self._node, self._suspected[topic]
+        node, chosen_by = self._node, self._suspected[topic]
         full, own = node.resolve_topic_name(topic), node.get_fully_qualified_name()
         found = set()
         subscriptions = node.get_subscriptions_info_by_topic(full)
         for publisher in node.get_publishers_info_by_topic(full):
             for subscription in subscriptions:
-                reason = unheard(publisher.qos_profile, subscription.qos_profile, by_parameter)
+                reason = unheard(publisher.qos_profile, subscription.qos_profile, chosen_by)
                 talks, hears = named(publisher), named(subscription)
                 if reason and hears == own:
                     found.add(f"{full}: nothing is heard from {talks}, which {reason}")

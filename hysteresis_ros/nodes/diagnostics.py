@@ -15,6 +15,8 @@ import time
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 
+from hysteresis_ros.nodes.timing import OVERRUN
+
 #: Levels: as it should be; somebody ought to look at it; the axis does not do what is asked; nobody says anything.
 OK, WARN, ERROR, STALE = range(4)
 
@@ -62,15 +64,17 @@ def _at_work(node) -> tuple[int, str, dict]:
     """Return level, words and numbers of a node that is active."""
     rate, jitter = node.pace.read()
     level, text, values = node.health()
-    overruns = node.since_report("overruns", node.pace.overruns)
+    # late samples are counted once, by the plant; other nodes say what of their input came late
+    counted = node.kind == "plant_simulator" or node.is_fused
+    late = 0 if counted else node.since_report("late_inputs", node.pace.overruns)
     if node.failure:
         level, text = ERROR, node.failure
     elif not node.running:
         level, text = max(level, WARN), text or "stopped"
     elif level == ERROR and not node.sample and time.monotonic() - node.active_since < START_UP:
         level = WARN  # the others are only coming
-    elif overruns and not level:
-        level, text = WARN, f"{overruns} periods overrun"
+    elif late and not level:
+        level, text = WARN, f"{late} late inputs: more than {OVERRUN:g} periods after the one before"
     contested = "" if node.runner.exact else node.masters.complaint()  # in lockstep that ends the run
     if contested:
         node.warn("others", contested, every=10.0, error=True)
@@ -79,7 +83,7 @@ def _at_work(node) -> tuple[int, str, dict]:
     if unconnected:
         level, text = max(level, WARN), f"{text}; {unconnected}" if text else unconnected
     table = {"rate_hz": f"{rate:.3f}", "jitter_p99_s": f"{jitter:.6f}", "samples": node.pace.total}
-    return level, text, table | {"overruns": node.pace.overruns} | values
+    return level, text, table | ({} if counted else {"late_inputs": node.pace.overruns}) | values
 
 
 def introduction(node) -> str:

@@ -22,7 +22,7 @@ import time
 from std_msgs.msg import Float64, UInt64
 
 from hysteresis_ros.nodes.qos import latched_qos
-from hysteresis_ros.nodes.timing import Pairing
+from hysteresis_ros.nodes.timing import WINDOW, Pairing
 
 #: How long a run of given length waits for its beginning [s], and how often it is said what for [s].
 PATIENCE, EVERY = 30.0, 5.0
@@ -50,6 +50,7 @@ class ExternalRun:
         self._node = node
         self._begun = self._recorded = self._answered = False
         self._stamps: list[int] = []
+        self._noted = False
         self._further = self._settled = 0
         self._end = node.publisher(UInt64, "end_of_run", latched_qos())
         topics = ("command", "applied", "voltage", "joint_states")
@@ -116,14 +117,19 @@ class ExternalRun:
 
     def _note(self, stamp) -> None:
         """Look once at what rate measurements come."""
-        if len(self._stamps) >= STAMPS:
+        if self._noted:
             return
         self._stamps.append(stamp.sec * 1_000_000_000 + stamp.nanosec)
-        if len(self._stamps) < STAMPS:
+        span = 1e-9 * (self._stamps[-1] - self._stamps[0])
+        if len(self._stamps) < STAMPS or span < WINDOW:
             return
+        self._noted = True
         steps = sorted(later - earlier for earlier, later in zip(self._stamps[:-1], self._stamps[1:], strict=True))
-        wanted, rate = self._node.parameters.sample_rate, 1e9 / max(steps[STAMPS // 2], 1)
-        if abs(rate - wanted) > TOLERANCE * wanted:
+        wanted, rate = self._node.parameters.sample_rate, len(steps) / span
+        # a burst deceives the usual step and a gap the count, a wrong rate is wrong in both
+        usual = 1e9 / max(steps[len(steps) // 2], 1)
+        self._stamps.clear()
+        if min(abs(rate - wanted), abs(usual - wanted)) > TOLERANCE * wanted:
             text = f"joint_states come at {rate:.6g} Hz, sample_rate is {wanted:g} Hz: models and controllers are made "
             self._node.warn("rate", f"{text}for that; give both the same", error=True, every=0.0)
 

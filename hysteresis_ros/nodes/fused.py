@@ -20,9 +20,10 @@ import sys
 import time
 
 from hysteresis_ros import signals
+from hysteresis_ros.configuration import node_names
 from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.loop.axis import Axis, Change
-from hysteresis_ros.loop.axis_parameters import AxisParameters, node_names
+from hysteresis_ros.loop.axis_parameters import AxisParameters
 from hysteresis_ros.loop.fused import BLOCKED, FusedLoop
 from hysteresis_ros.loop.node_parameters import RecorderNodeParameters
 from hysteresis_ros.loop.trial import require_speed
@@ -181,6 +182,13 @@ class FusedAxis:
             sample, row = loop.latest()
             if sample >= 0 and row[signals.TRIPPED] and abs(row[signals.PLANT_VOLTAGE] - safe) < 1e-2:
                 return
+            time.sleep(1e-3)
+
+    def await_samples(self, count: int) -> None:
+        """Wait until the loop has made so many more samples, while it makes any."""
+        loop = self.loop
+        first, patience = loop.sample, time.monotonic() + RETURN
+        while loop.running and not loop.is_blocked and loop.sample < first + count and time.monotonic() < patience:
             time.sleep(1e-3)
 
     def reset(self, node) -> None:
@@ -381,6 +389,12 @@ class Fused(RealTime):
         if self.node.leaving:
             self.fused.end()
 
+    @property
+    def late_samples(self) -> int:
+        """Samples so far that were skipped."""
+        loop = self.fused.loop
+        return loop.missed if loop is not None else 0
+
     def timeliness(self) -> dict:
         """Return how late samples began so far, and what they cost."""
         loop = self.fused.loop
@@ -389,7 +403,7 @@ class Fused(RealTime):
         found = loop.lateness()
         late = {"p50": found.p50, "p99": found.p99, "p99_9": found.p999, "max": found.max}
         values = {f"lateness_{name}_us": f"{1e6 * value:.3g}" for name, value in late.items()}
-        return {**values, "skipped_samples": found.missed, "cost_us": f"{1e6 * found.cost:.3g}"}
+        return {**values, "cost_us": f"{1e6 * found.cost:.3g}"}
 
     def restart(self) -> None:
         """The loop begins anew with all nodes."""

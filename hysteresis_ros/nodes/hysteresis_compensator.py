@@ -22,7 +22,8 @@ from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.loop.compensator import CompensatorPart, adapted_text, compensate
 from hysteresis_ros.loop.tick import Laws
 from hysteresis_ros.loop.watch import MODE_NAMES, RUNNING, STALE, TRIPPED
-from hysteresis_ros.nodes.responder import TRIPPED_FRAME, Input, Responder
+from hysteresis_ros.nodes.limited_time import AMPLIFIER, LimitedTime
+from hysteresis_ros.nodes.responder import Input, Responder
 from hysteresis_ros.nodes.spin import run
 
 #: Seconds that the way to the safe voltage may take when the node leaves; what is left then is one step.
@@ -59,6 +60,7 @@ class HysteresisCompensatorNode(Responder):
         self._laws = Laws(**laws)
         self.refused = 0
         self._mode = RUNNING
+        self._limited = LimitedTime()
         self.compile()
 
     def step(self) -> None:
@@ -105,7 +107,7 @@ class HysteresisCompensatorNode(Responder):
         """Of the measurement only whether the axis is stopped matters, unless the inverse adapts to it."""
         if self.part.adaptation is not None:
             return super().read(message, row)
-        row[signals.TRIPPED] = 1.0 if message.header.frame_id == TRIPPED_FRAME else 0.0
+        self.read_trip(message, row)
         return True
 
     def refuse_value(self, input_: Input, data: float) -> None:
@@ -130,7 +132,7 @@ class HysteresisCompensatorNode(Responder):
         if mode == STALE:
             limit, safe = self.parameters.command_timeout, self.parameters.safe_voltage
             self.warn("silent", f"no command for {limit:g} s: going to safe_voltage {safe:g} V")
-        elif mode == TRIPPED:
+        elif mode == TRIPPED and not self.runner.latched:
             self.warn("tripped", "the plant has stopped the axis: going to safe_voltage", error=True)
         elif mode == RUNNING and before == STALE:
             self.get_logger().info("command is back")
@@ -213,14 +215,18 @@ class HysteresisCompensatorNode(Responder):
             adapted = f"adaptation {names[state]}" if state > adapting.ADAPTING else ""
             values |= {"adaptation": names[state], "adapted_gain": f"{gain:.5g}"}
         refused = self.since_report("refused", self.refused)
+        counts = {AMPLIFIER: self.compensator.limits.limited_samples}
+        limited = self._limited.report(counts, self.parameters.sample_rate)
         if not self.sample and not self.runner.exact:
             return 2, "no command has come yet", values
-        if self.silent:
-            return 2, "command is stale", values
+        if self.silent or self.runner.latched:
+            return 2, f"command is stale{': ' * bool(self.loss)}{self.loss}", values
         if self._mode == TRIPPED:
             return 2, "the plant has stopped the axis", values
         if refused:
             return 1, f"{refused} commands refused", values
+        if limited:
+            return 1, limited, values
         return (1, "voltage saturated", values) if self.compensator.saturated else (0, adapted, values)
 
 

@@ -130,12 +130,11 @@ class InchwormSequencerNode(ReferenceSource):
 
     # -- what people ask for -----------------------------------------------------------------------------------
 
-    def take_setpoint(self, value: float) -> None:
-        """Take a setpoint [m], or refuse it and say why."""
+    def take_setpoint(self, value: float) -> str:
+        """Take a setpoint [m]; return why it is refused, empty when it is taken."""
         reason = self.sequencer.refuse(value)
         if reason:
-            self.refuse("setpoint", f"{reason}; {self.setpoint:.6g} m is kept")
-            return
+            return reason
         x = self.sequencer.x
         if value == x[at.RECEIVED] and (x[at.SPEED] or x[at.WALKED] or value != x[at.TARGET]):
             # the sequencer takes setpoints that differ from the last one: by as little as there is
@@ -147,6 +146,7 @@ class InchwormSequencerNode(ReferenceSource):
             self.fused.loop.set(setpoint=value, speed=0.0)
         else:
             x[at.SPEED] = 0.0
+        return ""
 
     def _on_speed(self, message) -> None:
         reason = self.sequencer.parameters.refuse_speed(message.data)

@@ -23,11 +23,15 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import TYPE_CHECKING
 
+from hysteresis_ros.configuration import node_names
 from hysteresis_ros.errors import ConfigurationError, HysteresisError
-from hysteresis_ros.loop.axis_parameters import AxisParameters, node_names
 from hysteresis_ros.nodes.parent import die_with_parent
 from hysteresis_ros.nodes.security.policy import enclave_of
+
+if TYPE_CHECKING:
+    from hysteresis_ros.loop.axis_parameters import AxisParameters
 
 #: Order in which nodes are told to leave: the voltage returns to safe while the plant still listens, the recorder last.
 STOP_ORDER = (
@@ -140,6 +144,8 @@ class Graph:
         self._warn = warn
         self._stack = contextlib.ExitStack()
         self._first_left = 0.0
+        #: What does the commands of this user beside an axis that a person steers.
+        self._session: subprocess.Popen | None = None
 
     def _with_recorder(self, axis: AxisParameters, several: bool) -> AxisParameters:
         if self.record is None:
@@ -186,6 +192,11 @@ class Graph:
             for name in names:
                 own = more if name == "hysteresis_axis" else []
                 self.processes.append(self._spawn(name, axis.namespace, path, own))
+        steered = any(axis.plant_simulator.time_mode != "lockstep" for axis in self.axes)
+        # in a secured domain every command is admitted as itself
+        if steered and os.environ.get("ROS_SECURITY_ENABLE", "").lower() != "true":
+            words = [sys.executable, "-m", "hysteresis_ros.nodes.remote.session"]
+            self._session = started(words, self.environment, stderr=subprocess.DEVNULL)
 
     def _spawn(self, name: str, namespace: str, path: pathlib.Path, more: list[str]) -> NodeProcess:
         command = node_command(name, namespace, path, *more, log_level=self.log_level)
@@ -249,6 +260,10 @@ class Graph:
 
         In order in real time. All at once in lockstep: without one node the others would call the run broken.
         """
+        if self._session is not None:
+            self._session.kill()  # it holds nothing
+            self._session.wait()
+            self._session = None
         lockstep = all(axis.plant_simulator.time_mode == "lockstep" for axis in self.axes)
         for names in [STOP_ORDER] if lockstep else [[name] for name in STOP_ORDER]:
             group = [node for node in self.processes if node.name in names and node.process.poll() is None]

@@ -13,13 +13,19 @@ from __future__ import annotations
 
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
 
+from hysteresis_ros.nodes.services import GuardedServices
 
-class GuardedLifecycleNode(LifecycleNode):
+
+class GuardedLifecycleNode(GuardedServices, LifecycleNode):
     """A lifecycle node that refuses a transition its state does not have.
 
     rclpy up to 7.1.6 answers ``change_state`` with such an ``id`` by an exception in the executor, which ends the
     process with its outputs where they are (ros2/rclpy, issue 1209).
     """
+
+    def __init__(self, name: str, **options):
+        super().__init__(name, **options)
+        self.guard_services()
 
     # The service calls the method by this name, Python's for a private one of the class that rclpy declares it in.
     def _LifecycleNodeMixin__on_change_state(self, request, response):

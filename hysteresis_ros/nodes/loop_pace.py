@@ -13,6 +13,8 @@ from __future__ import annotations
 
 import time
 
+from hysteresis_ros.nodes.timing import CountedRate
+
 
 class LoopPace:
     """Rate, jitter and misses of the loop, in the words of :class:`hysteresis_ros.nodes.timing.Pace`.
@@ -25,7 +27,7 @@ class LoopPace:
     def __init__(self, fused):
         self._fused = fused
         self._last = 0.0
-        self._read = (0, 0.0)
+        self._rate = CountedRate()
 
     @property
     def total(self) -> int:
@@ -50,11 +52,11 @@ class LoopPace:
 
     def restart(self) -> None:
         """Forget the last samples, so that a pause is not taken for a rate."""
-        self._read = (self.total, time.monotonic())
+        self._rate.restart()
+        self._rate.begin(time.monotonic(), self.total)
 
     def read(self) -> tuple[float, float]:
-        """Return the rate since the last reading [Hz] and the lateness that 99 % of all samples do not exceed [s]."""
-        (before, then), self._read = self._read, (self.total, time.monotonic())
-        rate = (self._read[0] - before) / max(self._read[1] - then, 1e-9) if then else 0.0
+        """Return the rate of the last second [Hz] and the lateness that 99 % of all samples do not exceed [s]."""
+        rate = self._rate.read(time.monotonic(), self.total)
         loop = self._fused.loop
-        return max(rate, 0.0), loop.lateness().p99 if loop is not None else 0.0
+        return rate, loop.lateness().p99 if loop is not None else 0.0

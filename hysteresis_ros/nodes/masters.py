@@ -7,12 +7,13 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""One axis, one master: each input of a node is fed by one publisher, and by another one when that is silent or gone.
+"""One axis, one master: each input of a node is fed by one publisher, and by another one when a person says so.
 
-A node takes what comes on an input from whoever sent the first message, known by its identity, until nothing has come
-from there for as long as the node waits for the input before it goes safe, or until its publisher, which was in the
-graph, has left it: a partner that is configured anew is taken at once. What somebody else sends meanwhile moves
-nothing, and diagnostics name both.
+A node takes what comes on an input from the publisher that sent the first message, known by its identity. Silence
+gives nobody else the input: when nothing has come from the active publisher for as long as the node waits for the input
+before it goes safe, or when it has left the graph, only a publisher of a node with the same full name follows it: the
+same node, restarted or configured anew. Any other one needs a person's word first: ``~/reset`` of the node that
+listens, or configuring it anew. What a competing publisher sends meanwhile moves nothing, and diagnostics name both.
 """
 
 from __future__ import annotations
@@ -43,6 +44,12 @@ TELL = 10.0
 #: messages.
 GRAPH_LOOK = 0.02
 
+#: Competing publishers whose last looks are kept.
+MOST_RIVALS = 64
+
+#: Seconds between two looks for the name of an active publisher that is not known yet.
+FIND = 0.2
+
 #: What to do about two masters.
 REMEDY = "stop one of them, or give it another namespace or ROS_DOMAIN_ID"
 
@@ -63,9 +70,14 @@ class Master:
     def __init__(self, masters: Masters, topic: str, callback):
         self._masters, self.topic, self._callback = masters, topic, callback
         self.identity: bytes | None = None
+        #: Full name of the node of the active publisher, once the graph has said it.
+        self.name = ""
+        #: Whether a person has allowed that another node feeds the input once this one is silent or has left.
+        self.released = False
         self._rival = b""
         self._was_there = False
-        self.heard = self._told = self._looked = -math.inf
+        self.heard = self._told = -math.inf
+        self._looked: dict[bytes, float] = {}
         self.refused = 0
 
     def take(self, message, identity: bytes) -> None:
@@ -85,16 +97,17 @@ class Master:
                 return
             if not self._admits(identity):
                 return
-        self.heard = time.monotonic()
+        self.heard, self.released = time.monotonic(), False
         self._callback(message)
 
     def _admits(self, identity: bytes) -> bool:
         masters, now = self._masters, time.monotonic()
-        free = self.identity in (None, identity) or masters.is_over(self.heard, now) or self._has_left(now)
+        free = self.identity in (None, identity) or self._follows(identity, now)
         if free and (identity or masters.count(self.topic) < 2):
             if self.identity not in (None, identity):
                 masters.tell_of_change(self, identity)
-            self.identity, self._was_there = identity, False
+            if self.identity != identity:
+                self.identity, self._was_there, self.name = identity, False, ""
             self.find()
             return True
         self.refused += 1
@@ -105,16 +118,30 @@ class Master:
         return False
 
     def find(self) -> None:
-        """Note that the publisher which is followed is in the graph: only then can it be seen to leave."""
-        if self.identity and not self._was_there:
-            self._was_there = self._masters.is_there(self.topic, self.identity)
+        """Note that the active publisher is in the graph, and its name: only then can it leave, or be followed."""
+        if not self.identity or (self._was_there and self.name):
+            return
+        masters = self._masters
+        self._was_there = self._was_there or masters.is_there(self.topic, self.identity)
+        self.name = self.name or masters.full_name(self.topic, self.identity)
 
-    def _has_left(self, now: float) -> bool:
-        """Tell whether the publisher that was followed has left the graph in order; one that was killed stays in it."""
-        if not self._was_there or now - self._looked < GRAPH_LOOK:
+    def _follows(self, identity: bytes, now: float) -> bool:
+        """Tell whether another publisher takes the place of the active one, which is silent or has left the graph.
+
+        Only the same node, by its full name, does so by itself, and any other one after a person has allowed it.
+        """
+        masters = self._masters
+        if now - self._looked.get(identity, -math.inf) < GRAPH_LOOK:
             return False
-        self._looked = now
-        return not self._masters.is_there(self.topic, self.identity)
+        over = masters.is_over(self.heard, now)
+        if not over and not self._was_there:
+            return False
+        if len(self._looked) > MOST_RIVALS:
+            self._looked.clear()
+        self._looked[identity] = now  # for each: a flood of one must not keep another one from being looked at
+        if not over and masters.is_there(self.topic, self.identity):
+            return False
+        return self.released or bool(self.name and masters.full_name(self.topic, identity) == self.name)
 
     @property
     def refusal(self) -> str:
@@ -137,11 +164,11 @@ class Masters:
         self._inputs: list[Master] = []
         self._subscriptions: dict[tuple, IdentifiedSubscription] = {}
         self._names: dict[bytes, str] = {}
-        self._since = self._looked = time.monotonic()
+        self._since = self._looked = self._found = time.monotonic()
 
     @property
     def patience(self) -> float:
-        """Seconds of silence after which somebody else may feed an input."""
+        """Seconds of silence after which another publisher may be taken, if it may be taken at all."""
         found = self._node.patience
         return found if math.isfinite(found) else PATIENCE
 
@@ -162,6 +189,22 @@ class Masters:
         self._subscriptions[key] = made
         return made
 
+    def release(self) -> None:
+        """Let any publisher take an input whose active one is silent or has left: a person has said so."""
+        for master in self._inputs:
+            master.released = True
+
+    def publisher_of(self, topic: str) -> str:
+        """Return the full name of the node that feeds an input; empty while it is not known.
+
+        Parameters
+        ----------
+        topic : str
+            As the node names it.
+        """
+        full = self._node.resolve_topic_name(topic)
+        return next((master.name for master in self._inputs if master.topic == full), "")
+
     def clear(self) -> None:
         """Take nothing any more."""
         for subscription in self._subscriptions.values():
@@ -180,6 +223,10 @@ class Masters:
         if now - self._looked > max(LATE * LOOK, 0.5 * self.patience):
             self._since = now
         self._looked = now
+        if now - self._found > FIND:
+            self._found = now
+            for master in self._inputs:
+                master.find()
 
     def is_over(self, heard: float, now: float) -> bool:
         """Tell whether who was last heard then has been silent for too long.
@@ -207,6 +254,12 @@ class Masters:
         found = self._node.get_publishers_info_by_topic(topic)
         return any(bytes(endpoint.endpoint_gid) == identity for endpoint in found)
 
+    def full_name(self, topic: str, identity: bytes) -> str:
+        """Return the full name of the node of a publisher, empty while the graph does not say it."""
+        found = self._node.get_publishers_info_by_topic(topic)
+        names = {named(endpoint) for endpoint in found if bytes(endpoint.endpoint_gid) == identity}
+        return next((name for name in names if is_name(name)), "")
+
     def name_of(self, topic: str, identity: bytes) -> str:
         """Return the full name of the node of a publisher; of one that cannot be told, who it may be."""
         found = self._node.get_publishers_info_by_topic(topic)
@@ -220,7 +273,8 @@ class Masters:
         """Say that somebody else feeds an input from now on."""
         self._node.get_logger().info(
             f"{master.topic} is taken from {self.name_of(master.topic, identity)} now: the one before has left, or "
-            f"nothing has come from it for {self.patience:g} s"
+            f"nothing has come from it for {self.patience:g} s, and it "
+            + ("is the same node" if not master.released else "was allowed by ~/reset")
         )
 
     def warn(self, master: Master) -> None:

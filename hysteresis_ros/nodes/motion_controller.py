@@ -153,7 +153,10 @@ class MotionControllerNode(Responder):
         """Whether there has been no good measurement for the time-out."""
         return self._mode == STALE
 
-    stale = is_stale
+    @property
+    def stale(self) -> bool:
+        """Whether measurements have not come for their time-out, or a partner is lost."""
+        return self.is_stale or bool(self.runner.latched)
 
     @property
     def unpaired(self) -> bool:
@@ -255,7 +258,7 @@ class MotionControllerNode(Responder):
             self.warn("stale", f"no good measurement of '{joint}' for {limit:g} s: going to safe_command {safe:g} m")
         elif mode == FOLLOWING:
             self.warn("following", "nobody carries commands out: they follow the displacement until somebody does")
-        elif mode == TRIPPED:
+        elif mode == TRIPPED and not self.runner.latched:
             self.warn("tripped", "the plant has stopped the axis: going to safe_command", error=True)
         elif mode == RUNNING and before in (STALE, FOLLOWING, TRIPPED, STOPPED):
             self.get_logger().info(f"going on after {MODE_NAMES[before]}")
@@ -266,7 +269,7 @@ class MotionControllerNode(Responder):
         values = {
             "rejected_measurements": self.rejected,
             "command_m": f"{self.command:.9g}",
-            "stale": self.is_stale,
+            "stale": self.stale,
             "mode": MODE_NAMES[self._mode],
             "saturated_commands": self.shortfall.count,
         }
@@ -282,6 +285,9 @@ class MotionControllerNode(Responder):
             return 2, f"missing force joint '{self.parameters.force_joint}'", values
         if not self.sample and not self.runner.exact:
             return 2, f"no measurement of '{joint}' has come yet", values
+        if self.runner.latched:
+            what = f"measurement of '{joint}' is stale: " if self.runner.silent else ""
+            return 2, f"{what}{self.loss}", values
         if self.is_stale:
             return 2, f"measurement of '{joint}' is stale", values
         if self._mode == TRIPPED:

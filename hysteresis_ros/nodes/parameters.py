@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import contextlib
 import copy
+import sys
 from array import array
 
 from rcl_interfaces.msg import (
@@ -118,11 +119,22 @@ class ParameterInterface:
             return descriptor
         told = copy.deepcopy(descriptor)
         told.type, told.read_only = _TYPES[row.type], row.read_only
-        if row.low is not None and row.high is not None:
-            if row.type is float:
-                told.floating_point_range = [FloatingPointRange(from_value=float(row.low), to_value=float(row.high))]
-            elif row.type is int:
-                told.integer_range = [IntegerRange(from_value=int(row.low), to_value=int(row.high), step=1)]
+        low, high = row.low, row.high
+        if row.type is float and (low is not None or high is not None):
+            told.floating_point_range = [
+                FloatingPointRange(
+                    from_value=-sys.float_info.max if low is None else float(low),
+                    to_value=sys.float_info.max if high is None else float(high),
+                )
+            ]
+        elif row.type is int and (low is not None or high is not None):
+            told.integer_range = [
+                IntegerRange(
+                    from_value=-(2**63) if low is None else int(low),
+                    to_value=2**63 - 1 if high is None else int(high),
+                    step=1,
+                )
+            ]
         return told
 
     def with_values(self, listed: ListParametersResult) -> ListParametersResult:
@@ -190,6 +202,7 @@ class ParameterInterface:
             return SetParametersResult(successful=True)
         try:
             self._refuse_misplaced(changed)
+            self._refuse_beyond_start(changed)
             if own or len(changed) < len(changes):
                 # another callback may refuse these after ours was applied: then nothing would be atomic any more
                 raise ParameterError([Problem(", ".join(own), "", "set it by itself, not together with others")])
@@ -205,6 +218,33 @@ class ParameterInterface:
         except HysteresisError as error:
             return SetParametersResult(successful=False, reason=str(error))
         return SetParametersResult(successful=True)
+
+    def _refuse_beyond_start(self, changed: dict) -> None:
+        """Refuse limits of the voltage beyond those that the node was started with: they protect what is connected.
+
+        Raises
+        ------
+        ParameterError
+            Names them, and says where a wider limit is given.
+        """
+        beyond = {
+            name: self._at_start.get(name)
+            for name, sign in (("limits.minimum", -1.0), ("limits.maximum", 1.0))
+            if name in changed
+            and isinstance(changed[name], (int, float))
+            and isinstance(self._at_start.get(name), (int, float))
+            and sign * changed[name] > sign * self._at_start[name]
+        }
+        if beyond:
+            raise ParameterError(
+                Problem(
+                    name,
+                    changed[name],
+                    f"beyond the {limit:g} V of the start; give the wider limit in the parameter file, or with "
+                    f"-p {name}:=…, and start the node again",
+                )
+                for name, limit in beyond.items()
+            )
 
     def _refuse_misplaced(self, changed: dict) -> None:
         """Refuse paths that nobody may name from outside; those the node was started with are its user's.

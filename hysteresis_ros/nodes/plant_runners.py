@@ -20,7 +20,18 @@ from std_msgs.msg import String
 
 from hysteresis_ros.nodes.lockstep import STARTUP_TIMEOUT, TOGETHER, Lockstep
 from hysteresis_ros.nodes.qos import latched_qos
-from hysteresis_ros.nodes.realtime import GONE, HERE, RealTime
+from hysteresis_ros.nodes.realtime import (
+    AT_WORK,
+    GONE,
+    HEARD,
+    HERE,
+    LEAST_MISSED,
+    LOST,
+    PLANT,
+    PRESENCES,
+    STARTING,
+    RealTime,
+)
 from hysteresis_ros.nodes.spin import QUIET
 
 #: Real time: longer waits can be interrupted, the last bit of a wait is slept because that is more exact [s].
@@ -42,8 +53,9 @@ ALIGN_QUIET, ALIGN_PERIODS, ALIGN_PATIENCE = 0.1, 3.0, 5.0
 #: Whose absence opens the loop.
 CLOSERS = frozenset({"motion_controller", "hysteresis_compensator", "inchworm_sequencer"})
 
-#: Messages kept about who comes and goes.
-PRESENCES = 20
+#: Samples in a row that are answered before voltages are counted again after a node has joined the loop, and samples
+#: after which they are in any case.
+SETTLED, LONGEST_SETTLING = 10, 100
 
 #: Samples whose times of publication are kept.
 PUBLISHED = 1024
@@ -154,6 +166,11 @@ class LockstepPlant(Lockstep):
             return f"{missing[-1].partner} (topic {missing[-1].topic})"
         return "recorder" if self._recorder_behind() else ""
 
+    @property
+    def late_samples(self) -> int:
+        """Samples so far whose voltage did not come in time."""
+        return self.node.part.late
+
     def explain_trip(self) -> str:
         """Say why the plant has stopped the axis."""
         limit = self.node.parameters.allowed_late
@@ -165,9 +182,10 @@ class RealTimePlant(RealTime):
 
     A voltage carries no number, so it belongs to a sample by count, and one that answers an earlier sample is late
     however soon after its own sample it comes: in its place the last one that came in time stays, unless any number may
-    be late, or nobody closes the loop. When the first voltages come, and when somebody begins anew, it is not
-    known how many samples will not be answered any more: the next one then waits for a moment, until no voltage is
-    under way, and the count begins there.
+    be late, or nobody closes the loop. When the first voltages come, after a reset and after ``~/start`` of a stopped
+    axis, it is not known how many samples will not be answered any more: the next one then waits for a moment,
+    until no voltage is under way, and the count begins there. A node that joins an axis that runs does not hold its
+    samples up: voltages are taken as they come until some samples in a row have been answered, and counted from there.
 
     Parameters
     ----------
@@ -188,25 +206,85 @@ class RealTimePlant(RealTime):
         self._asked = 0
         self._given: dict[str, int] = {}
         self._unaligned = False
+        self._settling = self._unsettled = 0
         super().__init__(node)
 
     def connect(self) -> None:
         """Listen to who comes and goes."""
         super().connect()
         self._gone: set[str] = set()
+        self._lost: dict[str, str] = {}
         self.node.subscriber(String, "run_state", self._on_presence, latched_qos(PRESENCES))
 
     def _on_presence(self, message) -> None:
-        state, _, who = message.data.partition(" ")
-        if state == GONE and who in CLOSERS:
-            self._gone.add(who)
-        elif state == HERE:
-            self._gone.discard(who)
-            self.align()
+        node = self.node
+        state, who, reporter, name = (*message.data.split(" "), "", "", "", "")[:4]
+        if state in (GONE, HERE) and who != PLANT:
+            self._lost.pop(who, None)
+            if who in CLOSERS and state == GONE:
+                self._gone.add(who)
+            elif who in CLOSERS:
+                self._gone.discard(who)
+                self.settle()
+        elif state in (LOST, HEARD) and node.active and node.running and reporter != node.kind:
+            if state == LOST:
+                self._lost[reporter] = name
+            else:
+                self._lost.pop(reporter, None)
+            # said to a plant that was started again after it was lost: it may hear only the second
+            if state == LOST or (who == PLANT and not node.part.tripped):
+                with node.lock:
+                    node.lose(name)
+
+    def clear(self) -> None:
+        """Begin anew."""
+        super().clear()
+        self._lost = {}
+
+    def missing_partners(self) -> str:
+        """Name the nodes without which the axis cannot go on; empty: none is lost."""
+        now = time.monotonic()
+        stopped = self.node.inputs if self.node.part.silent else ()
+        silent = {input_.partner for input_ in stopped if self._is_silent(input_, now)}
+        return " and ".join(sorted({*self._lost.values(), *silent}))
+
+    def _is_silent(self, input_, now: float) -> bool:
+        """Tell whether the voltages of a node that was at work have stopped for the time-out."""
+        limit = max(self.node.patience * self.period * self.node.parameters.sample_rate, LEAST_MISSED * self.period)
+        at_work = input_.count >= AT_WORK and input_.received - input_.first >= STARTING
+        return at_work and now - input_.received > limit
+
+    def _look_for_losses(self) -> None:
+        """Stop the axis when voltages have stopped, unless somebody has said so; called with the lock held."""
+        node, part = self.node, self.node.part
+        if part.silent and not self._gone and not node.leaving and not self._lost:
+            now = time.monotonic()
+            silent = [input_.partner for input_ in node.inputs if self._is_silent(input_, now)]
+            if silent and not part.lost:
+                node.lose(silent[0])
+        if part.lost:
+            part.lose(part.lost)  # late voltages since then are no other reason
 
     def align(self) -> None:
-        """Begin to count voltages anew before the next sample."""
+        """Begin to count voltages anew before the next sample, which waits until none is under way."""
         self._unaligned = True
+
+    def settle(self) -> None:
+        """Begin to count voltages anew while samples go on."""
+        self._settling, self._unsettled = SETTLED, LONGEST_SETTLING
+
+    def _settle(self) -> bool:
+        """Tell whether voltages are not counted in this sample; called with the lock held."""
+        if not self._settling:
+            return False
+        answered = all(math.isfinite(input_.value) for input_ in self.node.inputs)
+        self._settling = self._settling - 1 if answered else SETTLED
+        self._unsettled -= 1
+        if not self._unsettled:
+            self._settling = 0
+        self._given = dict.fromkeys(self._given, self._asked)
+        self.node.part.forgive()
+        return True
 
     @property
     def thread(self):
@@ -242,16 +320,23 @@ class RealTimePlant(RealTime):
             self._start()  # it had left at the end of the run before
 
     def hold(self, held: bool) -> None:
-        """Hold the time of the axis, or let it go on."""
+        """Hold the time of the axis, or let it go on; the others hear of it, or they would take it for lost."""
+        self._excuse(held)
         if not held:
             with self.node.lock:
                 self.node.stamps.go_on(self.node.sample)
 
+    def _excuse(self, held: bool) -> None:
+        """Say that no samples come for a while, or that they come again."""
+        self._presence.publish(String(data=f"{GONE if held else HERE} {self.node.kind}"))
+
     def voltage(self, input_, message) -> None:
         """Take a voltage: the last one before the deadline counts."""
         node = self.node
-        if node.part.silent or not input_.received:
+        if not input_.received:
             self.align()
+        elif node.part.silent:
+            self.settle()
         given = self._given[input_.topic] = min(self._given.get(input_.topic, 0) + 1, self._asked)
         node.receive(input_, message.data)
         if input_.received:
@@ -270,6 +355,11 @@ class RealTimePlant(RealTime):
     def is_quiet(self) -> bool:
         """Whether no voltage is under way any more."""
         return all(time.monotonic() - input_.received > QUIET for input_ in self.node.inputs)
+
+    @property
+    def late_samples(self) -> int:
+        """Samples so far whose voltage did not come in time."""
+        return self.node.part.late
 
     def explain_trip(self) -> str:
         """Say why the plant has stopped the axis, what this machine holds, and what to do."""
@@ -321,8 +411,10 @@ class RealTimePlant(RealTime):
                 if self._runs != published:
                     continue  # a reset came in between: there is no sample to take
                 self.is_measured = False
-                self._drop_late()
+                if not self._settle():
+                    self._drop_late()
                 self._finish_sample()
+                self._look_for_losses()
                 if behind or node.stamps.are_off_clock:
                     node.stamps.go_on(node.sample)
                 if node.parameters.samples and node.sample >= node.parameters.samples:
@@ -373,6 +465,8 @@ class RealTimePlant(RealTime):
         """Wait until no voltage is under way, and begin to count there."""
         node = self.node
         self._unaligned = False
+        self._settling = 0
+        self._excuse(True)
         quiet = max(ALIGN_QUIET, ALIGN_PERIODS * self.period)
         until = time.monotonic() + ALIGN_PATIENCE * quiet
         while not self._leaving.is_set() and time.monotonic() < until:
@@ -387,6 +481,7 @@ class RealTimePlant(RealTime):
             node.part.forgive()
             node.pace.restart()
             node.stamps.go_on(node.sample)
+        self._excuse(False)
 
     def _await_partners(self) -> None:
         """Let a run of given length begin when the loop is complete; one without end needs no beginning."""

@@ -34,9 +34,11 @@ from hysteresis_ros.loop.compiled_plant import fused_plant_of
 from hysteresis_ros.loop.driven import plant_of
 from hysteresis_ros.loop.plant import actuate, sense
 from hysteresis_ros.loop.tick import MEASURED, Laws
+from hysteresis_ros.loop.watch import RUNNING
 from hysteresis_ros.models.inchworm import EFFORT, JOINT_NAMES, POSITION, VELOCITY
 from hysteresis_ros.nodes.base import AxisNode
 from hysteresis_ros.nodes.images import output_of
+from hysteresis_ros.nodes.limited_time import AMPLIFIER, LimitedTime
 from hysteresis_ros.nodes.plant_report import explain_trip, verdict
 from hysteresis_ros.nodes.plant_runners import LockstepPlant, RealTimePlant
 from hysteresis_ros.nodes.qos import latched_qos, setpoint_qos
@@ -44,6 +46,10 @@ from hysteresis_ros.nodes.responder import TRIPPED_FRAME
 from hysteresis_ros.nodes.spin import run
 from hysteresis_ros.nodes.stamps import Stamps
 from hysteresis_ros.nodes.voltage_input import VOLTAGES, VoltageInput
+from hysteresis_ros.recordings.output import output_tolerance
+
+#: Samples of a fused loop after which it is known whether an axis that was stopped goes on.
+OUTCOME = 3
 
 #: Seconds in which the voltage of a device goes to its safe value before the node leaves the device to itself.
 RETURN = 1.0
@@ -112,6 +118,9 @@ class PlantSimulatorNode(AxisNode):
             for input_ in self.inputs:
                 self.row[input_.signal] = voltage
             self.actuate()
+        given = parameters.to_mapping()
+        self._tolerance = output_tolerance(given, given)
+        self._limited = LimitedTime()
         self._clear()
 
     def _tell_device(self) -> None:
@@ -126,13 +135,16 @@ class PlantSimulatorNode(AxisNode):
         if self.is_fused:
             self.fused.end()
         if self.part is not None and not self.is_fused:  # still fused: the device has not returned from a call
-            self.part.close()
+            wrong = self.part.close()
+            if wrong:
+                self.get_logger().error(wrong)
 
     def _clear(self) -> None:
         self.part.reset()
         self.row[:] = [0.0] * len(self.row)
         for input_ in self.inputs:
-            input_.value, input_.received = math.nan, 0.0
+            input_.value, input_.received, input_.count, input_.first = math.nan, 0.0, 0, 0.0
+        self.held_back = 0
         self.stamps.begin()
         self._first = 0.0
         self._told = False
@@ -219,15 +231,39 @@ class PlantSimulatorNode(AxisNode):
             self.part.halt()
             self.log_change("halt")
 
+    def lose(self, name: str) -> None:
+        """Stop the axis because a node of it is lost, latched; called with the lock held."""
+        if not self.part.tripped:
+            self.log_change("halt")
+        elif self.part.lost != name:
+            self.warn("tripped", f"axis stopped: {name} is lost: nothing has come from it", error=True, every=0.0)
+        self.part.lose(name)
+
     def _on_start(self, request, response):
-        if self.is_fused and self.part.tripped and self.running:
+        if self.parameters is None or self.part is None or not self.part.tripped:
+            return super()._on_start(request, response)
+        if not self.is_fused:
+            with self.lock:
+                if not self.runner.missing_partners():
+                    self.part.start()
+                    self.runner.align()
+                    self.log_change("start")
+        elif self.running:
             self.fused.go_on()
-        with self.lock:
-            if self.part is not None and self.parameters is not None and not self.is_fused and self.part.tripped:
-                self.part.start()
-                self.runner.align()
-                self.log_change("start")
-        return super()._on_start(request, response)
+        answer = super()._on_start(request, response)
+        if self.is_fused:
+            self.fused.await_samples(OUTCOME)
+            if self.hindrance():
+                answer.success, answer.message = False, f"not running: {self.hindrance()}"
+        return answer
+
+    def hindrance(self) -> str:
+        """Say why the axis does not run though nobody has stopped it; empty when it does."""
+        text = super().hindrance()
+        if text or not self.part.tripped or self.part.finding_home:
+            return text
+        missing = self.runner.missing_partners()
+        return f"{missing} is lost: start it again, then call ~/start" if missing else self.explain_trip()
 
     def _on_home(self, request, response):
         if self.is_fused:
@@ -312,6 +348,10 @@ class PlantSimulatorNode(AxisNode):
             self.row[input_.signal] = input_.value
             input_.value = math.nan
         self.actuate()
+        # on the way back to a path; the way to safe is said as what led to it
+        if self.row[signals.PLANT_MODE] == RUNNING and not self.part.saturated:
+            differs = abs(self.row[signals.PLANT_VOLTAGE] - self.row[signals.VOLTAGE]) > self._tolerance
+            self.held_back += int(differs)
         self._publish_row()
         self.sample += 1
 
@@ -323,6 +363,8 @@ class PlantSimulatorNode(AxisNode):
         if math.isfinite(voltage):
             input_.value = voltage
             input_.received = time.monotonic()
+            input_.count += 1
+            input_.first = input_.first or input_.received
         else:
             self.warn(input_.topic, f"{input_.topic} {voltage} V refused, {self.part.held():.6g} V kept")
 
@@ -346,8 +388,8 @@ class PlantSimulatorNode(AxisNode):
 
     @property
     def late(self) -> int:
-        """Voltages so far that did not come in time."""
-        return self.part.late
+        """Late samples so far: their voltage did not come in time, or a loop has skipped them."""
+        return self.runner.late_samples
 
     def health(self):
         """Report the voltage, late commands and saturation."""
@@ -356,15 +398,19 @@ class PlantSimulatorNode(AxisNode):
                 f"{input_.topic.replace('/', '_')}_v": f"{self.part.held(place):.6g}"
                 for place, input_ in enumerate(self.inputs)
             },
-            "late_commands": self.late,
+            "late_samples": self.late,
             "stale": self.silent,
             "tripped": self.part.tripped,
             "real_time_factor": f"{self.parameters.real_time_factor:g}",
             "saturated_samples": self.part.limited_samples,
+            "held_back_samples": self.held_back,
             **self.runner.timeliness(),
         }
         late = self.since_report("late", self.late)
-        return *verdict(self.part, self.runner, self.inputs, late), values
+        # of a motor the samples of three amplifiers are counted together, which are no time
+        counts = {"safe_slew_rate": self.held_back} | ({} if self.is_motor else {AMPLIFIER: self.part.limited_samples})
+        limited = self._limited.report(counts, self.parameters.sample_rate)
+        return *verdict(self.part, self.runner, self.inputs, late, limited), values
 
     # -- the end -------------------------------------------------------------------------------------------------
 
@@ -384,7 +430,7 @@ class PlantSimulatorNode(AxisNode):
         rate = self.sample / wall
         factor = rate / self.parameters.sample_rate
         text = f"{self.sample} samples in {wall:.3f} s: {rate:.1f} Hz, real-time factor {factor:.3g}"
-        self.get_logger().info(f"{text}, {self.late} late commands, {self.pace.overruns} overruns")
+        self.get_logger().info(f"{text}, {self.late} late samples")
 
     def begin(self) -> None:
         """Start the time of the axis."""
@@ -427,7 +473,7 @@ class PlantSimulatorNode(AxisNode):
         try:
             self.part.make_safe()
         except HysteresisError as error:
-            self.warn("safe", str(error), every=60.0, error=True)
+            self.warn("safe", str(error), every=0.0 if self.leaving else 60.0, error=True)
 
 
 def main(arguments=None) -> int:

@@ -34,8 +34,8 @@ def setpoint_qos() -> QoSProfile:
     return _reliable(10, DurabilityPolicy.VOLATILE)
 
 
-def measured_qos(qos: QoSProfile, reliability: str) -> QoSProfile:
-    """Measurements for whoever answers them: as the loop has them, ``best_effort`` where a driver publishes them so."""
+def chosen_qos(qos: QoSProfile, reliability: str) -> QoSProfile:
+    """An input from outside: as ``qos`` has it, or ``best_effort`` where its publisher may be so."""
     if reliability == "best_effort":
         qos = QoSProfile(depth=qos.depth, reliability=ReliabilityPolicy.BEST_EFFORT, durability=qos.durability)
     return qos
@@ -51,6 +51,6 @@ def latched_qos(depth: int = 1) -> QoSProfile:
     return _reliable(depth, DurabilityPolicy.TRANSIENT_LOCAL)
 
 
-def diagnostics_qos() -> QoSProfile:
-    """``/diagnostics`` as ROS tools expect it."""
-    return _reliable(10, DurabilityPolicy.VOLATILE)
+def diagnostics_qos(keeps: bool = False) -> QoSProfile:
+    """``/diagnostics`` as ROS tools expect it; ``keeps``: the last reports, for whoever asks how a node is."""
+    return _reliable(10, DurabilityPolicy.TRANSIENT_LOCAL if keeps else DurabilityPolicy.VOLATILE)

@@ -13,6 +13,10 @@ Within a sample the order is that of lockstep: a measurement is answered when th
 Float64 messages carry no number, so they belong to measurements by count. What has not come when the next measurement
 does is late: the sample is answered without it, and its message, when it comes, is not taken for the next one's. Who is
 late again and again is not waited for until he is back.
+
+A partner of which nothing comes for the time-out of the node that needs it, and for a few samples, is *lost*, unless
+it has said that it stops. The node keeps its own part safe, and says so to the plant, which stops the axis, latched: it
+goes on when the partner is back and a person calls ``~/start``. That is so whichever node is lost, and at any rate.
 """
 
 from __future__ import annotations
@@ -23,6 +27,7 @@ from collections import deque
 
 from std_msgs.msg import String
 
+from hysteresis_ros import signals
 from hysteresis_ros.errors import HysteresisError
 from hysteresis_ros.nodes.qos import latched_qos
 from hysteresis_ros.nodes.runner import Runner
@@ -31,8 +36,22 @@ from hysteresis_ros.nodes.timing import Pace, Pairing
 #: Seconds between two looks at an input that may have stopped.
 WATCHDOG_PERIOD = 0.01
 
-#: What nodes say about themselves: at work, or not any more.
-HERE, GONE = "here", "gone"
+#: What nodes say about themselves, at work or not any more: ``here NODE``, ``gone NODE``; and about their partners,
+#: silent for too long or heard again: ``lost PARTNER NODE NAME``, ``heard PARTNER NODE NAME``, NAME being its full one.
+HERE, GONE, LOST, HEARD = "here", "gone", "lost", "heard"
+
+#: Messages kept about the nodes that come and go.
+PRESENCES = 20
+
+#: Messages and seconds after which a partner is one that can be lost, and samples for which it is silent at least.
+#: While the nodes of an axis start, a busy machine leaves gaps: they are held over as any late message is.
+AT_WORK, STARTING, LEAST_MISSED = 10, 2.0, 3
+
+#: The node that owns the time; without its measurements nobody else can be expected to send anything.
+PLANT = "plant_simulator"
+
+#: Part of the time of a loss after which measurements have paused: whatever answers them begins anew then.
+PAUSED = 0.5
 
 #: Samples in a row that an input may miss before nobody waits for it.
 GIVE_UP = 3
@@ -181,6 +200,18 @@ class RealTime(Runner):
     def say(self, state: str) -> None:
         """Nobody listens."""
 
+    def say_of(self, what: str, partner: str, name: str = "") -> None:
+        """Say that a partner is lost, or heard again.
+
+        Parameters
+        ----------
+        what : str
+            LOST or HEARD.
+        partner, name : str
+            Which node it is by its kind, and its full name where that is known.
+        """
+        self._presence.publish(String(data=f"{what} {partner} {self.node.kind} {name or partner}"))
+
     def announce(self, failure: str) -> None:
         """Everybody goes on without this node, as long as their time-outs let them."""
 
@@ -201,10 +232,18 @@ class RealTimeResponder(RealTime):
     node : Responder
     """
 
+    def __init__(self, node):
+        #: Partners that have said who they are, that have left, and that come back, by their kind.
+        self._known: set[str] = set()
+        self._gone: set[str] = set()
+        self._coming: set[str] = set()
+        super().__init__(node)
+
     def clear(self) -> None:
         """Begin anew with the next measurement."""
         super().clear()
         self._forget()
+        self._forget_losses()
         self._pairing = Pairing()
         self._last_stamp = -1
         self._counted = self._last = self._looked = self._heard = time.monotonic()
@@ -216,10 +255,37 @@ class RealTimeResponder(RealTime):
         self._followers = [Follower(input_.strict) for input_ in self.node.inputs]
         self._pending: deque = deque()
 
+    def connect(self) -> None:
+        """Listen to the partners that come and go."""
+        super().connect()
+        for partners in (self._known, self._gone, self._coming):
+            partners.clear()
+        self.node.subscriber(String, "run_state", self._on_presence, latched_qos(PRESENCES))
+
+    def _on_presence(self, message) -> None:
+        state, who, reporter, _ = (*message.data.split(" "), "", "", "", "")[:4]
+        if state == GONE:
+            self._gone.add(who)
+        elif state == HERE and who in self._gone:
+            self._gone.discard(who)
+            self._coming.add(who)
+        if state in (HERE, LOST, HEARD):
+            self._known.add(who if state == HERE else reporter)
+
+    def _forget_losses(self) -> None:
+        """Begin anew to look whether a partner is lost."""
+        count = 1 + len(self.node.inputs)
+        self._heard_at, self._heard_count, self._first_at = [0.0] * count, [0] * count, [0.0] * count
+        self._awake = self._flowing = 0.0
+        self._lost: dict[str, str] = {}
+        self._returned: set[str] = set()
+        self.latched, self._has_tripped, self._stopped = "", False, False
+
     def begin(self) -> None:
         """Look after measurements that stop."""
         super().begin()
         self._forget()
+        self._forget_losses()
         self._counted = self._last = self._looked = time.monotonic()
         self.node.timer(WATCHDOG_PERIOD, self.watch)
 
@@ -261,6 +327,8 @@ class RealTimeResponder(RealTime):
     def measurement(self, message) -> None:
         """Take ``joint_states``."""
         node = self.node
+        if node.active:
+            self._note_measurement()
         if not node.active or (node.triggered_by_measurement and self._has_waited()):
             return
         if not node.triggered_by_measurement:
@@ -272,7 +340,7 @@ class RealTimeResponder(RealTime):
             return
         stamp = message.header.stamp
         nanoseconds = stamp.sec * 1_000_000_000 + stamp.nanosec
-        if nanoseconds <= self._last_stamp and not node.is_stale:
+        if nanoseconds <= self._last_stamp and not (node.is_stale or self.latched):
             text = f"measurement rejected: stamp {nanoseconds} ns does not follow {self._last_stamp} ns"
             node.warn("stamp", text)
             node.reject(reading)
@@ -299,6 +367,8 @@ class RealTimeResponder(RealTime):
             return
         if not node.active:
             return
+        if math.isfinite(data):
+            self._note(1 + place, input_.partner)
         if not node.triggered_by_measurement:
             self._command(input_, data)
             return
@@ -347,15 +417,110 @@ class RealTimeResponder(RealTime):
                     node.take(input_, follower.give())
             node.answer(stamp)
 
+    # -- partners that are lost --------------------------------------------------------------------------------
+
+    @property
+    def loss_time(self) -> float:
+        """Seconds of silence after which a partner is lost."""
+        return max(self.node.patience, LEAST_MISSED * self.period)
+
+    def _note(self, place: int, partner: str) -> None:
+        """Note that something has come: of the measurement (0) or an input (1 + its place)."""
+        now = self._heard_at[place] = time.monotonic()
+        self._first_at[place] = self._first_at[place] or now
+        self._heard_count[place] += 1
+        if partner in self._lost:
+            self._returned.add(partner)
+        self._coming.discard(partner)
+
+    def _note_measurement(self) -> None:
+        now = time.monotonic()
+        if now - self._heard_at[0] > PAUSED * self.loss_time:
+            self._flowing = now
+        self._note(0, PLANT)
+
+    def _missing(self, now: float) -> dict[str, str]:
+        """Return which partners are lost: kind → full name, or kind where that is not known."""
+        node, excused = self.node, self._gone | self._coming
+        heard, counts = self._heard_at, self._heard_count
+
+        def silent(place: int, since: float) -> bool:
+            at_work = counts[place] >= AT_WORK and heard[place] - self._first_at[place] >= STARTING
+            return at_work and now - max(heard[place], since) > self.loss_time
+
+        if silent(0, self._awake):
+            name = node.masters.publisher_of("joint_states")
+            return {} if PLANT in excused else {PLANT: name or PLANT}
+        if counts[0] and now - heard[0] > PAUSED * self.loss_time:
+            return {}  # nobody answers measurements that do not come
+        since = max(self._awake, self._flowing)
+        return {
+            input_.partner: node.masters.publisher_of(input_.topic) or input_.partner
+            for place, input_ in enumerate(node.inputs)
+            if not input_.previous
+            and (input_.topic == node.trigger or input_.partner in self._known)
+            and input_.partner not in excused
+            and silent(1 + place, since)
+        }
+
+    def _look_for_losses(self, now: float) -> None:
+        """Keep the part safe and tell the plant when a partner is lost; tell it when it is heard again."""
+        missing = self._missing(now)
+        for partner, name in missing.items():
+            if partner not in self._lost or not self.latched:
+                self._lost[partner] = name
+                self._returned.discard(partner)
+                self._latch(name)
+                self.say_of(LOST, partner, name)
+        for partner in self._returned.difference(missing):
+            self._returned.discard(partner)
+            self.say_of(HEARD, partner, self._lost.pop(partner))
+
+    def _latch(self, name: str) -> None:
+        node = self.node
+        self.latched, self._has_tripped = name, False
+        node.row[signals.TRIPPED] = 1.0
+        text = f"{name} is lost: nothing has come from it for {self.loss_time:.3g} s; safe until ~/start"
+        node.warn("lost", f"{text} of plant_simulator", every=0.0, error=True)
+
+    def follow_trip(self, tripped: bool) -> None:
+        """Go on with the axis when the plant, which had been stopped for the loss, is started again."""
+        self._stopped = tripped
+        if self.latched and tripped:
+            self._has_tripped = True
+        elif self.latched and self._has_tripped and self.unlatch():
+            self._has_tripped = False
+            for partner, name in self._lost.items():  # the plant was reset, and has forgotten it
+                self.say_of(LOST, partner, name)
+
+    def unlatch(self) -> str:
+        """Let the part go on after the loss of a partner; return why it cannot, empty: it does."""
+        if not self.latched:
+            return ""
+        if self._lost:
+            return f"{' and '.join(self._lost.values())} is lost and has not come back: start it again first"
+        self.latched, self._has_tripped = "", False
+        self.node.row[signals.TRIPPED] = 1.0 if self._stopped else 0.0
+        RealTime.begin(self)
+        return ""
+
     def watch(self) -> None:
         """Timer: count the samples that go by while nothing comes, once that has lasted for the time-out."""
         node = self.node
         now = time.monotonic()
         if self._stood_still(now):
             self._backlog, self._heard = node.parameters.queue_depth, now
+        if now - self._looked > SUSPENDED * WATCHDOG_PERIOD:
+            self._awake = now
         self._looked = now
         if not node.active or node.sample == 0:
             return
+        self._count_missed(now)
+        self._look_for_losses(now)
+
+    def _count_missed(self, now: float) -> None:
+        """Count the samples that go by while nothing comes."""
+        node = self.node
         if now - self._last < node.patience:
             return
         samples = int((now - self._counted) / self.period)

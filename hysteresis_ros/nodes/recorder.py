@@ -25,7 +25,8 @@ from hysteresis_ros.configuration import parse_configuration
 from hysteresis_ros.errors import ConfigurationError, RecordingError
 from hysteresis_ros.loop.named_files import named_files
 from hysteresis_ros.nodes.base import AxisNode
-from hysteresis_ros.nodes.qos import diagnostics_qos, latched_qos, measured_qos, setpoint_qos
+from hysteresis_ros.nodes.qos import chosen_qos, diagnostics_qos, latched_qos, loop_qos, setpoint_qos
+from hysteresis_ros.nodes.reference_source import KEPT
 from hysteresis_ros.nodes.spin import QUIET, run
 from hysteresis_ros.nodes.timing import STALE
 from hysteresis_ros.recordings.bag_files import FILES, packed_files
@@ -146,10 +147,15 @@ class RecorderNode(AxisNode):
         self._sampled: list[str] = []
         durability = "transient_local" if self.runner.exact else "volatile"
         for index, (topic, message_type, partner) in enumerate(self._topics if self.runner.by_message else ()):
-            heard = measured_qos(qos, self.parameters.measurement_reliability) if topic == "joint_states" else qos
+            heard = chosen_qos(qos, self.parameters.measurement_reliability) if topic == "joint_states" else qos
             self._record(topic, message_type, heard, durability, index, partner)
         self.subscribe_end()
-        self._record("setpoint", Float64, setpoint_qos(), "volatile")
+        # from who takes them: whoever publishes one and leaves may be discovered here too late
+        source = MOTOR_SOURCE if self._is_inchworm else SOURCE
+        self._taken = self._record(
+            "setpoint", Float64, loop_qos(self.runner.keeps, KEPT), "volatile", heard=f"{source}/taken"
+        )
+        self._record("setpoint", Float64, chosen_qos(setpoint_qos(), self.parameters.setpoint_reliability), "volatile")
         self._record(CHANGES, String, self.changes_qos(), "transient_local")
         if self._is_inchworm:
             self._record("speed", Float64, setpoint_qos(), "volatile")
@@ -176,9 +182,9 @@ class RecorderNode(AxisNode):
             self._send_acknowledgement()
         self.timer(self._period, self._tend)
 
-    def _record(self, topic: str, message_type, qos, durability: str, index=-1, partner="") -> None:
+    def _record(self, topic: str, message_type, qos, durability: str, index=-1, partner="", heard="") -> str:
+        """Write the messages of a topic, which are ``heard`` on another one; return the full name of what is heard."""
         type_name = f"{message_type.__module__.split('.')[0]}/msg/{message_type.__name__}"
-        subscription = None
 
         def write(data: bytes) -> None:
             if self.recording is None or not (topic == CHANGES or (self.active and self.running)):
@@ -187,16 +193,20 @@ class RecorderNode(AxisNode):
                 return
             if topic == "joint_states" and self.end_of_run >= 0 and self.parameters.external_plant:
                 return  # somebody else goes on measuring
-            self.recording.attempt(lambda bag: bag.write(subscription.topic_name, type_name, data, time.time_ns()))
+            if topic == "setpoint" and not heard and self.count_publishers(self._taken):
+                return  # written when it has been taken
+            self.recording.attempt(lambda bag: bag.write(written, type_name, data, time.time_ns()))
             if index >= 0:
                 self._note(index)
             elif topic == CHANGES:
                 self._note_change(deserialize_message(data, String).data)
 
-        subscription = self.subscriber(message_type, topic, write, qos, raw=True, partner=partner)
-        self.bag.add_topic(subscription.topic_name, type_name, durability)
+        written = self.resolve_topic_name(topic)
+        subscription = self.subscriber(message_type, heard or topic, write, qos, raw=True, partner=partner)
+        self.bag.add_topic(written, type_name, durability)
         if index >= 0:
-            self._sampled.append(subscription.topic_name)
+            self._sampled.append(written)
+        return subscription.topic_name
 
     @property
     def _takes_logs(self) -> bool:
@@ -309,7 +319,7 @@ class RecorderNode(AxisNode):
             self.warn("stopped", f"recording ended: {self.recording.stopped}", every=60.0, error=True)
         if not self._began:
             # real-time topics keep nothing for a late reader: let the plant begin when all publishers are there
-            self._began = now > self._patience or all(self.count_publishers(topic) for topic in self._sampled)
+            self._began = now > self._patience or all(map(self.count_publishers, (*self._sampled, self._taken)))
             if self._began:
                 self._send_acknowledgement()
         over = self.end_of_run >= 0 and not self.runner.exact and now - self._last_arrival > SILENCE

@@ -178,15 +178,15 @@ class ReferenceGeneratorNode(ReferenceSource):
         super().reset_blocks()
         self.setpoint = self.parameters.initial_setpoint
 
-    def take_setpoint(self, value: float) -> None:
-        """Take a setpoint [m], or refuse it and say why."""
+    def take_setpoint(self, value: float) -> str:
+        """Take a setpoint [m]; return why it is refused, empty when it is taken."""
         reason = self.part.generator.refuse(value)
         if reason:
-            self.refuse("setpoint", f"{reason}; {self.setpoint:.6g} m is kept")
-            return
+            return reason
         self.setpoint = value
         if self.is_fused:
             self.fused.loop.set(setpoint=self.setpoint)
+        return ""
 
     def health(self):
         """Report refused setpoints and the present values."""

@@ -11,18 +11,30 @@
 
 from __future__ import annotations
 
+from rcl_interfaces.srv import SetParametersAtomically
+from rclpy.parameter import Parameter
 from std_msgs.msg import Bool, Float64, Float64MultiArray, String
 
 from hysteresis_ros.loop.description import robot_description
-from hysteresis_ros.nodes.qos import latched_qos, setpoint_qos
+from hysteresis_ros.nodes.qos import chosen_qos, latched_qos, loop_qos, setpoint_qos
 from hysteresis_ros.nodes.responder import Responder
 
 #: How often is looked whether samples stay away [s], and for how long they may.
 LOOK, SILENCE = 0.1, 0.3
 
 
+#: Setpoints under way at most to whoever records them.
+KEPT = 1000
+#: Service that takes a setpoint and answers; the only parameter of its request.
+SET_SETPOINT, ARGUMENT = "set_setpoint", "setpoint"
+
+
 class ReferenceSource(Responder):
-    """A node that takes setpoints, and says on ``~/refused`` why it refuses one: a topic has no answer."""
+    """A node that takes setpoints: on topics, and by a service that answers.
+
+    Every setpoint that it takes is published on ``~/taken``, which is what is recorded; why it refuses one is published
+    on ``~/refused``, because a topic has no answer.
+    """
 
     #: Number of refusals so far.
     refused = 0
@@ -41,7 +53,11 @@ class ReferenceSource(Responder):
             self._description.publish(String(data=robot_description(self.parameters)))
         self.tell_settled(False)
         self._refusals = self.publisher(String, "~/refused", setpoint_qos())
-        self.subscriber(Float64, "setpoint", self._on_setpoint, setpoint_qos())
+        self._taken = self.publisher(Float64, "~/taken", loop_qos(self.runner.keeps, KEPT))
+        service = self.create_service(SetParametersAtomically, f"~/{SET_SETPOINT}", self._on_set_setpoint)
+        self._topic_handles.append((self.destroy_service, service))
+        heard = chosen_qos(setpoint_qos(), self.parameters.setpoint_reliability)
+        self.subscriber(Float64, "setpoint", self._on_setpoint, heard)
         self.subscriber(Float64MultiArray, "~/commands", self._on_commands, setpoint_qos())
 
     def begin(self) -> None:
@@ -82,17 +98,37 @@ class ReferenceSource(Responder):
         if self.parameters is not None:
             self.tell_settled(False)
 
-    def take_setpoint(self, value: float) -> None:
-        """Take a setpoint [m], or refuse it and say why."""
+    def take_setpoint(self, value: float) -> str:
+        """Take a setpoint [m]; return why it is refused, empty when it is taken."""
         raise TypeError(f"{type(self).__name__} does not say how it takes setpoints")
 
+    def _take(self, value: float) -> str:
+        """Take a setpoint [m] and publish that, or refuse it, publish why, and return that."""
+        reason = self.take_setpoint(value)
+        if reason:
+            reason = f"{reason}; {self.setpoint:.6g} m is kept"
+            self.refuse("setpoint", reason)
+        else:
+            self._taken.publish(Float64(data=value))
+        return reason
+
     def _on_setpoint(self, message) -> None:
-        self.take_setpoint(message.data)
+        self._take(message.data)
+
+    def _on_set_setpoint(self, request, response):
+        """Take a setpoint and answer; ROS has no service with one number, so it comes as a parameter does."""
+        given = [(one.name, one.value) for one in request.parameters]
+        if [name for name, _ in given] != [ARGUMENT] or given[0][1].type != Parameter.Type.DOUBLE.value:
+            reason = f"{SET_SETPOINT} takes one parameter '{ARGUMENT}' of type double [m]"
+        else:
+            reason = self._take(given[0][1].double_value)
+        response.result.successful, response.result.reason = not reason, reason
+        return response
 
     def _on_commands(self, message) -> None:
         """Take a setpoint as position controllers of ros2_control do: an array with one number for each joint."""
         if len(message.data) == 1:
-            self.take_setpoint(message.data[0])
+            self._take(message.data[0])
         else:
             allowed = f"allowed: one, the position of '{self.parameters.joint}' in m"
             self.refuse(

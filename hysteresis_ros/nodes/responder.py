@@ -21,7 +21,7 @@ from hysteresis_ros import signals
 from hysteresis_ros.errors import shortened
 from hysteresis_ros.nodes.base import AxisNode
 from hysteresis_ros.nodes.lockstep import LockstepResponder
-from hysteresis_ros.nodes.qos import measured_qos
+from hysteresis_ros.nodes.qos import chosen_qos
 from hysteresis_ros.nodes.realtime import RealTimeResponder
 
 #: Frame of ``joint_states`` while the plant has stopped the axis.
@@ -102,6 +102,17 @@ class Responder(AxisNode):
         getattr(self.part, action)()
         self.log_change(action)
 
+    def _on_start(self, request, response):
+        if self.parameters is not None and self.loss:
+            self.runner.unlatch()
+        return super()._on_start(request, response)
+
+    def hindrance(self) -> str:
+        """Say why this node does not work though nobody has stopped it; empty when it does."""
+        tripped = self.row[signals.TRIPPED] != 0.0
+        stopped = "the plant has stopped the axis: ~/start of plant_simulator lets it go on" if tripped else ""
+        return super().hindrance() or self.loss or stopped
+
     def compile(self) -> None:
         """Take the part through everything it can be asked for, so that nothing is compiled later.
 
@@ -130,7 +141,7 @@ class Responder(AxisNode):
         self.subscribe_end()
         if not self.runner.by_message:
             return
-        heard = measured_qos(qos, self.parameters.measurement_reliability)
+        heard = chosen_qos(qos, self.parameters.measurement_reliability)
         self.loop_input(JointState, "joint_states", self.take_measurement, heard, "plant_simulator")
         for place, input_ in enumerate(self.inputs):
             heard = self._heard(place)
@@ -150,7 +161,7 @@ class Responder(AxisNode):
     def read(self, message, row) -> bool:
         """Put the measurement of the joint into a row, NaN when there is none; False when the run is broken by it."""
         joint, names, index = self.parameters.joint, message.name, self._joint_index
-        row[signals.TRIPPED] = 1.0 if message.header.frame_id == TRIPPED_FRAME else 0.0
+        self.read_trip(message, row)
         row[signals.MEASURED] = math.nan
         if not 0 <= index < len(names) or names[index] != joint:
             self.wrong_joint = joint not in names[:MOST_JOINTS]
@@ -167,6 +178,18 @@ class Responder(AxisNode):
         if index < len(message.position):
             row[signals.MEASURED] = message.position[index]
         return True
+
+    def read_trip(self, message, row) -> None:
+        """Put into a row whether the axis is stopped: by the plant, or here because a partner is lost."""
+        tripped = message.header.frame_id == TRIPPED_FRAME
+        self.runner.follow_trip(tripped)
+        row[signals.TRIPPED] = 1.0 if tripped or self.runner.latched else 0.0
+
+    @property
+    def loss(self) -> str:
+        """Say which partner's loss keeps this part safe; empty: none."""
+        name = self.runner.latched
+        return f"{name} is lost, ~/start of plant_simulator when it is back lets the axis go on" if name else ""
 
     def reject(self, row) -> None:
         """Take the measurement out of a row."""

@@ -28,6 +28,8 @@ class Runner:
     by_message = True
     #: Inputs of the node that came once and do not come any more, by topic.
     absent: tuple[str, ...] = ()
+    #: Partner whose loss keeps this node's part of the loop safe until a person lets it go on; empty: none.
+    latched = ""
 
     def __init__(self, node):
         self.node = node
@@ -38,6 +40,17 @@ class Runner:
     def make_pace(self) -> Pace:
         """Return what tells how regularly samples come."""
         return Pace(self.period)
+
+    def missing_partners(self) -> str:
+        """Name the nodes without which an axis cannot go on; empty: none is lost."""
+        return ""
+
+    def follow_trip(self, tripped: bool) -> None:
+        """Take note whether the plant has stopped the axis."""
+
+    def unlatch(self) -> str:
+        """Let the part go on after the loss of a partner; return why it cannot, empty: it does."""
+        return ""
 
     def timeliness(self) -> dict:
         """Return what diagnostics say about how late samples begin, where that is known."""

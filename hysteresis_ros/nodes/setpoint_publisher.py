@@ -18,7 +18,6 @@ import time
 import rclpy
 from rclpy.duration import Duration
 from rclpy.executors import ExternalShutdownException
-from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
@@ -27,12 +26,13 @@ from hysteresis_ros.configuration import normalised_namespace
 from hysteresis_ros.nodes.discovery import stay_on_this_machine
 from hysteresis_ros.nodes.qos import setpoint_qos
 from hysteresis_ros.nodes.security.policy import OPERATOR, enclave_of
+from hysteresis_ros.nodes.services import GuardedServices
 
 #: Seconds after which both sides know each other; a volatile message sent before is lost.
 ACQUAINTANCE = 0.5
 
 
-class SetpointPublisher(Node):
+class SetpointPublisher(GuardedServices):
     """Publishes each setpoint once its time has come on the axis' own clock, the stamps of ``joint_states``.
 
     Parameters
@@ -45,6 +45,7 @@ class SetpointPublisher(Node):
 
     def __init__(self, schedule, **options):
         super().__init__("setpoint_publisher", **options)
+        self.guard_services()
         self.schedule = list(schedule)
         self._first = None
         self._found: float | None = None

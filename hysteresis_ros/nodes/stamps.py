@@ -19,6 +19,14 @@ import numpy as np
 OFF_CLOCK = 100_000_000
 
 
+def _wall_clock() -> int | None:
+    """Return the time since 1970 [ns]; None where the clock cannot be read."""
+    try:
+        return time.time_ns()
+    except OSError:
+        return None
+
+
 class Stamps:
     """Which sample has which stamp.
 
@@ -53,12 +61,13 @@ class Stamps:
     def go_on(self, sample: int) -> None:
         """Let the stamps go on with this sample from now, or from zero where they are the source of time themselves.
 
-        A clock that was set back does not take them back: nobody believes a stamp that does not follow the last one.
+        A clock that was set back, or cannot be read, does not take them back: no node accepts an earlier stamp.
         """
-        now = max(time.time_ns(), self.last + self._since_start(1))
+        now = max(_wall_clock() or 0, self.last + self._since_start(1))
         self.begin(now - self._since_start(sample))
 
     @property
     def are_off_clock(self) -> bool:
-        """Whether stamps that stand for the wall clock are off it, because somebody has set it."""
-        return self._stands_for_the_clock and abs(time.time_ns() - self.last) > OFF_CLOCK + self._since_start(1)
+        """Whether stamps that stand for the wall clock are off it, because it was set; False if it cannot be read."""
+        now = _wall_clock() if self._stands_for_the_clock else None
+        return now is not None and abs(now - self.last) > OFF_CLOCK + self._since_start(1)

@@ -22,6 +22,39 @@ OVERRUN = 1.5
 STALE = 1.0
 
 
+#: Seconds over which a rate is counted: in less, messages that a busy machine delivers together look like a rate.
+WINDOW = 1.0
+
+
+class CountedRate:
+    """Samples a second, counted over the last second at least, however they arrive."""
+
+    def __init__(self):
+        self._marks: deque[tuple[float, int]] = deque()
+        self._rate = 0.0
+
+    def restart(self) -> None:
+        """Forget what was counted: a pause belongs to no rate."""
+        self._marks.clear()
+        self._rate = 0.0
+
+    def begin(self, now: float, total: int) -> None:
+        """Count from here [s, samples], unless it is counted already."""
+        if not self._marks:
+            self._marks.append((now, total))
+
+    def read(self, now: float, total: int) -> float:
+        """Return the rate until now [Hz]; 0 in the first second, of which nothing is known yet."""
+        self.begin(now, total)
+        while len(self._marks) > 1 and now - self._marks[1][0] >= WINDOW:
+            self._marks.popleft()
+        then, before = self._marks[0]
+        if now - then >= WINDOW:
+            self._rate = max(total - before, 0) / (now - then)
+        self._marks.append((now, total))
+        return self._rate
+
+
 class Pace:
     """Collects the arrival times of samples between two readings; nothing grows with time.
 
@@ -44,6 +77,7 @@ class Pace:
         self._keeps_time = keeps_time
         self.total = 0
         self.overruns = 0
+        self._rate = CountedRate()
 
     def tick(self) -> None:
         """Note one sample, now."""
@@ -56,6 +90,8 @@ class Pace:
             if self._count < len(self._intervals):
                 self._intervals[self._count] = interval
                 self._count += 1
+        else:
+            self._rate.begin(1e-9 * now, self.total)
         self._last = now
 
     @property
@@ -66,18 +102,23 @@ class Pace:
     def restart(self) -> None:
         """Forget the last sample, so that a pause is not taken for an interval."""
         self._last = 0
+        self._rate.restart()
 
     def read(self) -> tuple[float, float]:
-        """Return rate [Hz] and 99 % jitter [s] (deviation from the median interval) since the last reading."""
+        """Return the rate [Hz] of the last second, and 99 % jitter [s] since the last reading.
+
+        Jitter is the deviation from the median interval.
+        """
+        rate = self._rate.read(1e-9 * time.monotonic_ns(), self.total)
         intervals = sorted(self._intervals[: self._count])
         self._count = 0
         if not intervals:
-            return 0.0, 0.0
+            return rate, 0.0
         median = intervals[len(intervals) // 2]
         if not self._keeps_time:
             self.overruns += sum(interval > max(self._limit, OVERRUN * median) for interval in intervals)
         deviations = sorted(abs(value - median) for value in intervals)
-        return len(intervals) / max(sum(intervals), 1e-12), deviations[int(0.99 * (len(deviations) - 1))]
+        return rate, deviations[int(0.99 * (len(deviations) - 1))]
 
 
 class Pairing:

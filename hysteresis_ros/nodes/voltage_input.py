@@ -43,4 +43,6 @@ class VoltageInput:
         """Begin anew."""
         self.value = math.nan
         self.received = 0.0
+        #: Voltages so far, and when the first of them came [s].
+        self.count, self.first = 0, 0.0
         self.full_name = self.topic

@@ -15,12 +15,10 @@ from dataclasses import dataclass, replace
 
 from hysteresis_ros.configuration import Configuration
 from hysteresis_ros.errors import ConfigurationError
-from hysteresis_ros.loop.axis_parameters import AxisParameters
+from hysteresis_ros.loop.axis_parameters import MESSAGE_RATE, AxisParameters
 from hysteresis_ros.reliability.mishaps import COMMAND, FUSED, MEASUREMENT, VOLTAGE
 from hysteresis_ros.simulation.axes import single_axis
 
-#: Samples per second of the wall clock up to which nodes that exchange messages answer in time nearly always.
-MESSAGE_RATE = 300.0
 #: Seconds of the axis in which the voltage may cross its range, where the configuration sets no slew rate.
 CROSSING = 0.25
 #: Where the axis is sent, as parts of the way from its lowest to its highest reference.
@@ -70,6 +68,18 @@ class Bounds:
     beyond: float
 
 
+def at_rate(configuration: Configuration, rate: float) -> Configuration:
+    """Return a configuration at another sample rate [Hz], 0: its own; its dynamics are the same from sample to sample.
+
+    What is tried is what the nodes do about time: the time-outs stay what they are in seconds.
+    """
+    if not rate:
+        return configuration
+    configuration = configuration.override("", sample_rate=rate)
+    configuration = configuration.override("plant_simulator", dynamics__sample_time=0.0)
+    return configuration.override("motion_controller", model__dynamics__sample_time=0.0)
+
+
 def prepared(configuration: Configuration, way: str, namespace: str) -> AxisParameters:
     """Return the axis of a configuration as a campaign runs it: simulated, held at setpoints, its slew rate limited.
 
@@ -100,7 +110,8 @@ def prepared(configuration: Configuration, way: str, namespace: str) -> AxisPara
     limits = {"limits__slew_rate": slew, "safe_slew_rate": min(plant.safe_slew_rate, slew)}
     factor = 1.0 if way == FUSED else min(MESSAGE_RATE / plant.sample_rate, 1.0)
     simulated = simulated.override("reference_generator", waveform__type="hold")
-    simulated = simulated.override("plant_simulator", real_time_factor=factor, **limits)
+    # the plant trips as a device would, also where the file allows its simulated one more late samples
+    simulated = simulated.override("plant_simulator", real_time_factor=factor, late_limit=0, **limits)
     simulated = simulated.override("hysteresis_compensator", **limits)
     return replace(single_axis(simulated), namespace=namespace)
 

@@ -99,7 +99,7 @@ def judged(axis: Axis, signals: dict[str, np.ndarray], names: Sequence[str]) -> 
         figures |= _between_samples(axis.plant.actuator, signals, settings, "iae_m_s" in names)
     if not dense or any(name not in BETWEEN for name in names):
         run = Recording(signals["time"], {name: signals[name] for name in signals if name != "time"}, {}, {})
-        figures = {**compute_metrics(run, settings), **figures}
+        figures = {**compute_metrics(run, settings, parts=False), **figures}
     values = (figures.get(name) for name in names)
     return [float("nan") if value is None else float(value) for value in values]
 

@@ -26,7 +26,7 @@ import scipy
 from hysteresis_ros.configuration import parse_value
 from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.parameters import ParameterRow
-from hysteresis_ros.units import quantity
+from hysteresis_ros.units import quantity, quantity_in
 
 #: What a number does to the configured value.
 VALUE, FACTOR, OFFSET = "value", "factor", "offset"
@@ -201,12 +201,9 @@ def _distributed(kind: str, words: list[str], row: ParameterRow) -> Spread:
 def _number(text: str, row: ParameterRow) -> float:
     """Return a number in the parameter's unit."""
     try:
-        value, unit = quantity(text)
+        return quantity_in(text, row.unit)
     except ValueError as error:
-        raise ValueError(f"{text.strip()}: {error}; {WAYS}") from None
-    if unit not in ("", row.unit or "1"):
-        raise ValueError(f"{text.strip()}: is in {unit}, allowed: {row.allowed()}")
-    return value
+        raise ValueError(f"{text.strip()}: {error}; allowed: {row.allowed()}; {WAYS}") from None
 
 
 def _whole(value: float, row: ParameterRow):

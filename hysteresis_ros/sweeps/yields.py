@@ -24,7 +24,7 @@ import scipy
 
 from hysteresis_ros.errors import ConfigurationError
 from hysteresis_ros.sweeps.judging import METRICS, require_metrics
-from hysteresis_ros.units import quantity
+from hysteresis_ros.units import quantity, quantity_in
 
 #: Endings of the names of metrics and their SI units; the first that fits counts.
 _UNITS = {
@@ -129,9 +129,11 @@ def parse_bound(text: str) -> Bound:
 
 def _value(metric: str, text: str) -> float:
     unit = next((unit for ending, unit in _UNITS.items() if metric.endswith(ending)), "")
+    if unit != "%":
+        return quantity_in(text, unit)
     value, given = quantity(text)
-    if given not in ("", {"%": "1"}.get(unit, unit)):
-        raise ValueError(f"{text.strip()} is in {given}, {metric} in {unit or 'SI units'}")
+    if given not in ("", "1"):
+        raise ValueError(f"{text.strip()} is in {given}, {metric} in %")
     return 100.0 * value if given == "1" else value
 
 

@@ -24,6 +24,8 @@ HOLD = {"reference_generator": {"waveform__type": "hold"}}
 def parameters(name="kim2009", **overrides):
     """Return the parameters of an axis; ``overrides`` by node, with double underscores for dots."""
     configuration = load_configuration(name)
+    if name == "kim2009":  # as for a device: the file allows a simulated plant more
+        configuration = configuration.override("plant_simulator", late_limit=0)
     for node, values in overrides.items():
         configuration = configuration.override("" if node == "every" else node, **values)
     return single_axis(configuration)

@@ -302,7 +302,7 @@ def test_simulate_says_what_each_time_out_means_and_what_the_parts_did(tmp_path)
     assert code == 0, text
     assert "motion_controller measurement_timeout = 0.2 s = 600 samples: no usable measurement" in text
     assert "hysteresis_compensator command_timeout = 0.4 s = 1200 samples" in text
-    assert "plant_simulator late_limit = 150: more than 150 late voltages in a row or within 3000 samples" in text
+    assert "plant_simulator late_limit = 1500: more than 1500 late voltages in a row or within 3000 samples" in text
     assert "controller: holding from 0.1 to 0.299333 s (599 samples)" in text
     assert "controller: stale from 0.299667 to 0.399667 s (301 samples)" in text
 

@@ -23,7 +23,7 @@ import numpy as np
 import pytest
 from fused_support import ANY_LATE, SLOWLY, assert_twin, change, made_loop, named
 from loop_support import HOLD, axis
-from waiting import until
+from waiting import until, until_clock
 
 from hysteresis_ros.errors import ConfigurationError, LoopError
 from hysteresis_ros.loop import fused, scheduling
@@ -66,7 +66,7 @@ def test_a_process_that_was_suspended_skips_what_it_missed(compiled):
     with subprocess.Popen(command, env=environment, **pipes) as process:
         assert process.stdout.readline() == "runs\n"
         process.send_signal(posix.SIGSTOP)
-        time.sleep(0.4)  # the length of the interruption, not a wait
+        until_clock(time.monotonic() + 0.4)  # the length of the interruption
         process.send_signal(posix.SIGCONT)
         out, _ = process.communicate("\n")
     word, missed, skipped, late = out.split()

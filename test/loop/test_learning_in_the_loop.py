@@ -11,16 +11,21 @@
 
 from __future__ import annotations
 
+import re
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from fused_support import assert_twin, change, made_loop, whole
-from loop_support import HOLD, assert_same_bits, axis
+from fused_support import ANY_LATE, assert_twin, change, made_loop, whole
+from loop_support import HOLD, assert_same_bits, axis, parameters
 from waiting import until
 
+from hysteresis_ros.commissioning.learned_periods import learned_line
 from hysteresis_ros.control.learning import correction as at
 from hysteresis_ros.control.learning.correction import LIMITED, shown
 from hysteresis_ros.errors import ParameterError
-from hysteresis_ros.loop.axis import Change
+from hysteresis_ros.loop.axis import Axis, Change
+from hysteresis_ros.simulation.learning_design import LearningRequest, design_learning
 
 #: Of 30 samples.
 TRIANGLE = {"waveform__type": "triangle", "waveform__frequency": 100.0, "waveform__amplitude": 4e-6}
@@ -106,6 +111,24 @@ def test_nor_while_it_answers_to_a_voltage_that_came_too_late_and_that_takes_not
     np.testing.assert_array_equal(seen, [1e-9, np.nan, np.nan, np.nan, np.nan, 1e-9])
 
 
+def test_a_late_voltage_does_not_shorten_the_time_after_limits_nor_turn_it_into_a_lesson():
+    given = {**LEARNS, "learning__recovery": 4 / 3000, "learning__late_recovery": 1 / 3000}
+    block = axis(motion_controller=given, **HOLD).controller.learning
+    events = [
+        (1e-6, 0.0),
+        (0.0, 0.0),
+        (0.0, 1.0),
+        (0.0, 0.0),
+        (0.0, 0.0),
+        (0.0, 0.0),
+        (0.0, 1.0),
+        (0.0, 0.0),
+        (0.0, 0.0),
+    ]
+    seen = [shown(block.p, block.x, 1e-9, shortfall, late) for shortfall, late in events]
+    np.testing.assert_array_equal(seen, [LIMITED] * 5 + [1e-9, np.nan, np.nan, 1e-9])
+
+
 def test_a_missed_deadline_is_left_out_with_what_the_axis_answers_to_it():
     late = np.zeros(8 * N)
     late[7 * N + 7 : 7 * N + 9] = 1.0
@@ -115,6 +138,43 @@ def test_a_missed_deadline_is_left_out_with_what_the_axis_answers_to_it():
         made.run(np.zeros(8 * N), skipped=late)
         missed.append(made.controller.learning.missed)
     assert missed[0] >= 2 and missed[1] == missed[0] + 4
+
+
+PERIOD = 300  # samples of Kim's axis, 0.1 s
+
+
+def learned_with_missed_samples(seed, late_recovery):
+    """Return the RMS error [m] without missed samples after 32 periods in which 0.5 % were missed, and the periods.
+
+    After limits nothing is learned for 2 s, which is 20 periods.
+    """
+    reference = {**TRIANGLE, "waveform__frequency": 10.0}
+    plain = parameters(**{**ANY_LATE, "reference_generator": reference})
+    designed = design_learning(plain, LearningRequest("inversion", period=0.1)).parameters
+    assert 0.0 < designed.late_recovery <= designed.recovery
+    chosen = replace(designed, recovery=2.0, late_recovery=late_recovery or designed.late_recovery)
+    made = Axis(replace(plain, motion_controller=replace(plain.motion_controller, learning=chosen)))
+    count = 32 * PERIOD
+    skipped = np.zeros(count) if seed is None else np.random.default_rng(seed).random(count) < 0.005
+    run = made.run(made.default_setpoints(count), skipped=skipped.astype(float))
+    made.controller.learning.set_mode(at.FROZEN)
+    after = made.run(made.default_setpoints(2 * PERIOD))
+    error = (after["reference"] - after["measured"])[-PERIOD:]
+    return np.sqrt(np.mean(error**2)), learned_line(chosen, 3000.0, run, 0, 32)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_where_a_sample_in_200_is_missed_it_learns_from_the_others_however_long_limits_are_remembered(seed):
+    whole, every = learned_with_missed_samples(None, None)
+    missed, line = learned_with_missed_samples(seed, None)
+    assert every == "learned from 32 of 32 periods whole"
+    assert missed < 1.5 * whole < 4e-9
+    # where a late sample is remembered as long as limits are, most periods teach nothing
+    blocked, why = learned_with_missed_samples(seed, 2.0)
+    assert blocked > 1.5 * whole
+    used, unused = (int(re.search(r"from (\d+) not at all", text)[1]) for text in (line, why))
+    assert used == 0 and unused > 15
+    assert "for late samples" in line and "what the axis still answered to them" in line
 
 
 def test_learning_frozen_forgotten_and_retuned_in_a_fused_loop_are_those_of_its_twin():

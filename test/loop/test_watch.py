@@ -196,6 +196,39 @@ def test_silence_of_exactly_the_timeout_slews_to_safe_and_back_without_a_jump(ti
     np.testing.assert_array_equal(out[25:], [20.0, -20.0])
 
 
+@pytest.mark.parametrize("missing", [0.0, 0.02])
+def test_the_way_back_to_a_path_that_is_faster_than_the_step_ends_and_nears_it_in_every_sample(missing):
+    # 5 Hz over 107 V at 2 kHz are 1070 V/s; the way back has 150 V/s
+    rate, step = 2000.0, 150.0 / 2000.0
+    k = np.arange(6000)
+    path = 10.0 + 107.0 * np.abs(2.0 * ((5.0 * k / rate + 0.4) % 1.0) - 1.0)
+    voltages = np.where(np.random.default_rng(3).random(k.size) < missing, NAN, path)
+    voltages[:20] = NAN
+    out, follows = held(voltages, [1.0] * 20 + [0.0] * (k.size - 20), timeout=20, safe=0.0, step=step)
+    given_ = voltages.copy()
+    for j in range(1, k.size):
+        given_[j] = given_[j] if np.isfinite(given_[j]) else given_[j - 1]
+    first = int(np.flatnonzero(np.isfinite(given_))[0])
+    away = np.abs(out - given_)[first:]
+    ended = int(np.argmax(away == 0.0))
+    assert away[0] > 15.0
+    # it ends no later than the step alone would take for the difference that was there at first
+    assert 0 < ended <= math.ceil(away[0] / step)
+    assert np.all(np.diff(away[: ended + 1]) <= -min(step, away[ended - 1]) + 1e-9)
+    assert np.all(away[ended:] == 0.0) and np.all(follows[first + ended :])
+    # beside the step it moves no further than the path, and never beyond both ends
+    moved = np.abs(np.diff(out[first:], prepend=out[first - 1]))
+    asked = np.abs(np.diff(given_[first:], prepend=given_[first]))
+    assert np.all(moved <= step + asked + 1e-9)
+
+
+def test_the_first_voltage_and_one_after_the_timeout_say_nothing_of_how_fast_the_path_is():
+    out, _ = held([80.0, 80.0, 80.0], [1, 0, 0], safe=0.0, step=1.0)
+    np.testing.assert_allclose(out, [0.0, 1.0, 2.0])
+    out, _ = held([10.0] + [NAN] * 12 + [90.0, 90.0], timeout=3, safe=0.0, step=1.0)
+    np.testing.assert_allclose(out[12:], [0.0, 1.0, 2.0])
+
+
 def test_stopped_it_goes_to_safe_in_the_same_sample_though_voltages_come():
     out, _ = held([10.0] * 12, [0, 0, 1, 1, 1, 1, 1, 1, 0, 0, 0, 0], safe=4.0, step=2.0)
     np.testing.assert_allclose(out, [10, 10, 8, 6, 4, 4, 4, 4, 6, 8, 10, 10])
@@ -237,8 +270,13 @@ voltage = st.one_of(finite, st.just(NAN))
 def test_whatever_comes_it_either_follows_or_moves_by_no_more_than_a_step(given_, timeout, safe, step, keep):
     voltages, stopped = [v for v, _ in given_], [float(s) for _, s in given_]
     out, follows = held(voltages, stopped, timeout=timeout, safe=safe, step=step, keep=keep)
+
+    def target(last, silent):
+        return (max(safe, previous) if keep else safe) if silent else last
+
     last, age, previous, begun, followed = 0.0, 0, 0.0, False, True
     for k, value in enumerate(voltages):
+        moved = abs(value - last) if math.isfinite(value) and begun and age < timeout else 0.0
         if math.isfinite(value):
             last, age, begun = value, 0, True
         elif begun:
@@ -247,11 +285,14 @@ def test_whatever_comes_it_either_follows_or_moves_by_no_more_than_a_step(given_
         if followed and not silent:
             assert out[k] == last, k
         else:
-            assert abs(out[k] - previous) <= step * (1 + 1e-9) + 1e-9, k
+            more = 0.0 if silent else moved
+            assert abs(out[k] - previous) <= (step + more) * (1 + 1e-9) + 1e-9, k
+            assert min(previous, target(last, silent)) - 1e-9 <= out[k] <= max(previous, target(last, silent)) + 1e-9
         if silent and keep:
             assert out[k] >= previous - 1e-9, k  # a clamp only closes further
         if silent:
             assert not follows[k]
+        assert follows[k] <= (begun or followed)
         followed, previous = bool(follows[k]), out[k]
     assert np.all(np.isfinite(out))
 

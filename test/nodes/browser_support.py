@@ -98,7 +98,7 @@ class Browser:
                 await self.call("Input.dispatchKeyEvent", type=kind, key=key, code=key, windowsVirtualKeyCode=KEYS[key])
 
 
-KEYS = {"ArrowLeft": 37, "PageUp": 33, "PageDown": 34, "Escape": 27}
+KEYS = {"End": 35, "ArrowLeft": 37, "PageUp": 33, "PageDown": 34, "Escape": 27}
 
 
 async def found(condition, what: str, every: float = 0.1):

@@ -69,6 +69,8 @@ def axis_parameters(namespace: str = "", overrides: dict | None = None, **common
 
     configuration = load_configuration(ROOT / "config" / "kim2009.yaml").override("", **common)
     configuration = configuration.override("reference_generator", waveform__type="hold")
+    # as for a device: the file allows a simulated plant more
+    configuration = configuration.override("plant_simulator", late_limit=0)
     if "sample_rate" in common:  # what is asked of time and errors does not depend on the dynamics
         configuration = configuration.override("plant_simulator", dynamics__sample_time=0.0)
         configuration = configuration.override("motion_controller", model__dynamics__sample_time=0.0)

@@ -143,10 +143,10 @@ def served(check, token: str = "", about: dict | None = None) -> None:
         link = Pretended(about)
         server = Server(link, Access("0.0.0.0" if token else "127.0.0.1", token))
         async with contextlib.AsyncExitStack() as stack:
-            given = await stack.enter_async_context(TestServer(server.application()))
+            port = await stack.enter_async_context(server.listening("127.0.0.1", 0, 1.0))
             jar = aiohttp.CookieJar(unsafe=True)
             session = await stack.enter_async_context(aiohttp.ClientSession(cookie_jar=jar))
-            origin = f"http://127.0.0.1:{given.port}"
+            origin = f"http://127.0.0.1:{port}"
             await check(Bench(link=link, server=server, session=session, origin=origin, stack=stack))
 
     asyncio.run(asyncio.wait_for(run(), 3 * PATIENCE))

@@ -52,6 +52,12 @@ class Steered:
     def now(self, name: str) -> float:
         return dict(zip(self.states[-1].name, self.states[-1].position, strict=True))[name]
 
+    @property
+    def time(self) -> float:
+        """Stamp of the last state [s]."""
+        stamp = self.states[-1].header.stamp
+        return stamp.sec + 1e-9 * stamp.nanosec
+
     def ask(self, setpoint: float) -> None:
         from std_msgs.msg import Float64
 
@@ -88,7 +94,8 @@ def at_random(steered: Steered, observer, changes: int, random, pause: float = 0
             observer.keep_client(Trigger, f"/{node}/{action}")
     took = []
     for _ in range(changes):
-        time.sleep(pause * random.random())  # spreads what is asked for over the samples; nothing is awaited
+        due = steered.time + pause * random.random()  # spreads what is asked for over the samples
+        until(lambda due=due: steered.time >= due, what="later samples")
         steered.ask(random.uniform(0.0, 10e-6))
         asked = random.integers(6)
         begun = time.monotonic()

@@ -11,6 +11,7 @@
 
 from __future__ import annotations
 
+import math
 from types import SimpleNamespace
 
 import pytest
@@ -20,13 +21,15 @@ pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
 from nodes_support import axis_parameters, until  # noqa: E402
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
+from std_msgs.msg import Float64, String  # noqa: E402
 
 from hysteresis_ros.errors import ParameterError  # noqa: E402
 from hysteresis_ros.nodes.compatibility import unheard  # noqa: E402
 from hysteresis_ros.nodes.diagnostics import WARN, diagnostics  # noqa: E402
 from hysteresis_ros.nodes.discovery import named  # noqa: E402
 from hysteresis_ros.nodes.motion_controller import MotionControllerNode  # noqa: E402
-from hysteresis_ros.nodes.qos import measured_qos  # noqa: E402
+from hysteresis_ros.nodes.qos import chosen_qos  # noqa: E402
+from hysteresis_ros.nodes.reference_generator import ReferenceGeneratorNode  # noqa: E402
 
 BEST_EFFORT = QoSProfile(depth=10, reliability=ReliabilityPolicy.BEST_EFFORT)
 RELIABLE = QoSProfile(depth=10)
@@ -63,6 +66,24 @@ def test_a_driver_that_publishes_best_effort_is_named_with_what_to_set_and_heard
     until(lambda: not deaf.compatibility.complaint(), what="that nobody is unheard any more")
 
 
+def test_setpoints_that_are_published_best_effort_are_named_with_what_to_set_and_heard_with_it(inside, observer):
+    axis = axis_parameters(sample_rate=200.0)
+    deaf = inside.add(ReferenceGeneratorNode, axis.reference_generator)
+    person = observer.talk(Float64, "/setpoint", BEST_EFFORT)
+    inside.spin()
+    until(lambda: "set setpoint_reliability: best_effort" in deaf.compatibility.complaint(), what="what to set")
+    axis = axis_parameters(sample_rate=200.0, setpoint_reliability="best_effort")
+    hears = inside.add(ReferenceGeneratorNode, axis.reference_generator)
+    until(lambda: person.get_subscription_count() == 1, what="the node that hears it")
+
+    def refused() -> bool:
+        person.publish(Float64(data=math.nan))
+        return bool(heard)
+
+    heard = observer.listen(String, f"{hears.get_fully_qualified_name()}/refused")
+    until(refused, what="the answer to a setpoint")
+
+
 def test_in_lockstep_no_sample_may_be_lost():
     with pytest.raises(ParameterError, match="measurement_reliability.*lockstep"):
         axis_parameters(time_mode="lockstep", measurement_reliability="best_effort")
@@ -77,11 +98,11 @@ def test_who_has_not_told_a_name_is_no_node_of_that_name():
 
 
 def test_what_does_not_fit_and_what_to_do():
-    assert unheard(RELIABLE, RELIABLE, True) == unheard(RELIABLE, BEST_EFFORT, True) == ""
-    assert unheard(LATCHED, RELIABLE, False) == ""
-    assert "measurement_reliability" in unheard(BEST_EFFORT, RELIABLE, True)
-    assert "measurement_reliability" not in unheard(BEST_EFFORT, RELIABLE, False)
-    assert "transient local" in unheard(RELIABLE, LATCHED, False)
-    assert measured_qos(RELIABLE, "reliable") is RELIABLE
-    chosen = measured_qos(RELIABLE, "best_effort")
+    assert unheard(RELIABLE, RELIABLE, "a") == unheard(RELIABLE, BEST_EFFORT, "a") == ""
+    assert unheard(LATCHED, RELIABLE, "") == ""
+    assert "set setpoint_reliability: best_effort" in unheard(BEST_EFFORT, RELIABLE, "setpoint_reliability")
+    assert "set " not in unheard(BEST_EFFORT, RELIABLE, "")
+    assert "transient local" in unheard(RELIABLE, LATCHED, "")
+    assert chosen_qos(RELIABLE, "reliable") is RELIABLE
+    chosen = chosen_qos(RELIABLE, "best_effort")
     assert chosen.reliability == ReliabilityPolicy.BEST_EFFORT and chosen.depth == 10

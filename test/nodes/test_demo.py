@@ -21,7 +21,7 @@ pytest.importorskip("rclpy", reason="ROS 2 is not installed")
 
 from nodes_support import axis_parameters, until, write_axis  # noqa: E402
 
-from hysteresis_ros.analysis.demonstration import moved_part, opening_of_stroke  # noqa: E402
+from hysteresis_ros.analysis.demonstration import inverse_figure, message, moved_part, opening_of_stroke  # noqa: E402
 from hysteresis_ros.cli.demo import PROCESSES, SETPOINTS, STEPS, TRIANGLES, WITH, WITHOUT  # noqa: E402
 from hysteresis_ros.recordings import Recording, load_run  # noqa: E402
 
@@ -53,8 +53,13 @@ def test_the_demonstration_leaves_bags_a_picture_a_report_and_a_table(tmp_path, 
     assert asked.size > 20 and set(asked) == {2.0e-6}
 
     runs = {name: load_run(made / name, further=True) for name in (WITHOUT, WITH, STEPS, PROCESSES)}
-    for name, run in runs.items():
-        assert f"{name}: {run.time.size} samples equal the offline twin bit for bit, none missing" in answer.stdout
+    counts = ", ".join(f"{name} {run.time.size}" for name, run in runs.items())
+    assert f"all samples equal the offline twin bit for bit, none missing: {counts}" in answer.stdout
+    # the message first, and of what goes on no more than can be read
+    said = answer.stdout.splitlines()
+    assert said[0].startswith("The loop is open by 12 % of the stroke without the inverse")
+    assert "0.25 % with it" in said[0] and said[1].startswith("This machine skipped")
+    assert len(said) <= 12 and len(answer.stderr.splitlines()) <= 10, answer.stdout + answer.stderr
     without, inverse, steps, processes = runs.values()
     frequency, stroke, cycles = TRIANGLES
     assert without.time.size == inverse.time.size == round(cycles / frequency * 3000)
@@ -69,12 +74,17 @@ def test_the_demonstration_leaves_bags_a_picture_a_report_and_a_table(tmp_path, 
     metrics = json.loads((made / "metrics.json").read_text(encoding="utf-8"))
     shown = metrics["demonstration"]
     assert shown["loop_opening_of_stroke"][WITHOUT] == pytest.approx(opening_of_stroke(without))
+    alone = shown["loop_opening_without_missed_deadlines"]
+    assert alone[WITHOUT] == pytest.approx(0.12, abs=0.005) and alone[WITH] == pytest.approx(0.0025, abs=0.00005)
     if not inverse["skipped"].any() and not without["skipped"].any():
-        assert opening_of_stroke(without) > 0.1 and opening_of_stroke(inverse) < 0.005
+        assert shown["loop_opening_of_stroke"] == alone
+    assert shown["skipped_percent"][WITH] == pytest.approx(100.0 * np.mean(inverse["skipped"] != 0.0))
     assert shown["skipped_samples"] == {name: int(runs[name]["skipped"].sum()) for name in (WITHOUT, WITH, STEPS)}
     assert metrics["steps"] == len(SETPOINTS) and metrics["stroke_m"] == 9.0e-6
     page = (made / "report.html").read_text(encoding="utf-8")
-    assert page.count("<img") >= 4 and page.index("without and with the inverse") < page.index("over time")
+    assert [one["part"] for one in metrics["parts"]][-2:] == ["steps", "shutdown"]
+    assert metrics["duration_s"] == pytest.approx(steps.time[-1] - steps.time[0]), "the whole run is the whole run"
+    assert page.count("<img") >= 4 and page.index("without the inverse") < page.index("over time")
     assert (made / "inverse.png").read_bytes().startswith(b"\x89PNG")
 
     again = subprocess.run(command, capture_output=True, text=True, timeout=60)
@@ -90,6 +100,30 @@ def _judge_steps(run):
     for start, end, (_, value) in zip(starts, [*starts[1:], run.time.size], SETPOINTS, strict=True):
         if end - start >= 500 and not run["skipped"][start : start + 500].any():
             assert np.median(run["displacement"][start + 200 : start + 500]) == pytest.approx(value, abs=0.05e-6)
+
+
+def test_the_message_is_the_method_and_beside_it_what_the_machine_made_of_it():
+    clean = message((0.12, 0.0025), (0.12, 0.0025), (0.0, 0.0), live=True)
+    assert "12 %" in clean[0] and "0.25 % with it" in clean[0] and "skipped no sample" in clean[1]
+    first, second = message((0.13, 0.031), (0.12, 0.0025), (3.2, 2.1), live=True)
+    assert first == clean[0]
+    assert "3.2 % and 2.1 % of the samples" in second and "13 % without the inverse, 3.1 % with it" in second
+
+
+def test_the_picture_is_the_clean_one_and_marks_what_was_skipped():
+    pytest.importorskip("matplotlib", reason="the picture needs the extra 'report'")
+    time = np.arange(2000) / 1000.0
+    reference = 1e-5 * np.abs(((time + 1e-9) % 1.0) - 0.5)
+    clean = Recording(time, {"reference": reference, "displacement": reference + 1e-8, "skipped": np.zeros(2000)})
+    skipped = np.zeros(2000)
+    skipped[[100, 900, 1500]] = 1.0
+    here = Recording(time, {"reference": reference, "displacement": reference - 1e-6 * skipped, "skipped": skipped})
+    loop, error = inverse_figure(clean, clean, clean, here).axes
+    (marks,) = [line for line in loop.lines if line.get_marker() == "x"]
+    # the first branch is not drawn
+    np.testing.assert_allclose(marks.get_ydata(), 1e6 * here["displacement"][[900, 1500]])
+    np.testing.assert_allclose(error.lines[1].get_ydata(), 0.01, rtol=1e-6)
+    assert not [line for line in inverse_figure(clean, clean, clean, clean).axes[0].lines if line.get_marker() == "x"]
 
 
 def test_only_the_part_that_setpoints_move_is_judged():

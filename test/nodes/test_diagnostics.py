@@ -92,7 +92,7 @@ def test_levels_of_the_modes_of_controller_and_compensator(axis):
     assert said(controller) == (WARN, "stopped")
     controller._mode = TRIPPED
     assert said(controller) == (ERROR, "the plant has stopped the axis"), "a stop hides no error"
-    source.take_setpoint(math.nan)
+    source._take(math.nan)
     assert said(source)[0] == WARN and "refused" in diagnostics(source).status[0].message + "refused"
     assert said(source)[0] == OK, "said once"
 
@@ -101,12 +101,13 @@ class Part:
     """Of a plant what is judged."""
 
     tripped = silent = saturated = finding_home = halted = overtravelled = False
-    failure = complaint = ""
+    failure = complaint = lost = ""
     travel = (-1e-6, 2e-5)
 
 
 class Runner:
     by_message, exact = True, False
+    late_samples = 0
 
     def explain_trip(self):
         return "late"
@@ -116,23 +117,38 @@ def test_levels_of_a_plant():
     driven = [type("Input", (), {"topic": "voltage", "received": 1.0})]
     silent = [type("Input", (), {"topic": "voltage", "received": 0.0})]
 
-    def judged(inputs=driven, late=0, **state):
+    def judged(inputs=driven, late=0, limited="", **state):
         part = Part()
         for name, value in state.items():
             setattr(part, name, value)
-        return verdict(part, Runner(), inputs, late)
+        return verdict(part, Runner(), inputs, late, limited)
 
     ok, warn, error = (level[0] for level in (OK, WARN, ERROR))
     assert judged() == (ok, "")
     assert judged(inputs=silent) == (warn, "no voltage has come yet: nobody drives the axis")
-    assert judged(late=3) == (warn, "3 commands late")
+    assert judged(late=3) == (warn, "3 samples late")
     assert judged(saturated=True) == (warn, "voltage saturated")
     assert judged(complaint="outside of the calibration")[0] == warn
+    cut = "output limited for 2 s of the last 9 s, by safe_slew_rate"
+    assert judged(limited=cut, late=3, saturated=True) == (warn, cut), "said first"
+    assert judged(limited=cut, complaint="outside of the calibration") == (warn, f"{cut}; outside of the calibration")
+    assert judged(limited=cut, silent=True) == (error, "voltage is stale")
     assert judged(silent=True) == (error, "voltage is stale")
-    for state in ({"halted": True}, {"overtravelled": True}, {"failure": "device: gone"}, {}):
+    for state in ({"halted": True}, {"overtravelled": True}, {"failure": "device: gone"}, {"lost": "/it"}, {}):
         level, words = judged(tripped=True, **state)
         assert level == error and words.startswith("axis stopped: ")
     assert judged(tripped=True, finding_home=True)[0] == warn, "a sensor that is homed goes on by itself"
+
+
+def test_an_overtravel_names_late_samples_first_where_there_were_some():
+    from hysteresis_ros.nodes.plant_report import explain_trip
+
+    part, runner = Part(), Runner()
+    part.overtravelled = True
+    assert "where an unstable loop or a wrong sensor gets" in explain_trip(part, runner)
+    runner.late_samples = 7
+    words = explain_trip(part, runner)
+    assert words.index("after 7 late samples") < words.index("gains") and "only" not in words
 
 
 def matches(section: dict, name: str) -> bool:

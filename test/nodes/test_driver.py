@@ -118,6 +118,11 @@ def test_a_driver_that_fails_stops_the_axis_which_says_why_and_goes_on_when_star
     said = diagnostics(reports, "/plant_simulator")[1]
     assert said.startswith("axis stopped: driver simulated: cannot be ") and "OSError: unplugged" in said
     assert "~/start" in said and stage.heard[-1] == "safe"
+    for _ in range(2):  # nothing starts while the device fails, and the answer says so each time
+        answer = observer.trigger("/plant_simulator/start")
+        assert not answer.success and "OSError: unplugged" in answer.message and plant.part.tripped
+    answer = observer.trigger("/motion_controller/start")
+    assert not answer.success and "the plant has stopped the axis" in answer.message
     stage.failing = ""
     since = len(joints)
     until(lambda: len(joints) > since + 20)

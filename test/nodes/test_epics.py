@@ -123,6 +123,21 @@ def test_what_is_refused_stands_in_the_alarm_of_value_and_readback(served):
     assert served.asked == []
 
 
+READ_ONLY = (".RBV", ".DRBV", ".RRBV", ".DMOV", ".MOVN", ".LVIO", ".DIFF", ".MSTA", ".STAT", ".SEVR", ".TDIR")
+
+
+@pytest.mark.parametrize("field", READ_ONLY)
+def test_what_a_record_only_says_cannot_be_written_and_that_is_no_traceback(served, field, caplog, capfd):
+    before = number(field)
+    with pytest.raises(Exception, match="cannot write"):
+        write(field, 3)
+    assert number(field) == before
+    write(".VAL", 4.0)
+    assert served.asked == [pytest.approx(4e-6)], "the record does not go on"
+    said = caplog.text + "".join(capfd.readouterr())
+    assert "Traceback" not in said and "refused: Forbidden: Client with" in said, said
+
+
 def test_limits_units_and_digits_are_those_of_the_record(served):
     write(".HLM", 6.0)
     until(lambda: read("", "control").metadata.upper_ctrl_limit == 6.0, what="the new limit")

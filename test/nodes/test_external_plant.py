@@ -132,6 +132,7 @@ def test_nothing_begins_without_it_and_another_rate_is_said(processes, observer,
     [
         (("--rate", "lockstep"), "external_plant = True: a plant of your own does not wait for anybody"),
         (("--plant", "externl"), "externl"),
+        (("--factor", "20"), "2000 samples/s are too many for messages between nodes"),
     ],
 )
 def test_what_cannot_be_is_refused(processes, axis, options, words):

@@ -68,3 +68,57 @@ def test_an_axis_at_a_controller_moves_is_stopped_by_a_cut_link_and_goes_on_when
     assert plant.part.tripped, "it went on by itself"
     assert observer.trigger("/plant_simulator/start").success
     until(lambda: abs(joints[-1].position[0] - TARGET) < 0.4 * TARGET, what="the axis back at its setpoint")
+
+
+@pytest.fixture
+def moving(running, inside, observer):
+    """The plant's node of an axis at its setpoint, and what diagnostics and the emulated amplifier say."""
+    from diagnostic_msgs.msg import DiagnosticArray
+    from sensor_msgs.msg import JointState
+    from std_msgs.msg import Float64
+
+    plant, *_ = compose(inside, axis_at(running.driver.port))
+    inside.spin()
+    joints = observer.listen(JointState, "/joint_states")
+    reports = observer.listen(DiagnosticArray, "/diagnostics")
+    setpoint = observer.talk(Float64, "/setpoint")
+    until(lambda: joints and setpoint.get_subscription_count(), what="the axis to run")
+    setpoint.publish(Float64(data=TARGET))
+    until(lambda: abs(joints[-1].position[0] - TARGET) < 0.4 * TARGET, what="the axis near its setpoint")
+    return plant, lambda: (diagnostics(reports, "/plant_simulator") or (0, ""))[1], running.device.axes["1"]
+
+
+@pytest.mark.parametrize("happens", ["repeat", "stale", "echo", "drop", "garbage", "half", "close"])
+def test_an_axis_whose_controller_says_a_wrong_line_is_safe_and_says_which(running, moving, observer, happens):
+    plant, said, amplifier = moving
+    running.faults.add(f"{happens}:0:60:1")
+    until(lambda: plant.part.tripped, what="the axis to stop")
+    until(lambda: "axis stopped" in said(), what="its reason")
+    reasons = ("a line too many", "answers '", "does not answer '", "has hung up at '")
+    assert any(reason in said() for reason in reasons) and "somebody else" not in said() and "still" not in said()
+    assert amplifier.open_value == 0.0
+    assert observer.trigger("/plant_simulator/start").success
+    until(lambda: amplifier.open_value > 5.0, what="the axis to go on")
+    plant.leaving = True
+    plant.release()
+    assert amplifier.open_value == 0.0
+
+
+@pytest.mark.parametrize("seen", ["/plant_simulator/start", "/plant_simulator/reset"])
+def test_a_voltage_that_cannot_be_taken_off_is_reported_until_it_is_acknowledged_and_when_the_node_leaves(
+    running, moving, observer, capfd, seen
+):
+    plant, said, amplifier = moving
+    running.faults.add("cut:0:600")
+    until(lambda: "the output is still at" in said(), what="the voltage that is left")
+    left = amplifier.open_value
+    assert left > 5.0 and f"the output is still at {left:.6g} V" in said()
+    # it stays there: what a person does then is tried, and said anew
+    answer = observer.trigger(seen)
+    assert answer.success == seen.endswith("reset"), "a start tries the device and says that it still fails"
+    assert answer.success or "the output is still at" in answer.message
+    until(lambda: plant.part.failure and f"the output is still at {left:.6g} V" in plant.part.failure)
+    capfd.readouterr()
+    plant.leaving = True
+    plant.release()
+    assert f"the output is still at {left:.6g} V" in capfd.readouterr().err and amplifier.open_value == left

@@ -315,7 +315,7 @@ def test_no_participant_is_left_for_the_end_of_the_process(processes, tmp_path):
     assert process.output.splitlines()[-1] == "left:"
 
 
-def test_a_recorder_that_leaves_takes_what_a_busy_machine_keeps_waiting():
+def test_a_recorder_that_leaves_takes_what_a_busy_machine_keeps_waiting(monkeypatch):
     """Its last messages are those of an axis that goes to its safe voltage; others leave sooner."""
     from types import SimpleNamespace
 
@@ -333,8 +333,11 @@ def test_a_recorder_that_leaves_takes_what_a_busy_machine_keeps_waiting():
         made.release = lambda: left.setdefault(name, len(heard))
         return made
 
+    clock = [0.0]
+    monkeypatch.setattr(spin, "time", SimpleNamespace(monotonic=lambda: clock[0]))
+
     def take(timeout_sec):
-        time.sleep(timeout_sec)  # as an executor waits that hears nothing
+        clock[0] += timeout_sec  # as an executor waits that hears nothing
         heard.append(None)
         assert len(heard) < 1000, "nobody leaves"
 

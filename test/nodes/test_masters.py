@@ -90,7 +90,7 @@ def pass_time(led, duration: float) -> None:
         led.masters.look()
 
 
-def test_who_came_first_is_heard_and_nobody_else_until_he_has_been_silent_for_the_time_out(led):
+def test_a_silent_publisher_gives_its_input_to_nobody_else_before_a_person_allows_it(led):
     led.master.take(1.0, OURS)
     for _ in range(100):
         pass_time(led, 0.1)
@@ -100,11 +100,34 @@ def test_who_came_first_is_heard_and_nobody_else_until_he_has_been_silent_for_th
     pass_time(led, 0.19)
     led.master.take(2.0, THEIRS)
     assert led.taken[-1] == 1.0 and not led.node.told
-    pass_time(led, 0.02)
+    for _ in range(100):
+        pass_time(led, 0.1)  # it is over, and the other one goes on and on
+        led.master.take(2.0, THEIRS)
+    assert led.taken[-1] == 1.0 and not led.node.told
+    led.masters.release()
+    led.master.take(1.0, OURS)  # it was back before the other one was heard
+    pass_time(led, 1.0)
+    led.master.take(2.0, THEIRS)
+    assert led.taken[-1] == 1.0
+    led.masters.release()
+    pass_time(led, 0.1)
     led.master.take(2.0, THEIRS)
     assert led.taken[-1] == 2.0 and "/voltage is taken from /stranger now" in led.node.told[0]
-    led.master.take(1.0, OURS)  # now he is the second one
+    assert "allowed by ~/reset" in led.node.told[0]
+    led.master.take(1.0, OURS)  # now it is the second one
     assert led.taken[-1] == 2.0
+
+
+def test_the_same_node_restarted_follows_a_silent_one(led):
+    again = b"again"
+    led.master.take(1.0, OURS)
+    led.node.names |= {again: "compensator"}
+    for _ in range(10):
+        pass_time(led, 0.03)
+        led.master.take(2.0, THEIRS)
+        led.master.take(3.0, again)
+    assert led.taken[0] == 1.0 and set(led.taken[1:]) == {3.0}
+    assert "is the same node" in led.node.told[0]
 
 
 @pytest.mark.parametrize("known", ["at once", "later"])
@@ -121,7 +144,11 @@ def test_who_has_left_the_graph_is_followed_by_another_at_once_and_who_is_in_it_
         pass_time(led, 0.03)
         led.master.take(2.0, THEIRS)
     assert led.taken == [1.0]
-    led.node.names = {THEIRS: "compensator"} if known == "at once" else {}
+    led.node.names = {THEIRS: "stranger"}  # what has left the graph leaves its place to its like only
+    pass_time(led, 0.03)
+    led.master.take(2.0, THEIRS)
+    assert led.taken == [1.0]
+    led.node.names = {THEIRS: "compensator"}
     pass_time(led, 0.03)
     led.master.take(2.0, THEIRS)
     assert led.taken == [1.0, 2.0] and "/voltage is taken from /compensator now" in led.node.told[0]
@@ -167,6 +194,9 @@ def test_a_process_that_stood_still_takes_nobody_for_silent(led):
     led.clock.now += 3.0
     led.masters.look()
     led.master.take(2.0, THEIRS)
+    led.masters.release()
+    led.master.take(2.0, THEIRS)
+    assert led.taken == [1.0, 1.0]
     pass_time(led, 0.3)
     led.master.take(2.0, THEIRS)
     assert led.taken == [1.0, 1.0, 2.0]
@@ -274,14 +304,20 @@ def test_a_second_sender_of_voltage_moves_nothing_and_diagnostics_name_both(insi
 
     until(both_named, what="both names")
     assert 50.0 not in seen
-    observers[0].node.destroy_publisher(ours)  # as a partner does that is configured anew
+    observers[0].node.destroy_publisher(ours)
+    until(lambda: plant.count_publishers("voltage") == 1, what="the first one to leave")
+    if told:
+        refused = master.refused
+        until(lambda: (theirs.publish(Float64(data=51.0)), master.refused > refused + 20)[1], what="messages refused")
+        assert 51.0 not in seen
+        assert observers[0].trigger("/plant_simulator/reset").success
 
     def followed() -> bool:
-        theirs.publish(Float64(data=51.0))
-        return 51.0 in seen
+        theirs.publish(Float64(data=52.0))
+        return 52.0 in seen
 
     until(followed, what="the other one's voltage, long before the time-out")
-    assert 50.0 not in seen
+    assert not {50.0, 51.0} & set(seen)
 
 
 def test_a_node_does_not_go_to_work_where_somebody_leads(inside, observer, monkeypatch):

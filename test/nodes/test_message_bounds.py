@@ -59,6 +59,7 @@ def test_a_joint_is_looked_for_among_a_bounded_number():
         wrong_joint=False,
         runner=SimpleNamespace(exact=True),
         fail=said.append,
+        read_trip=lambda message, row: None,
     )
     others = ["other"] * MOST_JOINTS
     message = SimpleNamespace(

@@ -84,12 +84,28 @@ def test_ranges_are_described_and_refused_in_words(inside):
     for name, row in rows.items():
         told = node.describe_parameter(name)
         ranges = list(told.floating_point_range) + list(told.integer_range)
-        closed = row.type in (float, int) and None not in (row.low, row.high)
-        assert [(one.from_value, one.to_value) for one in ranges] == ([(row.low, row.high)] if closed else [])
+        ends = {float: (-sys.float_info.max, sys.float_info.max), int: (-(2**63), 2**63 - 1)}.get(
+            row.type, (None, None)
+        )
+        found = tuple(end if own is None else own for own, end in zip((row.low, row.high), ends, strict=True))
+        bounded = row.type in (float, int) and (row.low is not None or row.high is not None)
+        assert [(one.from_value, one.to_value) for one in ranges] == ([found] if bounded else []), name
         if name != "use_sim_time":
             assert told.read_only == row.read_only and told.type != 0
     refused = set_(node, **{"waveform.frequency": -1.0})
     assert not refused.successful and "allowed" in refused.reason
+
+
+def test_limits_of_the_voltage_are_narrowed_live_and_widened_at_the_start_only(inside):
+    """What is connected is protected by them; a slip on the command line must not undo that."""
+    overrides = {"hysteresis_compensator": {"limits__minimum": -30.0, "limits__maximum": 90.0}}
+    node = inside.add(HysteresisCompensatorNode, axis_parameters(overrides=overrides).hysteresis_compensator)
+    refused = set_(node, **{"limits.maximum": 10000.0})
+    assert not refused.successful and "beyond the 90 V of the start" in refused.reason
+    assert not set_(node, **{"limits.minimum": -30.1}).successful
+    assert set_(node, **{"limits.maximum": 50.0}).successful and set_(node, **{"limits.minimum": 0.0}).successful
+    assert set_(node, **{"limits.maximum": 90.0}).successful and set_(node, **{"limits.minimum": -30.0}).successful
+    assert node.get_parameter("limits.maximum").value == 90.0
 
 
 @pytest.mark.parametrize(

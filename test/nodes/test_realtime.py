@@ -20,6 +20,8 @@ pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
 
 from nodes_support import Driver, axis_parameters, diagnostics, until, write_axis  # noqa: E402
 
+from hysteresis_ros.nodes.realtime import STARTING  # noqa: E402
+
 RATE = 200.0
 
 
@@ -53,6 +55,12 @@ def generator(inside):
     node = inside.add(ReferenceGeneratorNode, parameters("reference_generator"))
     inside.spin()
     return node
+
+
+def at_work():
+    """Return a condition that holds when a sender is taken to be at work: longer than nodes need to start."""
+    begun = time.monotonic()
+    return lambda: time.monotonic() > begun + STARTING + 0.5
 
 
 def keep_sending(send, condition, what: str = "") -> None:
@@ -91,14 +99,15 @@ def test_setpoint_of_a_default_publisher_moves_the_axis_and_bad_ones_are_refused
     until(lambda: all(diagnostics(reports, name) for name in (*names, "/hysteresis_compensator")))
     for name in (*names, "/hysteresis_compensator"):
         table = diagnostics(reports, name)[2]
-        assert {"rate_hz", "jitter_p99_s", "samples", "overruns", "stale"} <= set(table), name
+        assert {"rate_hz", "jitter_p99_s", "samples", "stale"} <= set(table), name
     for name in ("/plant_simulator", "/hysteresis_compensator"):
         assert "saturated_samples" in diagnostics(reports, name)[2]
-    assert "late_commands" in diagnostics(reports, "/plant_simulator")[2]
+    assert "late_samples" in diagnostics(reports, "/plant_simulator")[2]
 
 
 @pytest.mark.parametrize("fault", ["stops", "nan", "goes back", "wrong joint"])
 def test_bad_measurement_makes_the_controller_go_safe_and_come_back_without_a_jump(controller, observer, fault):
+    """Measurements that stop altogether are the loss of a node: then a person lets it go on."""
     from diagnostic_msgs.msg import DiagnosticArray
     from std_msgs.msg import Float64
 
@@ -107,7 +116,8 @@ def test_bad_measurement_makes_the_controller_go_safe_and_come_back_without_a_ju
     reference = observer.talk(Float64, "/reference")
     driver = Driver(observer)
     keep_sending(lambda: (reference.publish(Float64(data=8.0e-6)), driver.send()), lambda: commands)
-    keep_sending(driver.send, lambda: commands[-1].data == 8.0e-6)
+    keep_sending(driver.send, at_work())
+    assert commands[-1].data == 8.0e-6
     bad = {
         "stops": lambda: None,
         "nan": lambda: driver.send(math.nan),
@@ -125,12 +135,23 @@ def test_bad_measurement_makes_the_controller_go_safe_and_come_back_without_a_ju
     else:
         keep_sending(bad, lambda: controller.stale)
     assert time.monotonic() - start >= 0.2  # patience first
-    until(lambda: commands[-1].data == 0.0, what="the safe command")
-    until(lambda: (diagnostics(reports, "/motion_controller") or [0])[0] == 2)
+    # bad ones go on: where nothing came any more the sender would be lost, too
+    lost = fault in ("stops", "goes back")
+    still = (lambda: None) if lost else bad
+    keep_sending(still, lambda: commands[-1].data == 0.0, what="the safe command")
+    keep_sending(still, lambda: (diagnostics(reports, "/motion_controller") or [0])[0] == 2)
     assert "stale" in diagnostics(reports, "/motion_controller")[1] or fault == "wrong joint"
     if fault == "wrong joint":
         assert "extender" in diagnostics(reports, "/motion_controller")[1]
         driver.message.name[1] = "extender"
+    if lost:
+        until(lambda: controller.runner.latched, what="the loss")
+        answer = observer.trigger("/motion_controller/start")
+        assert not answer.success and "is lost" in answer.message
+        since_then = len(commands)
+        keep_sending(driver.send, lambda: len(commands) > since_then + 20, what="more commands")
+        assert {command.data for command in commands[since_then:]} == {0.0}  # latched
+        assert observer.trigger("/motion_controller/start").success
     keep_sending(driver.send, lambda: abs(commands[-1].data - 8.0e-6) < 1e-9, what="the command to come back")
     moved = [c.data for c in commands[since - 1 :]]
     steps = [abs(b - a) for a, b in zip(moved[:-1], moved[1:], strict=True)]
@@ -144,7 +165,7 @@ def test_command_that_stops_makes_the_voltage_go_safe_and_come_back_without_a_ju
 
     voltages = observer.listen(Float64, "/voltage")
     command = observer.talk(Float64, "/command")
-    keep_sending(lambda: command.publish(Float64(data=8.0e-6)), lambda: voltages and voltages[-1].data > 50.0)
+    keep_sending(lambda: command.publish(Float64(data=8.0e-6)), at_work())
     high = voltages[-1].data
     since = len(voltages)
     until(lambda: voltages[-1].data == 0.0, what="the safe voltage")
@@ -152,7 +173,11 @@ def test_command_that_stops_makes_the_voltage_go_safe_and_come_back_without_a_ju
     for _ in range(3):
         command.publish(Float64(data=math.nan))
     until(lambda: compensator.refused == 3)
-    assert voltages[-1].data == 0.0 and compensator.silent
+    assert voltages[-1].data == 0.0 and (compensator.silent or compensator.runner.latched)
+    since_then = len(voltages)
+    keep_sending(lambda: command.publish(Float64(data=8.0e-6)), lambda: len(voltages) > since_then + 100)
+    assert {voltage.data for voltage in voltages[since_then:]} == {0.0}  # latched until a person lets it go on
+    assert observer.trigger("/hysteresis_compensator/start").success
     keep_sending(lambda: command.publish(Float64(data=8.0e-6)), lambda: abs(voltages[-1].data - high) < 0.5)
     moved = [v.data for v in voltages[since - 1 :]]
     steps = [abs(b - a) for a, b in zip(moved[:-1], moved[1:], strict=True)]
@@ -172,12 +197,19 @@ def test_voltage_that_stops_lets_the_plant_go_safe_and_follow_again_without_a_ju
     state = observer.listen(JointState, "/plant_simulator/state")
     voltage = observer.talk(Float64, "/voltage")
     keep_sending(lambda: voltage.publish(Float64(data=60.0)), lambda: state and abs(state[-1].position[2] - 60) < 0.01)
+    keep_sending(lambda: voltage.publish(Float64(data=60.0)), at_work())
     since = len(state)
     until(lambda: abs(state[-1].position[2]) < 0.01, what="the safe voltage")
-    assert plant.silent
+    assert plant.part.tripped
     late = plant.late
     assert late > 0  # commands that did not come in time are held and counted
     voltage.publish(Float64(data=math.inf))
+    answer = observer.trigger("/plant_simulator/start")
+    assert not answer.success and "hysteresis_compensator is lost" in answer.message
+    since_then = len(state)
+    keep_sending(lambda: voltage.publish(Float64(data=60.0)), lambda: len(state) > since_then + 50)
+    assert abs(state[-1].position[2]) < 0.01  # latched until a person lets it go on
+    assert observer.trigger("/plant_simulator/start").success
     keep_sending(lambda: voltage.publish(Float64(data=60.0)), lambda: abs(state[-1].position[2] - 60) < 0.01)
     moved = [s.position[2] for s in state[since - 1 :]]
     assert max(abs(b - a) for a, b in zip(moved[:-1], moved[1:], strict=True)) <= 1000.0 / RATE + 0.01
@@ -394,5 +426,6 @@ def test_our_names_shadow_nothing_of_rclpy(inside):
     plain.destroy_node()
     hooks = {"on_configure", "on_activate", "on_deactivate", "on_cleanup", "on_shutdown", "destroy_node"}
     hooks |= {"describe_parameter", "list_parameters"}
+    hooks |= {"create_service"}  # guarded: nodes.services
     hooks |= {"_LifecycleNodeMixin__on_change_state"}  # guarded: nodes.lifecycle
     assert (ours & theirs) - hooks == set(), AxisNode

@@ -239,3 +239,31 @@ def test_a_killed_recorder_ends_a_run_in_lockstep_only(tmp_path, mode):
                 assert graph.lost == [recorder]
         finally:
             graph.stop()
+
+
+def test_every_setpoint_that_was_taken_is_in_the_bag_and_no_other(inside, tmp_path):
+    """However it came: by the service, by a topic, and whoever sent it has left before the recorder knew it."""
+    from rclpy.serialization import deserialize_message
+    from std_msgs.msg import Float64
+
+    from hysteresis_ros.nodes.recorder import RecorderNode
+
+    overrides = {"plant_simulator": {"late_limit": -1}, "recorder": {"path": str(tmp_path / "bag")}}
+    axis = axis_parameters(overrides=overrides, sample_rate=50.0, time_mode="realtime")
+    recorder = inside.add(RecorderNode, axis.recorder)
+    source = compose(inside, axis)[-1]
+    written, write = [], recorder.bag.write
+
+    def noted(topic, type_name, data, *rest):
+        if topic == "/setpoint":
+            written.append(deserialize_message(data, Float64).data)
+        write(topic, type_name, data, *rest)
+
+    recorder.bag.write = noted
+    inside.spin()
+    until(lambda: source._taken.get_subscription_count() and recorder.sample > 3, what="a recorded axis")
+    asked = [1e-6, 2e-6, 5e-2, 2e-6, 3e-6, 4e-6]  # one is out of range
+    for value in asked:
+        source._take(value)
+    until(lambda: len(written) >= 5, what="setpoints in the bag")
+    assert written == [value for value in asked if value < 1e-3]

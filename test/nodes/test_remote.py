@@ -99,7 +99,7 @@ def test_a_source_that_cannot_move_says_why_and_what_to_do(state, words):
 
 def test_who_does_not_listen_or_answer_is_named(axis, hasty, client):
     with Client("right", timeout=SHORT, context=axis.context) as nobody:
-        with pytest.raises(AbsentError, match="nobody listens on /right/setpoint within 0.3 s; there are .*/left/"):
+        with pytest.raises(AbsentError, match="no /right/reference_generator or .* within 0.3 s; .*/left/"):
             setpoint(nobody, 1e-6)
         with pytest.raises(AbsentError, match="no axis in /right"):
             status(nobody, as_json=False)
@@ -133,13 +133,15 @@ def test_parameters_are_got_and_set_all_or_none(axis, client, capsys):
     assert (controller.parameters.sliding_mode.eta, controller.parameters.sliding_mode.phi) == (0.003, 0.94)
     set_(client, "plant_simulator", {"sensor.noise": "5nm"})
     assert node(axis, "plant_simulator").parameters.sensor.noise == 5e-9
+    with pytest.raises(ParameterError, match="sensor.noise = '5e-9'.*of which unit. Write 5e-9m or 5e-9mm"):
+        set_(client, "plant_simulator", {"sensor.noise": "5e-9"})
     for values, reason in (
         ({"sliding_mode.eta": "0.001", "sliding_mode.phi": "2"}, "sliding_mode.phi = 2.* allowed"),
         ({"sliding_mode.eta": "0.001", "sample_rate": "5"}, "sample_rate = 5.*read-only while.*nothing was changed"),
         ({"sliding_mode.eta": "0.001", "sliding_mode.hyperplane": "designed"}, "allowed: .* given, lq, poles"),
         ({"sliding_mode.et": "0.001"}, "did you mean sliding_mode.eta"),
         ({"sliding_mode": "0.001"}, "below it there are sliding_mode.S"),
-        ({"sliding_mode.eta": "5V"}, "is in V, allowed"),
+        ({"sliding_mode.eta": "5V"}, "is in V, must be a number"),
     ):
         with pytest.raises((HysteresisError, ParameterError), match=reason):
             set_(client, "motion_controller", values)
@@ -218,8 +220,8 @@ def test_commands_end_with_a_line_and_their_exit_code(processes):
     """In processes of their own: nobody there is wrong input, Ctrl-C is Ctrl-C."""
     waiting = processes.command("echo", "joint_states", "--timeout", "100")
     alone = processes.command("setpoint", "1um", "--timeout", "0.5")
-    assert alone.wait() == 2, alone.output
-    assert "hysteresis: nobody listens on /setpoint within 0.5 s; there is nobody in the ROS domain" in alone.output
+    assert alone.wait() == 1, alone.output
+    assert "no /reference_generator or /inchworm_sequencer within 0.5 s; there is nobody in the ROS" in alone.output
     code, _ = waiting.leave(signal.SIGINT)
     assert code == 130 and waiting.output == "hysteresis: interrupted\n"
 
@@ -227,3 +229,94 @@ def test_commands_end_with_a_line_and_their_exit_code(processes):
 def test_a_namespace_that_is_none_is_refused_in_a_line():
     with pytest.raises(HysteresisError, match="namespace /a b: "), Client("a b", SHORT):
         raise AssertionError("such a namespace")
+
+
+def test_a_setpoint_is_the_source_s_to_take_and_not_a_listener_s(axis, client, hasty, capsys):
+    """A page or a recorder that subscribes is no source: without the source the setpoint is not known to be taken."""
+    from rclpy.node import Node
+    from std_msgs.msg import Float64
+
+    page = Node("page", context=axis.context, namespace="/right")
+    page.create_subscription(Float64, "setpoint", lambda message: None, 10)
+    try:
+        without = pytest.raises(AbsentError, match="no /right/reference_gen.*; /right/page on /right/setpoint does not")
+        with Client("right", timeout=SHORT, context=axis.context) as nobody, without:
+            setpoint(nobody, 1e-6)
+    finally:
+        page.destroy_node()
+    assert not capsys.readouterr().out
+
+
+def test_a_source_that_does_not_answer_has_not_taken_the_setpoint(axis, capsys):
+    from rclpy.node import Node
+    from std_msgs.msg import Float64
+
+    heard: list = []
+    source = Node("reference_generator", context=axis.context, namespace="/mute")
+    source.create_subscription(Float64, "setpoint", heard.append, 10)
+    try:
+        refused = pytest.raises(AbsentError, match="/mute/reference_generator did not answer within 0.3 s, and nothing")
+        with Client("mute", timeout=SHORT, context=axis.context) as asking, refused:
+            setpoint(asking, 7e-6)
+    finally:
+        source.destroy_node()
+    assert not heard and "taken" not in capsys.readouterr().out
+
+
+def test_the_service_of_a_setpoint_survives_what_is_no_setpoint(axis, client):
+    from rcl_interfaces.msg import Parameter, ParameterType, ParameterValue
+    from rcl_interfaces.srv import SetParametersAtomically
+
+    before = node(axis, "reference_generator").setpoint
+    good = Parameter(name="setpoint", value=ParameterValue(type=ParameterType.PARAMETER_DOUBLE, double_value=2e-6))
+    text = Parameter(name="setpoint", value=ParameterValue(type=ParameterType.PARAMETER_STRING, string_value="2e-6"))
+    strange = Parameter(name="setpoint", value=ParameterValue(type=99))
+    asked = "one parameter 'setpoint' of type double"
+    nameless = Parameter(name="", value=good.value)
+    given_and_refused = (
+        ([], asked),
+        ([good, good], asked),
+        ([text], asked),
+        ([strange], "type 99"),
+        ([nameless], "name"),
+    )
+    for given, reason in given_and_refused:
+        request = SetParametersAtomically.Request(parameters=given)
+        result = client.ask(SetParametersAtomically, "/left/reference_generator/set_setpoint", request).result
+        assert not result.successful and reason in result.reason
+    assert node(axis, "reference_generator").setpoint == before
+
+
+def test_a_node_whose_messages_come_is_not_absent(axis, client, capsys, monkeypatch):
+    """Discovery may name a node late: its report says that it is there."""
+    known = Client.nodes
+
+    monkeypatch.setattr(Client, "nodes", lambda self: [name for name in known(self) if "compensator" not in name])
+    status(client, as_json=True)
+    found = json.loads(capsys.readouterr().out)["/left"]["nodes"]["/left/hysteresis_compensator"]
+    assert found["state"] == "active" and found["rate_hz"] is not None
+
+
+def test_status_waits_until_every_node_is_found(axis, client, capsys, monkeypatch):
+    """The node that discovery names last is waited for, however long the others are known."""
+    import time
+
+    known, begun = Client.nodes, time.monotonic()
+    monkeypatch.setattr("hysteresis_ros.nodes.remote.status.DIAGNOSTICS", "/unheard")
+
+    def late(self):
+        return [name for name in known(self) if "compensator" not in name or time.monotonic() - begun > 2.0]
+
+    monkeypatch.setattr(Client, "nodes", late)
+    status(client, as_json=True)
+    nodes = json.loads(capsys.readouterr().out)["/left"]["nodes"]
+    assert nodes["/left/hysteresis_compensator"]["state"] == "active"
+
+
+def test_status_says_how_long_it_looked_for_a_node(axis, client, capsys, monkeypatch):
+    known = Client.nodes
+    monkeypatch.setattr("hysteresis_ros.nodes.remote.status.DIAGNOSTICS", "/unheard")
+    monkeypatch.setattr(Client, "nodes", lambda self: [name for name in known(self) if "compensator" not in name])
+    client.timeout = 1.0
+    assert status(client, as_json=False) == 1
+    assert "hysteresis_compensator  absent                    not found within 1 s" in capsys.readouterr().out

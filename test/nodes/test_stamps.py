@@ -58,6 +58,21 @@ def test_stamps_follow_a_clock_that_is_set_and_never_go_back(inside, monkeypatch
     assert stamps[-1] - stamps[11] == (len(stamps) - 12) * PERIOD, "an hour back is waited for"
 
 
+def test_a_clock_that_cannot_be_read_stops_nothing(inside, monkeypatch):
+    plant = plant_of(inside)
+    assert plant.configure_now()
+    plant.stamps.go_on(plant.sample)
+    before = next_stamp(plant)
+
+    def fails():
+        raise OSError(22, "Invalid argument")
+
+    monkeypatch.setattr(module.time, "time_ns", fails)
+    assert [next_stamp(plant) for _ in range(3)] == [before + k * PERIOD for k in (1, 2, 3)]
+    plant.stamps.go_on(plant.sample)
+    assert next_stamp(plant) > before + 3 * PERIOD
+
+
 def test_an_axis_that_is_the_source_of_time_or_runs_slower_has_stamps_of_its_own(inside, monkeypatch):
     plant = plant_of(inside, publish_clock=True)
     assert plant.configure_now()
@@ -76,7 +91,8 @@ def test_stamps_stay_on_the_clock_when_samples_come_late(inside):
     assert plant.configure_now() and plant.activate_now()
     until(lambda: plant.sample > 2, what="samples")
     with plant.lock:
-        time.sleep(0.08)  # a delay on purpose: for 15 periods and more nobody makes samples
+        # nobody makes samples meanwhile
+        until(lambda: time.time_ns() - plant.stamps.last > 16 * PERIOD, what="16 periods without a sample")
     late = plant.sample
     until(lambda: plant.sample > late + 1, what="further samples")
     until(

@@ -86,3 +86,35 @@ def test_who_does_not_keep_the_time_counts_overruns_by_the_usual_interval(monkey
         now[0] += round(1e6 / factor * (2.0 if k in (100, 500, 900) else 1.0))
     assert pace.read()[0] == pytest.approx(1000.0 * factor, rel=0.01)
     assert pace.overruns == expected
+
+
+def test_a_burst_is_no_rate(monkeypatch):
+    """What a busy machine delivers together after a pause came at the rate at which it was made."""
+    now = [1]
+    monkeypatch.setattr(timing.time, "monotonic_ns", lambda: now[0])
+    pace = Pace(1e-2, keeps_time=False)
+    for _ in range(4):
+        now[0] += 999_000_000
+        for _ in range(100):
+            pace.tick()
+            now[0] += 10_000  # 100 samples in 1 ms
+        assert pace.read()[0] < 110.0
+    assert pace.read()[0] == pytest.approx(100.0, rel=0.05)
+    for _ in range(3):  # and who asks often is not fooled either
+        now[0] += 1_000_000
+        pace.tick()
+        assert pace.read()[0] == pytest.approx(100.0, rel=0.05)
+
+
+def test_a_silence_takes_the_rate_away(monkeypatch):
+    now = [1]
+    monkeypatch.setattr(timing.time, "monotonic_ns", lambda: now[0])
+    pace = Pace(1e-2)
+    for _ in range(150):
+        pace.tick()
+        now[0] += 10_000_000
+    assert pace.read()[0] == pytest.approx(100.0, rel=0.05)
+    for _ in range(2):
+        now[0] += 2_000_000_000
+        rate = pace.read()[0]
+    assert rate == 0.0

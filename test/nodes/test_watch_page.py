@@ -221,3 +221,41 @@ def test_a_slider_moves_and_the_parameter_the_loop_and_the_pixels_change(watched
             assert browser.errors == []
 
     asyncio.run(asyncio.wait_for(run(), 3 * PATIENCE))
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no chromium is installed (Debian: apt install chromium): no pixels")
+def test_a_slider_ends_at_the_limits_and_goes_back_after_a_refusal(watched):
+    slider, field = (f"document.getElementById('{name}')" for name in ("setpoint-slider", "setpoint"))
+    said = "document.getElementById('setpoint-said')"
+
+    async def run() -> None:
+        async with Browser(watched.folder, f"{watched.address}/") as browser:
+            await browser.until("Boolean(window.hysteresis) && hysteresis.state.live && hysteresis.state.mine")
+            await browser.until(f"{field}.value !== '' && hysteresis.state.limits.slider !== undefined")
+            assert await browser.value(f"[Number({slider}.min), Number({slider}.max)]") == pytest.approx([0.0, 12.0])
+            # a limit of more than four digits: the end of the slider is taken, not rounded beyond it
+            await browser.value(
+                f"hysteresis.state.limits.slider = [0, 11.99967e-6], {slider}.step = 'any',"
+                f"{slider}.max = 11.99967, {slider}.focus(), 0"
+            )
+            await browser.press("End")
+            await browser.until(f"{said}.textContent.includes('11.9997')")
+            assert not await browser.value(f"{said}.classList.contains('bad')")
+            # a refused value does not stay, though slider or field have the focus
+            for element in (slider, field):
+                await browser.value(f"{element}.focus(), {field}.value = '400', 0")
+                await browser.value(f"{slider}.value = 3, {field}.dispatchEvent(new Event('change')), 0")
+                await browser.until(f"{said}.classList.contains('bad') && {said}.textContent.includes('0.0004')")
+                await browser.until(f"Number({field}.value) === 11.9997 && Math.abs({slider}.value - 11.99967) < 1e-3")
+                await browser.value(f"{said}.classList.remove('bad'), {said}.textContent = ''")
+            # the same of a parameter
+            field_ = FIELD.removesuffix(".value")
+            given = await browser.value(FIELD)
+            await browser.value(
+                f"{field_}.focus(), {field_}.value = '-1', {field_}.dispatchEvent(new Event('change')), 0"
+            )
+            await browser.until(f"{SLIDER}.closest('.parameter').matches('.refused')")
+            await browser.until(f"{FIELD} === '{given}'")
+            assert browser.errors == []
+
+    asyncio.run(asyncio.wait_for(run(), 3 * PATIENCE))

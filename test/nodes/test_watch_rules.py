@@ -25,7 +25,7 @@ from hysteresis_ros.loop.common_parameters import NodeParameters
 from hysteresis_ros.loop.node_parameters import NODE_PARAMETERS
 from hysteresis_ros.nodes.watch.access import Access, Control, is_loopback, new_token
 from hysteresis_ros.nodes.watch.requests import ACTIONS, RequestError, read_request
-from hysteresis_ros.nodes.watch.tuning import table_of
+from hysteresis_ros.nodes.watch.tuning import limits_of, table_of
 from hysteresis_ros.nodes.watch.views import SHOWN, View
 
 ANYTHING = st.recursive(
@@ -174,3 +174,14 @@ def test_only_parameters_are_shown_that_something_hangs_on_and_that_may_change()
     assert rows["pid.Kp"] | {"allowed": row.allowed(), "unit": row.unit, "low": row.low} == rows["pid.Kp"]
     assert json.dumps(list(rows.values()))
     assert set(SHOWN) - {"error"} <= {signal.name for signal in signals.SIGNALS}
+
+
+def test_setpoints_leave_room_for_the_waveform_around_them():
+    source = NODE_PARAMETERS["reference_generator"].from_mapping({"minimum": 0.0, "maximum": 12e-6})
+    values = {row.name: getattr(source, row.name, None) for row in NodeParameters.table()}
+    flat = {"sample_rate": 1000.0, "minimum": 0.0, "maximum": 12e-6}
+    assert values["sample_rate"] and limits_of({"reference_generator": flat})["slider"] == [0.0, 12e-6]
+    triangle = {"waveform.type": "triangle", "waveform.amplitude": 7e-6, "waveform.frequency": 5.0}
+    found = limits_of({"reference_generator": flat | triangle | {"waveform.offset": 1e-6}})
+    assert found["setpoint"] == [0.0, 12e-6] and found["slider"] == pytest.approx([-1e-6, 4e-6])
+    assert limits_of({"reference_generator": {"maximum": 12e-6}}) == {}

@@ -11,6 +11,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from concurrent.futures import Future
 
 import numpy as np
@@ -24,6 +25,7 @@ from sensor_msgs.msg import JointState  # noqa: E402
 
 from hysteresis_ros import signals  # noqa: E402
 from hysteresis_ros.errors import HysteresisError  # noqa: E402
+from hysteresis_ros.nodes.watch import server  # noqa: E402
 from hysteresis_ros.nodes.watch.collect import Collector  # noqa: E402
 from hysteresis_ros.nodes.watch.link import AxisLink  # noqa: E402
 from hysteresis_ros.nodes.watch.server import FILES  # noqa: E402
@@ -55,6 +57,30 @@ def test_a_foreign_page_neither_hears_nor_stops_anything():
         async with bench.session.post(f"{bench.origin}/stop") as response:
             assert response.status == 403
         assert bench.link.asked == []
+
+    served(check)
+
+
+def test_connections_that_ask_for_nothing_are_closed_and_pages_are_few(monkeypatch):
+    monkeypatch.setattr(server, "FIRST_REQUEST", 0.2)
+    monkeypatch.setattr(server, "MOST_PAGES", 2)
+
+    async def check(bench):
+        host, port = bench.origin.removeprefix("http://").split(":")
+        pages = [await bench.page(), await bench.page()]
+        with pytest.raises(aiohttp.WSServerHandshakeError) as caught:
+            await bench.page()
+        assert caught.value.status == 503
+        reader, writer = await asyncio.open_connection(host, int(port))
+        writer.write(b"GET / HTTP/1.1\r\nHost: ")  # the rest of the head never comes
+        assert await asyncio.wait_for(reader.read(), 60.0) == b"", "the server closes the connection"
+        writer.close()
+        # older than the connection that was closed
+        assert (await pages[0].ask(do="start"))["ok"], "what has asked for something stays"
+        monkeypatch.setattr(server, "CONNECTIONS", 0)
+        reader, writer = await asyncio.open_connection(host, int(port))
+        assert await asyncio.wait_for(reader.read(), 60.0) == b""
+        writer.close()
 
     served(check)
 

@@ -94,7 +94,7 @@ def test_the_command_finds_the_scale_in_a_known_motion_and_a_target(footage, tmp
     [
         (("{0}/tip.avi",), "give one of -o FILE, --known FILE and --target M"),
         (("{0}/tip.avi", "-o", "x.npz"), "give --scale or --config; --known and --target find it"),
-        (("{0}/tip.avi", "-o", "x.npz", "--scale", "5 V"), "--scale 5 V: must be a length above 0"),
+        (("{0}/tip.avi", "-o", "x.npz", "--scale", "5 V"), "--scale 5 V: is in V, must be in m"),
         (("{0}/tip.avi", "-o", "x.npz", "--scale", "1um", "--region", "1,b"), "give four numbers, X,Y,W,H"),
         (
             ("{0}/tip.avi", "-o", "x.npz", "--scale", "1um", "--region", "0,0,500,9"),
@@ -104,7 +104,7 @@ def test_the_command_finds_the_scale_in_a_known_motion_and_a_target(footage, tmp
         (("{0}/known.csv", "-o", "x.npz", "--scale", "1um"), "holds no frames"),
         (("{0}/nowhere", "-o", "x.npz", "--scale", "1um"), "there is no such file or folder"),
         (("{0}/tip.avi", "-o", "x.txt", "--scale", "1um"), "unknown kind of file '.txt'"),
-        (("{0}/tip.avi", "--known", "{0}/known.csv", "--rate", "nan"), "--rate nan: must be a number above 0"),
+        (("{0}/tip.avi", "--known", "{0}/known.csv", "--rate", "nan"), "'nan': must be a finite number"),
     ],
 )
 def test_wrong_words_are_named(footage, words, said):

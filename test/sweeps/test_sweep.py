@@ -29,7 +29,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sweep_support import AXIS, PLACE, PRODUCT, asked, axis, same_bits
 
-from hysteresis_ros.analysis.inchworm import inchworm_figures
 from hysteresis_ros.analysis.metrics import compute_metrics
 from hysteresis_ros.block import COMPILED
 from hysteresis_ros.cli.main import main
@@ -42,7 +41,7 @@ from hysteresis_ros.models.hysteresis import hysteresis_block
 from hysteresis_ros.simulation.axes import single_axis
 from hysteresis_ros.simulation.run import simulate
 from hysteresis_ros.sweeps.journal import SUFFIX
-from hysteresis_ros.sweeps.judging import judged, require_metrics
+from hysteresis_ros.sweeps.judging import judged
 from hysteresis_ros.sweeps.outcome import load
 from hysteresis_ros.sweeps.plan import make_plan
 from hysteresis_ros.sweeps.sensitivity import sensitivity
@@ -72,7 +71,7 @@ def run_command(*words):
     [
         ("1um:5um:lin3", [1e-6, 3e-6, 5e-6]),
         ("1um:100um:log3", [1e-6, 1e-5, 1e-4]),
-        ("1um, 2000nm,3e-6", [1e-6, 2e-6, 3e-6]),
+        ("1um, 2000nm,3e-6m", [1e-6, 2e-6, 3e-6]),
     ],
 )
 def test_levels_are_read_with_their_units(words, values):
@@ -123,7 +122,15 @@ def test_a_varied_axis_is_the_one_of_a_file_with_these_values(phi, noise):
     names = {"motion_controller": ("sliding_mode.phi", phi), "plant_simulator": ("sensor.noise", noise)}
     stage = single_axis(configuration)
     found = varied(
-        stage, parse_variations([f"{node}.{name}={value!r}" for node, (name, value) in names.items()], stage), [0, 0]
+        stage,
+        parse_variations(
+            [
+                f"{node}.{name}={value!r}{'m' if name == 'sensor.noise' else ''}"
+                for node, (name, value) in names.items()
+            ],
+            stage,
+        ),
+        [0, 0],
     )
     for node, (name, value) in names.items():
         configuration = configuration.override(node, **{name: value})
@@ -256,45 +263,6 @@ def test_a_run_of_a_sweep_is_that_of_simulate():
         assert row == [*(alone[name] for name in study.metrics), 0.0] and row[0] > 1.0
 
 
-def motor(duration=0.3):
-    """An inchworm that goes 6 µm forward and 2 µm back."""
-    schedule = {"setpoints.times": [0.02, 0.16], "setpoints.values": [6e-6, 4e-6]}
-    return single_axis(load_configuration("inchworm_travel").override("inchworm_sequencer", **schedule)).with_duration(
-        duration
-    )
-
-
-def test_a_motor_is_judged_by_the_worst_of_its_moves():
-    stage = motor()
-    variations = parse_variations(["plant_simulator.gain=±5%"], stage)
-    points = np.array([[0.1], [0.9]])
-    study = Study(stage, variations, ("final_error_max_m", "time_s", "not_arrived", "steps", "voltage_variation_v"))
-    rows = study.runs(0, points).rows
-    for row, point in zip(rows, points, strict=True):
-        alone = inchworm_figures(simulate(varied(stage, variations, point)))
-        moves = alone["moves"]
-        assert [move["setpoint_m"] for move in moves] == [6e-6, 4e-6]
-        worst = [max(move[name] for move in moves) for name in ("final_error_max_m", "time_s")]
-        assert row == [*worst, 0.0, alone["run"]["steps"], alone["voltage_variation_v"], 0.0]
-    assert rows[1][1] < rows[0][1]  # longer steps, sooner there
-
-
-def test_a_motor_that_does_not_arrive_has_no_final_error():
-    stage = motor(0.18)  # the second move has just begun
-    variations = parse_variations(["plant_simulator.gain=±5%"], stage)
-    study = Study(stage, variations, ("not_arrived", "final_error_rms_m", "time_s", "steps_forward"))
-    (row,) = study.runs(0, np.array([[0.5]])).rows
-    assert row[0] == 1.0 and np.isnan(row[1]) and np.isnan(row[2]) and row[3] > 0.0
-
-
-def test_metrics_are_those_of_the_kind_of_axis():
-    assert require_metrics([], motor()) == ("final_error_rms_m",) and require_metrics([], axis()) == ("rms_error_m",)
-    with pytest.raises(ConfigurationError, match="rms_error_m: there is no such metric of an inchworm motor; there"):
-        require_metrics(["rms_error_m"], motor())
-    with pytest.raises(ConfigurationError, match="not_arrived: there is no such metric of an actuator"):
-        require_metrics(["not_arrived"], axis())
-
-
 #: Says how many pages of memory the system hands out for each of 30 runs, after as many others.
 PAGES = """
 import resource, sys
@@ -333,7 +301,7 @@ def test_the_interval_covers_every_share(runs, confidence):
 def test_the_yield_is_that_of_the_distribution():
     """Of an error that is evenly distributed; unstable, refused or without a value is not good."""
     study, plan = asked(("plant_simulator.gain=uniform(1.0,1.4)",), runs=500)
-    summed = Summary(sweep(study, plan), plan, (parse_bound(f"max_error_m={0.25 * PLACE}"),))
+    summed = Summary(sweep(study, plan), plan, (parse_bound(f"max_error_m={0.25 * PLACE}m"),))
     assert summed.yield_.low < 0.25 / 0.4 < summed.yield_.high and summed.yield_.high - summed.yield_.low < 0.1
     assert summed.results.metrics["max_error_m"][summed.worst("max_error_m")] == max(
         summed.results.metrics["max_error_m"]
@@ -372,7 +340,7 @@ def test_effects_after_morris_are_the_slopes():
         (["--vary", "plant_simulator.hysteresis.proportional.gian=±5%"], "did you mean hysteresis.proportional.gain?"),
         (["--vary", "plant_simulatr.gain=±5%"], "did you mean plant_simulator?"),
         (["--vary", f"{GAIN}=1e-7,-1e-7,2e-7"], "out of range"),
-        (["--vary", f"{GAIN}=1um:5um:lin3"], "is in m, allowed"),
+        (["--vary", f"{GAIN}=1um:5um:lin3"], "is in m, must be in m/V"),
         (["--vary", f"{GAIN}=0.1:2:exp3"], "write 0.1:2:log20"),
         (["--vary", "plant_simulator.gain=±60%"], "0.5 … 1.5"),
         (["--vary", "plant_simulator.sensor.noise=±5%"], "configured as 0"),

@@ -9,8 +9,8 @@
 
 """Run a campaign: ``python -m hysteresis_ros.nodes.campaign '{"config": "picma_stage", …}'``.
 
-The argument has ``config``, ``only`` and ``ways`` (lists of names), ``rounds``, ``seed``; ``output`` and ``json``
-(paths, or empty), ``add`` (paths).
+The argument has ``config``, ``only`` and ``ways`` (lists of names), ``rounds``, ``seed``, ``rate``; ``output`` and
+``json`` (paths, or empty), ``add`` (paths).
 """
 
 from __future__ import annotations
@@ -47,10 +47,17 @@ def main() -> int:
         before = conditions()
         with tempfile.TemporaryDirectory(prefix="hysteresis_") as folder:
             campaign = Campaign(
-                request["config"], mishaps, ways, request["rounds"], request["seed"], pathlib.Path(folder)
+                request["config"],
+                mishaps,
+                ways,
+                request["rounds"],
+                request["seed"],
+                pathlib.Path(folder),
+                request["rate"],
             )
             verdicts = campaign.run(lambda verdict: print(line(verdict), flush=True))
-        _write(request, mishaps, Results(request["config"], tuple(verdicts), before, conditions()))
+        config = f"{request['config']} at {request['rate']:g} Hz" if request["rate"] else request["config"]
+        _write(request, mishaps, Results(config, tuple(verdicts), before, conditions()))
     except HysteresisError as error:
         print(f"hysteresis: {' '.join(str(error).split())}", file=sys.stderr)
         return 2

@@ -26,7 +26,7 @@ from hysteresis_ros.nodes.campaign.actions import ACTIONS
 from hysteresis_ros.nodes.campaign.measurement import scheduled
 from hysteresis_ros.nodes.campaign.rig import Rig
 from hysteresis_ros.nodes.campaign.surroundings import Clock, Device, small_disk
-from hysteresis_ros.reliability.bounds import bounds_of, prepared
+from hysteresis_ros.reliability.bounds import at_rate, bounds_of, prepared
 from hysteresis_ros.reliability.judge import Verdict, judged
 from hysteresis_ros.reliability.mishaps import CLOCK, DEVICE, FUSED, RELAY, SMALL_DISK, Mishap
 from hysteresis_ros.reliability.trace import Samples, Trace
@@ -48,6 +48,8 @@ class Campaign:
         Of the moments.
     folder : pathlib.Path
         For files that are not kept.
+    rate : float
+        Sample rate [Hz]; 0: that of the configuration.
     """
 
     config: str
@@ -56,6 +58,7 @@ class Campaign:
     rounds: int
     seed: int
     folder: pathlib.Path
+    rate: float = 0.0
 
     def run(self, tell: Callable[[Verdict], None]) -> list[Verdict]:
         """Do it all; return what came of it.
@@ -74,7 +77,8 @@ class Campaign:
         """
         found: list[Verdict] = []
         for way in self.ways:
-            axis = prepared(load_configuration(self.config), way, f"/faults_{os.getpid()}_{way}")
+            configuration = at_rate(load_configuration(self.config), self.rate)
+            axis = prepared(configuration, way, f"/faults_{os.getpid()}_{way}")
             mishaps = [mishap for mishap in self.mishaps if way in mishap.ways]
             series = _Series(axis, way, self.config, self.folder, np.random.default_rng(self.seed))
             for verdict in series.of(mishaps, self.rounds):

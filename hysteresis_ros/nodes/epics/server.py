@@ -177,6 +177,19 @@ for _name, _field in WRITTEN.items():
     getattr(Motor.motor.fields, _name).putter(_writer(_field))
 
 
+class RefusedWrites(logging.Filter):
+    """Says in a line why a write was refused, which the client is told as well; caproto logs the place in its code."""
+
+    def filter(self, record) -> bool:
+        """Take the traceback out of the record of a write that was refused."""
+        if record.exc_info and str(record.msg).startswith("Invalid write request"):
+            user, host, *_ = (*record.args, "", "")
+            error = record.exc_info[1]
+            record.msg, record.args = "write of %s on %s refused: %s: %s", (user, host, type(error).__name__, error)
+            record.exc_info = record.exc_text = None
+        return True
+
+
 async def serve(motors: list[Motor], interfaces: list[str], over: Callable[[], bool], ready: Callable[[], object]):
     """Serve records until it is over.
 
@@ -191,6 +204,7 @@ async def serve(motors: list[Motor], interfaces: list[str], over: Callable[[], b
         Called once clients are answered.
     """
     logging.getLogger("caproto").setLevel(logging.ERROR)  # a busy moment is no news
+    logging.getLogger("caproto.circ").addFilter(RefusedWrites())
     records = {name: channel for motor in motors for name, channel in motor.pvdb.items()}
 
     async def started(library) -> None:

@@ -14,9 +14,10 @@ from __future__ import annotations
 import json
 import os
 import sys
+from collections.abc import Callable
 
 from hysteresis_ros.errors import HysteresisError
-from hysteresis_ros.nodes.remote.client import Client
+from hysteresis_ros.nodes.remote.client import AbsentError, Client
 from hysteresis_ros.nodes.remote.parameters import get, set_
 from hysteresis_ros.nodes.remote.services import call
 from hysteresis_ros.nodes.remote.setpoint import setpoint
@@ -27,16 +28,31 @@ from hysteresis_ros.nodes.remote.topics import echo
 COMMANDS = {"status": status, "get": get, "set": set_, "call": call, "echo": echo, "setpoint": setpoint}
 
 
-def main() -> int:
-    """Do what the only argument says; return the exit code."""
-    request = json.loads(sys.argv[1])
-    command = COMMANDS[request.pop("command")]
+def done(request: dict, make_client: Callable[[str, float], Client] = Client) -> int:
+    """Do what is asked for, and return the exit code.
+
+    Parameters
+    ----------
+    request : dict
+        ``command``, ``namespace``, ``timeout`` [s] and the arguments of the command.
+    make_client : callable
+        Takes namespace and timeout.
+    """
+    arguments = dict(request)
+    command = COMMANDS[arguments.pop("command")]
     try:
-        with Client(request.pop("namespace"), request.pop("timeout")) as client:
-            return command(client, **request) or 0
+        with make_client(arguments.pop("namespace"), arguments.pop("timeout")) as client:
+            return command(client, **arguments) or 0
     except HysteresisError as error:
         print(f"hysteresis: {' '.join(str(error).split())}", file=sys.stderr)
-        return 2
+        # 1: not known to be taken, which is something else than refused
+        return 1 if command is setpoint and isinstance(error, AbsentError) else 2
+
+
+def main() -> int:
+    """Do what the only argument says; return the exit code."""
+    try:
+        return done(json.loads(sys.argv[1]))
     except BrokenPipeError:  # who reads has seen enough
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0

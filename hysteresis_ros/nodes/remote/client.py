@@ -48,6 +48,8 @@ class Client:
         An initialised one; a new one in the domain of the environment by default.
     make_executor : callable, optional
         Returns what takes the messages, of the default context; rclpy's own executor by default.
+    name : str, optional
+        Of the node behind ``_hysteresis_``; the number of the process by default.
     """
 
     def __init__(
@@ -56,12 +58,15 @@ class Client:
         timeout: float = 5.0,
         context: Context | None = None,
         make_executor: Callable[[], Any] | None = None,
+        name: str = "",
     ):
         self.namespace, self.timeout = normalised_namespace(namespace), timeout
-        self._context = context
+        self._context, self._name = context, name or str(os.getpid())
         self._own = context is None
         self._make_executor = make_executor or (lambda: SingleThreadedExecutor(context=self._context))
         self._clients: dict[str, Any] = {}
+        #: Seconds without news after which the graph is taken as known.
+        self.settles = SETTLED
 
     def __enter__(self) -> Client:
         """Enter the graph."""
@@ -73,7 +78,7 @@ class Client:
                 enclave = enclave_of(self.namespace, OPERATOR)
                 rclpy.init(args=["--ros-args", "--enclave", enclave], context=self._context)
             self.node = rclpy.create_node(
-                f"_hysteresis_{os.getpid()}",  # hidden, as names with an underscore are
+                f"_hysteresis_{self._name}",  # hidden, as names with an underscore are
                 namespace=self.namespace or "/",
                 context=self._context,
                 start_parameter_services=False,
@@ -135,7 +140,7 @@ class Client:
             found = self.nodes()
             if found != known:
                 known, since = found, time.monotonic()
-            return bool(axis_nodes(found)) and time.monotonic() - since > SETTLED
+            return bool(axis_nodes(found)) and time.monotonic() - since > self.settles
 
         self.until(still)
         return known

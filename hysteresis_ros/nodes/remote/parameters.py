@@ -17,10 +17,9 @@ from rclpy.parameter import Parameter, parameter_value_to_python
 
 from hysteresis_ros.configuration import parse_value
 from hysteresis_ros.errors import HysteresisError, ParameterError, Problem, did_you_mean
-from hysteresis_ros.loop.node_parameters import NODE_PARAMETERS
 from hysteresis_ros.nodes.remote.client import Client
 from hysteresis_ros.parameters import ARRAY_TYPES, ParameterRow
-from hysteresis_ros.units import quantity
+from hysteresis_ros.units import quantity_in
 
 
 def get(client: Client, node: str, names: list[str]) -> None:
@@ -101,6 +100,8 @@ def change(client: Client, full: str, values: dict[str, str]) -> None:
     HysteresisError
         The node refuses; its reason.
     """
+    from hysteresis_ros.loop.node_parameters import NODE_PARAMETERS  # half a second, which no other command needs
+
     table = NODE_PARAMETERS.get(full.rsplit("/", 1)[-1])
     rows = {row.name: row for row in table.table()} if table else {}
     request = SetParametersAtomically.Request()
@@ -132,12 +133,10 @@ def _value(row: ParameterRow | None, name: str, text: str):
         return value
     if row.type is str:
         value = text
-    if row.type is float and isinstance(value, str):
+    if row.type is float and (isinstance(value, str) or row.unit == "m"):
         try:
-            value, unit = quantity(text)
+            value = quantity_in(text, row.unit)
         except ValueError as error:
             raise ParameterError([Problem(name, text, f"{error}; allowed: {row.allowed()}")]) from None
-        if unit not in ("", row.unit):
-            raise ParameterError([Problem(name, text, f"is in {unit}, allowed: {row.allowed()}")])
     value = row.convert(value)
     return list(value) if row.type in ARRAY_TYPES else value

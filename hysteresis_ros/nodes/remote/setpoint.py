@@ -14,24 +14,21 @@ from __future__ import annotations
 import math
 import sys
 
-from rclpy.duration import Duration
+from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.srv import SetParametersAtomically
+from rclpy.parameter import Parameter
 from sensor_msgs.msg import JointState
-from std_msgs.msg import Float64, String
 
 from hysteresis_ros import signals
 from hysteresis_ros.errors import HysteresisError
-from hysteresis_ros.loop.watch import STOPPED, TRIPPED
 from hysteresis_ros.nodes.discovery import named
-from hysteresis_ros.nodes.qos import setpoint_qos
-from hysteresis_ros.nodes.remote.client import SETTLED, AbsentError, Client, axis_nodes
+from hysteresis_ros.nodes.qos import diagnostics_qos
+from hysteresis_ros.nodes.remote.client import AbsentError, Client, axis_nodes
 from hysteresis_ros.nodes.remote.services import lifecycle_states
-from hysteresis_ros.references import inchworm_layout as at
 from hysteresis_ros.units import readable
 
-#: Nodes that answer a setpoint: by their state, or on ``~/refused``.
+#: Nodes that take setpoints and answer, on ``~/set_setpoint``.
 SOURCES = (signals.SOURCE, signals.MOTOR_SOURCE)
-#: Seconds after which both sides know each other; a volatile message sent before is lost.
-ACQUAINTANCE = 0.5
 #: Seconds after which a person wants to know what is waited for.
 PATIENCE = 2.0
 #: Seconds in which a sample is made.
@@ -39,7 +36,9 @@ ANSWER = 5.0
 
 
 def setpoint(client: Client, value: float) -> None:
-    """Publish a setpoint and wait until the source of the references has taken it.
+    """Give a setpoint to the reference source, and say whether it has been taken.
+
+    The source answers: a setpoint cannot get lost without a word, as it can on a topic.
 
     Parameters
     ----------
@@ -50,54 +49,50 @@ def setpoint(client: Client, value: float) -> None:
     Raises
     ------
     HysteresisError
-        It was refused, nobody listens, or who listens cannot move the axis; the sentence says which.
+        It was refused, or the axis cannot move; the sentence says which.
+    AbsentError
+        The source is not there or does not answer: the setpoint is not known to be taken.
     """
-    topic = client.full_name("setpoint")
-    publisher = client.node.create_publisher(Float64, topic, setpoint_qos())
-    source = _source(client, topic)
-    said: list[str] = []
+    source = _source(client)
     state: dict[str, float] = {}
-    if source:
-        _require_active(client, source)
-        client.node.create_subscription(
-            JointState,
-            f"{source}/state",
-            lambda message: state.update(zip(message.name, message.position, strict=False)),
-            10,
-        )
-        client.node.create_subscription(String, f"{source}/refused", lambda message: said.append(message.data), 10)
-    listeners = client.node.count_subscribers(topic)
-    client.until(lambda: publisher.get_subscription_count() >= listeners)
-    client.until(lambda: False, ACQUAINTANCE)
-    publisher.publish(Float64(data=value))
-    if not source:
-        publisher.wait_for_all_acked(Duration(seconds=client.timeout))
-        print(f"setpoint {readable(value, 'm')} sent; who listens does not say whether it was taken", flush=True)
-        return
-    _answered(client, source, value, state, said)
+    client.node.create_subscription(
+        JointState,
+        f"{source}/state",
+        lambda message: state.update(zip(message.name, message.position, strict=False)),
+        10,
+    )
+    _require_active(client, source)
+    argument = Parameter("setpoint", Parameter.Type.DOUBLE, value).to_parameter_msg()
+    request = SetParametersAtomically.Request(parameters=[argument])
+    result = client.ask(SetParametersAtomically, f"{source}/set_setpoint", request).result
+    if not result.successful:
+        raise HysteresisError(f"{source}: {result.reason}")
+    _require_moving(client, source, value, state)
+    print(f"setpoint {readable(value, 'm')} taken by {source}", flush=True)
 
 
-def _source(client: Client, topic: str) -> str:
-    """Return who answers setpoints on a topic; empty where somebody listens who does not.
+def _source(client: Client) -> str:
+    """Return the node that takes the setpoints of an axis: by its name, whoever else subscribes to the topic.
 
     Raises
     ------
     AbsentError
-        Nobody listens, recorders apart.
+        It is not there; names who subscribes to the topic.
     """
+    wanted = [client.full_name(name) for name in SOURCES]
 
-    def listeners() -> list[str]:
-        found = client.node.get_subscriptions_info_by_topic(topic)
-        return [named(one) for one in found if one.node_name != "recorder"]
+    def there() -> list[str]:
+        return [name for name in client.nodes() if name in wanted]
 
-    def sources() -> list[str]:
-        return [name for name in listeners() if name.rsplit("/", 1)[-1] in SOURCES]
-
-    if client.timeout > PATIENCE and not client.until(listeners, PATIENCE):
-        print(f"waiting for somebody who listens on {topic} …", file=sys.stderr, flush=True)
-    if not client.until(listeners):
-        raise AbsentError(f"nobody listens on {topic} within {client.timeout:g} s; {client.who_is_there()}")
-    return (client.until(sources, SETTLED) or [""])[0]
+    if client.timeout > PATIENCE and not client.until(there, PATIENCE):
+        print(f"waiting for {' or '.join(wanted)} …", file=sys.stderr, flush=True)
+    found = client.until(there)
+    if found:
+        return found[0]
+    topic = client.full_name("setpoint")
+    others = sorted({named(one) for one in client.node.get_subscriptions_info_by_topic(topic)})
+    heard = f"; {', '.join(others)} on {topic} does not answer setpoints" if others else ""
+    raise AbsentError(f"no {' or '.join(wanted)} within {client.timeout:g} s{heard}; {client.who_is_there()}")
 
 
 def _require_active(client: Client, source: str) -> None:
@@ -105,6 +100,8 @@ def _require_active(client: Client, source: str) -> None:
     space = source.rpartition("/")[0]
     names = [f"{space}/{name}" for name in axis_nodes(client.nodes())[space] if name != "recorder"]
     for name, state in lifecycle_states(client, names).items():
+        if state == "silent":
+            raise AbsentError(f"{name} did not answer within {client.timeout:g} s, and nothing was sent")
         if state != "active":
             to_do = {"unconfigured": "configure", "inactive": "activate"}.get(state)
             hint = f": `hysteresis call {name} {to_do}`" if to_do else ""
@@ -121,6 +118,9 @@ def stands(source: str, state: dict[str, float]) -> str:
     state : dict of str to float
         Its ``~/state``.
     """
+    from hysteresis_ros.loop.watch import STOPPED, TRIPPED
+    from hysteresis_ros.references import inchworm_layout as at
+
     mode, error = round(state.get("mode", 0.0)), round(state.get("error", 0.0))
     start = f"`hysteresis call {source} start`"
     if mode == TRIPPED:
@@ -135,23 +135,46 @@ def stands(source: str, state: dict[str, float]) -> str:
     return ""
 
 
-def _answered(client: Client, source: str, value: float, state: dict, said: list[str]) -> None:
-    """Wait for the answer of the source, and say it."""
+def _require_moving(client: Client, source: str, value: float, state: dict[str, float]) -> None:
+    """Wait for a sample that was made with the setpoint, and refuse an axis that does not move.
 
-    def refused() -> str:
-        return next((text for text in said if text.startswith(f"setpoint {value:g} m refused")), "")
+    Raises
+    ------
+    HysteresisError
+        It stands still; why.
+    """
 
-    def taken() -> bool:
+    state.clear()
+
+    def made() -> bool:
+        # a motor asked for the same setpoint again takes it with the last digit changed
         return math.isclose(state.get("setpoint", math.nan), value, rel_tol=1e-12, abs_tol=1e-15)
 
-    client.until(lambda: refused() or taken(), min(ANSWER, client.timeout))
-    if refused():
-        raise HysteresisError(f"{source}: {refused()}")
-    if not taken():
+    if not client.until(made, min(ANSWER, client.timeout)):
+        if state:
+            now = readable(state.get("setpoint", math.nan), "m")
+            raise AbsentError(f"{source} took it, but {now} is in force: another one came after it")
         joints = f"{source.rsplit('/', 1)[0]}/joint_states"
         why = f"nobody publishes {joints}" if not client.node.count_publishers(joints) else "time stands still"
-        raise AbsentError(f"{source} has made no sample with the setpoint: {why}; see `hysteresis status`")
-    why = stands(source, state)
-    if why:
-        raise HysteresisError(f"{source} has the setpoint but {why}")
-    print(f"setpoint {readable(value, 'm')} taken by {source}", flush=True)
+        raise AbsentError(f"{source} has the setpoint but has made no sample with it: {why}; see `hysteresis status`")
+    if any(round(state.get(name, 0.0)) for name in ("mode", "error", "phase")):
+        why = stands(source, state)
+        if why:
+            raise HysteresisError(f"{source} has the setpoint but {why}{_cause(client, source, state)}")
+
+
+def _cause(client: Client, source: str, state: dict[str, float]) -> str:
+    """Return what the plant says of why it has stopped the axis, after a semicolon; empty where it has not."""
+    from hysteresis_ros.loop.watch import TRIPPED
+
+    if round(state.get("mode", 0.0)) != TRIPPED:
+        return ""
+    plant = f"{source.rpartition('/')[0]}/{signals.PLANT}"
+    said: dict[str, str] = {}
+
+    def hear(message: DiagnosticArray) -> None:
+        said.update({status.name.removesuffix(": axis"): status.message for status in message.status})
+
+    client.node.create_subscription(DiagnosticArray, "/diagnostics", hear, diagnostics_qos(keeps=True))
+    client.until(lambda: "stopped" in said.get(plant, ""), ANSWER)
+    return f"; {said[plant]}" if plant in said else ""

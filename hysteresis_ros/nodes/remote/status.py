@@ -12,17 +12,21 @@
 from __future__ import annotations
 
 import json
+import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 
-from hysteresis_ros.loop.axis_parameters import node_names
+from hysteresis_ros.configuration import NODE_NAMES, node_names
 from hysteresis_ros.nodes.discovery import named
+from hysteresis_ros.nodes.limited_time import LIMITED
 from hysteresis_ros.nodes.qos import diagnostics_qos
 from hysteresis_ros.nodes.remote.client import AbsentError, Client, axis_nodes
 from hysteresis_ros.nodes.remote.services import lifecycle_states
+from hysteresis_ros.signals import MOTOR_SOURCE, PLANT
 from hysteresis_ros.units import readable
 
 #: Words of the levels of diagnostics.
@@ -35,6 +39,10 @@ LAST = (
     ("inchworm_sequencer", "reference", "m"),
     ("hysteresis_compensator", "voltage", "V"),
 )
+#: Where nodes say how they are.
+DIAGNOSTICS = "/diagnostics"
+#: What is wrong with a node that is not known to be well.
+MISSING = {"absent": "not found", "silent": "found, but did not answer"}
 #: Seconds in which every node says something of itself, and more.
 REPORTED = 1.6
 
@@ -99,12 +107,6 @@ def survey(client: Client) -> list[AxisStatus]:
     AbsentError
         There is none.
     """
-    found = axis_nodes(client.settle())
-    if client.namespace:
-        found = {space: names for space, names in found.items() if space == client.namespace}
-    if not found:
-        where = f" in {client.namespace}" if client.namespace else ""
-        raise AbsentError(f"no axis{where} within {client.timeout:g} s; {client.who_is_there()}")
     reports: dict[str, tuple] = {}
 
     def hear(message: DiagnosticArray) -> None:
@@ -112,12 +114,65 @@ def survey(client: Client) -> list[AxisStatus]:
             values = {pair.key: pair.value for pair in status.values}
             reports[status.name.removesuffix(": axis")] = (ord(status.level), status.message, values)
 
-    client.node.create_subscription(DiagnosticArray, "/diagnostics", hear, diagnostics_qos())
+    # the last reports of our nodes come at once, those of others when they are made
+    for keeps in (True, False):
+        client.node.create_subscription(DiagnosticArray, DIAGNOSTICS, hear, diagnostics_qos(keeps))
+
+    def there() -> dict[str, list[str]]:
+        """Return the nodes of each axis: those that discovery has named, and those of which messages have come."""
+        named_or_heard = sorted({*client.nodes(), *reports})
+        return {
+            space: names
+            for space, names in axis_nodes(named_or_heard).items()
+            if (not client.namespace or space == client.namespace) and {*names} & {*NODE_NAMES, MOTOR_SOURCE}
+        }
+
+    found = _complete(client, there)
+    if not found:
+        where = f" in {client.namespace}" if client.namespace else ""
+        raise AbsentError(f"no axis{where} within {client.timeout:g} s; {client.who_is_there()}")
     last = {space: _listen(client, space, names) for space, names in sorted(found.items())}
     states = lifecycle_states(client, [f"{space}/{name}" for space, names in found.items() for name in names])
     active = {name for name, state in states.items() if state == "active"}
-    client.until(lambda: active <= reports.keys(), REPORTED)
+
+    def reported() -> bool:
+        # the last report of a node that has just been activated is one from before
+        told = {name for name, (_, _, values) in reports.items() if "rate_hz" in values}
+        places = [(space, node, signal) for space in found for node, signal, _ in LAST if f"{space}/{node}" in active]
+        return active <= told and all(signal in last[space] for space, _, signal in places)
+
+    client.until(reported, REPORTED)
     return [_axis(client, space, names, states, reports, last[space]) for space, names in sorted(found.items())]
+
+
+def _complete(client: Client, there: Callable[[], dict[str, list[str]]]) -> dict[str, list[str]]:
+    """Return the nodes of each axis as soon as none is missing and no other one comes; later only what is there.
+
+    Parameters
+    ----------
+    client : Client
+    there : callable
+        Returns the nodes that are there now.
+    """
+    known: dict[str, list[str]] = {}
+    since = time.monotonic()
+
+    def lacks(space: str, names: list[str]) -> bool:
+        lacking = {*node_names(MOTOR_SOURCE in names)} - {*names}
+        if lacking == {PLANT}:  # of somebody else
+            return not client.node.count_publishers(f"{space}/joint_states")
+        return bool(lacking)
+
+    def complete() -> bool:
+        nonlocal known, since
+        found = there()
+        if found != known:
+            known, since = found, time.monotonic()
+        settled = time.monotonic() - since >= client.settles
+        return bool(found) and settled and not any(lacks(space, names) for space, names in found.items())
+
+    client.until(complete)
+    return known
 
 
 def _axis(client: Client, space: str, names: list[str], states: dict, reports: dict, last: dict) -> AxisStatus:
@@ -133,7 +188,10 @@ def _axis(client: Client, space: str, names: list[str], states: dict, reports: d
             plant = ", ".join(map(named, publishers))
             if plant:
                 continue
-        nodes.append(NodeStatus(full, states.get(full, "absent"), word, message, rate))
+        state = states.get(full, "absent")
+        if not message and state in MISSING:
+            message = f"{MISSING[state]} within {client.timeout:g} s"
+        nodes.append(NodeStatus(full, state, word, message, rate))
     return AxisStatus(space, nodes, plant, last)
 
 
@@ -187,12 +245,16 @@ def _figures(axis: AxisStatus) -> dict:
 def _lines(axis: AxisStatus):
     """Yield what is known of an axis, for people."""
     yield axis.namespace or "/"
+    for node in axis.nodes:
+        if node.message.startswith(LIMITED):
+            yield f"  {node.message} of {node.name.rsplit('/', 1)[-1]}"
     if axis.plant:
         yield f"  {axis.plant} publishes joint_states in the place of plant_simulator"
     width = max(len(node.name.rsplit("/", 1)[-1]) for node in axis.nodes)
     for node in axis.nodes:
         rate = "" if node.rate is None else f"{node.rate:.1f} Hz"
-        health = node.message if node.level in ("", "ok") else f"{node.level}: {node.message}"
+        message = "output limited, see above" if node.message.startswith(LIMITED) else node.message
+        health = message if node.level in ("", "ok") else f"{node.level}: {message}"
         yield f"  {node.name.rsplit('/', 1)[-1]:{width}}  {node.state:12} {rate:>11}  {health}".rstrip()
     units = {signal: unit for _, signal, unit in LAST} | {"displacement": "m"}
     order = ("setpoint", "reference", "displacement", "voltage")

@@ -26,8 +26,9 @@ import rclpy
 from rclpy.context import Context
 from rclpy.parameter import Parameter
 
+from hysteresis_ros.configuration import node_names
 from hysteresis_ros.errors import HysteresisError
-from hysteresis_ros.loop.axis_parameters import AxisParameters, node_names
+from hysteresis_ros.loop.axis_parameters import AxisParameters
 from hysteresis_ros.nodes.discovery import stay_on_this_machine
 from hysteresis_ros.nodes.displacement_camera import DisplacementCameraNode
 from hysteresis_ros.nodes.epics.link import AxisLink as RecordsLink

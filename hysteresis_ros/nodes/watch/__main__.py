@@ -21,7 +21,6 @@ import threading
 from collections.abc import Callable
 
 import rclpy
-from aiohttp import web
 from rclpy.signals import SignalHandlerOptions
 
 from hysteresis_ros.nodes.discovery import stay_on_this_machine
@@ -70,21 +69,13 @@ async def _serve(server: Server, bind: str, port: int, is_heard: Callable[[], bo
     leave = asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         asyncio.get_running_loop().add_signal_handler(number, leave.set)
-    runner = web.AppRunner(server.application(), access_log=None, shutdown_timeout=PATIENCE)
-    await runner.setup()
-    try:
-        site = web.TCPSite(runner, bind, port)
-        await site.start()
-        port = site._server.sockets[0].getsockname()[1]
+    async with server.listening(bind, port, PATIENCE) as port:
         host = f"[{bind}]" if ":" in bind else bind
         token = f"?token={server.access.token}" if server.access.token else ""
         print(f"watch {server.link.namespace or '/'}: http://{host}:{port}/{token}", flush=True)
         while not leave.is_set() and is_heard():
             with contextlib.suppress(TimeoutError):
                 await asyncio.wait_for(leave.wait(), LOOK)
-    finally:
-        with contextlib.suppress(asyncio.CancelledError):
-            await runner.cleanup()
 
 
 if __name__ == "__main__":

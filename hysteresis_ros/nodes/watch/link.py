@@ -31,8 +31,9 @@ from std_msgs.msg import Bool, Float64, Float64MultiArray, String
 from std_srvs.srv import Trigger
 
 from hysteresis_ros import signals
+from hysteresis_ros.configuration import node_names
 from hysteresis_ros.errors import HysteresisError
-from hysteresis_ros.loop.axis_parameters import AxisParameters, node_names
+from hysteresis_ros.loop.axis_parameters import AxisParameters
 from hysteresis_ros.nodes.qos import diagnostics_qos, loop_qos, sensor_qos, setpoint_qos
 from hysteresis_ros.nodes.remote.client import AbsentError, Client, axis_nodes
 from hysteresis_ros.nodes.remote.parameters import change, plain_value, values_of
@@ -52,6 +53,8 @@ LEVELS = ("ok", "warning", "error", "stale")
 #: Nodes that are asked to start, in this order; those that stop all that moves where no plant of ours hears a stop.
 STARTED = (signals.PLANT, signals.COMPENSATOR, signals.CONTROLLER, signals.SOURCE, signals.MOTOR_SOURCE)
 STOPPED = (signals.COMPENSATOR, signals.CONTROLLER, signals.SOURCE, signals.MOTOR_SOURCE)
+#: Seconds in which the nodes hear that the plant has started, and between two questions whether they have.
+HEARS, AGAIN = 3.0, 0.05
 #: Services of parameters that are asked for.
 PARAMETER_SERVICES = {
     "list_parameters": ListParameters,
@@ -341,9 +344,14 @@ class AxisLink:
 
     def start(self) -> str:
         """Let everything go on that stands, and the waveform begin; return what to say."""
-        said = []
+        said: list[str] = []
+        deadline = time.monotonic() + HEARS
         for node in [node for node in STARTED if node in self.values]:
             answer = self._client.ask(Trigger, self._client.full_name(f"{node}/start"))
+            # the plant has started: the others hear of it with their next sample
+            while not answer.success and said and time.monotonic() < deadline:
+                time.sleep(AGAIN)
+                answer = self._client.ask(Trigger, self._client.full_name(f"{node}/start"))
             if not answer.success:
                 raise HysteresisError(f"{node} refuses to start: {answer.message}")
             said.append(node)

@@ -39,6 +39,8 @@ LONGEST, WAITING = 64 * 1024, 32
 SETPOINT, STOP, AGAIN = 2.0, 2.0, 0.1
 #: Seconds without a sign of life after which a page is taken for gone.
 HEARTBEAT = 10.0
+#: Pages that may be open at once; connections at most; seconds in which a new connection must have asked for something.
+MOST_PAGES, CONNECTIONS, FIRST_REQUEST = 16, 128, 10.0
 #: How the page may be used by a browser: nothing from elsewhere, in no frame of another page, nothing kept.
 HEADERS = {
     "Content-Security-Policy": "default-src 'self'; style-src 'self' 'unsafe-inline'; frame-ancestors 'none'",
@@ -99,6 +101,8 @@ class Server:
         self._marks = itertools.count(1)
         self._refused = ""
         self._last_status: dict = {}
+        #: New connections that have asked for nothing yet.
+        self._silent: set = set()
 
     def application(self) -> web.Application:
         """Return what a web server runs."""
@@ -113,6 +117,7 @@ class Server:
     @web.middleware
     async def _guard(self, request: web.Request, handler: Callable[[web.Request], Awaitable[web.StreamResponse]]):
         """Let in who brings what is needed; what changes something only from this server's own page."""
+        self._silent.discard(request.protocol)
         given = request.query.get("token") or request.cookies.get(COOKIE, "")
         refused = self.access.refuses_host(request.headers.get("Host", "")) or self.access.refuses_token(given)
         if not refused and (request.method != "GET" or request.path == "/socket"):
@@ -135,9 +140,53 @@ class Server:
     async def _stop_by_post(self, request: web.Request) -> web.Response:
         return web.Response(text=f"{await self.stop()}\n", headers=HEADERS)
 
+    @contextlib.asynccontextmanager
+    async def listening(self, bind: str, port: int, patience: float):
+        """Listen on an address while the context lasts, and give the port.
+
+        Connections that have asked for nothing within :data:`FIRST_REQUEST` seconds, and those beyond
+        :data:`CONNECTIONS`, are closed; aiohttp waits for the whole head of a request without end.
+
+        Parameters
+        ----------
+        bind : str
+        port : int
+            0: any that is free.
+        patience : float
+            Seconds that open pages get at the end.
+        """
+        runner = web.AppRunner(self.application(), access_log=None, shutdown_timeout=patience)
+        await runner.setup()
+        loop, connections = asyncio.get_running_loop(), runner.server
+        assert connections is not None  # after setup
+
+        def close_silent(made) -> None:
+            if made in self._silent:
+                self._silent.discard(made)
+                made.force_close()
+
+        def connection() -> asyncio.BaseProtocol:
+            made = connections()
+            self._silent.add(made)
+            loop.call_later(FIRST_REQUEST if len(connections.connections) < CONNECTIONS else 0.0, close_silent, made)
+            return made
+
+        try:
+            listener = await loop.create_server(connection, bind, port)
+            try:
+                yield listener.sockets[0].getsockname()[1]
+            finally:
+                listener.close()
+        finally:
+            with contextlib.suppress(asyncio.CancelledError):
+                await runner.cleanup()
+
     # -- pages -----------------------------------------------------------------------------------------------------
 
-    async def _socket(self, request: web.Request) -> web.WebSocketResponse:
+    async def _socket(self, request: web.Request) -> web.StreamResponse:
+        if len(self.pages) >= MOST_PAGES:
+            text = f"hysteresis watch: {MOST_PAGES} pages are open already; close one of them\n"
+            return web.Response(status=503, text=text, headers=HEADERS)
         socket = web.WebSocketResponse(heartbeat=HEARTBEAT, max_msg_size=LONGEST)
         await socket.prepare(request)
         page = Page(next(self._numbers), socket, request.remote or "?")

@@ -15,9 +15,11 @@ from collections.abc import Iterator, Mapping
 from dataclasses import fields
 
 from hysteresis_ros.control.registry import LAWS
+from hysteresis_ros.errors import HysteresisError
 from hysteresis_ros.loop.axis_parameters import AxisParameters
 from hysteresis_ros.loop.node_parameters import NODE_PARAMETERS, NodeParameters, RecorderNodeParameters
 from hysteresis_ros.parameters import Parameters
+from hysteresis_ros.references.waveforms import Waveform
 from hysteresis_ros.signals import CONTROLLER, MOTOR_SOURCE
 
 
@@ -108,7 +110,9 @@ def _is_ours(node: str, name: str) -> bool:
 
 
 def limits_of(values: Mapping[str, Mapping]) -> dict[str, list[float]]:
-    """Return the ranges that a page draws: of setpoints [m] and of the voltage [V].
+    """Return the ranges that a page draws, of the reference [m] and of the voltage [V], and that of setpoints [m].
+
+    A setpoint leaves room for the waveform around it, as the source of references does.
 
     Parameters
     ----------
@@ -121,4 +125,18 @@ def limits_of(values: Mapping[str, Mapping]) -> dict[str, list[float]]:
         "setpoint": [source.get("minimum"), source.get("maximum")],
         "voltage": [compensator.get("limits.minimum"), compensator.get("limits.maximum")],
     }
+    found["slider"] = _setpoints(values.get("reference_generator", {}), *found["setpoint"])
     return {name: pair for name, pair in found.items() if None not in pair}
+
+
+def _setpoints(source: Mapping, low: float | None, high: float | None) -> list[float | None]:
+    """Return the range of setpoints that are not refused; the whole one where the waveform is not known."""
+    if None in (low, high) or not source.get("sample_rate"):
+        return [low, high]
+    own = {name: value for name, value in source.items() if _is_ours("reference_generator", name)}
+    try:
+        parameters = NODE_PARAMETERS["reference_generator"].from_mapping(own)
+        waveform = Waveform(parameters.waveform, 1.0 / source["sample_rate"])
+    except HysteresisError:
+        return [low, high]
+    return [low - waveform.lowest, high - waveform.highest]

@@ -17,7 +17,7 @@ const byId = (name) => document.getElementById(name);
 const WINDOWS = [0.1, 0.5, 1, 5, 10, 30, 60];
 const GONE = 3000;
 
-const state = { socket: null, number: 0, waiting: new Map(), paused: false, window: 5, limits: {}, mine: false, live: false, dirty: false, heard: 0, marks: [], recording: null, motor: null };
+const state = { socket: null, number: 0, waiting: new Map(), paused: false, window: 5, limits: {}, mine: false, live: false, dirty: false, heard: 0, marks: [], recording: null, motor: null, refused: false };
 const traces = new Traces();
 const loops = { voltage: [], command: [], measured: [] };
 const charts = {};
@@ -131,7 +131,8 @@ function status(now) {
   const { rms, largest, measured, voltage } = now.figures;
   const said = now.health.map(({ values }) => values.lateness_p99_us).find((value) => value !== undefined);
   const setpoint = byId("setpoint"), slider = byId("setpoint-slider");
-  if (now.figures.setpoint !== null && state.factor && ![setpoint, slider].includes(document.activeElement)) {
+  if (now.figures.setpoint !== null && state.factor && (state.refused || ![setpoint, slider].includes(document.activeElement))) {
+    state.refused = false;
     slider.value = now.figures.setpoint * state.factor;
     setpoint.value = Number((now.figures.setpoint * state.factor).toPrecision(6));
   }
@@ -165,8 +166,8 @@ function axis({ namespace, nodes, limits, mode, rate, motor: about }) {
   const lines = (name, scale, wide) => (limits[name] || []).map((value) => ({ scale, value, wide }));
   charts.displacement.limits = lines("setpoint", "m", false);
   charts.drive.limits = lines("voltage", "V", true);
-  if (limits.setpoint) {
-    const [low, high] = limits.setpoint, [unit, factor] = lengthUnit(Math.max(Math.abs(low), Math.abs(high)));
+  if (limits.slider) {
+    const [low, high] = limits.slider, [unit, factor] = lengthUnit(Math.max(Math.abs(low), Math.abs(high)));
     Object.assign(state, { unit, factor });
     byId("setpoint-unit").textContent = unit;
     Object.assign(byId("setpoint-slider"), { min: low * factor, max: high * factor, step: ((high - low) * factor) / 1000 });
@@ -208,10 +209,18 @@ function pause() {
 const mark = () => act({ do: "marker", text: byId("marker-text").value.trim() || `mark ${state.marks.length + 1}` }, "record-said");
 const record = () => act({ do: "record", on: !(state.recording && !state.recording.stopped) }, "record-said");
 
-const move = throttled(async (text) => say("setpoint-said", await ask({ do: "setpoint", value: /[a-zµ]\s*$/i.test(text) ? text : `${text}${state.unit}` })));
+/** Gives the axis a setpoint; after a refusal field and slider go back to the one that it has, also under a pointer. */
+const move = throttled(async (text) => {
+  const answer = await ask({ do: "setpoint", value: /[a-zµ]\s*$/i.test(text) ? text : `${text}${state.unit}` });
+  state.refused = !answer.ok;
+  say("setpoint-said", answer);
+});
 byId("setpoint-slider").addEventListener("input", (event) => {
-  byId("setpoint").value = Number(Number(event.target.value).toPrecision(4));
-  move(byId("setpoint").value);
+  // four digits, but not beyond the limits: their ends are given as they are
+  const { min, max, value } = event.target, [low, high] = state.limits.slider, shown = Number(Number(value).toPrecision(4));
+  const end = shown <= Number(min) ? low : shown >= Number(max) ? high : null;
+  byId("setpoint").value = end === null ? shown : Number((end * state.factor).toPrecision(6));
+  move(end === null ? String(shown) : `${end}m`);
 });
 byId("setpoint").addEventListener("change", (event) => { byId("setpoint-slider").value = parseFloat(event.target.value); move(event.target.value); });
 

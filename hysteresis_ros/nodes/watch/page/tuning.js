@@ -26,7 +26,7 @@ export function span(row) {
 }
 
 const toStep = ({ low, high, log }, value) => Math.round(STEPS * (log ? Math.log(value / low) / Math.log(high / low) : (value - low) / (high - low)));
-const toValue = ({ low, high, log }, step) => Number((log ? low * (high / low) ** (step / STEPS) : low + ((high - low) * step) / STEPS).toPrecision(4));
+const toValue = ({ low, high, log }, step) => Math.min(high, Math.max(low, Number((log ? low * (high / low) ** (step / STEPS) : low + ((high - low) * step) / STEPS).toPrecision(4))));
 
 /** Says a value whenever it changes, but never before the last one was answered. */
 export function throttled(send) {
@@ -96,13 +96,13 @@ class Parameter {
     this.said.classList.toggle("bad", !ok);
     this.box.classList.toggle("changed", ok);
     this.box.classList.toggle("refused", !ok);
-    if (!ok) this.show(this.row);
+    if (!ok) this.show(this.row, true);
   }
-  show(row) {
+  show(row, refused = false) {
     this.row = row;
     if (this.row.type === "bool") this.field.checked = row.value;
-    else if (document.activeElement !== this.field) this.field.value = row.choices ? row.value : this.text(row.value);
-    if (!this.slider || document.activeElement === this.slider) return;
+    else if (refused || document.activeElement !== this.field) this.field.value = row.choices ? row.value : this.text(row.value);
+    if (!this.slider || (document.activeElement === this.slider && !refused)) return;
     this.span = span(row) || this.span;
     this.slider.value = toStep(this.span, row.value);
   }

@@ -1,0 +1,145 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""``python -m hysteresis_ros.nodes.remote.session``: does the commands of this user, beside an axis that runs.
+
+It keeps a participant in the graph, so that a command need not be introduced to the nodes; between commands it sleeps.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import json
+import os
+import select
+import signal
+import socket
+import sys
+import threading
+import time
+
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.signals import SignalHandlerOptions
+
+import hysteresis_ros.loop.node_parameters  # noqa: F401  what a command would import at its first use
+from hysteresis_ros.nodes.discovery import stay_on_this_machine
+from hysteresis_ros.nodes.remote.__main__ import done
+from hysteresis_ros.nodes.remote.client import Client
+from hysteresis_ros.nodes.remote.door import address, is_of_this_user
+
+#: Seconds after which the session takes the address of another one that may have ended meanwhile.
+AGAIN = 1.0
+#: Seconds in which all nodes are introduced; a session that is older need not wait for more of them.
+INTRODUCED = 5.0
+
+
+class _Printed:
+    """What stands for a standard stream: each thread prints to the command that it serves.
+
+    Parameters
+    ----------
+    name : str
+        ``out`` or ``err``.
+    usual : file
+        Of what no command prints.
+    """
+
+    def __init__(self, name: str, usual):
+        self._name, self._usual = name, usual
+        self.served = threading.local()
+
+    def write(self, words: str) -> int:
+        """Send words to the command of this thread."""
+        connection = getattr(self.served, "connection", None)
+        if connection is None:
+            return self._usual.write(words)
+        connection.sendall(json.dumps([self._name, words]).encode() + b"\n")
+        return len(words)
+
+    def flush(self) -> None:
+        """Nothing is kept back."""
+
+
+class Session:
+    """Serves commands, one thread each.
+
+    Parameters
+    ----------
+    context : rclpy.context.Context
+    """
+
+    def __init__(self, context: Context):
+        self._context, self._begun, self._numbers = context, time.monotonic(), itertools.count()
+        self._streams = (_Printed("out", sys.stdout), _Printed("err", sys.stderr))
+
+    def serve(self) -> None:
+        """Take the address as soon as it is free, then serve for ever."""
+        sys.stdout, sys.stderr = self._streams
+        with socket.socket(socket.AF_UNIX) as door:
+            while True:
+                with contextlib.suppress(OSError):
+                    door.bind(address())
+                    break
+                time.sleep(AGAIN)
+            door.listen(8)
+            while True:
+                connection, _ = door.accept()
+                threading.Thread(target=self._serve, args=(connection,), daemon=True).start()
+
+    def _serve(self, connection: socket.socket) -> None:
+        with connection, contextlib.suppress(OSError, ValueError):
+            if not is_of_this_user(connection):
+                return
+            with connection.makefile("r", encoding="utf-8") as asked:
+                request = json.loads(asked.readline())
+            for stream in self._streams:
+                stream.served.connection = connection
+            code = done(request, lambda namespace, timeout: self._client(namespace, timeout, connection))
+            connection.sendall(json.dumps(["code", code]).encode() + b"\n")
+
+    def _client(self, namespace: str, timeout: float, connection: socket.socket) -> Client:
+        """Return a client that stops with the command that it serves."""
+
+        def hear() -> None:
+            if select.select([connection], [], [], 0.0)[0]:  # the command says nothing more: it has left
+                raise BrokenPipeError
+            usual()
+
+        client = Client(
+            namespace,
+            timeout,
+            self._context,
+            lambda: SingleThreadedExecutor(context=self._context),
+            name=f"{os.getpid()}_{next(self._numbers)}",
+        )
+        usual, client.hear = client.hear, hear
+        if time.monotonic() - self._begun > INTRODUCED:
+            client.settles = 0.0
+        return client
+
+
+def main() -> None:
+    """Serve until the process that has started this one ends it."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_DFL)
+    stay_on_this_machine()
+    context = Context()
+    rclpy.init(context=context, signal_handler_options=SignalHandlerOptions.NO)
+    # a participant of DDS is there as long as one node is
+    _node = rclpy.create_node(
+        "_hysteresis_session", context=context, start_parameter_services=False, enable_rosout=False
+    )
+    Session(context).serve()
+
+
+if __name__ == "__main__":
+    main()

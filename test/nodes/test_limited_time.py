@@ -1,0 +1,107 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Plant and compensator say first, for a minute, for how long their output was limited and by what."""
+
+from __future__ import annotations
+
+import pytest
+
+pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
+
+from nodes_support import axis_parameters, compose  # noqa: E402
+
+from hysteresis_ros.nodes.limited_time import AMPLIFIER, LimitedTime  # noqa: E402
+from hysteresis_ros.signals import COMMAND, PLANT_VOLTAGE, VOLTAGE  # noqa: E402
+
+RATE = 100.0
+SAFE = "safe_slew_rate"
+
+
+def counted(range_=0, safe=0):
+    return {AMPLIFIER: range_, SAFE: safe}
+
+
+def test_what_was_limited_is_said_for_a_minute_and_forgotten_then():
+    limited = LimitedTime()
+    assert limited.report(counted(), RATE, 0.0) == ""
+    assert limited.report(counted(10, 0), RATE, 1.0) == "", "a moment"
+    said = limited.report(counted(11, 300), RATE, 10.0)
+    assert said == f"output limited for 3.11 s of the last 10 s, by {SAFE} and {AMPLIFIER}"
+    for now in range(11, 60):
+        assert limited.report(counted(11, 300), RATE, float(now)).startswith("output limited for 3.11 s of the last ")
+    assert limited.report(
+        counted(11, 300), RATE, 60.0
+    ) == f"output limited for 3.11 s of the last 60 s, by {SAFE} and " + (AMPLIFIER)
+    assert limited.report(counted(11, 300), RATE, 62.0).startswith("output limited for 3.01 s of the last 61 s")
+    assert limited.report(counted(11, 300), RATE, 71.0) == ""
+
+
+def test_counters_that_were_reset_count_from_zero():
+    limited = LimitedTime()
+    assert limited.report(counted(900), RATE, 1.0) == f"output limited for 9 s, by {AMPLIFIER}"
+    assert limited.report(counted(5), RATE, 2.0) == ""
+    assert limited.report(counted(30), RATE, 3.0) == f"output limited for 0.3 s of the last 1 s, by {AMPLIFIER}"
+
+
+def test_plant_and_compensator_count_what_they_hold_back(inside):
+    overrides = {
+        "plant_simulator": {"safe_slew_rate": 20.0, "voltage_timeout": 0.02, "late_limit": -1},
+        "hysteresis_compensator": {"limits__maximum": 50.0},
+    }
+    plant, compensator, *_ = compose(inside, axis_parameters("", overrides, sample_rate=RATE, time_mode="lockstep"))
+
+    def sample(voltage):
+        plant.sense()
+        plant.inputs[0].value = voltage
+        plant.finish_sample()
+
+    for _ in range(30):
+        sample(10.0)
+    assert plant.held_back == 0, "as it is asked"
+    for _ in range(120):
+        sample(float("nan"))
+    assert plant.held_back == 0 and plant.row[PLANT_VOLTAGE] == 0.0, "at its safe voltage, which its silence says"
+    for _ in range(80):
+        sample(10.0)
+    # 10 V at 20 V/s, a sample of 10 ms after the other: the last of fifty is there
+    assert plant.held_back == 49
+    level, words, values = plant.health()
+    assert level == 1 and words == f"output limited for 0.49 s, by {SAFE}" and values["held_back_samples"] == 49
+    assert compensator.health()[1] != f"output limited for 0.4 s, by {AMPLIFIER}"
+    compensator.sample = 1
+    for _ in range(40):
+        compensator.row[COMMAND] = 11e-6
+        compensator.step()
+    assert compensator.row[VOLTAGE] == 50.0
+    cut = compensator.compensator.limits.limited_samples
+    assert cut >= 39
+    level, words, _ = compensator.health()
+    assert level == 1 and words.startswith(f"output limited for {cut / RATE:.3g} s") and words.endswith(AMPLIFIER)
+    plant.part.halt()
+    for _ in range(20):
+        sample(10.0)
+    assert plant.held_back == 49 and plant.health()[1].startswith("axis stopped"), "a stop is said as such"
+    assert plant.reset_blocks() is None and plant.held_back == 0 and plant.health()[1] != words
+
+
+def test_status_says_it_first():
+    from hysteresis_ros.nodes.remote.status import AxisStatus, NodeStatus, _lines
+
+    said = f"output limited for 12.3 s of the last 60 s, by {SAFE}"
+    nodes = [
+        NodeStatus("/left/plant_simulator", "active", "ok", "", RATE),
+        NodeStatus("/left/hysteresis_compensator", "active", "warning", said, RATE),
+    ]
+    lines = list(_lines(AxisStatus("/left", nodes)))
+    assert lines[:2] == ["/left", f"  {said} of hysteresis_compensator"]
+    assert lines[3].endswith("warning: output limited, see above")
+    nodes[1].message = "voltage saturated"
+    lines = list(_lines(AxisStatus("/left", nodes)))
+    assert lines[1].split()[0] == "plant_simulator" and lines[2].endswith("warning: voltage saturated")

@@ -1,0 +1,116 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Samples that a fused loop overwrote before the recorder took them are named and counted, not passed over."""
+
+from __future__ import annotations
+
+import time
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
+
+from hysteresis_ros.loop.ring import Samples  # noqa: E402
+from hysteresis_ros.nodes.recorder import RecorderNode  # noqa: E402
+
+
+class Written:
+    """Takes the place of bag and writer, and notes the numbers of samples."""
+
+    def __init__(self):
+        self.samples = []
+        self.force = 0.0
+
+    def attempt(self, what):
+        what(None)
+
+    def write(self, stamps, table, **given):
+        self.samples += stamps.tolist()
+
+
+@pytest.mark.parametrize("lost", [0, 7])
+def test_what_was_overwritten_is_an_error_with_its_number_and_missing_in_the_count(lost):
+    taken = Samples(10 + lost, np.zeros((3, 5)), np.arange(5), None, lost)
+    said, written = [], Written()
+    plant = SimpleNamespace(
+        stamps=SimpleNamespace(of_all=lambda numbers: numbers),
+        parameters=SimpleNamespace(preload=SimpleNamespace(force=0.0)),
+    )
+    recorder = SimpleNamespace(
+        _reader=SimpleNamespace(take=lambda: taken),
+        _take_changes=lambda: None,
+        _samples=written,
+        recording=written,
+        bag=written,
+        _lost=0,
+        _fused_plant=plant,
+        _topics=("joint_states", "command"),
+        warn=lambda key, text, **how: said.append((text, how)),
+    )
+    RecorderNode.take_samples(recorder)
+    assert written.samples == list(range(10 + lost, 15 + lost))
+    # 15 were made before and with these: those that were lost are not in the bag
+    assert recorder._counts == [15, 15]
+    assert len(said) == (1 if lost else 0)
+    if lost:
+        text, how = said[0]
+        assert text.startswith("7 samples were overwritten before they were recorded") and how == {"error": True}
+
+
+def recorder_of(counts, **values):
+    """Return a recorder that has taken so many messages of each topic."""
+    sent = []
+    given = {
+        "_counts": list(counts),
+        "_acknowledge": SimpleNamespace(publish=lambda message: sent.append(message.data)),
+        "_lacking_changes": lambda: set(),
+        "end_of_run": 20,
+        "sent": sent,
+    }
+    return SimpleNamespace(**(given | values))
+
+
+def test_only_samples_of_which_every_topic_is_in_the_bag_are_acknowledged():
+    """The plant goes on by the acknowledgement: what is acknowledged too early is lost when it does."""
+    recorder = recorder_of([32, 17, 40])
+    RecorderNode._send_acknowledgement(recorder)
+    assert recorder.sent == [17] and recorder._acknowledged == 17
+
+
+@pytest.mark.parametrize(
+    ("counts", "lacking", "done"),
+    [
+        ([20, 20], set(), True),
+        ([25, 20], set(), True),
+        ([20, 19], set(), False),
+        ([20, 20], {"plant_simulator"}, False),
+    ],
+)
+def test_a_recording_is_done_when_every_topic_and_every_log_is_whole(counts, lacking, done):
+    assert RecorderNode.is_done(recorder_of(counts, _lacking_changes=lambda: lacking)) == done
+
+
+def test_a_log_that_has_not_ended_is_waited_for_while_there_is_hope():
+    now = time.monotonic()
+    values = {
+        "_last_arrival": now,
+        "parameters": SimpleNamespace(partner_timeout=1e6),
+        "count_publishers": lambda topic: 1,
+        "resolve_topic_name": lambda topic: topic,
+        "_loggers": {"plant_simulator", "motion_controller"},
+        "_ended": {"motion_controller"},
+    }
+    assert RecorderNode._lacking_changes(SimpleNamespace(**values)) == {"plant_simulator"}
+    gone = values | {"count_publishers": lambda topic: 0}
+    assert RecorderNode._lacking_changes(SimpleNamespace(**gone)) == set()
+    late = values | {"_last_arrival": now - 2e6}
+    assert RecorderNode._lacking_changes(SimpleNamespace(**late)) == set()

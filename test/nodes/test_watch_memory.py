@@ -1,0 +1,121 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""What the page remembers of an axis: losses, errors against the reference that is followed, and samples in parts."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
+
+from sensor_msgs.msg import JointState  # noqa: E402
+
+from hysteresis_ros import signals  # noqa: E402
+from hysteresis_ros.nodes.samples import Block  # noqa: E402
+from hysteresis_ros.nodes.watch.access import Access  # noqa: E402
+from hysteresis_ros.nodes.watch.collect import PATIENCE, Collector  # noqa: E402
+from hysteresis_ros.nodes.watch.memory import Memory  # noqa: E402
+from hysteresis_ros.nodes.watch.requests import RequestError, read_request  # noqa: E402
+
+NODES = ("plant_simulator", "reference_generator", "motion_controller", "hysteresis_compensator")
+
+
+def block(first: int, **columns) -> Block:
+    """Return samples from a number on, of which these signals are known."""
+    count = len(next(iter(columns.values())))
+    table = np.zeros((len(signals.row_signals(False)), count))
+    for name, values in columns.items():
+        table[signals.place(name)] = values
+    numbers = np.arange(first, first + count)
+    return Block(numbers * 1_000_000, numbers, table, None)
+
+
+def test_samples_that_never_came_are_counted_as_lost_and_are_no_error():
+    memory = Memory(rate=1000.0)
+    assert memory.add(block(0, measured=[1e-6] * 10))
+    assert memory.add(block(13, measured=[1e-6] * 5, skipped=[0.0, 1.0, 0.0, 1.0, 0.0]))
+    assert memory.lost == 3 and memory.skipped == 2
+    error = memory.last("error", 1.0)
+    assert error.size == 18 and np.isnan(error[10:13]).all() and np.isfinite(error[13:]).all()
+    # numbers that begin anew are another run
+    assert not memory.add(block(2, measured=[0.0]))
+    assert memory.lost == 3
+
+
+def test_the_error_is_the_root_of_its_mean_square_and_its_largest():
+    memory = Memory(rate=1000.0)
+    memory.add(block(0, measured=[3e-6, 0.0, 0.0, 0.0, -1e-6]))
+    figures = memory.figures()
+    assert figures["rms"] == pytest.approx(np.sqrt(10.0 / 5.0) * 1e-6) and figures["largest"] == pytest.approx(3e-6)
+
+
+@pytest.mark.parametrize("cut", [1, 4, 9])
+def test_under_a_preview_the_error_is_against_the_reference_of_so_many_samples_before(cut):
+    """The stage follows the published reference three samples late, and nothing else is wrong."""
+    published = 1e-6 * np.arange(1.0, 11.0)
+    measured = np.concatenate([np.zeros(3), published[:-3]])
+    memory = Memory(rate=1000.0, preview=3)
+    memory.add(block(0, reference=published[:cut], measured=measured[:cut]))
+    memory.add(block(cut, reference=published[cut:], measured=measured[cut:]))
+    error = memory.last("error", 1.0)
+    assert np.isnan(error[:3]).all()
+    np.testing.assert_allclose(error[3:], 0.0, atol=1e-18)
+
+
+def said(number: int, stamp: int, node: str) -> JointState:
+    names = list(signals.state_signals(node, motor=False))
+    message = JointState(name=names, position=[float(number)] * len(names))
+    message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, 1_000_000_000)
+    return message
+
+
+def test_a_sample_whose_part_never_comes_is_shown_without_it_once_others_are_younger():
+    """A node that has gone does not hold back what the others say."""
+    collector = Collector(NODES, motor=False)
+    for number, stamp in enumerate((1_000, 2_000)):
+        for node in NODES[:-1]:
+            collector.add(node, said(number, stamp, node))
+    assert collector.take().numbers.size == 0, "its part may still come"
+    for node in NODES[:-1]:
+        collector.add(node, said(2, 2_001 + PATIENCE, node))
+    found = collector.take()
+    assert found.stamps.tolist() == [1_000, 2_000] and found.table[signals.MEASURED].tolist() == [0.0, 1.0]
+    assert np.isnan(found.table[signals.VOLTAGE]).all()
+
+
+@pytest.mark.parametrize(
+    "origin",
+    ["http://127.0.0.1:8123.evil.example", "http://127.0.0.1:81234", "https://127.0.0.1:8123", "http://127.0.0.1"],
+)
+def test_an_origin_that_only_begins_like_the_page_is_another_page(origin):
+    access = Access("127.0.0.1", "")
+    assert "only the page of http://127.0.0.1:8123" in access.refuses_origin(
+        {"Origin": origin, "Host": "127.0.0.1:8123"}
+    )
+    assert not access.refuses_origin({"Origin": "http://127.0.0.1:8123", "Host": "127.0.0.1:8123"})
+
+
+def test_the_rate_is_that_of_the_samples_between_the_arrivals(monkeypatch):
+    """Ten samples each hundredth of a second are 1000 a second; those of the first arrival came before it."""
+    memory, now = Memory(rate=1000.0), [100.0]
+    monkeypatch.setattr("hysteresis_ros.nodes.watch.memory.time.monotonic", lambda: now[0])
+    for number in range(6):
+        memory.add(block(10 * number, measured=[0.0] * 10))
+        now[0] += 0.01
+    assert memory.rate_seen() == pytest.approx(1000.0, rel=1e-6)
+
+
+@pytest.mark.parametrize("given", [True, False, "5", None, float("nan"), float("inf"), 0.001, 61])
+def test_a_window_is_a_finite_number_within_its_ends(given):
+    with pytest.raises(RequestError, match="window = "):
+        read_request(json.dumps({"id": 1, "do": "view", "window": given, "columns": 300}))
