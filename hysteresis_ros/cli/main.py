@@ -29,51 +29,82 @@ from click.shell_completion import CompletionItem
 from hysteresis_ros.cli.interrupt import leave_interrupted
 from hysteresis_ros.errors import HysteresisError, shortened
 
-#: Subcommands: name → (module:attribute, what it does in one line).
-COMMANDS = {
-    "demo": (
-        "hysteresis_ros.cli.demo:demo",
-        "Show Kim's axis in real time and as four processes, and report it.",
-    ),
-    "new": ("hysteresis_ros.cli.new:new", "Write a safe parameter file for a new axis."),
-    "commission": (
-        "hysteresis_ros.cli.commission:commission",
-        "From a new parameter file to a closed loop that was judged, stage by stage.",
-    ),
-    "up": ("hysteresis_ros.cli.up:up", "Start the nodes of a configuration, record and report."),
-    "watch": ("hysteresis_ros.cli.watch:watch", "Show an axis in the browser, and tune it there, while it runs."),
-    "setpoint": ("hysteresis_ros.cli.remote:setpoint", "Move an axis by hand, and say whether it takes the setpoint."),
-    "status": ("hysteresis_ros.cli.remote:status", "Say who is there of each running axis, how well, and where it is."),
-    "get": ("hysteresis_ros.cli.remote:get", "Print parameters of a running node."),
-    "set": ("hysteresis_ros.cli.remote:set_", "Set parameters of a running node, all or none."),
-    "call": ("hysteresis_ros.cli.remote:call", "Ask a node to start, stop, reset …, or to change its lifecycle."),
-    "echo": ("hysteresis_ros.cli.remote:echo", "Print what is said on a topic."),
-    "ioc": ("hysteresis_ros.cli.ioc:ioc", "Serve axes as EPICS motor records."),
-    "policy": ("hysteresis_ros.cli.policy:policy", "Write the SROS 2 policy of the nodes of a configuration."),
-    "simulate": ("hysteresis_ros.cli.simulate:simulate", "Run a configuration offline, without ROS."),
-    "verify": ("hysteresis_ros.cli.verify:verify", "Compare a recorded run with its offline twin, bit for bit."),
-    "parameters": (
-        "hysteresis_ros.cli.parameters:parameters",
-        "List the parameters of the nodes with type, default, unit and range.",
-    ),
-    "urdf": ("hysteresis_ros.cli.urdf:urdf", "Print an axis as a URDF, with its joint and limits."),
-    "identify": ("hysteresis_ros.cli.identify:identify", "Identify a model from a recording."),
-    "validate": ("hysteresis_ros.cli.validate:validate", "Validate a parameter file on a recording."),
-    "models": ("hysteresis_ros.cli.models:models", "List the models with parameters, units and inverses."),
-    "excite": ("hysteresis_ros.cli.excite:excite", "Drive an axis with what an identification needs."),
-    "frf": ("hysteresis_ros.cli.frf:frf", "Measure the frequency response of an axis, or take it from a recording."),
-    "emulate": ("hysteresis_ros.cli.emulate:emulate", "Emulate a device, with a plant inside and faults."),
-    "export": ("hysteresis_ros.cli.export:export", "Turn a recording into .npz or .csv."),
-    "repair": ("hysteresis_ros.cli.repair:repair", "Make a bag whole that was cut off."),
-    "design": ("hysteresis_ros.cli.design:design", "Design a controller from the model in a configuration."),
-    "report": ("hysteresis_ros.cli.report:report", "Judge a recording: figures, plots, HTML."),
-    "compare": ("hysteresis_ros.cli.compare:compare", "Rank all controllers and compensators for an axis."),
-    "sweep": ("hysteresis_ros.cli.sweep:sweep", "Run an axis many times with other parameters: yield, sensitivity."),
-    "reproduce": ("hysteresis_ros.cli.reproduce:reproduce", "Repeat a paper's experiments: paper, here, holds."),
-    "camera": ("hysteresis_ros.cli.camera:camera", "Displacements out of a video or a folder of pictures."),
-    "faults": ("hysteresis_ros.cli.faults:faults", "Let everything go wrong on an axis of its own, and say what held."),
-    "doctor": ("hysteresis_ros.cli.doctor:doctor", "Measure what this machine holds, and say what is missing."),
+#: Subcommands in the groups of the help: group → name → (module:attribute, what it does in one line).
+GROUPS: dict[str, dict[str, tuple[str, str]]] = {
+    "Run an axis": {
+        "up": ("hysteresis_ros.cli.up:up", "Start the nodes of an axis; record, watch and verify them."),
+        "simulate": ("hysteresis_ros.cli.simulate:simulate", "Run an axis offline, without ROS."),
+        "setpoint": (
+            "hysteresis_ros.cli.remote:setpoint",
+            "Send a setpoint to a running axis; print whether it was taken.",
+        ),
+        "status": ("hysteresis_ros.cli.remote:status", "Print nodes, health and position of each running axis."),
+        "get": ("hysteresis_ros.cli.remote:get", "Print parameters of a running node."),
+        "set": ("hysteresis_ros.cli.remote:set_", "Set parameters of a running node, all or none."),
+        "call": ("hysteresis_ros.cli.remote:call", "Call a service of a node: start, stop, reset, or its lifecycle."),
+        "echo": ("hysteresis_ros.cli.remote:echo", "Print the messages of a topic."),
+        "demo": ("hysteresis_ros.cli.demo:demo", "Run an axis in real time and as four processes, and report it."),
+    },
+    "Look at runs": {
+        "watch": ("hysteresis_ros.cli.watch:watch", "Show a running axis in the browser, and tune it there."),
+        "report": ("hysteresis_ros.cli.report:report", "Judge recordings: figures, charts, one HTML page."),
+        "export": ("hysteresis_ros.cli.export:export", "Convert a recording to .npz or .csv."),
+        "repair": ("hysteresis_ros.cli.repair:repair", "Repair a bag that was cut off."),
+    },
+    "Identify": {
+        "excite": (
+            "hysteresis_ros.cli.excite:excite",
+            "Drive an axis with a signal for identification, and record it.",
+        ),
+        "identify": ("hysteresis_ros.cli.identify:identify", "Fit a model to a recording, and write a parameter file."),
+        "validate": (
+            "hysteresis_ros.cli.validate:validate",
+            "Check a parameter file on a recording that was not fitted.",
+        ),
+        "frf": ("hysteresis_ros.cli.frf:frf", "Measure a frequency response, or estimate it from a recording."),
+        "models": (
+            "hysteresis_ros.cli.models:models",
+            "List the hysteresis models with parameters, units and inverses.",
+        ),
+    },
+    "Design": {
+        "new": ("hysteresis_ros.cli.new:new", "Write a safe parameter file for a new stage."),
+        "commission": (
+            "hysteresis_ros.cli.commission:commission",
+            "Take a new stage to a closed loop: identify, design, judge.",
+        ),
+        "design": (
+            "hysteresis_ros.cli.design:design",
+            "Design a controller, damping or learning for an identified axis.",
+        ),
+        "parameters": (
+            "hysteresis_ros.cli.parameters:parameters",
+            "List the parameters of the nodes with unit, range and default.",
+        ),
+    },
+    "Hardware": {
+        "emulate": ("hysteresis_ros.cli.emulate:emulate", "Emulate a device, with a plant inside and faults."),
+        "ioc": ("hysteresis_ros.cli.ioc:ioc", "Serve axes as EPICS motor records."),
+        "camera": ("hysteresis_ros.cli.camera:camera", "Measure displacements in a video or a folder of pictures."),
+        "policy": ("hysteresis_ros.cli.policy:policy", "Write the SROS 2 policy of the nodes."),
+        "urdf": ("hysteresis_ros.cli.urdf:urdf", "Print an axis as a URDF with its joint and limits."),
+    },
+    "Study": {
+        "compare": ("hysteresis_ros.cli.compare:compare", "Rank controllers and compensators for an axis."),
+        "sweep": ("hysteresis_ros.cli.sweep:sweep", "Run an axis with varied parameters: yield, sensitivity."),
+        "reproduce": (
+            "hysteresis_ros.cli.reproduce:reproduce",
+            "Repeat a paper's experiments: figure in the paper, figure here.",
+        ),
+    },
+    "Check": {
+        "verify": ("hysteresis_ros.cli.verify:verify", "Compare a recorded run with its offline twin, bit for bit."),
+        "doctor": ("hysteresis_ros.cli.doctor:doctor", "Measure which sample rates this machine holds."),
+        "faults": ("hysteresis_ros.cli.faults:faults", "Break a simulated axis in every way, and report what held."),
+    },
 }
+#: The same by name.
+COMMANDS = {name: entry for group in GROUPS.values() for name, entry in group.items()}
 
 #: Objects made before the garbage collector looks at the young ones. Compiling makes millions that live on: at Python's
 #: own 700 looking through them, again and again, takes a tenth of the time.
@@ -95,9 +126,10 @@ class LazyGroup(click.Group):
         return getattr(importlib.import_module(module), attribute)
 
     def format_commands(self, ctx, formatter) -> None:
-        """Write the list of subcommands without importing them."""
-        with formatter.section("Commands"):
-            formatter.write_dl([(name, line) for name, (_, line) in COMMANDS.items()])
+        """Write the subcommands in groups, without importing them."""
+        for title, commands in GROUPS.items():
+            with formatter.section(title):
+                formatter.write_dl([(name.ljust(10), line) for name, (_, line) in commands.items()])
 
     def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
         """Return what a shell offers: the subcommands that begin so, with their lines and without importing them."""
