@@ -14,8 +14,8 @@ every model, inverse, controller and observer is a block (:mod:`hysteresis_ros.b
 the ROS 2 nodes call alike. Only :mod:`hysteresis_ros.nodes` needs ROS.
 
 For scripts and notebooks, ``import hysteresis_ros as hr`` gives ``hr.models``, ``hr.inverses``, ``hr.controllers``,
-``hr.references`` and the functions of :mod:`hysteresis_ros.api` and :mod:`hysteresis_ros.studies`. Each is imported at
-its first use.
+``hr.references`` and the functions of :mod:`hysteresis_ros.api`, :mod:`hysteresis_ros.designing` and
+:mod:`hysteresis_ros.studies`. Each is imported at its first use.
 """
 
 from __future__ import annotations
@@ -41,21 +41,18 @@ if TYPE_CHECKING:
     )
     from hysteresis_ros.compensation import classes as inverses
     from hysteresis_ros.control import classes as controllers
-    from hysteresis_ros.studies import (
+    from hysteresis_ros.designing import (
         Design,
         DesignedLearning,
         Experiment,
-        Ranking,
-        Reproduction,
         Response,
         Uncertainty,
-        compare,
         design,
         design_learning,
         frequency_response,
         mismatched,
-        reproduce,
     )
+    from hysteresis_ros.studies import Ranking, Reproduction, compare, reproduce
 
 #: The version; setup.py reads it from here, package.xml repeats it.
 __version__ = "0.1.0"
@@ -102,12 +99,14 @@ _MODULES = {
     "inverses": "hysteresis_ros.compensation.classes",
     "controllers": "hysteresis_ros.control.classes",
 }
-#: What stands in :mod:`hysteresis_ros.swept`; not among the types above: its results name the version from here.
-_SWEPT = {"Swept", "sweep"}
-#: What stands in :mod:`hysteresis_ros.studies`; all else stands in :mod:`hysteresis_ros.api`.
-_STUDIES = {
-    *("Design", "DesignedLearning", "Experiment", "Ranking", "Reproduction", "Response", "Uncertainty"),
-    *("compare", "design", "design_learning", "frequency_response", "mismatched", "reproduce"),
+#: Where the names stand that are not in :mod:`hysteresis_ros.api`.
+_PLACES = {
+    **dict.fromkeys(("Swept", "sweep"), "hysteresis_ros.swept"),
+    **dict.fromkeys(("Ranking", "Reproduction", "compare", "reproduce"), "hysteresis_ros.studies"),
+    **dict.fromkeys(
+        ("Design", "DesignedLearning", "Experiment", "Response", "Uncertainty"), "hysteresis_ros.designing"
+    ),
+    **dict.fromkeys(("design", "design_learning", "frequency_response", "mismatched"), "hysteresis_ros.designing"),
 }
 
 
@@ -118,8 +117,7 @@ def __getattr__(name: str) -> Any:
     if name in _MODULES:
         value: Any = importlib.import_module(_MODULES[name])
     elif name in __all__:
-        place = "studies" if name in _STUDIES else "swept" if name in _SWEPT else "api"
-        value = getattr(importlib.import_module(f"hysteresis_ros.{place}"), name)
+        value = getattr(importlib.import_module(_PLACES.get(name, "hysteresis_ros.api")), name)
     else:
         import difflib
 

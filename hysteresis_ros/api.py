@@ -10,8 +10,8 @@
 """The workflow for scripts and notebooks: ``import hysteresis_ros as hr``, then a few lines. SI units everywhere.
 
 ``hr.load``, ``hr.simulate``, ``hr.identify``, ``hr.validate`` and ``hr.report`` are what the commands of the same names
-do; ``docs/api.md`` shows them at work. What takes more than one run, and designs, stand in
-:mod:`hysteresis_ros.studies`.
+do; ``docs/api.md`` shows them at work. Designs stand in :mod:`hysteresis_ros.designing`, what takes more than
+one run in :mod:`hysteresis_ros.studies`.
 """
 
 from __future__ import annotations

@@ -41,7 +41,7 @@ FORWARD = BASE | {"configuration", "models", "references", "recordings"}
 METHODS = FORWARD | {"compensation", "control", "identification"}
 MAY_IMPORT = {
     # at first use only, for those who write `import hysteresis_ros as hr`
-    "": BASE | {"api", "studies", "swept", "models", "references", "compensation", "control"},
+    "": BASE | {"api", "designing", "studies", "swept", "models", "references", "compensation", "control"},
     "keywords": {"", "errors", "parameters"},
     "errors": {""},
     "bounded": {"", "errors"},
@@ -75,6 +75,7 @@ MAY_IMPORT = {
     "results": METHODS | {"simulation", "analysis"},
     "api": METHODS | {"loop", "simulation", "analysis", "results"},
     "swept": METHODS | {"simulation", "sweeps", "api"},
+    "designing": METHODS | {"loop", "simulation", "analysis", "results", "api"},
     "studies": METHODS | {"loop", "simulation", "analysis", "comparison", "papers", "results", "api"},
     "nodes": METHODS | {"sensing", "loop", "simulation", "commissioning", "analysis", "reliability"},
     "cli": METHODS

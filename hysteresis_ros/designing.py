@@ -1,0 +1,324 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+
+"""Designs in Python: ``hr.design``, ``hr.design_learning``, ``hr.frequency_response``, ``hr.mismatched``. SI units.
+
+They do what the commands ``hysteresis design`` and ``hysteresis frf`` do.
+"""
+
+from __future__ import annotations
+
+import os
+import pathlib
+import tempfile
+from typing import Any
+
+from hysteresis_ros.api import RECORDINGS, Source, configuration_of
+from hysteresis_ros.configuration import Configuration, normalised_namespace, parse_configuration
+from hysteresis_ros.control.learning.filters import KINDS
+from hysteresis_ros.control.uncertainty import Uncertainty
+from hysteresis_ros.errors import ConfigurationError, did_you_mean
+from hysteresis_ros.identification.excitations import Experiment
+from hysteresis_ros.identification.response_file import load_response
+from hysteresis_ros.recordings.dataset import Recording
+from hysteresis_ros.recordings.files import load_run
+from hysteresis_ros.results import Design, DesignedLearning, Response
+from hysteresis_ros.simulation.axes import single_axis
+from hysteresis_ros.simulation.axis_response import AxisResponse, axis_response
+from hysteresis_ros.simulation.design import DesignRequest, design_axis, design_file, design_lines, doubts
+from hysteresis_ros.simulation.design_certainty import response_uncertainty
+from hysteresis_ros.simulation.learning_design import (
+    LearningRequest,
+    learning_file,
+    learning_lines,
+)
+from hysteresis_ros.simulation.learning_design import (
+    design_learning as design_correction,
+)
+from hysteresis_ros.simulation.measured_design import measured_lines, measured_uncertainty
+from hysteresis_ros.simulation.mismatch import mismatched as mismatched_configuration
+from hysteresis_ros.simulation.recorded_response import plan_file, read_plan, recorded_response
+from hysteresis_ros.simulation.response_run import ResponseRequest, response_run
+from hysteresis_ros.simulation.run import simulate as simulate_axis
+from hysteresis_ros.simulation.setpoint_step import step_lines
+
+__all__ = [
+    "Design",
+    "DesignedLearning",
+    "Experiment",
+    "Response",
+    "Uncertainty",
+    "design",
+    "design_learning",
+    "frequency_response",
+    "mismatched",
+]
+
+
+def design(
+    config: Source,
+    controller: str,
+    *,
+    bandwidth: float | None = None,
+    q: float | None = None,
+    criterion: str | None = None,
+    duration: float | None = None,
+    feedforward: bool = False,
+    preview: int | None = None,
+    noise: float | None = None,
+    robust: Uncertainty | None = None,
+    damping: str | None = None,
+    response: str | os.PathLike[str] | Response | None = None,
+    namespace: str | None = None,
+) -> Design:
+    """Design a controller for the model in a configuration (``motion_controller: model.dynamics``; never the plant's).
+
+    Parameters
+    ----------
+    config : path-like, Configuration, Identified, Design or Recording
+        The axis, see :func:`.simulate`.
+    controller : str
+        ``pid``, ``smc``, ``integral_smc``, ``super_twisting`` or ``offset_free``.
+    bandwidth : float, optional
+        -3 dB bandwidth from reference to displacement [Hz].
+    q : float, optional
+        Kalman filter: variance of the input's noise over that of the measurement.
+    criterion : str, optional
+        Of a pid: ``iae``, ``ise`` or ``itae``, tune it on the waveform.
+    duration : float, optional
+        Length of the run that ``criterion`` judges [s].
+    feedforward : bool
+        Add the inverse of the dynamics.
+    preview : int, optional
+        Samples that the reference is ahead, with ``feedforward``; by default what the inverse needs.
+    noise : float, optional
+        RMS noise of the sensor [m], by which the fastest design is chosen; by default 0.01 % of the stroke.
+    robust : Uncertainty, optional
+        Plants around the model on each of which the margins are to be kept
+        (:class:`hysteresis_ros.control.uncertainty.Uncertainty`).
+    damping : str, optional
+        Damp the model's resonance first: ``irc``, ``ppf``, ``iff`` or ``notch``; ``none`` leaves out that of the file.
+    response : path-like or Response, optional
+        What :func:`frequency_response` measured: the design bears it, and its margins are measured.
+    namespace : str, optional
+        Which axis of a configuration with several.
+
+    Returns
+    -------
+    Design
+        With ``parameters``, ``margins``, ``warnings`` and ``save(path)``; ``print`` shows a table.
+
+    Raises
+    ------
+    ConfigurationError
+        The configuration cannot be read, or requests exclude each other.
+    ParameterError
+        No design follows from the model; the message says what keeps it.
+
+    Examples
+    --------
+    >>> import hysteresis_ros as hr
+    >>> found = hr.design("kim2009", "offset_free", bandwidth=200.0)
+    >>> run = hr.simulate(found, duration=0.01)
+    """
+    configuration = _written(configuration_of(config), namespace)
+    axis = single_axis(configuration, namespace)
+    request = DesignRequest(controller, bandwidth, q, criterion, duration, feedforward, preview, noise, robust, damping)
+    measured = None
+    if response is not None:
+        measured = response.plant if isinstance(response, Response) else load_response(response)
+    known = response_uncertainty(configuration) if measured is None else measured_uncertainty(axis, measured)
+    found = design_axis(axis, request, known)
+    text = design_file(configuration, found, normalised_namespace(axis.namespace))
+    lines = [*step_lines(text, axis.namespace or None, feedforward), *design_lines(found)]
+    lines += [] if measured is None else measured_lines(axis, found, measured)
+    return Design(tuple(lines), text, found.parameters, found.margins, tuple(doubts(found)))
+
+
+def _written(configuration: Configuration, namespace: str | None) -> Configuration:
+    """Return a configuration whose text says all that is in it: changes by ``override`` are written out."""
+    if parse_configuration(configuration.text, configuration.source).entries == configuration.entries:
+        return configuration
+    return parse_configuration(single_axis(configuration, namespace).configuration_text(), configuration.source)
+
+
+def design_learning(
+    config: Source,
+    learning: str,
+    *,
+    period: float | None = None,
+    bandwidth: float | None = None,
+    maximum: float | None = None,
+    namespace: str | None = None,
+) -> DesignedLearning:
+    """Design learning over the periods of a scan, for the controller and model that a configuration has.
+
+    Parameters
+    ----------
+    config : path-like, Configuration, Identified, Design or Recording
+        The axis, see :func:`.simulate`.
+    learning : str
+        ``inversion``, ``norm_optimal`` or ``repetitive``.
+    period : float, optional
+        Of the reference [s]; by default that of the waveform.
+    bandwidth : float, optional
+        Of the learning [Hz]; by default the highest at which it contracts on all possible plants.
+    maximum : float, optional
+        Largest correction [m]; by default 10 % of the stroke.
+    namespace : str, optional
+        Which axis of a configuration with several.
+
+    Returns
+    -------
+    DesignedLearning
+        With ``parameters`` and ``save(path)``; ``print`` shows a table.
+
+    Raises
+    ------
+    ConfigurationError
+        There is no such learning, no period is known, or nothing contracts.
+    ParameterError
+        The period is no whole number of samples.
+
+    Examples
+    --------
+    >>> import hysteresis_ros as hr
+    >>> axis = hr.design("kim2009", "offset_free", bandwidth=200.0)
+    >>> learned = hr.design_learning(axis, "inversion", period=0.1)  # doctest: +SKIP
+    """
+    if learning not in KINDS:
+        there = ", ".join(sorted(KINDS))
+        raise ConfigurationError(
+            f"no learning '{learning}' to design; there are: {there}{did_you_mean(learning, KINDS)}"
+        )
+    configuration = _written(configuration_of(config), namespace)
+    axis = single_axis(configuration, namespace)
+    request = LearningRequest(learning, period, bandwidth, maximum)
+    found = design_correction(axis, request, response_uncertainty(configuration))
+    text = learning_file(configuration, found, normalised_namespace(axis.namespace))
+    return DesignedLearning(tuple(learning_lines(found)), text, found.parameters)
+
+
+def frequency_response(
+    source: Source,
+    experiment: Experiment | None = None,
+    *,
+    loop: str | None = None,
+    at: str | None = None,
+    amplitude: str | float | None = None,
+    offset: str | float | None = None,
+    namespace: str | None = None,
+) -> Response:
+    """Measure the frequency response of the simulated plant of a configuration, or take it from a recording.
+
+    Parameters
+    ----------
+    source : path-like, Configuration, Identified, Design or Recording
+        An axis, see :func:`.simulate`; or a recording (a run, or a file of one), of which ``experiment``, ``amplitude``
+        and ``offset`` say nothing.
+    experiment : Experiment, optional
+        Kind, band and length of the excitation: ``hr.Experiment("stepped", low=10.0, high=500.0)``; by default an odd
+        random-phase multisine.
+    loop : str, optional
+        ``open`` or ``closed``; of a configuration ``open`` by default.
+    at : str, optional
+        Where it is excited: ``voltage``, ``command`` or ``reference``.
+    amplitude : str or float, optional
+        Peak of the excitation: ``"2V"``, ``"500nm"``, or a part of the range; by default 0.05.
+    offset : str or float, optional
+        Around which place: ``"40V"``, ``"30um"``, or a part of the range; by default its middle.
+    namespace : str, optional
+        Which axis of several.
+
+    Returns
+    -------
+    Response
+        With ``plant``, ``loop``, ``margins``, ``figures`` and ``save(path)``; ``print`` shows a table.
+
+    Raises
+    ------
+    ConfigurationError
+        What was asked does not fit the axis.
+    HysteresisError
+        The excitation drowns in the noise, or the recording has no such response.
+
+    Examples
+    --------
+    >>> import hysteresis_ros as hr
+    >>> found = hr.frequency_response("kim2009", hr.Experiment(low=20.0, high=800.0, period=0.25, realisations=2))
+    >>> found.figures["lines"] > 50
+    True
+    """
+    recorded = isinstance(source, Recording)
+    if isinstance(source, (str, os.PathLike)):
+        path = pathlib.Path(source)
+        recorded = path.suffix.lower() in RECORDINGS or path.is_dir()
+    if recorded:
+        if (experiment, amplitude, offset) != (None, None, None):
+            raise ConfigurationError("a recording was excited already; leave out experiment, amplitude and offset")
+        return _of_recording(source, loop, at, namespace)
+    sizes = (None if size is None else str(size) for size in (amplitude, offset))
+    asked = ResponseRequest(experiment or Experiment(), loop or "open", at, *sizes)
+    configuration = configuration_of(source)
+    with tempfile.TemporaryDirectory(prefix="hysteresis_") as folder:
+        axis, plan = response_run(configuration, namespace, asked, pathlib.Path(folder) / "excitation.npz")
+        run = simulate_axis(axis)
+    return _response(axis_response(run, plan, single_axis(configuration, namespace)))
+
+
+def _of_recording(source: Any, loop: str | None, at: str | None, namespace: str | None) -> Response:
+    """Return the response of a recording, or of its file, beside which its plan may stand."""
+    if isinstance(source, Recording):
+        return _response(recorded_response(source, None, loop, at))
+    plan = read_plan(plan_file(source)) if plan_file(source).exists() else None
+    return _response(recorded_response(load_run(source, namespace, further=True), plan, loop, at))
+
+
+def _response(found: AxisResponse) -> Response:
+    return Response(**vars(found))
+
+
+def mismatched(config: Source, mismatch: float = 0.05, seed: int = 1, *, namespace: str | None = None) -> Configuration:
+    """Draw a plant around the configured one: gain, opening of the loop, creep and times are off; the models stay.
+
+    Parameters
+    ----------
+    config : path-like, Configuration, Identified, Design or Recording
+        The axis, see :func:`.simulate`.
+    mismatch : float
+        Largest relative deviation of each factor, 0 … 0.5.
+    seed : int
+        Equal seeds give equal plants.
+    namespace : str, optional
+        Which axis of a configuration with several.
+
+    Returns
+    -------
+    Configuration
+        For :func:`.simulate`: the controller does not know.
+
+    Raises
+    ------
+    ConfigurationError
+        The configuration cannot be read, or holds several axes.
+    ParameterError
+        The mismatch is out of range.
+
+    Examples
+    --------
+    >>> import hysteresis_ros as hr
+    >>> run = hr.simulate(hr.mismatched("kim2009", 0.05, seed=2), duration=0.01)
+    """
+    configuration = configuration_of(config)
+    if namespace is not None:
+        configuration = parse_configuration(
+            single_axis(configuration, namespace).configuration_text(), configuration.source
+        )
+    return mismatched_configuration(configuration, mismatch, seed)
