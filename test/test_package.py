@@ -67,7 +67,7 @@ MAY_IMPORT = {
     "loop": METHODS - {"identification"} | {"hardware", "sensing"},
     "simulation": METHODS | {"loop"},
     "analysis": METHODS,
-    "commissioning": METHODS | {"loop", "simulation", "analysis"},
+    "commissioning": METHODS | {"loop", "simulation", "analysis", "nodes"},
     "comparison": METHODS | {"loop", "simulation", "analysis"},
     "sweeps": METHODS | {"loop", "simulation", "analysis"},
     "papers": METHODS | {"loop", "simulation", "analysis"},
@@ -77,7 +77,7 @@ MAY_IMPORT = {
     "swept": METHODS | {"simulation", "sweeps", "api"},
     "designing": METHODS | {"loop", "simulation", "analysis", "results", "api"},
     "studies": METHODS | {"loop", "simulation", "analysis", "comparison", "papers", "results", "api"},
-    "nodes": METHODS | {"sensing", "loop", "simulation", "commissioning", "analysis", "reliability"},
+    "nodes": METHODS | {"sensing", "loop", "simulation", "analysis", "reliability"},
     "cli": METHODS
     | {"sensing", "loop", "simulation", "commissioning", "analysis", "comparison", "sweeps", "papers", "reliability"}
     | {"nodes", "hardware"},

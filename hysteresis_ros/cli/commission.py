@@ -92,11 +92,11 @@ def _situation(file, directory, resumed, plant, offline, choices):
     """Return what the stages know, and the bench."""
     from hysteresis_ros.commissioning.bench import OfflineBench
     from hysteresis_ros.commissioning.folder import Folder
+    from hysteresis_ros.commissioning.graph_bench import GraphBench
     from hysteresis_ros.commissioning.new_file import parsed
     from hysteresis_ros.commissioning.plan import plan_of
     from hysteresis_ros.commissioning.situation import Situation
     from hysteresis_ros.configuration import load_configuration
-    from hysteresis_ros.nodes.bench import GraphBench
     from hysteresis_ros.simulation.axes import single_axis
 
     configuration = load_configuration(file)

@@ -59,8 +59,8 @@ def excite(
     from hysteresis_ros.commissioning.bench import require_sound
     from hysteresis_ros.configuration import load_configuration
     from hysteresis_ros.errors import ConfigurationError
+    from hysteresis_ros.loop.axis_parameters import in_time
     from hysteresis_ros.models.hysteresis import hysteresis_block
-    from hysteresis_ros.nodes.bench import in_time
     from hysteresis_ros.nodes.domain import Domain
     from hysteresis_ros.nodes.launcher import Graph
     from hysteresis_ros.recordings.files import load_run

@@ -139,9 +139,9 @@ def _of_configuration(source, namespace, options: dict):
     import tempfile
 
     from hysteresis_ros.commissioning.bench import OfflineBench, require_sound
+    from hysteresis_ros.commissioning.graph_bench import GraphBench
     from hysteresis_ros.configuration import load_configuration
     from hysteresis_ros.identification.excitations import Experiment
-    from hysteresis_ros.nodes.bench import GraphBench
     from hysteresis_ros.recordings.files import save_run
     from hysteresis_ros.simulation.axes import single_axis
     from hysteresis_ros.simulation.axis_response import axis_response

@@ -41,7 +41,7 @@ def ioc(config, attach, prefix, namespace, egu, precision, tolerance, timeout, i
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda signum, frame: requested.append(signum))
     from hysteresis_ros.configuration import load_configuration
-    from hysteresis_ros.nodes.bench import in_time
+    from hysteresis_ros.loop.axis_parameters import in_time
     from hysteresis_ros.nodes.epics.serving import interfaces, serve
     from hysteresis_ros.nodes.epics.settings import RecordOptions, at_rest, motor_settings
     from hysteresis_ros.simulation.axes import axes

@@ -102,7 +102,7 @@ def up(
     requested = []
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda signum, frame: requested.append(signum))
-    from hysteresis_ros.nodes.bench import in_time, require_carried
+    from hysteresis_ros.loop.axis_parameters import in_time, require_carried
     from hysteresis_ros.nodes.launcher import Graph
     from hysteresis_ros.nodes.watch.serving import PageOptions, Pages
     from hysteresis_ros.simulation.axes import axes

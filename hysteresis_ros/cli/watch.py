@@ -45,7 +45,7 @@ def watch(config, namespace, port, bind, folder):
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda signum, frame: requested.append(signum))
     from hysteresis_ros.configuration import load_configuration, normalised_namespace
-    from hysteresis_ros.nodes.bench import in_time
+    from hysteresis_ros.loop.axis_parameters import in_time
     from hysteresis_ros.nodes.launcher import Graph
     from hysteresis_ros.nodes.watch.serving import PageOptions, Pages
     from hysteresis_ros.simulation.axes import axes

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Where the axis of a stage runs: a bench. The one here is offline; that of the nodes is in ``nodes/bench.py``."""
+"""Where the axis of a stage runs: a bench. The one here is offline; that of the nodes is in ``graph_bench.py``."""
 
 from __future__ import annotations
 

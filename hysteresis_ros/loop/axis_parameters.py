@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
+from hysteresis_ros.block import COMPILED
 from hysteresis_ros.compensation.compensator import CompensatorParameters
 from hysteresis_ros.compensation.reachable import commandable
 from hysteresis_ros.configuration import Configuration, dump_configuration, node_names, normalised_namespace
@@ -340,3 +341,33 @@ class AxisParameters:
             # ROS has no type for an empty array; every array is empty by default where it may be
             nodes[f"{self.namespace}/{name}"] = {key: value for key, value in values.items() if value != ()}
         return dump_configuration(nodes)
+
+
+def require_carried(axis: AxisParameters) -> None:
+    """Refuse an axis with a plant of the user's own whose samples come faster than messages can carry them.
+
+    Raises
+    ------
+    ConfigurationError
+        With the rate that would do.
+    """
+    plant = axis.plant_simulator
+    if plant.external_plant and plant.time_mode == "realtime":
+        require_message_rate(
+            plant.sample_rate * plant.real_time_factor, f"{axis.namespace}/plant_simulator: external_plant"
+        )
+
+
+def in_time(axis: AxisParameters) -> AxisParameters:
+    """Return the axis fused when messages between its nodes are too slow for its rate in real time.
+
+    Parameters
+    ----------
+    axis : AxisParameters
+    """
+    plant = axis.plant_simulator
+    if plant.time_mode != "realtime" or plant.external_plant or not COMPILED:
+        return axis
+    if plant.driver and not plant.driver_is_compiled:
+        return axis
+    return axis.with_time_mode("fused") if plant.sample_rate * plant.real_time_factor > MESSAGE_RATE else axis

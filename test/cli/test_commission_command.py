@@ -100,7 +100,7 @@ def test_a_device_that_is_not_there_is_named_by_its_node_and_ends_it(tmp_path, c
 
 @needs_ros
 def test_a_run_through_the_nodes_is_what_was_asked_for(tmp_path):
-    from hysteresis_ros.nodes.bench import GraphBench
+    from hysteresis_ros.commissioning.graph_bench import GraphBench
 
     configuration = load_configuration(written(tmp_path, sample_rate=100.0))
     axis = single_axis(configuration)

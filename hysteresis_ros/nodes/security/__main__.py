@@ -21,8 +21,7 @@ import sys
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.errors import HysteresisError
 from hysteresis_ros.identification.parameter_file import write_file
-from hysteresis_ros.loop.axis_parameters import AxisParameters
-from hysteresis_ros.nodes.bench import in_time
+from hysteresis_ros.loop.axis_parameters import AxisParameters, in_time
 from hysteresis_ros.nodes.security.policy import policy_text
 from hysteresis_ros.nodes.security.used import enclaves_of
 from hysteresis_ros.simulation.axes import axes

@@ -7,6 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
+
 """The bench of the nodes: a stage of a commissioning is a graph of its own, recorded; imports no ROS itself."""
 
 from __future__ import annotations
@@ -15,43 +16,16 @@ import contextlib
 import pathlib
 import tempfile
 
-from hysteresis_ros.block import COMPILED
 from hysteresis_ros.commissioning.bench import Bench
-from hysteresis_ros.loop.axis_parameters import MESSAGE_RATE, AxisParameters, require_message_rate
+from hysteresis_ros.loop.axis_parameters import (
+    AxisParameters,
+    in_time,
+    require_carried,
+)
 from hysteresis_ros.nodes.domain import Domain
 from hysteresis_ros.nodes.launcher import Graph, require_ros
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.files import load_run
-
-
-def require_carried(axis: AxisParameters) -> None:
-    """Refuse an axis with a plant of the user's own whose samples come faster than messages can carry them.
-
-    Raises
-    ------
-    ConfigurationError
-        With the rate that would do.
-    """
-    plant = axis.plant_simulator
-    if plant.external_plant and plant.time_mode == "realtime":
-        require_message_rate(
-            plant.sample_rate * plant.real_time_factor, f"{axis.namespace}/plant_simulator: external_plant"
-        )
-
-
-def in_time(axis: AxisParameters) -> AxisParameters:
-    """Return the axis fused when messages between its nodes are too slow for its rate in real time.
-
-    Parameters
-    ----------
-    axis : AxisParameters
-    """
-    plant = axis.plant_simulator
-    if plant.time_mode != "realtime" or plant.external_plant or not COMPILED:
-        return axis
-    if plant.driver and not plant.driver_is_compiled:
-        return axis
-    return axis.with_time_mode("fused") if plant.sample_rate * plant.real_time_factor > MESSAGE_RATE else axis
 
 
 class GraphBench(Bench):
