@@ -15,6 +15,7 @@ from __future__ import annotations
 import contextlib
 import pathlib
 import tempfile
+from typing import Any
 
 from hysteresis_ros.commissioning.bench import Bench
 from hysteresis_ros.loop.axis_parameters import (
@@ -70,7 +71,7 @@ class GraphBench(Bench):
         require_carried(axis)
         with contextlib.ExitStack() as stack:
             folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="hysteresis_"))
-            options = {"composed": True, "record": pathlib.Path(folder) / "bag"}
+            options: dict[str, Any] = {"composed": True, "record": pathlib.Path(folder) / "bag"}
             if not self._external:
                 # nobody steers this graph: a running axis of the user must not hear its commands
                 options["environment"] = stack.enter_context(Domain()).environment
