@@ -21,6 +21,7 @@ import importlib.metadata
 import pkgutil
 import sys
 import warnings
+from collections.abc import Callable
 from typing import Any, Protocol, TypeVar
 
 
@@ -86,9 +87,18 @@ def _add(found: dict[str, Declaration], declared: object, kind: type[Declaration
 
 
 def resolved(path: str) -> Any:
-    """Return the function that a dotted path ``package.module:function`` names, importing its module.
+    """Return what a dotted path ``package.module:name`` names, importing its module.
 
-    So a declaration names a function of a folder that it may not import.
+    So a declaration names something of a folder that it may not import.
     """
     module, _, name = path.partition(":")
     return getattr(importlib.import_module(module), name)
+
+
+def later(path: str) -> Callable[..., Any]:
+    """Return a function that calls the one of a dotted path ``package.module:function``, imported only then."""
+
+    def call(*given: Any) -> Any:
+        return resolved(path)(*given)
+
+    return call

@@ -14,6 +14,8 @@ from __future__ import annotations
 import contextlib
 import math
 import pathlib
+import subprocess
+import sys
 import time
 from dataclasses import replace
 
@@ -212,3 +214,13 @@ def test_a_device_that_is_gone_is_a_driver_error_within_moments(declared):
             call()
     device.close()
     assert time.monotonic() - start < 5.0
+
+
+def test_a_driver_loads_its_emulator_only_when_that_is_asked_for():
+    code = (
+        "import sys; from hysteresis_ros.hardware.registry import DRIVERS\n"
+        "held = lambda: {name for name in sys.modules if name.startswith('hysteresis_ros.') and 'emulat' in name}\n"
+        "print(sorted(held())); DRIVERS['gcs'].emulated; print(len(held()) > 0)\n"
+    )
+    ran = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True)
+    assert ran.stdout.split("\n")[:2] == ["[]", "True"], ran.stdout + ran.stderr

@@ -88,5 +88,5 @@ def emulate() -> None:
 
 
 for _declared in DRIVERS.values():
-    if _declared.device is not None:
-        emulate.add_command(_command(_declared, _declared.device))
+    if (_device := _declared.emulated) is not None:
+        emulate.add_command(_command(_declared, _device))

@@ -17,8 +17,8 @@ from dataclasses import dataclass
 from typing import Any
 
 from hysteresis_ros.hardware.driver import Driver
-from hysteresis_ros.hardware.emulation.bench import Bench, Running
 from hysteresis_ros.parameters import Parameters
+from hysteresis_ros.registry import resolved
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,11 +30,12 @@ class EmulatedDevice:
     parameters : type of Parameters
         Options of the command besides the plant and its faults.
     start : callable
-        ``start(parameters, bench)`` returns a context manager that gives the running device.
+        ``start(parameters, bench)``, with a :class:`hysteresis_ros.hardware.emulation.bench.Bench`, returns a context
+        manager that gives the running device, a :class:`hysteresis_ros.hardware.emulation.bench.Running`.
     """
 
     parameters: type[Parameters]
-    start: Callable[[Any, Bench], AbstractContextManager[Running]]
+    start: Callable[[Any, Any], AbstractContextManager[Any]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,9 +56,10 @@ class HardwareDriver:
     emulator : callable, optional
         ``emulator()`` returns a context manager that stands in for the device, or for its like, and gives the
         parameters to open it with: to try the driver without the device, and for the contract test. Only a library
-        that is named by its path has none.
-    device : EmulatedDevice, optional
-        The like as a device of its own.
+        that is named by its path has none. :func:`hysteresis_ros.registry.later` imports its module only when it is
+        called.
+    device : EmulatedDevice or str, optional
+        The like as a device of its own, or the dotted path ``package.module:DEVICE`` of it.
     package : str
         Module that it needs beyond those of the package, which the extra of the driver's name installs; '': none.
     """
@@ -67,5 +69,10 @@ class HardwareDriver:
     parameters: type[Parameters]
     driver: type[Driver]
     emulator: Callable[[], AbstractContextManager[Parameters]] | None = None
-    device: EmulatedDevice | None = None
+    device: EmulatedDevice | str | None = None
     package: str = ""
+
+    @property
+    def emulated(self) -> EmulatedDevice | None:
+        """The device, imported where only its path is named."""
+        return resolved(self.device) if isinstance(self.device, str) else self.device

@@ -37,7 +37,7 @@ def test_its_help_names_the_devices_and_each_one_its_options():
     assert devices and all(re.search(rf"^  {declared.name} ", said, re.MULTILINE) for declared in devices)
     for declared in devices:
         said = CliRunner().invoke(main, ["emulate", declared.name, "--help"]).output
-        assert all(f"--{row.name.replace('_', '-')} " in said for row in declared.device.parameters.table())
+        assert all(f"--{row.name.replace('_', '-')} " in said for row in declared.emulated.parameters.table())
         assert "--plant" in said and "--fault" in said
 
 

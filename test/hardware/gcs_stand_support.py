@@ -14,7 +14,10 @@ from __future__ import annotations
 import time
 
 from hysteresis_ros.hardware.device import Device
-from hysteresis_ros.hardware.drivers.gcs import MODELS, Controller, DeviceFaults, GcsParameters, Session
+from hysteresis_ros.hardware.drivers.gcs.driver import GcsParameters
+from hysteresis_ros.hardware.drivers.gcs.emulator.controller import MODELS, Controller
+from hysteresis_ros.hardware.drivers.gcs.emulator.session import Session
+from hysteresis_ros.hardware.emulation.faults import DeviceFaults
 from hysteresis_ros.hardware.emulation.plant import assumed_stage
 from hysteresis_ros.hardware.registry import DRIVERS
 

@@ -27,8 +27,9 @@ from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.hardware import bringup
 from hysteresis_ros.hardware.device import Device
 from hysteresis_ros.hardware.driver import DriverError
-from hysteresis_ros.hardware.drivers.gcs import GcsParameters, serving
 from hysteresis_ros.hardware.drivers.gcs import driver as driving
+from hysteresis_ros.hardware.drivers.gcs.driver import GcsParameters
+from hysteresis_ros.hardware.emulation.server import serving
 from hysteresis_ros.hardware.registry import DRIVERS
 from hysteresis_ros.loop.driven import DrivenPlant
 from hysteresis_ros.loop.plant_parameters import PlantNodeParameters

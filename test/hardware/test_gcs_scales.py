@@ -19,7 +19,8 @@ from gcs_stand_support import Stand
 from waiting import until
 
 from hysteresis_ros.hardware.driver import DriverError
-from hysteresis_ros.hardware.drivers.gcs import Session, serving
+from hysteresis_ros.hardware.drivers.gcs.emulator.session import Session
+from hysteresis_ros.hardware.emulation.server import serving
 
 
 @pytest.fixture

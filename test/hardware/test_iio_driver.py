@@ -19,7 +19,8 @@ from waiting import until
 from hysteresis_ros.errors import ConfigurationError, ParameterError
 from hysteresis_ros.hardware.device import Device
 from hysteresis_ros.hardware.driver import DriverError
-from hysteresis_ros.hardware.drivers.iio import EmulatedConvertersParameters, IioParameters, start
+from hysteresis_ros.hardware.drivers.iio.driver import IioParameters
+from hysteresis_ros.hardware.drivers.iio.emulator import EmulatedConvertersParameters, start
 from hysteresis_ros.hardware.emulation.bench import Bench
 from hysteresis_ros.hardware.registry import DRIVERS
 

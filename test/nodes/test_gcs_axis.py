@@ -17,7 +17,7 @@ pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
 
 from nodes_support import axis_parameters, compose, diagnostics, until  # noqa: E402
 
-from hysteresis_ros.hardware.drivers.gcs import EmulatedControllerParameters, start  # noqa: E402
+from hysteresis_ros.hardware.drivers.gcs.emulator.session import EmulatedControllerParameters, start  # noqa: E402
 from hysteresis_ros.hardware.emulation.bench import Bench  # noqa: E402
 
 RATE = 50.0

@@ -163,8 +163,8 @@ def test_servers_listen_on_this_machine_unless_asked(monkeypatch):
     hosts = [
         item.default
         for driver in DRIVERS.values()
-        if driver.device is not None
-        for item in driver.device.parameters.table()
+        if driver.emulated is not None
+        for item in driver.emulated.parameters.table()
         if item.name == "host"
     ]
     assert hosts and set(hosts) == {"127.0.0.1"}

@@ -15,12 +15,14 @@ import contextlib
 import os
 import pathlib
 import shutil
+import tempfile
 import threading
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 from hysteresis_ros.errors import ConfigurationError
+from hysteresis_ros.hardware.declaration import EmulatedDevice
 from hysteresis_ros.hardware.drivers.iio.driver import IioParameters
 from hysteresis_ros.hardware.drivers.iio.tree import MILLIVOLT
 from hysteresis_ros.hardware.emulation.bench import Bench, Running
@@ -162,3 +164,15 @@ def start(given: EmulatedConvertersParameters, bench: Bench) -> Iterator[Running
         leaving.set()
         thread.join()
         shutil.rmtree(given.directory, ignore_errors=True)
+
+
+@contextlib.contextmanager
+def emulator() -> Iterator[Parameters]:
+    """Give the parameters of emulated converters in a temporary folder."""
+    with tempfile.TemporaryDirectory() as folder:
+        given = EmulatedConvertersParameters(directory=str(pathlib.Path(folder) / "iio"))
+        with start(given, Bench()) as running:
+            yield running.driver
+
+
+DEVICE = EmulatedDevice(EmulatedConvertersParameters, start)

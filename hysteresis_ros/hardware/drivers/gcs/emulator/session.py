@@ -11,10 +11,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import re
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
 
+from hysteresis_ros.hardware.declaration import EmulatedDevice
+from hysteresis_ros.hardware.drivers.gcs.driver import GcsParameters
 from hysteresis_ros.hardware.drivers.gcs.emulator import motion_commands, table_commands  # noqa: F401  (they enter)
-from hysteresis_ros.hardware.drivers.gcs.emulator.controller import Controller
+from hysteresis_ros.hardware.drivers.gcs.emulator.controller import MODELS, Controller
 from hysteresis_ros.hardware.drivers.gcs.emulator.dictionary import COMMANDS, Refusal
 from hysteresis_ros.hardware.drivers.gcs.protocol import (
     GENERATOR_STATUS,
@@ -27,6 +33,10 @@ from hysteresis_ros.hardware.drivers.gcs.protocol import (
     TOO_LONG,
     UNKNOWN_COMMAND,
 )
+from hysteresis_ros.hardware.emulation.bench import Bench, Running
+from hysteresis_ros.hardware.emulation.faults import DeviceFaults
+from hysteresis_ros.hardware.emulation.server import serving
+from hysteresis_ros.parameters import Parameters, parameter
 
 #: Longest command.
 LONGEST = 4096
@@ -125,3 +135,45 @@ class Session:
         else:
             controller.fail(UNKNOWN_COMMAND)
         return b""
+
+
+@dataclass(frozen=True)
+class EmulatedControllerParameters(Parameters):
+    """Which controller is emulated, and where it is found."""
+
+    model: str = parameter("E-754", choices=tuple(MODELS), description="which controller")
+    host: str = parameter("127.0.0.1", description="address at which it is found")
+    port: int = parameter(50000, description="TCP port; 0: a free one", low=0, high=65535)
+    masters: int = parameter(1, description="so many programs may be connected at a time", low=1, high=100)
+
+
+@contextlib.contextmanager
+def start(given: EmulatedControllerParameters, bench: Bench) -> Iterator[Running]:
+    """Run an emulated controller.
+
+    Parameters
+    ----------
+    given : EmulatedControllerParameters
+    bench : Bench
+
+    Raises
+    ------
+    ConfigurationError
+        Its address cannot be had, or a fault is written wrongly.
+    """
+    faults = DeviceFaults(time.monotonic, bench.faults)
+    controller = Controller(MODELS[given.model], bench.plant, bench.cycle, faults)
+    address = given.host, given.port
+    with serving(address, lambda: Session(controller), controller.tick, faults, given.masters) as server:
+        where = f"{given.model} with {', '.join(controller.axes)} as axes at {given.host}:{server.port}"
+        yield Running(where, GcsParameters(host=given.host, port=server.port), faults, controller)
+
+
+@contextlib.contextmanager
+def emulator() -> Iterator[Parameters]:
+    """Give the parameters of an emulated controller on a free port."""
+    with start(EmulatedControllerParameters(port=0), Bench()) as running:
+        yield running.driver
+
+
+DEVICE = EmulatedDevice(EmulatedControllerParameters, start)
