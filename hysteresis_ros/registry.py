@@ -63,6 +63,20 @@ def discover(package: str, attribute: str, kind: type[Declaration], group: str) 
         if not item.name.startswith("_"):
             module = importlib.import_module(f"{package}.{item.name}")
             _add(found, getattr(module, attribute, None), kind, f"{module.__name__}.{attribute}")
+    return added(found, kind, group)
+
+
+def added(found: dict[str, Declaration], kind: type[Declaration], group: str) -> dict[str, Declaration]:
+    """Return what is found and what the entry points of a group declare, by name, in alphabetical order.
+
+    Parameters
+    ----------
+    found : dict
+        What the package itself declares, by name.
+    kind, group
+        As for :func:`discover`, which also says what is left out.
+    """
+    found = dict(found)
     for entry in _entry_points(tuple(sys.path)).select(group=group):
         try:
             _add(found, entry.load(), kind, entry.value)

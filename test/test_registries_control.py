@@ -24,6 +24,7 @@ import pytest
 
 from hysteresis_ros.block import COMPILED
 from hysteresis_ros.comparison.candidates import candidates, known
+from hysteresis_ros.comparison.laws import ROWS
 from hysteresis_ros.comparison.tasks import Conditions, make_tasks
 from hysteresis_ros.configuration import dump_configuration, load_configuration, parse_configuration
 from hysteresis_ros.control.base import APPLIED, COMMAND, ESTIMATED, FEEDFORWARD, STARTED, Controller
@@ -31,7 +32,7 @@ from hysteresis_ros.control.controller import ControllerParameters, controller_b
 from hysteresis_ros.control.gain_design import design_gains
 from hysteresis_ros.control.handover import arm
 from hysteresis_ros.control.margins import judge
-from hysteresis_ros.control.registry import DESIGNS, LAWS, entries
+from hysteresis_ros.control.registry import DESIGNS, LAWS
 from hysteresis_ros.control.succession import History, note, successor
 from hysteresis_ros.errors import ConfigurationError, ParameterError
 from hysteresis_ros.models.linear import LinearDynamics, LinearParameters
@@ -226,15 +227,15 @@ def test_what_it_declares_for_tuning_can_be_tuned(law):
     assert judge(*law.tuning.loop(begun, T), T).meets(law.tuning.required)
 
 
-@pytest.mark.parametrize("name", entries("compared"))
+@pytest.mark.parametrize("name", ROWS)
 def test_its_entries_of_the_comparison_can_be_built(name):
-    if entries("compared")[name][0].tuning is not None:
+    if LAWS[ROWS[name][0].name].tuning is not None:
         return  # tuned on simulated runs, which test/comparison does
     configuration, conditions = load_configuration("picma_stage"), Conditions()
     tasks = make_tasks(conditions, (0.0, 10e-6))
     made = candidates(known(configuration, 16), conditions, tasks, only={(name, "none")})
     assert [one.refused for one in made] == [""]
-    assert made[0].motion_controller["type"] == entries("compared")[name][0].name
+    assert made[0].motion_controller["type"] == ROWS[name][0].name
 
 
 @pytest.mark.parametrize(("given", "near"), [("pdi", "pid"), ("offsetfree", "offset_free"), ("zzz", None)])

@@ -20,6 +20,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from hysteresis_ros.comparison.damped import damped_pid, forced_pid, has_force, has_resonance
+from hysteresis_ros.comparison.laws import ROWS
 from hysteresis_ros.comparison.tasks import Conditions, Task
 from hysteresis_ros.configuration import Configuration, parse_configuration
 from hysteresis_ros.control.controller import ControllerParameters
@@ -27,7 +28,6 @@ from hysteresis_ros.control.inversion import designed_preview
 from hysteresis_ros.control.law import UNFED
 from hysteresis_ros.control.linearisation import margins
 from hysteresis_ros.control.margins import Margins, Requirements
-from hysteresis_ros.control.registry import entries
 from hysteresis_ros.control.robust import robustness
 from hysteresis_ros.control.uncertainty import LARGEST, Uncertainty
 from hysteresis_ros.errors import HysteresisError
@@ -320,7 +320,7 @@ def controllers(axis: AxisParameters) -> dict:
     axis : AxisParameters
         Dampings are tried where its model has a resonance to damp.
     """
-    declared = {name: design for name, (_, design) in entries("compared").items()}
+    declared = {name: design for name, (_, design) in ROWS.items()}
     learning = {learner(*one): declared[one[0]] for one in LEARNERS}
     damping = {"PID + damping": damped_pid} if has_resonance(axis) else {}
     if damping and has_force(axis):

@@ -7,12 +7,13 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What a controller declares, so that parameters, design, margins, tuning and comparison know all of it."""
+"""What a controller declares, so that parameters, design, margins and tuning know all of it."""
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass, field
+from dataclasses import InitVar, dataclass, field
 from typing import Any
 
 from hysteresis_ros.control.base import Controller
@@ -143,10 +144,9 @@ class ControllerLaw:
         ``doubts(parameters, sample_time, tuned)`` returns sentences about what a user should know of a design.
     tuning : Tuning, optional
         Which gains ``--criterion`` tunes.
-    compared : mapping of str to callable, optional
-        Name in the table of ``hysteresis compare`` → ``compared(given)``, which returns the parameters of the motion
-        controller that differ from the configuration's; given is
-        :class:`hysteresis_ros.comparison.candidates.Given`.
+    compared : optional
+        No part of a law any more, for laws of other packages: given, it is passed over with a warning that says where
+        the rows of ``hysteresis compare`` stand instead.
     """
 
     name: str
@@ -161,4 +161,14 @@ class ControllerLaw:
     rows: Callable[[Any, float], Collection[tuple[str, str]]] = _no_rows
     doubts: Callable[[Any, float, bool], Collection[str]] = _no_doubts
     tuning: Tuning | None = None
-    compared: Mapping[str, Callable[[Any], dict]] = field(default_factory=dict)
+    compared: InitVar[Any] = None
+
+    def __post_init__(self, compared: Any) -> None:
+        if compared is not None:
+            warnings.warn(
+                f"controller {self.name}: compared = {compared!r} has no effect: a law does not hold its rows of "
+                "hysteresis compare any more; leave it out and declare them by an entry point of the group "
+                '"hysteresis_ros.compared" (docs/extending.md)',
+                RuntimeWarning,
+                stacklevel=3,
+            )

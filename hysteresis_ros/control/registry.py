@@ -26,30 +26,19 @@ GROUP = "hysteresis_ros.controllers"
 LAWS: dict[str, ControllerLaw] = discover("hysteresis_ros.control.laws", "CONTROLLER", ControllerLaw, GROUP)
 
 
-def entries(attribute: str) -> dict[str, tuple[ControllerLaw, Callable]]:
-    """Return the law and the function of each name in a mapping that the laws declare.
-
-    Parameters
-    ----------
-    attribute : str
-        ``designs`` or ``compared``.
-
-    Raises
-    ------
-    TypeError
-        Two laws have the same name in it.
-    """
+def _designs() -> dict[str, tuple[ControllerLaw, Callable]]:
+    """Return law and design of each name; two laws with a design of one name are a mistake, a TypeError."""
     found: dict[str, tuple[ControllerLaw, Callable]] = {}
     for law in LAWS.values():
-        for name, function in getattr(law, attribute).items():
+        for name, function in law.designs.items():
             if name in found:
-                raise TypeError(f"controllers {found[name][0].name} and {law.name} both have {name!r} in {attribute}")
+                raise TypeError(f"controllers {found[name][0].name} and {law.name} both have a design {name!r}")
             found[name] = law, function
     return found
 
 
 #: Law and design of each name that ``hysteresis design --controller`` takes.
-DESIGNS = entries("designs")
+DESIGNS = _designs()
 
 
 def with_groups(cls):

@@ -7,25 +7,23 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Gains of the sliding mode controllers from a model, for a bandwidth that is asked, and for a comparison."""
+"""Gains of the sliding mode controllers from a model, for a bandwidth that is asked."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from functools import lru_cache, partial
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from hysteresis_ros.control import design
-from hysteresis_ros.control.law import UNFED, DesignTask
-from hysteresis_ros.control.linearisation import linear_loop
-from hysteresis_ros.control.margins import FASTEST, REQUIRED, judge
+from hysteresis_ros.control.law import DesignTask
+from hysteresis_ros.control.margins import judge
 from hysteresis_ros.control.sliding_design import design_sliding_mode
 from hysteresis_ros.control.sliding_search import FASTEST_FILTER, SLOWEST_FILTER, GainSearch, solved, wandering
-from hysteresis_ros.control.uncertainty import PossiblePlant, Uncertainty, drawn_plants
 from hysteresis_ros.linear_algebra import eigenvalues, product
 
 #: Input weight of the LQ problem as a part of the squared DC gain.
@@ -58,7 +56,7 @@ def sliding_gains(task: DesignTask, name: str, place: Callable[[Any, float], Any
     given, dynamics = task.parameters, task.parameters.model.dynamics
     if not dynamics.order:
         design.refuse("model.dynamics.A", dynamics.A, f"{name} needs a model with a state; choose pid")
-    found = replace(given, sliding_mode=_lq_surface(given.sliding_mode, dynamics))
+    found = replace(given, sliding_mode=lq_surface(given.sliding_mode, dynamics))
     kept = given.kalman.disturbance if given.kalman.disturbance != "none" else "constant"
     disturbance = kept if disturbed else "none"
     fixed = replace(found, kalman=_kalman(given.kalman, disturbance, task.q))
@@ -76,8 +74,14 @@ def sliding_gains(task: DesignTask, name: str, place: Callable[[Any, float], Any
     return search.at(*search.best((SLOWEST_FILTER, FASTEST_FILTER)))
 
 
-def _lq_surface(given, dynamics):
-    """Return the hyperplane of an LQ problem on output and input."""
+def lq_surface(given, dynamics):
+    """Return the parameters with the hyperplane of an LQ problem on output and input.
+
+    Parameters
+    ----------
+    given : SlidingModeParameters
+    dynamics : LinearDynamics
+    """
     gain = dynamics.matrices.dc_gain
     empty: dict[str, Any] = {name: () for name in ("S", "poles", "poles_imaginary", "lq_state_weight")}
     return replace(given, tracking="target", hyperplane="lq", lq_input_weight=INPUT_WEIGHT * gain * gain, **empty)
@@ -182,43 +186,6 @@ def reaching_rows(parameters, sample_time: float):
     found = design_sliding_mode(law, parameters.model.dynamics.state_space)
     gains = ", ".join(f"{value:.6g}" for value in found.K)
     return [surface_row(found), ("linear gain K", gains), ("phi", f"{law.phi:.6g}"), filter_row(parameters)]
-
-
-def compared_gains(given, changes: dict, place: Callable[[Any, float], Any] | None = None) -> dict:
-    """Return what differs from the configuration in a comparison: hyperplane, law and filter that keep the margins.
-
-    The filter is never faster than noise and mismatch, as they are known, make it. A robust comparison has the margins
-    kept on the corners of the mismatch, with and without a sample of delay more.
-
-    Parameters
-    ----------
-    given : comparison.candidates.Given
-    changes : dict
-        Type, filter and further parameters of the motion controller.
-    place : callable, optional
-        As for :func:`sliding_gains`.
-    """
-    node = given.axis.motion_controller
-    surface = replace(_lq_surface(node.sliding_mode, node.model.dynamics), eta=0.0, beta=0.0, delta=1.0)
-    law = replace(node, sliding_mode=surface).to_mapping()
-    parameters = type(node).from_mapping({**law, **UNFED, **changes})
-    size = given.conditions.mismatch
-    around = Uncertainty(size, size, size, draws=0) if given.conditions.robust else None
-    found = _compared(parameters, 1.0 / node.sample_rate, place, around)
-    groups = ("sliding_mode.", "kalman.")
-    return {**changes, **{name: value for name, value in found.to_mapping().items() if name.startswith(groups)}}
-
-
-@lru_cache(maxsize=64)
-def _compared(parameters, sample_time: float, place, around: Uncertainty | None):
-    """Search only once for what several compensators are compared with; around the model if that is asked."""
-    aimed = FASTEST
-    plants: tuple[PossiblePlant, ...] = ()
-    if around is not None:
-        aimed, plants = REQUIRED, drawn_plants(parameters.model.dynamics, sample_time, around)
-    task = DesignTask(parameters, sample_time, None, None, lambda one: linear_loop(one, sample_time), aimed, plants)
-    search = GainSearch(parameters, sample_time, task.judge, place, task.aimed)
-    return search.at(*search.best((SLOWEST_FILTER, 0.0)))
 
 
 def integration_warning(parameters, prefix: str) -> tuple[str, ...]:

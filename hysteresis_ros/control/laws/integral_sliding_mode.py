@@ -48,7 +48,6 @@ from hysteresis_ros.control.kalman import ESTIMATE, OFFSET, KalmanParameters
 from hysteresis_ros.control.law import ControllerLaw
 from hysteresis_ros.control.sliding_design import SlidingModeParameters
 from hysteresis_ros.control.sliding_gains import (
-    compared_gains,
     integration_warning,
     reaching_law,
     reaching_rows,
@@ -146,17 +145,6 @@ class IntegralSlidingMode(SlidingController):
         return packed_integral_sliding_mode(parameters, self.sample_time).copy()
 
 
-def compared(given) -> dict:
-    """Return the parameters of a comparison, with feedforward.
-
-    Parameters
-    ----------
-    given : comparison.candidates.Given
-    """
-    changes = {"type": "integral_sliding_mode", **given.kalman("constant")}
-    return {**compared_gains(given, changes, reaching_law), **given.preview()}
-
-
 CONTROLLER = ControllerLaw(
     name="integral_sliding_mode",
     block=IntegralSlidingMode,
@@ -166,5 +154,4 @@ CONTROLLER = ControllerLaw(
     warnings=integration_warning,
     designs={"integral_smc": lambda task: sliding_gains(task, "integral_smc", reaching_law)},
     rows=reaching_rows,
-    compared={"integral sliding mode + feedforward": compared},
 )

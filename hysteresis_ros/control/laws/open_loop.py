@@ -15,7 +15,7 @@ import numpy as np
 
 from hysteresis_ros.block import kernel
 from hysteresis_ros.control.base import APPLIED, COMMAND, ESTIMATED, FED, FEEDFORWARD, HEADER, STARTED, Controller
-from hysteresis_ros.control.law import UNFED, ControllerLaw
+from hysteresis_ros.control.law import ControllerLaw
 
 
 @kernel
@@ -49,8 +49,4 @@ CONTROLLER = ControllerLaw(
     block=OpenLoop,
     description="passes the reference, or the feedforward, through",
     feedback=False,
-    compared={
-        "open loop": lambda given: {"type": "open_loop", **UNFED},
-        "feedforward": lambda given: {"type": "open_loop", **given.preview()},
-    },
 )

@@ -35,9 +35,9 @@ import numpy as np
 
 from hysteresis_ros.block import kernel
 from hysteresis_ros.control.kalman import OFFSET, KalmanParameters
-from hysteresis_ros.control.law import UNFED, ControllerLaw
+from hysteresis_ros.control.law import ControllerLaw
 from hysteresis_ros.control.sliding_design import SlidingModeParameters
-from hysteresis_ros.control.sliding_gains import compared_gains, reaching_law, reaching_rows, sliding_gains
+from hysteresis_ros.control.sliding_gains import reaching_law, reaching_rows, sliding_gains
 from hysteresis_ros.control.sliding_surface import (
     LINEAR,
     OBSERVER,
@@ -102,25 +102,6 @@ def doubts(parameters, sample_time: float, tuned: bool):
         yield "without an estimated disturbance errors of the model leave an offset; offset_free leaves none"
 
 
-def compared(disturbance: str, **more):
-    """Return the design of a comparison, from what is given to the parameters of the motion controller.
-
-    Parameters
-    ----------
-    disturbance : str
-        Of the Kalman filter.
-    **more
-        Further parameters of ``sliding_mode``.
-    """
-
-    def designed(given):
-        changes = {"type": "sliding_mode", **given.kalman(disturbance)}
-        changes |= {f"sliding_mode.{name}": value for name, value in more.items()}
-        return compared_gains(given, changes, reaching_law)
-
-    return designed
-
-
 CONTROLLER = ControllerLaw(
     name="sliding_mode",
     block=SlidingMode,
@@ -134,11 +115,4 @@ CONTROLLER = ControllerLaw(
     },
     rows=reaching_rows,
     doubts=doubts,
-    compared={
-        "sliding mode": lambda given: {**compared("none")(given), **UNFED},
-        "sliding mode, integral": lambda given: {**compared("none", tracking="integral")(given), **UNFED},
-        "offset-free": lambda given: {**compared("constant")(given), **UNFED},
-        "offset-free + feedforward": lambda given: {**compared("constant")(given), **given.preview()},
-        "drift-free + feedforward": lambda given: {**compared("ramp")(given), **given.preview()},
-    },
 )

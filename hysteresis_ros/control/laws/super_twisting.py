@@ -63,7 +63,6 @@ from hysteresis_ros.control.kalman import OFFSET, KalmanParameters
 from hysteresis_ros.control.law import ControllerLaw, DesignTask
 from hysteresis_ros.control.sliding_design import SlidingModeParameters, design_sliding_mode
 from hysteresis_ros.control.sliding_gains import (
-    compared_gains,
     filter_row,
     integration_warning,
     sliding_gains,
@@ -276,19 +275,6 @@ def doubts(parameters, sample_time: float, tuned: bool):
     return ["super_twisting is judged for small signals, where the switching function is below k2 T"]
 
 
-def compared(given) -> dict:
-    """Return the parameters of a comparison, with feedforward.
-
-    Parameters
-    ----------
-    given : comparison.candidates.Given
-    """
-    changes = {"type": "super_twisting", "super_twisting.gains": "from_bound", **given.kalman("constant")}
-    changes["super_twisting.bound"] = given.change() * given.axis.plant_simulator.sample_rate
-    place = sliding_pole if given.dynamics.order > 1 else None
-    return {**compared_gains(given, changes, place), **given.preview()}
-
-
 CONTROLLER = ControllerLaw(
     name="super_twisting",
     block=SuperTwisting,
@@ -304,5 +290,4 @@ CONTROLLER = ControllerLaw(
     designs={"super_twisting": designed},
     rows=rows,
     doubts=doubts,
-    compared={"super-twisting + feedforward": compared},
 )

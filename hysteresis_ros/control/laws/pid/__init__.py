@@ -16,8 +16,8 @@ from dataclasses import replace
 import numpy as np
 
 from hysteresis_ros.control.closed_loop import plant_state_space
-from hysteresis_ros.control.law import UNFED, ControllerLaw, DesignTask, Tuning
-from hysteresis_ros.control.laws.pid.design import design_integral, design_pid, slowest_poles
+from hysteresis_ros.control.law import ControllerLaw, DesignTask, Tuning
+from hysteresis_ros.control.laws.pid.design import design_pid, slowest_poles
 from hysteresis_ros.control.laws.pid.law import Pid, PidParameters, pid_state_space, require_stable_pid
 
 #: A cancelled pole pair with less damping than this goes on ringing when something else than the reference excites it.
@@ -108,19 +108,6 @@ def loop(parameters, sample_time: float):
     return pid_state_space(parameters.pid, sample_time), plant_state_space(parameters.model.dynamics, scaled=False)
 
 
-def integral(given) -> dict:
-    """Return the parameters of a comparison: the simplest that works, integral action beside static feedforward.
-
-    Parameters
-    ----------
-    given : comparison.candidates.Given
-    """
-    node = given.axis.motion_controller
-    gains = design_integral(node.pid, given.dynamics, 1.0 / node.sample_rate).to_mapping()
-    named = {f"pid.{name}": value for name, value in gains.items()}
-    return {"type": "pid", "feedforward.type": "static", "feedforward.preview": 0, **named}
-
-
 CONTROLLER = ControllerLaw(
     name="pid",
     block=Pid,
@@ -132,10 +119,4 @@ CONTROLLER = ControllerLaw(
     rows=rows,
     doubts=doubts,
     tuning=Tuning(("Kp", "Ki", "Kd"), started, loop),
-    # tuned on the fastest reference, where it has the hardest time, with this compensator in the loop
-    compared={
-        "integral + static feedforward": integral,
-        "PID": lambda given: {"type": "pid", **UNFED, **given.tuned("pid")},
-        "PID + feedforward": lambda given: {"type": "pid", **given.preview(), **given.tuned("pid")},
-    },
 )
