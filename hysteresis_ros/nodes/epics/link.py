@@ -14,7 +14,11 @@ from __future__ import annotations
 import math
 import threading
 import time
+from collections.abc import Callable
+from typing import Any
 
+import rclpy
+from rclpy.context import Context
 from rclpy.node import Node
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
@@ -22,9 +26,11 @@ from std_srvs.srv import Trigger
 from trajectory_msgs.msg import JointTrajectory
 
 from hysteresis_ros import signals
+from hysteresis_ros.loop.axis_parameters import AxisParameters
 from hysteresis_ros.nodes.epics.record import SILENT, STOPPED, UNMEASURED, Alarm, Seen
-from hysteresis_ros.nodes.epics.settings import MotorSettings
+from hysteresis_ros.nodes.epics.settings import MotorSettings, RecordOptions, motor_settings
 from hysteresis_ros.nodes.qos import sensor_qos, setpoint_qos
+from hysteresis_ros.nodes.security.policy import RECORDS, Profile
 
 #: Seconds without a measurement, or without anything of the source, after which an axis is taken for dead.
 SILENCE = 1.0
@@ -98,3 +104,23 @@ class AxisLink:
             self._stopped = True
         else:
             self._holds.publish(JointTrajectory(joint_names=[self._settings.joint]))
+
+
+def profile(axes: list[AxisParameters], context: Context, used_by: Callable[[Any], Profile]) -> Profile:
+    """Return what the server of motor records uses.
+
+    Parameters
+    ----------
+    axes : list of AxisParameters
+        All it has records of.
+    context : rclpy.context.Context
+    used_by : callable
+        ``used_by(node)`` returns what a node uses.
+    """
+    node = rclpy.create_node(RECORDS, context=context, start_parameter_services=False)
+    try:
+        for axis in axes:
+            AxisLink(node, motor_settings(axis, RecordOptions("", "um", 4, 10.0)))
+        return used_by(node)
+    finally:
+        node.destroy_node()

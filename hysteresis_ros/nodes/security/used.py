@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import contextlib
 import gc
+import importlib
 import os
 import pathlib
 import tempfile
@@ -31,8 +32,6 @@ from hysteresis_ros.errors import HysteresisError
 from hysteresis_ros.loop.axis_parameters import AxisParameters
 from hysteresis_ros.nodes.discovery import stay_on_this_machine
 from hysteresis_ros.nodes.displacement_camera import DisplacementCameraNode
-from hysteresis_ros.nodes.epics.link import AxisLink as RecordsLink
-from hysteresis_ros.nodes.epics.settings import RecordOptions, motor_settings
 from hysteresis_ros.nodes.fused import FusedAxis
 from hysteresis_ros.nodes.hysteresis_compensator import HysteresisCompensatorNode
 from hysteresis_ros.nodes.inchworm_sequencer import InchwormSequencerNode
@@ -54,7 +53,6 @@ from hysteresis_ros.nodes.security.policy import (
     profile,
 )
 from hysteresis_ros.nodes.setpoint_publisher import SetpointPublisher
-from hysteresis_ros.nodes.watch.link import AxisLink
 
 NODES = {
     "plant_simulator": PlantSimulatorNode,
@@ -64,6 +62,12 @@ NODES = {
     "hysteresis_compensator": HysteresisCompensatorNode,
     "displacement_camera": DisplacementCameraNode,
     "recorder": RecorderNode,
+}
+
+#: What may stand beside the nodes: name of its enclave → what returns its profile, ``profile(axes, context, used_by)``.
+FURTHER = {
+    PAGE: "hysteresis_ros.nodes.watch.link:profile",
+    RECORDS: "hysteresis_ros.nodes.epics.link:profile",
 }
 
 #: Node of somebody else in the plant's place, as in ``examples/driver_skeleton.py``.
@@ -118,7 +122,7 @@ def enclaves_of(
             enclaves = []
             for number, axis in enumerate(axes):
                 enclaves += _of_axis(axis, context, (composed, record), remap, pathlib.Path(folder) / str(number))
-            return [*enclaves, Enclave(enclave_of("", RECORDS), (_of_records(axes, context),))]
+            return [*enclaves, Enclave(enclave_of("", RECORDS), (_further(RECORDS, axes, context),))]
         finally:
             gc.collect()  # lifecycle nodes stand in reference cycles
             context.try_shutdown()
@@ -154,7 +158,7 @@ def _of_axis(axis, context, how: tuple[bool, bool], remap, folder: pathlib.Path)
     steering = operator(namespace, everyone, own), publisher
     enclaves.append(Enclave(enclave_of(namespace, OPERATOR), steering))
     enclaves.append(Enclave(enclave_of(namespace, MONITOR), (monitor(namespace, everyone, own),)))
-    enclaves.append(Enclave(enclave_of(namespace, PAGE), (_of_a_page(axis, context),)))
+    enclaves.append(Enclave(enclave_of(namespace, PAGE), (_further(PAGE, [axis], context),)))
     return enclaves
 
 
@@ -206,19 +210,10 @@ def _of_a_command(axis: AxisParameters, context) -> Profile:
     return replace(own, serves=tuple(sorted(there)), publishes=tuple(sorted({*own.publishes, "/rosout"})))
 
 
-def _of_a_page(axis: AxisParameters, context) -> Profile:
-    """Return what the page of an axis uses, whatever the number of its process."""
-    link = AxisLink(axis.namespace, pathlib.Path(), context)
-    try:
-        link.connect_to(axis)
-        own = used_by(link.node)
-    finally:
-        link.close()
-    numbered = f"_hysteresis_{os.getpid()}"
-    serves = tuple(sorted(name.replace(numbered, "_hysteresis_*") for name in own.serves))
-    # heard only as long as a recording begins
-    hears = tuple(sorted({*own.hears, f"{axis.namespace}/joint_states"}))
-    return replace(own, node=PAGE, serves=serves, hears=hears)
+def _further(name: str, axes: list[AxisParameters], context) -> Profile:
+    """Return what something uses beside the nodes of axes; its module is imported now."""
+    module, _, function = FURTHER[name].partition(":")
+    return getattr(importlib.import_module(module), function)(axes, context, used_by)
 
 
 def _of(make) -> Profile:
@@ -228,18 +223,6 @@ def _of(make) -> Profile:
         return used_by(node)
     finally:
         node.destroy_node()
-
-
-def _of_records(axes: list[AxisParameters], context) -> Profile:
-    """Return what the server of motor records uses."""
-
-    def server():
-        node = rclpy.create_node(RECORDS, context=context, start_parameter_services=False)
-        for axis in axes:
-            RecordsLink(node, motor_settings(axis, RecordOptions("", "um", 4, 10.0)))
-        return node
-
-    return _of(server)
 
 
 def _of_an_external_plant(axis: AxisParameters, context) -> Profile:

@@ -12,12 +12,14 @@
 from __future__ import annotations
 
 import math
+import os
 import pathlib
 import queue
 import threading
 import time
 from collections.abc import Callable
 from concurrent.futures import Future
+from dataclasses import replace
 from typing import Any
 
 import rclpy
@@ -38,6 +40,7 @@ from hysteresis_ros.nodes.qos import diagnostics_qos, loop_qos, sensor_qos, setp
 from hysteresis_ros.nodes.remote.client import AbsentError, Client, axis_nodes
 from hysteresis_ros.nodes.remote.parameters import change, plain_value, values_of
 from hysteresis_ros.nodes.samples import TOPIC, Block, block_of, samples_qos
+from hysteresis_ros.nodes.security.policy import PAGE, Profile
 from hysteresis_ros.nodes.spin import make_executor
 from hysteresis_ros.nodes.watch.collect import Collector
 from hysteresis_ros.nodes.watch.memory import Memory
@@ -450,3 +453,28 @@ class AxisLink:
             return tuple(heard[0].name)
         finally:
             self._client.node.destroy_subscription(subscription)
+
+
+def profile(axes: list[AxisParameters], context: Context, used_by: Callable[[Any], Profile]) -> Profile:
+    """Return what the page of an axis uses, whatever the number of its process.
+
+    Parameters
+    ----------
+    axes : list of AxisParameters
+        The one axis of the page.
+    context : rclpy.context.Context
+    used_by : callable
+        ``used_by(node)`` returns what a node uses.
+    """
+    (axis,) = axes
+    link = AxisLink(axis.namespace, pathlib.Path(), context)
+    try:
+        link.connect_to(axis)
+        own = used_by(link.node)
+    finally:
+        link.close()
+    numbered = f"_hysteresis_{os.getpid()}"
+    serves = tuple(sorted(name.replace(numbered, "_hysteresis_*") for name in own.serves))
+    # heard only as long as a recording begins
+    hears = tuple(sorted({*own.hears, f"{axis.namespace}/joint_states"}))
+    return replace(own, node=PAGE, serves=serves, hears=hears)
