@@ -11,6 +11,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import pathlib
 import signal
 import sys
@@ -104,7 +105,6 @@ def up(
         signal.signal(number, lambda signum, frame: requested.append(signum))
     from hysteresis_ros.loop.axis_parameters import in_time, require_carried
     from hysteresis_ros.nodes.launcher import Graph
-    from hysteresis_ros.nodes.watch.serving import PageOptions, Pages
     from hysteresis_ros.simulation.axes import axes
     from hysteresis_ros.simulation.reach import reach_warnings
 
@@ -128,20 +128,28 @@ def up(
     if requested:
         click.echo("stopping")
         return
-    pages = Pages([axis.namespace for axis in found] if watch else [], PageOptions())
+    pages = _pages(found) if watch else None
     graph = Graph(found, composed=processes is False, record=record, log_level=log_level)
     for axis in found:
         for line in (_what_runs(axis, processes is False), *axis.timeouts()):
             click.echo(f"{axis.namespace}{': ' if axis.namespace else ''}{line}")
-    with graph, pages:
-        ended = graph.wait(lambda: bool(requested) or pages.over())
+    with graph, pages or contextlib.nullcontext():
+        ended = graph.wait(lambda: bool(requested) or (pages is not None and pages.over()))
         click.echo("the run ended" if ended else "stopping")
     _say_limited(graph)
     _say_recorded(graph)
-    if pages.exit_code():
+    if pages is not None and pages.exit_code():
         sys.exit(pages.exit_code())
     if verify:
         _verify(graph)
+
+
+def _pages(axes):
+    """Return the pages of axes; only who asks for them loads what serves them."""
+    from hysteresis_ros.registry import resolved
+
+    options = resolved("hysteresis_ros.nodes.watch.serving:PageOptions")()
+    return resolved("hysteresis_ros.nodes.watch.serving:Pages")([axis.namespace for axis in axes], options)
 
 
 def _time_mode(rate: str | None, fused: bool, processes: bool | None) -> str | None:
