@@ -14,11 +14,14 @@ from __future__ import annotations
 import pathlib
 import sys
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import click
 
 from hysteresis_ros.cli.progress import shown
-from hysteresis_ros.recordings.dataset import Recording
+
+if TYPE_CHECKING:
+    from hysteresis_ros.recordings.dataset import Recording
 
 
 @click.command(short_help="Compare a recorded run with its offline twin, bit for bit.")
