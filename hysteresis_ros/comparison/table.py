@@ -18,7 +18,9 @@ import numpy as np
 from hysteresis_ros.analysis.ranking import errors_figure, ranking_figure, write_ranking_page
 from hysteresis_ros.comparison.outcome import Comparison, Table, judgement
 from hysteresis_ros.comparison.rows import Row
+from hysteresis_ros.configuration import parse_configuration
 from hysteresis_ros.identification.safe_motion import with_safe_motion
+from hysteresis_ros.loop.axis_parameters import AxisParameters
 from hysteresis_ros.simulation.axes import single_axis
 
 TITLE = "Controllers and compensators under honest conditions"
@@ -279,5 +281,8 @@ def best_text(comparison: Comparison) -> str:
         f"# Best of `hysteresis compare {source} --best`: {label(best)}\n"
         f"# on the worst plant {figures_}, with a delay of {delays(best)} ms.\n"
     )
-    axis = single_axis(chosen)
-    return with_safe_motion(header + axis.configuration_text(), "the best combination", axis.namespace)
+    # a waveform with bare steps is refused beside an inverse of the dynamics until the limits are written
+    axis = AxisParameters.from_configuration(chosen, single_axis(comparison.configuration).namespace)
+    text = with_safe_motion(header + axis.configuration_text(), "the best combination", axis.namespace)
+    single_axis(parse_configuration(text, "the best combination"))
+    return text

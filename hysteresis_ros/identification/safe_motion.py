@@ -18,6 +18,9 @@ add. The approach is a ramp behind two moving averages (:mod:`hysteresis_ros.ref
 period of the resonance, where a moving average has a zero: the two are a double zero on the resonance, so a setpoint
 leaves little vibration even when the frequency is off by some per cent.
 
+*Steps of a waveform* keep the limits of the approach too where the controller inverts the dynamics; elsewhere the slew
+rate alone limits them.
+
 What a file states, it keeps: a limit above 0 is never replaced.
 """
 
@@ -165,6 +168,10 @@ def with_safe_motion(text: str, source: str, namespace: str = "", excited: float
         if not own > 0.0:
             text = _with_values(text, name, namespace, "limits", {"slew_rate": (rate, f"V/s: {slew.reason}")})
     reference = configuration.node("reference_generator", namespace)
+    inverts = nodes["motion_controller"].get("feedforward.type") == "inverse_dynamics"
+    if inverts and not reference.get("approach.steps", False):
+        why = "steps of a waveform keep the limits too: the feedforward inverts the dynamics"
+        text = _with_values(text, "reference_generator", namespace, "approach", {"steps": (True, why)})
     if any(float(reference.get(f"approach.{name}", 0.0)) > 0.0 for name in APPROACH):
         return text
     stroke = float(reference.get("maximum", 0.0)) - float(reference.get("minimum", 0.0))
@@ -210,7 +217,7 @@ def _rounded(value: float) -> float:
     return float(f"{value:.{DIGITS}g}")
 
 
-def _with_values(text: str, node: str, namespace: str, group: str, values: dict[str, tuple[float, str]]) -> str:
+def _with_values(text: str, node: str, namespace: str, group: str, values: dict[str, tuple[float | bool, str]]) -> str:
     """Return the text with values in a group of a node's last section, their comments behind them; others stay.
 
     A group that is written in one line gets its values there, the reasons behind the line.
@@ -260,7 +267,7 @@ def _with_values(text: str, node: str, namespace: str, group: str, values: dict[
     return "".join(lines[:at] + added + lines[at:])
 
 
-def _in_flow(text: str, node: str, namespace: str, group: str, new: dict[str, tuple[float, str]]) -> str:
+def _in_flow(text: str, node: str, namespace: str, group: str, new: dict[str, tuple[float | bool, str]]) -> str:
     """Return the text with values before the brace that closes a group."""
     if not new:
         return text
@@ -282,7 +289,9 @@ def _in_flow(text: str, node: str, namespace: str, group: str, new: dict[str, tu
     return "".join(lines)
 
 
-def _number(value: float) -> str:
-    """Return a number that YAML and ROS both read as a double."""
+def _number(value: float | bool) -> str:
+    """Return a number that YAML and ROS both read as a double; or true, false."""
+    if isinstance(value, bool):
+        return str(value).lower()
     text = repr(float(value))
     return text.replace("e", ".0e") if "e" in text and "." not in text else text

@@ -73,6 +73,12 @@ class ApproachParameters(Parameters):
     maximum_jerk: float = parameter(
         0.0, description="largest jerk of the approach, 0 = unlimited", unit="m/s³", low=0.0, read_only=True
     )
+    steps: bool = parameter(
+        False,
+        description="whether the jumps of a waveform (steps, square, staircase) keep these limits too; needed where the "
+        "feedforward inverts the dynamics",
+        read_only=True,
+    )
     start_time: float = parameter(
         0.1,
         description="time in which start returns to the setpoint where the approach is unlimited",

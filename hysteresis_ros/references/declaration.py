@@ -97,6 +97,8 @@ class WaveformShape:
     fundamental : callable, optional
         ``fundamental(parameters)`` returns the amplitude of its fundamental as a part of half its height; None for
         waveforms with jumps, which are steps and no frequency.
+    jumps : bool, optional
+        Whether it jumps from one level to another; with ``approach.steps`` such a jump keeps the limits of the approach.
     duration : callable, optional
         ``duration(p)`` returns the samples until it has been played, 0 when it has no end.
     example : Parameters, optional
@@ -113,6 +115,7 @@ class WaveformShape:
     extent: str = "amplitude"
     periodic: bool = False
     fundamental: Callable[[Any], float] | None = None
+    jumps: bool = False
     duration: Callable[[np.ndarray], int] = _end
     example: Parameters | None = None
 

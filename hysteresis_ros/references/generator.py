@@ -7,7 +7,11 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Reference generator: jerk-limited approach to the setpoint, or a trajectory, plus a waveform, within a range."""
+"""Reference generator: jerk-limited approach to the setpoint, or a trajectory, plus a waveform, within a range.
+
+With ``approach.steps`` the jumps of a waveform pass an approach of their own, with the same limits. Setpoint and
+waveform may move at the same time; their sum then moves up to twice as fast.
+"""
 
 from __future__ import annotations
 
@@ -44,8 +48,8 @@ from hysteresis_ros.references.trajectory import (
 from hysteresis_ros.references.waveforms import Waveform, WaveformParameters
 
 #: Parameters and state of the range: FADE is what start() found between the held reference and the setpoint with an
-#: unlimited approach; it fades over FADE_SAMPLES.
-MINIMUM, MAXIMUM, FADE_SAMPLES = range(3)
+#: unlimited approach; it fades over FADE_SAMPLES. SMOOTHED: 1 where the waveform jumps and passes an approach.
+MINIMUM, MAXIMUM, FADE_SAMPLES, SMOOTHED = range(4)
 RUNNING, OUTPUT, FADE, FADE_COUNT = range(4)
 
 #: What RUNNING may be: the reference is held; waveform and moves; moves, while the waveform waits for its start.
@@ -83,6 +87,7 @@ class GeneratorArrays(NamedTuple):
     range: np.ndarray
     trajectory: np.ndarray
     shaping: np.ndarray
+    steps: np.ndarray
 
 
 @nested
@@ -154,7 +159,10 @@ def reference_step(waveform, ps, xs, setpoint):
         return x[OUTPUT]
     reference = base(ps, xs, setpoint)
     if x[RUNNING] == WHOLE:
-        reference += waveform(ps.waveform, xs.waveform, 0.0)
+        added = waveform(ps.waveform, xs.waveform, 0.0)
+        if p[SMOOTHED] != 0.0:
+            added = approach(ps.steps, xs.steps, added)
+        reference += added
     if x[FADE_COUNT] < p[FADE_SAMPLES]:
         # Minimum-jerk blend 1 → 0.
         s = x[FADE_COUNT] / p[FADE_SAMPLES]
@@ -201,11 +209,14 @@ class ReferenceGenerator(Chain):
         self.waveform = self._build_waveform(parameters, parameters.initial_setpoint)
         low, high = parameters.minimum, parameters.maximum
         self.approach = Approach(parameters.approach, sample_time, low, high, parameters.initial_setpoint)
+        smoothing = parameters.approach if parameters.approach.steps else ApproachParameters()
+        self._steps = Approach(smoothing, sample_time, low, high)
+        self._steps.p[[LOW, HIGH]] = -math.inf, math.inf
         self.shaper = Shaper(parameters.shaping, sample_time)
         fade = 0
         if parameters.approach.unlimited:
             fade = round(parameters.approach.start_time / self.sample_time)
-        self._range = np.array([low, high, float(fade)]), np.zeros(4)
+        self._range = np.array([low, high, float(fade), 0.0]), np.zeros(4)
         deceleration = effective_limits(parameters.approach, high - low)[1]
         smooth = float(not parameters.approach.unlimited)
         path = [self.sample_time, smooth, deceleration if math.isfinite(deceleration) else 0.0, low, high]
@@ -236,8 +247,11 @@ class ReferenceGenerator(Chain):
         self.approach.p[LOW] = low - self.waveform.lowest
         self.approach.p[HIGH] = high - self.waveform.highest
         self._trajectory[0][following.LOWEST :] = self.approach.p[LOW], self.approach.p[HIGH]
-        self.ps = GeneratorArrays(self.approach.p, self.waveform.p, self._range[0], self._trajectory[0], self.shaper.p)
-        self.xs = GeneratorArrays(self.approach.x, self.waveform.x, self._range[1], self._trajectory[1], self.shaper.x)
+        own = self.parameters
+        self._range[0][SMOOTHED] = float(own.approach.steps and own.waveform.shape.jumps)
+        rest = self._range, self._trajectory, (self.shaper.p, self.shaper.x), (self._steps.p, self._steps.x)
+        self.ps = GeneratorArrays(self.approach.p, self.waveform.p, *(p for p, _ in rest))
+        self.xs = GeneratorArrays(self.approach.x, self.waveform.x, *(x for _, x in rest))
 
     @property
     def waveform_kernel(self):
@@ -370,8 +384,8 @@ class ReferenceGenerator(Chain):
         """Run the waveform from its beginning, from the present reference without a jump.
 
         The approach begins, at rest, where the waveform's first sample on top of it gives the held reference, and
-        moves to the setpoint within its limits. An unlimited approach cannot do that: there the difference fades
-        out over ``approach.start_time``. Where nobody has asked for another since :meth:`begin_at`, the setpoint is the
+        moves to the setpoint within its limits; steps that pass an approach begin there too. An unlimited approach
+        cannot do that: there the difference fades out over ``approach.start_time``. Where nobody has asked for another since :meth:`begin_at`, the setpoint is the
         initial one.
         """
         if self.unasked:
@@ -379,7 +393,9 @@ class ReferenceGenerator(Chain):
         self._begun = math.nan
         output = self._range[1][OUTPUT]
         self.waveform.reset()
-        difference = output - self._first_value()
+        first = self._first_value()
+        self._steps.rest_at(first)
+        difference = output - first
         x = self._range[1]
         if self.parameters.approach.unlimited:
             self.approach.rest_at(self.setpoint)
@@ -403,7 +419,10 @@ class ReferenceGenerator(Chain):
         number = self.xs.trajectory[following.NUMBER]
         self.xs.trajectory[:] = following.initial_state(self.parameters.initial_setpoint)
         self.xs.trajectory[following.NUMBER], self.xs.trajectory[following.OUTCOME] = number, following.STOPPED
-        first = self.parameters.initial_setpoint + self._first_value()
+        # steps that pass an approach begin where the axis rests
+        self._steps.rest_at(0.0)
+        waveform = 0.0 if self._range[0][SMOOTHED] else self._first_value()
+        first = self.parameters.initial_setpoint + waveform
         output = min(max(first, self.parameters.minimum), self.parameters.maximum)
         self._range[1][:] = (WHOLE, output, 0.0, 0.0)
 

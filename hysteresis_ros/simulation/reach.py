@@ -23,6 +23,9 @@ files are experiments:
   there is stroke left. Waveforms with jumps (square) are steps and left out.
 - An answer d samples late, d the relative degree, is wrong by 2 sin(π f d Ts) of the amplitude. From f = 1/(6 d Ts) on
   standing still would be better. Only ``inverse_dynamics`` with its preview has no such delay.
+
+*Jumps*: the inverse of the dynamics answers a jump with the full voltage, so the steps of a waveform must pass the
+approach there.
 """
 
 from __future__ import annotations
@@ -88,7 +91,7 @@ def check_reach(axis: AxisParameters) -> None:
     except ParameterError as error:
         named = [Problem(f"reference_generator: {p.name}", p.value, p.allowed) for p in error.problems]
         raise ParameterError(named) from None
-    problems = [*_beyond_stroke(axis, given, generator)]
+    problems = [*_bare_steps(axis, given), *_beyond_stroke(axis, given, generator)]
     if not problems and axis.motion_controller.law.feedback and given.waveform.shape.periodic:
         problems = [*_too_late(axis, given), *_too_fast(axis, given, generator, CUT_PEAKS)]
     if problems:
@@ -121,6 +124,20 @@ def reach_warnings(axis: AxisParameters) -> tuple[str, ...]:
         generator = ReferenceGenerator(given, 1.0 / axis.plant_simulator.sample_rate)
         found += [f"{p.name} = {p.value}: {p.allowed}" for p in _too_fast(axis, given, generator, TOLERANCE)]
     return tuple(found)
+
+
+def _bare_steps(axis, given: ReferenceParameters):
+    inverts = axis.motion_controller.feedforward.type == "inverse_dynamics"
+    approach = given.approach
+    if not inverts or not given.waveform.shape.jumps or (approach.steps and not approach.unlimited):
+        return
+    add = "give approach.maximum_velocity, maximum_acceleration and maximum_jerk, and " if approach.unlimited else ""
+    allowed = (
+        "jumps, and feedforward.type inverse_dynamics answers a jump with as much voltage as it can: "
+        f"{add}set approach.steps: true, so that the steps keep the limits of the approach, or take "
+        "feedforward.type static or none"
+    )
+    yield Problem("reference_generator: waveform.type", given.waveform.type, allowed)
 
 
 def _beyond_stroke(axis, given: ReferenceParameters, generator: ReferenceGenerator):

@@ -49,6 +49,50 @@ def test_steps_and_compiled_loop_are_equal_bit_for_bit():
     assert np.array_equal(a.state, b.state)
 
 
+@pytest.mark.parametrize("shape", ["steps", "square", "staircase"])
+def test_with_approach_steps_a_waveform_keeps_the_limits_and_arrives(shape):
+    levels = {"waveform.steps.values": [2e-6, 9e-6, 4e-6], "waveform.steps.times": [0.0, 0.3, 0.7]}
+    cycles = {"waveform.frequency": 1.0, "waveform.staircase.steps": 3} if shape != "steps" else {}
+    given = {"waveform.type": shape, "waveform.amplitude": 9e-6, **levels, **cycles}
+    bare, kept = build(LIMITED, given), build(LIMITED, given, **{"approach.steps": True})
+    start = np.zeros(1)
+    first, found = (np.concatenate([start, g.simulate(np.zeros(1000))]) for g in (bare, kept))
+    assert np.max(np.abs(np.diff(first))) > 1e-6, "a bare waveform jumps"
+    limits = [LIMITED[f"approach.maximum_{name}"] for name in ("velocity", "acceleration", "jerk")]
+    for order, limit in enumerate(limits, start=1):
+        assert np.max(np.abs(np.diff(found, order))) / TS**order <= limit * (1.0 + 1e-6)
+    # where the waveform has stood long enough, the reference is its level
+    late = round(kept.approach.duration(9e-6) / TS)
+    stood = [k for k in range(late, 1001) if np.ptp(first[k - late + 1 : k + 1]) == 0.0]
+    assert len(stood) > 100 and np.array_equal(found[stood], first[stood])
+
+
+def test_approach_steps_leave_other_waveforms_and_unlimited_ones_alone():
+    plain, kept = build(SINE, LIMITED), build(SINE, LIMITED, **{"approach.steps": True})
+    assert np.array_equal(plain.simulate(np.zeros(300)), kept.simulate(np.zeros(300)))
+    square = {"waveform.type": "square", "waveform.amplitude": 4e-6, "waveform.frequency": 10.0}
+    plain, kept = build(square), build(square, **{"approach.steps": True})
+    assert np.array_equal(plain.simulate(np.zeros(300)), kept.simulate(np.zeros(300)))
+
+
+def test_limited_steps_start_without_a_jump_and_follow_a_new_waveform():
+    square = {"waveform.type": "square", "waveform.amplitude": 4e-6, "waveform.frequency": 2.0}
+    g = build(LIMITED, square, **{"approach.steps": True})
+    g.simulate(np.full(137, 3e-6))
+    held = g.step(3e-6)
+    g.stop()
+    for waveform in (square, SINE, {**square, "waveform.amplitude": 2e-6}):
+        parameters = {**g.parameters.to_mapping(), **waveform}
+        g.retune(ReferenceParameters.from_mapping(parameters))
+        g.start()
+        moved = np.concatenate([[held], g.simulate(np.full(700, 3e-6))])
+        # setpoint and waveform may move together
+        fastest = 2e-4 + 2.0 * np.pi * 5.0 * 2e-6 * (waveform is SINE)
+        assert np.max(np.abs(np.diff(moved))) / TS <= fastest * (1.0 + 1e-6)
+        held = moved[-1]
+        g.stop()
+
+
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf, 15.1e-6, -1e-9])
 def test_refused_setpoint_says_value_and_range_and_changes_nothing(bad):
     g = build()

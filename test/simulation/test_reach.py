@@ -131,8 +131,22 @@ def test_a_range_wider_than_the_reach_is_a_warning():
 
 def test_a_short_preview_is_a_warning_of_the_axis():
     changed = {"feedforward__type": "inverse_dynamics", "feedforward__preview": 2}
-    (doubt,) = reach_warnings(axis(motion_controller=changed))
+    (doubt,) = reach_warnings(axis(motion_controller=changed, reference_generator={"waveform__type": "hold"}))
     assert doubt.startswith("motion_controller: feedforward.preview = 2")
+
+
+def test_bare_steps_into_an_inverse_of_the_dynamics_are_refused_and_it_is_said_what_to_do():
+    changed = {"feedforward__type": "inverse_dynamics", "feedforward__preview": 12}
+    limits = {"approach__maximum_velocity": 1e-4, "approach__maximum_jerk": 1.0}
+    square = {"waveform__type": "square", "waveform__amplitude": 1e-6, "waveform__frequency": 5.0}
+    for waveform in ({}, square):  # the configuration's own are steps
+        with pytest.raises(ParameterError, match=r"waveform\.type = '(steps|square)': .* set approach\.steps: true"):
+            axis(motion_controller=changed, reference_generator={**limits, **waveform})
+        with pytest.raises(ParameterError, match=r"give approach\.maximum_velocity, .* set approach\.steps: true"):
+            axis(motion_controller=changed, reference_generator={"approach__steps": True, **waveform})
+        axis(motion_controller=changed, reference_generator={**limits, "approach__steps": True, **waveform})
+        axis(reference_generator={**limits, **waveform})
+    axis(motion_controller=changed, reference_generator=sine(2e-6, 5.0, 5e-6))
 
 
 def test_dynamics_for_another_sample_time_are_refused_for_plant_and_model():

@@ -58,6 +58,7 @@ def final(parameters, p) -> float:
 
 WAVEFORM = WaveformShape(
     name="square",
+    jumps=True,
     pack=cyclic(square, own=lambda parameters, sample_time: [parameters.square.duty], final=final, polarity=True),
     parameters=SquareParameters,
     takes_polarity=True,

@@ -67,6 +67,7 @@ def own(parameters, sample_time: float) -> list[float]:
 
 WAVEFORM = WaveformShape(
     name="staircase",
+    jumps=True,
     pack=cyclic(staircase, own=own, polarity=True),
     parameters=StaircaseParameters,
     takes_polarity=True,

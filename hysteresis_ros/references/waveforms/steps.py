@@ -112,6 +112,7 @@ def duration(p) -> int:
 
 WAVEFORM = WaveformShape(
     name="steps",
+    jumps=True,
     pack=pack,
     parameters=StepsParameters,
     takes_frequency=False,
