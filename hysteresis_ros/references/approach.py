@@ -75,8 +75,8 @@ class ApproachParameters(Parameters):
     )
     steps: bool = parameter(
         False,
-        description="whether the jumps of a waveform (steps, square, staircase) keep these limits too; needed where the "
-        "feedforward inverts the dynamics",
+        description="whether the jumps of a waveform (steps, square, staircase) keep these limits too; needed where "
+        "the feedforward inverts the dynamics",
         read_only=True,
     )
     start_time: float = parameter(

@@ -98,7 +98,7 @@ class WaveformShape:
         ``fundamental(parameters)`` returns the amplitude of its fundamental as a part of half its height; None for
         waveforms with jumps, which are steps and no frequency.
     jumps : bool, optional
-        Whether it jumps from one level to another; with ``approach.steps`` such a jump keeps the limits of the approach.
+        Whether it jumps from one level to another; with ``approach.steps`` a jump keeps the limits of the approach.
     duration : callable, optional
         ``duration(p)`` returns the samples until it has been played, 0 when it has no end.
     example : Parameters, optional

@@ -385,8 +385,8 @@ class ReferenceGenerator(Chain):
 
         The approach begins, at rest, where the waveform's first sample on top of it gives the held reference, and
         moves to the setpoint within its limits; steps that pass an approach begin there too. An unlimited approach
-        cannot do that: there the difference fades out over ``approach.start_time``. Where nobody has asked for another since :meth:`begin_at`, the setpoint is the
-        initial one.
+        cannot do that: there the difference fades out over ``approach.start_time``. Where nobody has asked for another
+        since :meth:`begin_at`, the setpoint is the initial one.
         """
         if self.unasked:
             self.approach.x[SETPOINT] = self.parameters.initial_setpoint
