@@ -11,11 +11,13 @@
 
 from __future__ import annotations
 
+import pathlib
 import re
 
 import numpy as np
 import pytest
 import yaml
+from safe_motion_support import NODES, quantum, stated, steps
 
 from hysteresis_ros.commissioning.new_file import NewAxis, new_text
 from hysteresis_ros.configuration import load_configuration, parse_configuration
@@ -28,13 +30,9 @@ from hysteresis_ros.simulation.run import simulate
 from hysteresis_ros.simulation.setpoint_step import require_gentle, setpoint_step, step_lines
 
 RATE = 2000.0
-NODES = ("plant_simulator", "hysteresis_compensator")
-#: Shipped configurations whose reference is a generator's; an inchworm motor walks.
-SHIPPED = (
-    *("auwal2017", "auwal2017_camera", "fleming2010", "kim2009", "picma_stage", "stage700"),
-    *("wang2014", "wang2014_duhem", "wang2014_duhem80", "wang2014_linear"),
-)
-STATED = re.compile(r"slew_rate: 0\.0  # .*a sample may step by ([0-9.]+) V: \w+")
+CONFIGURATIONS = sorted(path.stem for path in (pathlib.Path(__file__).resolve().parents[2] / "config").glob("*.yaml"))
+#: Motors that walk: a sequencer gives their references.
+WALKING = ("inchworm_travel",)
 #: A stage in a flexure, 380 Hz with 1.5 % of damping, 100 µm over 150 V, which states no limit of motion.
 A, B = zero_order_hold(
     [[0.0, 1.0], [-((2 * np.pi * 380.0) ** 2), -2 * 0.015 * 2 * np.pi * 380.0]],
@@ -73,39 +71,6 @@ FLEXURE = f"""\
 """
 
 
-def stated(text: str, axis) -> float:
-    """Return the step of the voltage in a sample [V] that a file states."""
-    limits = [getattr(axis, name).limits for name in NODES]
-    rates = [one.slew_rate for one in limits]
-    if all(rates):
-        return min(rates) / axis.plant_simulator.sample_rate
-    assert not any(rates), "one node limits the voltage and the other does not"
-    said = {float(value) for value in STATED.findall(text)}
-    assert len(said) == 1 and len(STATED.findall(text)) == len(NODES), "unlimited: the file says the step, and why"
-    return said.pop()
-
-
-def steps(configuration, bare: bool) -> np.ndarray:
-    """Return the voltages of a step to the farthest setpoint and back, as a bare waveform or through the approach.
-
-    One that inverts the dynamics takes no bare ones.
-    """
-    if bare and configuration.node("motion_controller").get("feedforward.type") == "inverse_dynamics":
-        configuration = configuration.override("motion_controller", feedforward__type="static")
-    axis = single_axis(configuration)
-    own, count = axis.reference_generator, 400
-    way = max((own.minimum, own.maximum), key=lambda end: abs(end - own.initial_setpoint)) - own.initial_setpoint
-    values = {"waveform.type": "hold"}
-    if bare:
-        begins = [0.0, 20 / axis.plant_simulator.sample_rate, 200 / axis.plant_simulator.sample_rate]
-        values = {"waveform.type": "steps", "waveform.steps.values": [0.0, way, 0.0], "waveform.steps.times": begins}
-        values |= {"waveform.offset": 0.0, "waveform.steps.period": 0.0}
-    setpoints = np.full(count, own.initial_setpoint)
-    setpoints[20:200] += 0.0 if bare else way
-    still = single_axis(configuration.override("reference_generator", **values))
-    return simulate(still, setpoints=setpoints, describe=False)["voltage"]
-
-
 def designed(text: str, **asked) -> str:
     """Return the file of a PID with feedforward."""
     configuration = parse_configuration(text, "stage.yaml")
@@ -113,7 +78,7 @@ def designed(text: str, **asked) -> str:
     return design_file(configuration, result, "")
 
 
-@pytest.mark.parametrize("name", SHIPPED)
+@pytest.mark.parametrize("name", [name for name in CONFIGURATIONS if name not in WALKING])
 @pytest.mark.parametrize("bare", [False, True])
 def test_the_largest_step_of_a_shipped_configuration_is_within_what_its_file_states(name, bare):
     configuration = load_configuration(name)
@@ -122,10 +87,16 @@ def test_the_largest_step_of_a_shipped_configuration_is_within_what_its_file_sta
     assert 0.0 < largest <= allowed + 1e-9 + 2.0 * quantum(configuration)
 
 
-def quantum(configuration) -> float:
-    """Return the step of the converter [V], which the voltage is rounded to behind the slew rate."""
-    limits = single_axis(configuration).hysteresis_compensator.limits
-    return (limits.maximum - limits.minimum) / (2**limits.bits - 1) if limits.bits else 0.0
+@pytest.mark.parametrize("name", WALKING)
+def test_a_motor_that_walks_keeps_what_its_file_states_extender_and_clamps(name):
+    configuration = load_configuration(name)
+    axis = single_axis(configuration)
+    run = simulate(axis, duration=0.4, describe=False)
+    assert np.ptp(run["displacement"]) > 50e-6, "it walks"
+    largest = {signal: np.max(np.abs(np.diff(run[signal]))) for signal in ("voltage", "front_voltage", "rear_voltage")}
+    assert 0.0 < largest["voltage"] <= stated(configuration.text, axis) + 2.0 * quantum(configuration)
+    said = {float(value) for value in re.findall(r"ramps slew: a sample may step by ([0-9.]+) V", configuration.text)}
+    assert len(said) == 1 and 0.0 < max(largest["front_voltage"], largest["rear_voltage"]) <= said.pop()
 
 
 def test_a_designed_file_limits_the_bare_step_and_the_setpoint_does_not_hit_the_stage():
