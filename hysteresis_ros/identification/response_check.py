@@ -47,8 +47,8 @@ CLEARLY = 2.0
 OVERLAP = 2.0
 #: Bands without content between two that have some are known as these are, up to so many octaves apart.
 GAP = 1.5
-#: A recording with content up to this part of the sample rate tells all that a loop at that rate asks.
-WHOLE = 0.35
+#: All of the response is known where the content reaches this part of the sample rate: a loop acts up to there.
+WHOLE = 0.5
 #: The residual rings where its spectrum stands out of its surroundings (a band against two octaves) by this factor.
 STANDS_OUT = 8.0
 NARROW, WIDE = 1.0 / 20.0, 1.0
@@ -137,7 +137,7 @@ class ResponseCheck:
                 "axes still and record again"
             )
         known = self.uncertainty.known_to
-        if not np.isinf(known):
+        if not np.isinf(known) and self.certain < self.seen:
             why = "what else moves the output hides them" if self.foreign > FOREIGN else NO_CONTENT
             found.append(
                 f"dynamics above {known:.3g} Hz are unknown, {why}: a design keeps to a crossover of about "
@@ -172,7 +172,8 @@ def check_response(chain: PlantModel, data: IdentificationData, skip: int = 0) -
     uncertainty, shown = _uncertainty(spectra, response)
     ringing = _ringing(spectra, response)
     # what nobody has looked at speaks neither for nor against a model, what rings there speaks against it
-    shown = replace(shown, known_to=uncertainty.known_to if ringing else np.inf)
+    rings_there = any(frequency > uncertainty.known_to for frequency in ringing)
+    shown = replace(shown, known_to=uncertainty.known_to if rings_there else np.inf)
     exact = ResponseUncertainty(np.ones(1), np.zeros(1), np.inf)
     believed, seen, certain = (
         fastest_integral(plant, data.sample_time, errors) for errors in (exact, shown, uncertainty)

@@ -62,7 +62,8 @@ def recording(part: LinearPart, voltage, noise: float = 2e-9) -> IdentificationD
 
 def test_a_true_model_is_known_as_far_as_the_voltage_has_content():
     whole = check_response(chain(MODE), recording(MODE, multisine(16000)), 1000)
-    assert np.isinf(whole.uncertainty.known_to) and whole.fit_for_feedback and whole.warnings == ()
+    # a mode above all content is still possible; it costs integral control nothing, so nothing is said
+    assert 0.4 < whole.uncertainty.known_to * STEP < 0.5 and whole.fit_for_feedback and whole.warnings == ()
     assert np.max(whole.uncertainty.at([2.0, 20.0, 280.0, 600.0])) < 0.05
     half = check_response(chain(MODE), recording(MODE, multisine(16000, 100)), 1000)
     assert half.uncertainty.known_to == pytest.approx(100.0, rel=0.2)

@@ -20,6 +20,7 @@ from hysteresis_ros.control.linearisation import whole_loop
 from hysteresis_ros.control.response_uncertainty import DAMPING, UNKNOWN, UNSEEN, ResponseUncertainty
 from hysteresis_ros.errors import ConfigurationError
 from hysteresis_ros.identification.linear_part import LinearPart, Mode
+from hysteresis_ros.identification.response_model import MeasuredPlant
 from hysteresis_ros.models.linear import LinearParameters
 from hysteresis_ros.models.state_space import StateSpace
 from hysteresis_ros.simulation.axes import single_axis
@@ -120,3 +121,79 @@ def test_a_known_response_is_not_slowed_down():
     first = design_axis(axis(), DesignRequest("pid"))
     known = design_axis(axis(), DesignRequest("pid"), whole)
     assert known.margins.bandwidth == first.margins.bandwidth and known.limited is None
+
+
+# -- in the time domain ------------------------------------------------------------------------------------------------
+
+#: A recording with content to 0.35 of the sample rate, which knew all of it to 5 %.
+FAST = ResponseUncertainty(np.array([1.0, 0.35 * RATE]), np.array([0.05, 0.05]), 0.35 * RATE)
+JUMP, NOISE, SAMPLES = 10e-6, 45e-9, 6000
+
+
+def largest_late(parameters, plant: StateSpace) -> float:
+    """Return the largest displacement in the second half of a jump of the reference with noise, over the jump."""
+    controller, _ = whole_loop(parameters, STEP)
+    inside, state = np.zeros(controller.order), np.zeros(plant.order)
+    noise = NOISE * np.random.default_rng(3).standard_normal(SAMPLES)
+    late = 0.0
+    for k in range(SAMPLES):
+        displacement = plant.C[0] @ state
+        if not abs(displacement) < 1e3 * JUMP:
+            return np.inf
+        if k >= SAMPLES // 2:
+            late = max(late, abs(displacement))
+        given = np.array([JUMP, displacement + noise[k]])
+        command = controller.C[0] @ inside + controller.D[0] @ given
+        inside = controller.A @ inside + controller.B @ given
+        state = plant.A @ state + plant.B[:, 0] * command
+    return late / JUMP
+
+
+def unseen(frequency: float, damping: float, part: float) -> StateSpace:
+    """Return the model beside a mode through which a part of the displacement passes."""
+    lag = held(LinearPart(lag=LAG, hold=STEP).dynamics(STEP), 1.0 - part)
+    mode = held(LinearPart(modes=(Mode(frequency, damping),), hold=STEP).dynamics(STEP), part)
+    n, m = lag.order, mode.order
+    A = np.block([[lag.A, np.zeros((n, m))], [np.zeros((m, n)), mode.A]])
+    return StateSpace(A, np.vstack([lag.B, mode.B]), np.hstack([lag.C, mode.C]), np.zeros((1, 1)))
+
+
+def slow_plants():
+    """Return plants with modes above 20 Hz."""
+    for frequency in (40.0, 165.0, 421.0, 900.0):
+        for damping in (DAMPING, 0.02):
+            part = LinearPart(modes=(Mode(frequency, damping),), lag=LAG, hold=STEP)
+            yield held(part.dynamics(STEP), 1.0)
+
+
+def fast_plants():
+    """Return plants with modes between 0.35 and 0.5 of the rate that change what is known by 5 % at most."""
+    for part_of_rate in (0.4, 0.44, 0.48):
+        for damping in (DAMPING, 0.02):
+            most = 0.05 * ((part_of_rate / 0.35) ** 2 - 1.0)
+            for part in (most, -most):
+                yield unseen(part_of_rate * RATE, damping, part)
+
+
+def test_loops_on_modes_that_were_not_seen_stay_bounded(designs):
+    for name, design in designs.items():
+        if design is not None:
+            late = [largest_late(design.parameters, plant) for plant in slow_plants()]
+            assert max(late) < 2.0, f"{name}: {late}"
+
+
+@pytest.mark.parametrize("controller", ["pid", "integral_smc"])
+def test_loops_on_modes_just_below_half_the_sample_rate_stay_bounded(controller):
+    design = design_axis(axis(), DesignRequest(controller), FAST)
+    late = [largest_late(design.parameters, plant) for plant in fast_plants()]
+    assert max(late) < 2.0, late
+    bold = design_axis(axis(), DesignRequest(controller))
+    assert max(largest_late(bold.parameters, plant) for plant in fast_plants()) == np.inf, "the plants are no test"
+
+
+def test_what_an_identification_calls_known_ends_where_the_content_does():
+    lines = np.linspace(10.0, 0.4 * RATE, 120)
+    measured = MeasuredPlant(lines, np.ones(120, dtype=complex), np.full(120, 0.01))
+    assert measured.uncertainty(np.ones(120), STEP).known_to == lines[-1]
+    whole = MeasuredPlant(np.linspace(10.0, 0.499 * RATE, 120), np.ones(120, dtype=complex), np.full(120, 0.01))
+    assert np.isinf(whole.uncertainty(np.ones(120), STEP).known_to)
