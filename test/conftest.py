@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import os
 
+import preloaded_support
 import pytest
 from hypothesis import settings
 
@@ -32,6 +33,22 @@ BESIDE = (
     *("lockstep", "faulty_nodes", "batch_recording", "processors", "graph_runner", "fused_driver", "fused_mishaps"),
     *("adapting_nodes", "live_changes_over_ros", "partners"),
 )
+
+
+def pytest_configure(config):
+    """Let processes of this package be forked from one that has imported it, but where a start is the subject."""
+    preloaded_support.install()
+
+
+def pytest_unconfigure(config):
+    """End what forks them."""
+    preloaded_support.close()
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_runtest_setup(item):
+    """Start the processes of a test truly when it is marked so; its fixtures come after this."""
+    preloaded_support.start_cold(item.get_closest_marker("cold") is not None)
 
 
 def group_of(nodeid: str) -> str:

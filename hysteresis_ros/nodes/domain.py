@@ -38,7 +38,7 @@ _CLAIM = 249
 
 
 #: Where the next claim of this process begins to look.
-_turns = itertools.count(os.getpid())
+_turns = itertools.count()
 
 
 class Domain:
@@ -57,7 +57,7 @@ class Domain:
     def __init__(self):
         own = os.environ.get("ROS_DOMAIN_ID", "0")
         # in turn: what is left of a graph that has just ended is not met by the next one
-        first = next(_turns) % len(DOMAINS)
+        first = (os.getpid() + next(_turns)) % len(DOMAINS)
         for number in (*DOMAINS[first:], *DOMAINS[:first]):
             claim = _bound(number, _CLAIM, "127.0.0.1") if str(number) != own.strip() else None
             if claim is not None:

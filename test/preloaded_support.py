@@ -1,0 +1,305 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Processes of this package without their imports: forked from one that has imported everything already.
+
+A node or a command spends most of its processor time on importing Numba, SciPy, rclpy and this package, and a run of
+the tests starts hundreds of them. After :func:`install`, a ``subprocess.Popen`` of ``python -m hysteresis_ros.…`` is a
+fork of a process that has imported them, made a child of this process. All else is as it was: the process has its own
+identifier, arguments, environment, folder, pipes, session, signals and exit code, and the module runs as ``__main__``.
+
+A start that could differ by its imports is a true one: another interpreter, variables of the environment other than
+``HARMLESS``, another copy of the package in the path, modules of the user's beside it. ``HYSTERESIS_COLD=1`` makes all
+starts true ones; so does the marker ``cold`` those of a test.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import gc
+import importlib
+import importlib.util
+import inspect
+import io
+import json
+import os
+import pathlib
+import pickle
+import pkgutil
+import signal
+import socket
+import subprocess
+import sys
+import threading
+
+PACKAGE = "hysteresis_ros"
+#: Variables that are read when a process runs, not when it imports.
+HARMLESS = frozenset(
+    {"ROS_DOMAIN_ID", "HYSTERESIS_DOMAIN", "ROS_AUTOMATIC_DISCOVERY_RANGE", "PYTEST_CURRENT_TEST"}
+    | {"PYTHONUNBUFFERED", "PYTHONSAFEPATH", "PYTHONPATH"}
+)
+#: Environment variable that makes every start a true one.
+COLD = "HYSTERESIS_COLD"
+
+_PR_SET_CHILD_SUBREAPER = 36
+_true_start = subprocess.Popen._execute_child
+_lock = threading.Lock()
+
+
+class _Starter:
+    """The process that has imported everything, and what it was started with."""
+
+    def __init__(self):
+        self.environment = dict(os.environ)
+        self.pid = os.getpid()
+        self._socket, other = socket.socketpair(socket.AF_UNIX, socket.SOCK_STREAM)
+        with other:
+            command = [sys.executable, __file__, str(other.fileno()), str(_home())]
+            os.set_inheritable(other.fileno(), True)
+            self._process = subprocess.Popen(command, pass_fds=(other.fileno(),), stdin=subprocess.DEVNULL)
+
+    def fork(self, request: dict, files: list[int]) -> int:
+        """Return the identifier of a new child of this process."""
+        message = json.dumps(request).encode()
+        libc = ctypes.CDLL(None)
+        # the one between has ended when the answer comes: its child is this process' own from then on
+        libc.prctl(_PR_SET_CHILD_SUBREAPER, 1)
+        try:
+            socket.send_fds(self._socket, [len(message).to_bytes(8, "little")], files)
+            self._socket.sendall(message)
+            answer = self._socket.recv(8, socket.MSG_WAITALL)
+        finally:
+            libc.prctl(_PR_SET_CHILD_SUBREAPER, 0)
+        if len(answer) < 8:
+            raise OSError("the process that forks nodes is gone")
+        return int.from_bytes(answer, "little")
+
+    def close(self) -> None:
+        """End it."""
+        self._socket.close()
+        self._process.wait()
+
+
+_starter: _Starter | None = None
+_cold = False
+
+
+def _home() -> pathlib.Path:
+    """Return the folder in which this package lies, as the tests import it."""
+    return pathlib.Path(importlib.util.find_spec(PACKAGE).origin).resolve().parents[1]
+
+
+def _path_of(environment: dict, cwd) -> list[str] | None:
+    """Return what an interpreter's path begins with, or None where its modules could be others than ours."""
+    folder = os.path.abspath(cwd or os.getcwd())
+    own = [] if environment.get("PYTHONSAFEPATH") else [folder]
+    path = own + [entry for entry in environment.get("PYTHONPATH", "").split(os.pathsep) if entry]
+    home = _home()
+    for entry in map(pathlib.Path, path):
+        if entry.resolve() == home:
+            return path
+        if any(entry.glob("*.py")) or (entry / PACKAGE).exists():
+            return None
+    return path if "site-packages" in home.parts else None
+
+
+def _fits(args, environment: dict) -> bool:
+    """Tell whether a command line and an environment are those of a process that may be forked."""
+    if _cold or os.environ.get(COLD) or sys.platform != "linux" or not isinstance(args, list | tuple):
+        return False
+    words = [os.fspath(word) for word in args]
+    if words[:2] != [sys.executable, "-m"] or not words[2].startswith(f"{PACKAGE}."):
+        return False
+    known = _starter.environment if _starter is not None else os.environ
+    return not {
+        name for name in (environment.keys() | known.keys()) - HARMLESS if environment.get(name) != known.get(name)
+    }
+
+
+def _start(self, args, executable, preexec_fn, close_fds, pass_fds, cwd, env, *rest):
+    """Fork where it makes no difference; in place of :meth:`subprocess.Popen._execute_child`."""
+    global _starter
+    startupinfo, creationflags, shell, *pipes = rest[:9]
+    restore_signals, gid, gids, uid, umask, start_new_session, process_group = rest[9:]
+    environment = dict(os.environ if env is None else env)
+    plain = (gid, gids, uid, umask, process_group) == (None, None, None, -1, -1) and restore_signals and close_fds
+    path = None
+    if plain and not shell and not pass_fds and executable in (None, sys.executable) and _fits(args, environment):
+        path = _path_of(environment, cwd)
+    try:
+        first = pickle.dumps(preexec_fn).hex() if path is not None else ""
+    except (AttributeError, TypeError, pickle.PicklingError):
+        path = None
+    if path is None:
+        return _true_start(self, args, executable, preexec_fn, close_fds, pass_fds, cwd, env, *rest)
+    p2cread, p2cwrite, c2pread, c2pwrite, errread, errwrite = pipes
+    given = [file if file != -1 else standard for standard, file in enumerate((p2cread, c2pwrite, errwrite))]
+    for stream in (sys.stdout, sys.stderr):
+        with contextlib.suppress(AttributeError, ValueError):
+            stream.flush()
+    request = {
+        "arguments": [os.fspath(word) for word in args[3:]],
+        "module": args[2],
+        "environment": environment,
+        "cwd": os.path.abspath(cwd or os.getcwd()),
+        "path": path,
+        "session": bool(start_new_session),
+        "first": first,
+        "parent": os.getpid(),
+    }
+    with _lock:
+        if _starter is None or _starter.pid != os.getpid():
+            _starter = _Starter()
+        self.pid = _starter.fork(request, given)
+    self._child_created = True
+    with contextlib.ExitStack() as stack:
+        # the ends of the child, and those that it keeps of a file given by the caller, as Popen itself leaves them
+        devnull = getattr(self, "_devnull", None)
+        if p2cread != -1 and p2cwrite != -1 and p2cread != devnull:
+            stack.callback(os.close, p2cread)
+        if c2pwrite != -1 and c2pread != -1 and c2pwrite != devnull:
+            stack.callback(os.close, c2pwrite)
+        if errwrite != -1 and errread != -1 and errwrite != devnull:
+            stack.callback(os.close, errwrite)
+        if devnull is not None:
+            stack.callback(os.close, devnull)
+    self._closed_child_pipe_fds = True
+    return None
+
+
+def install() -> None:
+    """From now on, start processes of the package by forking where it makes no difference."""
+    subprocess.Popen._execute_child = _start
+
+
+def start_cold(cold: bool) -> None:
+    """Start all processes truly, or no longer."""
+    global _cold
+    _cold = cold
+
+
+def close() -> None:
+    """Start processes as Python does it, and end the one that forks them."""
+    global _starter
+    subprocess.Popen._execute_child = _true_start
+    if _starter is not None and _starter.pid == os.getpid():
+        _starter.close()
+    _starter = None
+
+
+def _import_everything() -> None:
+    """Import all modules of the package, but what belongs to something that is not installed."""
+    package = importlib.import_module(PACKAGE)
+    for found in pkgutil.walk_packages(package.__path__, f"{PACKAGE}.", onerror=lambda name: None):
+        if not found.name.endswith(".__main__"):
+            with contextlib.suppress(ImportError):
+                importlib.import_module(found.name)
+
+
+def _load_kernels() -> None:
+    """Load the machine code that the cache holds; what it does not hold is compiled by whoever calls it first."""
+    from hysteresis_ros.block import COMPILED
+
+    if not COMPILED:
+        return
+    import numba
+
+    modules = [module for name, module in sys.modules.items() if name.startswith(f"{PACKAGE}.")]
+    for kernel in {value for module in modules for value in vars(module).values() if _is_kernel(value, numba)}:
+        # Numba has no way to ask for it; where a version keeps it otherwise, kernels are loaded at their first call
+        with contextlib.suppress(AttributeError, OSError):
+            for key in kernel._cache._cache_file._load_index():
+                if key[0] not in kernel.overloads:
+                    kernel.compile(key[0])
+
+
+def _is_kernel(value, numba) -> bool:
+    return isinstance(value, numba.core.dispatcher.Dispatcher)
+
+
+def _served(channel: socket.socket) -> tuple[dict, list[int]]:
+    """Fork for each request; return in the child, with its request and its files."""
+    while True:
+        data, files, _, _ = socket.recv_fds(channel, 8, 3)
+        if len(data) < 8:
+            os._exit(0)
+        request = json.loads(channel.recv(int.from_bytes(data, "little"), socket.MSG_WAITALL))
+        reading, writing = os.pipe()
+        between = os.fork()
+        if between == 0:
+            child = os.fork()
+            if child:
+                os.write(writing, child.to_bytes(8, "little"))
+                os._exit(0)
+            os.close(reading)
+            os.close(writing)
+            channel.close()
+            return request, files
+        os.close(writing)
+        os.waitpid(between, 0)
+        answer = os.read(reading, 8)
+        os.close(reading)
+        for file in files:
+            os.close(file)
+        channel.sendall(answer)
+
+
+def _become(request: dict, files: list[int], base: list[str]) -> str:
+    """Make this process what a true start would have made it; return the module to run."""
+    while os.getppid() != request["parent"]:
+        os.sched_yield()
+    for standard, file in enumerate(files):
+        os.dup2(file, standard)
+    for file in files:
+        os.close(file)
+    os.chdir(request["cwd"])
+    os.environ.clear()
+    os.environ.update(request["environment"])
+    if request["session"]:
+        os.setsid()
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    # what was imported stays out of collections: these processes would look through it, and copy its pages, three times
+    gc.freeze = gc.unfreeze = lambda: None
+    unbuffered = bool(request["environment"].get("PYTHONUNBUFFERED"))
+    for number, name in ((1, "stdout"), (2, "stderr")):
+        raw = io.FileIO(number, "w", closefd=False)
+        buffer = raw if unbuffered else io.BufferedWriter(raw)
+        errors = "backslashreplace" if number == 2 else "strict"
+        options = {"line_buffering": number == 2 or raw.isatty(), "write_through": unbuffered}
+        stream = io.TextIOWrapper(buffer, encoding="utf-8", errors=errors, **options)
+        setattr(sys, name, stream)
+        setattr(sys, f"__{name}__", stream)
+    sys.stdin = sys.__stdin__ = io.TextIOWrapper(io.BufferedReader(io.FileIO(0, closefd=False)), encoding="utf-8")
+    sys.path[:] = request["path"] + base
+    sys.argv[:] = ["-m", *request["arguments"]]
+    first = pickle.loads(bytes.fromhex(request["first"]))
+    if first is not None:
+        first()
+    sys.modules.pop(request["module"], None)
+    return request["module"]
+
+
+if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    with contextlib.suppress(OSError):
+        ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG: it does not outlive the tests
+    _channel = socket.socket(fileno=int(sys.argv[1]))
+    _base = sys.path[1:]
+    sys.path.insert(1, sys.argv[2])
+    _import_everything()
+    _load_kernels()
+    inspect.getframeinfo(sys._getframe())  # rclpy asks it for each place that logs; it remembers all modules
+    gc.collect()
+    gc.freeze()
+    _request, _files = _served(_channel)
+    _module = _become(_request, _files, _base)
+    import runpy
+
+    runpy._run_module_as_main(_module)

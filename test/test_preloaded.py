@@ -1,0 +1,101 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Processes that tests fork from one that has imported everything are what a true start would have made them."""
+
+import importlib.util
+import os
+import pathlib
+import signal
+import subprocess
+import sys
+
+import preloaded_support
+import pytest
+
+pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="only Linux gives a fork to another parent")
+
+MAIN = [sys.executable, "-m", "hysteresis_ros.cli.main"]
+NODES = ("axis", "plant_simulator", "hysteresis_compensator", "motion_controller", "reference_generator", "recorder")
+
+
+@pytest.fixture(params=[False, True], ids=["forked", "started"])
+def cold(request):
+    preloaded_support.start_cold(request.param)
+    yield request.param
+    preloaded_support.start_cold(False)
+
+
+def imports_everything(process: subprocess.Popen) -> bool:
+    """Tell by its command line whether a process was forked: it has that of the one it comes from."""
+    words = pathlib.Path(f"/proc/{process.pid}/cmdline").read_text().split("\0")
+    return pathlib.Path(preloaded_support.__file__).name in pathlib.Path(words[1]).name
+
+
+def test_nothing_but_imports_differs(cold, tmp_path):
+    environment = {**os.environ, "ROS_DOMAIN_ID": "17", "PYTHONPATH": str(preloaded_support._home())}
+    options = {"cwd": tmp_path, "env": environment, "start_new_session": True, "stderr": subprocess.PIPE}
+    command = [sys.executable, "-m", "hysteresis_ros.cli.entry", "emulate", "gcs", "--port", "0", "--model", "E-709"]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, **options) as process:
+        try:
+            assert b"E-709" in process.stdout.readline()
+            assert imports_everything(process) != cold
+            place = pathlib.Path(f"/proc/{process.pid}")
+            assert os.getsid(process.pid) == process.pid and (place / "cwd").resolve() == tmp_path.resolve()
+            assert f"PPid:\t{os.getpid()}\n" in (place / "status").read_text()
+            process.send_signal(signal.SIGTERM)
+            assert process.wait(30.0) == 143 and not process.stderr.read()
+        finally:
+            process.kill()
+
+
+@pytest.mark.parametrize("node", NODES)
+def test_output_and_exit_code_are_those_of_a_true_start(node, tmp_path):
+    if importlib.util.find_spec("rclpy") is None:
+        pytest.skip("rclpy is not installed: no nodes")
+    command = [sys.executable, "-m", f"hysteresis_ros.nodes.{node}", "--ros-args", "--params-file", "nowhere.yaml"]
+    said = []
+    for cold in (False, True):
+        preloaded_support.start_cold(cold)
+        done = subprocess.run(command, capture_output=True, text=True)
+        said.append((done.returncode, done.stdout, done.stderr))
+    preloaded_support.start_cold(False)
+    assert said[0] == said[1] and said[0][0] == 2 and "nowhere.yaml" in said[0][2]
+
+
+def test_pipes_and_files_are_closed_when_it_ends(cold, tmp_path):
+    before = len(os.listdir("/proc/self/fd"))
+    for _ in range(3):
+        with open(tmp_path / "out", "w") as output:
+            subprocess.run([*MAIN, "--help"], stdout=output, stderr=subprocess.STDOUT, check=True)
+        assert "Usage" in (tmp_path / "out").read_text()
+        subprocess.run([*MAIN, "--help"], input="", capture_output=True, text=True, check=True)
+    assert len(os.listdir("/proc/self/fd")) <= before + (0 if cold else 1)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"env": {**os.environ, "NUMBA_DISABLE_JIT": "1"}},
+        {"env": {**os.environ, "PYTHONPATH": "elsewhere"}},
+        {"cwd": "elsewhere"},
+    ],
+    ids=["other variable", "other package in the path", "modules beside it"],
+)
+def test_what_could_import_otherwise_is_started_truly(change, tmp_path, monkeypatch):
+    (tmp_path / "elsewhere/hysteresis_ros").mkdir(parents=True)
+    (tmp_path / "elsewhere/yaml.py").write_text("")
+    forked = []
+    monkeypatch.setattr(preloaded_support._Starter, "fork", lambda self, *request: forked.append(request))
+    change = {name: str(tmp_path / value) if name == "cwd" else value for name, value in change.items()}
+    if change.get("env", {}).get("PYTHONPATH"):
+        change["env"]["PYTHONPATH"] = str(tmp_path / change["env"]["PYTHONPATH"])
+        change["env"]["PYTHONSAFEPATH"] = "1"
+    subprocess.run([*MAIN, "--help"], capture_output=True, **change)
+    assert not forked
