@@ -38,6 +38,7 @@ import socket
 import subprocess
 import sys
 import threading
+import warnings
 
 PACKAGE = "hysteresis_ros"
 #: Variables that are read when a process runs, not when it imports.
@@ -78,7 +79,7 @@ class _Starter:
         finally:
             libc.prctl(_PR_SET_CHILD_SUBREAPER, 0)
         if len(answer) < 8:
-            raise OSError("the process that forks nodes is gone")
+            raise OSError(f"the process that forks others ended with exit code {self._process.wait()}")
         return int.from_bytes(answer, "little")
 
     def close(self) -> None:
@@ -157,7 +158,12 @@ def _start(self, args, executable, preexec_fn, close_fds, pass_fds, cwd, env, *r
     with _lock:
         if _starter is None or _starter.pid != os.getpid():
             _starter = _Starter()
-        self.pid = _starter.fork(request, given)
+        try:
+            self.pid = _starter.fork(request, given)
+        except OSError as error:
+            warnings.warn(f"processes are started truly, which takes longer: {error}", stacklevel=2)
+            start_cold(True)
+            return _true_start(self, args, executable, preexec_fn, close_fds, pass_fds, cwd, env, *rest)
     self._child_created = True
     with contextlib.ExitStack() as stack:
         # the ends of the child, and those that it keeps of a file given by the caller, as Popen itself leaves them
@@ -194,13 +200,27 @@ def close() -> None:
     _starter = None
 
 
-def _import_everything() -> None:
-    """Import all modules of the package, but what belongs to something that is not installed."""
+def _import_all_but_ros() -> None:
+    """Import all modules of the package, but what needs rclpy or something that is not installed.
+
+    rclpy starts threads when it is imported, which a fork does not have: whoever needs it imports it.
+    """
+    sys.modules["rclpy"] = None
     package = importlib.import_module(PACKAGE)
     for found in pkgutil.walk_packages(package.__path__, f"{PACKAGE}.", onerror=lambda name: None):
         if not found.name.endswith(".__main__"):
             with contextlib.suppress(ImportError):
                 importlib.import_module(found.name)
+    del sys.modules["rclpy"]
+    for messages in (
+        "sensor_msgs.msg",
+        "diagnostic_msgs.msg",
+        "std_srvs.srv",
+        "rcl_interfaces.srv",
+        "lifecycle_msgs.srv",
+    ):
+        with contextlib.suppress(ImportError):
+            importlib.import_module(messages)
 
 
 def _load_kernels() -> None:
@@ -293,11 +313,13 @@ if __name__ == "__main__":
     _channel = socket.socket(fileno=int(sys.argv[1]))
     _base = sys.path[1:]
     sys.path.insert(1, sys.argv[2])
-    _import_everything()
+    _import_all_but_ros()
     _load_kernels()
     inspect.getframeinfo(sys._getframe())  # rclpy asks it for each place that logs; it remembers all modules
     gc.collect()
     gc.freeze()
+    if len(os.listdir("/proc/self/task")) > 1:
+        sys.exit("a library has started a thread, which a fork would not have")
     _request, _files = _served(_channel)
     _module = _become(_request, _files, _base)
     import runpy
