@@ -37,9 +37,9 @@ demo: setup
 	rm -rf demo
 	$(BIN)/hysteresis demo -o demo
 
-# What starts no nodes and repeats no paper: while one works.
+# What starts no nodes, repeats no paper and is not marked slow: while one works.
 quick: setup lint
-	$(BIN)/python -m pytest -n $(WORKERS) $(addprefix --ignore=test/,nodes cli commissioning comparison papers fuzzing docs) \
+	$(BIN)/python -m pytest -n $(WORKERS) -m "not slow" $(addprefix --ignore=test/,nodes cli commissioning comparison papers fuzzing docs) \
 		--ignore=test/test_install.py --ignore=test/test_extending.py
 
 test: setup kernels

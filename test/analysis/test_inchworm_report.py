@@ -251,6 +251,7 @@ def test_a_simulated_run(simulated):
     assert figures["run"]["clamp_force_n"] > 20.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", ["simulated", "made up", "at rest", "one step"])
 def test_plots_say_quantity_and_unit(simulated, case):
     pytest.importorskip("matplotlib", reason="plots need Matplotlib")
@@ -273,6 +274,7 @@ def test_plots_say_quantity_and_unit(simulated, case):
                 assert re.search(r"\[(s|ms|V|N|nm|µm|mm|1)\]$", label), label
 
 
+@pytest.mark.slow
 def test_the_command_writes_page_and_figures(simulated, tmp_path):
     pytest.importorskip("matplotlib", reason="reports need Matplotlib")
     pytest.importorskip("jinja2", reason="reports need Jinja2")

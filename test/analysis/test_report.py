@@ -103,6 +103,7 @@ def test_thinning_keeps_every_peak(size, points, seed):
     assert np.array_equal(values[thin_time[there].astype(int)], thin[there])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("library", "label"), [("matplotlib", "Matplotlib"), ("jinja2", "Jinja2")])
 def test_a_missing_library_is_named_with_its_remedy(recording, monkeypatch, library, label):
     original = builtins.__import__

@@ -291,6 +291,7 @@ def test_a_recording_without_a_reference_has_a_page_too():
     assert "errors" not in data_of(page)["runs"][0]["sums"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", ["one sample", "at rest", "measured for a while", "not finite", "a gap"])
 def test_odd_recordings_have_pages(case, monkeypatch):
     monkeypatch.setattr(report, "drawn", lambda charts, figures: [])
@@ -309,6 +310,7 @@ def test_odd_recordings_have_pages(case, monkeypatch):
     assert {"traces"} <= {chart["name"] for chart in data["charts"]} and data["runs"][0]["sums"]["samples"]
 
 
+@pytest.mark.slow
 def test_long_runs_make_no_larger_pages(monkeypatch):
     """Ten minutes at 10 kHz; what pictures and table cost does not depend on the length."""
     samples = 6_000_000

@@ -68,6 +68,7 @@ def test_other_references_are_drawn_too(runs):
     assert [line.label for line in charts[0].lines][2:] == ["reference", "reference of fast"]
 
 
+@pytest.mark.slow
 def test_the_page_reads_without_scripts_and_holds_the_sums_of_each_run(runs):
     figures = compare_runs(runs)
     page = render_side_by_side(runs, "two stages", figures)

@@ -95,6 +95,7 @@ def test_nan_command_holds():
     assert block.step(float("nan")) == before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 @given(wanted=commands, scale=st.floats(0.9, 1.1))
 def test_retune_is_bumpless_and_gives_way_to_the_new_model(kind, wanted, scale):

@@ -247,6 +247,7 @@ for entries in json.load(sys.stdin):
 """
 
 
+@pytest.mark.slow
 def test_compiled_and_interpreted_controllers_give_the_same_bits(parameters, model, tmp_path):
     import json
 

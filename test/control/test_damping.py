@@ -222,6 +222,7 @@ def test_a_model_without_a_resonance_has_nothing_to_damp():
         design_damping("irc", lag, T, damping_plants(lag, T))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["irc", "iff"])
 def test_a_designed_damping_makes_the_pid_five_times_as_fast_with_the_resonance_off_to_both_sides(kind):
     dynamics = stage()

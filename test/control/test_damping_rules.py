@@ -63,6 +63,7 @@ def inner_loop(point, dynamics):
     return max(peaks), min(dampings)
 
 
+@pytest.mark.slow
 def test_an_inner_loop_of_too_large_a_peak_is_not_taken_however_slow_the_law_in_front_of_it(monkeypatch):
     dynamics = stage()
     lively, calm = (440.0, -1.6), (440.0, -2.5)
@@ -72,6 +73,7 @@ def test_an_inner_loop_of_too_large_a_peak_is_not_taken_however_slow_the_law_in_
         design_among(monkeypatch, [lively], dynamics)
 
 
+@pytest.mark.slow
 def test_a_filter_that_leaves_the_mode_nearly_as_it_was_is_none(monkeypatch):
     """The stage has 1 %: 2 % are asked for, on the plant that is damped least."""
     dynamics = stage()
@@ -82,6 +84,7 @@ def test_a_filter_that_leaves_the_mode_nearly_as_it_was_is_none(monkeypatch):
         design_among(monkeypatch, [little], dynamics)
 
 
+@pytest.mark.slow
 def test_the_fastest_filter_is_left_where_a_slower_one_tolerates_a_sample_of_delay_more(monkeypatch):
     """Without any such filter the fastest is better than none."""
     dynamics = stage(delay=0.0, frequency=5000.0)

@@ -25,6 +25,7 @@ from hysteresis_ros.models.linear import LinearParameters
 T = 1.0 / 3000.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("controller", DESIGNS)
 def test_bandwidth_is_met_on_the_published_axis(parameters, controller):
     found = design_gains(parameters({"super_twisting.bound": 10.0}), controller, T, bandwidth=100.0)

@@ -44,6 +44,7 @@ def later(parameters, samples: float, sample_time: float = T):
     return margins_of(controller, plant_state_space(late), sample_time)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "delay"), [*((name, 0.0) for name in DESIGNS), ("pid", 1.4 * T), ("offset_free", 1.4 * T)]
 )
@@ -66,6 +67,7 @@ def test_a_resonance_is_not_damped_by_a_loop_that_a_sample_of_delay_would_excite
     assert one_more.stable and one_more.delay_margin_samples > 0.99 and one_more.sensitivity_peak < 3.03
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["pid", "offset_free"])
 def test_a_fast_sample_rate_makes_no_fast_loop_of_a_slow_lag(name):
     """A lag of 12 Hz at 20 kHz: what the sensor's noise does to the command ends the search, not the sample rate."""

@@ -102,6 +102,7 @@ def test_the_worst_of_plants_counts_and_delay_only_once():
     assert judge_worst(integral, [*plants, unstable], T).sensitivity_peak == np.inf
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("controller", ["pid", "offset_free"])
 def test_robust_gains_meet_on_every_plant_what_others_miss_on_some(controller):
     ranges = Uncertainty(gain=0.1, hysteresis=0.2, draws=2)
@@ -117,6 +118,7 @@ def test_robust_gains_meet_on_every_plant_what_others_miss_on_some(controller):
         assert design_robust(parameters(LAG), controller, 0.005, ranges)[0].parameters == found.parameters
 
 
+@pytest.mark.slow
 def test_a_resonance_that_may_be_elsewhere_costs_bandwidth():
     certain = Uncertainty(gain=0.0, hysteresis=0.0, resonance=0.0, delay=0.0, draws=0)
     moving = Uncertainty(gain=0.0, hysteresis=0.0, resonance=0.3, delay=0.0, draws=4)

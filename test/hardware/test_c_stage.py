@@ -92,6 +92,7 @@ def test_the_stage_has_hysteresis_and_moves_in_its_own_time():
         device.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("driver", ["libstage.so", "stage.py"])
 def test_a_fused_axis_runs_it_against_the_clock_and_its_twin_is_the_same_bit_for_bit(driver):
     with running_stage(*PATIENT) as stage:

@@ -37,6 +37,7 @@ def counted(responses, probability=0.95):
     return np.mean(errors**2) / np.mean(variances), np.mean(inside)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("window", ["hann", "boxcar"])
 def test_the_variance_of_overlapping_segments_is_that_of_the_scatter(window):
     """Segments that share half of their samples are worth less than as many apart: a third less without a window."""
@@ -47,6 +48,7 @@ def test_the_variance_of_overlapping_segments_is_that_of_the_scatter(window):
     assert inside == pytest.approx(0.95, abs=0.01)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("segments", [4, 6])
 @pytest.mark.parametrize("probability", [0.5, 0.95])
 def test_with_few_averages_the_band_is_as_much_wider_as_its_own_variance_is_uncertain(segments, probability):

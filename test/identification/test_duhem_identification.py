@@ -49,6 +49,7 @@ def test_operator_is_the_duhem_equation():
         np.testing.assert_allclose(w, np.concatenate([up, down]), rtol=0.0, atol=1e-7)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", ["network", "spline"])
 def test_paper_w(shape):
     """Major loop to 1e-4 of full range, also behind the inverse; α from one decaying loop beats 80 by 5 on another."""

@@ -101,6 +101,7 @@ def chosen(plant: ForeignPlant, voltage) -> LinearPart:
     return part
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("corners", [True, False])
 def test_a_lag_is_told_from_a_delay(corners):
     voltage = cycles() if corners else multisine()
@@ -110,6 +111,7 @@ def test_a_lag_is_told_from_a_delay(corners):
     assert both.lag == pytest.approx(0.003, rel=0.03) and both.delay == pytest.approx(0.002, rel=0.03)
 
 
+@pytest.mark.slow
 def test_resonances_are_found_where_they_are():
     two = ForeignPlant(RATE, hysteresis=0.0, lag=0.001, modes=((280.0, 0.03, 1.0), (450.0, 0.02, 0.3)))
     modes = sorted(chosen(two, multisine()).modes, key=lambda mode: mode.frequency)
@@ -119,11 +121,13 @@ def test_resonances_are_found_where_they_are():
     assert [round(mode.frequency) for mode in one.modes] == [280] and one.lag == 0.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("plant", [ForeignPlant(RATE), ForeignPlant(RATE, modes=((280.0, 0.03, 1.0),))])
 def test_no_resonance_is_found_where_nothing_excites_it(plant):
     assert not chosen(plant, cycles(corners=False)).modes
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("rate", "lag", "delay"), [(200.0, 0.0187, 0.0), (1000.0, 0.0187, 0.0), (1000.0, 0.0, 0.018)])
 def test_lag_and_delay_behind_a_hysteresis_are_told_apart_by_triangles(rate, lag, delay):
     voltage = cycles(rate, 3.0, frequency=5.0)
@@ -134,6 +138,7 @@ def test_lag_and_delay_behind_a_hysteresis_are_told_apart_by_triangles(rate, lag
     assert 0.95 * (lag + delay) < part.group_delay < 1.1 * (lag + delay) + 1.0 / rate
 
 
+@pytest.mark.slow
 def test_the_resonance_behind_a_foreign_hysteresis_comes_into_the_file(tmp_path):
     plant = ForeignPlant(RATE, amplifier=0.0015, modes=((280.0, 0.03, 1.0),), rate=0.02, creep=0.02, noise=5e-9)
     data = recording(plant, multisine())

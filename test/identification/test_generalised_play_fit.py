@@ -97,6 +97,7 @@ def usual(truth, noise=3e-9, **request):
     return identify(data, linear="none", initial="zero", **request)
 
 
+@pytest.mark.slow
 def test_the_usual_model_is_the_one_that_predicts_blocks_held_out():
     """Thresholds that grow are taken where speeds differ, plain plays stay plain, an option is of the first model."""
     found = usual(RATED)

@@ -111,6 +111,7 @@ def test_a_quasi_static_sweep_gets_no_dynamics():
     assert fit.rmse < 2e-3 * fit.stroke
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("fitter", [fit_prandtl_ishlinskii, fit_preisach])
 def test_units_and_offset_do_not_matter(fitter):
     voltage = sine(4)

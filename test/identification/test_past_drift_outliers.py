@@ -49,6 +49,7 @@ def far_off(found) -> float:
     return max(abs(getattr(found.parameters, name) / getattr(BOUC_WEN, name) - 1.0) for name in names)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("initial", [None, "estimate"])
 def test_a_remanent_bouc_wen_element_is_found_behind_its_past(initial):
     recording = data(GROWING, bouc_wen(GROWING, (90.0, 0.0)))
@@ -66,6 +67,7 @@ def test_one_cycle_of_a_repeated_drive_is_fitted_as_such():
     assert found.plant.initial == "periodic" and found.figures["start"].startswith("as asked for")
 
 
+@pytest.mark.slow
 def test_a_rest_that_explains_the_beginning_keeps_the_first_rise():
     virgin = identify(data(CYCLES, bouc_wen(CYCLES)), "bouc_wen", linear="none")
     assert "explains its beginning" in virgin.figures["start"] and far_off(virgin) < 0.02
@@ -82,6 +84,7 @@ def test_the_highest_voltage_of_the_past_decides_the_polynomial_branches():
     assert found.figures["rmse_m"] < 0.1 * wrong.figures["rmse_m"]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("model, error", [("polynomial", 0.02), ("bouc_wen", 5e-4), ("proportional", 5e-4)])
 def test_drift_and_samples_far_off_leave_the_model_alone(model, error):
     gain = 1e-7 * CYCLES

@@ -126,6 +126,7 @@ def slow(tmp_path_factory):
     return folder, CliRunner().invoke(main, arguments)
 
 
+@pytest.mark.slow
 def test_what_slow_triangles_do_not_show_is_said(slow):
     folder, result = slow
     assert result.exit_code in (0, 4)
@@ -133,6 +134,7 @@ def test_what_slow_triangles_do_not_show_is_said(slow):
     assert "known_to:" in (folder / "axis.yaml").read_text(encoding="utf-8")
 
 
+@pytest.mark.slow
 def test_identify_says_by_line_and_exit_code_that_a_model_is_not_fit_for_feedback(tmp_path):
     plant, voltage = ForeignPlant(RATE, hysteresis=0.0, lag=0.002, modes=((300.0, 0.03, 0.5),)), multisine(8000)
     table = np.column_stack([np.arange(8000) * STEP, voltage, 1e6 * plant.record(voltage)])
@@ -149,6 +151,7 @@ def design(folder, name: str, *options: str):
     return CliRunner().invoke(main, ["design", str(folder / name), "-o", str(folder / "designed.yaml"), *options])
 
 
+@pytest.mark.slow
 def test_a_design_keeps_below_what_is_unknown_or_is_refused_with_the_frequency(slow):
     folder, _ = slow
     slowed = design(folder, "axis.yaml", "--controller", "pid")

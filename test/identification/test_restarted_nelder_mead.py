@@ -89,6 +89,7 @@ def test_paper_b_all_four_within_one_percent(seed):
         assert abs(error * getattr(PUBLISHED_BOUC_WEN, name)) < 4.5 * found.model.standard_errors[name]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("exponent", [1.0, 2.0])
 def test_a_bounded_element_without_a_guess(exponent):
     """In other units and from the ranges alone; offset of the sensor removed."""

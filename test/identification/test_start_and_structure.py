@@ -88,6 +88,7 @@ def test_one_cycle_of_a_repeated_drive_is_found_periodic():
     assert np.std(other[200:]) < 0.08e-6
 
 
+@pytest.mark.slow
 def test_a_remanent_stack_is_seen_where_the_ends_come_late():
     history = (120.0, 0.0)
     y = recorded(GROWING, history)
@@ -105,6 +106,7 @@ def test_an_unknown_past_is_left_out_where_a_cycle_remains():
     assert 0 < decaying.skip == wiped_out(DECAYING)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "model, history", [("prandtl_ishlinskii", ()), ("prandtl_ishlinskii", (150.0, 0.0)), ("preisach", ())]
 )
@@ -192,6 +194,7 @@ def test_what_one_major_loop_cannot_tell_is_said_and_covers_the_truth():
     assert settled.figures["ambiguity_rms_m"] < 0.4 * one.figures["ambiguity_rms_m"]
 
 
+@pytest.mark.slow
 def test_drift_is_a_term_of_its_own_and_only_where_it_is():
     still = recorded(loops(100.0))
     drifting = still + 0.2e-6 * TIME
@@ -203,6 +206,7 @@ def test_drift_is_a_term_of_its_own_and_only_where_it_is():
     assert beside.plant.offset == pytest.approx(without.plant.offset, abs=0.02e-6)
 
 
+@pytest.mark.slow
 def test_auto_takes_what_predicts_held_out_thirds(monkeypatch):
     tried = ("proportional", "prandtl_ishlinskii")
     monkeypatch.setattr(auto, "MODELS", {name: MODELS[name] for name in tried})

@@ -34,6 +34,7 @@ def loops(peak: float = 100.0, constant: float = 0.0) -> IdentificationData:
     return IdentificationData(time, voltage, displacement, source="arrays")
 
 
+@pytest.mark.slow
 def test_from_arrays_to_a_file_that_predicts_other_arrays(tmp_path):
     reports = []
     found = identify(
@@ -56,6 +57,7 @@ def test_from_arrays_to_a_file_that_predicts_other_arrays(tmp_path):
         found.save(tmp_path / "nowhere" / "axis.yaml")
 
 
+@pytest.mark.slow
 def test_a_free_constant_is_kept_out_of_the_file():
     kept, free = (identify(loops(constant=5e-6), offset=offset) for offset in ("kept", "free"))
     assert "A1:" in kept.text
@@ -69,6 +71,7 @@ def test_a_fit_that_does_not_converge_gives_its_best_point_and_the_reason():
     assert "converged: false" in found.text
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("arguments", "said"),
     [

@@ -58,6 +58,7 @@ print("missed", loop.missed, int(np.sum(made["skipped"])), loop.lateness().max >
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("compiled", [True, False])
 def test_a_process_that_was_suspended_skips_what_it_missed(compiled):
     environment = os.environ | ({} if compiled else {"NUMBA_DISABLE_JIT": "1"})

@@ -163,6 +163,7 @@ def learned_with_missed_samples(seed, late_recovery):
     return np.sqrt(np.mean(error**2)), learned_line(chosen, 3000.0, run, 0, 32)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_where_a_sample_in_200_is_missed_it_learns_from_the_others_however_long_limits_are_remembered(seed):
     whole, every = learned_with_missed_samples(None, None)

@@ -127,6 +127,7 @@ TestTick = Tick.TestCase
 TestTick.settings = settings(max_examples=60, stateful_step_count=15, deadline=None)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 def test_random_sequences_keep_every_invariant(seed):
     assert sequences(150, seed, renewed=50) > 20000

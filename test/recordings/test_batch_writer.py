@@ -102,6 +102,7 @@ def test_nobody_knows_the_true_displacement_of_a_device(tmp_path):
     assert names == [name for name in signals.state_signals(signals.PLANT, False) if name != "displacement"]
 
 
+@pytest.mark.slow
 @settings(max_examples=20)
 @given(axis=st.sampled_from([ACTUATOR, MOTOR]), cuts=st.sets(st.integers(0, 300)), block=st.integers(1, 60_000))
 def test_batches_and_chunks_change_nothing(tmp_path_factory, axis, cuts, block):

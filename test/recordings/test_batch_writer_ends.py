@@ -57,6 +57,7 @@ def cut_source(tmp_path_factory):
     return (path / "bag.mcap").read_bytes(), topics_of(path)
 
 
+@pytest.mark.slow
 @settings(max_examples=40)
 @given(room=st.integers(0, 400_000))
 def test_a_full_disk_is_named_and_what_is_written_stays_readable(tmp_path_factory, room):
@@ -167,6 +168,7 @@ while True:
 """
 
 
+@pytest.mark.slow
 def test_a_kill_loses_at_most_the_last_half_second(tmp_path):
     child = subprocess.Popen(
         [sys.executable, "-c", KILLED, str(tmp_path / "bag")], env=environment(), stdout=subprocess.PIPE, text=True

@@ -50,6 +50,7 @@ def write_run(path, **split):
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("split", [{"max_bag_size": 60_000}, {"max_bag_duration": 9e-3}])
 def test_a_split_recording_is_one_dataset_of_whole_files(tmp_path, split):
     whole, parts = write_run(tmp_path / "whole"), write_run(tmp_path / "run", **split)

@@ -98,6 +98,7 @@ def messages_of(bag):
     return {name: (topic.data, topic.times) for name, topic in bag.topics.items() if topic.data}
 
 
+@pytest.mark.slow
 @settings(max_examples=8)
 @given(part=st.floats(0.0, 1.0, exclude_max=True))
 def test_a_bag_cut_anywhere_is_whole_again_for_every_reader(source, tmp_path_factory, part):

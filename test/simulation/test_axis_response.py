@@ -148,6 +148,7 @@ def hysteresis(*words):
     return CliRunner().invoke(main, [str(word) for word in words])
 
 
+@pytest.mark.slow
 def test_the_command_measures_keeps_and_reads(tmp_path):
     path = tmp_path / "axis.yaml"
     path.write_text(single_axis(axis_file()).configuration_text(), encoding="utf-8")

@@ -82,6 +82,7 @@ def designs():
     return found
 
 
+@pytest.mark.slow
 def test_no_controller_is_unstable_on_resonances_that_the_recording_did_not_show(designs):
     assert designs["pid"] is not None
     for controller, design in designs.items():

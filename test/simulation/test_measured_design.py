@@ -91,6 +91,7 @@ def test_the_uncertainty_is_how_far_model_and_measurement_are_apart():
     assert np.median(wide.relative) == pytest.approx(0.05 * (np.sqrt(4.0) + np.sqrt(np.log(2.0))), rel=0.15)
 
 
+@pytest.mark.slow
 def test_a_design_is_slowed_where_nothing_was_measured():
     # up to 200 Hz alone: a resonance may stand above
     _, slow = designed(response(last=200.0))

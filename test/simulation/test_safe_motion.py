@@ -78,6 +78,7 @@ def designed(text: str, **asked) -> str:
     return design_file(configuration, result, "")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [name for name in CONFIGURATIONS if name not in WALKING])
 @pytest.mark.parametrize("bare", [False, True])
 def test_the_largest_step_of_a_shipped_configuration_is_within_what_its_file_states(name, bare):

@@ -96,6 +96,7 @@ def run(*words):
     return CliRunner().invoke(main, ["design", *map(str, words)])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("controller", ["pid", "smc", "integral_smc", "super_twisting", "offset_free"])
 def test_designed_file_runs_and_keeps_the_rest_of_the_file(tmp_path, controller):
     bandwidth = [] if controller == "super_twisting" else ["--bandwidth", 10.0]
@@ -294,6 +295,7 @@ def test_a_noisy_sensor_makes_a_calmer_design(tmp_path):
     assert reached[1e-7] == pytest.approx(2e-3 * stroke / 1e-7, rel=0.06) and reached[1e-9] > 1.5 * reached[1e-7]
 
 
+@pytest.mark.slow
 def test_the_bandwidth_without_damping_is_that_of_the_design_without_damping(tmp_path):
     def rows(*options):
         result = run("kim2009", "--controller", "pid", *options, "-o", tmp_path / "f.yaml")

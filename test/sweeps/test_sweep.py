@@ -223,6 +223,7 @@ def cut_short(study, plan, path, after, **options):
         sweep(study, plan, path, workers=1, progress=interrupt, **options)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [".parquet", ".npz"])
 def test_a_sweep_goes_on_where_it_was_left_with_the_same_bits(tmp_path, monkeypatch, kind):
     monkeypatch.setattr("hysteresis_ros.sweeps.sweep.JOB_RUNS", 5)
@@ -245,6 +246,7 @@ def test_a_sweep_goes_on_where_it_was_left_with_the_same_bits(tmp_path, monkeypa
     assert same_bits(longer, sweep(*asked(runs=55), workers=1))
 
 
+@pytest.mark.slow
 def test_two_processes_find_what_one_does(tmp_path):
     varied_ = (*PRODUCT, "plant_simulator.sensor.noise=0,1nm", "plant_simulator.sensor.seed=uniform(1,99)")
     metrics = ("rms_error_m", "voltage_variation_v", "overshoot_percent")
@@ -275,6 +277,7 @@ print((counted[-1][1] - counted[-2][1]) / 30)
 """
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc" or not COMPILED, reason="only there the C library is told so")
 def test_memory_of_a_run_serves_the_next_one():
     """Tables of 3000 samples are more than 200 pages: had anew for each run, they cost a quarter of its time."""
@@ -308,6 +311,7 @@ def test_the_yield_is_that_of_the_distribution():
     )
 
 
+@pytest.mark.slow
 def test_sensitivities_after_sobol_are_those_of_a_product():
     """The error is place times deviation: E[XY | X] and the variances of a product are known."""
     ranges = ("plant_simulator.gain=uniform(1.0,1.5)", "reference_generator.initial_setpoint=uniform(0um,2um)")
