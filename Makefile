@@ -59,7 +59,7 @@ lint: setup $(VENV)/lint-tools
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/numpydoc lint --ignore PR01,PR02,PR07,RT01,RT02,RT03,YD01,GL08 $(MODULES)
-	$(BIN)/numpydoc lint $(filter %/api.py %/designing.py %/studies.py %/swept.py %/results.py %/classes.py hysteresis_ros/__init__.py,$(MODULES))
+	$(BIN)/numpydoc lint $(filter %/api.py %/designing.py %/studies.py %/swept.py %/classes.py %/inverse_classes.py hysteresis_ros/__init__.py,$(MODULES))
 
 format: $(VENV)/lint-tools
 	$(BIN)/ruff check --fix .

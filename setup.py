@@ -142,7 +142,7 @@ setup(
         NAME: ["py.typed"],
         f"{NAME}.analysis": ["templates/*.j2", "assets/*"],
         f"{NAME}.hardware": ["*.h"],
-        f"{NAME}.nodes.watch": ["page/*"],
+        f"{NAME}.laboratory.watch": ["page/*"],
     },
     data_files=[
         ("share/ament_index/resource_index/packages", [f"resource/{NAME}"]),

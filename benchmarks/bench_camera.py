@@ -17,8 +17,8 @@ import statistics
 import common
 import numpy as np
 
-from hysteresis_ros.sensing.scene import Scene, SceneParameters
-from hysteresis_ros.sensing.tracker import CameraParameters, Tracker
+from hysteresis_ros.hardware.simulated_camera import Scene, SceneParameters
+from hysteresis_ros.hardware.tracker import CameraParameters, Tracker
 
 FRAMES = 100
 #: Milliseconds that a frame may take, and pixels that a place may be off by, rms.

@@ -16,10 +16,10 @@ import statistics
 
 import common
 
-from hysteresis_ros.block import COMPILED
 from hysteresis_ros.configuration import load_configuration
-from hysteresis_ros.simulation.axes import single_axis
-from hysteresis_ros.simulation.run import simulate
+from hysteresis_ros.loop.reach import single_axis
+from hysteresis_ros.loop.simulation import simulate
+from hysteresis_ros.models.block import COMPILED
 
 TARGET = 20.0
 CONFIGURATION = pathlib.Path(__file__).resolve().parents[1] / "config" / "inchworm_travel.yaml"

@@ -22,14 +22,14 @@ from functools import partial
 import common
 import numpy as np
 
-from hysteresis_ros.block import COMPILED, kernel
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.control.laws.sliding_mode import sliding_mode
 from hysteresis_ros.loop.axis import Axis
-from hysteresis_ros.models.hysteresis.polynomial.law import STATES, polynomial, polynomial_inverse
+from hysteresis_ros.loop.reach import axes
+from hysteresis_ros.models.block import COMPILED, kernel
+from hysteresis_ros.models.hysteresis.polynomial import STATES, polynomial, polynomial_inverse
 from hysteresis_ros.models.limits import Limits, LimitsParameters, limits
 from hysteresis_ros.models.linear import linear
-from hysteresis_ros.simulation.axes import axes
 
 TARGET = 1.3
 SAMPLES = 100_000

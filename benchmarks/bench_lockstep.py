@@ -23,8 +23,8 @@ from dataclasses import replace
 import common
 
 from hysteresis_ros.configuration import NODE_NAMES, load_configuration
+from hysteresis_ros.loop.reach import axes
 from hysteresis_ros.nodes.domain import entered
-from hysteresis_ros.simulation.axes import axes
 
 TARGET = 0.7
 #: Processes of a graph, and samples of a turn: 30 to 50 ms.

@@ -24,9 +24,9 @@ from dataclasses import replace
 
 import common
 
-from hysteresis_ros.block import COMPILED
 from hysteresis_ros.configuration import NODE_NAMES, load_configuration
-from hysteresis_ros.simulation.axes import axes
+from hysteresis_ros.loop.reach import axes
+from hysteresis_ros.models.block import COMPILED
 
 #: Megabytes of a node above a bare one, with compiled kernels and without.
 TARGETS = {"compiled": 90.0, "plain": 30.0}
@@ -44,8 +44,8 @@ UNWANTED = (
     "tqdm",
     "hysteresis_ros.analysis",
     "hysteresis_ros.cli",
-    "hysteresis_ros.comparison",
-    "hysteresis_ros.papers",
+    "hysteresis_ros.laboratory.comparison",
+    "hysteresis_ros.laboratory.papers",
     "hysteresis_ros.identification",
     "hysteresis_ros.recordings",
 )

@@ -20,10 +20,10 @@ import sys
 import common
 import numpy as np
 
-from hysteresis_ros import block
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.loop.axis import Axis
-from hysteresis_ros.simulation.axes import axes
+from hysteresis_ros.loop.reach import axes
+from hysteresis_ros.models import block
 
 TARGET = 30.0
 COMPILED_SAMPLES = 60_000

@@ -27,11 +27,11 @@ import numpy as np
 
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.loop.axis import Axis
-from hysteresis_ros.loop.axis_parameters import AxisParameters
 from hysteresis_ros.loop.fused import FusedLoop
-from hysteresis_ros.loop.ring import Lateness, Samples
+from hysteresis_ros.loop.pacing import Lateness, Samples
+from hysteresis_ros.loop.parameters import AxisParameters
+from hysteresis_ros.loop.reach import single_axis
 from hysteresis_ros.signals import row_signals
-from hysteresis_ros.simulation.axes import single_axis
 
 #: Axes in real time, and the stroke [m] in which setpoints are given meanwhile.
 AXES = {"kim2009": 5e-6, "inchworm_travel": 2e-4}

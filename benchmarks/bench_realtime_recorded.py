@@ -31,8 +31,8 @@ import common
 import numpy as np
 
 from hysteresis_ros.configuration import Configuration, load_configuration, parse_configuration
+from hysteresis_ros.loop.reach import single_axis
 from hysteresis_ros.recordings.align import read_recording
-from hysteresis_ros.simulation.axes import single_axis
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 #: A stage at 5 kHz; its watchdog is longer than the bursts in which a busy machine misses deadlines.

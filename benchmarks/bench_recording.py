@@ -21,12 +21,12 @@ import numpy as np
 
 from hysteresis_ros import signals
 from hysteresis_ros.configuration import load_configuration
+from hysteresis_ros.loop.reach import single_axis
+from hysteresis_ros.loop.simulation import simulate
 from hysteresis_ros.models.inchworm import JOINT_NAMES
 from hysteresis_ros.recordings.bag_reader import read_bag
 from hysteresis_ros.recordings.bag_writer import BagWriter
-from hysteresis_ros.recordings.batch_writer import AxisTopics, SampleWriter
-from hysteresis_ros.simulation.axes import single_axis
-from hysteresis_ros.simulation.run import simulate
+from hysteresis_ros.recordings.run_bag import AxisTopics, SampleWriter
 
 #: Part of a core that the recording of a running axis may take.
 SHARE = 0.1

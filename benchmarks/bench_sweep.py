@@ -22,11 +22,10 @@ import time
 import common
 
 from hysteresis_ros.configuration import load_configuration
-from hysteresis_ros.simulation.axes import single_axis
-from hysteresis_ros.sweeps.plan import make_plan
-from hysteresis_ros.sweeps.study import Study
-from hysteresis_ros.sweeps.sweep import sweep
-from hysteresis_ros.sweeps.variations import parse_variations
+from hysteresis_ros.laboratory.sweeps.plan import make_plan, parse_variations
+from hysteresis_ros.laboratory.sweeps.study import Study
+from hysteresis_ros.laboratory.sweeps.sweep import sweep
+from hysteresis_ros.loop.reach import single_axis
 
 #: Seconds for 10 000 runs of 1 s on two cores, and the rate of two processes over that of one.
 TARGET, GAIN = 15.0, 1.8

@@ -25,7 +25,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 
-from hysteresis_ros.block import COMPILED
+from hysteresis_ros.models.block import COMPILED
 
 #: The axis that everything is measured on: Kim, Kim & Park 2009, complete with quantiser, compensator and observer.
 CONFIGURATION = pathlib.Path(__file__).parent.parent / "config" / "kim2009.yaml"

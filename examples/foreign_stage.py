@@ -28,13 +28,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hysteresis_ros.block import COMPILED, kernel
-from hysteresis_ros.hardware.declaration import HardwareDriver
-from hysteresis_ros.hardware.driver import Capabilities, Compiled, Driver, DriverError, Reading
-from hysteresis_ros.models.foreign import HYSTERESES, PARAMETERS, STATES, Foreign, ForeignParameters, foreign
+from hysteresis_ros.configuration import Parameters, parameter
+from hysteresis_ros.hardware.driver import Capabilities, Compiled, Driver, DriverError, HardwareDriver, Reading
+from hysteresis_ros.laboratory.foreign import HYSTERESES, PARAMETERS, STATES, Foreign, ForeignParameters, foreign
+from hysteresis_ros.models.block import COMPILED, kernel
 from hysteresis_ros.models.sensor import STATES as SENSOR_STATES
 from hysteresis_ros.models.sensor import Sensor, SensorParameters, sensor
-from hysteresis_ros.parameters import Parameters, parameter
 
 LOW, HIGH = 0.0, 100.0
 

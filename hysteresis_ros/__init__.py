@@ -10,12 +10,12 @@
 """Hysteretic piezo positioning on ROS 2, from a recording to a controlled axis.
 
 record → identify → simulate → compensate → control → analyse, with the same numbers offline and in the running nodes:
-every model, inverse, controller and observer is a block (:mod:`hysteresis_ros.block`) that the offline simulation and
-the ROS 2 nodes call alike. Only :mod:`hysteresis_ros.nodes` needs ROS.
+every model, inverse, controller and observer is a block (:mod:`hysteresis_ros.models.block`) that the offline
+simulation and the ROS 2 nodes call alike. Only :mod:`hysteresis_ros.nodes` needs ROS.
 
 For scripts and notebooks, ``import hysteresis_ros as hr`` gives ``hr.models``, ``hr.inverses``, ``hr.controllers``,
 ``hr.references`` and the functions of :mod:`hysteresis_ros.api`, :mod:`hysteresis_ros.designing` and
-:mod:`hysteresis_ros.studies`. Each is imported at its first use.
+:mod:`hysteresis_ros.laboratory.studies`. Each is imported at its first use.
 """
 
 from __future__ import annotations
@@ -39,7 +39,6 @@ if TYPE_CHECKING:
         simulate,
         validate,
     )
-    from hysteresis_ros.compensation import classes as inverses
     from hysteresis_ros.control import classes as controllers
     from hysteresis_ros.designing import (
         Design,
@@ -52,7 +51,8 @@ if TYPE_CHECKING:
         frequency_response,
         mismatched,
     )
-    from hysteresis_ros.studies import Ranking, Reproduction, compare, reproduce
+    from hysteresis_ros.laboratory.studies import Ranking, Reproduction, compare, reproduce
+    from hysteresis_ros.models import inverse_classes as inverses
 
 #: The version; setup.py reads it from here, package.xml repeats it.
 __version__ = "0.1.0"
@@ -96,13 +96,13 @@ __all__ = [
 _MODULES = {
     "models": "hysteresis_ros.models",
     "references": "hysteresis_ros.references",
-    "inverses": "hysteresis_ros.compensation.classes",
+    "inverses": "hysteresis_ros.models.inverse_classes",
     "controllers": "hysteresis_ros.control.classes",
 }
 #: Where the names stand that are not in :mod:`hysteresis_ros.api`.
 _PLACES = {
-    **dict.fromkeys(("Swept", "sweep"), "hysteresis_ros.swept"),
-    **dict.fromkeys(("Ranking", "Reproduction", "compare", "reproduce"), "hysteresis_ros.studies"),
+    **dict.fromkeys(("Swept", "sweep"), "hysteresis_ros.laboratory.swept"),
+    **dict.fromkeys(("Ranking", "Reproduction", "compare", "reproduce"), "hysteresis_ros.laboratory.studies"),
     **dict.fromkeys(
         ("Design", "DesignedLearning", "Experiment", "Response", "Uncertainty"), "hysteresis_ros.designing"
     ),

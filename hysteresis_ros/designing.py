@@ -20,34 +20,39 @@ import pathlib
 import tempfile
 from typing import Any
 
-from hysteresis_ros.api import RECORDINGS, Source, configuration_of
+from hysteresis_ros.api import RECORDINGS, Design, DesignedLearning, Response, Source, configuration_of
 from hysteresis_ros.configuration import Configuration, normalised_namespace, parse_configuration
-from hysteresis_ros.control.learning.filters import KINDS
 from hysteresis_ros.control.uncertainty import Uncertainty
+from hysteresis_ros.designs.controller import (
+    DesignRequest,
+    design_axis,
+    design_file,
+    design_lines,
+    doubts,
+    response_uncertainty,
+)
+from hysteresis_ros.designs.frequency_response import (
+    AxisResponse,
+    ResponseRequest,
+    axis_response,
+    plan_file,
+    read_plan,
+    recorded_response,
+    response_run,
+)
+from hysteresis_ros.designs.learning import LearningRequest, learning_file, learning_lines
+from hysteresis_ros.designs.learning import design_learning as design_correction
+from hysteresis_ros.designs.learning_filters import KINDS
+from hysteresis_ros.designs.measured import measured_lines, measured_uncertainty
+from hysteresis_ros.designs.setpoint_step import step_lines
 from hysteresis_ros.errors import ConfigurationError, did_you_mean
 from hysteresis_ros.identification.excitations import Experiment
-from hysteresis_ros.identification.response_file import load_response
+from hysteresis_ros.identification.frequency_response import load_response
+from hysteresis_ros.loop.reach import single_axis
+from hysteresis_ros.loop.simulation import mismatched as mismatched_configuration
+from hysteresis_ros.loop.simulation import simulate as simulate_axis
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.files import load_run
-from hysteresis_ros.results import Design, DesignedLearning, Response
-from hysteresis_ros.simulation.axes import single_axis
-from hysteresis_ros.simulation.axis_response import AxisResponse, axis_response
-from hysteresis_ros.simulation.design import DesignRequest, design_axis, design_file, design_lines, doubts
-from hysteresis_ros.simulation.design_certainty import response_uncertainty
-from hysteresis_ros.simulation.learning_design import (
-    LearningRequest,
-    learning_file,
-    learning_lines,
-)
-from hysteresis_ros.simulation.learning_design import (
-    design_learning as design_correction,
-)
-from hysteresis_ros.simulation.measured_design import measured_lines, measured_uncertainty
-from hysteresis_ros.simulation.mismatch import mismatched as mismatched_configuration
-from hysteresis_ros.simulation.recorded_response import plan_file, read_plan, recorded_response
-from hysteresis_ros.simulation.response_run import ResponseRequest, response_run
-from hysteresis_ros.simulation.run import simulate as simulate_axis
-from hysteresis_ros.simulation.setpoint_step import step_lines
 
 __all__ = [
     "Design",

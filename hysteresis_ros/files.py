@@ -7,14 +7,28 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Files that are written whole or not at all."""
+"""Files: written whole or not at all, read within bounds, archives of plain numbers and texts only.
+
+The head of an array is believed only as far as there is content behind it, and an archive only as far as one that holds
+measurements can be packed: files that lie about their size cost no memory.
+
+YAML is read by safe loaders only, which make plain values and nothing else. Aliases are refused, since a file of a
+kilobyte can stand for gigabytes by them, and the parser of ROS 2 reads none either.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import json
+import math
 import os
 import pathlib
-from collections.abc import Iterator
+import zipfile
+from collections.abc import Callable, Iterator
+from typing import IO, Any
+
+import numpy as np
+import yaml
 
 from hysteresis_ros.errors import HysteresisError
 
@@ -70,3 +84,252 @@ def write_text(path, text: str, error: type[HysteresisError]) -> None:
     """
     with replacing(path, error) as beside:
         beside.write_text(text, encoding="utf-8")
+
+
+#: What an archive may unpack to in any case [bytes], and else in parts of its own size.
+SMALL, RATIO = 1 << 26, 100
+#: Kinds of numbers and texts.
+KINDS = "biufcUS"
+
+
+class ArchiveError(ValueError):
+    """A file is no archive of arrays; the message does not name the file."""
+
+
+class Head:
+    """What an array says of itself: its shape and type.
+
+    Parameters
+    ----------
+    stream : file
+        Of an NPY; what follows is the content.
+    """
+
+    def __init__(self, stream: IO[bytes]):
+        version = np.lib.format.read_magic(stream)
+        reader = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        self.shape, _, self.dtype = reader(stream)
+
+    @property
+    def length(self) -> int | None:
+        """Length of a vector of real numbers, None of anything else."""
+        return self.shape[0] if len(self.shape) == 1 and self.dtype.kind in "fiu" else None
+
+    def require(self, size: int) -> None:
+        """Refuse what is not within a content of ``size`` bytes, or no plain numbers or texts.
+
+        Parameters
+        ----------
+        size : int
+
+        Raises
+        ------
+        ArchiveError
+            It is so.
+        """
+        if self.dtype.kind not in KINDS:
+            raise ArchiveError(f"holds an array of {self.dtype}, which is not read: neither numbers nor texts")
+        count = math.prod(self.shape)
+        if min(self.shape, default=0) < 0 or max(count, count * self.dtype.itemsize) > size:
+            raise ArchiveError(f"says that it has an array of shape {self.shape} in {size} bytes")
+
+
+def read_arrays(path, wanted: Callable[[str], bool] = lambda name: True) -> dict[str, np.ndarray]:
+    """Return the arrays of an NPZ file by their names.
+
+    Parameters
+    ----------
+    path : path-like
+    wanted : callable
+        Which of them.
+
+    Raises
+    ------
+    ArchiveError
+        It is none, or holds something else.
+    OSError
+        It cannot be read.
+    """
+    with _opened(path) as (file, members):
+        found = {}
+        for name, member in members.items():
+            if wanted(name):
+                with file.open(member) as stream:
+                    Head(stream).require(member.file_size)
+                with file.open(member) as stream:
+                    found[name] = _sound(np.lib.format.read_array(stream, allow_pickle=False))
+        return found
+
+
+def read_heads(path) -> dict[str, Head]:
+    """Return the heads of the arrays of an NPZ file by their names; nothing else of them is read.
+
+    Parameters
+    ----------
+    path : path-like
+
+    Raises
+    ------
+    ArchiveError
+        It is none, or holds something else.
+    OSError
+        It cannot be read.
+    """
+    with _opened(path) as (file, members):
+        found = {}
+        for name, member in members.items():
+            with file.open(member) as stream:
+                found[name] = Head(stream)
+        return found
+
+
+def read_array(path) -> np.ndarray:
+    """Return the array of an NPY file.
+
+    Parameters
+    ----------
+    path : path-like
+
+    Raises
+    ------
+    ArchiveError
+        It is none, or holds something else.
+    OSError
+        It cannot be read.
+    """
+    with _named(), pathlib.Path(path).open("rb") as stream:
+        Head(stream).require(pathlib.Path(path).stat().st_size)
+        stream.seek(0)
+        return _sound(np.lib.format.read_array(stream, allow_pickle=False))
+
+
+@contextlib.contextmanager
+def _opened(path) -> Iterator[tuple[zipfile.ZipFile, dict[str, zipfile.ZipInfo]]]:
+    """Open an archive; give it, and its members by the names of their arrays."""
+    with _named(), zipfile.ZipFile(path) as file:
+        members = {member.filename.removesuffix(".npy"): member for member in file.infolist()}
+        kinds = {member.compress_type for member in members.values()}
+        if kinds - {zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED}:
+            raise ArchiveError("is packed in a way that NumPy does not write")
+        size = sum(member.file_size for member in members.values())
+        if size > max(SMALL, RATIO * pathlib.Path(path).stat().st_size):
+            raise ArchiveError(f"would unpack to {size} bytes, more than {RATIO} times its size")
+        yield file, members
+
+
+@contextlib.contextmanager
+def _named() -> Iterator[None]:
+    """Let whatever damaged bytes lead to be an ArchiveError."""
+    try:
+        yield
+    except (OSError, ArchiveError):
+        raise
+    except Exception as error:  # zipfile, zlib, NumPy and Python's parser answer with whatever they stumble over
+        raise ArchiveError(f"is damaged, or no file of arrays ({error or type(error).__name__})") from None
+
+
+def _sound(array: np.ndarray) -> np.ndarray:
+    """Return an array of texts only when they are ones; what is none ends the process later, at a place of no use."""
+    if array.dtype.kind == "U":
+        points = np.ascontiguousarray(array).view(np.dtype("u4").newbyteorder(array.dtype.byteorder))
+        if np.any((points > 0x10FFFF) | (points >> 11 == 0xD800 >> 11)):
+            raise ArchiveError("holds texts that are none")
+    return array
+
+
+#: Largest text [bytes], most values in one, and how deep they may lie in each other.
+LARGEST, MOST_VALUES, DEEPEST = 16 * 2**20, 50_000, 50
+
+#: libyaml where PyYAML was built with it: six times as fast.
+FAST_LOADER: Any = getattr(yaml, "CSafeLoader", yaml.SafeLoader)
+
+#: What constructors of YAML raise beside its own errors: for 2001-99-99, !!int x, a whole number of 5000 digits.
+_UNFIT = (yaml.YAMLError, ValueError, TypeError, LookupError, AttributeError, OverflowError)
+
+
+class BoundsError(HysteresisError):
+    """A text is too large, or no YAML or JSON, or holds more than is read; the message does not name the file."""
+
+
+def read_text(path) -> str:
+    """Return the text of a file in UTF-8.
+
+    Parameters
+    ----------
+    path : path-like
+        ``~`` stands for the home folder.
+
+    Raises
+    ------
+    BoundsError
+        It is larger than :data:`LARGEST`.
+    OSError, UnicodeDecodeError
+        It cannot be read.
+    """
+    with pathlib.Path(path).expanduser().open("rb") as stream:
+        content = stream.read(LARGEST + 1)
+    if len(content) > LARGEST:
+        raise BoundsError(f"is larger than {LARGEST // 2**20} MiB: no file of this kind is")
+    return content.decode()
+
+
+def read_yaml(text: str, loader: Any = FAST_LOADER, most: int = MOST_VALUES):
+    """Return what a YAML text holds, as plain values.
+
+    Parameters
+    ----------
+    text : str
+    loader : type
+        A safe loader.
+    most : int
+        Most values, mappings, lists and keys included.
+
+    Raises
+    ------
+    BoundsError
+        It is no YAML, has aliases, or is too large, too deep or too much.
+    """
+    if len(text) > LARGEST:
+        raise BoundsError(f"is larger than {LARGEST // 2**20} MiB: no file of this kind is")
+    try:
+        _look_through(text, most)
+        return yaml.load(text, Loader=loader)  # a safe one, see above
+    except _UNFIT as error:
+        if isinstance(error, BoundsError):
+            raise
+        raise BoundsError(f"not readable as YAML: {' '.join(str(error).split())}") from None
+
+
+def read_json(text: str):
+    """Return what a JSON text holds, as plain values.
+
+    Parameters
+    ----------
+    text : str
+
+    Raises
+    ------
+    BoundsError
+        It is no JSON, or too deep.
+    """
+    try:
+        return json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise BoundsError(f"not readable as JSON: {error}") from None
+
+
+def _look_through(text: str, most: int) -> None:
+    """Refuse what would be more than it looks, before anything is made of it."""
+    values = depth = 0
+    for event in yaml.parse(text, Loader=FAST_LOADER):
+        if isinstance(event, yaml.AliasEvent):
+            line = event.start_mark.line + 1
+            raise BoundsError(f"line {line}: ROS 2 reads no YAML aliases (*{event.anchor}); write the values out")
+        values += isinstance(event, yaml.NodeEvent)
+        depth += isinstance(event, yaml.CollectionStartEvent)
+        depth -= isinstance(event, yaml.CollectionEndEvent)
+        if depth > DEEPEST:
+            line = event.start_mark.line + 1
+            raise BoundsError(f"line {line}: more than {DEEPEST} mappings or lists within each other")
+        if values > most:
+            raise BoundsError(f"holds more than {most} values: no file of this kind does")

@@ -7,10 +7,16 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Registries: what a folder of the package offers, found by itself, and what other packages add to it.
+"""Registries of what folders and other packages declare, and the classes for notebooks that are made from them.
 
 Every module (or folder) in such a folder declares one thing under one name, for instance ``MODEL``. A file put there is
 found; nothing else has to be told. Packages of others add theirs by an entry point of the registry's group.
+
+``hr.models``, ``hr.inverses``, ``hr.controllers`` and ``hr.references`` consist of classes for notebooks. Each is the
+block itself, with a constructor of its own; whatever a registry holds has one, without further code.
+
+A keyword is the last part of a parameter's dotted name where that is clear (``Kp`` of ``pid.Kp``), else as much of it
+as is needed, dots written as two underscores (``dynamics__sample_time``). The whole name is always accepted.
 """
 
 from __future__ import annotations
@@ -18,11 +24,18 @@ from __future__ import annotations
 import functools
 import importlib
 import importlib.metadata
+import inspect
 import pkgutil
 import sys
+import textwrap
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Protocol, TypeVar
+
+import numpy as np
+
+from hysteresis_ros.configuration import ParameterRow, Parameters
+from hysteresis_ros.errors import HysteresisError, ParameterError, did_you_mean
 
 
 class Named(Protocol):
@@ -116,3 +129,311 @@ def later(path: str) -> Callable[..., Any]:
         return resolved(path)(*given)
 
     return call
+
+
+#: Sample time of blocks that are made without one [s].
+SAMPLE_TIME = 1e-3
+#: Keywords of the constructors that are no parameters.
+RESERVED = ("self", "parameters", "sample_time", "model", "type")
+
+
+class KeywordError(HysteresisError):
+    """A keyword names no parameter, or more than one."""
+
+
+def class_name(name: str) -> str:
+    """Return the name of the class for a name in a registry: ``bouc_wen`` → ``BoucWen``.
+
+    Parameters
+    ----------
+    name : str
+        Words with underscores between them.
+    """
+    return "".join(word[:1].upper() + word[1:] for word in name.split("_"))
+
+
+def keywords_of(rows: Iterable[ParameterRow], own: tuple[str, ...] = ()) -> dict[str, ParameterRow]:
+    """Return the keyword of each parameter: the shortest end of its dotted name that no other one has.
+
+    Parameters
+    ----------
+    rows : iterable of ParameterRow
+        What can be given.
+    own : tuple of str
+        Groups whose parameters go without the group's name, also where another group has one of that name.
+    """
+    rows = list(rows)
+    found = {}
+    for row in rows:
+        parts = row.name.split(".")
+        if len(parts) == 2 and parts[0] in own and parts[1] not in RESERVED:
+            found[parts[1]] = row
+            continue
+        for count in range(1, len(parts) + 1):
+            end = parts[-count:]
+            alone = sum(other.name.split(".")[-count:] == end for other in rows) == 1
+            if (alone and "__".join(end) not in RESERVED) or count == len(parts):
+                found["__".join(end)] = row
+                break
+    return found
+
+
+def plain(value: Any) -> Any:
+    """Return a value as parameters hold it: arrays row by row as tuples, numbers of NumPy as those of Python.
+
+    Parameters
+    ----------
+    value : object
+    """
+    if isinstance(value, (str, bytes)):
+        return value
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, (np.ndarray, list, tuple)):
+        return tuple(np.asarray(value).ravel().tolist())
+    return value
+
+
+def from_keywords(
+    owner: str,
+    parameters: type[Parameters],
+    fixed: Mapping[str, Any],
+    keywords: Mapping[str, ParameterRow],
+    values: Mapping[str, Any],
+) -> Parameters:
+    """Return checked parameters from keywords.
+
+    Parameters
+    ----------
+    owner : str
+        Name of what is built, for messages.
+    parameters : type
+        Dataclass of the parameters.
+    fixed : dict of str to object
+        Dotted names with values that no keyword gives.
+    keywords : dict of str to ParameterRow
+        From :func:`keywords_of`.
+    values : dict of str to object
+        Keyword → value.
+
+    Raises
+    ------
+    KeywordError
+        A keyword is unknown; the message names the nearest one.
+    ParameterError
+        A value is missing, mistyped or out of range.
+    """
+    flat = dict(fixed)
+    whole = {row.name.replace(".", "__"): row for row in keywords.values()}
+    for keyword, value in values.items():
+        row = keywords.get(keyword) or whole.get(keyword)
+        if row is None:
+            near = did_you_mean(keyword, keywords) or f"; there are {', '.join(keywords)}"
+            raise KeywordError(f"{owner} has no parameter {keyword}{near}")
+        flat[row.name] = plain(value)
+    return parameters.from_mapping(flat)
+
+
+def samples(name: str, values: Any) -> np.ndarray:
+    """Return samples as float64, shape (N,).
+
+    Parameters
+    ----------
+    name : str
+        What they are, for messages.
+    values : array_like, shape (N,)
+
+    Raises
+    ------
+    HysteresisError
+        They are no numbers, or not one-dimensional.
+    """
+    try:
+        array = np.ascontiguousarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise HysteresisError(f"{name}: must be an array of numbers") from None
+    if np.ndim(values) != 1:
+        raise HysteresisError(f"{name} has shape {np.shape(values)}; it must be one-dimensional, one value a sample")
+    return array
+
+
+def missing(parameters: type[Parameters], fixed: Mapping[str, Any]) -> frozenset[str]:
+    """Return the dotted names of the parameters that must be given; those of a choice not made need not.
+
+    Parameters
+    ----------
+    parameters : type
+        Dataclass of the parameters.
+    fixed : dict of str to object
+        Dotted names with values that are there already.
+    """
+    try:
+        parameters.from_mapping(fixed)
+    except ParameterError as error:
+        return frozenset(problem.name for problem in error.problems if problem.value is None)
+    return frozenset()
+
+
+def described(rows: Mapping[str, ParameterRow], required: frozenset[str]) -> str:
+    """Return the entries of a numpydoc section for parameters.
+
+    Parameters
+    ----------
+    rows : dict of str to ParameterRow
+        By keyword.
+    required : set of str
+        Dotted names of those that must be given.
+    """
+    entries = []
+    for keyword, row in rows.items():
+        kind = _PYTHON_NAMES[row.type_name]
+        default = ", optional" if row.required else f", default {row.default!r}"
+        default = "" if row.name in required else default
+        text = f"{row.description}. Allowed: {row.allowed()}."
+        entries.append(f"{keyword} : {kind}{default}\n{textwrap.fill(text, 112, **_INDENT)}")
+    return "\n".join(entries)
+
+
+#: Types of parameters as Python calls them.
+_PYTHON_NAMES = {
+    "double": "float",
+    "integer": "int",
+    "bool": "bool",
+    "string": "str",
+    "double array": "array_like",
+    "string array": "sequence of str",
+}
+_INDENT: dict[str, Any] = {"initial_indent": "    ", "subsequent_indent": "    "}
+
+
+def signature_of(
+    rows: Mapping[str, ParameterRow], required: frozenset[str], *before: inspect.Parameter
+) -> inspect.Signature:
+    """Return the signature of a constructor with these keywords.
+
+    Parameters
+    ----------
+    rows : dict of str to ParameterRow
+        By keyword.
+    required : set of str
+        Dotted names of those that must be given: they have no default.
+    *before : inspect.Parameter
+        What stands in front.
+    """
+    keywords = [
+        inspect.Parameter(
+            keyword,
+            inspect.Parameter.KEYWORD_ONLY,
+            default=inspect.Parameter.empty if row.name in required else row.default,
+            annotation=row.type,
+        )
+        for keyword, row in rows.items()
+    ]
+    positional = [item for item in before if item.kind is not inspect.Parameter.KEYWORD_ONLY]
+    named = [item for item in before if item.kind is inspect.Parameter.KEYWORD_ONLY]
+    return inspect.Signature([*positional, *keywords, *named])
+
+
+def law_of(block: type) -> str:
+    """Return the law of a block, for the docstring of a class: what the module says in which it is defined.
+
+    Parameters
+    ----------
+    block : type
+        Its module begins with a line on what it is, then come equations, and sections such as ``References``.
+    """
+    _, _, text = inspect.cleandoc(sys.modules[block.__module__].__doc__ or "").partition("\n\n")
+    return f"\nNotes\n-----\n{text.strip()}\n" if text.strip() else ""
+
+
+def block_class(
+    name: str,
+    bases: tuple[type, ...],
+    parameters: type[Parameters],
+    *,
+    module: str,
+    summary: str,
+    fixed: Mapping[str, Any] | None = None,
+    own: tuple[str, ...] = (),
+    hidden: Callable[[str], bool] = lambda name: False,
+    law: type | None = None,
+) -> type:
+    """Return a class whose constructor takes the parameters of a block as keywords.
+
+    Parameters
+    ----------
+    name : str
+        Name of the class.
+    bases : tuple of type
+        What is added, and the block.
+    parameters : type
+        Dataclass of the parameters.
+    module : str
+        Where users find the class.
+    summary : str
+        One line.
+    fixed : dict of str to object, optional
+        Dotted names with values that the class decides.
+    own : tuple of str
+        Groups whose parameters need no group's name.
+    hidden : callable
+        ``hidden(name)`` tells of a dotted name that it does not concern the class.
+    law : type, optional
+        Block whose module says what the law is.
+    """
+    decided = dict(fixed or {})
+    rows = keywords_of((row for row in parameters.table() if row.name not in decided and not hidden(row.name)), own)
+    required = missing(parameters, decided)
+
+    def __init__(self: Any, parameters_: Any = None, *, sample_time: float = SAMPLE_TIME, **values: Any) -> None:
+        if parameters_ is not None and values:
+            raise KeywordError(f"{name} takes parameters or keywords, not both: leave out {', '.join(values)}")
+        if parameters_ is None:
+            parameters_ = from_keywords(name, parameters, decided, rows, values)
+        super(made, self).__init__(parameters_, sample_time)
+
+    given = inspect.Parameter("parameters", inspect.Parameter.POSITIONAL_OR_KEYWORD, default=None)
+    period = inspect.Parameter("sample_time", inspect.Parameter.KEYWORD_ONLY, default=SAMPLE_TIME, annotation=float)
+    own_self = inspect.Parameter("self", inspect.Parameter.POSITIONAL_OR_KEYWORD)
+    vars(__init__)["__signature__"] = signature_of(rows, required, own_self, given, period)
+    document = f"""{summary}
+
+Parameters
+----------
+parameters : {parameters.__name__}, optional
+    All parameters in one object, in place of the keywords.
+{described(rows, required)}
+sample_time : float, default {SAMPLE_TIME}
+    Sample time [s].
+
+Raises
+------
+ParameterError
+    A parameter is missing, mistyped or out of range; the message says what is allowed.
+KeywordError
+    There is no such parameter; the message names the nearest one.
+{law_of(law) if law else ""}"""
+    members = {"__init__": __init__, "__doc__": document, "__module__": module, "keywords": rows}
+    made: Any = type(name, bases, members)
+    return made
+
+
+def find(classes: Mapping[str, type], name: str, module: str) -> type:
+    """Return a class by its name, for a module's ``__getattr__``.
+
+    Parameters
+    ----------
+    classes : dict of str to type
+    name : str
+    module : str
+        Of whose attributes this is one.
+
+    Raises
+    ------
+    AttributeError
+        There is none; the message names the nearest one.
+    """
+    if name.startswith("_") or name not in classes:
+        near = did_you_mean(name, classes)
+        raise AttributeError(f"module {module!r} has no attribute {name!r}{near}")
+    return classes[name]

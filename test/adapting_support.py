@@ -15,8 +15,8 @@ import numpy as np
 
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.loop.axis import Axis
-from hysteresis_ros.loop.axis_parameters import AxisParameters
-from hysteresis_ros.simulation.axes import single_axis
+from hysteresis_ros.loop.parameters import AxisParameters
+from hysteresis_ros.loop.reach import single_axis
 
 LAG = {"A": [0.686131723], "B": [0.313868277], "C": [1.0], "sample_time": 0.005}
 ADAPTATION = {"adaptation__type": "recursive", "adaptation__memory": 8.0, "adaptation__rate": 0.2}

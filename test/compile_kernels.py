@@ -20,10 +20,10 @@ import importlib.util
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.loop.axis import Axis
 from hysteresis_ros.loop.fused import FusedLoop
+from hysteresis_ros.loop.reach import single_axis
+from hysteresis_ros.loop.simulation import simulate
 from hysteresis_ros.nodes.domain import Domain
 from hysteresis_ros.nodes.launcher import Graph
-from hysteresis_ros.simulation.axes import single_axis
-from hysteresis_ros.simulation.run import simulate
 
 for name in ("kim2009", "inchworm_travel"):
     axis = single_axis(load_configuration(name).override("", exit_at_end=True)).with_duration(0.02)

@@ -225,7 +225,7 @@ def _import_all_but_ros() -> None:
 
 def _load_kernels() -> None:
     """Load the machine code that the cache holds; what it does not hold is compiled by whoever calls it first."""
-    from hysteresis_ros.block import COMPILED
+    from hysteresis_ros.models.block import COMPILED
 
     if not COMPILED:
         return

@@ -15,8 +15,8 @@ import re
 
 import numpy as np
 
-from hysteresis_ros.simulation.axes import single_axis
-from hysteresis_ros.simulation.run import simulate
+from hysteresis_ros.loop.reach import single_axis
+from hysteresis_ros.loop.simulation import simulate
 
 NODES = ("plant_simulator", "hysteresis_compensator")
 STATED = re.compile(r"slew_rate: 0\.0  # .*a sample may step by ([0-9.]+) V: \w+")

@@ -24,17 +24,19 @@ import numpy as np
 import pytest
 
 import hysteresis_ros as hr
-from hysteresis_ros import api, designing, results, studies, swept
-from hysteresis_ros.comparison.outcome import Comparison
-from hysteresis_ros.compensation.inverses import NAMES as INVERSES
+from hysteresis_ros import api, designing
+from hysteresis_ros import api as results
 from hysteresis_ros.configuration import Configuration, load_configuration
-from hysteresis_ros.control.registry import LAWS
+from hysteresis_ros.control.controller import LAWS
 from hysteresis_ros.errors import ConfigurationError, HysteresisError, RecordingError
-from hysteresis_ros.keywords import KeywordError, class_name
+from hysteresis_ros.laboratory import studies, swept
+from hysteresis_ros.laboratory.comparison.compare import Comparison
+from hysteresis_ros.loop.reach import single_axis
+from hysteresis_ros.loop.simulation import simulate as simulate_axis
 from hysteresis_ros.models.hysteresis import MODELS
+from hysteresis_ros.models.inverses import NAMES as INVERSES
 from hysteresis_ros.references.waveforms import WAVEFORMS
-from hysteresis_ros.simulation.axes import single_axis
-from hysteresis_ros.simulation.run import simulate as simulate_axis
+from hysteresis_ros.registry import KeywordError, class_name
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 #: What takes long to import.
@@ -387,9 +389,9 @@ def test_every_line_of_the_page_runs(tmp_path, monkeypatch):
 ASKED = {"GL08", "SS01", "SS03", "PR01", "PR02", "PR03", "PR04", "PR06", "PR07", "RT01", "RT03"}
 PUBLIC = [
     *(f"{getattr(hr, name).__module__}.{name}" for name in hr.__all__ if name not in FACTORIES),
-    *(f"hysteresis_ros.results.Run.{name}" for name in ("of", "between", "save", "to_dataframe")),
-    *(f"hysteresis_ros.results.{name}.save" for name in ("Design", "DesignedLearning", "Response")),
-    "hysteresis_ros.comparison.ranking.Ranking.save",
+    *(f"hysteresis_ros.api.Run.{name}" for name in ("of", "between", "save", "to_dataframe")),
+    *(f"hysteresis_ros.api.{name}.save" for name in ("Design", "DesignedLearning", "Response")),
+    "hysteresis_ros.laboratory.comparison.table.Ranking.save",
     *(
         f"hysteresis_ros.{getattr(hr, factory).__name__.removeprefix('hysteresis_ros.')}.{name}"
         for factory, name in CLASSES

@@ -18,9 +18,8 @@ import zipfile
 import numpy as np
 import pytest
 
-from hysteresis_ros.archives import ArchiveError, read_array, read_arrays, read_heads
-from hysteresis_ros.bounded import BoundsError, read_json
 from hysteresis_ros.errors import RecordingError
+from hysteresis_ros.files import ArchiveError, BoundsError, read_array, read_arrays, read_heads, read_json
 from hysteresis_ros.recordings.bag_reader import Bag
 from hysteresis_ros.recordings.cdr import FLOAT64
 
@@ -89,7 +88,7 @@ def test_what_is_left_of_a_chunk_is_unpacked_within_bounds():
     import struct
 
     zstandard = pytest.importorskip("zstandard")
-    from hysteresis_ros.recordings.mcap_stream import SMALL, salvaged
+    from hysteresis_ros.recordings.bag_reader import SMALL, salvaged
 
     packed = zstandard.ZstdCompressor().compress(bytes(4 * SMALL))
     head = struct.pack("<QQQII", 0, 1, 4 * SMALL, 0, 4) + b"zstd" + struct.pack("<Q", len(packed))

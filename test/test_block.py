@@ -18,10 +18,10 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from hysteresis_ros import block
-from hysteresis_ros.block import Block, compiled, composite, interpreted, kernel, nested, run_kernel
+from hysteresis_ros.configuration import Parameters, parameter
 from hysteresis_ros.errors import ParameterError
-from hysteresis_ros.parameters import Parameters, parameter
+from hysteresis_ros.models import block
+from hysteresis_ros.models.block import Block, compiled, composite, interpreted, kernel, nested, run_kernel
 
 if block.COMPILED:
     from numba.core import event
@@ -185,8 +185,8 @@ import sys
 sys.modules["numba"] = None
 from hysteresis_ros import block
 from hysteresis_ros.configuration import load_configuration
-from hysteresis_ros.simulation.axes import single_axis
-from hysteresis_ros.simulation.run import simulate
+from hysteresis_ros.loop.reach import single_axis
+from hysteresis_ros.loop.simulation import simulate
 run = simulate(single_axis(load_configuration("kim2009")), duration=0.02)
 print(block.COMPILED, run.time.size, float(run["displacement"][-1]).hex())
 """

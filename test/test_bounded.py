@@ -21,14 +21,20 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from yaml.constructor import FullConstructor, SafeConstructor, UnsafeConstructor
 
-from hysteresis_ros.bounded import DEEPEST, FAST_LOADER, LARGEST, MOST_VALUES, BoundsError, read_text, read_yaml
-from hysteresis_ros.configuration import _Loader, load_configuration, parse_configuration, parse_value
-from hysteresis_ros.control.learning.file import read_learned
+from hysteresis_ros.configuration import (
+    LONGEST_TEXT,
+    MOST_ITEMS,
+    _Loader,
+    load_configuration,
+    parse_configuration,
+    parse_value,
+)
+from hysteresis_ros.control.learning import read_learned
 from hysteresis_ros.errors import LONGEST, ConfigurationError, HysteresisError, ParameterError, shortened
-from hysteresis_ros.loop.node_parameters import NODE_PARAMETERS
-from hysteresis_ros.parameters import LONGEST_TEXT, MOST_ITEMS
-from hysteresis_ros.references.walk_file import read_walk
-from hysteresis_ros.sensing.images import MOST_PIXELS, FrameError, grey_image
+from hysteresis_ros.files import DEEPEST, FAST_LOADER, LARGEST, MOST_VALUES, BoundsError, read_text, read_yaml
+from hysteresis_ros.hardware.tracker import MOST_PIXELS, FrameError, grey_image
+from hysteresis_ros.loop.parameters import NODE_PARAMETERS
+from hysteresis_ros.references.inchworm_sequencer import read_walk
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 SOURCES = [
@@ -167,7 +173,7 @@ def unsafe(source: str, bounded: bool) -> list[str]:
 
 
 def test_files_are_read_as_plain_values_everywhere():
-    own = ROOT / "hysteresis_ros" / "bounded.py"
+    own = ROOT / "hysteresis_ros" / "files.py"
     found = {
         str(path.relative_to(ROOT)): unsafe(path.read_text(encoding="utf-8"), path.is_relative_to(own.parent))
         for path in SOURCES

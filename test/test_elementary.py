@@ -17,8 +17,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hysteresis_ros import elementary
-from hysteresis_ros.block import interpreted
+from hysteresis_ros.models import elementary
+from hysteresis_ros.models.block import interpreted
 
 #: Of each function the arguments, and by how many units in the last place it may differ from the C library's.
 CASES = {

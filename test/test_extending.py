@@ -25,7 +25,7 @@ import hysteresis_ros
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.hardware.device import Device
 from hysteresis_ros.hardware.driver import DriverError
-from hysteresis_ros.hardware.located import driver_of, options_of
+from hysteresis_ros.hardware.registry import driver_of, options_of
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 DOCUMENT = (ROOT / "docs" / "extending.md").read_text(encoding="utf-8")

@@ -18,7 +18,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from hysteresis_ros import linear_algebra as la
+from hysteresis_ros.models import linear_algebra as la
 
 ENTRIES = st.integers(-1000, 1000).map(lambda value: value / 256.0)
 

@@ -35,52 +35,34 @@ SOURCES = sorted(PACKAGE.rglob("*.py"))
 TESTS = sorted((ROOT / "test").rglob("*.py"))
 
 #: What every folder may use of the package besides itself: imports go one way, in the order in which data flows.
-BASE = {"", "errors", "bounded", "archives", "parameters", "block", "keywords", "registry", "signals", "linear_algebra"}
-BASE |= {"elementary", "units", "executors", "files"}
-FORWARD = BASE | {"configuration", "models", "references", "recordings"}
-METHODS = FORWARD | {"compensation", "control", "identification"}
+BASE = {"", "errors", "units", "signals", "files", "configuration", "registry", "executors"}
+BLOCKS = BASE | {"models", "control", "references"}
+MEASURED = BLOCKS | {"recordings", "hardware", "identification"}
+CORE = MEASURED | {"loop", "designs", "analysis", "api", "designing"}
 MAY_IMPORT = {
     # at first use only, for those who write `import hysteresis_ros as hr`
-    "": BASE | {"api", "designing", "studies", "swept", "models", "references", "compensation", "control"},
-    "keywords": {"", "errors", "parameters"},
+    "": BLOCKS | {"api", "designing", "laboratory"},
     "errors": {""},
-    "bounded": {"", "errors"},
-    "archives": set(),
-    "files": {"", "errors"},
-    "configuration": {"", "errors", "bounded"},
-    "parameters": {"", "errors"},
-    "registry": {"", "errors"},
-    "linear_algebra": {""},
-    "elementary": {"", "block"},
-    "block": {"", "errors", "parameters"},
-    "signals": set(),
     "units": {"", "errors"},
+    "signals": set(),
+    "files": {"", "errors"},
+    "configuration": {"", "errors", "files"},
+    "registry": {"", "errors", "configuration"},
     "executors": {"", "errors"},
     "models": BASE,
-    "references": BASE,
-    "recordings": BASE | {"configuration"},
-    "compensation": BASE | {"models"},
     "control": BASE | {"models"},
-    "identification": BASE | {"configuration", "models", "recordings", "compensation", "control"},
-    "sensing": BASE | {"models", "recordings"},
-    "hardware": BASE | {"models"},
-    "loop": METHODS - {"identification"} | {"hardware", "sensing"},
-    "simulation": METHODS | {"loop"},
-    "analysis": METHODS,
-    "commissioning": METHODS | {"loop", "simulation", "analysis", "nodes"},
-    "comparison": METHODS | {"loop", "simulation", "analysis"},
-    "sweeps": METHODS | {"loop", "simulation", "analysis"},
-    "papers": METHODS | {"loop", "simulation", "analysis"},
-    "reliability": METHODS | {"loop", "simulation"},
-    "results": METHODS | {"simulation", "analysis"},
-    "api": METHODS | {"loop", "simulation", "analysis", "results"},
-    "swept": METHODS | {"simulation", "sweeps", "api"},
-    "designing": METHODS | {"loop", "simulation", "analysis", "results", "api"},
-    "studies": METHODS | {"loop", "simulation", "analysis", "comparison", "papers", "results", "api"},
-    "nodes": METHODS | {"sensing", "loop", "simulation", "analysis", "reliability"},
-    "cli": METHODS
-    | {"sensing", "loop", "simulation", "commissioning", "analysis", "comparison", "sweeps", "papers", "reliability"}
-    | {"nodes", "hardware"},
+    "references": BASE | {"models", "control"},
+    "recordings": BASE,
+    "hardware": BASE | {"models", "recordings"},
+    "identification": BASE | {"models", "control", "recordings"},
+    "loop": BLOCKS | {"recordings", "hardware"},
+    "designs": MEASURED | {"loop"},
+    "analysis": MEASURED,
+    "api": MEASURED | {"loop", "designs", "analysis"},
+    "designing": MEASURED | {"loop", "designs", "analysis", "api"},
+    "nodes": MEASURED | {"loop", "designs", "analysis"},
+    "cli": CORE | {"nodes"},
+    "laboratory": CORE | {"nodes", "cli"},
 }
 ROS = re.compile(r"^(rclpy|ament_index_python|std_srvs|\w+_(msgs|interfaces))$")
 #: What others wrote and pages carry in themselves: uPlot 1.6.32 as its makers publish it (npm), under its own licence
@@ -91,17 +73,17 @@ VENDORED = {
     ASSETS / "uPlot.min.css": "df630c6a8d6f8eeaff264b50f73ce5b114f646ffd9a0bb74f049b0a00135fa04",
     ASSETS / "uPlot.LICENSE": "8f989229699b4fe2f1a0432d0e9edc338a8a911e250e2d1b01ecd770a5f5b1bd",
 }
-#: Heavy or special packages, and the only folder that may import them.
+#: Heavy or special packages, and the only folders that may import them.
 ONLY_IN = {
-    "matplotlib": "analysis",
+    "matplotlib": "analysis laboratory",
     "jinja2": "analysis",
-    "click": "cli",
+    "click": "cli laboratory",
     "rich": "cli",
     "rosbags": "recordings",
     "mcap": "recordings",
-    "cv2": "sensing",
+    "cv2": "hardware",
     "distributed": "executors",
-    "aiohttp": "nodes",
+    "aiohttp": "laboratory",
 }
 #: What neither the blocks nor their parameters may bring into a node.
 HEAVY = ("scipy.signal", "scipy.optimize", "matplotlib", "jinja2", "rclpy", "click", "rosbags")
@@ -243,9 +225,9 @@ def test_imports_go_one_way(path):
             used = rest.split(".")[0] if rest.split(".")[0] in MAY_IMPORT else ""
             assert used in MAY_IMPORT[layer] | {layer}, f"{layer} imports {module}"
         elif ROS.match(top):
-            assert layer == "nodes", f"{layer} imports {module}; only nodes may"
+            assert layer in ("nodes", "laboratory"), f"{layer} imports {module}; only nodes may"
         elif top in ONLY_IN:
-            assert layer == ONLY_IN[top], f"{layer} imports {module}; only {ONLY_IN[top]} may"
+            assert layer in ONLY_IN[top].split(), f"{layer} imports {module}; only {ONLY_IN[top]} may"
 
 
 def module_of(path: pathlib.Path) -> str:
@@ -368,9 +350,22 @@ def test_public_things_are_documented_completely(path):
             assert not missing, f"{name} does not describe {sorted(missing)}"
 
 
+def test_the_laboratory_is_beside_the_core():
+    """An axis runs without papers, campaigns, emulated devices and pages: a node that is imported brings none of them."""
+    nodes = "motion_controller, plant_simulator, hysteresis_compensator, reference_generator, recorder, axis"
+    code = f"""
+import sys
+from hysteresis_ros.nodes import {nodes}
+from hysteresis_ros.cli import main, up
+print(*[name for name in sys.modules if name.startswith("hysteresis_ros.laboratory")])
+"""
+    answer = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
+    assert answer.stdout.split() == []
+
+
 def test_a_node_imports_no_more_than_it_needs():
     """Memory is a promise: SciPy's signal and optimisation, plots and the command line stay out of the loop."""
-    modules = "sys, hysteresis_ros.loop.axis, hysteresis_ros.loop.node_parameters"
+    modules = "sys, hysteresis_ros.loop.axis, hysteresis_ros.loop.parameters"
     code = f"import {modules}; print(*[name for name in {HEAVY} if name in sys.modules])"
     answer = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, check=True)
     assert answer.stdout.split() == []

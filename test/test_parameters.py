@@ -15,8 +15,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from hysteresis_ros.configuration import Parameters, group, parameter, variants
 from hysteresis_ros.errors import HysteresisError, ParameterError, Problem
-from hysteresis_ros.parameters import Parameters, group, parameter, variants
 
 
 @dataclass(frozen=True)

@@ -20,22 +20,21 @@ import numpy as np
 import pytest
 
 import hysteresis_ros
-from hysteresis_ros.block import COMPILED
-from hysteresis_ros.compensation.compensator import Compensator, CompensatorParameters
-from hysteresis_ros.compensation.inverses import BROUGHT, NAMES, InverseParameters
 from hysteresis_ros.configuration import dump_configuration, parse_configuration
 from hysteresis_ros.identification.chains import automatic_skip
 from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.parameter_file import example_text
 from hysteresis_ros.identification.prediction import predict
 from hysteresis_ros.identification.registry import identify
+from hysteresis_ros.loop.reach import single_axis
+from hysteresis_ros.loop.simulation import mismatched, simulate
+from hysteresis_ros.models.block import COMPILED
+from hysteresis_ros.models.compensator import Compensator, CompensatorParameters
 from hysteresis_ros.models.declaration import PARAMETRIC, Deviation
 from hysteresis_ros.models.hysteresis import MODELS, HysteresisParameters, hysteresis_block
+from hysteresis_ros.models.inverses import BROUGHT, NAMES, InverseParameters
 from hysteresis_ros.models.limits import LimitsParameters
 from hysteresis_ros.registry import resolved
-from hysteresis_ros.simulation.axes import single_axis
-from hysteresis_ros.simulation.mismatch import mismatched
-from hysteresis_ros.simulation.run import simulate
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]
 #: Highest voltage of the examples [V] and sample time of what is simulated here [s].

@@ -22,19 +22,26 @@ from dataclasses import fields
 import numpy as np
 import pytest
 
-from hysteresis_ros.block import COMPILED
-from hysteresis_ros.comparison.candidates import candidates, known
-from hysteresis_ros.comparison.laws import ROWS
-from hysteresis_ros.comparison.tasks import Conditions, make_tasks
 from hysteresis_ros.configuration import dump_configuration, load_configuration, parse_configuration
-from hysteresis_ros.control.base import APPLIED, COMMAND, ESTIMATED, FEEDFORWARD, STARTED, Controller
-from hysteresis_ros.control.controller import ControllerParameters, controller_block, handover_block
-from hysteresis_ros.control.gain_design import design_gains
-from hysteresis_ros.control.handover import arm
+from hysteresis_ros.control.controller import (
+    DESIGNS,
+    LAWS,
+    ControllerParameters,
+    History,
+    arm,
+    controller_block,
+    handover_block,
+    note,
+    successor,
+)
+from hysteresis_ros.control.law import APPLIED, COMMAND, ESTIMATED, FEEDFORWARD, STARTED, Controller
 from hysteresis_ros.control.margins import judge
-from hysteresis_ros.control.registry import DESIGNS, LAWS
-from hysteresis_ros.control.succession import History, note, successor
+from hysteresis_ros.designs.gains import design_gains
 from hysteresis_ros.errors import ConfigurationError, ParameterError
+from hysteresis_ros.laboratory.comparison.candidates import candidates, known
+from hysteresis_ros.laboratory.comparison.laws import ROWS
+from hysteresis_ros.laboratory.comparison.tasks import Conditions, make_tasks
+from hysteresis_ros.models.block import COMPILED
 from hysteresis_ros.models.linear import LinearDynamics, LinearParameters
 from hysteresis_ros.references.generator import ReferenceGenerator, ReferenceParameters
 from hysteresis_ros.references.waveforms import WAVEFORMS, Waveform, WaveformParameters

@@ -28,10 +28,9 @@ from hysteresis_ros.configuration import dump_configuration, parse_configuration
 from hysteresis_ros.hardware.device import Device
 from hysteresis_ros.hardware.driver import NOTHING_NEW, Driver, DriverError
 from hysteresis_ros.hardware.library import option_texts
-from hysteresis_ros.hardware.located import driver_of
-from hysteresis_ros.hardware.registry import DRIVERS
+from hysteresis_ros.hardware.registry import DRIVERS, driver_of
 from hysteresis_ros.loop.device import MAKE_SAFE, READ, WRITE, call_alone, call_with, link_to
-from hysteresis_ros.loop.plant_parameters import PlantNodeParameters
+from hysteresis_ros.loop.parameters import PlantNodeParameters
 from hysteresis_ros.models.actuator import ActuatorParameters
 
 ROOT = pathlib.Path(__file__).resolve().parents[1]

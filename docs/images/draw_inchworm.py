@@ -21,8 +21,8 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from hysteresis_ros.analysis.inchworm_moves import InchwormRun, inchworm_run
-from hysteresis_ros.analysis.inchworm_plots import draw_activities, draw_phases, draw_steps, steps_window
+from hysteresis_ros.analysis.inchworm import InchwormRun, inchworm_run
+from hysteresis_ros.analysis.inchworm_report import draw_activities, draw_phases, draw_steps, steps_window
 from hysteresis_ros.recordings.files import load_run
 
 ORANGE, BLUE, RED, GREY = "#c2571a", "#1f6f8b", "#d1495b", "#444444"

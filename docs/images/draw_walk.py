@@ -17,9 +17,9 @@ import numpy as np
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from hysteresis_ros.papers.kim2009.walking import SPEED, Walker
+from hysteresis_ros.laboratory.papers.kim2009.walking import SPEED, Walker
 from hysteresis_ros.references import inchworm_layout as at
-from hysteresis_ros.references.walk_machine import carried
+from hysteresis_ros.references.inchworm_walk import carried
 
 BLUE, RED, GREY = "#1f6f8b", "#d1495b", "#444444"
 PARTS = (0.2, 1.0, 2.0)

@@ -26,9 +26,9 @@ import subprocess
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from hysteresis_ros.hardware.declaration import HardwareDriver
+from hysteresis_ros.configuration import Parameters, parameter
+from hysteresis_ros.hardware.driver import HardwareDriver
 from hysteresis_ros.hardware.library import SharedLibrary
-from hysteresis_ros.parameters import Parameters, parameter
 
 FOLDER = pathlib.Path(__file__).parent
 

@@ -7,4 +7,8 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Analysis of recordings: figures of merit, plots and the report. Matplotlib and Jinja2 are imported only here."""
+"""Judging a run: figures of merit, charts, reports. Matplotlib and Jinja2 are imported only here, at first use.
+
+Read ``metrics`` (what is computed) and ``parts`` (over which part of a run), then ``run_charts`` and ``report``;
+``plots`` and ``page`` draw for all of them. Inchworms have ``inchworm`` and ``inchworm_report``.
+"""

@@ -7,17 +7,100 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The page of a commissioning: every stage with its findings and pictures."""
+"""The page of a commissioning: every stage with its findings and its charts, as plain numbers that JSON can hold."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Protocol
+
+import numpy as np
 
 from hysteresis_ros import __version__
 from hysteresis_ros.analysis.page import render_page, write_page
-from hysteresis_ros.analysis.pictures import Picture, picture_figure
-from hysteresis_ros.analysis.plots import data_uri
+from hysteresis_ros.analysis.plots import add_legend, data_uri, new_figure
+
+#: Points of a line that is kept.
+POINTS = 3000
+#: Colours of the first, second … line.
+COLOURS = ("#1f3b73", "#d1495b", "#2a9d8f", "#6a4c93")
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line of a picture.
+
+    Parameters
+    ----------
+    label : str
+    x, y : list of float
+    """
+
+    label: str
+    x: list[float]
+    y: list[float]
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture of lines.
+
+    Parameters
+    ----------
+    caption, across, up : str
+        Its caption and the labels of its axes, with units.
+    lines : list of Line
+    logarithmic : str
+        Which axes are logarithmic: ``x``, ``y``, both or none of them.
+    equal : bool
+        Whether both axes have one scale.
+    """
+
+    caption: str
+    across: str
+    up: str
+    lines: list[Line]
+    logarithmic: str = ""
+    equal: bool = False
+
+
+def line(label: str, x, y) -> Line:
+    """Return a line for a picture, thinned to :data:`POINTS`.
+
+    Parameters
+    ----------
+    label : str
+    x, y : array_like, shape (N,)
+    """
+    x, y = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
+    finite = np.isfinite(x) & np.isfinite(y)
+    x, y = x[finite], y[finite]
+    stride = max(1, -(-x.size // POINTS))
+    return Line(
+        label, [float(f"{value:.6g}") for value in x[::stride]], [float(f"{value:.6g}") for value in y[::stride]]
+    )
+
+
+def picture_figure(picture: Picture):
+    """Return the figure of a picture.
+
+    Parameters
+    ----------
+    picture : Picture
+    """
+    figure, (axis,) = new_figure(5.0 if picture.equal else 3.4)
+    for number, one in enumerate(picture.lines):
+        width = 1.8 if number == 0 and len(picture.lines) > 1 else 1.0
+        axis.plot(one.x, one.y, color=COLOURS[number % len(COLOURS)], linewidth=width, label=one.label)
+    for name in picture.logarithmic:
+        getattr(axis, f"set_{name}scale")("log")
+    if picture.equal:
+        axis.set_aspect("equal", adjustable="datalim")
+    axis.set(xlabel=picture.across, ylabel=picture.up)
+    if len(picture.lines) > 1:
+        add_legend(axis)
+    return figure
 
 
 class Found(Protocol):

@@ -15,10 +15,10 @@ import numpy as np
 
 from hysteresis_ros.analysis.page import render_page, write_page
 from hysteresis_ros.analysis.plots import add_legend, data_uri, envelope, length_unit, new_figure
-from hysteresis_ros.analysis.shown_figures import shown_row
+from hysteresis_ros.analysis.tables import shown_row
 from hysteresis_ros.identification.data import IdentificationData
-from hysteresis_ros.identification.inverse import InverseValidation
 from hysteresis_ros.identification.parameter_file import assumptions
+from hysteresis_ros.identification.prediction import InverseValidation
 from hysteresis_ros.identification.validation import CorrelationTest, Validation
 from hysteresis_ros.identification.workflow import Compared, Identified
 from hysteresis_ros.units import readable

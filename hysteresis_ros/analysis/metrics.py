@@ -7,18 +7,130 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Figures of merit of a run. Each is defined in :func:`compute_metrics`; SI units."""
+"""Figures of merit of a run. Each is defined in :func:`compute_metrics`; SI units.
+
+The configuration in the recording says what is judged against what (:class:`AxisSettings`).
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
-from hysteresis_ros.analysis.parts import NOT_JUDGED, Kind, find_parts, part_figures, step_figures, stopped
-from hysteresis_ros.analysis.settings import AxisSettings, axis_settings, judged_reference
-from hysteresis_ros.analysis.steps import HOLD_SAMPLES, JUMP, find_holds, scan_start
-from hysteresis_ros.errors import RecordingError
+from hysteresis_ros.analysis.parts import (
+    HOLD_SAMPLES,
+    JUMP,
+    NOT_JUDGED,
+    Kind,
+    find_holds,
+    find_parts,
+    part_figures,
+    scan_start,
+    step_figures,
+    stopped,
+)
+from hysteresis_ros.errors import HysteresisError, RecordingError
 from hysteresis_ros.recordings.dataset import LATENESS, Recording
 from hysteresis_ros.recordings.loops import loop_opening
+from hysteresis_ros.recordings.provenance import configured
+from hysteresis_ros.signals import MODE_STALE, MODE_TRIPPED
+
+
+@dataclass(frozen=True)
+class AxisSettings:
+    """Settings that matter for judging a run.
+
+    Parameters
+    ----------
+    voltage_minimum, voltage_maximum : float or None
+        Limits of the compensator, or of the plant where those are not given [V].
+    offset : float
+        Preload offset W of the controller's model, which is not part of the reference [m].
+    preview : int
+        Samples that the recorded reference is ahead of what the controller follows.
+    """
+
+    voltage_minimum: float | None = None
+    voltage_maximum: float | None = None
+    offset: float = 0.0
+    preview: int = 0
+
+
+def axis_settings(recording: Recording) -> AxisSettings:
+    """Return the settings of the recording's configuration; whatever it does not say is None or 0."""
+    text, namespace = recording.configuration, str(recording.metadata.get("namespace", ""))
+    limits = {
+        **_group(configured(text, "plant_simulator", namespace), "limits."),
+        **_group(configured(text, "hysteresis_compensator", namespace), "limits."),
+    }
+    controller = configured(text, "motion_controller", namespace)
+    preview = controller.get("feedforward.preview", 0)
+    return AxisSettings(
+        _number(limits.get("minimum")),
+        _number(limits.get("maximum")),
+        _offset(_group(controller, "model.preload.")),
+        preview if isinstance(preview, int) and not isinstance(preview, bool) and preview > 0 else 0,
+    )
+
+
+def judged_reference(recording: Recording, preview: int | None = None) -> np.ndarray:
+    """Return the reference that the displacement is judged by, shape (N,) [m].
+
+    With a preview of P samples that is the recorded one P samples later. What came before the recording is taken to
+    be its first reference; where the sample to look back to is missing, or left out of an excerpt, NaN.
+
+    Parameters
+    ----------
+    recording : Recording
+        Needs ``reference``.
+    preview : int, optional
+        What its configuration says, for who knows it already.
+    """
+    reference, preview = recording["reference"], axis_settings(recording).preview if preview is None else preview
+    if not preview or len(reference) < 2:
+        return reference
+    # by time and not by place: samples may be missing
+    numbers = np.rint((recording.time - recording.time[0]) / recording.sample_time).astype(np.int64)
+    places = np.minimum(np.searchsorted(numbers, numbers - preview), len(numbers) - 1)
+    found = np.where(numbers[places] == numbers - preview, reference[places], np.nan)
+    before = np.nan if recording.metadata.get("excerpt") else reference[0]
+    return np.where(numbers < preview, before, found)
+
+
+def delayed(reference, preview: int) -> np.ndarray:
+    """Return the reference to be followed at each sample when the one received is ``preview`` samples ahead.
+
+    Parameters
+    ----------
+    reference : array, shape (N,)
+        As received [m], no sample missing; before it, its first value.
+    preview : int
+        Samples.
+    """
+    if preview == 0:
+        return reference
+    return np.concatenate([np.full(preview, reference[0]), reference])[: len(reference)]
+
+
+def _offset(values: dict) -> float:
+    if not values:
+        return 0.0
+    from hysteresis_ros.models.actuator import PreloadParameters
+
+    try:
+        return float(PreloadParameters.from_mapping(values).offset)
+    except HysteresisError:
+        return 0.0
+
+
+def _group(values: dict, start: str) -> dict:
+    return {name[len(start) :]: value for name, value in values.items() if name.startswith(start)}
+
+
+def _number(value) -> float | None:
+    return float(value) if isinstance(value, (int, float)) and not isinstance(value, bool) else None
+
 
 #: Figures that come from command and voltage alone.
 SMOOTHNESS = {
@@ -73,7 +185,7 @@ def compute_metrics(recording: Recording, settings: AxisSettings | None = None, 
     the recording's notes then say) less the preload offset W of the controller's model. With ``feedforward.preview``
     every figure is about the reference so many samples later. Samples where either is missing do not count, and in the
     errors none before the first reversal of a scan into which a jump leads
-    (:func:`hysteresis_ros.analysis.steps.scan_start`); where an excerpt begins its reader has chosen, and all of it
+    (:func:`hysteresis_ros.analysis.parts.scan_start`); where an excerpt begins its reader has chosen, and all of it
     counts. Where the axis is stopped (:func:`hysteresis_ros.analysis.parts.stopped`) nothing is judged: errors, steps,
     loops and the residual leave it out. Without a reference there are no errors; the stroke is then that of the
     displacement.
@@ -449,3 +561,43 @@ def sampling_figures(recording: Recording, notes: dict) -> dict:
 
 def _plain(value):
     return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
+#: A moment: so long in all [s], or this share of the run.
+MOMENT, SHARE = 0.1, 0.01
+
+
+def limited_text(recording: Recording) -> str:
+    """Return for which part of a run the output was limited, and by what; empty: for no more than a moment.
+
+    Parameters
+    ----------
+    recording : Recording
+    """
+    if not recording.has("saturated") or len(recording) < 2:
+        return ""
+    cut = recording["saturated"] > 0.0
+    seconds, share = float(np.count_nonzero(cut)) * recording.sample_time, float(np.mean(cut))
+    if seconds <= MOMENT and share <= SHARE:
+        return ""
+    reasons = []
+    away = (
+        np.isin(recording["plant_mode"], (MODE_STALE, MODE_TRIPPED))
+        if recording.has("plant_mode")
+        else np.zeros_like(cut)
+    )
+    rest = cut & ~away
+    if recording.has("voltage"):
+        voltage = recording["voltage"]
+        ends = rest & ((voltage <= np.min(voltage)) | (voltage >= np.max(voltage)))
+        still = np.concatenate([[False], voltage[1:] == voltage[:-1]])
+        ranged = ends & still
+        reasons += [("the range limits.minimum … limits.maximum", ranged)]
+        rest = rest & ~ranged
+    reasons += [("the way to safe_voltage at safe_slew_rate", cut & away), ("safe_slew_rate or limits.slew_rate", rest)]
+    found = sorted(((float(np.mean(which)), name) for name, which in reasons if np.any(which)), reverse=True)
+    by = ", ".join(f"{name} ({100.0 * part:.3g} %)" for part, name in found)
+    return (
+        f"the output was limited for {100.0 * share:.3g} % of the run, {seconds:.3g} s, by {by}: what was asked did "
+        "not leave for the actuator then, and the figures of these samples are those of the limits"
+    )

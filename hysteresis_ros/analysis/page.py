@@ -7,17 +7,21 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Pages: one HTML file each, which needs nothing beside it."""
+"""Pages: one HTML file each, which needs nothing beside it, and the charts and sums that its scripts draw from."""
 
 from __future__ import annotations
 
+import base64
+import json
 import pathlib
 import sys
 import time
+from collections.abc import Sequence
 from importlib import resources
 
-from hysteresis_ros.analysis.charts import COLOURS
-from hysteresis_ros.analysis.plots import MissingExtraError
+import numpy as np
+
+from hysteresis_ros.analysis.plots import COLOURS, Chart, MissingExtraError, envelope, thin, thin_path
 from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.files import write_text
 from hysteresis_ros.recordings.dataset import Recording
@@ -105,3 +109,84 @@ def write_page(path, html: str) -> None:
     """
     require_page(path)
     write_text(path, html, RecordingError)
+
+
+#: Points of the time axis that all charts over time share, and of any other line.
+TIME_POINTS, LINE_POINTS = 12000, 4000
+
+
+def packed(values, kind: str = "<f4") -> str:
+    """Return an array as text, base64 of little-endian floats.
+
+    Parameters
+    ----------
+    values : array_like, shape (N,)
+    kind : str
+        ``<f4``: 7 digits, or ``<f8``.
+    """
+    return base64.b64encode(np.ascontiguousarray(values, dtype=kind).tobytes()).decode("ascii")
+
+
+def chart_payload(charts: Sequence[Chart], points: int = TIME_POINTS) -> dict:
+    """Return charts for the page: those over time on one thinned time axis, each other line with its own x.
+
+    Parameters
+    ----------
+    charts : sequence of Chart
+        Those of kind ``time`` are over the same instants.
+    points : int
+        Of the time axis; other lines have a third.
+
+    Returns
+    -------
+    dict
+        ``time`` (text, ``<f8``), ``samples`` (of a block; 1: all of them) and ``charts``; what JSON can hold.
+    """
+    over_time = [line for chart in charts if chart.kind == "time" for line in chart.lines]
+    # nobody sees more than 7 digits of a value, but instants may be far from 0
+    time, columns, size = thin(over_time[0].x, [line.y for line in over_time], points) if over_time else ([], [], 1)
+    kept = iter(columns)
+    return {
+        "time": packed(time, "<f8"),
+        "samples": size,
+        "charts": [_chart(chart, kept, min(LINE_POINTS, points // 3)) for chart in charts],
+    }
+
+
+def _chart(chart: Chart, columns, points: int) -> dict:
+    lines = []
+    for line in chart.lines:
+        described: dict = {"label": line.label, "colour": line.colour, "width": line.width, "dash": list(line.dash)}
+        if chart.kind == "time":
+            described["y"] = packed(next(columns))
+        elif chart.kind == "path":
+            path = thin_path(line, 2 * points)
+            described |= {"x": packed(path.x), "y": packed(path.y)}
+            if path.key is not None:
+                described["key"] = packed(path.key)
+        else:
+            x, y = (line.x, line.y) if line.x.size <= points else envelope(line.x, line.y, points)
+            described |= {"x": packed(x, "<f8"), "y": packed(y)}
+        lines.append(described)
+    return {
+        "name": chart.name,
+        "kind": chart.kind,
+        "across": chart.across,
+        "up": chart.up,
+        "logarithmic": chart.logarithmic,
+        "levels": list(chart.levels),
+        "shaded": None if chart.shaded is None else [float(end) for end in chart.shaded],
+        "limits": None if chart.limits is None else [float(end) for end in chart.limits],
+        "lines": lines,
+    }
+
+
+def script_text(payload: dict) -> str:
+    """Return JSON that may stand in a script element: nothing in it can end the element.
+
+    Parameters
+    ----------
+    payload : dict
+    """
+    text = json.dumps(payload, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+    return text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029")

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Parts of a run: approach, steps, scan, path, hold and shutdown, each with what it is judged by.
+"""Parts of a run: steps and holds, approach, scan, path and shutdown, each with what it is judged by, and excerpts.
 
 A scan repeats: its reference equals itself one period later, which is looked at and not assumed from two reversals.
 Steps lead from one hold to another. What moves otherwise is a path; a single move into a scan is its approach. While
@@ -21,19 +21,139 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hysteresis_ros.analysis.steps import (
-    HOLD_SAMPLES,
-    JUMP,
-    REVERSAL,
-    SETTLING_BAND,
-    Hold,
-    find_holds,
-    scan_start,
-    step_responses,
-)
+from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.loops import loop_opening, turning_points
 from hysteresis_ros.signals import MODE_STALE, MODE_STOPPED, MODE_TRIPPED
+from hysteresis_ros.units import quantity
+
+#: Samples a reference must stand still to count as a hold.
+HOLD_SAMPLES = 10
+#: Part of a hold, at its end, whose mean is the value finally reached.
+FINAL_PART = 0.1
+#: A reference whose movement changes by more than this part of its stroke from one sample to the next jumps.
+JUMP = 0.01
+#: A reversal of a scan is at least this part of its stroke.
+REVERSAL = 0.1
+#: Half width of the band of the settling time, as a part of the step.
+SETTLING_BAND = 0.02
+
+
+@dataclass(frozen=True)
+class Hold:
+    """Samples ``start`` to ``stop`` (exclusive) in which the reference stands still at ``level`` [m]."""
+
+    start: int
+    stop: int
+    level: float
+
+    @property
+    def final(self) -> slice:
+        """The last part of the hold, at least one sample."""
+        length = max(1, int(round((self.stop - self.start) * FINAL_PART)))
+        return slice(self.stop - length, self.stop)
+
+
+@dataclass(frozen=True)
+class StepResponse:
+    """The answer to one step.
+
+    Parameters
+    ----------
+    start : float
+        Time at which the reference began to move [s].
+    size : float
+        Height of the step in the reference, signed [m].
+    final : float
+        Value finally reached: mean displacement over the last tenth of the hold [m].
+    overshoot : float
+        Farthest displacement beyond ``final`` in the direction of the step, as a part of ``|size|``; at least 0.
+    settling_time : float or None
+        Time from ``start`` until the displacement stays within 2 % of ``|size|`` around ``final``; None when it
+        has not settled before the last tenth of the hold.
+    steady_state_error : float
+        ``reference - final`` [m].
+    """
+
+    start: float
+    size: float
+    final: float
+    overshoot: float
+    settling_time: float | None
+    steady_state_error: float
+
+
+def find_holds(reference) -> list[Hold]:
+    """Return the holds of a reference, shape (N,) [m]."""
+    reference = np.asarray(reference, dtype=np.float64)
+    if reference.size < HOLD_SAMPLES:
+        return []
+    moving = np.diff(reference) != 0.0
+    edges = np.concatenate(([0], np.flatnonzero(moving | np.isnan(np.diff(reference))) + 1, [reference.size]))
+    long = np.flatnonzero(np.diff(edges) >= HOLD_SAMPLES)
+    return [Hold(int(edges[i]), int(edges[i + 1]), float(reference[edges[i]])) for i in long]
+
+
+def scan_start(reference, displacement) -> int:
+    """Return the sample from which on a scan is judged: its first reversal where a jump leads into it, 0 elsewhere.
+
+    A reference that goes to and fro may begin away from where the axis rests. How far that is says nothing of how well
+    the scan is followed. It is a jump when the error then is larger than any after the first reversal. Steps from hold
+    to hold are what is judged there: all of them count.
+
+    Parameters
+    ----------
+    reference, displacement : array, shape (N,)
+        [m], finite.
+    """
+    points = turning_points(reference, REVERSAL)
+    if len(points) < 3 or len(find_holds(reference)) > 1:
+        return 0
+    first = int(points[1])
+    begins = int(np.argmax(reference != reference[0]))
+    error = np.abs(reference - displacement)
+    jump = max(error[0], error[begins])
+    return first if jump > JUMP * np.ptp(reference) and jump > np.max(error[first:]) else 0
+
+
+def step_responses(time, reference, displacement) -> list[StepResponse]:
+    """Return the answers to all steps from one hold of the reference to the next at another level.
+
+    A step may be a jump or a limited move; its time counts from the last sample of the hold before.
+
+    Parameters
+    ----------
+    time, reference, displacement : array, shape (N,)
+        [s], [m], [m].
+    """
+    holds = [hold for hold in find_holds(reference) if np.isfinite(hold.level)]
+    responses = []
+    for before, after in zip(holds[:-1], holds[1:], strict=True):
+        size = after.level - before.level
+        if size == 0.0:
+            continue
+        # a jump at sample k commands from time[k] on; a limited move leaves the old level with the last held sample
+        first = after.start if after.start == before.stop else before.stop - 1
+        answer = displacement[first : after.stop]
+        if not np.all(np.isfinite(answer)):
+            continue
+        final = float(np.mean(displacement[after.final]))
+        overshoot = max(0.0, float(np.max((answer - final) * np.sign(size))) / abs(size))
+        outside = np.flatnonzero(np.abs(answer - final) > SETTLING_BAND * abs(size))
+        settled = int(outside[-1]) + 1 if outside.size else 0
+        inside_before_final = first + settled <= after.final.start
+        responses.append(
+            StepResponse(
+                start=float(time[first]),
+                size=size,
+                final=final,
+                overshoot=overshoot,
+                settling_time=float(time[first + settled] - time[first]) if inside_before_final else None,
+                steady_state_error=after.level - final,
+            )
+        )
+    return responses
+
 
 #: A reference repeats when it differs from itself one period later by at most this part of its range, for at most so
 #: many samples in a row by more, and over this part of a period beyond the first one.
@@ -325,3 +445,96 @@ def step_figures(time, reference, displacement) -> dict:
         found["settling_time_s"] = None if found["unsettled"] else max(value for value in times if value is not None)
         found["steady_state_error_m"] = max(abs(response.steady_state_error) for response in responses)
     return found
+
+
+def seconds(text: str, option: str) -> float:
+    """Return an instant of the run [s].
+
+    Parameters
+    ----------
+    text : str
+        A number in seconds, or with its unit.
+    option : str
+        Where it stands, for the message.
+
+    Raises
+    ------
+    RecordingError
+        It is none.
+    """
+    try:
+        value, unit = quantity(text)
+        if unit not in ("", "s") or value < 0.0:
+            raise ValueError("must be a time of 0 or more")
+    except ValueError as error:
+        raise RecordingError(f"{option} {text}: {error}; write e.g. 0.5 or 500ms") from None
+    return value
+
+
+def within(recording: Recording, first: float, last: float) -> Recording:
+    """Return the samples from one instant to another.
+
+    Parameters
+    ----------
+    recording : Recording
+    first, last : float
+        [s] since the first sample; both belong to it.
+
+    Raises
+    ------
+    RecordingError
+        There are fewer than two samples.
+    """
+    time = recording.time - recording.time[0]
+    chosen = (time >= first - 1e-9) & (time <= last + 1e-9)
+    if np.count_nonzero(chosen) < 2:
+        raise RecordingError(f"from {first:g} s to {last:g} s there is nothing to judge: the run lasts {time[-1]:g} s")
+    if np.all(chosen):
+        return recording
+    note = f"judged from {time[chosen][0]:.6g} s to {time[chosen][-1]:.6g} s of {time[-1]:.6g} s"
+    metadata = {**recording.metadata, "notes": [*recording.notes, note]}
+    metadata.setdefault("first_s", float(recording.time[0]))
+    if not chosen[0]:
+        # what a preview looks back to is another than the first reference
+        metadata["excerpt"] = True
+    signals = {name: values[chosen] for name, values in recording.signals.items()}
+    return replace(recording, time=recording.time[chosen], signals=signals, metadata=metadata)
+
+
+def period_ends(recording: Recording) -> np.ndarray:
+    """Return the instants at which whole periods of the reference end, the last first, shape (P + 1,) [s].
+
+    They are those of the longest part of the run that repeats, since the first sample. Empty when nothing does.
+
+    Parameters
+    ----------
+    recording : Recording
+    """
+    time, reference = recording.time - recording.time[0], recording["reference"]
+    finite = np.flatnonzero(np.isfinite(reference))
+    parts = [part for part in find_parts(reference[finite], off=stopped(recording)[finite]) if len(part.ends) > 1]
+    longest = max(parts, key=lambda part: part.stop - part.start, default=None)
+    return time[:0] if longest is None else time[finite[list(longest.ends[::-1])]]
+
+
+def last_periods(recording: Recording, count: int) -> Recording:
+    """Return the last periods of a reference that repeats, up to its last reversal and no rest after it.
+
+    Parameters
+    ----------
+    recording : Recording
+    count : int
+        Number of periods.
+
+    Raises
+    ------
+    RecordingError
+        The reference does not repeat, or not so often.
+    """
+    ends = period_ends(recording)
+    if not ends.size:
+        raise RecordingError("--last-periods: the reference does not repeat; choose a part with --range or --skip")
+    if count > ends.size - 1:
+        raise RecordingError(f"--last-periods {count}: the run has {ends.size - 1} whole periods between reversals")
+    # a sample at the end begins the next period
+    return within(recording, float(ends[count]), float(ends[0]) - 0.5 * recording.sample_time)

@@ -7,12 +7,17 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Pictures with Matplotlib's object interface (no pyplot, no display). Micrometres, because people read them."""
+"""Pictures with Matplotlib's object interface (no pyplot, no display), and charts as data that a page draws too.
+
+Matplotlib is imported at the first picture only.
+"""
 
 from __future__ import annotations
 
 import base64
 import io
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -116,3 +121,200 @@ def add_legend(axis, columns: int = 4) -> None:
     axis.legend(
         loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=columns, frameon=False, fontsize=9, borderaxespad=0.2
     )
+
+
+#: Colours of lines: on white, and on a dark ground.
+COLOURS = {
+    "setpoint": ("#9a9a9a", "#8b8f98"),
+    "reference": ("#1f3b73", "#8fb0f0"),
+    "displacement": ("#d1495b", "#f0808f"),
+    "estimated": ("#2a9d8f", "#4fd0c0"),
+    "voltage": ("#6a4c93", "#bda0ea"),
+    "limit": ("#444444", "#b4b4b4"),
+    "late": ("#b36a00", "#f0b050"),
+}
+#: Colours of the first, second … run where several stand side by side.
+SIDE_BY_SIDE = ("reference", "displacement", "estimated", "voltage", "late", "limit")
+#: Points of a path in a picture; in the page there are fewer.
+PATH_POINTS = 20000
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line of a chart.
+
+    Parameters
+    ----------
+    label : str
+    colour : str
+        Of :data:`COLOURS`.
+    x, y : array, shape (N,)
+        In the units of the chart; NaN breaks the line.
+    width : float
+        [points]
+    dash : tuple of float
+        Lengths of strokes and gaps; empty: none.
+    key : array, shape (N,), optional
+        Of a path: time of each point [s], by which the page shows a part of it.
+    """
+
+    label: str
+    colour: str
+    x: np.ndarray
+    y: np.ndarray
+    width: float = 1.2
+    dash: tuple[float, ...] = ()
+    key: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class Chart:
+    """A chart.
+
+    Parameters
+    ----------
+    name : str
+        Of the chart among those of a page.
+    caption, across, up : str
+        Its caption and the labels of its axes, with units.
+    lines : sequence of Line
+    kind : str
+        ``time``: x is the time of the run [s], shared by all such charts; ``overlay``: the same of lines that have
+        instants of their own; ``graph``: x increases along each line;
+        ``path``: x goes to and fro; ``steps``: x are the left edges of bars.
+    logarithmic : str
+        Which axes are logarithmic: ``x``, ``y``, both or none of them.
+    levels : sequence of float
+        Horizontal lines, such as limits.
+    level_label : str
+        What these are.
+    shaded : tuple of float, optional
+        From where to where the chart is grey, and :attr:`shaded_label` why.
+    shaded_label : str
+    limits : tuple of float, optional
+        Ends of the vertical axis; by default those of the lines.
+    note : str
+        A sentence below the chart.
+    height : float
+        Of the picture [inches].
+    """
+
+    name: str
+    caption: str
+    across: str
+    up: str
+    lines: Sequence[Line]
+    kind: str = "time"
+    logarithmic: str = ""
+    levels: Sequence[float] = ()
+    level_label: str = ""
+    shaded: tuple[float, float] | None = None
+    shaded_label: str = ""
+    limits: tuple[float, float] | None = None
+    note: str = ""
+    height: float = 2.8
+
+
+def thin(time, columns: Sequence[np.ndarray], points: int) -> tuple[np.ndarray, list[np.ndarray], int]:
+    """Return columns over common instants so that none loses an extreme: two points for each block of samples.
+
+    In each block a column has its lowest and its highest value, in the order in which they came; the two instants are
+    those of the block's first and middle sample, so that a peak stands at most a block from its true place.
+
+    Parameters
+    ----------
+    time : array, shape (N,)
+        [s]
+    columns : sequence of array, shape (N,)
+        NaN where a block has no value.
+    points : int
+        Most points that are returned; shorter columns come back unchanged.
+
+    Returns
+    -------
+    time : array, shape (M,)
+    columns : list of array, shape (M,)
+    size : int
+        Samples of a block; 1: every sample is there.
+    """
+    if time.size <= points:
+        return time, list(columns), 1
+    size = -(-time.size // (points // 2))
+    blocks = -(-time.size // size)
+    padding = np.full(blocks * size - time.size, np.nan)
+    starts = np.arange(blocks) * size
+    middles = np.minimum(starts + size // 2, time.size - 1)
+    # the last block may be a single sample: its second instant must come after the first
+    instants = np.stack([time[starts], np.where(middles > starts, time[middles], np.nan)], axis=1).ravel()
+    thinned = []
+    for values in columns:
+        table = np.concatenate([values, padding]).reshape(blocks, size)
+        empty = np.all(np.isnan(table), axis=1)
+        low = np.argmin(np.where(np.isnan(table), np.inf, table), axis=1)
+        high = np.argmax(np.where(np.isnan(table), -np.inf, table), axis=1)
+        chosen = np.sort(np.stack([low, high], axis=1), axis=1)
+        picked = np.take_along_axis(table, chosen, axis=1)
+        picked[empty] = np.nan
+        thinned.append(picked.ravel()[np.isfinite(instants)])
+    return instants[np.isfinite(instants)], thinned, size
+
+
+def thin_path(line: Line, points: int) -> Line:
+    """Return a path with the extremes in both directions of each block of its points, and the block's first point.
+
+    Parameters
+    ----------
+    line : Line
+    points : int
+        Most points that are returned.
+    """
+    there = np.flatnonzero(np.isfinite(line.x) & np.isfinite(line.y))
+    if there.size > points:
+        blocks = max(1, points // 5)
+        size = -(-there.size // blocks)
+        starts = np.arange(0, there.size, size)
+        padded = np.concatenate([there, np.full(starts.size * size - there.size, there[-1])]).reshape(-1, size)
+        rows = np.arange(starts.size)
+        found = [padded[:, 0]]
+        for values in (line.x, line.y):
+            table = values[padded]
+            found += [padded[rows, np.argmin(table, axis=1)], padded[rows, np.argmax(table, axis=1)]]
+        there = np.unique(np.concatenate(found))
+    key = None if line.key is None else line.key[there]
+    return Line(line.label, line.colour, line.x[there], line.y[there], line.width, line.dash, key)
+
+
+def chart_figure(chart: Chart):
+    """Return the picture of a chart (Matplotlib).
+
+    Parameters
+    ----------
+    chart : Chart
+    """
+    figure, (axis,) = new_figure(chart.height)
+    if chart.shaded is not None:
+        axis.axvspan(*chart.shaded, color=COLOURS["setpoint"][0], alpha=0.25, label=chart.shaded_label, linewidth=0)
+    for line in chart.lines:
+        style = dict(color=COLOURS[line.colour][0], linewidth=line.width, label=line.label)
+        if line.dash:
+            style["linestyle"] = (0, line.dash)
+        if chart.kind == "steps":
+            axis.step(line.x, line.y, where="post", **style)
+            axis.fill_between(line.x, line.y, step="post", color=style["color"], alpha=0.15, linewidth=0)
+        elif chart.kind == "path":
+            drawn = thin_path(line, PATH_POINTS)
+            axis.plot(drawn.x, drawn.y, **style)
+        else:
+            axis.plot(*envelope(line.x, line.y), **style)
+    for number, level in enumerate(chart.levels):
+        style = dict(color=COLOURS["limit"][0], linestyle=(0, (5, 3)), linewidth=1.0)
+        axis.axhline(level, label=None if number else chart.level_label or None, **style)
+    for name in chart.logarithmic:
+        getattr(axis, f"set_{name}scale")("log")
+    if chart.limits is not None:
+        axis.set_ylim(*chart.limits)
+    axis.set(xlabel=chart.across, ylabel=chart.up)
+    if len(chart.lines) > 1 or chart.shaded is not None or chart.level_label:
+        # labels of paths are sentences
+        add_legend(axis, 1 if chart.kind == "path" else 4)
+    return figure

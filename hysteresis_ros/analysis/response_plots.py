@@ -18,12 +18,10 @@ import numpy as np
 
 from hysteresis_ros.analysis.page import render_page, write_page
 from hysteresis_ros.analysis.plots import add_legend, data_uri, new_figure
-from hysteresis_ros.control.margins import REQUIRED
-from hysteresis_ros.control.measured_loop import MeasuredLoop
+from hysteresis_ros.control.margins import REQUIRED, MeasuredLoop
 from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.files import replacing
-from hysteresis_ros.identification.response_analysis import Analysis
-from hysteresis_ros.identification.response_file import PROBABILITY
+from hysteresis_ros.identification.frequency_response import PROBABILITY, Analysis
 
 _MEASURED, _MODEL, _SECOND = "#1f3b73", "#8a8a8a", "#2a9d8f"
 _LEVELS = {"noise": ("noise", "#9a9a9a"), "odd": ("odd distortion", "#d1495b"), "even": ("even distortion", "#e09f3e")}

@@ -7,25 +7,27 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Runs side by side: one table of figures, and their charts laid over each other."""
+"""Runs side by side, of actuators or of inchworm motors: one table of figures, and their charts in common axes."""
 
 from __future__ import annotations
 
 import difflib
+import os
+import pathlib
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
-from hysteresis_ros.analysis.charts import SIDE_BY_SIDE, Chart, Line
+from hysteresis_ros.analysis.inchworm import COMMON_FIGURES, RUN_FIGURES, inchworm_figures, inchworm_run, is_inchworm
+from hysteresis_ros.analysis.inchworm_report import inchworm_charts
 from hysteresis_ros.analysis.metrics import compute_metrics
-from hysteresis_ros.analysis.page import origin
-from hysteresis_ros.analysis.plots import length_unit
-from hysteresis_ros.analysis.report import charts_of, packed_sums, render_interactive, sampling_text
+from hysteresis_ros.analysis.page import origin, write_page
+from hysteresis_ros.analysis.plots import SIDE_BY_SIDE, Chart, Line, length_unit
+from hysteresis_ros.analysis.report import ADDED, BLOCKS, charts_of, packed_sums, render_interactive, sampling_text
 from hysteresis_ros.analysis.run_charts import Judged, judged, largest_error
-from hysteresis_ros.analysis.shown_figures import format_parts, leading, part_rows
-from hysteresis_ros.analysis.spans import ADDED, BLOCKS
-from hysteresis_ros.analysis.tables import aligned, table_of
+from hysteresis_ros.analysis.tables import aligned, format_parts, leading, part_rows, table_of
 from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.recordings.dataset import Recording
 
@@ -282,3 +284,212 @@ def render_laid_over(
         configurations=configurations(runs),
         origins=[f"{name}: {origin(run)}" for name, run in runs.items()],
     )
+
+
+#: What the moves of a run come to: name, label, unit shown to people, factor from SI.
+SUMMARY = (
+    ("moves", "Moves", "", 1.0),
+    ("arrived", "Moves that arrived", "", 1.0),
+    ("failed", "Moves that did not arrive, or ended with an error", "", 1.0),
+    ("time_s", "Time of the moves that arrived", "s", 1.0),
+    ("walking_speed_m_s", "Walking speed, slowest move", "µm/s", 1e6),
+    ("final_error_rms_m", "Final error, RMS, worst move", "nm", 1e9),
+    ("final_error_max_m", "Final error, largest", "nm", 1e9),
+    ("overshoot_m", "Overshoot, worst move", "µm", 1e6),
+)
+#: Which line of a chart stands for a run.
+OVERLAID_OF_MOTORS = {"travel": "slider", "final_error": "slider − setpoint"}
+
+
+def summary(moves: list[dict]) -> dict:
+    """Return what moves come to, by the names of :data:`SUMMARY`; None where none has such a figure.
+
+    Parameters
+    ----------
+    moves : list of dict
+        Of :func:`hysteresis_ros.analysis.inchworm.inchworm_figures`.
+    """
+
+    def of(name: str) -> list[float]:
+        return [move[name] for move in moves if move[name] is not None]
+
+    outcomes = [move["outcome"] for move in moves]
+    worst = {name: max(of(name), default=None) for name in ("final_error_rms_m", "final_error_max_m", "overshoot_m")}
+    return {
+        "moves": len(moves),
+        "arrived": outcomes.count("arrived"),
+        "failed": sum(outcome == "not arrived" or outcome.startswith("error") for outcome in outcomes),
+        "time_s": sum(of("time_s")) if of("time_s") else None,
+        "walking_speed_m_s": min(of("walking_speed_m_s"), default=None),
+        **worst,
+    }
+
+
+def compare_motors(runs: dict[str, Recording]) -> dict[str, dict]:
+    """Return the figures of each run, and under ``summary`` what its moves come to.
+
+    Parameters
+    ----------
+    runs : dict of str to Recording
+        Label and run.
+
+    Raises
+    ------
+    RecordingError
+        A run cannot be judged; the message begins with its label.
+    """
+    found = figures_of_each(runs, inchworm_figures)
+    return {name: {"summary": summary(figures["moves"]), **figures} for name, figures in found.items()}
+
+
+def _rows(figures: dict[str, dict]) -> list[dict]:
+    """Return the rows of the table: the moves together, the run, and what every run has."""
+    of = list(figures.values())
+    return [
+        *table_of([one["summary"] for one in of], SUMMARY),
+        *table_of([one["run"] for one in of], RUN_FIGURES),
+        *table_of(of, COMMON_FIGURES),
+    ]
+
+
+def format_motors(figures: dict[str, dict]) -> str:
+    """Return the figures of several runs as aligned lines for a terminal.
+
+    Parameters
+    ----------
+    figures : dict of str to dict
+        Of :func:`compare_motors`.
+    """
+    return format_rows(figures, _rows(figures))
+
+
+def laid_over(runs: dict[str, Recording]) -> list[Chart]:
+    """Return position and final error of several runs over each other, each from its first sample on.
+
+    Parameters
+    ----------
+    runs : dict of str to Recording
+        Label and run.
+    """
+    found: dict[str, Chart] = {}
+    for number, (label, run) in enumerate(runs.items()):
+        colour = SIDE_BY_SIDE[number % len(SIDE_BY_SIDE)]
+        for chart in inchworm_charts(inchworm_run(replace(run, time=run.time - run.time[0]))):
+            if chart.name in OVERLAID_OF_MOTORS:
+                (line,) = [line for line in chart.lines if line.label == OVERLAID_OF_MOTORS[chart.name]]
+                first = found.setdefault(chart.name, replace(chart, lines=[], kind="overlay"))
+                first.lines.append(replace(line, label=label, colour=colour, width=1.2))
+    return [found[name] for name in OVERLAID_OF_MOTORS if name in found]
+
+
+def render_motors(runs: dict[str, Recording], title: str, figures: dict[str, dict] | None = None) -> str:
+    """Return the page of several runs: table of figures, charts laid over each other, configurations.
+
+    Parameters
+    ----------
+    runs : dict of str to Recording
+        Label and run.
+    title : str
+        Heading.
+    figures : dict of str to dict, optional
+        What :func:`compare_motors` gave, when it is known already.
+
+    Raises
+    ------
+    HysteresisError
+        Matplotlib or Jinja2 is missing, or see :func:`compare_motors`.
+    """
+    figures = figures or compare_motors(runs)
+    return render_laid_over(runs, title, figures, laid_over(runs), _rows(figures))
+
+
+class Kind(NamedTuple):
+    """How runs of a kind are judged together.
+
+    Parameters
+    ----------
+    judge : callable
+        ``judge(runs)`` returns the figures of each.
+    table : callable
+        ``table(figures)`` returns lines for a terminal.
+    render : callable
+        ``render(runs, title, figures)`` returns a page.
+    """
+
+    judge: Callable[..., dict[str, dict]]
+    table: Callable[..., str]
+    render: Callable[..., str]
+
+
+def labels_of(paths: Sequence[str | os.PathLike[str]]) -> dict[str, pathlib.Path]:
+    """Return a name for each recording: that of its file, or as much of its path as tells it from the others.
+
+    Parameters
+    ----------
+    paths : sequence of path-like
+
+    Raises
+    ------
+    RecordingError
+        One is given twice.
+    """
+    whole = [pathlib.Path(path).resolve() for path in paths]
+    if len(set(whole)) < len(whole):
+        again = next(path for path, full in zip(paths, whole, strict=True) if whole.count(full) > 1)
+        raise RecordingError(f"{again} is given more than once")
+    for parts in range(1, max((len(path.parts) for path in whole), default=1) + 1):
+        labels = ["/".join(path.parts[-parts:]) for path in whole]
+        if len(set(labels)) == len(labels):
+            break
+    return dict(zip(labels, map(pathlib.Path, paths), strict=True))
+
+
+def kind_of(runs: dict[str, Recording]) -> Kind:
+    """Return how runs are judged together.
+
+    Parameters
+    ----------
+    runs : dict of str to Recording
+        Label and run.
+
+    Raises
+    ------
+    RecordingError
+        Some are runs of an inchworm, which is judged by its moves, and others are not.
+    """
+    motors = [name for name, run in runs.items() if is_inchworm(run)]
+    others = [name for name in runs if name not in motors]
+    if motors and others:
+        raise RecordingError(
+            f"{motors[0]} is a run of an inchworm, which is judged by its moves, and {others[0]} is none: "
+            "report runs of one kind together"
+        )
+    if motors:
+        return Kind(compare_motors, format_motors, render_motors)
+    return Kind(compare_runs, format_runs, render_side_by_side)
+
+
+def report_several(runs: dict[str, Recording], path=None, title: str | None = None) -> tuple[dict[str, dict], str]:
+    """Judge runs side by side, and write a page of them; return the figures of each, and lines for a terminal.
+
+    Parameters
+    ----------
+    runs : dict of str to Recording
+        Label and run.
+    path : path-like, optional
+        HTML file.
+    title : str, optional
+        Heading; by default the labels.
+
+    Raises
+    ------
+    HysteresisError
+        There are no runs, one cannot be judged, or the page not be written.
+    """
+    if not runs:
+        raise RecordingError("there is no run to report: give at least one")
+    kind = kind_of(runs)
+    figures = kind.judge(runs)
+    if path is not None:
+        write_page(path, kind.render(runs, title or " · ".join(runs), figures))
+    return figures, kind.table(figures)

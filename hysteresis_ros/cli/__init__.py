@@ -7,4 +7,8 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The command ``hysteresis``: thin subcommands over the rest of the package."""
+"""The command ``hysteresis``: thin subcommands over the rest of the package.
+
+``entry`` starts it, ``main`` has the table of commands and imports one only when it is called; ``options`` and
+``progress`` are what commands share. Commands of the laboratory are in its folders, as ``command.py``.
+"""

@@ -15,7 +15,7 @@ import pathlib
 
 import click
 
-from hysteresis_ros.cli.arguments import Quantity
+from hysteresis_ros.cli.options import Quantity
 
 
 @click.command(short_help="Displacements out of a video or a folder of pictures.")
@@ -39,9 +39,9 @@ def camera(frames, output, config, namespace, rate, known, target, **options):
     """
     from hysteresis_ros.cli.progress import Progress
     from hysteresis_ros.errors import RecordingError
+    from hysteresis_ros.hardware.footage import Footage, follow
+    from hysteresis_ros.hardware.tracker import Tracker
     from hysteresis_ros.recordings.files import save_run
-    from hysteresis_ros.sensing.footage import Footage, follow
-    from hysteresis_ros.sensing.tracker import Tracker
 
     if sum(given is not None for given in (output, known, target)) != 1:
         raise click.UsageError("give one of -o FILE, --known FILE and --target M")
@@ -81,7 +81,7 @@ def _metres(option: str, text: str) -> float:
 def _parameters(config, namespace, calibrating, method, along, region, scale):
     """Return the parameters of the file with what the options say; a scale that is looked for may be anything."""
     from hysteresis_ros.configuration import load_configuration
-    from hysteresis_ros.sensing.tracker import CameraParameters
+    from hysteresis_ros.hardware.tracker import CameraParameters
 
     values = load_configuration(config).node("displacement_camera", namespace) if config else {}
     known = {row.name for row in CameraParameters.table() if not (calibrating and row.name.startswith("calibration."))}
@@ -105,8 +105,8 @@ def _parameters(config, namespace, calibrating, method, along, region, scale):
 
 def _of_motion(seen, known):
     from hysteresis_ros.errors import RecordingError
+    from hysteresis_ros.hardware.footage import scale_of_motion
     from hysteresis_ros.recordings.files import load_run
-    from hysteresis_ros.sensing.scale import scale_of_motion
 
     table = load_run(known)
     name = next((name for name in ("displacement", "measured", "position") if name in table), None)
@@ -118,9 +118,8 @@ def _of_motion(seen, known):
 
 
 def _of_target(footage, size, parameters):
-    from hysteresis_ros.sensing.images import FrameError
-    from hysteresis_ros.sensing.scale import scale_of_target
-    from hysteresis_ros.sensing.tracker import fits, looked_at
+    from hysteresis_ros.hardware.footage import scale_of_target
+    from hysteresis_ros.hardware.tracker import FrameError, fits, looked_at
 
     first, tracking = next(iter(footage)), parameters.tracking
     if first is None or not fits(first, tracking):

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""``hysteresis commission``: from a new parameter file to a closed loop that was judged, stage by stage."""
+"""``hysteresis new|commission``: from an axis of which nothing is known to a closed loop that was judged."""
 
 from __future__ import annotations
 
@@ -18,6 +18,59 @@ from dataclasses import replace
 import click
 
 from hysteresis_ros.cli.progress import Progress
+
+#: What is asked on a terminal when its option is missing: the option, the words of the question, and an example.
+QUESTIONS = {
+    "stroke": ("--stroke", "How far does the actuator move over its range of voltage?", "100um"),
+    "voltage": ("--voltage", "Which voltages may be put out?", "0:100V"),
+    "rate": ("--rate", "How many samples per second?", "1kHz"),
+}
+
+
+@click.command(short_help="Write a safe parameter file for a new axis.")
+@click.argument("file", type=click.Path(path_type=pathlib.Path))
+@click.option("--stroke", "--range", metavar="LENGTH", help="Displacement over the range of voltage, such as 100um.")
+@click.option("--voltage", metavar="MIN:MAX", help="Range of voltage, such as 0:100V or -30..120V.")
+@click.option("--rate", metavar="FREQUENCY", help="Sample rate, such as 2kHz.")
+@click.option("--driver", metavar="NAME|PATH", default="", help="Driver of the device; by default the simulated plant.")
+@click.option("--driver-option", "options", metavar="NAME=VALUE", multiple=True, help="What the driver is opened with.")
+@click.option(
+    "--plant",
+    type=click.Choice(["own", "external"]),
+    default="own",
+    show_default=True,
+    help="external: a node of yours publishes joint_states in plant_simulator's place.",
+)
+@click.option("--joint", default="stage", show_default=True, help="Name of the joint in joint_states.")
+def new(file, driver, options, plant, joint, **given):
+    """Write FILE, a commented parameter file that is safe: open loop, no inverse, small limits, slow.
+
+    What is not given is asked for on a terminal. `hysteresis commission FILE` does the rest.
+    """
+    from hysteresis_ros.cli.commissioning.new_file import NewAxis, parsed, parsed_range, write_new
+    from hysteresis_ros.errors import ConfigurationError
+
+    if file.exists():
+        raise ConfigurationError(f"{file}: exists already; choose another name or remove it")
+    for name, (option, words, example) in QUESTIONS.items():
+        if given[name] is None and sys.stdin.isatty() and sys.stdout.isatty():
+            given[name] = click.prompt(words, default=example)
+        elif given[name] is None:
+            raise ConfigurationError(f"{option} is missing: {words} Give it, such as {option} {example}")
+    low, high = parsed_range("--voltage", given["voltage"], "V")
+    axis = NewAxis(
+        stroke=parsed("--stroke", given["stroke"], "m"),
+        minimum=low,
+        maximum=high,
+        sample_rate=parsed("--rate", given["rate"], "Hz"),
+        driver=driver,
+        driver_options=options,
+        external=plant == "external",
+        joint=joint,
+    )
+    write_new(file, axis)
+    click.echo(f"{file}: written; next: hysteresis commission {file}")
+
 
 #: Exit code of a scan whose error is much larger than the predicted one; the files are written.
 UNPREDICTED = 4
@@ -57,10 +110,9 @@ def commission(ctx, file, stages, resume, yes, directory, plant, offline, **choi
     4: the scan's error is much larger than predicted.
     """
     from hysteresis_ros.analysis.commissioning_report import write_commissioning_report
-    from hysteresis_ros.commissioning.commission import commission as do
-    from hysteresis_ros.commissioning.commission import require_stages
-    from hysteresis_ros.commissioning.folder import COMMISSIONED
-    from hysteresis_ros.commissioning.stages import STAGES
+    from hysteresis_ros.cli.commissioning.situation import COMMISSIONED
+    from hysteresis_ros.cli.commissioning.stages import STAGES, require_stages
+    from hysteresis_ros.cli.commissioning.stages import commission as do
 
     require_stages(stages)
     directory = directory or file.with_name(f"{file.stem}_commissioning")
@@ -90,14 +142,11 @@ def commission(ctx, file, stages, resume, yes, directory, plant, offline, **choi
 
 def _situation(file, directory, resumed, plant, offline, choices):
     """Return what the stages know, and the bench."""
-    from hysteresis_ros.commissioning.bench import OfflineBench
-    from hysteresis_ros.commissioning.folder import Folder
-    from hysteresis_ros.commissioning.graph_bench import GraphBench
-    from hysteresis_ros.commissioning.new_file import parsed
-    from hysteresis_ros.commissioning.plan import plan_of
-    from hysteresis_ros.commissioning.situation import Situation
+    from hysteresis_ros.cli.commissioning.bench import GraphBench, OfflineBench
+    from hysteresis_ros.cli.commissioning.new_file import parsed
+    from hysteresis_ros.cli.commissioning.situation import Folder, Situation, plan_of
     from hysteresis_ros.configuration import load_configuration
-    from hysteresis_ros.simulation.axes import single_axis
+    from hysteresis_ros.loop.reach import single_axis
 
     configuration = load_configuration(file)
     if plant is not None:

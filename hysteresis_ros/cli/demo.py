@@ -85,8 +85,8 @@ def _new_folder(output: str) -> pathlib.Path:
 
 def _axes(factor: float) -> dict:
     """Return the axes by the folders of their recordings."""
-    from hysteresis_ros.block import COMPILED
     from hysteresis_ros.configuration import config_path, load_configuration
+    from hysteresis_ros.models.block import COMPILED
 
     configuration = load_configuration(config_path("kim2009"))
     # without compiled kernels no loop is fast enough: then the nodes run as fast as they can, and wait for each other
@@ -110,7 +110,7 @@ def _axes(factor: float) -> dict:
 
 def _axis(configuration, name: str, duration: float | None = None):
     """Return an axis in a namespace of its own: another graph may enter the domain while this one runs."""
-    from hysteresis_ros.simulation.axes import axes
+    from hysteresis_ros.loop.reach import axes
 
     axis = replace(axes(configuration)[0], namespace=f"/demo_{os.getpid()}/{name}")
     return axis if duration is None else axis.with_duration(duration)
@@ -118,7 +118,7 @@ def _axis(configuration, name: str, duration: float | None = None):
 
 def _compile(axes, progress: Progress) -> None:
     """Make the loops once, so that the processes find their code in the cache."""
-    from hysteresis_ros.block import COMPILED
+    from hysteresis_ros.models.block import COMPILED
 
     if not COMPILED:
         progress.say("Numba is not installed: nothing is compiled, so the nodes run in lockstep, not in real time")
@@ -200,11 +200,11 @@ def _run_processes(axis, folder: pathlib.Path, progress: Progress) -> list[str]:
 
 def _unlike_twin(bag: pathlib.Path) -> tuple[int, str]:
     """Return the number of samples of a recorded run, and in what it differs from its twin; empty: in nothing."""
-    from hysteresis_ros.cli.verify import unlike
+    from hysteresis_ros.cli.recording import unlike
     from hysteresis_ros.configuration import parse_configuration
+    from hysteresis_ros.loop.reach import single_axis
+    from hysteresis_ros.loop.simulation import differences
     from hysteresis_ros.recordings.files import load_run
-    from hysteresis_ros.simulation.axes import single_axis
-    from hysteresis_ros.simulation.run import differences
 
     run = load_run(bag, further=True)
     axis = single_axis(parse_configuration(run.configuration, str(bag)), run.metadata["namespace"])
@@ -236,9 +236,9 @@ def _report(folder: pathlib.Path, axes: dict, proof: list[str], progress: Progre
     from hysteresis_ros.analysis.metrics import compute_metrics
     from hysteresis_ros.analysis.plots import MissingExtraError, data_uri, png
     from hysteresis_ros.analysis.report import write_report
-    from hysteresis_ros.analysis.shown_figures import format_parts
+    from hysteresis_ros.analysis.tables import format_parts
+    from hysteresis_ros.loop.simulation import simulate
     from hysteresis_ros.recordings.files import load_run
-    from hysteresis_ros.simulation.run import simulate
 
     runs = {name: load_run(folder / name, further=True) for name in axes}
     with progress.during("the method alone: offline, without a missed deadline"):

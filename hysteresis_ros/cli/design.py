@@ -15,11 +15,11 @@ import pathlib
 
 import click
 
-from hysteresis_ros.cli.arguments import ConfigurationName, Quantity
+from hysteresis_ros.cli.options import ConfigurationName, Quantity
 from hysteresis_ros.cli.progress import shown
-from hysteresis_ros.control.damping import registry as damping
-from hysteresis_ros.control.learning.filters import KINDS
-from hysteresis_ros.control.registry import DESIGNS
+from hysteresis_ros.control.controller import DESIGNS
+from hysteresis_ros.control.damping import inner_loop as damping
+from hysteresis_ros.designs.learning_filters import KINDS
 
 
 @click.command(short_help="Design a controller from the model in a configuration.")
@@ -73,22 +73,22 @@ def design(config, namespace, output, response, **options):
     the controller stays, and what learns over it is designed.
     """
     from hysteresis_ros.configuration import load_configuration, normalised_namespace
-    from hysteresis_ros.identification.parameter_file import write_file
-    from hysteresis_ros.identification.response_file import load_response
-    from hysteresis_ros.loop.inchworm_checks import design_warnings
-    from hysteresis_ros.simulation.axes import single_axis
-    from hysteresis_ros.simulation.design import (
+    from hysteresis_ros.designs.controller import (
         OPTIONS,
         DesignRequest,
         design_axis,
         design_file,
         design_lines,
         drawn_around,
+        response_uncertainty,
     )
-    from hysteresis_ros.simulation.design_certainty import response_uncertainty
-    from hysteresis_ros.simulation.learning_design import asked, design_learning, learning_file, learning_lines
-    from hysteresis_ros.simulation.measured_design import measured_lines, measured_uncertainty
-    from hysteresis_ros.simulation.setpoint_step import step_lines
+    from hysteresis_ros.designs.learning import asked, design_learning, learning_file, learning_lines
+    from hysteresis_ros.designs.measured import measured_lines, measured_uncertainty
+    from hysteresis_ros.designs.setpoint_step import step_lines
+    from hysteresis_ros.identification.frequency_response import load_response
+    from hysteresis_ros.identification.parameter_file import write_file
+    from hysteresis_ros.loop.inchworm_checks import design_warnings
+    from hysteresis_ros.loop.reach import single_axis
 
     configuration = load_configuration(config)
     axis = single_axis(configuration, namespace or None)

@@ -7,11 +7,17 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""``hysteresis doctor``: what this machine holds, and what it lacks."""
+"""``hysteresis doctor``: what this machine holds in real time, what it lacks, and what to do about it."""
 
 from __future__ import annotations
 
+import importlib.metadata
+import importlib.util
+import os
 import pathlib
+import platform
+import subprocess
+import sys
 import time
 from dataclasses import asdict
 from typing import TYPE_CHECKING
@@ -22,6 +28,135 @@ from hysteresis_ros.cli.progress import Progress
 
 if TYPE_CHECKING:
     from hysteresis_ros.nodes.trial import Answers
+
+#: Libraries, and the extra of this package that brings each, empty: always.
+LIBRARIES = {
+    "numpy": "",
+    "scipy": "",
+    "numba": "fast",
+    "rosbags": "",
+    "mcap": "",
+    "ros-jazzy-rclpy": "ros",
+    "ros-jazzy-common-interfaces": "ros",
+    "matplotlib": "report",
+    "jinja2": "report",
+    "rich": "progress",
+}
+#: Modules of those that also come without a wheel, with ROS 2 from apt.
+MODULES = {"ros-jazzy-rclpy": "rclpy", "ros-jazzy-common-interfaces": "sensor_msgs"}
+#: Priority that a fused loop asks for by default.
+PRIORITY = 80
+#: Longest wait for the name of the middleware [s].
+PATIENCE = 10.0
+#: Asks rclpy in a process of its own: it is loaded nowhere but in nodes.
+ASK_MIDDLEWARE = "from rclpy.utilities import get_rmw_implementation_identifier as name; print(name())"
+
+
+def versions() -> dict[str, str]:
+    """Return the version of each library; 'not installed' where there is none."""
+    found = {}
+    for name in LIBRARIES:
+        try:
+            found[name] = importlib.metadata.version(name)
+        except importlib.metadata.PackageNotFoundError:
+            there = importlib.util.find_spec(MODULES.get(name, name)) is not None
+            found[name] = "from ROS 2" if there else "not installed"
+    found |= {
+        name: distribution.version
+        for distribution in importlib.metadata.distributions()
+        if "rmw" in (name := distribution.metadata["Name"] or "") and name.endswith("cpp")
+    }
+    return found
+
+
+def middleware() -> str:
+    """Return what carries the messages, such as rmw_fastrtps_cpp; empty without ROS."""
+    if importlib.util.find_spec("rclpy") is None:
+        return ""
+    try:
+        command = [sys.executable, "-c", ASK_MIDDLEWARE]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE)
+    except (OSError, subprocess.TimeoutExpired):
+        return ""
+    return done.stdout.strip()
+
+
+def _limit(name: str) -> int | None:
+    """Return the soft limit of this process; -1: none, None: unknown here."""
+    try:
+        import resource
+    except ImportError:  # no Unix
+        return None
+    kind = getattr(resource, name, None)
+    if kind is None:
+        return None
+    soft = resource.getrlimit(kind)[0]
+    return -1 if soft == resource.RLIM_INFINITY else soft
+
+
+def _text(path: str) -> str:
+    try:
+        return pathlib.Path(path).read_text(encoding="utf-8").strip()
+    except OSError:
+        return ""
+
+
+def system() -> dict:
+    """Return what the operating system is and permits."""
+    cores = os.sched_getaffinity(0) if hasattr(os, "sched_getaffinity") else range(os.cpu_count() or 1)
+    return {
+        "python": platform.python_version(),
+        "system": f"{platform.system()} {platform.release()}",
+        "preempt_rt": _text("/sys/kernel/realtime") == "1",
+        "cores": len(cores),
+        "load": os.getloadavg()[0],
+        "governor": _text("/sys/devices/system/cpu/cpu0/cpufreq/scaling_governor") or "unknown",
+        "rtprio": _limit("RLIMIT_RTPRIO"),
+        "memlock_bytes": _limit("RLIMIT_MEMLOCK"),
+    }
+
+
+def kernel_cache() -> dict:
+    """Return where machine code is kept, and how many bytes it takes."""
+    from hysteresis_ros.models.block import COMPILED, cache_folder
+
+    if not COMPILED:
+        return {"folder": None, "bytes": 0}
+    folder = pathlib.Path(os.environ.get("NUMBA_CACHE_DIR") or cache_folder())
+    return {"folder": str(folder), "bytes": sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())}
+
+
+def advice(found: dict, permitted: bool) -> list[str]:
+    """Return a line for each thing that is missing: what it is for, and what to do.
+
+    Parameters
+    ----------
+    found : dict
+        With ``libraries``, ``system`` and ``middleware``.
+    permitted : bool
+        Whether a thread got its priority.
+    """
+    lines, system_ = [], found["system"]
+    extras: dict[str, list[str]] = {}
+    for name, version in found["libraries"].items():
+        if version == "not installed":
+            extras.setdefault(LIBRARIES[name], []).append(name)
+    for extra, names in extras.items():
+        what = f"hysteresis_ros[{extra}]" if extra else "hysteresis_ros"
+        lines.append(f'{" and ".join(names)} missing: pip install "{what}"')
+    if not permitted:
+        lines.append(
+            f"no priority for the loop: a line '@GROUP - rtprio {PRIORITY}' in /etc/security/limits.conf and a new "
+            "login, or CAP_SYS_NICE"
+        )
+    if system_["cores"] < 2:
+        lines.append("one core: whatever else runs keeps the loop waiting; give it a second one (realtime.cpu)")
+    if system_["governor"] not in ("performance", "unknown"):
+        lines.append(
+            f"governor {system_['governor']}: cores sleep deeply; choose 'performance' (cpupower frequency-set)"
+        )
+    return lines
+
 
 #: Rates that are tried [Hz], and for how long each [s].
 RATES, SECONDS = (1e3, 3e3, 1e4, 2e4, 5e4), 0.8
@@ -50,8 +185,6 @@ def doctor(path: pathlib.Path | None) -> None:
     progress = Progress(steady=True)
     progress.say("what this machine holds (Kim's axis, simulated); it takes up to a minute")
     with progress.during("looking at the installation"):
-        from hysteresis_ros.cli.machine import advice, kernel_cache, middleware, system, versions
-
         found: dict = {"system": system(), "libraries": versions(), "middleware": middleware()}
     for line in _installed(found):
         progress.say(line)
@@ -85,7 +218,7 @@ def _installed(found: dict):
 def _axis(rate: float):
     """Return Kim's axis at another rate; what is asked of time does not depend on its dynamics."""
     from hysteresis_ros.configuration import config_path, load_configuration
-    from hysteresis_ros.simulation.axes import axes
+    from hysteresis_ros.loop.reach import axes
 
     configuration = load_configuration(config_path("kim2009")).override("", sample_rate=rate, exit_at_end=True)
     configuration = configuration.override("plant_simulator", dynamics__sample_time=0.0)
@@ -98,15 +231,14 @@ def _axis(rate: float):
 
 def _fused(progress: Progress) -> list[dict]:
     """Return what a fused loop did at each rate, with priority and without."""
-    from hysteresis_ros.block import COMPILED
-    from hysteresis_ros.cli.machine import PRIORITY
+    from hysteresis_ros.models.block import COMPILED
 
     if not COMPILED:
         from hysteresis_ros.loop.fused import INTERPRETED_RATE
 
         progress.say(f"fused: {INTERPRETED_RATE:g} Hz at most without Numba; nothing was measured")
         return []
-    from hysteresis_ros.loop.trial import LATEST, MOST_SKIPPED, tick_cost
+    from hysteresis_ros.loop.fused import LATEST, MOST_SKIPPED, tick_cost
 
     with progress.during("compiling the loop, once for this version"):
         cost = tick_cost(_axis(RATES[0]))
@@ -137,7 +269,7 @@ def _fused(progress: Progress) -> list[dict]:
 
 
 def _trial(rate: float, priority: int) -> dict:
-    from hysteresis_ros.loop.trial import trial
+    from hysteresis_ros.loop.fused import trial
 
     done = trial(_axis(rate), SECONDS, priority)
     late = done.lateness

@@ -16,9 +16,8 @@ import pathlib
 
 import click
 
-from hysteresis_ros.cli.arguments import ConfigurationName, Quantity, split_options, splitting
+from hysteresis_ros.cli.options import ConfigurationName, Quantity, reference_options, split_options, splitting
 from hysteresis_ros.cli.progress import Progress
-from hysteresis_ros.cli.reference_options import reference_options
 from hysteresis_ros.references.recipes import RECIPES
 
 
@@ -56,18 +55,16 @@ def excite(
     --frequency that of triangles and decaying, of the lines of the multisine, of the chirp's start. With --reference
     lengths may be given in volts too (60V), or in metres at the gain of the compensator's model (5um).
     """
-    from hysteresis_ros.commissioning.bench import require_sound
+    from hysteresis_ros.cli.commissioning.bench import require_sound
     from hysteresis_ros.configuration import load_configuration
     from hysteresis_ros.errors import ConfigurationError
-    from hysteresis_ros.loop.axis_parameters import in_time
+    from hysteresis_ros.loop.parameters import in_time
+    from hysteresis_ros.loop.reach import axes, single_axis
     from hysteresis_ros.models.hysteresis import hysteresis_block
     from hysteresis_ros.nodes.domain import Domain
     from hysteresis_ros.nodes.launcher import Graph
     from hysteresis_ros.recordings.files import load_run
-    from hysteresis_ros.references.asked import played
-    from hysteresis_ros.references.recipes import in_metres, recipe
-    from hysteresis_ros.simulation.axes import axes, single_axis
-    from hysteresis_ros.simulation.driven_axis import driven, write_samples
+    from hysteresis_ros.references.recipes import driven, in_metres, played, recipe, write_samples
 
     if bool(name) == bool(reference.kind):
         raise click.UsageError(f"give one of --recipe ({', '.join(RECIPES)}) and --reference")

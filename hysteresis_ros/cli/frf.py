@@ -15,8 +15,7 @@ import pathlib
 
 import click
 
-from hysteresis_ros.cli.arguments import ConfigurationName
-from hysteresis_ros.cli.data_options import write_json
+from hysteresis_ros.cli.options import ConfigurationName, write_json
 from hysteresis_ros.cli.progress import Progress
 
 #: Endings of recordings; a folder is a bag.
@@ -78,7 +77,7 @@ def frf(source, outputs, plot, report, json_path, namespace, **options):
     """
     from hysteresis_ros.analysis.page import require_page
     from hysteresis_ros.analysis.response_plots import require_picture
-    from hysteresis_ros.identification.response_file import require_response_file, save_response
+    from hysteresis_ros.identification.frequency_response import require_response_file, save_response
 
     # before anything moves
     for names, required in ((outputs, require_response_file), ([plot], require_picture), ([report], require_page)):
@@ -107,7 +106,7 @@ def frf(source, outputs, plot, report, json_path, namespace, **options):
 
 def _with_units(options: dict) -> dict:
     """Return the options that carry units, in SI."""
-    from hysteresis_ros.commissioning.new_file import parsed
+    from hysteresis_ros.cli.commissioning.new_file import parsed
 
     given = {name: options[name] for name in WITH_UNITS if options[name] is not None}
     return {name: parsed(f"--{name}", text, WITH_UNITS[name]) for name, text in given.items()}
@@ -115,10 +114,10 @@ def _with_units(options: dict) -> dict:
 
 def _of_recording(path: pathlib.Path, namespace, options: dict):
     """Return the response of a recording."""
-    from hysteresis_ros.commissioning.bench import require_sound
+    from hysteresis_ros.cli.commissioning.bench import require_sound
+    from hysteresis_ros.designs.frequency_response import plan_file, read_plan, recorded_response
     from hysteresis_ros.errors import ConfigurationError
     from hysteresis_ros.recordings.files import load_run
-    from hysteresis_ros.simulation.recorded_response import plan_file, read_plan, recorded_response
 
     for name in ("amplitude", "offset", "low", "high", "duration", "record", "rate"):
         if options[name] is not None:
@@ -138,15 +137,12 @@ def _of_configuration(source, namespace, options: dict):
     import contextlib
     import tempfile
 
-    from hysteresis_ros.commissioning.bench import OfflineBench, require_sound
-    from hysteresis_ros.commissioning.graph_bench import GraphBench
+    from hysteresis_ros.cli.commissioning.bench import GraphBench, OfflineBench, require_sound
     from hysteresis_ros.configuration import load_configuration
+    from hysteresis_ros.designs.frequency_response import ResponseRequest, axis_response, plan_file, response_run
     from hysteresis_ros.identification.excitations import Experiment
+    from hysteresis_ros.loop.reach import single_axis
     from hysteresis_ros.recordings.files import save_run
-    from hysteresis_ros.simulation.axes import single_axis
-    from hysteresis_ros.simulation.axis_response import axis_response
-    from hysteresis_ros.simulation.recorded_response import plan_file
-    from hysteresis_ros.simulation.response_run import ResponseRequest, response_run
 
     names = ("periods", "settle", "realisations", "points", "seed")
     kind = options["kind"] or "multisine"

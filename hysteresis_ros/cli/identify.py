@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""``hysteresis identify``: from a recording to a parameter file that the nodes run."""
+"""``hysteresis identify``, ``validate`` and ``models``: from a recording to a parameter file, and its validation."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ import pathlib
 
 import click
 
-from hysteresis_ros.cli.arguments import ConfigurationName
-from hysteresis_ros.cli.data_options import data_options, format_figures, read, write_json
-from hysteresis_ros.cli.progress import Progress
+from hysteresis_ros.cli.options import ConfigurationName, data_options, format_figures, read, write_json
+from hysteresis_ros.cli.progress import Progress, shown
+from hysteresis_ros.errors import ConfigurationError
 
 #: Exit code of a fit that did not converge: the best point was written.
 NOT_CONVERGED = 3
@@ -90,7 +90,7 @@ def identify(
     point was written. 4: the recording shows that the model is not fit for feedback as fast as it would allow by
     itself; one line says at which frequency, and a design keeps below. 2: wrong input.
     """
-    from hysteresis_ros.identification.response_file import holds_response
+    from hysteresis_ros.identification.frequency_response import holds_response
 
     if into is not None or order is not None or holds_response(data):
         _dynamics(data, into, order, params, columns["namespace"], json_path)
@@ -125,10 +125,10 @@ def identify(
 def _dynamics(data, into, order, params, namespace, json_path) -> None:
     """Put the dynamics of a frequency response into an axis."""
     from hysteresis_ros.configuration import load_configuration
+    from hysteresis_ros.designs.measured import with_measured_dynamics
     from hysteresis_ros.errors import ConfigurationError
+    from hysteresis_ros.identification.frequency_response import load_response
     from hysteresis_ros.identification.parameter_file import write_file
-    from hysteresis_ros.identification.response_file import load_response
-    from hysteresis_ros.simulation.measured_design import with_measured_dynamics
 
     if into is None:
         raise ConfigurationError(
@@ -142,3 +142,97 @@ def _dynamics(data, into, order, params, namespace, json_path) -> None:
     write_file(params, found.text)
     summary = {**found.figures, "parameter_file": str(params), "warnings": list(found.warnings)}
     write_json(summary, json_path, format_figures(summary))
+
+
+@click.command(short_help="Validate a parameter file on a recording.")
+@click.argument("params", type=ConfigurationName())
+@click.argument("data", type=click.Path(path_type=pathlib.Path))
+@click.option("--report", "report_path", type=click.Path(path_type=pathlib.Path), help="HTML page to write.")
+@click.option("--no-inverse", is_flag=True, help="Leave the inverse out.")
+@data_options
+def validate(params, data, report_path, no_inverse, skip, offset, intersample, initial, json_path, **columns):
+    """Simulate the plant of PARAMS under the voltage of DATA and compare with what was measured.
+
+    Prints the errors of the model (m, % of stroke, fit %), of its inverse (V, m), and whether the residual is white.
+    """
+    from hysteresis_ros.identification import workflow
+
+    namespace = columns["namespace"] or ""
+    reading = read(data, whole=True, **columns)
+    conditions = dict(skip=skip, offset=offset, intersample=intersample, initial=initial)
+    with shown("simulating what was measured"):
+        found = workflow.validate(params, reading, namespace=namespace, inverse=not no_inverse, **conditions)
+    summary = {**found.figures, "warnings": list(found.warnings)}
+    if report_path is not None:
+        from hysteresis_ros.analysis.identification_report import write_validation_report
+
+        write_validation_report(report_path, found)
+        summary["report"] = str(report_path)
+    write_json(summary, json_path, format_figures(summary, FIRST))
+
+
+@click.command(short_help="List the models with parameters, units and inverses.")
+@click.argument("name", required=False)
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@click.option("--yaml", "as_yaml", is_flag=True, help="Print the parameter file of an axis with an example of NAME.")
+def models(name, as_json, as_yaml):
+    """Print all models, or all about the model NAME."""
+    from hysteresis_ros.identification.registry import find_model
+    from hysteresis_ros.models.hysteresis import MODELS
+
+    chosen = {name: find_model(name)} if name else MODELS
+    if as_yaml:
+        from hysteresis_ros.identification.parameter_file import example_text
+
+        if not name:
+            raise ConfigurationError(f"--yaml: of which model? There are: {', '.join(MODELS)}")
+        click.echo(example_text(chosen[name]), nl=False)
+        return
+    if as_json:
+        import json
+
+        click.echo(json.dumps({key: _entry(model) for key, model in chosen.items()}, indent=2, ensure_ascii=False))
+        return
+    click.echo("\n".join(line for key, model in chosen.items() for line in _lines(key, model, bool(name))))
+
+
+def _entry(model) -> dict:
+    from hysteresis_ros.identification.registry import linear_words
+
+    return {
+        "title": model.title,
+        "data": model.data,
+        "inverses": list(model.inverses),
+        "linear": ["auto", "none", *linear_words(model)],
+        "parameters": [
+            {"name": row.name, "unit": row.unit, "type": row.type_name, "description": row.description}
+            for row in model.rows()
+        ],
+        "options": {key: option.description for key, option in model.options.items()},
+    }
+
+
+def _lines(name, model, whole):
+    from hysteresis_ros.identification.chains import STAGES
+    from hysteresis_ros.identification.registry import linear_words
+
+    linear = linear_words(model)
+    yield f"{name}: {model.title}"
+    yield f"  data      {model.data}"
+    yield f"  inverse   {', '.join(model.inverses)}"
+    if linear:
+        yield f"  linear    {', '.join(('auto', 'none', *linear))}"
+    yield "  parameters"
+    for row in model.rows():
+        unit = f" [{row.unit}]" if row.unit else ""
+        yield f"    {row.name}{unit}: {row.description}"
+    if model.options:
+        yield "  options (-p NAME=VALUE)"
+        for key, option in model.options.items():
+            choices = f" ({', '.join(option.choices)})" if option.choices else ""
+            yield f"    {key}: {option.description}{choices}"
+    if whole and model.stages:
+        yield "  linear stages"
+        for key, text in STAGES.items():
+            yield f"    {key}: {text}"
+    yield ""

@@ -46,10 +46,13 @@ GROUPS: dict[str, dict[str, tuple[str, str]]] = {
         "demo": ("hysteresis_ros.cli.demo:demo", "Run an axis in real time and as four processes, and report it."),
     },
     "Look at runs": {
-        "watch": ("hysteresis_ros.cli.watch:watch", "Show a running axis in the browser, and tune it there."),
-        "report": ("hysteresis_ros.cli.report:report", "Judge recordings: figures, charts, one HTML page."),
-        "export": ("hysteresis_ros.cli.export:export", "Convert a recording to .npz or .csv."),
-        "repair": ("hysteresis_ros.cli.repair:repair", "Repair a bag that was cut off."),
+        "watch": (
+            "hysteresis_ros.laboratory.watch.command:watch",
+            "Show a running axis in the browser, and tune it there.",
+        ),
+        "report": ("hysteresis_ros.cli.recording:report", "Judge recordings: figures, charts, one HTML page."),
+        "export": ("hysteresis_ros.cli.recording:export", "Convert a recording to .npz or .csv."),
+        "repair": ("hysteresis_ros.cli.recording:repair", "Repair a bag that was cut off."),
     },
     "Identify": {
         "excite": (
@@ -58,17 +61,17 @@ GROUPS: dict[str, dict[str, tuple[str, str]]] = {
         ),
         "identify": ("hysteresis_ros.cli.identify:identify", "Fit a model to a recording, and write a parameter file."),
         "validate": (
-            "hysteresis_ros.cli.validate:validate",
+            "hysteresis_ros.cli.identify:validate",
             "Check a parameter file on a recording that was not fitted.",
         ),
         "frf": ("hysteresis_ros.cli.frf:frf", "Measure a frequency response, or estimate it from a recording."),
         "models": (
-            "hysteresis_ros.cli.models:models",
+            "hysteresis_ros.cli.identify:models",
             "List the hysteresis models with parameters, units and inverses.",
         ),
     },
     "Design": {
-        "new": ("hysteresis_ros.cli.new:new", "Write a safe parameter file for a new stage."),
+        "new": ("hysteresis_ros.cli.commission:new", "Write a safe parameter file for a new stage."),
         "commission": (
             "hysteresis_ros.cli.commission:commission",
             "Take a new stage to a closed loop: identify, design, judge.",
@@ -78,29 +81,41 @@ GROUPS: dict[str, dict[str, tuple[str, str]]] = {
             "Design a controller, damping or learning for an identified axis.",
         ),
         "parameters": (
-            "hysteresis_ros.cli.parameters:parameters",
+            "hysteresis_ros.cli.describe:parameters",
             "List the parameters of the nodes with unit, range and default.",
         ),
     },
     "Hardware": {
-        "emulate": ("hysteresis_ros.cli.emulate:emulate", "Emulate a device, with a plant inside and faults."),
-        "ioc": ("hysteresis_ros.cli.ioc:ioc", "Serve axes as EPICS motor records."),
+        "emulate": (
+            "hysteresis_ros.laboratory.emulation.command:emulate",
+            "Emulate a device, with a plant inside and faults.",
+        ),
+        "ioc": ("hysteresis_ros.laboratory.epics.command:ioc", "Serve axes as EPICS motor records."),
         "camera": ("hysteresis_ros.cli.camera:camera", "Measure displacements in a video or a folder of pictures."),
-        "policy": ("hysteresis_ros.cli.policy:policy", "Write the SROS 2 policy of the nodes."),
-        "urdf": ("hysteresis_ros.cli.urdf:urdf", "Print an axis as a URDF with its joint and limits."),
+        "policy": ("hysteresis_ros.cli.describe:policy", "Write the SROS 2 policy of the nodes."),
+        "urdf": ("hysteresis_ros.cli.describe:urdf", "Print an axis as a URDF with its joint and limits."),
     },
     "Study": {
-        "compare": ("hysteresis_ros.cli.compare:compare", "Rank controllers and compensators for an axis."),
-        "sweep": ("hysteresis_ros.cli.sweep:sweep", "Run an axis with varied parameters: yield, sensitivity."),
+        "compare": (
+            "hysteresis_ros.laboratory.comparison.command:compare",
+            "Rank controllers and compensators for an axis.",
+        ),
+        "sweep": (
+            "hysteresis_ros.laboratory.sweeps.command:sweep",
+            "Run an axis with varied parameters: yield, sensitivity.",
+        ),
         "reproduce": (
-            "hysteresis_ros.cli.reproduce:reproduce",
+            "hysteresis_ros.laboratory.papers.command:reproduce",
             "Repeat a paper's experiments: figure in the paper, figure here.",
         ),
     },
     "Check": {
-        "verify": ("hysteresis_ros.cli.verify:verify", "Compare a recorded run with its offline twin, bit for bit."),
+        "verify": ("hysteresis_ros.cli.recording:verify", "Compare a recorded run with its offline twin, bit for bit."),
         "doctor": ("hysteresis_ros.cli.doctor:doctor", "Measure which sample rates this machine holds."),
-        "faults": ("hysteresis_ros.cli.faults:faults", "Break a simulated axis in every way, and report what held."),
+        "faults": (
+            "hysteresis_ros.laboratory.campaign.command:faults",
+            "Break a simulated axis in every way, and report what held.",
+        ),
     },
 }
 #: The same by name.

@@ -16,7 +16,7 @@ import os
 
 import click
 
-from hysteresis_ros.cli.arguments import NodeName
+from hysteresis_ros.cli.options import NodeName
 
 
 def steered(timeout: float = 10.0):
@@ -74,8 +74,7 @@ def in_graph(command: str, namespace: str, timeout: float, **arguments) -> None:
     if code is not None:
         raise SystemExit(code)
 
-    from hysteresis_ros.nodes.launcher import node_environment, require_ros
-    from hysteresis_ros.nodes.parent import die_with_parent
+    from hysteresis_ros.nodes.launcher import die_with_parent, node_environment, require_ros
 
     require_ros()
     # a process of its own: the pip wheels of ROS restart the interpreter on import

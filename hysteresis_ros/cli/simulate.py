@@ -15,9 +15,8 @@ from typing import Any
 
 import click
 
-from hysteresis_ros.cli.arguments import ConfigurationName, Quantity, laid_under, params_file_option
+from hysteresis_ros.cli.options import ConfigurationName, Quantity, laid_under, params_file_option, reference_options
 from hysteresis_ros.cli.progress import shown
-from hysteresis_ros.cli.reference_options import reference_options
 
 
 @click.command(short_help="Simulate a configuration without ROS.")
@@ -48,13 +47,12 @@ from hysteresis_ros.cli.reference_options import reference_options
 @click.option("--namespace", help="Which axis of the configuration, when it describes several.")
 def simulate(config, output, laid_over, duration, setpoints, faults, learned, drift, namespace, reference):
     """Run the blocks of CONFIG in closed loop, bit for bit what the nodes do in lockstep, and write all signals."""
+    from hysteresis_ros.loop.reach import reach_warnings, single_axis
+    from hysteresis_ros.loop.simulation import mode_lines
+    from hysteresis_ros.loop.simulation import simulate as run_offline
     from hysteresis_ros.recordings.align import setpoints_per_sample
+    from hysteresis_ros.recordings.dataset import requests_per_sample
     from hysteresis_ros.recordings.files import load_run, save_run
-    from hysteresis_ros.recordings.replay import requests_per_sample
-    from hysteresis_ros.simulation.axes import single_axis
-    from hysteresis_ros.simulation.modes import mode_lines
-    from hysteresis_ros.simulation.reach import reach_warnings
-    from hysteresis_ros.simulation.run import simulate as run_offline
 
     configuration = reference.put_into(laid_under(config, laid_over))
     with reference.named():

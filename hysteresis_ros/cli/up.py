@@ -18,15 +18,15 @@ import sys
 
 import click
 
-from hysteresis_ros.cli.arguments import (
+from hysteresis_ros.cli.options import (
     ConfigurationName,
     Quantity,
     laid_under,
     params_file_option,
+    reference_options,
     split_options,
     splitting,
 )
-from hysteresis_ros.cli.reference_options import reference_options
 
 
 @click.command(short_help="Start the nodes of a configuration.")
@@ -103,10 +103,9 @@ def up(
     requested = []
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda signum, frame: requested.append(signum))
-    from hysteresis_ros.loop.axis_parameters import in_time, require_carried
+    from hysteresis_ros.loop.parameters import in_time, require_carried
+    from hysteresis_ros.loop.reach import axes, reach_warnings
     from hysteresis_ros.nodes.launcher import Graph
-    from hysteresis_ros.simulation.axes import axes
-    from hysteresis_ros.simulation.reach import reach_warnings
 
     rate = _time_mode(rate, fused, processes)
     configuration = _overridden(reference.put_into(laid_under(config, laid_over)), rate, factor, force, plant)
@@ -148,8 +147,8 @@ def _pages(axes):
     """Return the pages of axes; only who asks for them loads what serves them."""
     from hysteresis_ros.registry import resolved
 
-    options = resolved("hysteresis_ros.nodes.watch.serving:PageOptions")()
-    return resolved("hysteresis_ros.nodes.watch.serving:Pages")([axis.namespace for axis in axes], options)
+    options = resolved("hysteresis_ros.laboratory.watch.serving:PageOptions")()
+    return resolved("hysteresis_ros.laboratory.watch.serving:Pages")([axis.namespace for axis in axes], options)
 
 
 def _time_mode(rate: str | None, fused: bool, processes: bool | None) -> str | None:
@@ -203,7 +202,7 @@ LOOKED_AT = 300_000_000
 
 def _say_limited(graph) -> None:
     """Say first of a recorded run that limits kept its output from what was asked, when it was more than a moment."""
-    from hysteresis_ros.analysis.limited import limited_text
+    from hysteresis_ros.analysis.metrics import limited_text
     from hysteresis_ros.errors import HysteresisError
     from hysteresis_ros.recordings.align import read_recording
 
@@ -228,10 +227,10 @@ def _say_recorded(graph) -> None:
 
 
 def _verify(graph) -> None:
-    from hysteresis_ros.cli.verify import equal, unlike
+    from hysteresis_ros.cli.recording import equal, unlike
     from hysteresis_ros.errors import HysteresisError
+    from hysteresis_ros.loop.simulation import differences
     from hysteresis_ros.recordings.align import read_recording
-    from hysteresis_ros.simulation.run import differences
 
     for axis, bag in zip(graph.axes, graph.bags, strict=True):
         recorded = read_recording(bag, axis.namespace, further=True)

@@ -7,4 +7,9 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Controllers and observers: kernels ``u = kernel(p, x, reference, measured)`` and the design of their gains."""
+"""Controllers that run in the loop, and what a linear loop is worth.
+
+Read :mod:`.law` (what a controller is and declares), one file of ``laws/``, then :mod:`.controller`, which chooses
+between them. ``damping/`` is an inner loop in front of any law, :mod:`.learning` and :mod:`.feedforward` add to it.
+:mod:`.margins` and :mod:`.uncertainty` judge loops; designs of gains are in :mod:`hysteresis_ros.designs`.
+"""

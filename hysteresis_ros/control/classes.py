@@ -14,11 +14,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hysteresis_ros.control.base import Controller
-from hysteresis_ros.control.controller import ControllerParameters
-from hysteresis_ros.control.registry import LAWS
+from hysteresis_ros.control.controller import LAWS, ControllerParameters
+from hysteresis_ros.control.law import Controller
 from hysteresis_ros.errors import HysteresisError
-from hysteresis_ros.keywords import block_class, class_name, find, samples
+from hysteresis_ros.registry import block_class, class_name, find, samples
 
 
 class MotionController(Controller):  # numpydoc ignore=PR02

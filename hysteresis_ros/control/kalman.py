@@ -35,12 +35,12 @@ from math import cos, pi, sin
 
 import numpy as np
 
-from hysteresis_ros.block import Block, compiled, kernel
-from hysteresis_ros.control import design
-from hysteresis_ros.control.base import bounded, run_controller
-from hysteresis_ros.linear_algebra import product
-from hysteresis_ros.models.state_space import StateSpace, accumulate
-from hysteresis_ros.parameters import Parameters, parameter
+from hysteresis_ros.configuration import Parameters, parameter
+from hysteresis_ros.control import state_feedback
+from hysteresis_ros.control.law import bounded, run_controller
+from hysteresis_ros.models.block import Block, compiled, kernel
+from hysteresis_ros.models.linear import StateSpace, accumulate
+from hysteresis_ros.models.linear_algebra import product
 
 # Parameter array: a head, then A (rows), B, C, L, N_x of the model, then A_d (rows), c_d, gain and feedthrough of the
 # disturbance's model.
@@ -256,7 +256,7 @@ def disturbance_model(parameters: KalmanParameters, sample_time: float | None):
         frequency, harmonics = parameters.disturbance_frequency, parameters.disturbance_harmonics
         if sample_time is None or not 0.0 < frequency * harmonics < 0.5 / sample_time:
             half = "half the sample rate" if sample_time is None else f"half the sample rate, {0.5 / sample_time:g} Hz,"
-            design.refuse(
+            state_feedback.refuse(
                 "kalman.disturbance_frequency", frequency, f"must be above 0 and below {half} with all its harmonics"
             )
         for harmonic in range(1, harmonics + 1):
@@ -267,7 +267,9 @@ def disturbance_model(parameters: KalmanParameters, sample_time: float | None):
     if parameters.gain == "riccati":
         for name in used:
             if not getattr(parameters, name) > 0.0:
-                design.refuse(f"kalman.{name}", getattr(parameters, name), "must be above 0 to estimate a disturbance")
+                state_feedback.refuse(
+                    f"kalman.{name}", getattr(parameters, name), "must be above 0 to estimate a disturbance"
+                )
     return A_d, c_d, variances
 
 
@@ -290,34 +292,38 @@ def filter_gain(parameters: KalmanParameters, model: StateSpace, sample_time: fl
     """
     current = parameters.form == "current"
     if current and model.D.item() != 0.0:
-        design.refuse("kalman.form", "current", "needs a model with D = 0; choose predictor or give D = 0")
+        state_feedback.refuse("kalman.form", "current", "needs a model with D = 0; choose predictor or give D = 0")
     n, A, B, C = model.order, model.A, model.B, model.C
     A_d, c_d, variances = disturbance_model(parameters, sample_time)
-    disturbed = design.disturbance_system(model, A_d, c_d)
+    disturbed = state_feedback.disturbance_system(model, A_d, c_d)
     whole, output = disturbed.A, disturbed.C
     if parameters.gain == "given" and len(parameters.L) != len(whole):
-        design.refuse("kalman.L", parameters.L, f"must have {len(whole)} entries with this model and disturbance")
-    if not design.detectable(whole, output):
-        if len(A_d) and design.detectable(A, C):
-            design.refuse(
+        state_feedback.refuse(
+            "kalman.L", parameters.L, f"must have {len(whole)} entries with this model and disturbance"
+        )
+    if not state_feedback.detectable(whole, output):
+        if len(A_d) and state_feedback.detectable(A, C):
+            state_feedback.refuse(
                 "kalman.disturbance",
                 parameters.disturbance,
                 "cannot be told from the output: the model passes nothing at the frequency of the disturbance (zero on "
                 "the unit circle); choose none or another frequency",
             )
-        design.refuse("model.dynamics.C", tuple(C[0].tolist()), "a mode that does not decay cannot be seen in it")
+        state_feedback.refuse(
+            "model.dynamics.C", tuple(C[0].tolist()), "a mode that does not decay cannot be seen in it"
+        )
     if parameters.gain == "given":
         L = np.array(parameters.L, dtype=float)
         late = product(whole, L) if current else L
-        design.require_stable(whole - np.outer(late, output[0]), "kalman.L", parameters.L, "the Kalman filter")
+        state_feedback.require_stable(whole - np.outer(late, output[0]), "kalman.L", parameters.L, "the Kalman filter")
         return L
     if not parameters.r > 0.0:
-        design.refuse("kalman.r", parameters.r, "must be above 0 for the Riccati equation")
+        state_feedback.refuse("kalman.r", parameters.r, "must be above 0 for the Riccati equation")
     noise = np.diag(np.append(np.zeros(n), variances))
     noise[:n, :n] = (
-        design.square_weight(parameters.Q, n, "kalman.Q") if parameters.Q else product(parameters.q * B, B.T)
+        state_feedback.square_weight(parameters.Q, n, "kalman.Q") if parameters.Q else product(parameters.q * B, B.T)
     )
-    gain, _ = design.kalman_gain(whole, output, noise, parameters.r)
+    gain, _ = state_feedback.kalman_gain(whole, output, noise, parameters.r)
     return gain if current else product(whole, gain)
 
 
@@ -326,8 +332,8 @@ def pack_kalman(parameters: KalmanParameters, model: StateSpace, sample_time: fl
     n = model.order
     A_d, c_d, _ = disturbance_model(parameters, sample_time)
     L = filter_gain(parameters, model, sample_time)
-    output = design.disturbance_system(model, A_d, c_d).C
-    rest_state, rest_input = design.steady_state(model)
+    output = state_feedback.disturbance_system(model, A_d, c_d).C
+    rest_state, rest_input = state_feedback.steady_state(model)
     head = [n, parameters.form == "current", len(A_d), model.D.item(), rest_input]
     matrices = [model.A.ravel(), model.B.ravel(), model.C.ravel(), L[:n], rest_state]
     return np.concatenate([head, *matrices, A_d.ravel(), c_d, L[n:], output[0, n:]]).astype(float)

@@ -20,14 +20,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from hysteresis_ros.control.base import APPLIED, COMMAND, FEEDFORWARD
-from hysteresis_ros.control.closed_loop import plant_state_space
+from hysteresis_ros.control.damping.inner_loop import inner_loop
 from hysteresis_ros.control.damping.kind import FORCE, NOTHING
-from hysteresis_ros.control.damping.plant import inner_loop
 from hysteresis_ros.control.feedforward import FeedforwardParameters
-from hysteresis_ros.control.margins import Margins, margins_of
-from hysteresis_ros.models.preload import PreloadParameters
-from hysteresis_ros.models.state_space import StateSpace
+from hysteresis_ros.control.law import APPLIED, COMMAND, FEEDFORWARD
+from hysteresis_ros.control.margins import Margins, margins_of, plant_state_space
+from hysteresis_ros.models.actuator import PreloadParameters
+from hysteresis_ros.models.linear import StateSpace
 
 #: Size of the entries at which a kernel is linearised: far below every boundary layer, far above subnormal numbers.
 TINY = 1e-24

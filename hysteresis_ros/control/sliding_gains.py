@@ -7,7 +7,15 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Gains of the sliding mode controllers from a model, for a bandwidth that is asked."""
+"""Gains of the sliding mode controllers from a model: reaching law and Kalman filter for a bandwidth.
+
+Two numbers decide how fast such a loop is: the pole that sets the bandwidth from the reference, and how far the filter
+trusts the measurement, which sets how fast disturbances are rejected and costs the margins. Both are searched on grids
+that become finer around the best point. Of all points that meet the requirements the best one has the largest product
+of bandwidth and rejection, so that neither is bought with the other. A reference that is followed faster than the
+feedback acts is followed as well as the model is right there, so bandwidth beyond that of the feedback does not count.
+Where no point meets the requirements the one closest to them is returned, for its margins to say so.
+"""
 
 from __future__ import annotations
 
@@ -19,12 +27,201 @@ from typing import Any
 
 import numpy as np
 
-from hysteresis_ros.control import design
+from hysteresis_ros.control import state_feedback
+from hysteresis_ros.control.kalman import KalmanParameters, filter_gain
 from hysteresis_ros.control.law import DesignTask
-from hysteresis_ros.control.margins import judge
-from hysteresis_ros.control.sliding_design import design_sliding_mode
-from hysteresis_ros.control.sliding_search import FASTEST_FILTER, SLOWEST_FILTER, GainSearch, solved, wandering
-from hysteresis_ros.linear_algebra import eigenvalues, product
+from hysteresis_ros.control.margins import Judged, Requirements, judge
+from hysteresis_ros.control.sliding_surface import design_sliding_mode
+from hysteresis_ros.errors import ParameterError
+from hysteresis_ros.models import elementary
+from hysteresis_ros.models.linear_algebra import eigenvalues, product
+
+#: Bandwidth of the pole [cycles a sample]: the fastest, and how often it is halved at most.
+FASTEST_POLE = 0.25
+HALVINGS = 12
+#: Filter: the disturbance wanders by 2 to these powers of the noise in a sample.
+SLOWEST_FILTER, FASTEST_FILTER = -12, 14
+#: How much a bandwidth beyond that of the feedback counts against a point.
+IN_VAIN = 0.05
+#: Steps of the grids as powers of two, from coarse to fine.
+STEPS = (2.0, 1.0, 0.5)
+
+
+def wandering(given: KalmanParameters, disturbance: str, size: float) -> KalmanParameters:
+    """Return the filter for a disturbance that moves by about ``size`` in a sample, its noises in fixed proportions.
+
+    Parameters
+    ----------
+    given : KalmanParameters
+        Whose form, measurement noise and disturbance's frequency are kept.
+    disturbance : str
+        Kind of the disturbance.
+    size : float
+        [input unit]
+    """
+    variance = size * size
+    parts: dict[str, dict[str, Any]] = {
+        # a filter without a disturbance has to believe the measurement, or nothing of a mismatch is seen
+        "none": {"q": 100.0 * variance},
+        "constant": {"q": 0.01 * variance, "q_disturbance": variance},
+        "ramp": {"q": 0.01 * variance, "q_disturbance": 0.01 * variance, "q_disturbance_rate": 0.09 * variance},
+        "periodic": {"q": 0.01 * variance, "q_disturbance": variance, "q_disturbance_periodic": variance},
+    }
+    return replace(given, gain="riccati", L=(), Q=(), disturbance=disturbance, **parts[disturbance])
+
+
+def scaled(given: KalmanParameters, size: float) -> KalmanParameters:
+    """Return the filter with everything that drives the model ``size`` times as large.
+
+    Parameters
+    ----------
+    given : KalmanParameters
+    size : float
+    """
+    names = ("q", "q_disturbance", "q_disturbance_rate", "q_disturbance_periodic")
+    noises: dict[str, Any] = {name: getattr(given, name) * size * size for name in names}
+    return replace(given, Q=tuple(value * size * size for value in given.Q), **noises)
+
+
+def solved(parameters, sample_time: float):
+    """Return the same design with hyperplane and filter gain as numbers: a search solves no Riccati equation.
+
+    Parameters
+    ----------
+    parameters : ControllerParameters
+    sample_time : float
+        [s]
+    """
+    model = parameters.model.dynamics.state_space
+    S = design_sliding_mode(parameters.sliding_mode, model).S
+    L = filter_gain(parameters.kalman, model, sample_time)
+    return replace(
+        parameters,
+        sliding_mode=replace(parameters.sliding_mode, hyperplane="given", S=tuple(S.tolist())),
+        kalman=replace(parameters.kalman, gain="given", L=tuple(L.tolist())),
+    )
+
+
+class GainSearch:
+    """Points of the search: the power of two of the filter, and how often the bandwidth of the pole is halved.
+
+    Parameters
+    ----------
+    parameters : ControllerParameters
+        With the filter that is scaled.
+    sample_time : float
+        [s]
+    judged : callable
+        ``judged(parameters)`` returns a :class:`Judged`.
+    place : callable or None
+        ``place(parameters, pole)`` returns them with the pole that sets the bandwidth; None where there is none.
+    aimed : Requirements
+    """
+
+    def __init__(self, parameters, sample_time: float, judged: Callable[[Any], Judged], place, aimed: Requirements):
+        self.parameters, self.sample_time, self.judged = parameters, sample_time, judged
+        self.place, self.aimed = place, aimed
+        decays = -np.log(np.maximum(np.abs(parameters.model.dynamics.state_space.poles), 1e-12))
+        self.own = float(np.min(decays)) / (2.0 * math.pi * sample_time)
+        self._solved: dict[float, Any] = {}
+        self._scores: dict[tuple[float, float], tuple] = {}
+
+    def at(self, power: float, halvings: float, parameters=None):
+        """Return the parameters of a point."""
+        given = parameters or self._filtered(power)
+        return self.place(given, pole_of(halvings)) if self.place else given
+
+    def _filtered(self, power: float):
+        return replace(self.parameters, kalman=scaled(self.parameters.kalman, power_of_two(power)))
+
+    def score(self, point: tuple[float, float]) -> tuple:
+        """Return a value that is larger for a better point.
+
+        Parameters
+        ----------
+        point : (float, float)
+        """
+        if point not in self._scores:
+            try:
+                self._scores[point] = self._score(*point)
+            except ParameterError:  # no filter, or an unstable loop
+                self._scores[point] = (False, -math.inf)
+        return self._scores[point]
+
+    def _score(self, power: float, halvings: float) -> tuple:
+        if power not in self._solved:
+            self._solved[power] = solved(self._filtered(power), self.sample_time)
+        found = self.judged(self.at(power, halvings, self._solved[power]))
+        if not found.meets(self.aimed):
+            return False, -excess(found, self.aimed)
+        bandwidth = min(found.bandwidth, 0.5 / self.sample_time)
+        followed = max(found.feedback, self.own)
+        rejected = max(found.rejection, 1e-9 * self.own)
+        gained = math.log(rejected) + math.log(min(bandwidth, followed))
+        # rounded: what LAPACK and the C library had a part in decides nothing by its last digits
+        return True, round(gained - IN_VAIN * max(math.log(bandwidth / followed), 0.0), 6)
+
+    def best(self, powers: tuple[float, float]) -> tuple[float, float]:
+        """Return the best point with a power of the filter within bounds.
+
+        Parameters
+        ----------
+        powers : (float, float)
+            Lowest and highest.
+        """
+        low, high = powers
+        count = int((high - low) / STEPS[0])
+        poles = [STEPS[0] * i for i in range(int(HALVINGS / STEPS[0]) + 1)] if self.place else [0.0]
+        point = max(((high - STEPS[0] * i, pole) for i in range(count + 1) for pole in poles), key=self.score)
+        for step in STEPS[1:]:
+            while True:
+                near = [(point[0] + step * i, point[1] + step * j) for i in (-1, 0, 1) for j in (-1, 0, 1)]
+                allowed = [
+                    (i, j) for i, j in near if low <= i <= high and 0.0 <= j <= HALVINGS and (j == 0.0 or self.place)
+                ]
+                following = max([point, *allowed], key=self.score)
+                if following == point:
+                    break
+                point = following
+        return point
+
+
+def power_of_two(exponent: float) -> float:
+    """Return 2 to a multiple of a half, rounded correctly.
+
+    Parameters
+    ----------
+    exponent : float
+    """
+    return math.sqrt(math.ldexp(1.0, round(2.0 * exponent)))
+
+
+def pole_of(halvings: float) -> float:
+    """Return the pole, to four digits, whose bandwidth is :data:`FASTEST` halved so often.
+
+    Parameters
+    ----------
+    halvings : float
+    """
+    angle = 2.0 * math.pi * FASTEST_POLE * power_of_two(-halvings)
+    return 1.0 - float(f"{1.0 - elementary.exp(-angle):.4g}")
+
+
+def excess(found: Judged, aimed: Requirements) -> float:
+    """Return by which factor a loop misses the requirements at most.
+
+    Parameters
+    ----------
+    found : Judged
+    aimed : Requirements
+    """
+    return max(
+        found.sensitivity_peak / aimed.sensitivity_peak,
+        aimed.delay_margin / max(found.delay_margin, 1e-12),
+        found.command_noise_gain / aimed.command_noise_gain,
+        found.late_sensitivity_peak / aimed.late_sensitivity_peak,
+    )
+
 
 #: Input weight of the LQ problem as a part of the squared DC gain.
 INPUT_WEIGHT = 0.025
@@ -55,7 +252,7 @@ def sliding_gains(task: DesignTask, name: str, place: Callable[[Any, float], Any
     """
     given, dynamics = task.parameters, task.parameters.model.dynamics
     if not dynamics.order:
-        design.refuse("model.dynamics.A", dynamics.A, f"{name} needs a model with a state; choose pid")
+        state_feedback.refuse("model.dynamics.A", dynamics.A, f"{name} needs a model with a state; choose pid")
     found = replace(given, sliding_mode=lq_surface(given.sliding_mode, dynamics))
     kept = given.kalman.disturbance if given.kalman.disturbance != "none" else "constant"
     disturbance = kept if disturbed else "none"
@@ -135,14 +332,16 @@ def _pole_for(task: DesignTask, with_pole) -> float:
 
     fast, slow = 0.0, SLOWEST
     if not bandwidth <= reached(fast):
-        design.refuse("bandwidth", bandwidth, f"this controller reaches at most {reached(fast):.4g} Hz on its model")
+        state_feedback.refuse(
+            "bandwidth", bandwidth, f"this controller reaches at most {reached(fast):.4g} Hz on its model"
+        )
     least = reached(slow)
     if bandwidth < least * (1.0 - TOLERANCE):
         allowed = (
             f"this controller reaches no less than {least:.4g} Hz on its model: inside the boundary layer eta and "
             "beta/delta add to the reaching law; lower them, or ask for more"
         )
-        design.refuse("bandwidth", bandwidth, allowed)
+        state_feedback.refuse("bandwidth", bandwidth, allowed)
     while slow - fast > PRECISION * (1.0 - slow):
         middle = 0.5 * (fast + slow)
         if reached(middle) < bandwidth:

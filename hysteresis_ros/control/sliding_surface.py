@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What the sliding mode controllers share: the switching function on the estimated state, and how commands leave.
+"""Sliding surface: hyperplane and linear gain, the switching function on the estimated state, and how commands leave.
 
 With x* the state where the plant should be and x_e = x̂ - x* the distance from it, s = S x_e and Λ = S B:
 
@@ -20,25 +20,13 @@ rest point stays the target: the model answers a static command by ringing, whic
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
-from hysteresis_ros.block import kernel
-from hysteresis_ros.control import design
-from hysteresis_ros.control.base import (
-    APPLIED,
-    COMMAND,
-    DISTURBANCE,
-    ESTIMATED,
-    FED,
-    FEEDFORWARD,
-    HEADER,
-    STARTED,
-    SWITCHING,
-    Controller,
-    bounded,
-)
+from hysteresis_ros.configuration import Parameters, parameter
+from hysteresis_ros.control import state_feedback
 from hysteresis_ros.control.kalman import (
     ESTIMATE,
     MATRICES,
@@ -51,9 +39,167 @@ from hysteresis_ros.control.kalman import (
     pack_kalman,
     rest_state,
 )
-from hysteresis_ros.control.sliding_design import design_sliding_mode
+from hysteresis_ros.control.law import (
+    APPLIED,
+    COMMAND,
+    DISTURBANCE,
+    ESTIMATED,
+    FED,
+    FEEDFORWARD,
+    HEADER,
+    STARTED,
+    SWITCHING,
+    Controller,
+    bounded,
+)
 from hysteresis_ros.errors import ParameterError, Problem
-from hysteresis_ros.models.state_space import advance
+from hysteresis_ros.models.block import kernel
+from hysteresis_ros.models.linear import StateSpace, advance
+from hysteresis_ros.models.linear_algebra import product
+
+
+@dataclass(frozen=True)
+class SlidingModeParameters(Parameters):
+    """Hyperplane and laws of the three sliding mode controllers; gains are in the model's units."""
+
+    tracking: str = parameter(
+        "target",
+        choices=("target", "integral"),
+        read_only=True,
+        description="Follow the reference by its rest point alone (target), or with an integral of the error as well",
+    )
+    hyperplane: str = parameter(
+        "lq",
+        choices=("given", "lq", "poles"),
+        read_only=True,
+        description="Whether S is given, follows from an LQ problem, or from the poles of the sliding motion",
+    )
+    S: tuple[float, ...] = parameter(
+        (), description="Hyperplane when given: one entry a state, and one for the integral with integral tracking"
+    )
+    lq_state_weight: tuple[float, ...] = parameter(
+        (),
+        description="State weight of the LQ problem: diagonal or rows of a matrix (with the integral as last state); "
+        "empty: output squared plus 0.0001 of the integral squared",
+    )
+    lq_input_weight: float = parameter(1.0, low=0.0, description="Input weight of the LQ problem, above 0")
+    poles: tuple[float, ...] = parameter(
+        (),
+        low=-1.0,
+        high=1.0,
+        description="Real parts of the poles of the sliding motion: one fewer than states (the integral counts as one)",
+    )
+    poles_imaginary: tuple[float, ...] = parameter(
+        (),
+        low=-1.0,
+        high=1.0,
+        description="Imaginary parts of the poles, in conjugate pairs; empty: all poles are real",
+    )
+    phi: float = parameter(
+        0.93, low=-1.0, high=1.0, description="Reaching law: s(k+1) = phi s(k) without the nonlinear part"
+    )
+    rejection_pole: float = parameter(
+        0.5,
+        low=-1.0,
+        high=1.0,
+        description="integral_sliding_mode: s(k+1) = rejection_pole s(k), how fast it rejects what the filter does not "
+        "explain; 0 at once, nearer to 1 calmer",
+    )
+    eta: float = parameter(0.0, low=0.0, description="Slope of the nonlinear part over |s| / |S B|")
+    beta: float = parameter(0.0, low=0.0, description="Constant level of the nonlinear part (input unit)")
+    delta: float = parameter(0.0, low=0.0, description="Width of the boundary layer (unit of s)")
+    anti_windup_threshold: float = parameter(
+        0.02,
+        low=0.0,
+        description="The integral holds while command and applied differ by more than this fraction of the largest "
+        "applied command so far and integrating would widen the difference",
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class SlidingModeDesign:
+    """Gains that follow from the parameters, in the model's units.
+
+    Attributes
+    ----------
+    S, K : ndarray, shape (n,) or (n + 1,) with integral tracking
+        Hyperplane and linear gain.
+    switching_gain : float
+        Λ = S B.
+    poles : ndarray, shape like S
+        Poles of the controlled model.
+    """
+
+    S: np.ndarray
+    K: np.ndarray
+    switching_gain: float
+    poles: np.ndarray
+
+
+def design_sliding_mode(parameters: SlidingModeParameters, model: StateSpace) -> SlidingModeDesign:
+    """Return hyperplane and linear gain for a model.
+
+    Parameters
+    ----------
+    parameters : SlidingModeParameters
+    model : StateSpace
+        Of one input and one output, in its own units.
+
+    Raises
+    ------
+    ParameterError
+        Names the parameter of ``sliding_mode`` or ``model.dynamics`` from which no stable controller follows.
+    """
+    whole = model
+    if parameters.tracking == "integral":
+        state_feedback.steady_state(model)  # without DC gain the integral never settles
+        whole = state_feedback.integral_system(model)
+    n, order, A, B = model.order, whole.order, whole.A, whole.B
+    if parameters.hyperplane == "given":
+        if len(parameters.S) != order:
+            state_feedback.refuse(
+                "sliding_mode.S", parameters.S, f"must have {order} entries with this model and tracking"
+            )
+        S = np.array(parameters.S, dtype=float)
+    elif parameters.hyperplane == "poles":
+        S = state_feedback.hyperplane_from_poles(A, B, _poles(parameters, order))
+    else:
+        if not parameters.lq_input_weight > 0.0:
+            state_feedback.refuse("sliding_mode.lq_input_weight", parameters.lq_input_weight, "must be above 0")
+        if parameters.lq_state_weight:
+            weight = state_feedback.square_weight(parameters.lq_state_weight, order, "sliding_mode.lq_state_weight")
+        else:
+            weight = np.zeros((order, order))
+            weight[:n, :n] = product(model.C.T, model.C)
+            weight[n:, n:] = 1e-4
+        S = state_feedback.hyperplane_lq(A, B, weight, parameters.lq_input_weight)
+    if not abs(parameters.phi) < 1.0:
+        state_feedback.refuse(
+            "sliding_mode.phi", parameters.phi, "must be inside -1 … 1, or the switching function never decays"
+        )
+    if not parameters.phi - parameters.eta > -1.0:
+        state_feedback.refuse("sliding_mode.eta", parameters.eta, f"must be below 1 + phi = {1.0 + parameters.phi:g}")
+    K, switching_gain = state_feedback.sliding_gain(A, B, S, parameters.phi)
+    return SlidingModeDesign(S, K, switching_gain, np.linalg.eigvals(A - B @ K[np.newaxis]))
+
+
+def _poles(parameters: SlidingModeParameters, order: int):
+    if len(parameters.poles) != order - 1:
+        state_feedback.refuse("sliding_mode.poles", parameters.poles, f"must have {order - 1} entries with this model")
+    imaginary = parameters.poles_imaginary or (0.0,) * (order - 1)
+    if len(imaginary) != order - 1:
+        state_feedback.refuse("sliding_mode.poles_imaginary", imaginary, f"must be empty or have {order - 1} entries")
+    poles = [complex(*parts) for parts in zip(parameters.poles, imaginary, strict=True)]
+    if sorted(poles, key=_order) != sorted((pole.conjugate() for pole in poles), key=_order):
+        state_feedback.refuse("sliding_mode.poles_imaginary", imaginary, "complex poles must come in conjugate pairs")
+    if any(abs(pole) >= 1.0 for pole in poles):
+        state_feedback.refuse("sliding_mode.poles", parameters.poles, "all poles must be inside the unit circle")
+    return poles
+
+
+def _order(pole: complex):
+    return pole.real, pole.imag
+
 
 # Parameter array: a head (FED first), then K and S (n entries each), then the Kalman filter's.
 N = 1
@@ -195,7 +341,9 @@ def pack_surface(parameters, sample_time: float | None):
     """
     dynamics, smc, kalman = parameters.model.dynamics, parameters.sliding_mode, parameters.kalman
     if not dynamics.order:
-        design.refuse("model.dynamics.A", dynamics.A, "sliding mode needs a model; give A, B, C or choose open_loop")
+        state_feedback.refuse(
+            "model.dynamics.A", dynamics.A, "sliding mode needs a model; give A, B, C or choose open_loop"
+        )
     integral = smc.tracking == "integral"
     if integral and kalman.disturbance != "none":
         raise ParameterError(
@@ -212,7 +360,7 @@ def pack_surface(parameters, sample_time: float | None):
     n = model.order
     filtering = pack_kalman(kalman, model, sample_time)
     gains = design_sliding_mode(smc, model)
-    _, rest_input = design.steady_state(model)
+    _, rest_input = state_feedback.steady_state(model)
     sign = 1.0 if gains.switching_gain > 0.0 else -1.0
     head = np.zeros(GAINS)
     head[FED] = parameters.feedforward.type != "none"
@@ -245,7 +393,7 @@ def require_target(parameters) -> None:
         ``sliding_mode.tracking``.
     """
     if parameters.sliding_mode.tracking == "integral":
-        design.refuse(
+        state_feedback.refuse(
             "sliding_mode.tracking",
             "integral",
             f"{parameters.type} integrates by itself: two integrators for one offset; set it to target",

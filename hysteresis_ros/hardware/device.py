@@ -16,10 +16,9 @@ import importlib.util
 import math
 from collections.abc import Callable, Iterator, Sequence
 
+from hysteresis_ros.configuration import Parameters
 from hysteresis_ros.errors import ParameterError
-from hysteresis_ros.hardware.declaration import HardwareDriver
-from hysteresis_ros.hardware.driver import Capabilities, Compiled, DriverError
-from hysteresis_ros.parameters import Parameters
+from hysteresis_ros.hardware.driver import Capabilities, Compiled, DriverError, HardwareDriver
 
 
 class Device:

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What a driver is: five methods between an axis and a device with an amplifier and a sensor.
+"""What a driver is: five methods between an axis and a device, its declaration, and the steps of taking a device.
 
 The package keeps the time. Once a sample it reads the positions and, when the sample is over, writes the voltages that
 are held until the next one. It watches over them (:mod:`hysteresis_ros.loop.driven`) and never calls two methods at a
@@ -16,12 +16,19 @@ time; a method returns within a small part of a sample.
 
 from __future__ import annotations
 
+import fcntl
+import os
+import pathlib
+import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+from hysteresis_ros.configuration import Parameters
 from hysteresis_ros.errors import HysteresisError
+from hysteresis_ros.registry import resolved
 
 
 class DriverError(HysteresisError):
@@ -181,3 +188,127 @@ class Driver(ABC):
     @abstractmethod
     def close(self) -> None:
         """Let go of the device, which is safe by then; doing so twice changes nothing."""
+
+
+@dataclass(frozen=True, eq=False)
+class EmulatedDevice:
+    """A device that runs by itself, for ``hysteresis emulate``: the driver, or a program of others, is its master.
+
+    Parameters
+    ----------
+    parameters : type of Parameters
+        Options of the command besides the plant and its faults.
+    start : callable
+        ``start(parameters, bench)``, with a :class:`hysteresis_ros.laboratory.emulation.bench.Bench`, returns a context
+        manager that gives the running device, a :class:`hysteresis_ros.laboratory.emulation.bench.Running`.
+    """
+
+    parameters: type[Parameters]
+    start: Callable[[Any, Any], AbstractContextManager[Any]]
+
+
+@dataclass(frozen=True, eq=False)
+class HardwareDriver:
+    """A driver: its name, class and parameters.
+
+    Parameters
+    ----------
+    name : str
+        ``driver`` of the plant's node.
+    title : str
+        A few words.
+    parameters : type of Parameters
+        What it is opened with: a group of the driver's name. One that wants nothing but what the plant's node has
+        anyway names that class, for instance ``ActuatorParameters``, and has no group.
+    driver : type of Driver
+        Made without arguments.
+    emulator : callable, optional
+        ``emulator()`` returns a context manager that stands in for the device, or for its like, and gives the
+        parameters to open it with: to try the driver without the device, and for the contract test. Only a library
+        that is named by its path has none. :func:`hysteresis_ros.registry.later` imports its module only when it is
+        called.
+    device : EmulatedDevice or str, optional
+        The like as a device of its own, or the dotted path ``package.module:DEVICE`` of it.
+    package : str
+        Module that it needs beyond those of the package, which the extra of the driver's name installs; '': none.
+    """
+
+    name: str
+    title: str
+    parameters: type[Parameters]
+    driver: type[Driver]
+    emulator: Callable[[], AbstractContextManager[Parameters]] | None = None
+    device: EmulatedDevice | str | None = None
+    package: str = ""
+
+    @property
+    def emulated(self) -> EmulatedDevice | None:
+        """The device, imported where only its path is named."""
+        return resolved(self.device) if isinstance(self.device, str) else self.device
+
+
+#: Steps of a ramp.
+STEPS = 20
+#: Samples that are tried, the part of them that the highest rate is for, and how much of a sample a driver may take.
+TRIALS, SURE, SHARE = 50, 0.9, 0.5
+
+
+def claim(path: pathlib.Path, name: str) -> int:
+    """Take the file of a device for this process and return what holds it, until that is closed.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+    name : str
+        Of the device, for messages.
+
+    Raises
+    ------
+    DriverError
+        It cannot be opened, or another process has it.
+    """
+    try:
+        file = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_NOCTTY)
+    except OSError as error:
+        raise DriverError(name, f"cannot be opened ({error})", "look at its address and its cable") from error
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        os.close(file)
+        raise DriverError(name, f"has another master at {path.name}", "end the other program first") from None
+    return file
+
+
+def ramp(put_out: Callable[[float], None], start: float, end: float, duration: float) -> None:
+    """Take a voltage to another one in equal steps.
+
+    Parameters
+    ----------
+    put_out : callable
+        Puts a voltage out [V].
+    start, end : float
+        [V]
+    duration : float
+        [s]
+    """
+    for step in range(1, STEPS) if start != end else ():
+        put_out(start + (end - start) * step / STEPS)
+        time.sleep(duration / STEPS)
+    put_out(end)
+
+
+def highest_rate(write: Callable[[], None], read: Callable[[], object]) -> float:
+    """Return at which rate nearly all samples leave time for the rest of an axis [Hz].
+
+    Parameters
+    ----------
+    write, read : callable
+        What is done once a sample.
+    """
+    durations = []
+    for _ in range(TRIALS):
+        begun = time.perf_counter()
+        write()
+        read()
+        durations.append(time.perf_counter() - begun)
+    return SHARE / sorted(durations)[int(SURE * TRIALS)]

@@ -7,12 +7,24 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The drivers there are: those of the folder ``drivers`` and those that other packages add by an entry point."""
+"""The drivers there are: of the folder ``drivers``, of other packages by an entry point, and those found by a path."""
 
 from __future__ import annotations
 
+import functools
+import hashlib
+import importlib.machinery
+import importlib.util
+import pathlib
+import sys
+from dataclasses import replace
+from typing import Any
+
 import hysteresis_ros.hardware.drivers  # noqa: F401  (its folder is searched)
-from hysteresis_ros.hardware.declaration import HardwareDriver
+from hysteresis_ros.configuration import ParameterRow, Parameters
+from hysteresis_ros.errors import ParameterError, Problem, did_you_mean
+from hysteresis_ros.hardware.driver import DriverError, HardwareDriver
+from hysteresis_ros.hardware.library import SUFFIXES, LibraryParameters, library_driver, require_trusted
 from hysteresis_ros.registry import discover
 
 #: Group of entry points by which a package adds a driver: ``my_stage = my_package.my_stage:DRIVER``.
@@ -20,3 +32,121 @@ GROUP = "hysteresis_ros.drivers"
 
 #: What each driver declares, by name.
 DRIVERS: dict[str, HardwareDriver] = discover("hysteresis_ros.hardware.drivers", "DRIVER", HardwareDriver, GROUP)
+
+
+_TRUTHS = {"true": True, "false": False}
+
+
+class _FromSource(importlib.machinery.SourceFileLoader):
+    """Compiles a file anew each time: bytecode is not looked at, which others might have put into a cache."""
+
+    def get_code(self, fullname: str):
+        """Return the code of the file."""
+        path = self.get_filename(fullname)
+        return self.source_to_code(self.get_data(path), path)
+
+
+def driver_of(name: str) -> HardwareDriver:
+    """Return the driver that a parameter file names.
+
+    Parameters
+    ----------
+    name : str
+        One of the registry, or a path with a slash in it.
+
+    Raises
+    ------
+    DriverError
+        There is none, or what stands there is no driver.
+    """
+    if name in DRIVERS:
+        return DRIVERS[name]
+    if "/" not in name:
+        known = ", ".join(DRIVERS)
+        remedy = f"choose one of {known} or give a path with a /{did_you_mean(name, DRIVERS)}"
+        raise DriverError(f"driver {name}", "is not known", remedy)
+    return _driver_at(str(pathlib.Path(name).expanduser().absolute()))
+
+
+@functools.cache
+def _driver_at(path: str) -> HardwareDriver:
+    if path.endswith(SUFFIXES):
+        return library_driver(pathlib.Path(path))
+    if not path.endswith(".py"):
+        remedy = f"give a Python file that declares DRIVER, or a shared library ({' or '.join(SUFFIXES)})"
+        raise DriverError(f"driver {path}", "is neither", remedy)
+    return _declared_in(pathlib.Path(path))
+
+
+def _declared_in(path: pathlib.Path) -> HardwareDriver:
+    """Return what a Python file declares."""
+    where = f"driver {path}"
+    if not path.is_file():
+        raise DriverError(where, "is not there", "give the path of a Python file that declares DRIVER")
+    require_trusted(path)
+    # pickling, dataclasses and cached machine code look their module up by name, in another process too
+    name = f"hysteresis_driver_{hashlib.sha256(str(path).encode()).hexdigest()[:16]}"
+    specification: Any = importlib.util.spec_from_file_location(name, path, loader=_FromSource(name, str(path)))
+    module = importlib.util.module_from_spec(specification)
+    sys.modules[name] = module
+    try:
+        specification.loader.exec_module(module)
+    except Exception as error:
+        del sys.modules[name]
+        if isinstance(error, DriverError):
+            raise
+        raise DriverError(where, f"cannot be loaded: {type(error).__name__}: {error}", "mend the file") from error
+    declared = getattr(module, "DRIVER", None)
+    if not isinstance(declared, HardwareDriver):
+        remedy = "DRIVER = HardwareDriver(…), see docs/extending.md"
+        raise DriverError(where, f"declares no driver: DRIVER is {declared!r}", remedy)
+    return replace(declared, name=str(path))
+
+
+def options_of(declared: HardwareDriver, options: tuple[str, ...]) -> Parameters:
+    """Return the parameters that options of a parameter file stand for.
+
+    Parameters
+    ----------
+    declared : HardwareDriver
+        Found by a path: its parameters are no part of the table of parameters.
+    options : tuple of str
+        ``NAME=VALUE`` each.
+
+    Raises
+    ------
+    ParameterError
+        One is not written so, or the driver does not take it.
+    """
+    if declared.parameters is LibraryParameters:
+        return LibraryParameters(options)
+    rows = {row.name: row for row in declared.parameters.table()}
+    values, problems = {}, []
+    for option in options:
+        name, mark, text = option.partition("=")
+        try:
+            if not mark:
+                raise ValueError
+            values[name] = _value_of(rows.get(name), text)
+        except ValueError:
+            allowed = "write NAME=VALUE"
+            if name in rows:
+                allowed += f" with a {rows[name].allowed()}"
+            problems.append(Problem("driver_options", option, allowed))
+    if problems:
+        raise ParameterError(problems)
+    return declared.parameters.from_mapping(values, prefix="driver_options: ")
+
+
+def _value_of(row: ParameterRow | None, text: str):
+    """Return the value that a text stands for, of the type of its row."""
+    if row is None or row.type is str:
+        return text
+    if row.type is bool:
+        if text not in _TRUTHS:
+            raise ValueError
+        return _TRUTHS[text]
+    if row.type in (int, float):
+        return row.type(text)
+    item = float if row.type == tuple[float, ...] else str
+    return tuple(item(part) for part in text.split(",") if part)

@@ -7,4 +7,11 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Identification: from measured voltage and displacement to the parameters of models, and their validation."""
+"""Identification: from measured voltage and displacement to the parameters of models, and their validation.
+
+Read ``workflow`` (identify, validate) first, then what it calls: ``reading`` → ``data`` → ``preprocessing``;
+``registry`` → ``procedures`` (one per model) → the model's own module; ``hammerstein``, ``dynamics`` and
+``linear_part`` for what stands behind a hysteresis; ``chains`` → ``plant_model`` → ``prediction`` →
+``parameter_file``.
+Linear models: ``frequency_response``, ``matrix_fraction``, ``arx``, ``transfer_function``.
+"""

@@ -7,20 +7,518 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What identification sees of a recording: time, one input and one output in SI units, checked before any fit."""
+"""Data of an identification: time, one input and one output in SI units, and the checks made before any fit.
+
+The checks say what makes data unusable (missing samples, time that is not uniform, constants), what a reader must
+know of it (clipping, delay, drift), and which numbers suggest a mistaken unit.
+"""
 
 from __future__ import annotations
 
+import math
 import pathlib
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
+import scipy
 
-from hysteresis_ros.identification.data_checks import DataError, DataReport, check_data
-from hysteresis_ros.recordings.columns import TABLE_SUFFIXES, Selection, Table, choose_columns, find_time, open_table
+from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.files import load_run
-from hysteresis_ros.recordings.units import column_unit, si_unit, split_choice
+from hysteresis_ros.recordings.foreign_tables import (
+    TABLE_SUFFIXES,
+    Selection,
+    Table,
+    choose_columns,
+    column_unit,
+    find_time,
+    open_table,
+    si_unit,
+    split_choice,
+)
+from hysteresis_ros.units import readable
+
+#: Range of the voltage [V], of the displacement [m] and of both together [m/V] that are not asked about.
+VOLTAGES = (0.02, 2000.0)
+STROKES = (5e-9, 2e-3)
+GAINS = (1e-9, 2e-4)
+#: Distance of two samples and duration of all [s] that are not asked about.
+LONGEST_SAMPLE_TIME = 0.5
+SHORTEST_DURATION = 0.1
+LONGEST_CYCLE = 500.0
+#: Samples a cycle below which the turning points of its loops are not seen.
+FEWEST_A_CYCLE = 20.0
+
+
+def implausible_units(
+    sample_time: float, duration: float, u, y, units: tuple[str, str], reversals: int
+) -> Iterator[str]:
+    """Yield a question for each number that suggests a mistaken unit, with the number.
+
+    Parameters
+    ----------
+    sample_time, duration : float
+        [s]
+    u, y : ndarray
+        Input and output in SI.
+    units : (str, str)
+        SI units of input and output; only V and m are asked about.
+    reversals : int
+        How often the input turns.
+    """
+    span, stroke = float(np.ptp(u)), float(np.ptp(y))
+    gain = stroke / span if span > 0.0 else math.nan
+    if units[0] == "V" and not VOLTAGES[0] <= span <= VOLTAGES[1]:
+        other = "V instead of mV" if span < VOLTAGES[0] else "mV instead of V"
+        yield f"the voltage spans {readable(span, 'V')}: is its unit {other}? give it as --input NAME:UNIT"
+    odd = not STROKES[0] <= stroke <= STROKES[1] or (units[0] == "V" and not GAINS[0] <= gain <= GAINS[1])
+    if units[1] == "m" and odd:
+        small = stroke < STROKES[0] or gain < GAINS[0]
+        other = "um instead of nm (or V of mV)" if small else "um instead of mm (or V instead of mV)"
+        each = f", {readable(gain, 'm')}/V" if units[0] == "V" else ""
+        yield f"the output moves by {readable(stroke, 'm')}{each}: is its unit {other}? give it as --output NAME:UNIT"
+    cycle = 2.0 * duration / reversals if reversals > 1 else 0.0
+    if sample_time > LONGEST_SAMPLE_TIME or cycle > LONGEST_CYCLE:
+        yield (
+            f"samples lie {sample_time:.4g} s apart and a cycle takes {cycle:.4g} s: is the unit of time ms instead of "
+            "s? give it as --time NAME:UNIT"
+        )
+    if duration < SHORTEST_DURATION:
+        yield (
+            f"all samples lie within {readable(duration, 's')}: is the unit of time s instead of ms? give it as --time "
+            "NAME:UNIT"
+        )
+
+
+def few_samples_a_cycle(samples: float, reversals: int) -> Iterator[str]:
+    """Yield a warning when turning points fall between the samples.
+
+    Parameters
+    ----------
+    samples : float
+        In all.
+    reversals : int
+        Of the input.
+    """
+    if reversals < 2:
+        return
+    each = 2.0 * samples / reversals
+    if each < FEWEST_A_CYCLE:
+        beyond = 50.0 * (1.0 - math.cos(math.pi / each))
+        yield (
+            f"{each:.3g} samples a cycle: a sine turns up to {beyond:.2g} % of its range beyond the nearest sample, so "
+            f"loops are not seen to their ends; record at least {FEWEST_A_CYCLE:.0f} a cycle, or give --intersample"
+        )
+
+
+#: A sample may lie this much beside its place on the uniform grid, in sample times.
+GRID_TOLERANCE = 0.1
+#: A range below this share of the mean level counts as constant.
+CONSTANT = 1e-12
+#: This many equal samples in a row at the extreme may be clipping.
+CLIPPED_RUN = 3
+#: A clipped run is so many times longer than those beside it; the round top of a coarsely read sine is 5.5 times.
+CLIPPED_POPULATION = 8.0
+#: Drift over the whole data above this share of the stroke is warned of.
+DRIFT_SHARE = 0.01
+
+
+class DataError(IdentificationError):
+    """Data that cannot be used for identification.
+
+    Parameters
+    ----------
+    check : str
+        Which check found it: ``short``, ``constant``, ``nan``, ``uniform``, ``unit``, ``shape``, ``range`` …
+    message : str
+        What was found, what is allowed, what to do.
+    """
+
+    def __init__(self, check: str, message: str):
+        self.check = check
+        super().__init__(message)
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing found by a check.
+
+    Parameters
+    ----------
+    check : str
+        ``short``, ``constant``, ``nan``, ``uniform``, ``clipping``, ``unit``, ``coarse``, ``delay``, ``drift``,
+        ``jitter``, ``reading`` …
+    severity : str
+        ``error`` (cannot be used), ``warning`` (results suffer) or ``note``.
+    message : str
+        In words, with numbers and units.
+    """
+
+    check: str
+    severity: str
+    message: str
+
+
+@dataclass(frozen=True)
+class DataReport:
+    """What the checks found.
+
+    Parameters
+    ----------
+    samples : int
+    sample_time : float
+        [s]
+    jitter : float
+        Largest distance of a sample from its place on the uniform grid [s].
+    missing : int
+        Samples at which the input or output is not finite.
+    stroke : float
+        Peak-to-peak output in its SI unit.
+    input_minimum, input_maximum : float
+        In the input's SI unit.
+    clipped_input, clipped_output : float
+        Share of samples at a clipped extreme.
+    delay : float
+        Lag of the output behind the input [s] at the best correlation: dead time, dynamics and hysteresis together.
+    drift : float
+        Change of the output over the whole data that the input does not explain, in its SI unit.
+    reversals : int
+        How often the input turns round.
+    findings : tuple of Finding
+        In the order of the checks.
+    """
+
+    samples: int
+    sample_time: float
+    jitter: float
+    missing: int
+    stroke: float
+    input_minimum: float
+    input_maximum: float
+    clipped_input: float
+    clipped_output: float
+    delay: float
+    drift: float
+    reversals: int
+    findings: tuple[Finding, ...]
+
+    @property
+    def errors(self) -> tuple[Finding, ...]:
+        """Findings that make the data unusable."""
+        return tuple(item for item in self.findings if item.severity == "error")
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Messages of the warnings, for the result of a fit."""
+        return tuple(item.message for item in self.findings if item.severity == "warning")
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """Messages of the notes."""
+        return tuple(item.message for item in self.findings if item.severity == "note")
+
+    def warned(self, texts) -> DataReport:
+        """Return the report with warnings in front that came before these checks.
+
+        Parameters
+        ----------
+        texts : iterable of str
+        """
+        return replace(self, findings=(*(Finding("reading", "warning", text) for text in texts), *self.findings))
+
+    def raise_errors(self) -> None:
+        """Raise what makes the data unusable.
+
+        Raises
+        ------
+        DataError
+            With the messages of all errors, and the name of the first check.
+        """
+        if self.errors:
+            raise DataError(self.errors[0].check, "; ".join(item.message for item in self.errors))
+
+
+def check_data(time, input, output, input_unit="V", output_unit="m", minimum_samples: int = 50) -> DataReport:
+    """Check one input and one output before any fit; nothing is changed and nothing raised.
+
+    Parameters
+    ----------
+    time : ndarray, shape (N,)
+        [s]
+    input, output : ndarray, shape (N,)
+        SI.
+    input_unit, output_unit : str
+        For the messages.
+    minimum_samples : int
+        Fewer are too short.
+    """
+    units = input_unit, output_unit
+    return check_behaviour(check_samples(time, input, output, units, minimum_samples), time, input, output, units)
+
+
+def check_samples(time, input, output, units=("V", "m"), minimum_samples: int = 50) -> DataReport:
+    """Check what must be seen at every sample: missing ones, time, constants, clipping.
+
+    Parameters
+    ----------
+    time : ndarray, shape (N,)
+        [s]
+    input, output : ndarray, shape (N,)
+        SI.
+    units : (str, str)
+        For the messages.
+    minimum_samples : int
+        Fewer are too short.
+    """
+    found: list[Finding] = []
+    finite = np.isfinite(input) & np.isfinite(output)
+    missing = int(np.count_nonzero(~finite))
+    if len(time) < minimum_samples:
+        text = f"too short: {len(time)} samples, at least {minimum_samples} are needed"
+        found.append(Finding("short", "error", text))
+    if missing:
+        index = int(np.argmax(~finite))
+        text = f"{missing} of {len(time)} samples are missing (NaN), the first at index {index}"
+        found.append(Finding("nan", "error", f"{text}; choose a range without them (--range) or add --resample auto"))
+    sample_time, jitter, finding = check_uniform(time)
+    found += finding
+    u, y = (input, output) if not missing else (input[finite], output[finite])
+    numbers = dict(stroke=np.nan, low=np.nan, high=np.nan, clipped_u=0.0, clipped_y=0.0)
+    if u.size:
+        numbers |= dict(stroke=np.ptp(y), low=u.min(), high=u.max())
+        for role, values, unit in (("input", u, units[0]), ("output", y, units[1])):
+            if np.ptp(values) <= CONSTANT * np.max(np.abs(values)):
+                text = f"the {role} is constant ({values[0]:.6g} {unit}); excite the actuator and record again"
+                found.append(Finding("constant", "error", text))
+    if u.size and not any(item.check in ("constant", "short") for item in found):
+        numbers["clipped_u"], numbers["clipped_y"] = clipped_share(u), clipped_share(y, u)
+        for role, values, unit, share in (
+            ("input", u, units[0], numbers["clipped_u"]),
+            ("output", y, units[1], numbers["clipped_y"]),
+        ):
+            if share > 0.0:
+                text = (
+                    f"the {role} seems clipped: {100 * share:.2g} % of the samples rest exactly at its extreme "
+                    f"({readable(values.min(), unit)} … {readable(values.max(), unit)})"
+                )
+                found.append(Finding("clipping", "warning", text))
+    return DataReport(
+        samples=len(time),
+        sample_time=sample_time,
+        jitter=jitter,
+        missing=missing,
+        stroke=float(numbers["stroke"]),
+        input_minimum=float(numbers["low"]),
+        input_maximum=float(numbers["high"]),
+        clipped_input=numbers["clipped_u"],
+        clipped_output=numbers["clipped_y"],
+        delay=np.nan,
+        drift=np.nan,
+        reversals=0,
+        findings=tuple(found),
+    )
+
+
+def check_behaviour(report: DataReport, time, input, output, units=("V", "m")) -> DataReport:
+    """Add what the signals say of each other: reversals, units that make no sense, delay, drift.
+
+    Parameters
+    ----------
+    report : DataReport
+        From :func:`check_samples`, of these samples or of those that they are averages of.
+    time, input, output : ndarray, shape (N,)
+        SI.
+    units : (str, str)
+        For the messages.
+    """
+    if any(item.check in ("constant", "short") for item in report.findings):
+        return report
+    found = list(report.findings)
+    finite = np.isfinite(input) & np.isfinite(output)
+    u, y = input[finite], output[finite]
+    if not u.size:
+        return report
+    reversals = count_reversals(u)
+    duration = float(time[-1] - time[0])
+    questions = implausible_units(report.sample_time, duration, u, y, units, reversals)
+    found += [Finding("unit", "warning", text) for text in questions]
+    found += [
+        Finding("coarse", "warning", text) for text in few_samples_a_cycle(duration / report.sample_time, reversals)
+    ]
+    delay = np.nan
+    if not any(item.check in ("uniform", "nan") for item in found):
+        delay, finding = _check_delay(u, y, duration / (len(time) - 1))
+        found += finding
+    drift, finding = _check_drift(time[finite], u, y, units[1])
+    return replace(report, delay=delay, drift=drift, reversals=reversals, findings=(*found, *finding))
+
+
+def check_uniform(time) -> tuple[float, float, list[Finding]]:
+    """Return sample time [s], jitter [s] and findings of a time axis of shape (N,).
+
+    Times that were rounded when they were written are uniform when they all lie within the rounding of a grid.
+
+    Parameters
+    ----------
+    time : ndarray, shape (N,)
+    """
+    if len(time) < 2:
+        return float("nan"), 0.0, []
+    index = np.arange(len(time))
+    distances = np.diff(time)
+    slope = float((time[-1] - time[0]) / (len(time) - 1))
+    beside = time - time[0] - slope * index
+    jitter = float(np.ptp(beside) / 2)
+    if not np.all(distances > 0.0):
+        return slope, jitter, [Finding("uniform", "error", "time does not increase; sort the samples")]
+    if jitter <= GRID_TOLERANCE * slope or jitter <= 0.51 * _rounding(time):
+        if jitter <= 0.01 * slope:
+            return slope, jitter, []
+        beside = f"up to {readable(jitter, 's')} beside a uniform grid of {readable(slope, 's')}"
+        text = f"samples lie {beside}; taken as uniform"
+        return slope, jitter, [Finding("jitter", "note", text)]
+    median = float(np.median(distances))
+    steps = np.rint(distances / median)
+    if np.max(np.abs(distances - steps * median)) <= GRID_TOLERANCE * median:
+        lost, longest = int(np.sum(steps - 1)), int(np.argmax(distances))
+        text = (
+            f"not uniformly sampled: {lost} samples of a grid of {median:.6g} s are missing, the longest gap is "
+            f"{distances[longest]:.4g} s at {time[longest]:.6g} s"
+        )
+    else:
+        text = f"not uniformly sampled: distances from {distances.min():.6g} s to {distances.max():.6g} s"
+    return (
+        slope,
+        jitter,
+        [Finding("uniform", "error", f"{text}; add --resample auto, or choose a uniform range (--range)")],
+    )
+
+
+def _rounding(time):
+    """Return the decimal place [s] to which all times are rounded, 0 when to none."""
+    for digits in range(1, 7):
+        scaled = time * 10.0**digits
+        if np.max(np.abs(scaled - np.rint(scaled))) < 1e-6 * max(1.0, np.max(np.abs(scaled)) * 1e-7):
+            # one rounded step must be shorter than the distance of two samples, or the times say nothing
+            return 10.0**-digits if 10.0**-digits < np.median(np.diff(time)) else 0.0
+    return 0.0
+
+
+def clipped_share(values, driver=None) -> float:
+    """Return the share of samples that rest at a clipped extreme, 0 when nothing looks clipped.
+
+    Clipped means: runs of at least three equal samples at the very extreme, many times longer than the runs (of mostly
+    one sample) just before and after. Where a ``driver`` is given (the input of an output), only runs during which it
+    moves count: an output may rest while its input rests. Without one, a signal that rests at many levels (steps) is
+    not clipped.
+
+    Parameters
+    ----------
+    values : ndarray, shape (N,)
+    driver : ndarray, shape (N,), optional
+    """
+    tolerance = 1e-9 * np.ptp(values)
+    starts = np.flatnonzero(np.r_[True, np.abs(np.diff(values)) > tolerance])
+    lengths = np.diff(np.r_[starts, values.size])
+    level = values[starts]
+    count = 0
+    ends = [np.abs(level - extreme) <= tolerance for extreme in (values.min(), values.max())]
+    others = lengths[~(ends[0] | ends[1])]
+    resting = others[others >= CLIPPED_RUN]
+    for at in ends:
+        long = at & (lengths >= CLIPPED_RUN)
+        if driver is not None:
+            span = 1e-3 * np.ptp(driver)
+            for i in np.flatnonzero(long):
+                long[i] = np.ptp(driver[starts[i] : starts[i] + lengths[i]]) > span
+        if not long.any():
+            continue
+        longest = int(np.argmax(np.where(long, lengths, 0)))
+        beside = np.r_[lengths[max(longest - 2, 0) : longest], lengths[longest + 1 : longest + 3]]
+        if beside.size == 0 or lengths[longest] < CLIPPED_POPULATION * np.mean(beside):
+            continue
+        if driver is None and resting.size and np.max(resting) >= 0.5 * np.max(lengths[long]):
+            continue
+        count += int(lengths[long].sum())
+    return count / values.size
+
+
+def count_reversals(values) -> int:
+    """Return how often ``values`` of shape (N,) turn round; ripple below 1 % of the range does not count.
+
+    Parameters
+    ----------
+    values : ndarray, shape (N,)
+    """
+    peaks = [scipy.signal.find_peaks(sign * values, prominence=0.01 * np.ptp(values))[0].size for sign in (1.0, -1.0)]
+    return int(sum(peaks))
+
+
+def estimate_delay(u, y, sample_time: float) -> float:
+    """Return the lag [s] of y behind u with the highest correlation, between the samples by a parabola.
+
+    The search goes over half of the input's period, so that a periodic input cannot be mistaken by a whole one.
+
+    Parameters
+    ----------
+    u, y : ndarray, shape (N,)
+    sample_time : float
+        [s]
+    """
+    u, y = (u - u.mean()) / u.std(), (y - y.mean()) / y.std()
+    n = u.size
+    spectrum = np.abs(np.fft.rfft(u)) ** 2
+    main = max(1, int(np.argmax(spectrum[1:]) + 1))
+    reach = max(2, min(n // 4, int(0.5 * n / main)))
+    products = scipy.signal.correlate(y, u, mode="full", method="fft")[n - 1 - reach : n + reach]
+    lags = np.arange(-reach, reach + 1)
+    # the correlation coefficient of the overlapping parts: plain products lean towards no lag
+    first_u, first_y = np.maximum(-lags, 0), np.maximum(lags, 0)
+    overlap = n - np.abs(lags)
+    sums = []
+    for values, first in ((u, first_u), (y, first_y), (u * u, first_u), (y * y, first_y)):
+        total = np.r_[0.0, np.cumsum(values)]
+        sums.append(total[first + overlap] - total[first])
+    spread = (sums[2] - sums[0] ** 2 / overlap) * (sums[3] - sums[1] ** 2 / overlap)
+    window = (products - sums[0] * sums[1] / overlap) / np.sqrt(np.maximum(spread, 1e-300))
+    # half a period away a sine fits as well upside down: an inverted output must be the clearly better match
+    sign = -1.0 if -window.min() > 1.1 * window.max() else 1.0
+    best = int(np.argmax(sign * window))
+    shift = 0.0
+    if 0 < best < window.size - 1:
+        left, middle, right = window[best - 1 : best + 2]
+        bend = left - 2 * middle + right
+        shift = 0.5 * (left - right) / bend if bend else 0.0
+    return float((lags[best] + shift) * sample_time)
+
+
+def _check_delay(u, y, sample_time):
+    delay = estimate_delay(u, y, sample_time)
+    lag = readable(delay, "s")
+    text = f"the output lags the input by {lag} at the best correlation (dead time, dynamics and hysteresis)"
+    if delay < -1.5 * sample_time:
+        lead = readable(-delay, "s")
+        text = f"the output comes {lead} before the input; are the columns of one clock and not exchanged?"
+        return delay, [Finding("delay", "warning", text)]
+    return delay, [Finding("delay", "note", text)]
+
+
+def _check_drift(time, u, y, unit):
+    """Fit y with the input, its direction and a straight line in time: the line is the drift."""
+    scaled = (u - u.mean()) / np.ptp(u)
+    smooth = np.gradient(scaled)
+    direction = smooth / (np.max(np.abs(smooth)) or 1.0)
+    progress = np.linspace(-0.5, 0.5, u.size) if np.ptp(time) == 0 else (time - time.mean()) / np.ptp(time)
+    table = np.column_stack([np.ones(u.size), scaled, scaled**2, scaled**3, direction, direction * scaled**2, progress])
+    solution, *_ = np.linalg.lstsq(table, y, rcond=None)
+    drift, stroke = float(solution[-1]), float(np.ptp(y))
+    monotone = abs(np.corrcoef(scaled, progress)[0, 1]) > 0.95
+    if monotone or abs(drift) <= DRIFT_SHARE * stroke:
+        return (0.0 if monotone else drift), []
+    text = f"the output drifts by {readable(drift, unit)} ({100 * drift / stroke:.2g} % of stroke) over the data"
+    return drift, [Finding("drift", "warning", f"{text}: creep, temperature or a transient at the start")]
+
 
 __all__ = ["DataError", "DataReport", "IdentificationData", "check_data", "from_recording", "from_table", "load_data"]
 

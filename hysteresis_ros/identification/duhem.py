@@ -7,26 +7,552 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Identification of the Duhem model and of its inverse (Wang, Alici & Tan 2014; W2-W4).
+"""Duhem models from data: the model, its inverse, and the model before linear dynamics (Wang, Alici & Tan 2014; W1-W5).
 
-The branches of the major loop give f and g for a given α. The paper fixes α = 80 (for an input of -1 … 1), with which
-the model reproduces the major loop and nothing else: after a reversal inside it the output first moves the wrong way. α
-is what minor loops are made of, so it is identified from them (W7) wherever the recordings hold any.
+The loops are prepared (W2): the lag is removed, frequencies are made comparable, the branches of the major loop
+extracted. They give f and g for a given α. W3 gives them from the branches *and their slopes*, and slopes of
+measured branches are mostly noise. As the output of the Duhem equation is linear in f and g along a known path of
+the input, the equation is used in its integrated form instead: f and g, as networks or splines, are sought with
+which the equation runs along the measured branches. For exact branches both are the same; with noise the integral
+needs no differentiation. There input and output of the major loop run from -1 to +1.
 
-The inverse (W4) is the same with input and output exchanged.
+The paper fixes α = 80 (for an input of -1 … 1), with which the model reproduces the major loop and nothing else:
+after a reversal inside it the output first moves the wrong way. α is what minor loops are made of, so it is
+identified from them (W7) wherever the recordings hold any. The inverse (W4) is the same with input and output
+exchanged.
+
+A linear part of second order behind the hysteresis is found by least squares from
+``y(t) = -a1 y(t-1) - a2 y(t-2) + b0 w(t-1) + b1 w(t-2)``, where w is the voltage itself (G1, W1) or what the
+identified hysteresis makes of it (G2, W5).
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hysteresis_ros.errors import IdentificationError
-from hysteresis_ros.identification.branches import checked_signals, split_branches
-from hysteresis_ros.identification.duhem_loops import NEAR_END, OPEN_END, MajorLoop, major_loop
-from hysteresis_ros.identification.shape_functions import LARGEST_ALPHA, LoopOperator, Shapes, fit_shapes
+from hysteresis_ros.identification.arx import ArxFit, fit_arx
+from hysteresis_ros.identification.preprocessing import (
+    FEWEST_BRANCH_SAMPLES,
+    checked_signals,
+    require_both_directions,
+    split_branches,
+)
 from hysteresis_ros.models.hysteresis.duhem import DuhemHysteresis, DuhemParameters
+from hysteresis_ros.models.linear import LinearParameters
+
+#: Part of a branch on both sides of a reversal that is looked at for the lag.
+WINDOW = 0.25
+LAG_CANDIDATES = 41
+#: A branch is one of the major loop when it comes this near to both ends, in parts of the range.
+NEAR_END = 0.02
+#: Branches of a loop that does not close within this part of the range are not one steady loop.
+OPEN_END = 0.02
+#: Points of a branch.
+LOOP_GRID = 301
+COARSEST_GRID = 41
+
+
+@dataclass(frozen=True)
+class PreparedLoops:
+    """Recordings as W2 wants them.
+
+    Parameters
+    ----------
+    voltage : tuple of ndarray
+        Input of each recording, delayed by its lag [V].
+    displacement : tuple of ndarray
+        Output [m], scaled to the amplitude of the first recording.
+    delays : tuple of float
+        Lag of each recording [s].
+    gains : tuple of float
+        max |y| of each recording [m]: what the linear part makes of the amplitude.
+    """
+
+    voltage: tuple[np.ndarray, ...]
+    displacement: tuple[np.ndarray, ...]
+    delays: tuple[float, ...]
+    gains: tuple[float, ...]
+
+
+def reversal_delay(voltage, displacement, sample_time: float, longest: float | None = None) -> float:
+    """Return by how much the reversals of the displacement come after those of the voltage [s] (Δt of W2).
+
+    Rate-independent hysteresis turns where its input turns, a lag turns later. Around each reversal the displacement is
+    described by one parabola of the voltage before and one after it, which meet in the corner; the delay of the voltage
+    with which this leaves the least is the lag. The lag of the first harmonic alone would count the hysteresis too.
+
+    Parameters
+    ----------
+    voltage, displacement : array_like, shape (N,)
+        [V], [m].
+    sample_time : float
+        [s]
+    longest : float, optional
+        Longest lag that is tried [s]; by default a quarter of the mean time between reversals.
+
+    Raises
+    ------
+    IdentificationError
+        There is no reversal with enough samples on both sides.
+    """
+    from scipy.optimize import minimize_scalar  # imported here because only fits need it
+
+    voltage, displacement = checked_signals(voltage, displacement)
+    branches = split_branches(voltage)
+    turns = [
+        (before, after)
+        for before, after in zip(branches[:-1], branches[1:], strict=True)
+        if min(len(before), len(after)) * WINDOW >= FEWEST_BRANCH_SAMPLES
+    ]
+    if not turns:
+        raise IdentificationError(
+            f"no reversal of the voltage has {FEWEST_BRANCH_SAMPLES / WINDOW:.0f} samples on both sides; sample faster "
+            "or record whole cycles"
+        )
+    if longest is None:
+        longest = 0.25 * sample_time * float(np.mean([len(branch) for turn in turns for branch in turn]))
+    samples = np.arange(voltage.size)
+
+    def misfit(delay):
+        shift = delay / sample_time
+        total = 0.0
+        for before, after in turns:
+            turn = before.stop + shift
+            first = max(int(turn - WINDOW * len(before)), 0)
+            last = min(int(turn + WINDOW * len(after)) + 1, voltage.size)
+            k = samples[first:last]
+            v = np.interp(k - shift, samples, voltage) - voltage[before.stop]
+            v /= np.max(np.abs(v)) or 1.0
+            left, right = v * (k < turn), v * (k >= turn)
+            rows = np.stack([np.ones(k.size), left, left * v, right, right * v], axis=1)
+            y = displacement[first:last]
+            error = rows @ np.linalg.lstsq(rows, y, rcond=None)[0] - y
+            total += float(error @ error)
+        return total
+
+    grid = np.linspace(0.0, longest, LAG_CANDIDATES)
+    best = int(np.argmin([misfit(delay) for delay in grid]))
+    low, high = grid[max(best - 1, 0)], grid[min(best + 1, LAG_CANDIDATES - 1)]
+    return float(minimize_scalar(misfit, bounds=(low, high), method="bounded", options={"xatol": 1e-3 * sample_time}).x)
+
+
+def prepare_loops(recordings, sample_time: float, delays=None) -> PreparedLoops:
+    """Shift each input by the lag of its recording and give all outputs the amplitude of the first (W2).
+
+    Loops of one amplitude at different frequencies then coincide, if hysteresis is rate independent. Recordings of
+    different amplitude must not be mixed here: the scaling would hide how hysteresis depends on the amplitude.
+
+    Parameters
+    ----------
+    recordings : sequence of (voltage, displacement)
+        [V], [m], one pair for each frequency.
+    sample_time : float
+        [s]
+    delays : sequence of float, optional
+        Lags [s]; found by :func:`reversal_delay` when not given.
+
+    Raises
+    ------
+    IdentificationError
+        A recording cannot be used, or amplitudes of the voltage differ.
+    """
+    pairs = [checked_signals(*pair) for pair in recordings]
+    if not pairs:
+        raise IdentificationError("no recording was given")
+    swings = np.array([np.ptp(voltage) for voltage, _ in pairs])
+    if swings.max() > 1.05 * swings.min():
+        raise IdentificationError(
+            f"voltage ranges of {swings.min():g} and {swings.max():g} V: normalising would hide how hysteresis depends "
+            "on the amplitude; prepare recordings of one amplitude together"
+        )
+    if delays is None:
+        delays = [reversal_delay(voltage, displacement, sample_time) for voltage, displacement in pairs]
+    shifted, scaled, gains = [], [], []
+    for (voltage, displacement), delay in zip(pairs, delays, strict=True):
+        shift = delay / sample_time
+        first = int(np.ceil(shift))
+        k = np.arange(voltage.size)
+        gains.append(float(np.max(np.abs(displacement))))
+        shifted.append(np.interp(k[first:] - shift, k, voltage))
+        scaled.append(displacement[first:] * (gains[0] / gains[-1]))
+    return PreparedLoops(tuple(shifted), tuple(scaled), tuple(map(float, delays)), tuple(gains))
+
+
+@dataclass(frozen=True)
+class MajorLoop:
+    """Both branches of the largest loop on one grid, normalised to -1 … 1.
+
+    Parameters
+    ----------
+    grid : ndarray, shape (n,)
+        Inputs.
+    rising, falling : ndarray, shape (n,)
+        Outputs at the inputs ``grid``.
+    input_low, input_high, output_low, output_high : float
+        What -1 and +1 stand for.
+    gap : float
+        By how much the branches miss each other at the worse end, in parts of the output range.
+    noise : float
+        Standard error of the grid values (normalised), from the scatter of the samples around the branches.
+    """
+
+    grid: np.ndarray
+    rising: np.ndarray
+    falling: np.ndarray
+    input_low: float
+    input_high: float
+    output_low: float
+    output_high: float
+    gap: float
+    noise: float
+
+    @property
+    def opening(self) -> float:
+        """Largest opening, in parts of the output range."""
+        return 0.5 * float(np.max(np.abs(self.falling - self.rising)))
+
+    def input(self, u) -> np.ndarray:
+        """Return inputs ``u`` normalised."""
+        return (np.asarray(u) - self.input_low) * (2.0 / (self.input_high - self.input_low)) - 1.0
+
+    def output(self, y) -> np.ndarray:
+        """Return outputs ``y`` normalised."""
+        return (np.asarray(y) - self.output_low) * (2.0 / (self.output_high - self.output_low)) - 1.0
+
+
+def major_loop(inputs, outputs) -> MajorLoop:
+    """Return the branches between the ends of the input range, averaged over all cycles and recordings.
+
+    The very first branch of a recording comes from rest, not from the loop; it counts only where nothing else is there.
+
+    Parameters
+    ----------
+    inputs, outputs : sequence of ndarray
+        One or several recordings.
+
+    Raises
+    ------
+    IdentificationError
+        There is no rising or no falling branch from end to end.
+    """
+    low, high = min(u.min() for u in inputs), max(u.max() for u in inputs)
+    near = NEAR_END * (high - low)
+    kept = {True: [], False: []}
+    spare = {True: [], False: []}
+    for u, y in zip(inputs, outputs, strict=True):
+        branches = split_branches(u)
+        require_both_directions(branches, "loop model")
+        for place, branch in enumerate(branches):
+            if branch.low < low + near and branch.high > high - near and len(branch) >= FEWEST_BRANCH_SAMPLES:
+                store = spare if place == 0 and branch.start == 0 else kept
+                store[branch.rising].append((u[branch.samples], y[branch.samples]))
+    for rising, name in ((True, "rising"), (False, "falling")):
+        kept[rising] = kept[rising] or spare[rising]
+        if not kept[rising]:
+            raise IdentificationError(
+                f"no {name} branch runs from {low:g} to {high:g}, the ends of the input range; a Duhem model needs one "
+                "whole major loop: record at least one and a half cycles of full amplitude"
+            )
+    ends = np.array([(v.min(), v.max()) for side in kept.values() for v, _ in side])
+    v_low, v_high = float(np.median(ends[:, 0])), float(np.median(ends[:, 1]))
+    shortest = min(sum(v.size for v, _ in side) for side in kept.values())
+    grid = np.linspace(-1.0, 1.0, int(np.clip(shortest // 3, COARSEST_GRID, LOOP_GRID)))
+    sides, scatter, used = {}, 0.0, 0
+    for rising, side in kept.items():
+        v, y = (np.concatenate(part) for part in zip(*side, strict=True))
+        v = (v - v_low) * (2.0 / (v_high - v_low)) - 1.0
+        sides[rising], misfit = _on_grid(grid, v, y)
+        scatter, used = scatter + misfit, used + v.size
+    up, down = sides[True], sides[False]
+    bottom, top = 0.5 * (up[0] + down[0]), 0.5 * (up[-1] + down[-1])
+    if not top > bottom:
+        raise IdentificationError("the output falls while the input rises; change the sign of one column")
+    scale = 2.0 / (top - bottom)
+    deviation = np.sqrt(scatter / max(used - 2 * grid.size, 1))
+    return MajorLoop(
+        grid=grid,
+        rising=(up - bottom) * scale - 1.0,
+        falling=(down - bottom) * scale - 1.0,
+        input_low=v_low,
+        input_high=v_high,
+        output_low=float(bottom),
+        output_high=float(top),
+        gap=0.5 * scale * float(max(abs(up[0] - down[0]), abs(up[-1] - down[-1]))),
+        noise=float(scale * deviation * np.sqrt(2 * grid.size / used)),
+    )
+
+
+def _on_grid(grid, v, y):
+    """Return the polygon over ``grid`` nearest to the samples, and its sum of squares; empty places are bridged."""
+    from scipy.linalg import solveh_banded  # imported here because only fits need it
+
+    n = grid.size
+    place = np.clip((v + 1.0) * (0.5 * (n - 1)), 0.0, n - 1.0)
+    i = np.minimum(place.astype(int), n - 2)
+    t = place - i
+    middle = float(np.mean(y))
+    z = y - middle
+    bands = np.zeros((3, n))
+    bands[2] = np.bincount(i, (1.0 - t) ** 2, n) + np.bincount(i + 1, t * t, n)
+    bands[1, 1:] = np.bincount(i, t * (1.0 - t), n)[: n - 1]
+    right = np.bincount(i, (1.0 - t) * z, n) + np.bincount(i + 1, t * z, n)
+    # a whiff of straightness makes the system regular where there are no samples
+    stiffness = 1e-6 * v.size / n
+    for offsets, value in (((0, 0), 1.0), ((1, 1), 4.0), ((2, 2), 1.0)):
+        bands[2, offsets[0] : n - 2 + offsets[0]] += stiffness * value
+    bands[1, 1 : n - 1] -= 2.0 * stiffness
+    bands[1, 2:n] -= 2.0 * stiffness
+    bands[0, 2:] += stiffness
+    values = solveh_banded(bands, right)
+    error = values[i] * (1.0 - t) + values[i + 1] * t - z
+    return values + middle, float(error @ error)
+
+
+#: Substeps of the integration are at most this long, in 1/α.
+SUBSTEP_ALPHA = 0.25
+#: Beyond this α (normalised) exponentials would overflow; branches switch within 1 % of the range long before.
+LARGEST_ALPHA = 300.0
+#: Weight of roughness (splines) and of size (networks) against the residual: only ties are broken by it.
+ROUGHNESS_WEIGHT = 1e-5
+SIZE_WEIGHT = 1e-5
+#: Numbers of units and of knots that are tried, until the residual is small or stops falling.
+UNITS = (4, 8, 12, 18, 24)
+KNOTS = (8, 12, 18, 26, 38, 56)
+#: Residual (rms, of half the range) that is small enough, and the part by which a larger model must be better.
+SMALL_RESIDUAL = 4e-5
+SIZE_WORTH_IT = 0.8
+TRAINING_STARTS = 2
+TRAINING_STEPS = 150
+#: Networks with this residual are trained, whether or not a further step would still lower it a little.
+TRAINED = 2e-4
+
+# Gauss-Legendre rule of three points on 0 … 1, which the model's own kernel uses too.
+_POINTS = np.array([0.5 - math.sqrt(0.15), 0.5, 0.5 + math.sqrt(0.15)])
+_WEIGHTS = np.array([5.0, 8.0, 5.0]) / 18.0
+
+
+@dataclass(frozen=True)
+class Shapes:
+    """f and g of one loop.
+
+    Parameters
+    ----------
+    kind : str
+        ``network`` or ``spline``.
+    f, g : ndarray
+        Numbers as in :class:`~hysteresis_ros.models.hysteresis.duhem.DuhemParameters`.
+    rms, maximum : float
+        Residual of the loop that runs with them, in parts of half the range.
+    converged : bool
+        The training ended by itself or came below :data:`TRAINED` (splines need none).
+    """
+
+    kind: str
+    f: np.ndarray
+    g: np.ndarray
+    rms: float
+    maximum: float
+    converged: bool
+
+
+class LoopOperator:
+    """The Duhem equation run once up and down a grid: ``w = constant + on_f f(nodes) + on_g g(nodes)``.
+
+    Parameters
+    ----------
+    grid : ndarray, shape (n,)
+        Inputs, rising from -1 to +1.
+    alpha : float
+        α for the normalised input, up to :data:`LARGEST_ALPHA`.
+    start : float
+        Output at -1.
+
+    Attributes
+    ----------
+    nodes : ndarray, shape (m,)
+        Inputs at which f and g are needed.
+    constant : ndarray, shape (2 n,)
+        What the start contributes: first upwards along the grid, then downwards from its last to its first point.
+    """
+
+    def __init__(self, grid, alpha, start):
+        longest = float(np.max(np.diff(grid)))
+        parts = max(1, math.ceil(alpha * longest / SUBSTEP_ALPHA))
+        n = len(grid)
+        edges = np.interp(np.arange((n - 1) * parts + 1) / parts, np.arange(n), grid)
+        lengths = np.diff(edges)
+        self.alpha = alpha
+        self.nodes = (edges[:-1, None] + lengths[:, None] * _POINTS).ravel()
+        weights = (lengths[:, None] * _WEIGHTS).ravel()
+        # exp(-α (v - node)) = exp(-α (v + 1)) exp(α (node + 1)): integrals become running sums
+        self._group = 3 * parts
+        self._up = (weights * np.exp(alpha * (self.nodes - grid[0])))[:, None]
+        self._down = (weights * np.exp(alpha * (grid[-1] - self.nodes)))[:, None]
+        self._decay_up = np.exp(-alpha * (grid - grid[0]))
+        self._decay_down = np.exp(-alpha * (grid[-1] - grid[::-1]))
+        # the way down starts where the way up has ended
+        self.constant = start * np.concatenate([self._decay_up, self._decay_down * self._decay_up[-1]])
+
+    def _apply(self, values, sign) -> np.ndarray:
+        columns = np.reshape(values, (self.nodes.size, -1))
+        up = self._running(columns * self._up, self._decay_up)
+        down = sign * self._running((columns * self._down)[::-1], self._decay_down)
+        down += self._decay_down[:, None] * up[-1]
+        return np.concatenate([up, down]).reshape((-1, *np.shape(values)[1:]))
+
+    def _running(self, columns, decay) -> np.ndarray:
+        pieces = columns.reshape(-1, self._group, columns.shape[1]).sum(axis=1)
+        sums = np.zeros((len(pieces) + 1, columns.shape[1]))
+        np.cumsum(pieces, axis=0, out=sums[1:])
+        return decay[:, None] * sums
+
+    def on_f(self, values) -> np.ndarray:
+        """Return what values of f at the nodes, shape (m,) or (m, k), do to the output, shape (2 n,) or (2 n, k)."""
+        return self.alpha * self._apply(values, 1.0)
+
+    def on_g(self, values) -> np.ndarray:
+        """Return what values of g at the nodes do, like :meth:`on_f`."""
+        return self._apply(values, -1.0)
+
+    def output(self, f, g) -> np.ndarray:
+        """Return w, shape (2 n,), for values f and g at the nodes, shape (m,)."""
+        return self.constant + self.on_f(f) + self.on_g(g)
+
+
+def _solve_normal(rows, wanted) -> np.ndarray:
+    """Solve a well-conditioned problem by its normal equations: no multithreaded routine for such small matrices."""
+    normal = np.einsum("ij,ik->jk", rows, rows)
+    return np.linalg.solve(normal, np.einsum("ij,i->j", rows, wanted))
+
+
+def fit_splines(operator: LoopOperator, target, knots: int) -> Shapes:
+    """Return the splines of ``knots`` values with which the loop runs nearest to ``target``, shape (2 n,)."""
+    from scipy.interpolate import CubicSpline  # imported here because only fits need it
+
+    basis = CubicSpline(np.linspace(-1.0, 1.0, knots), np.eye(knots))(operator.nodes)
+    matrix = np.hstack([operator.on_f(basis), operator.on_g(basis)])
+    bend = np.diff(np.eye(knots), 2, axis=0) * ROUGHNESS_WEIGHT * knots**1.5
+    rows = np.vstack([matrix, np.kron(np.eye(2), bend)])
+    wanted = np.concatenate([target - operator.constant, np.zeros(2 * len(bend))])
+    found = _solve_normal(rows, wanted)
+    residual = matrix @ found + operator.constant - target
+    return _shapes("spline", found[:knots], found[knots:], residual, True)
+
+
+def fit_networks(operator: LoopOperator, target, units: int, random, noise: float = 0.0) -> Shapes:
+    """Return trained networks of ``units`` tanh units each, the best of a few seeded starts.
+
+    Parameters
+    ----------
+    operator : LoopOperator
+    target : ndarray, shape (2 n,)
+        Outputs along the loop.
+    units : int
+        Hidden units of each network.
+    random : numpy.random.Generator
+        For the starts.
+    noise : float
+        Standard error of the targets.
+    """
+    from scipy.optimize import least_squares  # imported here because only fits need it
+
+    v = operator.nodes[:, None]
+    size = 3 * units + 1
+    best = None
+
+    def network(numbers):
+        a, b, c, d = numbers[:units], numbers[units : 2 * units], numbers[2 * units : -1], numbers[-1]
+        hidden = np.tanh(a * v + b)
+        return hidden, c, hidden @ c + d
+
+    def residual(numbers):
+        _, _, f = network(numbers[:size])
+        _, _, g = network(numbers[size:])
+        return np.concatenate([operator.output(f, g) - target, SIZE_WEIGHT * numbers])
+
+    def jacobian(numbers):
+        blocks = []
+        for apply, part in ((operator.on_f, numbers[:size]), (operator.on_g, numbers[size:])):
+            hidden, c, _ = network(part)
+            slope = (1.0 - hidden**2) * c
+            blocks.append(apply(np.hstack([slope * v, slope, hidden, np.ones_like(v)])))
+        return np.vstack([np.hstack(blocks), SIZE_WEIGHT * np.eye(2 * size)])
+
+    for _ in range(TRAINING_STARTS):
+        numbers = _first_networks(operator, target, units, random)
+        found = least_squares(residual, numbers, jacobian, method="lm", x_scale="jac", max_nfev=TRAINING_STEPS)
+        errors = residual(found.x)[: len(target)]
+        trained = found.status > 0 or np.sqrt(np.mean(errors**2)) <= max(TRAINED, noise)
+        shapes = _shapes("network", found.x[:size], found.x[size:], errors, trained)
+        if best is None or shapes.rms < best.rms:
+            best = shapes
+        if best.rms <= max(SMALL_RESIDUAL, noise):
+            break
+    return best
+
+
+def _first_networks(operator, target, units, random) -> np.ndarray:
+    """Return starting numbers: units spread over the range, output weights by least squares."""
+    parts = []
+    for _ in range(2):
+        centres = np.linspace(-1.0, 1.0, units) + 0.5 / units * random.standard_normal(units)
+        a = 0.5 * units * (0.5 + random.random(units)) + 0.5
+        parts.append((a, -a * centres))
+    hidden = [
+        np.hstack([np.tanh(operator.nodes[:, None] * a + b), np.ones((operator.nodes.size, 1))]) for a, b in parts
+    ]
+    matrix = np.hstack([operator.on_f(hidden[0]), operator.on_g(hidden[1])])
+    rows = np.vstack([matrix, 1e-3 * np.eye(matrix.shape[1])])
+    wanted = np.concatenate([target - operator.constant, np.zeros(matrix.shape[1])])
+    out = _solve_normal(rows, wanted).reshape(2, units + 1)
+    return np.concatenate([np.concatenate([*part, weights]) for part, weights in zip(parts, out, strict=True)])
+
+
+def fit_shapes(operator: LoopOperator, target, kind: str, size: int | None, random, noise: float = 0.0) -> Shapes:
+    """Return f and g of the given kind.
+
+    Parameters
+    ----------
+    operator : LoopOperator
+    target : ndarray, shape (2 n,)
+    kind : str
+        ``network`` or ``spline``.
+    size : int or None
+        Units or knots; None tries growing ones until the residual is small or a larger model hardly helps.
+    random : numpy.random.Generator
+    noise : float
+        Standard error of the targets; a residual below it is small enough.
+    """
+
+    def fit(number):
+        if kind == "spline":
+            return fit_splines(operator, target, number)
+        return fit_networks(operator, target, number, random, noise)
+
+    if size is not None:
+        return fit(size)
+    best, enough = None, max(SMALL_RESIDUAL, noise)
+    for number in KNOTS if kind == "spline" else UNITS:
+        if 6 * number > len(target):
+            break
+        shapes = fit(number)
+        if best is not None and shapes.rms > SIZE_WORTH_IT * best.rms and best.rms < 1e-3:
+            break
+        if best is None or shapes.rms < best.rms:
+            best = shapes
+        if best.rms <= enough:
+            break
+    return best
+
+
+def _shapes(kind, f, g, residual, converged) -> Shapes:
+    rms, maximum = float(np.sqrt(np.mean(residual**2))), float(np.max(np.abs(residual)))
+    return Shapes(kind, np.asarray(f), np.asarray(g), rms, maximum, bool(converged))
+
 
 #: The paper's α, for a normalised input of -1 … 1.
 PUBLISHED_ALPHA = 80.0
@@ -91,7 +617,7 @@ def identify_duhem(
     ----------
     voltage, displacement : array_like, shape (N,), or sequences of such
         Recordings [V], [m] with at least one whole major loop; see
-        :func:`~hysteresis_ros.identification.duhem_loops.prepare_loops` for several frequencies.
+        :func:`~hysteresis_ros.identification.duhem.prepare_loops` for several frequencies.
     alpha : float, optional
         α for an input normalised to -1 … 1 (:data:`PUBLISHED_ALPHA` for the paper's case). Without it α comes from
         minor loops if there are any, and is the paper's otherwise.
@@ -267,3 +793,127 @@ def _search_alpha(loop: MajorLoop, minor):
     found = minimize_scalar(misfit, bounds=(low, high), method="bounded", options={"xatol": ALPHA_TOLERANCE})
     inside = low + 5 * ALPHA_TOLERANCE < found.x < high - 5 * ALPHA_TOLERANCE
     return float(np.exp(found.x)), bool(found.success and (inside or 0 < best < grid.size - 1))
+
+
+#: With ``minimum_phase`` the zero is kept within this radius.
+LARGEST_ZERO = 0.98
+
+
+@dataclass(frozen=True)
+class DuhemHammerstein:
+    """Result of :func:`identify_duhem_hammerstein`.
+
+    Parameters
+    ----------
+    hysteresis : DuhemIdentification
+        First part: voltage to displacement at the amplitude of the first recording.
+    linear : ArxFit
+        Second part G2.
+    linear_only : ArxFit
+        G1, the linear model without hysteresis, for comparison.
+    prepared : PreparedLoops
+        Lags and gains of the recordings.
+    rms : tuple of float
+        Simulation error of the whole model for each recording [m].
+    linear_only_rms : tuple of float
+        The same for G1.
+    converged : bool
+        Of the hysteresis.
+    warnings : tuple of str
+        Of both parts.
+    """
+
+    hysteresis: DuhemIdentification
+    linear: ArxFit
+    linear_only: ArxFit
+    prepared: PreparedLoops
+    rms: tuple[float, ...]
+    linear_only_rms: tuple[float, ...]
+    converged: bool
+    warnings: tuple[str, ...]
+
+    @property
+    def parameters(self) -> tuple[DuhemParameters, LinearParameters]:
+        """Both parts as an actuator wants them: the hysteresis carries the gain, the linear part has unit DC gain.
+
+        Raises
+        ------
+        FitError
+            The linear part is unstable and cannot run.
+        """
+        gain = self.linear.model.dc_gain
+        hysteresis = self.hysteresis.parameters
+        scaled = {name: gain * getattr(hysteresis, name) for name in ("output_low", "output_high", "output_start")}
+        return replace(hysteresis, **scaled), self.linear.model.linear_parameters()
+
+
+def identify_duhem_hammerstein(
+    recordings,
+    sample_time: float,
+    *,
+    minor=None,
+    minimum_phase: bool = False,
+    delays=None,
+    **duhem,
+) -> DuhemHammerstein:
+    """Identify v → Duhem → G2 from sines of one amplitude and several frequencies (W2, W3, W5).
+
+    Parameters
+    ----------
+    recordings : sequence of (voltage, displacement)
+        [V], [m], each several cycles.
+    sample_time : float
+        [s]
+    minor : (voltage, displacement), optional
+        Recording with minor loops; its lag is removed like that of the others.
+    minimum_phase : bool
+        Keep the zero of the linear part inside the unit circle, as an inversion needs (W6).
+    delays : sequence of float, optional
+        Lags of the recordings [s].
+    **duhem
+        ``alpha``, ``shape``, ``size`` and ``seed`` of :func:`~hysteresis_ros.identification.duhem.identify_duhem`.
+
+    Raises
+    ------
+    IdentificationError, DataError, FitError
+        Unusable data, or inputs that do not excite a second-order part.
+    """
+    recordings = [checked_signals(*pair) for pair in recordings]
+    prepared = prepare_loops(recordings, sample_time, delays)
+    if minor is not None:
+        alone = prepare_loops([minor], sample_time)
+        # the first reversals of both are the same large ones: their amplitudes stand for the gain of the linear part
+        minor = (alone.voltage[0], alone.displacement[0] * (prepared.gains[0] / alone.gains[0]))
+    hysteresis = identify_duhem(prepared.voltage, prepared.displacement, minor=minor, **duhem)
+    block = DuhemHysteresis(hysteresis.parameters, sample_time)
+    inputs, outputs, raw = [], [], []
+    for voltage, displacement in recordings:
+        block.reset()
+        passed = block.simulate(voltage)
+        # the first branch comes from rest, where the state of the hysteresis is not known
+        settled = split_branches(voltage)[0].stop
+        inputs.append(passed[settled:])
+        outputs.append(displacement[settled:])
+        raw.append(voltage[settled:])
+    radius = LARGEST_ZERO if minimum_phase else None
+    linear = fit_arx(inputs, outputs, sample_time, zero_radius=radius, units=("m", "m"))
+    linear_only = fit_arx(raw, outputs, sample_time, zero_radius=radius)
+    return DuhemHammerstein(
+        hysteresis=hysteresis,
+        linear=linear,
+        linear_only=linear_only,
+        prepared=prepared,
+        rms=_simulation_rms(linear, inputs, outputs),
+        linear_only_rms=_simulation_rms(linear_only, raw, outputs),
+        converged=hysteresis.converged,
+        warnings=hysteresis.warnings + tuple(f"linear part: {warning}" for warning in linear.warnings),
+    )
+
+
+def _simulation_rms(fit: ArxFit, inputs, outputs) -> tuple[float, ...]:
+    """Return the rms error of the simulated model for each recording, started from its first two outputs."""
+    found = []
+    for w, y in zip(inputs, outputs, strict=True):
+        start = (y[0], y[1] + fit.denominator[1] * y[0] - fit.numerator[0] * w[0])
+        found.append(float(np.sqrt(np.mean((fit.model.simulate(w, start) - y) ** 2))))
+    return tuple(found)

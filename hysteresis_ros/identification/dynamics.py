@@ -7,30 +7,584 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The dynamics behind a hysteresis, found in turns with it: lag, delay, resonances and creep.
+"""The dynamics behind a hysteresis: lag, delay, up to two resonances and creep, found in turns with the hysteresis.
 
-Slow recordings: the hysteresis is found together with lag, delay and creep first, on coarse data; then the dynamics are
-chosen anew at the full rate behind it. Fast ones: the dynamics between voltage and displacement stand at the beginning,
-because a hysteresis that has to stand for a resonance leads nowhere. Either way hysteresis and the dynamics behind it
-are then settled in turns.
+The displacement w that the hysteresis puts out and the measured one are compared by the spectra of segments: a
+recording of any length becomes sums of a few thousand frequencies, so that a trial of a model costs a millisecond.
+Differences of both signals are taken before, and Hann's window: a strong slow movement then leaks little into the
+weak fast one, by which a resonance shows. For given poles and delay the response is linear in the numerators,
+which are solved for exactly (variable projection), so a structure needs few numbers to be searched: τ, delay, and
+frequency and damping of each mode. A structure with more numbers is taken when segments that it was not fitted to
+are predicted better, by more than its numbers explain (Bayesian information criterion), in most of the folds.
+
+Slow recordings: the hysteresis is found together with lag, delay and creep first, on coarse data; then the
+dynamics are chosen anew at the full rate behind it. Fast ones: the dynamics between voltage and displacement come
+first, because a hysteresis that has to stand for a resonance leads nowhere. Either way hysteresis and dynamics are
+then settled in turns. A second recording, small and fast, may give the dynamics behind a hysteresis that a slow
+one gave.
+
+References
+----------
+.. [1] Pintelon & Schoukens, System Identification: A Frequency Domain Approach, 2012, sections 2.6 and 4.3 (noise
+   of averaged spectra, weighted cost).
 """
 
 from __future__ import annotations
 
 import contextlib
-from dataclasses import replace
+import itertools
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hysteresis_ros.errors import IdentificationError, ParameterError
-from hysteresis_ros.identification.condensed import condense
+from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.hammerstein import HammersteinFit, pass_through
-from hysteresis_ros.identification.linear_part import Known, LinearPart
-from hysteresis_ros.identification.modal_choice import PAIR, choose_dynamics
-from hysteresis_ros.identification.segment_spectra import segment_spectra
+from hysteresis_ros.identification.linear_part import Known, LinearPart, Mode
+from hysteresis_ros.identification.plant_model import PlantModel
+from hysteresis_ros.identification.prediction import predict
+from hysteresis_ros.identification.preprocessing import condense
 from hysteresis_ros.models.creep import Creep
 from hysteresis_ros.models.hysteresis import hysteresis_block
+from hysteresis_ros.models.linear import LinearParameters
 from hysteresis_ros.recordings.loops import turning_points
+
+#: The recording is cut into this many lengths of a segment; segments overlap by half.
+LENGTHS = 8
+#: Segments side by side that are left out together, so many times.
+FOLDS = 4
+#: Neighbouring frequencies are put together up to this part of the frequency.
+RESOLUTION = 2e-3
+#: The noise is taken as smooth over this part of an octave to both sides, and over so many frequencies.
+NOISE_OCTAVE, NOISE_BINS = 0.25, 8
+
+
+@dataclass(frozen=True, eq=False)
+class SegmentSpectra:
+    """Sums of the spectra of an input w and an output y over the segments of each fold.
+
+    Parameters
+    ----------
+    frequencies : ndarray, shape (n,)
+        [Hz], rising.
+    input, output : ndarray, shape (F, n)
+        Σ |W|² and Σ |Y|².
+    cross : ndarray of complex, shape (F, n)
+        Σ Y W*.
+    samples : float
+        Independent samples in all.
+    segments : int
+        How many were added up.
+    sample_time : float
+        [s]
+    """
+
+    frequencies: np.ndarray
+    input: np.ndarray
+    output: np.ndarray
+    cross: np.ndarray
+    samples: float
+    segments: int
+    sample_time: float
+
+    @property
+    def resolution(self) -> float:
+        """Distance of the lowest frequencies [Hz]."""
+        return float(self.frequencies[1] - self.frequencies[0])
+
+    def errors(self, response) -> np.ndarray:
+        """Return Σ |Y - G W|² of each fold and frequency, shape (F, n).
+
+        Parameters
+        ----------
+        response : ndarray of complex, shape (n,)
+            G.
+        """
+        size = np.abs(response) ** 2 * self.input - 2.0 * np.real(np.conj(response) * self.cross) + self.output
+        return np.maximum(size, 0.0)
+
+    def noise(self, response) -> np.ndarray:
+        """Return the mean Σ |Y - G W|² of a fold, smooth over the frequency, shape (n,).
+
+        Parameters
+        ----------
+        response : ndarray of complex, shape (n,)
+            G.
+        """
+        return self.smooth(self.errors(response).mean(axis=0))
+
+    def incoherent(self) -> np.ndarray:
+        """Return the mean |Y|² of a segment that no linear response to w explains, smooth over the frequency, (n,)."""
+        tiny = np.finfo(float).tiny
+        explained = np.abs(self.cross.sum(axis=0)) ** 2 / np.maximum(self.input.sum(axis=0), tiny)
+        left = np.maximum(self.output.sum(axis=0) - explained, 0.0)
+        return self.smooth(left) / max(self.segments - 1, 1)
+
+    def smooth(self, values, octave: float = NOISE_OCTAVE) -> np.ndarray:
+        """Return values, shape (n,), averaged over part of an octave to both sides, shape (n,).
+
+        Parameters
+        ----------
+        values : ndarray, shape (n,)
+        octave : float
+        """
+        f, n = self.frequencies, len(self.frequencies)
+        low = np.minimum(np.searchsorted(f, f * 2.0**-octave), np.maximum(np.arange(n) - NOISE_BINS, 0))
+        high = np.maximum(np.searchsorted(f, f * 2.0**octave), np.minimum(np.arange(n) + NOISE_BINS, n))
+        total = np.append(0.0, np.cumsum(values))
+        return (total[high] - total[low]) / (high - low)
+
+
+def segment_spectra(w, y, sample_time: float, first: int = 0, late: int = 0) -> SegmentSpectra:
+    """Return the spectra of two signals of one rate.
+
+    Parameters
+    ----------
+    w, y : ndarray, shape (N,)
+    sample_time : float
+        [s]
+    first : int
+        Samples left out at the start.
+    late : int
+        By how many samples y comes after w, about: its segments are cut so much later, which is put right in its phase.
+    """
+    w, y = (np.diff(np.asarray(signal, dtype=float)[first:]) for signal in (w, y))
+    w, y = w[: w.size - late], y[late:]
+    length = 2 * max(w.size // (2 * LENGTHS), 16)
+    window = np.hanning(length)
+    starts = range(0, w.size - length + 1, length // 2)
+    place = np.arange(2, length // 2)
+    turned = np.exp(-2j * np.pi * place * late / length)
+    edges = [0]
+    while edges[-1] < place.size:
+        edges.append(edges[-1] + max(int(RESOLUTION * place[edges[-1]]), 1))
+    edges = np.array(edges[:-1])
+    sums = [np.zeros((FOLDS, edges.size)), np.zeros((FOLDS, edges.size)), np.zeros((FOLDS, edges.size), dtype=complex)]
+    for number, start in enumerate(starts):
+        W, Y = (np.fft.rfft(window * signal[start : start + length])[place] for signal in (w, y))
+        for total, value in zip(sums, (np.abs(W) ** 2, np.abs(Y) ** 2, Y * turned * np.conj(W)), strict=True):
+            total[number * FOLDS // len(starts)] += np.add.reduceat(value, edges)
+    frequencies = np.add.reduceat(place.astype(float), edges) / np.diff(np.append(edges, place.size))
+    return SegmentSpectra(frequencies / (length * sample_time), *sums, float(w.size), len(starts), sample_time)
+
+
+#: Most modes that are looked for.
+MOST_MODES = 2
+#: Ranges: damping; frequency [of the sample rate]; lag and delay in samples and as parts of a segment.
+DAMPING_RANGE = (5e-4, 0.9)
+HIGHEST = 0.49
+SHORTEST, LONGEST = 0.05, 0.25
+MOST_EVALUATIONS = 60
+#: A mode makes at least so many turns in a segment.
+LEAST_CYCLES = 20.0
+#: No model is truer than to this part of the movement at neighbouring frequencies; the window leaks as much.
+SMALLEST_ERROR = 3e-3
+
+
+@dataclass(frozen=True)
+class ModalStructure:
+    """Which parts there are.
+
+    Parameters
+    ----------
+    lag, delay : bool
+    modes : int
+    series : bool
+        Lag and modes one behind the other, without zeros; otherwise beside each other, with free numerators.
+    """
+
+    lag: bool
+    delay: bool
+    modes: int = 0
+    series: bool = False
+
+    @property
+    def numbers(self) -> int:
+        """How many numbers are fitted."""
+        return self.lag + self.delay + (2 if self.series else 4) * self.modes + 1
+
+
+@dataclass(frozen=True, eq=False)
+class ModalTrial:
+    """A structure with its best numbers.
+
+    Parameters
+    ----------
+    structure : Structure
+    part : LinearPart
+        Of unit gain, without creep, for a held input.
+    gain : float
+    response : ndarray of complex, shape (n,)
+        At the frequencies of the spectra, gain included.
+    values : ndarray
+        Of the search.
+    """
+
+    structure: ModalStructure
+    part: LinearPart
+    gain: float
+    response: np.ndarray
+    values: np.ndarray
+
+
+def held_pole(pole, frequencies, sample_time: float, delay: float) -> np.ndarray:
+    """Return the response of 1/(s - p) from a held input, delayed, to the samples before it changes, shape (n,).
+
+    Parameters
+    ----------
+    pole : complex
+        p [rad/s].
+    frequencies : ndarray, shape (n,)
+        [Hz]
+    sample_time, delay : float
+        [s]
+    """
+    whole = int(np.floor(delay / sample_time + 1e-9))
+    part = max(delay / sample_time - whole, 0.0)
+    late = np.expm1(pole * (1.0 - part) * sample_time) / pole
+    early = np.expm1(pole * sample_time) / pole - late
+    z = np.exp(2j * np.pi * frequencies * sample_time)
+    return z**-whole * (late + early / z) / (z - np.exp(pole * sample_time))
+
+
+def mode_columns(frequency, damping, frequencies, sample_time: float, delay: float) -> np.ndarray:
+    """Return the responses of ω²/(s² + 2 ζ ω s + ω²) and of ω s/(…) from a held input, shape (n, 2).
+
+    Parameters
+    ----------
+    frequency, damping : float
+        ω/2π [Hz] and ζ.
+    frequencies : ndarray, shape (n,)
+        [Hz]
+    sample_time, delay : float
+        [s]
+    """
+    omega = 2.0 * np.pi * frequency
+    pole = omega * complex(-damping, np.sqrt(1.0 - damping**2))
+    one, other = (held_pole(p, frequencies, sample_time, delay) for p in (pole, pole.conjugate()))
+    spread = pole - pole.conjugate()
+    return np.column_stack(
+        [omega**2 / spread * (one - other), omega / spread * (pole * one - pole.conjugate() * other)]
+    )
+
+
+def _lag_column(lag, frequencies, sample_time, delay):
+    if lag > 0.0:
+        return held_pole(-1.0 / lag, frequencies, sample_time, delay) / lag
+    whole = int(np.floor(delay / sample_time + 1e-9))
+    part = max(delay / sample_time - whole, 0.0)
+    z = np.exp(2j * np.pi * frequencies * sample_time)
+    return z ** -(whole + 1) * ((1.0 - part) + part / z)
+
+
+class ModalSearch:
+    """Searches on one set of spectra.
+
+    Parameters
+    ----------
+    spectra : SegmentSpectra
+    """
+
+    def __init__(self, spectra: SegmentSpectra):
+        self.spectra = spectra
+        self.f, self.T = spectra.frequencies, spectra.sample_time
+        longest = LONGEST / spectra.resolution
+        self.lag_range = (SHORTEST * self.T, max(longest, 4.0 * self.T))
+        self.delay_range = (0.0, max(longest, 4.0 * self.T))
+        self.mode_range = (LEAST_CYCLES * spectra.resolution, HIGHEST / self.T)
+        whole = spectra.input.sum(axis=0)
+        self.estimate = spectra.cross.sum(axis=0) / np.maximum(whole, np.finfo(float).tiny)
+        self.power = whole
+        self.weigh(np.abs(self.estimate))
+
+    def weigh(self, response) -> None:
+        """Take the noise that a response leaves as the weight of the frequencies from now on."""
+        noise = self.spectra.noise(response)
+        around = self.spectra.smooth(self.spectra.output.mean(axis=0), 0.0)
+        self.variance = np.maximum(noise, SMALLEST_ERROR**2 * around)
+        self.weight = np.sqrt(self.power / self.variance)
+
+    def cost(self, response) -> float:
+        """Return twice the negative logarithm of the likelihood, but for a constant."""
+        return self.scale * float(np.sum(self.spectra.errors(response) / self.variance))
+
+    @property
+    def scale(self) -> float:
+        """By which sums over folds and frequencies count as independent samples."""
+        return self.spectra.samples / self.spectra.input.size
+
+    def without(self, fold: int) -> ModalSearch:
+        """Return the search on the other folds, with the weights of this one.
+
+        Parameters
+        ----------
+        fold : int
+        """
+        spectra = self.spectra
+        kept = np.arange(len(spectra.input)) != fold
+        sums = {name: getattr(spectra, name)[kept] for name in ("input", "output", "cross")}
+        other = ModalSearch(replace(spectra, **sums))
+        other.variance, other.weight = self.variance, np.sqrt(other.power / self.variance)
+        return other
+
+    def unpack(self, structure: ModalStructure, values):
+        """Return lag, delay [s], and pairs (frequency [Hz], damping)."""
+        values = list(values)
+        lag = float(np.exp(values.pop(0))) if structure.lag else 0.0
+        delay = float(self.T * values.pop(0)) if structure.delay else 0.0
+        pairs = [(float(np.exp(values[2 * i])), float(np.exp(values[2 * i + 1]))) for i in range(structure.modes)]
+        return lag, delay, pairs
+
+    def bounds(self, structure: ModalStructure):
+        """Return the lowest and the highest values of the search, in the order of :meth:`unpack`."""
+        rows = [np.log(self.lag_range)] * structure.lag + [np.array(self.delay_range) / self.T] * structure.delay
+        rows += [np.log(self.mode_range), np.log(DAMPING_RANGE)] * structure.modes
+        return np.reshape(rows, (-1, 2)).T
+
+    def part(self, structure: ModalStructure, values, coefficients) -> tuple[LinearPart, float]:
+        """Return the linear part of unit gain, and the gain."""
+        lag, delay, pairs = self.unpack(structure, values)
+        if structure.series:
+            modes, gain = in_series(lag, pairs), float(coefficients[0])
+        else:
+            shares = np.reshape(coefficients[1:], (-1, 2))
+            gain = float(coefficients[0] + shares[:, 0].sum())
+            both = zip(pairs, shares / gain, strict=True)
+            modes = tuple(Mode(*pair, float(share[0]), float(share[1])) for pair, share in both)
+        return LinearPart(lag=lag, delay=delay, modes=modes, hold=self.T), gain
+
+    def columns(self, structure: ModalStructure, values) -> np.ndarray:
+        """Return what the response is linear in, shape (n, k)."""
+        lag, delay, pairs = self.unpack(structure, values)
+        if structure.series:
+            return part_response(LinearPart(lag=lag, delay=delay, modes=in_series(lag, pairs), hold=self.T), self.f)[
+                :, None
+            ]
+        found = [_lag_column(lag, self.f, self.T, delay)[:, None]]
+        found += [mode_columns(*pair, self.f, self.T, delay) for pair in pairs]
+        return np.concatenate(found, axis=1)
+
+    def solve(self, columns):
+        """Return the coefficients of the columns and the weighted residual, real and imaginary parts."""
+        table = self.weight[:, None] * columns
+        table = np.concatenate([table.real, table.imag])
+        target = self.weight * self.estimate
+        target = np.concatenate([target.real, target.imag])
+        size = np.linalg.norm(table, axis=0)
+        size[size == 0.0] = 1.0
+        table = table / size
+        gram = table.T @ table + 1e-12 * np.eye(len(size))
+        coefficients = np.linalg.solve(gram, table.T @ target)
+        return coefficients / size, table @ coefficients - target
+
+    def fit(self, structure: ModalStructure, starts, evaluations: int = MOST_EVALUATIONS) -> ModalTrial:
+        """Return the best trial of a structure from several starts."""
+        from scipy.optimize import least_squares  # imported here because only fits need it
+
+        low, high = self.bounds(structure)
+        best = (np.inf, np.zeros(0))
+        for start in starts if len(low) else ():
+            inside = np.clip(start, low + 1e-6, high - 1e-6)
+            found = least_squares(
+                lambda values: self.solve(self.columns(structure, values))[1],
+                inside,
+                bounds=(low, high),
+                x_scale=np.maximum(0.1 * (np.abs(inside) > 0), 0.1),
+                xtol=1e-6,
+                ftol=1e-6,
+                max_nfev=evaluations,
+            )
+            if found.cost < best[0]:
+                best = (found.cost, found.x)
+        return self.trial(structure, best[1])
+
+    def trial(self, structure: ModalStructure, values) -> ModalTrial:
+        """Return the trial with given poles."""
+        columns = self.columns(structure, values)
+        coefficients, _ = self.solve(columns)
+        part, gain = self.part(structure, values, coefficients)
+        return ModalTrial(structure, part, gain, columns @ coefficients, values)
+
+
+def part_response(part: LinearPart, frequencies) -> np.ndarray:
+    """Return the response of lag, modes and delay, shape (n,), for a held input, at the samples before it changes.
+
+    Parameters
+    ----------
+    part : LinearPart
+        With ``hold``.
+    frequencies : ndarray, shape (n,)
+        [Hz]
+    """
+    direct = 1.0 - sum(mode.position for mode in part.modes)
+    found = direct * _lag_column(part.lag, frequencies, part.hold, part.delay)
+    for mode in part.modes:
+        columns = mode_columns(mode.frequency, mode.damping, frequencies, part.hold, part.delay)
+        found = found + columns @ np.array([mode.position, mode.velocity])
+    return found
+
+
+def in_series(lag: float, pairs) -> tuple[Mode, ...]:
+    """Return lag and modes one behind the other as modes beside the lag: partial fractions.
+
+    Parameters
+    ----------
+    lag : float
+        [s]
+    pairs : sequence of (float, float)
+        Frequency [Hz] and damping of each mode.
+    """
+    modes = []
+    for i, (frequency, damping) in enumerate(pairs):
+        omega = 2.0 * np.pi * frequency
+        pole = omega * complex(-damping, np.sqrt(1.0 - damping**2))
+        residue = omega**2 / (pole - pole.conjugate()) / (1.0 + lag * pole)
+        for j, (other, other_damping) in enumerate(pairs):
+            if j != i:
+                square = (2.0 * np.pi * other) ** 2
+                residue *= square / (pole**2 + 2.0 * other_damping * np.sqrt(square) * pole + square)
+        # r/(s - p) + r*/(s - p*) = (2 Re r s - 2 Re(r p*))/(…)
+        position = -2.0 * (residue * pole.conjugate()).real / omega**2
+        modes.append(Mode(frequency, damping, float(position), float(2.0 * residue.real / omega)))
+    return tuple(modes)
+
+
+#: Places and dampings at which a mode is tried before it is searched, and how many of the best are followed.
+TRIED_FREQUENCIES, TRIED_DAMPINGS, FOLLOWED = 100, (0.01, 0.05, 0.25), 2
+#: Of the structures with equally many modes, so many are judged by segments that were left out.
+JUDGED = 3
+#: A structure must predict better in so many folds, and where its modes are, within this factor of the frequency.
+MAJORITY, NEARBY_FREQUENCY = 3, 1.4
+#: Evaluations when segments are left out: the search starts at its end.
+FEW_EVALUATIONS = 6
+
+
+def choose_dynamics(
+    spectra: SegmentSpectra, parts=("lag", "delay"), most_modes: int = MOST_MODES, zeros: bool = True
+) -> ModalTrial:
+    """Return the dynamics with which left-out segments are predicted best for the numbers they need.
+
+    Parameters
+    ----------
+    spectra : SegmentSpectra
+        Of what the hysteresis puts out and of what is measured.
+    parts : tuple of str
+        Of ``lag`` and ``delay``: what may be there beside modes.
+    most_modes : int
+    zeros : bool
+        Whether modes may stand beside each other and the lag; otherwise all stand one behind the other.
+    """
+    search = ModalSearch(spectra)
+    plain = [_without_modes(search, *both) for both in itertools.product(*(_choices(part, parts) for part in PAIR))]
+    largest = [min(plain, key=lambda trial: search.cost(trial.response))]
+    search.weigh(largest[0].response)
+    low, high = search.mode_range
+    # few samples a cycle leave no room for a mode between the drive and half of the sample rate
+    for _ in range(most_modes if 1.2 * low < high else 0):
+        largest.append(_with_mode(search, largest[-1]))
+    search.weigh(largest[-1].response)
+    judged = [_left_out(search, search.fit(trial.structure, [trial.values])) for trial in plain]
+    for trial in largest[1:]:
+        variants = [search.fit(structure, [start]) for structure, start in _variants(search, trial, parts, zeros)]
+        variants.sort(key=lambda found: search.cost(found.response) + _price(spectra) * found.structure.numbers)
+        judged += [_left_out(search, found) for found in variants[:JUDGED]]
+    return _chosen(judged, spectra)
+
+
+PAIR = ("lag", "delay")
+
+
+def _choices(part: str, parts) -> tuple[bool, ...]:
+    return (False, True) if part in parts else (False,)
+
+
+def _price(spectra: SegmentSpectra) -> float:
+    """What a number has to gain in twice the logarithm of the likelihood."""
+    return float(np.log(spectra.samples))
+
+
+def _chosen(judged, spectra: SegmentSpectra) -> ModalTrial:
+    """Go from few numbers to many, as long as each step pays."""
+    price = _price(spectra)
+    order = sorted(judged, key=lambda pair: (pair[0].structure.numbers, pair[1].sum()))
+    best, least = order[0]
+    for trial, errors in order[1:]:
+        gain = least - errors
+        added = _added_modes(trial.part.modes, best.part.modes)
+        near = [np.abs(np.log(spectra.frequencies / mode.frequency)) < np.log(NEARBY_FREQUENCY) for mode in added]
+        more = trial.structure.numbers - best.structure.numbers
+        if (
+            gain.sum() > price * more
+            and np.count_nonzero(gain.sum(axis=1) > 0.0) >= min(MAJORITY, len(gain))
+            and all(gain[:, place].sum() > 2.0 * price for place in near)
+        ):
+            best, least = trial, errors
+    if best.structure.delay and not best.structure.lag:
+        # a lag is what stages have: nearly as good, it is taken
+        for trial, errors in order:
+            same = trial.structure == replace(best.structure, lag=True, delay=False)
+            if same and errors.sum() - least.sum() < price:
+                return trial
+    return best
+
+
+def _added_modes(modes, present) -> list[Mode]:
+    """Return those of the modes that were not present before; one that was is the next in frequency of each present."""
+    left = list(modes)
+    for mode in present if len(modes) > len(present) else ():
+        left.remove(min(left, key=lambda other: abs(np.log(other.frequency / mode.frequency))))
+    return left
+
+
+def _without_modes(search: ModalSearch, lag: bool, delay: bool) -> ModalTrial:
+    """Fit lag and delay from a grid of both."""
+    structure, T = ModalStructure(lag, delay), search.T
+    lags = np.geomspace(0.2 * T, search.lag_range[1], 10)
+    delays = np.append(0.3 * T, np.geomspace(0.7 * T, search.delay_range[1], 8))
+    grid = itertools.product(np.log(lags) if lag else [None], delays / T if delay else [None])
+    starts = [np.array([value for value in point if value is not None]) for point in grid]
+    starts.sort(key=lambda start: search.cost(search.trial(structure, start).response))
+    return search.fit(structure, starts[:FOLLOWED])
+
+
+def _with_mode(search: ModalSearch, trial: ModalTrial) -> ModalTrial:
+    """Add a mode where it lowers the cost most."""
+    structure = replace(trial.structure, modes=trial.structure.modes + 1)
+    _, delay, _ = search.unpack(trial.structure, trial.values)
+    columns = search.columns(trial.structure, trial.values)
+    low, high = search.mode_range
+    found = []
+    for place in itertools.product(np.geomspace(1.05 * low, 0.95 * high, TRIED_FREQUENCIES), TRIED_DAMPINGS):
+        extra = mode_columns(*place, search.f, search.T, delay)
+        residual = search.solve(np.concatenate([columns, extra], axis=1))[1]
+        found.append((float(residual @ residual), place))
+    starts, taken = [], []
+    for _, (frequency, damping) in sorted(found):
+        if len(starts) < FOLLOWED and all(abs(np.log(frequency / other)) > 0.2 for other in taken):
+            taken.append(frequency)
+            starts.append(np.append(trial.values, np.log([frequency, damping])))
+    return search.fit(structure, starts)
+
+
+def _variants(search: ModalSearch, trial: ModalTrial, parts, zeros: bool):
+    """Yield structures with the same modes, and where their search starts."""
+    lag, delay, pairs = search.unpack(trial.structure, trial.values)
+    tail = np.log(pairs).ravel()
+    places = (False, True) if zeros else (True,)
+    for has_lag, has_delay, series in itertools.product(*(_choices(part, parts) for part in PAIR), places):
+        head = [np.log(lag or 2.0 * search.T)] * has_lag + [delay / search.T or 0.3] * has_delay
+        yield ModalStructure(has_lag, has_delay, trial.structure.modes, series), np.append(head, tail)
+
+
+def _left_out(search: ModalSearch, trial: ModalTrial) -> tuple[ModalTrial, np.ndarray]:
+    """Return the trial and the errors of each fold and frequency under its structure fitted to the other folds."""
+    spectra, found = search.spectra, []
+    for fold in range(len(spectra.input)):
+        others = search.without(fold)
+        response = others.fit(trial.structure, [trial.values], FEW_EVALUATIONS).response
+        found.append(search.scale * spectra.errors(response)[fold] / search.variance)
+    return trial, np.array(found)
+
 
 #: A recording that cannot be made coarser than to so many samples is a fast one.
 FAST_SAMPLES = 12000
@@ -41,7 +595,7 @@ TURNS = 2
 #: power within this part of its frequency.
 HARMONICS, LEAST_POWER, BAND = 10, 1e-3, 0.1
 #: Dynamics found later are taken when they lower the RMS residual by this part.
-WORTH_IT = 0.03
+DYNAMICS_WORTH_IT = 0.03
 #: Damping below which a mode is a resonance, which no lag stands for.
 SHARP = 0.3
 
@@ -125,7 +679,7 @@ class TurnSearch:
             )
         best, *others = found
         for fit in others:  # the simplest comes first
-            best = fit if fit.rmse < (1.0 - WORTH_IT) * best.rmse else best
+            best = fit if fit.rmse < (1.0 - DYNAMICS_WORTH_IT) * best.rmse else best
         return best
 
     def fit(self, longest: int | None = None, **options) -> HammersteinFit:
@@ -195,3 +749,46 @@ def output_of(fit: HammersteinFit, voltage) -> np.ndarray:
     pass_through(front, fit.history)
     behind.settle(front.step(voltage[0] if fit.linear_part.settled else 0.0))
     return behind.simulate(front.simulate(voltage))
+
+
+def with_fast_dynamics(chain: PlantModel, fast: IdentificationData, skip: int) -> tuple[PlantModel, float]:
+    """Return the chain at the rate of the fast recording with its dynamics, and the gain of small movements.
+
+    Lag, delay and modes stand one behind the other: small loops are less steep than large ones, and zeros of the
+    dynamics would stand for that.
+
+    Parameters
+    ----------
+    chain : PlantModel
+        Found from a slow recording; its creep is kept.
+    fast : IdentificationData
+        From rest at 0 V on.
+    skip : int
+        First samples that do not count.
+
+    Returns
+    -------
+    PlantModel, float
+        The gain is that of the recording over the model's.
+
+    Raises
+    ------
+    IdentificationError
+        The chain has dynamics inside its hysteresis.
+    """
+    if not chain.invertible:
+        raise IdentificationError(
+            f"model {chain.hysteresis.type}: has dynamics inside its hysteresis, no others can stand behind it; choose "
+            "another model"
+        )
+    slow = chain.continuous
+    creeping = LinearPart(creep_rate=slow.creep_rate, longest_time=slow.longest_time)
+    kept = dict(transfer_function=None, sample_time=fast.sample_time)
+    bare = replace(chain, dynamics=LinearParameters(), linear_part=creeping, synchronous=True, initial="zero", **kept)
+    moved = predict(bare, fast.input, fast.sample_time, "zoh")
+    # what is measured at a sample answers voltages before it
+    spectra = segment_spectra(moved, fast.output, fast.sample_time, skip, 1)
+    found = choose_dynamics(spectra, zeros=False)
+    part = replace(found.part, creep_rate=slow.creep_rate, longest_time=slow.longest_time)
+    dynamics = part.dynamics(fast.sample_time)
+    return replace(chain, dynamics=dynamics, linear_part=part, synchronous=False, **kept), found.gain

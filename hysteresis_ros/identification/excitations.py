@@ -27,8 +27,8 @@ from dataclasses import asdict, dataclass, field, fields
 
 import numpy as np
 
-from hysteresis_ros.bounded import read_json
 from hysteresis_ros.errors import ConfigurationError
+from hysteresis_ros.files import read_json
 
 #: One odd harmonic in so many is left out.
 GROUP = 4

@@ -7,30 +7,41 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Frequency responses with their uncertainty: Welch's method for any input, averaging for periodic multisines.
+"""Measured frequency responses: estimated with their uncertainty, with levels of nonlinear distortion, kept in files.
 
-Shapes: a response has shape (F, n_y, n_u); variances are E|G - Ĝ|² of each complex entry of the average.
+Shapes: a response has shape (F, n_y, n_u); variances are E|G - Ĝ|² of each complex entry of the average. Welch's
+method takes any input, periodic multisines are averaged over periods and realisations.
 
 In a closed loop the noise of the output is in the input too, and S_yu S_uu⁻¹ is drawn towards the inverse of the
-controller. With the excitation e from outside, which the noise knows nothing of, S_ye S_ue⁻¹ is not (the indirect
-method): all functions take it as ``excitation``, and what is left is judged by y - G u all the same.
+controller. With the excitation e from outside, with which the noise is not correlated, S_ye S_ue⁻¹ is not (the
+indirect method): all functions take it as ``excitation``, and what is left is judged by y - G u all the same.
+
+Distortion is apart from noise: odd and even, from lines that were not excited. All levels are in the unit of the
+response, as large as an error of it would be that did the same to the output. What a linear response to the
+input's own content at those lines explains, as in a closed loop, is subtracted before.
+
+Files: NPZ, which is read back whole, and CSV and YAML for other programs.
 
 References
 ----------
-.. [1] Pintelon & Schoukens, System Identification: A Frequency Domain Approach, 2012, chapters 2.6 and 4.3.
+.. [1] Pintelon & Schoukens, System Identification: A Frequency Domain Approach, 2012, chapters 2.6, 4 and 4.3.
 .. [2] Bendat & Piersol, Random Data, 2010, chapter 9 (variance from the coherence).
 .. [3] Welch, IEEE Trans. Audio Electroacoust. 15, 1967, eq. 16 (overlapping segments).
 """
 
 from __future__ import annotations
 
+import pathlib
 from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy
 
-from hysteresis_ros.identification.data import DataError, finite_array, refuse_short
-from hysteresis_ros.identification.data_checks import CONSTANT
+from hysteresis_ros.errors import IdentificationError, RecordingError
+from hysteresis_ros.files import ArchiveError, read_arrays, read_heads, replacing
+from hysteresis_ros.identification.data import CONSTANT, DataError, finite_array, refuse_short
+from hysteresis_ros.identification.excitations import KINDS, Plan
+from hysteresis_ros.units import UNITS
 
 #: Lines of an input with less than this share of its strongest line count as not excited.
 EXCITED = 1e-3
@@ -381,3 +392,485 @@ def _refuse_constant(u):
     for i in range(u.shape[1]):
         if np.ptp(u[:, i]) <= CONSTANT * np.max(np.abs(u[:, i])):
             raise DataError("constant", f"input {i} is constant; a frequency response needs an input that moves")
+
+
+#: Lines of detection over which a level is averaged.
+NEAREST = 8
+#: Highest harmonic of a sine that counts: each further one brings more noise than distortion.
+HARMONICS = 9
+
+
+@dataclass(frozen=True, eq=False)
+class Distortion:
+    """Levels at the excited lines, of one realisation averaged over its periods; RMS, each shape (F,).
+
+    Parameters
+    ----------
+    noise : ndarray
+    odd, even : ndarray
+        With the noise taken off; 0 where nothing is left.
+    """
+
+    noise: np.ndarray
+    odd: np.ndarray
+    even: np.ndarray
+
+
+def detected(U, Y, harmonics, response) -> Distortion:
+    """Return the levels of a multisine with odd lines, some of which were left out; NaN where there are none.
+
+    With even lines among the excited ones neither odd nor even distortion has lines of its own.
+
+    Parameters
+    ----------
+    U, Y : ndarray of complex, shape (R, P, n)
+        Spectra of the periods, of all lines from zero frequency on.
+    harmonics : ndarray of int, shape (F,)
+        The excited lines.
+    response : ndarray of complex, shape (F,)
+    """
+    lines = np.arange(U.shape[2])
+    left = np.setdiff1d(lines[harmonics[0] : harmonics[-1] + 1], harmonics)
+    G = np.interp(lines, harmonics, response.real) + 1j * np.interp(lines, harmonics, response.imag)
+    size = np.mean(np.abs(U[..., harmonics].mean(axis=1)) ** 2, axis=0)
+    power, noise = _scatter(Y - G * U)
+    per_input = 1.0 / np.interp(lines, harmonics, size)
+    power, noise = power * per_input, noise * per_input
+    levels = {}
+    for name, parity in (("odd", 1), ("even", 0)):
+        seen = left[left % 2 == parity] if np.all(harmonics % 2 == 1) else left[:0]
+        clear = power[seen] - noise[seen] if seen.size else np.zeros(0)
+        levels[name] = _near(harmonics, seen, clear)
+    return Distortion(np.sqrt(noise[harmonics]), **levels)
+
+
+def harmonic_levels(U, Y, cycles: int, response: complex) -> tuple[float, float, float]:
+    """Return the levels (noise, odd, even) of a sine, from its harmonics.
+
+    Parameters
+    ----------
+    U, Y : ndarray of complex, shape (P, n)
+        Spectra of the blocks, of all lines from zero frequency on.
+    cycles : int
+        Line of the sine.
+    response : complex
+        At that line.
+    """
+    size = abs(U[:, cycles].mean()) ** 2
+    places = cycles * np.arange(1, min((U.shape[1] - 1) // cycles, HARMONICS) + 1)
+    # in a closed loop the input has harmonics too; nothing but the response at the sine itself is known
+    power, noise = _scatter((Y - response * U)[None, :, places])
+    clear = power - noise
+    odd, even = max(clear[2::2].sum(), 0.0), max(clear[1::2].sum(), 0.0)
+    return float(np.sqrt(noise[0] / size)), float(np.sqrt(odd / size)), float(np.sqrt(even / size))
+
+
+def _scatter(rest) -> tuple[np.ndarray, np.ndarray]:
+    """Return |mean over the periods|² of each line, averaged over the realisations, and how much of it is noise."""
+    periods = rest.shape[1]
+    power = np.mean(np.abs(rest.mean(axis=1)) ** 2, axis=0)
+    noise = np.mean(np.var(rest, axis=1, ddof=1), axis=0) / periods
+    return power, noise
+
+
+def _near(harmonics, seen, clear) -> np.ndarray:
+    """Return the RMS of what is clear over the nearest lines of detection of each excited one."""
+    if not seen.size:
+        return np.full(harmonics.size, np.nan)
+    count = min(NEAREST, seen.size)
+    first = np.clip(np.searchsorted(seen, harmonics) - count // 2, 0, seen.size - count)
+    total = np.append(0.0, np.cumsum(clear))
+    return np.sqrt(np.maximum((total[first + count] - total[first]) / count, 0.0))
+
+
+#: Least ratio of response and deviation, at half of the lines [dB].
+LEAST_RATIO = 6.0
+#: Two pieces of a signal are the same period when they differ by less than this part of its RMS.
+SAME = 0.03
+#: Lines of a recorded excitation with less than this share of its strongest line are what came late or was rounded.
+LINE = 0.03
+
+
+@dataclass(frozen=True, eq=False)
+class Analysis:
+    """A frequency response, and what else its lines tell.
+
+    Parameters
+    ----------
+    response : FrequencyResponse
+        Of one input and one output.
+    distortion : Distortion or None
+        Noise does not tell it.
+    kind : str
+        Of the excitation.
+    """
+
+    response: FrequencyResponse
+    distortion: Distortion | None
+    kind: str
+
+    @property
+    def ratio(self) -> float:
+        """Ratio of the response and the deviation of its noise [dB], median of the lines."""
+        found = self.response
+        variance = found.total_variance if found.noise_variance is None else found.noise_variance
+        if variance is None:
+            return float("inf")
+        with np.errstate(divide="ignore"):
+            return float(np.median(10.0 * np.log10(np.abs(found.single) ** 2 / np.maximum(variance[:, 0, 0], 1e-300))))
+
+    def require_excited(self) -> None:
+        """Refuse a response that drowns in noise.
+
+        Raises
+        ------
+        IdentificationError
+            The excitation was too weak; says by how much.
+        """
+        if self.ratio < LEAST_RATIO:
+            raise IdentificationError(
+                f"the excitation is too weak: signal-to-noise ratio of the response {self.ratio:.1f} dB at half of the "
+                f"lines, at least {LEAST_RATIO:g} dB are needed; raise --amplitude by a factor of "
+                f"{10.0 ** ((LEAST_RATIO - self.ratio) / 20.0):.2g}, or --periods"
+            )
+
+
+def analyse(plan: Plan, sample_time: float, u, y, excitation=None, input_unit: str = "V") -> Analysis:
+    """Return the response from an input to an output.
+
+    Parameters
+    ----------
+    plan : Plan
+        Where they were excited, and how.
+    sample_time : float
+        [s]
+    u, y : ndarray, shape (N,)
+        Input and output [SI].
+    excitation : ndarray, shape (N,), optional
+        What excites from outside in a closed loop; the input itself by default.
+    input_unit : str
+        SI unit.
+
+    Raises
+    ------
+    IdentificationError
+        The recording ends before the excitation does.
+    """
+    signals = [u, y] if excitation is None else [u, y, excitation]
+    if plan.first + plan.length > len(y):
+        raise IdentificationError(
+            f"the excitation of {plan.length} samples begins at sample {plan.first} and the recording has {len(y)}: "
+            "it was cut off; record it again"
+        )
+    signals = [np.asarray(signal, dtype=float)[plan.first : plan.first + plan.length] for signal in signals]
+    return ANALYSES[plan.kind](plan, sample_time, signals, input_unit)
+
+
+def _multisine(plan: Plan, sample_time: float, signals, unit: str) -> Analysis:
+    shape = plan.realisations, plan.settle + plan.periods, plan.samples[0]
+    tables = [signal.reshape(shape)[:, plan.settle :, None, :] for signal in signals]
+    N = plan.samples[0]
+    excitation = tables[2] if len(tables) > 2 else None
+    found = multisine_response(*tables[:2], sample_time, input_unit=unit, excitation=excitation)
+    harmonics = np.rint(found.frequency * N * sample_time).astype(int)
+    if plan.lines:
+        # the loop's own quantisation may reach lines that were not excited
+        planned = np.isin(harmonics, plan.lines)
+        found = _at(found, planned)
+        harmonics = harmonics[planned]
+    if plan.periods < 2:
+        return Analysis(found, None, plan.kind)
+    U, Y = (np.fft.rfft(table[:, :, 0], axis=2)[..., : (N + 1) // 2] / N for table in tables[:2])
+    levels = detected(U, Y, harmonics, found.single)
+    if found.total_variance is None and np.isfinite(levels.odd).all():
+        total = found.noise_variance + (levels.odd**2)[:, None, None] / plan.realisations
+        found = replace(found, total_variance=total, warnings=())
+    return Analysis(found, levels, plan.kind)
+
+
+def _stepped(plan: Plan, sample_time: float, signals, unit: str) -> Analysis:
+    frequency, spectra, levels = [], [], []
+    begin = 0
+    for samples, cycles in zip(plan.samples, plan.lines, strict=True):
+        whole = (plan.settle + plan.periods) * samples
+        blocks = [
+            signal[begin + plan.settle * samples : begin + whole].reshape(plan.periods, samples) for signal in signals
+        ]
+        begin += whole
+        transformed = [np.fft.rfft(block, axis=1)[:, : (samples + 1) // 2] / samples for block in blocks]
+        frequency.append(cycles / (samples * sample_time))
+        spectra.append([one[:, cycles] for one in transformed])
+        U, Y = transformed[:2]
+        levels.append(harmonic_levels(U, Y, cycles, Y[:, cycles].sum() / U[:, cycles].sum()))
+    # (signals, 1, P, 1, F)
+    table = np.array(spectra).transpose(1, 2, 0)[:, None, :, None, :]
+    frequency = np.array(frequency)
+    response, _, noise = averaged(frequency, table[0], table[1], table[-1] if len(table) > 2 else table[0])
+    degrees = float(plan.periods - 1)
+    found = FrequencyResponse(frequency, response, sample_time, None, noise, None, unit, degrees=degrees)
+    return Analysis(found, Distortion(*np.array(levels).T), plan.kind)
+
+
+def _noise(plan: Plan, sample_time: float, signals, unit: str) -> Analysis:
+    segment = plan.samples[0]
+    excitation = signals[2] if len(signals) > 2 else None
+    found = welch_response(*signals[:2], sample_time, segment=segment, input_unit=unit, excitation=excitation)
+    if plan.lines:
+        low, high = (line / (segment * sample_time) for line in plan.lines)
+        found = found.band(low * (1.0 - 1e-9), high * (1.0 + 1e-9))
+    # Hann's window sees a third of a line's square to both sides: the error that the curvature of the response makes
+    bent = np.abs(np.diff(found.single, 2)) / 6.0
+    blurred = bent > found.radius()[1:-1, 0, 0]
+    if blurred.any():
+        where = found.frequency[1 + int(np.argmax(bent))]
+        text = f"segments of {segment * sample_time:.3g} s blur the response at {where:.4g} Hz; give a longer --period"
+        found = replace(found, warnings=(*found.warnings, text))
+    return Analysis(found, None, plan.kind)
+
+
+#: How each kind of excitation is analysed.
+ANALYSES = {"multisine": _multisine, "stepped": _stepped, "noise": _noise}
+
+
+def _at(found: FrequencyResponse, kept) -> FrequencyResponse:
+    """Return the lines of a response that are kept."""
+    names = ("frequency", "response", "total_variance", "noise_variance", "coherence")
+    parts = {name: None if getattr(found, name) is None else getattr(found, name)[kept] for name in names}
+    return replace(found, **parts)
+
+
+def plan_of_recording(excitation, sample_time: float, period: float | None = None, kind: str | None = None) -> Plan:
+    """Return a plan for a recording of which nobody says how it was excited.
+
+    Parameters
+    ----------
+    excitation : ndarray, shape (N,)
+        What excites.
+    sample_time : float
+        [s]
+    period : float, optional
+        Of a multisine, or of the segments of noise [s]; by default what repeats, and 17 segments.
+    kind : str, optional
+        ``multisine`` or ``noise``; by default a multisine where it repeats.
+
+    Raises
+    ------
+    IdentificationError
+        The recording does not hold two periods, or nothing repeats.
+    """
+    e = np.asarray(excitation, dtype=float)
+    if kind not in (None, "multisine", "noise"):
+        raise IdentificationError(
+            f"--excitation {kind}: where its frequencies stand is known only of a recording that hysteresis frf made"
+        )
+    N = None if kind == "noise" else _repeats(e)
+    if kind == "multisine" and (period or N is None):
+        if period is None:
+            raise IdentificationError("--excitation multisine: nothing repeats in what excites; give --period")
+        N = round(period / sample_time)
+    if N is None:
+        length = round(period / sample_time) if period else max(2 * (e.size // 34), 32)
+        return Plan("noise", 0, 0, 1, 1, (length, e.size))
+    count = e.size // N if N else 0
+    if N < 16 or count < 2:
+        raise IdentificationError(
+            f"--period {N * sample_time:g} s: the recording of {e.size * sample_time:.4g} s must hold two periods of "
+            "16 samples at least"
+        )
+    # the first one settles, where there are enough
+    settle = int(count > 2)
+    spectrum = np.abs(np.fft.rfft(experiments("excitation", e[-(count - settle) * N :], N)[0, :, 0].mean(axis=0)))
+    lines = np.flatnonzero(spectrum[1 : (N + 1) // 2] > LINE * spectrum[1:].max()) + 1
+    return Plan("multisine", e.size - count * N, settle, count - settle, 1, (N,), tuple(int(line) for line in lines))
+
+
+def _repeats(e) -> int | None:
+    """Return after how many samples a signal repeats from its middle on; None when it does not."""
+    tail = e[e.size // 4 :] - np.mean(e[e.size // 4 :])
+    correlation = np.fft.irfft(np.abs(np.fft.rfft(tail, 2 * tail.size)) ** 2)[: tail.size // 2 + 1]
+    correlation = correlation / (tail.size - np.arange(correlation.size))
+    above = correlation > 0.9 * correlation[0]
+    fallen = int(np.argmin(above))
+    peaks = fallen + np.flatnonzero(above[fallen:])
+    for lag in peaks if fallen else ():
+        # the median: single samples that came late do not count
+        if np.median(np.abs(tail[lag:] - tail[:-lag])) < SAME * np.std(tail):
+            return int(lag)
+    return None
+
+
+#: Probability of the circles in tables.
+PROBABILITY = 0.95
+#: What an NPZ holds, besides the arrays that are not known.
+NEEDED = ("frequency", "response", "sample_time", "input_unit", "output_unit", "kind")
+SPREADS = ("total_variance", "noise_variance", "coherence", "degrees")
+LEVELS = ("noise", "odd", "even")
+
+
+def require_response_file(path) -> None:
+    """Refuse a file that no response can be written to, before anything moves.
+
+    Parameters
+    ----------
+    path : path-like
+
+    Raises
+    ------
+    RecordingError
+        The suffix is another, or there is no such folder.
+    """
+    path = pathlib.Path(path)
+    if path.suffix.lower() not in WRITERS:
+        raise RecordingError(f"{path}: unknown kind of file '{path.suffix}'; write .npz, .csv or .yaml")
+    if not path.absolute().parent.is_dir():
+        raise RecordingError(f"{path}: cannot be written: there is no such folder; choose another place")
+
+
+def save_response(path, found: Analysis, columns: dict[str, np.ndarray], figures: dict) -> None:
+    """Write a response; the suffix decides how.
+
+    Parameters
+    ----------
+    path : path-like
+        ``.npz``, ``.csv`` or ``.yaml``.
+    found : Analysis
+    columns : dict of str to ndarray of shape (F,)
+        What else was found at its lines, for tables.
+    figures : dict
+        Figures by names with units, for YAML.
+
+    Raises
+    ------
+    RecordingError
+        The suffix is another, or the file cannot be written.
+    """
+    require_response_file(path)
+    write = WRITERS[pathlib.Path(path).suffix.lower()]
+    with replacing(path, RecordingError) as beside, beside.open("wb") as stream:
+        write(stream, found, columns, figures)
+
+
+def load_response(path) -> Analysis:
+    """Return the response of an NPZ file that :func:`save_response` wrote.
+
+    Parameters
+    ----------
+    path : path-like
+
+    Raises
+    ------
+    RecordingError
+        The file is missing, or holds no response.
+    """
+    path = pathlib.Path(path)
+    try:
+        return _response_of(read_arrays(path))
+    except FileNotFoundError:
+        raise RecordingError(f"{path}: no such file; give the NPZ file that hysteresis frf wrote") from None
+    except (OSError, ValueError, KeyError):
+        raise RecordingError(
+            f"{path}: holds no frequency response; give the NPZ file that hysteresis frf wrote"
+        ) from None
+
+
+def _response_of(held: dict[str, np.ndarray]) -> Analysis:
+    """Return the response that arrays hold; ValueError or KeyError when they hold none."""
+    frequency, sample_time = _real(held, "frequency"), _real(held, "sample_time")
+    input_unit, output_unit, kind = (str(held[name]) for name in ("input_unit", "output_unit", "kind"))
+    if not frequency.size or np.any(np.diff(frequency) <= 0.0) or not (sample_time.size == 1 and sample_time[0] > 0.0):
+        raise ValueError("no frequencies or no sample time")
+    if not {input_unit, output_unit} <= {unit for unit, _ in UNITS.values()} or kind not in KINDS:
+        raise ValueError("unknown units or kind")
+    values = np.asarray(held["response"], dtype=complex).reshape(frequency.size, 1, 1)
+    response = FrequencyResponse(
+        frequency, values, float(sample_time[0]), input_unit=input_unit, output_unit=output_unit
+    )
+    shapes = {"total_variance": (-1, 1, 1), "noise_variance": (-1, 1, 1), "coherence": (-1, 1)}
+    spreads = {name: _real(held, name, frequency.size).reshape(shape) for name, shape in shapes.items() if name in held}
+    degrees = float(_real(held, "degrees", 1)[0]) if "degrees" in held else None
+    if degrees is not None and not (degrees > 0.0 and {"total_variance", "noise_variance"} & set(spreads)):
+        raise ValueError("degrees of freedom of no variance")
+    levels = [_real(held, name, frequency.size) for name in LEVELS] if all(name in held for name in LEVELS) else None
+    return Analysis(replace(response, **spreads, degrees=degrees), levels and Distortion(*levels), kind)
+
+
+def _real(held: dict[str, np.ndarray], name: str, size: int | None = None) -> np.ndarray:
+    """Return an array of real numbers as a vector; ValueError when it is none, or has another size."""
+    array = held[name]
+    if (
+        array.dtype.kind not in "iuf"
+        or size not in (None, array.size)
+        or (size is None and np.any(~np.isfinite(array)))
+    ):
+        raise ValueError(f"{name} is not what it should be")
+    return np.asarray(array, dtype=float).ravel()
+
+
+def holds_response(path) -> bool:
+    """Tell whether a file is one that :func:`load_response` reads.
+
+    Parameters
+    ----------
+    path : path-like
+    """
+    if pathlib.Path(path).suffix.lower() != ".npz":
+        return False
+    try:
+        return set(NEEDED) <= set(read_heads(path))
+    except (OSError, ArchiveError):
+        return False
+
+
+def response_columns(found: Analysis) -> dict[str, np.ndarray]:
+    """Return what a table has of a response, by names with units.
+
+    Parameters
+    ----------
+    found : Analysis
+    """
+    response = found.response
+    unit = f"{response.output_unit}/{response.input_unit}"
+    columns = {
+        "frequency [Hz]": response.frequency,
+        f"magnitude [{unit}]": np.abs(response.single),
+        "phase [deg]": np.degrees(np.unwrap(np.angle(response.single))),
+    }
+    if response.degrees is not None:
+        columns[f"radius_{100 * PROBABILITY:g}_percent [{unit}]"] = response.radius(PROBABILITY)[:, 0, 0]
+    if found.distortion is not None:
+        columns |= {f"{name} [{unit}]": getattr(found.distortion, name) for name in LEVELS}
+    if response.coherence is not None:
+        columns["coherence [1]"] = response.coherence[:, 0]
+    return columns
+
+
+def _npz(stream, found: Analysis, columns, figures) -> None:
+    response = found.response
+    arrays = {"kind": np.array(found.kind), "response": response.single}
+    arrays |= {name: np.asarray(getattr(response, name)) for name in NEEDED if name not in arrays}
+    for name in SPREADS:
+        value = getattr(response, name)
+        if value is not None:
+            arrays[name] = np.squeeze(value) if name != "degrees" else np.array(value)
+    if found.distortion is not None:
+        arrays |= {name: getattr(found.distortion, name) for name in LEVELS}
+    arrays |= {name.split(" ")[0]: values for name, values in columns.items()}
+    np.savez(stream, **arrays)
+
+
+def _csv(stream, found: Analysis, columns, figures) -> None:
+    table = response_columns(found) | columns
+    stream.write((",".join(table) + "\n").encode())
+    np.savetxt(stream, np.column_stack(list(table.values())), delimiter=",", fmt="%.9g")
+
+
+def _yaml(stream, found: Analysis, columns, figures) -> None:
+    import yaml
+
+    table = {name: [float(f"{value:.6g}") for value in values] for name, values in response_columns(found).items()}
+    text = yaml.safe_dump({"figures": figures, "lines": table}, sort_keys=False, allow_unicode=True, width=120)
+    stream.write(text.encode())
+
+
+#: How each kind of file is written.
+WRITERS = {".npz": _npz, ".csv": _csv, ".yaml": _yaml}

@@ -22,20 +22,23 @@ from dataclasses import replace
 
 import numpy as np
 
-from hysteresis_ros.block import compiled
 from hysteresis_ros.errors import IdentificationError
-from hysteresis_ros.identification.condensed import Condensed, condense, simple_loops
-from hysteresis_ros.identification.finished import finished, without_outliers
 from hysteresis_ros.identification.hammerstein import (
+    STRUCTURE_WORTH_IT,
     HammersteinFit,
     PartSearch,
+    finished,
     search_linear_part,
     split_values,
     stretches,
+    survivor,
+    without_drift,
+    without_outliers,
 )
-from hysteresis_ros.identification.held_out import WORTH_IT, survivor, without_drift
 from hysteresis_ros.identification.prandtl_ishlinskii import ALONE
+from hysteresis_ros.identification.preprocessing import Condensed, condense, simple_loops
 from hysteresis_ros.identification.weights import radii, smooth_weights
+from hysteresis_ros.models.block import compiled
 from hysteresis_ros.models.hysteresis import HysteresisParameters
 from hysteresis_ros.models.hysteresis.generalised_play import (
     LARGEST_RATE,
@@ -125,7 +128,7 @@ def _chosen(data: Condensed, play_count: int, freedom: str, linear, progress) ->
             rivals.append(GeneralisedPlays(plain.data, play_count, names).settle(plain, progress))
     if freedom != "auto":
         return rivals[-1]
-    chosen, errors = survivor(rivals, worth_it=ALONE if simple_loops(data) else WORTH_IT)
+    chosen, errors = survivor(rivals, worth_it=ALONE if simple_loops(data) else STRUCTURE_WORTH_IT)
     chosen.numbers["held_out_rmse_m"] = errors[rivals.index(chosen)]
     return chosen
 

@@ -7,13 +7,17 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Hammerstein models from measured data: hysteresis, creep, lag and delay are fitted together.
+"""Hammerstein models: hysteresis, creep, lag and delay fitted together, structures compared on held-out data.
 
-Lag and creep widen every loop. Taken for hysteresis they spoil the prediction at other speeds and amplitudes, so they
-are separated: for each trial of the few parameters of the linear part the many weights of the hysteresis follow from
-constrained linear least squares (variable projection), and what is left decides between the trials.
+Lag and creep widen every loop. Taken for hysteresis they spoil the prediction at other speeds and amplitudes, so
+they are separated: for each trial of the few parameters of the linear part the many weights of the hysteresis
+follow from constrained linear least squares (variable projection), and what is left decides between the trials. A
+lag, a delay and creep are accepted one after the other when they make the residual smaller by
+:data:`PART_WORTH_IT`. Then outliers are left out, and the residual is measured with the kernels of the nodes.
 
-A lag, a delay and creep are accepted one after the other when they make the residual smaller by :data:`WORTH_IT`.
+Structures with more freedom are compared on what they were not fitted to: each part of a recording is predicted
+from the rest of it. A part is several stretches spread over the recording: one stretch alone could be the only one
+with large loops, and what is asked is not how a structure extrapolates.
 """
 
 from __future__ import annotations
@@ -24,9 +28,16 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hysteresis_ros.errors import IdentificationError
-from hysteresis_ros.identification.cleaning import doubts
-from hysteresis_ros.identification.condensed import Condensed
 from hysteresis_ros.identification.linear_part import Known, LinearPart
+from hysteresis_ros.identification.preprocessing import (
+    DRIFTING,
+    MOST_OUTLIERS,
+    ROUNDS,
+    Condensed,
+    cleaning_notes,
+    inliers,
+    outliers_matter,
+)
 from hysteresis_ros.models.actuator import ActuatorParameters
 from hysteresis_ros.models.creep import Creep, CreepParameters
 from hysteresis_ros.models.hysteresis import HysteresisParameters, hysteresis_block
@@ -35,7 +46,7 @@ from hysteresis_ros.models.linear import LinearDynamics, LinearParameters
 from hysteresis_ros.recordings.loops import turning_points
 
 #: Parts of the linear model are kept when they lower the RMS residual by this part.
-WORTH_IT = 0.01
+PART_WORTH_IT = 0.01
 #: Largest lag and delay, as parts of the mean time between two reversals; largest creep rate a decade.
 LONGEST_LAG = 0.6
 LARGEST_RATE = 0.05
@@ -110,7 +121,7 @@ class HammersteinFit:
     @property
     def doubts(self) -> tuple[str, ...]:
         """What was kept out of the model, in sentences."""
-        return doubts(self.drift, int(self.numbers.get("outliers", 0)))
+        return cleaning_notes(self.drift, int(self.numbers.get("outliers", 0)))
 
     @property
     def actuator(self) -> ActuatorParameters:
@@ -280,14 +291,14 @@ def search_linear_part(search: PartSearch, linear):
             continue
         # at rest at 0 V before, as nodes start, unless the data clearly wants rest under its first voltage; and with
         # straight lines between the samples unless it wants a held voltage
-        bases, worth = [base], WORTH_IT
+        bases, worth = [base], PART_WORTH_IT
         if part == "lag" and not base.hold:
             bases.append(held)
         if part == "creep" and not base.settled:
             bases, worth = [base, replace(base, settled=True)], SETTLED_WORTH_IT
         trials = [search.run([*kept, part], found.values, start) for start in bases]
         better = int(len(trials) == 2 and trials[1].spread < (1.0 - worth) * trials[0].spread)
-        if trials[better].spread < (1.0 - WORTH_IT) * found.spread:
+        if trials[better].spread < (1.0 - PART_WORTH_IT) * found.spread:
             kept.append(part)
             base, found = bases[better], trials[better]
     if "lag" in kept and "delay" in linear:
@@ -295,21 +306,21 @@ def search_linear_part(search: PartSearch, linear):
     return kept, base, found
 
 
-def _told_apart(search: PartSearch, kept, base: LinearPart, found: Trial):
+def _told_apart(search: PartSearch, kept, base: LinearPart, found: PartTrial):
     """Take the delay for the lag, or one of them alone, where both together are hardly better."""
     others = [part for part in kept if part not in ("lag", "delay")]
     late = split_values(base, found.values)[0].group_delay
     delayed = search.run([*others, "delay"], {**found.values, "delay": late}, base)
     lagging = search.run([*others, "lag"], {**found.values, "lag": late}, base) if "delay" in kept else found
     # lags are what stages have: a delay has to be seen, and both to be better than either
-    if delayed.spread < (1.0 - TOLD_APART) * lagging.spread and delayed.spread < (1.0 + WORTH_IT) * found.spread:
+    if delayed.spread < (1.0 - TOLD_APART) * lagging.spread and delayed.spread < (1.0 + PART_WORTH_IT) * found.spread:
         return [*others, "delay"], delayed
     if "delay" in kept and lagging.spread < (1.0 + TOLD_APART) * found.spread:
         return [*others, "lag"], lagging
     return kept, found
 
 
-class Trial(NamedTuple):
+class PartTrial(NamedTuple):
     """What is best with some of the parts: values by name, residual [m], deviations, whether the search converged."""
 
     values: dict
@@ -338,14 +349,14 @@ class PartSearch:
         }
         self.calls = 0
 
-    def run(self, parts, start: dict, base: LinearPart) -> Trial:
+    def run(self, parts, start: dict, base: LinearPart) -> PartTrial:
         """Return the best values of the shape and of these parts, from ``start`` where it names them."""
         from scipy.optimize import least_squares  # imported here because only fits need it
 
         table = {name: row for name, *row in [*self.extra, *(self.ranges[part] for part in parts)]}
         keys = list(table)
         if not keys:
-            return Trial({}, self.solve(base, {}), None, True)
+            return PartTrial({}, self.solve(base, {}), None, True)
         scale = np.array([table[key][2] - table[key][1] for key in keys])
         low = np.array([table[key][1] for key in keys]) / scale
         guess = np.array([start.get(key, table[key][0]) for key in keys]) / scale
@@ -363,7 +374,7 @@ class PartSearch:
         )
         values = dict(zip(keys, found.x * scale, strict=True))
         deviations = dict(zip(keys, _deviations(found.jac, found.fun) * scale, strict=True))
-        return Trial(values, found.fun * self.data.stroke, deviations, found.status > 0)
+        return PartTrial(values, found.fun * self.data.stroke, deviations, found.status > 0)
 
     def at_ends(self, parts, values: dict):
         """Yield a warning for each number that lies at an end of its range."""
@@ -398,3 +409,193 @@ def _deviations(jacobian, residual) -> np.ndarray:
     inflation = 1.0 + 2.0 * float(np.sum(correlation[1:reach])) / float(correlation[0] or 1.0)
     variance = inflation * float(centred @ centred) / max(n - m, 1)
     return np.sqrt(np.maximum(np.diag(np.linalg.pinv(jacobian.T @ jacobian)) * variance, 0.0))
+
+
+#: Samples on which the lag is settled with the blocks.
+RETIMED_ON = 20000
+
+
+def finished(fit, voltage, displacement, sample_time, kept=None) -> HammersteinFit:
+    """Return the result of a fit, its residual measured on the recording itself with the kernels of the nodes.
+
+    Parameters
+    ----------
+    fit : object
+        With ``part``, ``data``, ``constants``, ``parameters()``, ``deviations``, ``warnings``, ``converged`` and
+        ``numbers``.
+    voltage, displacement : array_like, shape (N,)
+        [V] and [m].
+    sample_time : float
+        [s]
+    kept : ndarray of bool, shape (N,), optional
+        False for outliers.
+    """
+    voltage, displacement = (np.ascontiguousarray(values, dtype=float) for values in (voltage, displacement))
+    data = fit.data
+    hysteresis: HysteresisParameters = fit.parameters()
+    first = data.first * data.factor
+    used = slice(first, None) if kept is None else np.flatnonzero(kept[first:]) + first
+    synchronous = fit.part.synchronous(sample_time)
+    drift = float(fit.constants[1]) / (len(data.voltage) * data.sample_time) if data.drifts else 0.0
+
+    def error_of(part, last=None):
+        predicted = simulate_chain(
+            hysteresis,
+            part.creep,
+            part.dynamics(sample_time),
+            voltage[:last],
+            sample_time,
+            settled=part.settled,
+            synchronous=synchronous,
+            history=data.history,
+        )
+        return displacement[:last] - drift * sample_time * np.arange(len(predicted)) - predicted
+
+    part = fit.part
+    if part.lag > 0.0 and not synchronous and not part.hold:
+        last = first + RETIMED_ON
+        looked = used if kept is None else used[used < last]
+        part = _retimed(part, sample_time, lambda other: float(np.std(error_of(other, last)[looked])))
+    error = error_of(part)
+    constant = float(error[used].mean())
+    error = error[first:] - constant
+    # what the half sample and the table leave of a constant belongs to the offset
+    chosen = hysteresis.chosen
+    chosen = replace(chosen, offset=chosen.offset + constant / part.settled_gain)
+    hysteresis = replace(hysteresis, **{hysteresis.type: chosen})
+    return HammersteinFit(
+        hysteresis=hysteresis,
+        creep=part.creep,
+        dynamics=part.dynamics(sample_time),
+        linear_part=part,
+        sample_time=sample_time,
+        rmse=float(np.sqrt(np.mean(error**2))),
+        stroke=data.stroke,
+        voltage_low=float(np.min(voltage)),
+        voltage_high=float(np.max(voltage)),
+        deviations=fit.deviations,
+        warnings=fit.warnings,
+        converged=fit.converged,
+        synchronous=synchronous,
+        history=data.history,
+        skipped=first,
+        drift=drift,
+        numbers={**fit.numbers, **({"drift_m_per_s": drift} if data.drifts else {})},
+    )
+
+
+def _retimed(part: LinearPart, sample_time: float, cost) -> LinearPart:
+    """Return the linear part with the lag at which the blocks fit best, which hold their input for a sample."""
+    import scipy.optimize  # imported here because only fits need it
+
+    low, high = max(part.lag - sample_time, 0.5 * part.lag), part.lag + sample_time
+    found = scipy.optimize.minimize_scalar(
+        lambda lag: cost(replace(part, lag=float(lag))), bounds=(low, high), method="bounded", options={"maxiter": 10}
+    )
+    return replace(part, lag=float(found.x)) if found.fun < cost(part) else part
+
+
+def without_outliers(once, voltage, displacement) -> HammersteinFit:
+    """Return the fit after samples far off were left out, and count them.
+
+    Parameters
+    ----------
+    once : callable
+        ``once(kept)`` fits to the samples that are True in ``kept``, None for all.
+    voltage, displacement : array_like, shape (N,)
+        [V] and [m].
+    """
+    kept, fit = None, once(None)
+    for _ in range(ROUNDS):
+        drift = fit.drift * fit.sample_time * np.arange(len(voltage))
+        error = np.asarray(displacement, dtype=float) - drift - fit.simulate(voltage)
+        good = inliers(error, fit.skipped)
+        error = error - np.median(error[fit.skipped :])
+        known = np.ones(len(good), dtype=bool) if kept is None else kept
+        added = known & ~good
+        used = np.flatnonzero(known)[np.flatnonzero(known) >= fit.skipped]
+        many = np.count_nonzero(~good) > MOST_OUTLIERS * (len(error) - fit.skipped)
+        if many or not outliers_matter(error, added, used):
+            break
+        kept = good
+        fit = once(kept)
+    outliers = 0 if kept is None else int(np.count_nonzero(~kept))
+    return replace(fit, numbers={**fit.numbers, "outliers": float(outliers)}) if outliers else fit
+
+
+#: Parts that are left out one after the other, and stretches of each.
+PARTS, STRETCHES_OF_A_PART = 5, 4
+#: A more flexible structure must lower the RMS error on them by this part, and by so many standard errors.
+STRUCTURE_WORTH_IT = 0.03
+STANDARD_ERRORS = 1.0
+
+
+def held_out(fit, stretches: int = STRETCHES_OF_A_PART) -> np.ndarray:
+    """Return the errors [m] on samples that the fit had not seen, shape (samples counted,).
+
+    Parameters
+    ----------
+    fit : object
+        With ``data`` (Condensed), ``refitted(data)`` and ``output()``, shape (N,).
+    stretches : int
+        Of each part.
+    """
+    data = fit.data
+    places = np.arange(len(data.kept))
+    errors = np.zeros(len(places))
+    for part in _parts(places, stretches):
+        left_out = np.zeros(len(places), dtype=bool)
+        left_out[part] = True
+        other = fit.refitted(replace(data, kept=data.kept & ~left_out))
+        errors[part] = (data.displacement - other.output())[data.first :][part]
+    return errors[data.kept]
+
+
+def _parts(places, stretches: int) -> list[np.ndarray]:
+    """Return the places of each part."""
+    found = np.array_split(places, PARTS * stretches)
+    return [np.concatenate(found[part::PARTS]) for part in range(PARTS)]
+
+
+def survivor(fits, stretches: int = STRETCHES_OF_A_PART, worth_it=STRUCTURE_WORTH_IT):
+    """Return the fit to keep, and the RMS errors on parts held out [m] of all.
+
+    Parameters
+    ----------
+    fits : sequence of object
+        The simplest first; a later one is taken only where it predicts what it has not seen better by
+        ``worth_it``, and by more than the parts differ.
+    stretches : int
+        Of each part.
+    worth_it : float or sequence of float
+        Part of the RMS error, for all or for each.
+
+    Returns
+    -------
+    object, list of float
+    """
+    chosen, least, sizes = fits[0], None, []
+    for fit, part_of_it in zip(fits, np.broadcast_to(worth_it, len(fits)), strict=True):
+        errors = held_out(fit, stretches)
+        sizes.append(float(np.sqrt(np.mean(errors**2))))
+        if least is None:
+            least = errors
+            continue
+        gain = least**2 - errors**2
+        gains = np.array([np.mean(gain[part]) for part in _parts(np.arange(len(gain)), stretches)])
+        sure = gains.mean() > STANDARD_ERRORS * gains.std(ddof=1) / np.sqrt(PARTS)
+        if sizes[-1] < (1.0 - part_of_it) * np.sqrt(np.mean(least**2)) and sure:
+            chosen, least = fit, errors
+    return chosen, sizes
+
+
+def without_drift(fit, data):
+    """Return ``fit(data)``, or the same with a drift beside it if that survives: a drift has to go on in whole blocks.
+
+    Parameters
+    ----------
+    fit : callable
+        Returns a fit to a Condensed.
+    data : Condensed
+    """
+    return survivor([fit(data), fit(replace(data, drifts=True))], stretches=1, worth_it=DRIFTING)[0]

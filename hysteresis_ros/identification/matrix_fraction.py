@@ -32,8 +32,8 @@ import scipy
 
 from hysteresis_ros.identification.data import refuse_short
 from hysteresis_ros.identification.frequency_response import FrequencyResponse
-from hysteresis_ros.identification.state_space import FitError, LinearModel
-from hysteresis_ros.models.state_space import BOUNDARY
+from hysteresis_ros.identification.linear_systems import FitError, LinearModel
+from hysteresis_ros.models.linear import BOUNDARY
 
 #: Misfits below this share of the response's own size are taken for rounding, not for a lack of order.
 ROUNDING = 1e-7

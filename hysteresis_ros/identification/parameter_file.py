@@ -21,24 +21,28 @@ from dataclasses import replace
 
 import numpy as np
 
-from hysteresis_ros.compensation.compensator import CompensatorParameters
-from hysteresis_ros.compensation.inverses import InverseParameters
-from hysteresis_ros.compensation.reachable import reachable_commands
-from hysteresis_ros.configuration import Configuration, dump_configuration, load_configuration, parse_configuration
+from hysteresis_ros.configuration import (
+    Configuration,
+    Parameters,
+    dump_configuration,
+    load_configuration,
+    parse_configuration,
+)
 from hysteresis_ros.errors import ConfigurationError, IdentificationError, ParameterError
 from hysteresis_ros.files import write_text
 from hysteresis_ros.identification.data import IdentificationData
-from hysteresis_ros.identification.identified import Identification, PlantModel, at_rest
 from hysteresis_ros.identification.linear_part import LinearPart, Mode
+from hysteresis_ros.identification.plant_model import Identification, PlantModel, at_rest
 from hysteresis_ros.identification.prediction import INITIAL
 from hysteresis_ros.identification.safe_motion import with_safe_motion
 from hysteresis_ros.models.actuator import ActuatorParameters
+from hysteresis_ros.models.compensator import CompensatorParameters, reachable_commands
 from hysteresis_ros.models.creep import CreepParameters
 from hysteresis_ros.models.declaration import HysteresisModel
 from hysteresis_ros.models.hysteresis import HysteresisParameters, hysteresis_block
+from hysteresis_ros.models.inverses import InverseParameters
 from hysteresis_ros.models.limits import LimitsParameters
 from hysteresis_ros.models.linear import LinearParameters
-from hysteresis_ros.parameters import Parameters
 
 #: The entry that no node reads.
 SECTION = "/identification"

@@ -17,10 +17,12 @@ quadratics of the peak voltage V_max. Two corrections make the branches continuo
 
 With them nine numbers remain: the virgin curve (3), D = D_v + D_1 V_max + D_2 V_max², and the bends C_r2 and C_f2 as
 linear functions of V_max; C_r1 and C_f1 follow. As the output of the model is linear in its coefficients for a given
-voltage — minor loops included, because branches change with the voltage only — the nine numbers are then fitted to all
-samples at once by linear least squares, which works with any excitation. The paper judges a model by its largest
-error; where the shape of the loops, not noise, makes the residual, the weights are therefore moved towards the largest
-residuals (Lawson's reweighting), which halves the largest error on loops of another kind.
+voltage — minor loops included, because branches change with the voltage only — the nine numbers are then fitted to
+all samples at once by linear least squares, which works with any excitation. The paper judges a model by its
+largest error; where the shape of the loops, not noise, makes the residual, the weights are therefore moved towards
+the largest residuals (Lawson's reweighting), which halves the largest error on loops of another kind.
+
+K3, eqs 3-5: the preload curve W(L0) from displacement against preload.
 """
 
 from __future__ import annotations
@@ -29,25 +31,123 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hysteresis_ros.block import compiled, run_kernel
 from hysteresis_ros.errors import IdentificationError
-from hysteresis_ros.identification.branches import (
+from hysteresis_ros.identification.preprocessing import (
+    FEWEST_BRANCH_SAMPLES,
     checked_signals,
     require_both_directions,
     split_branches,
 )
-from hysteresis_ros.identification.polynomial_loops import LoopCoefficients, distinct_peaks, in_units, loop_table
-from hysteresis_ros.models.hysteresis.polynomial.law import (
+from hysteresis_ros.models.actuator import PreloadParameters
+from hysteresis_ros.models.block import compiled, run_kernel
+from hysteresis_ros.models.declaration import DISPLACEMENT
+from hysteresis_ros.models.hysteresis.polynomial import (
+    CHECKED_LOOPS,
     DIRECTION,
     ON_VIRGIN,
+    SMALLEST_LOOP,
     STATES,
     TURN_DISPLACEMENT,
     VIRGIN,
+    PolynomialParameters,
     polynomial,
 )
-from hysteresis_ros.models.hysteresis.polynomial.parameters import CHECKED_LOOPS, SMALLEST_LOOP, PolynomialParameters
-from hysteresis_ros.models.rate_independent import DISPLACEMENT
 from hysteresis_ros.recordings.loops import REVERSAL
+
+#: Peaks that differ by more than this part of the largest are different loops.
+DIFFERENT_PEAKS = 0.02
+
+
+@dataclass(frozen=True)
+class LoopCoefficients:
+    """Branch parabolas of one loop (eqs 1-2; figure 4 of the paper), SI units.
+
+    Parameters
+    ----------
+    v_max : float
+        Peak [V].
+    D : float
+        Lower corner D_r = D_f [m].
+    C_r1, C_r2 : float
+        Rising branch [m/V, m/V²]; NaN where the recording does not rise again after this peak.
+    C_f1, C_f2 : float
+        Falling branch.
+    rms : float
+        Residual [m].
+    """
+
+    v_max: float
+    D: float
+    C_r1: float
+    C_r2: float
+    C_f1: float
+    C_f2: float
+    rms: float
+
+
+def loop_table(voltage, displacement, branches):
+    """Return the loops (normalised units) and the virgin samples as (v, x)."""
+    loops, virgin, reached = [], [], 0.0
+    for place, branch in enumerate(branches):
+        if not branch.rising or branch.high <= reached:
+            continue
+        rise = slice(branch.start, branch.stop + 1)
+        fresh = voltage[rise] >= reached
+        virgin.append(np.stack([voltage[rise][fresh], displacement[rise][fresh]]))
+        grown = branch.high > (1.0 + DIFFERENT_PEAKS) * reached
+        reached = branch.high
+        after = branches[place + 1 : place + 3]
+        if not grown or not after or len(after[0]) < FEWEST_BRANCH_SAMPLES:
+            continue
+        fall, again = after[0], after[1] if len(after) == 2 and len(after[1]) >= FEWEST_BRANCH_SAMPLES else None
+        loops.append(_one_loop(voltage, displacement, reached, fall, again))
+    return loops, np.concatenate(virgin, axis=1) if virgin else np.zeros((2, 0))
+
+
+def _one_loop(voltage, displacement, v_max, fall, rise) -> LoopCoefficients:
+    """Fit D, the upper corner X and the bends: x = D + (X - D) V/V_max + C2 V (V - V_max) on each branch."""
+    parts = [(2, fall)] + ([(3, rise)] if rise is not None else [])
+    rows, wanted = [], []
+    for column, branch in parts:
+        v, x = voltage[branch.samples], displacement[branch.samples]
+        below = v <= v_max
+        v = v[below]
+        matrix = np.zeros((v.size, 4))
+        matrix[:, 0], matrix[:, 1], matrix[:, column] = 1.0 - v / v_max, v / v_max, v * (v - v_max)
+        rows.append(matrix)
+        wanted.append(x[below])
+    matrix, wanted = np.concatenate(rows), np.concatenate(wanted)
+    found = np.linalg.lstsq(matrix, wanted, rcond=None)[0]
+    corner, top, c_f2, c_r2 = found
+    rms = float(np.sqrt(np.mean((matrix @ found - wanted) ** 2)))
+    mean = (top - corner) / v_max
+    if rise is None:
+        c_r2 = np.nan
+    return LoopCoefficients(v_max, corner, mean - c_r2 * v_max, c_r2, mean - c_f2 * v_max, c_f2, rms)
+
+
+def distinct_peaks(v, reversal) -> list[float]:
+    """Return the values V_max takes, those that hardly differ once."""
+    peaks = []
+    for branch in split_branches(v, reversal):
+        if branch.high > (1.0 + DIFFERENT_PEAKS) * (peaks[-1] if peaks else 0.0):
+            peaks.append(branch.high)
+    return peaks
+
+
+def in_units(loop, v_unit, x_unit) -> LoopCoefficients:
+    """Return a loop in SI units that was fitted in units of ``v_unit`` [V] and ``x_unit`` [m]."""
+    one, two = x_unit / v_unit, x_unit / v_unit**2
+    return LoopCoefficients(
+        v_max=float(loop.v_max * v_unit),
+        D=float(loop.D * x_unit),
+        C_r1=float(loop.C_r1 * one),
+        C_r2=float(loop.C_r2 * two),
+        C_f1=float(loop.C_f1 * one),
+        C_f2=float(loop.C_f2 * two),
+        rms=float(loop.rms * x_unit),
+    )
+
 
 #: The free numbers θ of a fit, in this order; the last three need several peaks.
 FREE = ("D_v", "C_v1", "C_v2", "D_1", "C_r2", "C_f2", "D_2", "C_r2 slope", "C_f2 slope")
@@ -371,3 +471,112 @@ def _covariance(matrix, basis, residual) -> np.ndarray:
     variance = float(residual @ residual) / max(residual.size - basis.shape[1], 1)
     spread = basis @ np.linalg.pinv(matrix.T @ matrix, rcond=1e-20) @ basis.T
     return variance * spread
+
+
+#: Fewest points of the curve.
+FEWEST_POINTS = 4
+
+
+@dataclass(frozen=True)
+class PreloadIdentification:
+    """Result of :func:`identify_preload`.
+
+    Parameters
+    ----------
+    parameters : PreloadParameters
+        A1, B1 and B2, with the preload in use as ``force``.
+    covariance : ndarray, shape (3, 3)
+        Of A1, B1 and B2.
+    rms : float
+        Residual [m].
+    stiffness : float
+        -1/(B1 + B2 L0 of mid-range) [N/m], at the middle of the recorded preloads.
+    largest_force : float
+        Largest preload of the data [N].
+    warnings : tuple of str
+        What to doubt.
+    """
+
+    parameters: PreloadParameters
+    covariance: np.ndarray
+    rms: float
+    stiffness: float
+    largest_force: float
+    warnings: tuple[str, ...]
+
+
+def identify_preload(force, displacement, *, in_use: float = 0.0) -> PreloadIdentification:
+    """Fit W = A1 + B1 L0 + B2 L0² to displacement against preload.
+
+    Parameters
+    ----------
+    force : array_like, shape (N,)
+        Preload L0 [N], at least three different ones.
+    displacement : array_like, shape (N,)
+        Displacement of the tip at the same voltage [m].
+    in_use : float
+        Preload [N] to write into the parameters.
+
+    Raises
+    ------
+    IdentificationError
+        Too few points or preloads, values that are not finite, a negative preload.
+    """
+    force, displacement = checked_signals(force, displacement, ("preload", "displacement"), FEWEST_POINTS)
+    if force.min() < 0.0:
+        raise IdentificationError(f"preload {force.min():g} N is negative; give compressing forces as positive numbers")
+    levels = np.unique(np.round(force / np.ptp(force), 6))
+    if levels.size < 3:
+        raise IdentificationError(f"{levels.size} different preloads; a quadratic needs at least three")
+    unit = float(force.max())
+    powers = unit ** np.arange(3)
+    matrix = np.vander(force / unit, 3, increasing=True)
+    found = np.linalg.lstsq(matrix, displacement, rcond=None)[0]
+    residual = matrix @ found - displacement
+    variance = float(residual @ residual) / max(force.size - 3, 1)
+    covariance = variance * np.linalg.inv(matrix.T @ matrix) / np.outer(powers, powers)
+    a1, b1, b2 = (found / powers).tolist()
+    warnings = []
+    ends = b1 + 2.0 * b2 * np.array([force.min(), force.max()])
+    if ends.min() * ends.max() <= 0.0:
+        warnings.append(
+            f"W(L0) is not monotone between {force.min():g} and {force.max():g} N; a preload does not follow from it"
+        )
+    if in_use > force.max():
+        warnings.append(f"preload {in_use:g} N lies beyond the largest recorded, {force.max():g} N: extrapolated")
+    middle = float(np.mean(ends))
+    return PreloadIdentification(
+        parameters=PreloadParameters(force=float(in_use), A1=a1, B1=b1, B2=b2).validated(),
+        covariance=covariance,
+        rms=float(np.sqrt(np.mean(residual**2))),
+        stiffness=-1.0 / middle if middle != 0.0 else float("inf"),
+        largest_force=float(force.max()),
+        warnings=tuple(warnings),
+    )
+
+
+def preload_of_offset(preload: PreloadParameters, offset: float) -> float:
+    """Return the preload L0 [N] whose W is ``offset`` [m]: the root of eq. 3 next to zero preload.
+
+    Parameters
+    ----------
+    preload : PreloadParameters
+        Curve; its ``force`` is not used.
+    offset : float
+        Displacement of a recording under preload less that of the same recording without.
+
+    Raises
+    ------
+    IdentificationError
+        The curve never reaches this offset at a preload of 0 or more.
+    """
+    rise = offset - preload.A1
+    discriminant = preload.B1**2 + 4.0 * preload.B2 * rise
+    if discriminant >= 0.0 and preload.B1 != 0.0:
+        force = 2.0 * rise / (preload.B1 + np.copysign(np.sqrt(discriminant), preload.B1))
+        if force >= 0.0:
+            return float(force)
+    raise IdentificationError(
+        f"offset {offset:g} m is not reached by the preload curve A1 = {preload.A1:g}, B1 = {preload.B1:g}, "
+        f"B2 = {preload.B2:g} at any preload ≥ 0; check the sign of the displacement"
+    )

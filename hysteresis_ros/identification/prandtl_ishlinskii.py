@@ -7,24 +7,405 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Prandtl-Ishlinskii models from data, together with lag, delay and creep: smooth density, classical, and modified.
+"""Prandtl-Ishlinskii models from data, with lag, delay and creep: smooth density, classical, and modified.
 
-Three structures compete: an exponential density with a cubic map behind it (:mod:`.smooth_density`, few numbers), plays
-with free weights, and these with dead zones behind them (:mod:`.free_weights`). One with more freedom is taken only
-where it predicts blocks of the recording better that it was not fitted to (:mod:`.held_out`).
+Three structures compete; one with more freedom is taken only where it predicts blocks of the recording better that
+it was not fitted to (:func:`.hammerstein.survivor`).
+
+*Smooth density* (few numbers): a reversible part (a share ρ of the motion), a density that falls exponentially
+with the radius, ``w(r) = B exp(-κ r/h)`` (h: half the range of the voltage), and a cubic map
+``s(u) = u + a (u² - 1)/2 + b (u³ - u)/2`` of their sum u, scaled to -1 … 1 over the recording. The map bends both
+branches alike, which plays cannot. ρ, κ, a and b are searched with the linear part, scale and constant follow by
+least squares. Loops of one amplitude hardly tell κ from the map: it is held at :data:`PRIOR_DECAY`, what stacks of
+other makers show, unless the recording lowers the residual by :data:`SETTLED` with another one. The density is
+realised by plays, the map by dead zones, so nodes run the model as any other one of this kind.
+
+*Free weights*: a weight ≥ 0 of its own for each play, by linear least squares (:mod:`.weights`). *Modified*: dead
+zones behind them, which bend both branches alike, make the output bilinear in the two sets of weights: a few
+Gauss-Newton steps, each of them a constrained linear problem again.
+
+*Ambiguity*, what a recording does not settle: let f be the reversible part with the map and W(r) the sum of the
+weights of plays up to radius r. A periodic loop between 0 and V gives f'(v) + W(v/2) on its rising and f'(v) +
+W((V - v)/2) on its falling branch, so a W that is symmetric about V/4 and an f' that makes up for it leave no
+trace, while the gain of smaller loops changes. Densities ``exp(-κ r/h)`` of every κ are fitted behind the linear
+part found, each with a map of its own; those that fit about as well as the best may all be true, and how far apart
+they are on smaller loops is the remaining uncertainty.
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from copy import copy
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from hysteresis_ros.errors import IdentificationError
-from hysteresis_ros.identification.condensed import Condensed, condense, simple_loops
-from hysteresis_ros.identification.finished import finished, without_outliers
-from hysteresis_ros.identification.free_weights import FreeWeights
-from hysteresis_ros.identification.hammerstein import HammersteinFit
-from hysteresis_ros.identification.held_out import WORTH_IT, survivor, without_drift
-from hysteresis_ros.identification.smooth_density import SmoothDensity
+from hysteresis_ros.identification.hammerstein import (
+    STRUCTURE_WORTH_IT,
+    HammersteinFit,
+    PartSearch,
+    finished,
+    fit_linear_part,
+    search_linear_part,
+    split_values,
+    survivor,
+    without_drift,
+    without_outliers,
+)
+from hysteresis_ros.identification.linear_part import LinearPart
+from hysteresis_ros.identification.preprocessing import Condensed, condense, simple_loops
+from hysteresis_ros.identification.weights import radii, smooth_weights
+from hysteresis_ros.models.hysteresis import HysteresisParameters, hysteresis_block
+from hysteresis_ros.models.hysteresis.prandtl_ishlinskii import PrandtlIshlinskiiParameters
+
+GAUSS_NEWTON_STEPS = 6
+SEARCH_STEPS = 2
+#: The slope behind all dead zones stays above this part of the slope at zero.
+LOWEST_SLOPE = 0.2
+#: The penalty on the slopes that dead zones add, in residual RMS over stroke: keeps unneeded ones near zero.
+ZONE_RIDGE = 1e-3
+#: Strength of the smoothness while the linear part is searched.
+SEARCH_STRENGTH = 1e-2
+
+
+class FreeWeights:
+    """Free weights of plays, and dead zones behind them, on one set of data.
+
+    Parameters
+    ----------
+    data : Condensed
+    play_count : int
+        Plays up to half the range of the voltage.
+    zone_count : int
+        Dead zones; 0 for the classical model.
+    """
+
+    def __init__(self, data: Condensed, play_count: int, zone_count: int):
+        self.data = data
+        self.radii = radii(data.voltage_range, play_count, data.reach)
+        self.plays = data.plays(self.radii)
+        self.roughness = np.diff(np.eye(len(self.radii)), 2, axis=0)[1:] * play_count**0.5
+        self.play_count, self.zone_count = play_count, zone_count
+        self.numbers: dict[str, float] = {}
+
+    def behind(self, part):
+        """Settle the weights for a linear part that is known.
+
+        Parameters
+        ----------
+        part : LinearPart
+        """
+        self.part = part
+        self.rms = float(np.std(self._solve(part, None, GAUSS_NEWTON_STEPS)))
+        return self
+
+    def fit(self, linear, progress):
+        """Search the linear part, then settle the weights.
+
+        Parameters
+        ----------
+        linear : sequence of str
+        progress : callable or None
+        """
+
+        def solve(part, _):
+            return self._solve(part, SEARCH_STRENGTH, SEARCH_STEPS)
+
+        part, _, self.deviations, self.warnings, self.converged = fit_linear_part(
+            solve, self.data, linear=linear, progress=progress
+        )
+        return self.behind(part)
+
+    def like(self, data: Condensed):
+        """Return the same structure for other data, not fitted yet.
+
+        Parameters
+        ----------
+        data : Condensed
+        """
+        return FreeWeights(data, self.play_count, self.zone_count)
+
+    def refitted(self, data: Condensed):
+        """Return the model with weights for other samples of the recording, behind the same linear part.
+
+        Parameters
+        ----------
+        data : Condensed
+        """
+        other = copy(self)
+        other.data = data
+        other._solve(self.part, self.strength, GAUSS_NEWTON_STEPS)
+        return other
+
+    def output(self) -> np.ndarray:
+        """Return the modelled displacement [m], shape (N,)."""
+        x = self.plays @ self.weights
+        if self.zone_count:
+            x = x + _zones(x, self.thresholds) @ self.zone_weights
+        return self.part.apply(x, self.data.sample_time) + self.data.constants @ self.constants
+
+    def _solve(self, part, strength: float | None, steps: int):
+        data = self.data
+        target = data.counted(data.displacement)
+        moved = data.counted(part.apply(self.plays, data.sample_time))
+        constants = data.counted(data.constants)
+        weights, free, residual, used = smooth_weights(moved, constants, target, self.roughness, strength)
+        self.weights, self.constants, self.strength = weights, free, used
+        self.thresholds = self.zone_weights = np.zeros(0)
+        if self.zone_count:
+            residual = self._bend(part, target, used, residual, steps)
+        return residual
+
+    def _bend(self, part, target, strength, residual, steps):
+        """Gauss-Newton on plays' and dead zones' weights; each step solves for both at once."""
+        data = self.data
+        x = self.plays @ self.weights
+        thresholds = x.min() + np.ptp(x) * np.arange(1, self.zone_count + 1) / (self.zone_count + 1)
+        zone_weights = np.zeros(self.zone_count)
+        constants = data.counted(data.constants)
+        best = (np.std(residual), self.weights, zone_weights, self.constants, residual)
+        ridge = ZONE_RIDGE * data.stroke * np.sqrt(len(target))
+        for _ in range(steps):
+            zones = _zones(x, thresholds)
+            slope = 1.0 + (zones != 0.0) @ zone_weights
+            table = data.counted(part.apply(np.column_stack([slope[:, None] * self.plays, zones]), data.sample_time))
+            # linearised: S'(x) Z w + d(x) s has to be y - offset - [S(x) - S'(x) x - d(x) s], a term of filtered zones
+            kink = data.counted(part.apply((zones - (zones != 0.0) * x[:, None]) @ zone_weights, data.sample_time))
+            zone_part = data.counted(part.apply(zones @ zone_weights, data.sample_time))
+            free = np.column_stack([table[:, len(self.radii) :], constants])
+            weights, coefficients, _, _ = smooth_weights(
+                table[:, : len(self.radii)],
+                free,
+                target - kink + zone_part,
+                self.roughness,
+                strength,
+                ridge=np.append(np.full(self.zone_count, ridge), np.zeros(constants.shape[1])),
+            )
+            zone_weights = _monotone(coefficients[: self.zone_count], thresholds)
+            x = self.plays @ weights
+            bent = data.counted(part.apply(x + _zones(x, thresholds) @ zone_weights, data.sample_time))
+            still = np.linalg.lstsq(constants, target - bent, rcond=None)[0]
+            residual = target - bent - constants @ still
+            if np.std(residual) < best[0]:
+                best = (np.std(residual), weights, zone_weights, still, residual)
+        _, self.weights, self.zone_weights, self.constants, residual = best
+        self.thresholds = thresholds
+        return residual
+
+    def parameters(self) -> HysteresisParameters:
+        """Return the numbers as parameters of the block."""
+        moving = self.weights > 1e-9 * self.weights.sum()
+        moving[0] = True
+        weights = np.maximum(self.weights, 1e-6 * self.weights.sum() * (np.arange(len(moving)) == 0))
+        used = self.zone_weights != 0.0
+        parameters = PrandtlIshlinskiiParameters(
+            radii=tuple(self.radii[moving].tolist()),
+            weights=tuple(weights[moving].tolist()),
+            thresholds=tuple(self.thresholds[used].tolist()),
+            zone_weights=tuple(self.zone_weights[used].tolist()),
+            offset=float(self.constants[0]) / self.part.settled_gain,
+        )
+        return HysteresisParameters(type="prandtl_ishlinskii", prandtl_ishlinskii=parameters)
+
+
+def _zones(x, thresholds):
+    """Outputs of the dead zones, shape (N, k): zones for t ≥ 0 act above t, the others below."""
+    inside = x[:, None] - thresholds
+    return np.where(thresholds >= 0.0, np.maximum(inside, 0.0), np.minimum(inside, 0.0))
+
+
+def _monotone(zone_weights, thresholds):
+    """Weaken what makes the slope behind the dead zones fall below the lowest one."""
+    result = np.array(zone_weights, dtype=float)
+    for side in (np.flatnonzero(thresholds >= 0.0), np.flatnonzero(thresholds < 0.0)[::-1]):
+        slope = 1.0
+        for i in side:
+            result[i] = max(result[i], LOWEST_SLOPE - slope)
+            slope += result[i]
+    return result
+
+
+#: κ where the data cannot tell: the prior, and the range in which it is searched.
+PRIOR_DECAY = 1.9
+DECAY_RANGE = (-1.0, 8.0)
+#: Another κ is taken when it lowers the RMS residual by this part.
+SETTLED = 0.03
+#: Start and range of the other numbers; within them the map rises everywhere.
+DENSITY_SHAPE = (
+    ("elastic_share", 0.6, 0.02, 1.0),
+    ("map_slope", 0.0, -0.7, 0.7),
+    ("map_curvature", 0.0, -0.25, 0.4),
+)
+#: Straight pieces of the map over the recording; bends smaller than this part of a slope are none.
+PIECES = 16
+TINY = 1e-9
+
+
+class SmoothDensity:
+    """Exponential density and cubic map on one set of data.
+
+    Parameters
+    ----------
+    data : Condensed
+    play_count : int
+        Plays that stand for the density, up to half the range of the voltage.
+    """
+
+    def __init__(self, data: Condensed, play_count: int):
+        self.data, self.play_count = data, play_count
+        step = 0.5 * data.voltage_range / play_count
+        self.half = 0.5 * data.voltage_range
+        self.radii = radii(data.voltage_range, play_count, data.reach) + 0.5 * step
+        self.plays = data.plays(self.radii)
+        self.numbers: dict[str, float] = {}
+
+    def fit(self, linear, progress):
+        """Search linear part and shape with κ at its prior, then try whether the data settles it.
+
+        Parameters
+        ----------
+        linear : sequence of str
+        progress : callable or None
+        """
+        self.decay = PRIOR_DECAY
+        search = PartSearch(self.solve, self.data, DENSITY_SHAPE, progress)
+        kept, base, held = search_linear_part(search, linear)
+        found = held
+        free = PartSearch(self.solve, self.data, (*DENSITY_SHAPE, ("decay", PRIOR_DECAY, *DECAY_RANGE)), progress)
+        settled = free.run(kept, held.values, base)
+        self.settled = bool(settled.spread < (1.0 - SETTLED) * held.spread)
+        if self.settled:
+            found, search = settled, free
+        self.kept, self.base, self.found = kept, base, found
+        self.part, self.shape = split_values(base, found.values)
+        self.deviations, self.converged = found.deviations or {}, found.converged
+        self.warnings = tuple(search.at_ends(kept, found.values))
+        self.rms = float(np.std(self.solve(self.part, self.shape)))
+        self.numbers = {"density_decay": self.shape.get("decay", PRIOR_DECAY)}
+        return self
+
+    def behind(self, part, decay: float):
+        """Fit the shape for a κ and a linear part that are known.
+
+        Parameters
+        ----------
+        part : LinearPart
+        decay : float
+            κ.
+        """
+        self.decay, self.part = decay, part
+        search = PartSearch(lambda _, shape: self.solve(part, shape), self.data, DENSITY_SHAPE, None)
+        self.shape = search.run([], {}, part).values
+        self.rms = float(np.std(self.solve(part, self.shape)))
+        return self
+
+    def solve(self, part, shape) -> np.ndarray:
+        """Return the residual [m] of the best scale and constant.
+
+        Parameters
+        ----------
+        part : LinearPart
+        shape : dict of str to float
+        """
+        data = self.data
+        table = np.column_stack([part.apply(self.moved(shape), data.sample_time), data.constants])
+        table, target = data.counted(table), data.counted(data.displacement)
+        solution = np.linalg.lstsq(table, target, rcond=None)[0]
+        self.scale, self.constants = float(solution[0]), solution[1:]
+        return target - table @ solution
+
+    def moved(self, shape) -> np.ndarray:
+        """Return what the linear part gets, shape (N,), at unit scale and zero at rest.
+
+        Parameters
+        ----------
+        shape : dict of str to float
+        """
+        weights = self._weights(shape)
+        sums = self.data.voltage * weights[0] + self.plays @ weights[1:]
+        counted = sums[self.data.first :]
+        self.centre, self.span = 0.5 * float(counted.max() + counted.min()), 0.5 * float(np.ptp(counted))
+        return self._map(sums, shape) - self._map(0.0, shape)
+
+    def _weights(self, shape) -> np.ndarray:
+        """Weights of the voltage and of the plays; both parts move by about their share over the range."""
+        density = np.exp(-shape.get("decay", self.decay) * self.radii / self.half)
+        moving = np.maximum(2.0 * (self.half - self.radii), 0.0) @ density
+        share = shape["elastic_share"]
+        return np.append(share / (2.0 * self.half), (1.0 - share) * density / moving)
+
+    def _map(self, sums, shape):
+        u = (sums - self.centre) / self.span
+        inside = np.clip(u, -1.0, 1.0)  # beyond the recording it goes on straight
+        bent = 0.5 * shape["map_slope"] * (inside**2 - 1.0) + 0.5 * shape["map_curvature"] * (inside**3 - inside)
+        end = shape["map_slope"] * inside + shape["map_curvature"] * (1.5 * inside**2 - 0.5)
+        return u + bent + end * (u - inside)
+
+    def like(self, data: Condensed):
+        """Return the same structure for other data, not fitted yet.
+
+        Parameters
+        ----------
+        data : Condensed
+        """
+        return SmoothDensity(data, self.play_count)
+
+    def refitted(self, data: Condensed):
+        """Return the model fitted to other samples of the recording, from the numbers found.
+
+        Parameters
+        ----------
+        data : Condensed
+        """
+        other = copy(self)
+        other.data = data
+        extra = (*DENSITY_SHAPE, ("decay", PRIOR_DECAY, *DECAY_RANGE)) if self.settled else DENSITY_SHAPE
+        found = PartSearch(other.solve, data, extra, None).run(self.kept, self.found.values, self.base)
+        other.part, other.shape = split_values(self.base, found.values)
+        other.solve(other.part, other.shape)
+        return other
+
+    def output(self) -> np.ndarray:
+        """Return the modelled displacement [m], shape (N,)."""
+        moved = self.part.apply(self.moved(self.shape), self.data.sample_time)
+        return self.scale * moved + self.data.constants @ self.constants
+
+    def parameters(self) -> HysteresisParameters:
+        """Return density and map as plays and dead zones.
+
+        Raises
+        ------
+        IdentificationError
+            The displacement falls where the voltage rises.
+        """
+        if not self.scale > 0.0:
+            raise IdentificationError("the displacement falls where the voltage rises; check the columns, or --negate")
+        low, high = min(self.centre - self.span, 0.0), max(self.centre + self.span, 0.0)
+        width = (high - low) / PIECES
+        above, rising = self._pieces(width, high)
+        below, falling = self._pieces(-width, low)
+        first = float(rising[0]) if len(rising) else float(falling[0])
+        # a corner at rest itself belongs to the side above; the side below starts just under it
+        corners = np.append(above[1:], np.where(below == 0.0, -TINY * (high - low), below))
+        steps = np.append(np.diff(rising), np.diff(falling, prepend=first)) / first
+        bends = np.abs(steps) > TINY
+        weights = self._weights(self.shape) * first
+        parameters = PrandtlIshlinskiiParameters(
+            radii=(0.0, *self.radii.tolist()),
+            weights=tuple(weights.tolist()),
+            thresholds=tuple((first * corners[bends]).tolist()),
+            zone_weights=tuple(steps[bends].tolist()),
+            offset=float(self.constants[0]) / self.part.settled_gain,
+        )
+        return HysteresisParameters(type="prandtl_ishlinskii", prandtl_ishlinskii=parameters)
+
+    def _pieces(self, width: float, end: float):
+        """Return inner corners and slopes of the scaled map in straight pieces from rest to ``end``."""
+        count = int(np.ceil(end / width - 1e-9))
+        corners = width * np.arange(count + 1)
+        heights = self.scale * self._map(corners, self.shape)
+        return corners[:-1], np.diff(heights) / width
+
 
 PLAYS = 20
 ZONES = 5
@@ -120,11 +501,125 @@ def _chosen(data: Condensed, play_count: int, zone_count: int | None, density: s
     zones = FreeWeights(rivals[0].data, play_count, ZONES).behind(part)
     rivals.append(zones)
     alone = simple_loops(data) and density == "auto"
-    worth = [ALONE if alone else WORTH_IT] * len(rivals)
+    worth = [ALONE if alone else STRUCTURE_WORTH_IT] * len(rivals)
     rivals += others(rivals[0], progress) if others else []
-    worth += [OF_ANOTHER_KIND if alone else WORTH_IT] * (len(rivals) - len(worth))
+    worth += [OF_ANOTHER_KIND if alone else STRUCTURE_WORTH_IT] * (len(rivals) - len(worth))
     chosen, errors = survivor(rivals, worth_it=worth)
     if chosen is zones:
         zones.fit(linear, progress)
     chosen.numbers["held_out_rmse_m"] = errors[rivals.index(chosen)]
     return chosen
+
+
+#: κ that are tried, and plays that stand for each density.
+TRIED_DECAYS = (-1.0, 0.0, 1.0, 1.5, 1.9, 2.5, 3.2, 4.2, 6.0)
+TRIED_PLAYS = 20
+#: Half swings of the loops they are compared on, which fall to nothing, and points of each.
+SWINGS, POINTS = 16, 40
+#: The small loop, as a part of the range.
+SMALL = 0.1
+#: A doubt of this part of the stroke is warned of.
+NOTABLE = 0.002
+EXCITATION = "loops of decaying amplitude settle it (hysteresis excite --recipe decaying)"
+
+
+@dataclass(frozen=True)
+class Ambiguity:
+    """What may be true besides the model that was chosen.
+
+    Parameters
+    ----------
+    decays : (float, float)
+        Lowest and highest κ that fit about as well as the best.
+    gain : (float, float)
+        Gain of loops over a tenth of the range, lowest and highest of all that may be true, by that of the model.
+    error : float
+        Largest RMS difference from the model on loops of decaying amplitude [m].
+    stroke : float
+        Of the recording [m].
+    held : bool
+        The model holds κ at its prior.
+    """
+
+    decays: tuple[float, float]
+    gain: tuple[float, float]
+    error: float
+    stroke: float
+    held: bool
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        """Figures for the parameter file, names with units."""
+        low, high = (100.0 * (gain - 1.0) for gain in self.gain)
+        return {
+            "density_decay_low": self.decays[0],
+            "density_decay_high": self.decays[1],
+            "small_loop_gain_low_percent": low,
+            "small_loop_gain_high_percent": high,
+            "ambiguity_rms_m": self.error,
+        }
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """What is to be doubted, and what would settle it; empty where the recording does."""
+        if self.error < NOTABLE * self.stroke:
+            return ()
+        low, high = (100.0 * (gain - 1.0) for gain in self.gain)
+        return (
+            f"the recording does not settle the gain of loops smaller than its own: {low:+.2g} … {high:+.2g} % at "
+            f"a tenth of the range, {1e6 * self.error:.2g} µm on decaying loops; {self._held()}{EXCITATION}",
+        )
+
+    def _held(self) -> str:
+        return f"the density is held at the prior κ = {PRIOR_DECAY:g}; " if self.held else ""
+
+
+def find_ambiguity(data: Condensed, part: LinearPart, chosen: HysteresisParameters, held: bool) -> Ambiguity | None:
+    """Return how far densities and maps that the data does not tell apart are from the model; None if none fits.
+
+    Parameters
+    ----------
+    data : Condensed
+    part : LinearPart
+        What was found behind the hysteresis.
+    chosen : HysteresisParameters
+        The model.
+    held : bool
+        It holds κ at its prior.
+    """
+    fits = [SmoothDensity(data, TRIED_PLAYS).behind(part, decay) for decay in TRIED_DECAYS]
+    least = min(fit.rms for fit in fits)
+    voltage = _decaying(float(data.voltage.min()), float(data.voltage.max()))
+    own = _response(chosen, voltage, data.sample_time)
+    decays, gains, errors = [], [1.0], [0.0]
+    for fit in fits:
+        if fit.rms > (1.0 + SETTLED) * least:
+            continue
+        try:
+            other = _response(fit.parameters(), voltage, data.sample_time)
+        except IdentificationError:
+            continue
+        decays.append(fit.decay)
+        gains.append(_small_gain(other) / _small_gain(own))
+        difference = (other - own)[2 * POINTS : -POINTS]
+        errors.append(float(np.std(difference)))
+    if not decays:
+        return None
+    return Ambiguity((min(decays), max(decays)), (min(gains), max(gains)), max(errors), data.stroke, held)
+
+
+def _decaying(low: float, high: float) -> np.ndarray:
+    """Return a voltage [V] that goes through the range once, then to and fro ever less, and through a small loop."""
+    centre, half = 0.5 * (low + high), 0.5 * (high - low)
+    sizes = [1.0, 1.0, *(1.0 - np.arange(1, SWINGS + 1) / SWINGS)]
+    ends = [centre + half * size * (-1.0) ** k for k, size in enumerate(sizes)]
+    ends += [centre - SMALL * half, centre + SMALL * half]
+    return np.concatenate([np.linspace(a, b, POINTS + 1)[1:] for a, b in zip([0.0, *ends], ends, strict=False)])
+
+
+def _response(hysteresis: HysteresisParameters, voltage, sample_time: float) -> np.ndarray:
+    return hysteresis_block(hysteresis, sample_time).simulate(voltage)
+
+
+def _small_gain(response) -> float:
+    return float(response[-1] - response[-POINTS - 1])

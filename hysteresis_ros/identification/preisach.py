@@ -22,11 +22,15 @@ from copy import copy
 
 import numpy as np
 
-from hysteresis_ros.identification.condensed import condense
-from hysteresis_ros.identification.finished import finished, without_outliers
-from hysteresis_ros.identification.free_weights import SEARCH_STRENGTH
-from hysteresis_ros.identification.hammerstein import HammersteinFit, fit_linear_part
-from hysteresis_ros.identification.held_out import without_drift
+from hysteresis_ros.identification.hammerstein import (
+    HammersteinFit,
+    finished,
+    fit_linear_part,
+    without_drift,
+    without_outliers,
+)
+from hysteresis_ros.identification.prandtl_ishlinskii import SEARCH_STRENGTH
+from hysteresis_ros.identification.preprocessing import condense
 from hysteresis_ros.identification.weights import plays, radii, smooth_weights
 from hysteresis_ros.models.hysteresis import HysteresisParameters
 from hysteresis_ros.models.hysteresis.preisach import PreisachParameters

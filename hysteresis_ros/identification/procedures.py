@@ -7,31 +7,65 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""One procedure per model: from checked data and a request to a chain of blocks."""
+"""One procedure per model: from checked data and a request to a chain of blocks.
+
+Models of plays are found together with lag, delay and creep. Static models (polynomial, Bouc-Wen, Duhem, and every
+model that declares ``guess`` and ``free``) are fitted to data from which these were taken out. A gain with dynamics
+and the Bouc-Wen oscillator are fitted to the recording itself.
+
+Declared free parameters (:func:`parametric`): the model is simulated by the kernel of the nodes under the recorded
+voltage; trust-region steps within the ranges of the parameters, with sensitivities by finite differences, lower the
+output error. A constant of the output is left free. What the parameters refuse together (their ``check``) counts as
+a large error.
+"""
 
 from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
 
-from hysteresis_ros.identification.ambiguity import find_ambiguity
+import numpy as np
+
+from hysteresis_ros.configuration import Parameters
+from hysteresis_ros.errors import HysteresisError, IdentificationError, ParameterError
+from hysteresis_ros.identification.bouc_wen import (
+    OSCILLATOR_FREE,
+    fit_bouc_wen_mechanical,
+    identify_bouc_wen_static,
+    static_guess,
+)
+from hysteresis_ros.identification.bouc_wen import STATIC_FREE as BOUC_WEN_NAMES
 from hysteresis_ros.identification.chains import chain_of, identified, with_stage
-from hysteresis_ros.identification.condensed import condense
 from hysteresis_ros.identification.data import IdentificationData
-from hysteresis_ros.identification.dynamics import found_with
+from hysteresis_ros.identification.duhem import identify_duhem, identify_inverse_duhem
+from hysteresis_ros.identification.dynamics import found_with, gain_and_dynamics
 from hysteresis_ros.identification.generalised_play import fit_generalised_play, rivals
-from hysteresis_ros.identification.identified import Identification
-from hysteresis_ros.identification.prandtl_ishlinskii import fit_prandtl_ishlinskii
+from hysteresis_ros.identification.linear_part import LinearPart
+from hysteresis_ros.identification.plant_model import FittedHysteresis, Identification, Request, grounded
+from hysteresis_ros.identification.polynomial import identify_polynomial
+from hysteresis_ros.identification.prandtl_ishlinskii import PRIOR_DECAY, find_ambiguity, fit_prandtl_ishlinskii
+from hysteresis_ros.identification.prediction import predict
 from hysteresis_ros.identification.preisach import WIDTHS, Density, fit_preisach
-from hysteresis_ros.identification.request import FittedHysteresis, Request
-from hysteresis_ros.identification.smooth_density import PRIOR_DECAY
-from hysteresis_ros.identification.start import find_start
+from hysteresis_ros.identification.preprocessing import ROUNDS, Cleaned, cleaned, condense
+from hysteresis_ros.identification.restarted_nelder_mead import SimplexSettings
+from hysteresis_ros.identification.separation import PAST_WORTH_IT, Separated, find_start, remembered, separated
+from hysteresis_ros.identification.transfer_function import Structure, fit_transfer_function
+from hysteresis_ros.identification.validation import parameter_covariance
+from hysteresis_ros.models.declaration import HysteresisModel
+from hysteresis_ros.models.hysteresis import MODELS, HysteresisParameters
+from hysteresis_ros.models.hysteresis.bouc_wen import BoucWenHysteresis
+from hysteresis_ros.models.hysteresis.bouc_wen_mechanical import BoucWenMechanicalParameters
 from hysteresis_ros.models.hysteresis.generalised_play import GeneralisedPlayParameters
+from hysteresis_ros.models.hysteresis.polynomial import PolynomialHysteresis
+from hysteresis_ros.models.hysteresis.proportional import ProportionalParameters
+from hysteresis_ros.models.inverses import InverseParameters
+from hysteresis_ros.models.linear import LinearParameters
+from hysteresis_ros.units import readable
 
 #: Widths of the densities that trials of the past fit.
-TRIED = 10
+TRIED_WIDTHS = 10
 #: To how many samples data is made coarser for what it cannot tell.
-COARSE = 2000
+COARSE_SAMPLES = 2000
 
 
 def prandtl_ishlinskii(data: IdentificationData, request: Request) -> Identification:
@@ -47,7 +81,9 @@ def usual(data: IdentificationData, request: Request) -> Identification:
 def preisach(data: IdentificationData, request: Request) -> Identification:
     """Everett map with lag, delay and creep, found together."""
     count = int(request.options.get("widths", WIDTHS)) + 3
-    return _hammerstein(fit_preisach, data, request, lambda _: count, lambda data: Density(data, TRIED, TRIED))
+    return _hammerstein(
+        fit_preisach, data, request, lambda _: count, lambda data: Density(data, TRIED_WIDTHS, TRIED_WIDTHS)
+    )
 
 
 def generalised_play(data: IdentificationData, request: Request) -> Identification:
@@ -78,8 +114,375 @@ def _hammerstein(fit_function, data, request, count, structure=None) -> Identifi
         chain = chain_of(data, request, fit.hysteresis, fit.linear_part, fit.dynamics, fit.synchronous)
         result = identified(chain, request, found, fit.linear_part)
     request.progress(0, "what the recording cannot tell")
-    coarse = condense(voltage, displacement, data.sample_time, skip, history=start.history, enough=COARSE)
+    coarse = condense(voltage, displacement, data.sample_time, skip, history=start.history, enough=COARSE_SAMPLES)
     doubt = find_ambiguity(coarse, fit.linear_part, fit.hysteresis, fit.numbers.get("density_decay") == PRIOR_DECAY)
     numbers = {**result.numbers, **fit.numbers, **(doubt.numbers if doubt else {})}
     warnings = (*result.warnings, *fit.doubts, *(doubt.warnings if doubt else ()))
     return replace(result, numbers=numbers, warnings=warnings, skipped=start.skip, start=start.note, drift=fit.drift)
+
+
+#: Numbers of the polynomial model's corner conditions that are free (K2).
+POLYNOMIAL_FREE = 9
+
+
+def polynomial(data: IdentificationData, request: Request) -> Identification:
+    """Branch polynomials on data whose lag was undone."""
+    static = separated(data, request)
+
+    def fit(other: Separated, _):
+        return identify_polynomial(other.voltage, other.displacement, history=other.history, **request.options)
+
+    found, static = remembered(static, fit, lambda found: PolynomialHysteresis(found.parameters, data.sample_time))
+    hysteresis = HysteresisParameters(type="polynomial", polynomial=found.parameters)
+    fitted = FittedHysteresis(hysteresis, POLYNOMIAL_FREE, warnings=found.warnings, converged=found.converged)
+    return static_result(data, request, fitted, static)
+
+
+def bouc_wen(data: IdentificationData, request: Request) -> Identification:
+    """Static Bouc-Wen element by Nelder-Mead on data whose lag was undone."""
+    static = separated(data, request)
+    v, x = static.voltage, static.displacement
+    options = dict(request.options)
+    exponent = options.pop("exponent", 1.0)
+    given = {name: options.pop(name) for name in BOUC_WEN_NAMES if name in options}
+    guess = replace(static_guess(v, x, exponent), **given) if given else None
+    settings = SimplexSettings(**{"starts": 4, **options})
+
+    def progress(run, iteration, cost):
+        request.progress(run * settings.iterations + iteration, f"start {run + 1}, cost {cost:.3g}")
+
+    def fit(other: Separated, before):
+        again = replace(settings, starts=1)
+        return identify_bouc_wen_static(
+            other.voltage,
+            other.displacement,
+            history=other.history,
+            guess=before.parameters if before else guess,
+            exponent=exponent,
+            free_offset=True,
+            settings=again if before else settings,
+            progress=progress,
+        )
+
+    found, static = remembered(static, fit, lambda found: BoucWenHysteresis(found.parameters, data.sample_time))
+    hysteresis = HysteresisParameters(type="bouc_wen", bouc_wen=found.parameters)
+    fitted = FittedHysteresis(
+        hysteresis, len(BOUC_WEN_NAMES) + 1, found.standard_errors, found.warnings, found.converged
+    )
+    result = static_result(data, request, fitted, static, found.offset)
+    return replace(result, trajectory=(BOUC_WEN_NAMES, found.search.runs[found.search.best].trajectory))
+
+
+def duhem(data: IdentificationData, request: Request) -> Identification:
+    """Duhem equation on data whose lag was undone; with its own inverse on request."""
+    static = separated(data, request)
+    v, x = static.voltage, static.displacement
+    request.progress(0, "shape functions and alpha")
+    found = identify_duhem(v, x, **request.options)
+    warnings = list(found.warnings)
+    # its output is all that it remembers, so the recording itself shows where it starts
+    first = dict(input_start=float(data.input[0]), output_start=float(static.output[0]))
+    hysteresis = HysteresisParameters(type="duhem", duhem=replace(found.parameters, **first))
+    fitted = sum(len(shape) for shape in found.parameters.shapes) + 1
+    converged = found.converged
+    inverse = None
+    if request.inverse == "duhem":
+        request.progress(1, "inverse")
+        rest = grounded(hysteresis, data.sample_time)[1]
+        backward = identify_inverse_duhem(v, x - rest, **request.options)
+        inverse = InverseParameters(type="duhem", duhem=backward.parameters)
+        converged = converged and backward.converged
+        warnings += [f"inverse: {text}" for text in backward.warnings]
+    fit = FittedHysteresis(hysteresis, fitted, warnings=tuple(warnings), converged=converged)
+    result = static_result(data, request, fit, static)
+    numbers = {**result.numbers, "alpha_normalised": found.alpha, "opening_percent": 100.0 * found.loop.opening}
+    chain = result.chain if inverse is None else replace(result.chain, inverse=inverse)
+    return replace(result, chain=chain, numbers=numbers)
+
+
+def static_result(
+    data: IdentificationData, request: Request, found: FittedHysteresis, static: Separated, offset: float = 0.0
+) -> Identification:
+    """Finish a hysteresis that was fitted to data without lag and creep.
+
+    Parameters
+    ----------
+    data : IdentificationData
+        The recording itself.
+    request : Request
+    found : FittedHysteresis
+    static : Separated
+        What it was fitted to.
+    offset : float
+        Constant of that [m] that the hysteresis does not hold.
+    """
+    part, start, clean = static.part, static.start, static.cleaned
+    found = replace(found, warnings=(*static.warnings, *found.warnings, *clean.doubts))
+    if start.kind != "zero":
+        request = replace(request, initial=start.kind)
+    if request.stage:
+        result = with_stage(clean.data, replace(request, skip=start.skip), found)
+    else:
+        offset = offset * part.settled_gain + static.constant
+        synchronous = part.synchronous(data.sample_time)
+        chain = chain_of(
+            clean.data, request, found.hysteresis, part, part.dynamics(data.sample_time), synchronous, offset
+        )
+        result = identified(chain, request, found, part)
+    numbers = {**result.numbers, **clean.numbers}
+    return replace(result, numbers=numbers, skipped=start.skip or None, start=start.note, drift=clean.drift)
+
+
+#: Parameters that are refused count as an error of this many strokes everywhere.
+REFUSED = 10.0
+#: Most evaluations of the model for each free parameter.
+MOST_EVALUATIONS = 200
+#: Relative step of the finite differences: with the square root of the rounding, kinks of a model would show as noise.
+RELATIVE_STEP = 1e-6
+
+
+def parametric(data, request: Request) -> Identification:
+    """Identify a model with ``guess`` and ``free`` on data whose lag and creep were undone.
+
+    Parameters
+    ----------
+    data : IdentificationData
+    request : Request
+        Its options are initial values of free parameters.
+
+    Raises
+    ------
+    IdentificationError
+        The initial values are not allowed.
+    """
+    model = MODELS[request.model]
+    static = separated(data, request)
+    try:
+        start = replace(model.guess(static.voltage, static.displacement), **request.options).validated()
+    except ParameterError as error:
+        raise IdentificationError(f"initial values of {model.name}: {error}") from None
+
+    def fit(other: Separated, before):
+        search = _ParametricSearch(model, other)
+        return search, search.run(before[1][0] if before else start, request.progress)
+
+    (search, (found, deviations, offset, converged)), static = remembered(
+        static, fit, lambda found: model.block(found[1][0], 1.0)
+    )
+    hysteresis = HysteresisParameters(type=model.name, **{model.name: found})
+    fit = FittedHysteresis(hysteresis, len(model.free) + 1, deviations, search.warnings, converged)
+    return static_result(data, request, fit, static, offset)
+
+
+class _ParametricSearch:
+    """The search on one recording: free parameters, each divided by its size at the start."""
+
+    def __init__(self, model: HysteresisModel, static: Separated):
+        self.model, self.first = model, len(static.history)
+        self.voltage, self.displacement = np.concatenate([static.history, static.voltage]), static.displacement
+        self.stroke = float(np.ptp(self.displacement))
+        self.evaluations = 0
+        self.warnings: tuple[str, ...] = ()
+
+    def error(self, parameters: Parameters) -> np.ndarray:
+        """Return the predicted less the measured displacement [m], with its mean."""
+        try:
+            predicted = self.model.block(parameters, 1.0).simulate(self.voltage)
+        except ParameterError:
+            return np.full(self.displacement.size, REFUSED * self.stroke)
+        error = predicted[self.first :] - self.displacement
+        return np.nan_to_num(error, nan=REFUSED * self.stroke, posinf=REFUSED * self.stroke, neginf=-self.stroke)
+
+    def run(self, start: Parameters, progress):
+        """Return the parameters, their standard deviations, the constant [m] and whether the search converged."""
+        from scipy.optimize import least_squares  # imported here because only fits need it
+
+        names, rows = self.model.free, {row.name: row for row in self.model.rows()}
+        first = np.array([getattr(start, name) for name in names], dtype=float)
+        size = np.where(first != 0.0, np.abs(first), 1.0)
+        low = np.array([-np.inf if rows[name].low is None else rows[name].low for name in names]) / size
+        high = np.array([np.inf if rows[name].high is None else rows[name].high for name in names]) / size
+
+        def at(values) -> Parameters:
+            within = np.clip(np.asarray(values), low, high) * size
+            return replace(start, **dict(zip(names, within.tolist(), strict=True)))
+
+        def residual(values):
+            self.evaluations += 1
+            error = self.error(at(values)) / self.stroke
+            error -= 0.0 if np.all(error == REFUSED) else error.mean()
+            progress(self.evaluations, f"residual {readable(self.stroke * float(np.std(error)), 'm')}")
+            return error
+
+        found = least_squares(
+            residual,
+            np.clip(first / size, low, high),
+            bounds=(low, high),
+            x_scale="jac",
+            diff_step=RELATIVE_STEP,
+            xtol=1e-12,
+            ftol=1e-12,
+            gtol=1e-12,
+            max_nfev=MOST_EVALUATIONS * len(names),
+        )
+        self.warnings = tuple(
+            f"{name} lies at the end of its range" for name, side in zip(names, found.active_mask, strict=True) if side
+        )
+        parameters = at(found.x)
+        offset = -float(self.error(parameters).mean())
+        return parameters, self._deviations(found, size), offset, bool(found.status > 0)
+
+    def _deviations(self, found, size) -> dict[str, float]:
+        try:
+            covariance = parameter_covariance(found.jac, found.fun)
+        except HysteresisError as error:
+            self.warnings += (f"the parameters are not determined: {error}",)
+            return {}
+        return dict(zip(self.model.free, (np.sqrt(np.diag(covariance)) * size).tolist(), strict=True))
+
+
+#: A lag must lower the residual by this part to be taken without being asked for.
+LAG_WORTH_IT = 0.02
+#: Drifts that differ by less than this part are one.
+SAME_DRIFT = 0.01
+
+
+def _repeated(fit, data: IdentificationData, skip: int) -> Identification:
+    """Return what ``fit(data, before)`` finds once what it shows to be outliers and drift was taken out of the data."""
+    clean, result = Cleaned(data, 0.0, 0), fit(data, None)
+    for _ in range(ROUNDS):
+        predicted = predict(result.chain, data.input, data.sample_time, measured=clean.data.output)
+        found = cleaned(data, predicted, skip)
+        if found.outliers == clean.outliers and abs(found.drift - clean.drift) <= SAME_DRIFT * abs(found.drift):
+            break
+        clean, result = found, fit(found.data, result)
+    numbers, warnings = {**result.numbers, **clean.numbers}, (*result.warnings, *clean.doubts)
+    return replace(result, numbers=numbers, warnings=warnings, drift=clean.drift)
+
+
+def proportional(data: IdentificationData, request: Request) -> Identification:
+    """A gain, and dynamics behind it."""
+    return _repeated(lambda clean, _: _proportional(clean, request), data, request.skip or 0)
+
+
+def _proportional(data: IdentificationData, request: Request) -> Identification:
+    u, y = data.input, data.output
+    skip = request.skip or 0
+    if "modes" in request.parts:
+        gain, part, constant = gain_and_dynamics(u, y, data.sample_time, request.parts, skip)
+        if part.modes or part.delay:
+            hysteresis = HysteresisParameters(type="proportional", proportional=ProportionalParameters(gain=gain))
+            chain = chain_of(data, request, hysteresis, part, part.dynamics(data.sample_time), False, constant)
+            return identified(chain, request, FittedHysteresis(hysteresis, 2), part)
+    if request.stage:
+        # a size to start from: the gain is the stage's, behind whose dynamics no line through the samples shows it
+        size = ProportionalParameters(gain=data.stroke / float(np.ptp(u)))
+        return with_stage(
+            data, request, FittedHysteresis(HysteresisParameters(type="proportional", proportional=size), 1)
+        )
+    gain, constant = np.polyfit(u[skip:], y[skip:], 1)
+    if not gain > 0.0:
+        raise IdentificationError(f"the gain is {gain:.3g} m/V; it must be above 0")
+    hysteresis = HysteresisParameters(type="proportional", proportional=ProportionalParameters(gain=float(gain)))
+    if not request.parts:
+        chain = chain_of(data, request, hysteresis, LinearPart(), LinearParameters(), True, float(constant))
+        return identified(chain, request, FittedHysteresis(hysteresis, 2), LinearPart())
+    # a lag where it helps: output error of one pole against none
+    best = float(np.std((y - gain * u - constant)[skip:]))
+    found = fit_transfer_function(u, y, data.sample_time, Structure(1, 0, "linear", "rest", offset=True), skip=skip)
+    if not np.sqrt(found.mse) < (1.0 - LAG_WORTH_IT) * best or not found.dc_gain > 0.0:
+        return _proportional(data, replace(request, parts=()))
+    part = LinearPart(lag=float(-1.0 / found.poles[0].real), settled=True)
+    hysteresis = HysteresisParameters(
+        type="proportional", proportional=ProportionalParameters(gain=float(found.dc_gain))
+    )
+    dynamics, synchronous = part.dynamics(data.sample_time), part.lag < 0.5 * data.sample_time
+    chain = chain_of(data, request, hysteresis, part, dynamics, synchronous, found.offset)
+    fit = FittedHysteresis(hysteresis, 2, warnings=found.warnings, converged=found.converged)
+    return identified(chain, request, fit, part)
+
+
+def bouc_wen_mechanical(data: IdentificationData, request: Request) -> Identification:
+    """Grey box: all parameters by output error."""
+    skip = request.skip or 0
+
+    def fit(clean, before):
+        return _oscillator(clean, request, before)
+
+    result = _repeated(fit, data, skip)
+    if request.initial is None:
+        predicted = [
+            predict(result.chain, data.input, data.sample_time, initial=start) for start in ("zero", "periodic")
+        ]
+        rest, repeated = (float(np.std((data.output - values)[skip:])) for values in predicted)
+        if repeated < (1.0 - PAST_WORTH_IT) * rest:
+            request = replace(request, initial="periodic")
+            note = "the input had repeated before, which fits better than rest at 0 V"
+            return replace(_repeated(fit, data, skip), start=note)
+    note = {"zero": "at rest at 0 V before the recording", "periodic": "the input had repeated before"}
+    asked = "as asked for: " if request.initial else ""
+    return replace(result, start=asked + note[request.initial or "zero"])
+
+
+def _oscillator(data: IdentificationData, request: Request, before: Identification | None) -> Identification:
+    """Fit the oscillator, from initial values or from what was found ``before`` on nearly the same data."""
+    options = dict(request.options)
+    trials, seed = options.pop("trials", None), options.pop("seed", 0)
+    if before is not None:
+        start, trials = before.chain.hysteresis.chosen, 0
+    else:
+        start = replace(_oscillator_guess(data, request), **options)
+
+    def progress(number, rmse):
+        request.progress(number + 1, f"start {number + 1}, residual {readable(rmse, 'm')}")
+
+    initial = request.initial or "zero"
+    arguments = {} if trials is None else {"trials": trials}
+    fit = fit_bouc_wen_mechanical(
+        data.input,
+        data.output,
+        data.sample_time,
+        start,
+        intersample=request.intersample,
+        initial=initial,
+        skip=request.skip or 0,
+        seed=seed,
+        progress=progress,
+        **arguments,
+    )
+    hysteresis = HysteresisParameters(type="bouc_wen_mechanical", bouc_wen_mechanical=fit.parameters)
+    error = data.output - fit.simulate(data.input, data.sample_time)
+    offset = float(np.mean(error[request.skip or 0 :]))
+    chain = chain_of(data, request, hysteresis, LinearPart(), LinearParameters(), False, offset)
+    found = FittedHysteresis(hysteresis, len(OSCILLATOR_FREE) + 1, fit.deviations, fit.warnings, fit.converged)
+    result = identified(replace(chain, initial=initial), request, found, LinearPart())
+    unit = {} if data.input_unit == "V" else {"assumptions": (f"the input is in {data.input_unit}, written as V",)}
+    numbers = {"starts_agreeing": float(fit.agreeing)} if before is None else before.numbers
+    warnings = result.warnings if before is None else tuple(dict.fromkeys((*before.warnings, *result.warnings)))
+    return replace(result, numbers=numbers, warnings=warnings, linear="inside the equation", **unit)
+
+
+def _oscillator_guess(data, request) -> BoucWenMechanicalParameters:
+    """Return initial values from a linear oscillator: half of the stiffness is elastic, half hysteretic."""
+    options = request.options
+    given = {"mass", "stiffness", "alpha", "beta"} <= set(options)
+    if given:
+        return BoucWenMechanicalParameters(
+            mass=1.0, damping=0.0, stiffness=1.0, alpha=1.0, beta=1.0, gamma=0.5, delta=-0.5
+        )
+    intersample = request.intersample
+    initial = "periodic" if request.initial == "periodic" else "zero"
+    structure = Structure(2, 0, intersample, initial, offset=True)
+    found = fit_transfer_function(data.input, data.output, data.sample_time, structure)
+    # b0/(s² + a1 s + a0) = (1/m)/(s² + c/m s + k/m); near the resonance the hysteretic force is partly saturated
+    mass = 1.0 / abs(float(np.ravel(found.numerator)[-1]))
+    damping, stiffness = mass * float(found.denominator[1]), mass * float(found.denominator[2])
+    return BoucWenMechanicalParameters(
+        mass=mass,
+        damping=0.5 * damping,
+        stiffness=0.6 * stiffness,
+        alpha=0.6 * stiffness,
+        beta=2.0 / data.stroke,
+        gamma=0.8,
+        delta=-0.8,
+    )

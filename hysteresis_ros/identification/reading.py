@@ -15,20 +15,27 @@ import pathlib
 from dataclasses import dataclass, replace
 
 from hysteresis_ros.errors import IdentificationError, RecordingError
-from hysteresis_ros.identification.condensing import MOST_SAMPLES, condense
 from hysteresis_ros.identification.data import (
     DataError,
     DataReport,
     IdentificationData,
+    check_behaviour,
+    check_samples,
     from_recording,
     from_table,
     load_data,
 )
-from hysteresis_ros.identification.data_checks import check_behaviour, check_samples
-from hysteresis_ros.identification.sampling import resample, steadied, uninterrupted
-from hysteresis_ros.recordings.columns import TABLE_SUFFIXES, Selection, Table, find_time, open_table
+from hysteresis_ros.identification.preprocessing import MOST_SAMPLES, reduced, resample, steadied, uninterrupted
 from hysteresis_ros.recordings.dataset import Recording
-from hysteresis_ros.recordings.units import si_unit, split_choice
+from hysteresis_ros.recordings.foreign_tables import (
+    TABLE_SUFFIXES,
+    Selection,
+    Table,
+    find_time,
+    open_table,
+    si_unit,
+    split_choice,
+)
 
 #: Names under which recordings elsewhere keep the voltage and the displacement, the most telling first.
 INPUT_NAMES = (
@@ -62,7 +69,7 @@ class Columns:
         Count the output in the other direction.
     all_samples : bool
         Take every sample; by default long data is condensed to what carries information
-        (:func:`~hysteresis_ros.identification.condensing.condense`).
+        (:func:`~hysteresis_ros.identification.preprocessing.reduced`).
     whole : bool
         Of long data leave no stretch out: neighbours are averaged only. What is to be judged is judged whole.
     """
@@ -160,7 +167,7 @@ def _condensed(data: IdentificationData, whole: bool) -> tuple[IdentificationDat
     units = data.input_unit, data.output_unit
     report = check_samples(data.time, data.input, data.output, units)
     report.raise_errors()
-    data = condense(data, whole)
+    data = reduced(data, whole)
     return data, check_behaviour(report, data.time, data.input, data.output, units).warned(data.warnings)
 
 

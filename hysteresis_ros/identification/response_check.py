@@ -7,10 +7,12 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What a recording says of a model's frequency response: how uncertain it is, up to where it is known, what rings.
+"""How uncertain a model's frequency response is, from a recording or from a measured response.
 
-The response is judged by the movement before the dynamics, which the model's hysteresis and creep put out, and by what
-was measured, as averages over parts of an octave. So the errors of the hysteresis are in it, which feedback meets too.
+A recording judges the response by the movement before the dynamics, which the model's hysteresis and creep put
+out, and by what was measured, as averages over parts of an octave. So the errors of the hysteresis are in it,
+which feedback meets too. A measured response gives the uncertainty directly, and linear dynamics by a fit to its
+lines.
 """
 
 from __future__ import annotations
@@ -19,19 +21,22 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hysteresis_ros.control.closed_loop import plant_state_space
-from hysteresis_ros.control.response_uncertainty import (
+from hysteresis_ros.control.margins import plant_state_space
+from hysteresis_ros.control.uncertainty import (
     DAMPING,
     UNKNOWN,
     ResponseUncertainty,
     fastest_integral,
     integral_controller,
 )
+from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.identification.data import IdentificationData
-from hysteresis_ros.identification.identified import PlantModel, group_delay
+from hysteresis_ros.identification.dynamics import SegmentSpectra, segment_spectra
+from hysteresis_ros.identification.frequency_response import PROBABILITY, Analysis
 from hysteresis_ros.identification.linear_part import LinearPart
+from hysteresis_ros.identification.matrix_fraction import MatrixFractionFit, identify_matrix_fraction
+from hysteresis_ros.identification.plant_model import PlantModel, group_delay
 from hysteresis_ros.identification.prediction import predict
-from hysteresis_ros.identification.segment_spectra import SegmentSpectra, segment_spectra
 from hysteresis_ros.models.linear import LinearParameters
 
 #: Bands in an octave, and narrow ones for resonances.
@@ -254,3 +259,86 @@ def _ringing(spectra: SegmentSpectra, response) -> tuple[float, ...]:
     ratio[spectra.smooth(left, NARROW) < RINGS**2 * explained] = 0.0
     place = int(np.argmax(ratio))
     return (float(spectra.frequencies[place]),) if ratio[place] > STANDS_OUT else ()
+
+
+#: Lowest lines by which the gain of a response to a voltage is compared with the model's.
+LOWEST = 10
+#: Iterations by which the lines of a fit are weighted as its own denominator says.
+ITERATIONS = 10
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredPlant:
+    """A response from command to displacement.
+
+    Parameters
+    ----------
+    frequency : ndarray, shape (F,)
+        [Hz]
+    response : ndarray of complex, shape (F,)
+        [m/m]
+    radius : ndarray, shape (F,)
+        Of the circles that hold the true one with 95 %.
+    """
+
+    frequency: np.ndarray
+    response: np.ndarray
+    radius: np.ndarray
+
+    def uncertainty(self, model, sample_time: float) -> ResponseUncertainty:
+        """Return how far a model may be off: what was measured, and what the circles leave open.
+
+        Parameters
+        ----------
+        model : ndarray of complex, shape (F,)
+            Of the model at the lines.
+        sample_time : float
+            [s]
+        """
+        relative = (np.abs(self.response - model) + self.radius) / np.maximum(np.abs(model), 1e-12)
+        last = float(self.frequency[-1])
+        # the next line would be at or beyond half the sample rate
+        spacing = float(self.frequency[-1] - self.frequency[-2]) if self.frequency.size > 1 else 0.0
+        known_to = np.inf if (last + spacing) * sample_time >= WHOLE else last
+        return ResponseUncertainty(self.frequency, np.minimum(relative, UNKNOWN), known_to)
+
+
+def measured_plant(found: Analysis, model) -> MeasuredPlant:
+    """Return the response from the command; of one from a voltage with the model's gain at the lowest lines.
+
+    The model's gain is that of the whole stroke, and small movements of a hysteresis have another one.
+
+    Parameters
+    ----------
+    found : Analysis
+    model : ndarray of complex, shape (F,)
+        Of the model at the lines.
+    """
+    response = found.response
+    radius = response.radius(PROBABILITY)[:, 0, 0]
+    scale = 1.0
+    if response.input_unit == "V":
+        scale = float(np.median(np.abs(model[:LOWEST])) / np.median(np.abs(response.single[:LOWEST])))
+    return MeasuredPlant(response.frequency, scale * response.single, scale * radius)
+
+
+def dynamics_of(found: Analysis, order: int | None = None) -> tuple[LinearParameters, MatrixFractionFit]:
+    """Return linear dynamics of unit DC gain that fit a response, and the fit.
+
+    Parameters
+    ----------
+    found : Analysis
+    order : int, optional
+        Of the dynamics; by default the lowest that fits about as well as any.
+
+    Raises
+    ------
+    IdentificationError
+        No stable dynamics fit, or the order is none.
+    """
+    if order is not None and not 1 <= order <= found.response.frequency.size // 4:
+        raise IdentificationError(
+            f"order {order}: must be within 1 … {found.response.frequency.size // 4}, a quarter of the lines"
+        )
+    fit = identify_matrix_fraction(found.response, order, iterations=ITERATIONS)
+    return fit.model.linear_parameters(), fit

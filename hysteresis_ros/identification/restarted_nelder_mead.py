@@ -22,8 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hysteresis_ros.errors import IdentificationError
-from hysteresis_ros.executors.executor import shared
-from hysteresis_ros.executors.jobs import Job
+from hysteresis_ros.executors import Job, shared
 
 #: Size of the first simplex and spread of further starts, in scales.
 FIRST_STEP = 0.1

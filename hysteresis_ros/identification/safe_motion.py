@@ -32,12 +32,11 @@ from dataclasses import dataclass
 import numpy as np
 import yaml
 
-from hysteresis_ros.compensation.compensator import CompensatorParameters
-from hysteresis_ros.compensation.reachable import reachable_commands
 from hysteresis_ros.configuration import dump_configuration, matches, normalised_namespace, parse_configuration
-from hysteresis_ros.control.damping.plant import modes
-from hysteresis_ros.linear_algebra import eigenvalues
+from hysteresis_ros.control.damping.inner_loop import modes
+from hysteresis_ros.models.compensator import CompensatorParameters, reachable_commands
 from hysteresis_ros.models.linear import LinearParameters
+from hysteresis_ros.models.linear_algebra import eigenvalues
 
 #: The range in so many seconds [s] is what an unknown stage is moved with.
 FIRST_SECONDS = 1.0

@@ -7,4 +7,9 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The loop of an axis: its parameters, its parts, one sample of it, and the runner without ROS."""
+"""One sample of an axis, compiled, and the offline twin that runs it.
+
+Read :mod:`.parameters`, then :mod:`.tick`: source, plant, controller and compensator are its four parts, each a module
+of that name. :mod:`.watch` says what a part does without input, :mod:`.faults` what tests put in its place.
+:mod:`.axis` runs the parts from Python, :mod:`.fused` in one thread, :mod:`.simulation` as a whole recorded run.
+"""

@@ -19,15 +19,13 @@ from typing import NamedTuple
 import numpy as np
 
 from hysteresis_ros import signals
-from hysteresis_ros.block import specialised
-from hysteresis_ros.loop.axis_parameters import AxisParameters
-from hysteresis_ros.loop.camera import CameraPart, SeenPlant
 from hysteresis_ros.loop.compensator import CompensatorPart
 from hysteresis_ros.loop.controller import ControllerPart
-from hysteresis_ros.loop.plant import Plant
-from hysteresis_ros.loop.plant_types import PLANTS
+from hysteresis_ros.loop.parameters import AxisParameters
+from hysteresis_ros.loop.plant import PLANTS, CameraPart, Plant, SeenPlant
 from hysteresis_ros.loop.source import GeneratorSource, SequencerSource
 from hysteresis_ros.loop.tick import ANSWER, ANSWERED, BEFORE, CONFIRM, MEASURE, MEASURED, WHOLE, Laws, Parts, ticks
+from hysteresis_ros.models.block import specialised
 
 
 def sample_times(first: int, count: int, sample_rate: float) -> np.ndarray:

@@ -18,24 +18,10 @@ from typing import NamedTuple
 import numpy as np
 
 from hysteresis_ros import signals as at
-from hysteresis_ros.block import by_part, kernel, nested
-from hysteresis_ros.compensation import compensator as compensating
-from hysteresis_ros.compensation import recursive as adapting
-from hysteresis_ros.compensation.adaptation import Adaptation
-from hysteresis_ros.compensation.compensator import (
-    Compensator,
-    CompensatorArrays,
-    CompensatorParameters,
-    compensator_hold,
-    compensator_resume,
-    compensator_step,
-)
-from hysteresis_ros.compensation.recursive import AdaptationSettings, AdaptationStates, adapt, drive
 from hysteresis_ros.configuration import dump_configuration
 from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.loop import faults as faulty
-from hysteresis_ros.loop.common_parameters import part
-from hysteresis_ros.loop.node_parameters import CompensatorNodeParameters
+from hysteresis_ros.loop.parameters import CompensatorNodeParameters, part
 from hysteresis_ros.loop.watch import (
     GUARD_STATES,
     HOLDING,
@@ -50,7 +36,19 @@ from hysteresis_ros.loop.watch import (
     receive,
     towards,
 )
+from hysteresis_ros.models import adaptation as adapting
+from hysteresis_ros.models import compensator as compensating
 from hysteresis_ros.models import limits as limiting
+from hysteresis_ros.models.adaptation import Adaptation, AdaptationSettings, AdaptationStates, adapt, drive
+from hysteresis_ros.models.block import by_part, kernel, nested
+from hysteresis_ros.models.compensator import (
+    Compensator,
+    CompensatorArrays,
+    CompensatorParameters,
+    compensator_hold,
+    compensator_resume,
+    compensator_step,
+)
 from hysteresis_ros.models.hysteresis import HysteresisParameters
 
 

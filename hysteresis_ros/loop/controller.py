@@ -7,61 +7,267 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The motion controller as a part of the loop: its blocks, their live changes, and what is asked of it."""
+"""The motion controller as a part of the loop: one sample of it, its blocks, their live changes, and requests."""
 
 from __future__ import annotations
 
+import math
+from typing import NamedTuple
+
 import numpy as np
 
-from hysteresis_ros.control.base import Controller
+from hysteresis_ros import signals as at
+from hysteresis_ros.control import feedforward as feeding
+from hysteresis_ros.control import law as header
 from hysteresis_ros.control.controller import (
+    DECAY,
+    ENTRIES,
     ControllerParameters,
+    HandoverParameters,
+    History,
+    arm,
     controller_block,
     damping_block,
     feedforward_block,
+    go_on_from,
+    handover,
     handover_block,
+    note,
     prepare_controllers,
+    successor,
 )
+from hysteresis_ros.control.damping import inner_loop as damping
+from hysteresis_ros.control.damping.inner_loop import as_output, damp
 from hysteresis_ros.control.damping.kind import FORCE as BY_FORCE
-from hysteresis_ros.control.handover import HandoverParameters, arm
-from hysteresis_ros.control.learning.block import Learning
-from hysteresis_ros.control.learning.correction import (
+from hysteresis_ros.control.feedforward import feedforward
+from hysteresis_ros.control.law import Controller
+from hysteresis_ros.control.learning import (
     FORGETTING,
     FROZEN,
     LEARNING,
+    Learning,
+    learned_correction,
+    shown,
+    write_learned,
 )
-from hysteresis_ros.control.learning.file import write_learned
-from hysteresis_ros.control.succession import History, successor
 from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.loop import faults as faulty
-from hysteresis_ros.loop.common_parameters import part
-from hysteresis_ros.loop.control_sample import (
-    COMMANDED,
-    FORCE,
-    HIGHEST,
-    LOWEST,
-    NEEDS_FORCE,
-    OFFSET_LEFT,
-    OWN_PARAMETERS,
-    OWN_STATES,
-    PREDICTS,
-    PRELOAD,
-    RETURNING,
-    SAFE_COMMAND,
-    SAFE_STEP,
-    STOP,
-    TARGETS,
-    USE_ORIGIN,
-    ControlArrays,
-    ControllerArrays,
-)
-from hysteresis_ros.loop.node_parameters import ControllerNodeParameters
+from hysteresis_ros.loop.parameters import ControllerNodeParameters, part
 from hysteresis_ros.loop.watch import (
+    FOLLOWING,
     GUARD_STATES,
+    HOLDING,
+    RUNNING,
+    STALE,
     STAMP,
+    STOPPED,
+    TRIPPED,
     WatchArrays,
     guard_parameters,
+    is_stale,
+    receive,
+    towards,
 )
+from hysteresis_ros.models.block import kernel, nested
+
+
+class ControlArrays(NamedTuple):
+    """Parameter arrays, or state arrays, of the blocks of a motion controller."""
+
+    feedforward: np.ndarray
+    controller: np.ndarray
+    damping: np.ndarray
+    handover: np.ndarray
+    return_path: np.ndarray
+    history: np.ndarray
+    learning: np.ndarray
+
+
+class ControllerArrays(NamedTuple):
+    """All arrays of a motion controller in the loop."""
+
+    p: ControlArrays
+    x: ControlArrays
+    watch_p: WatchArrays
+    watch_x: WatchArrays
+
+
+#: Samples without an answer of the compensator after which commands are taken not to be carried out.
+UNFOLLOWED_SAMPLES = 20
+
+#: Faults that act on what the controller is given.
+TARGETS = (faulty.MEASUREMENT, faulty.APPLIED, faulty.STOP)
+
+# Own parameters.
+SAFE_COMMAND = 0  # [m]
+SAFE_STEP = 1  # [m] a sample
+PRELOAD = 2  # offset of the model [m]
+USE_ORIGIN = 3  # 1: the measurement counts from the sequencer's origin
+PREDICTS = 4  # 1: the law goes on by what its observer foresees while a measurement is missing
+LOWEST = 5  # least and largest command that is sent [m]
+HIGHEST = 6
+NEEDS_FORCE = 7  # 1: the damping is one of the force; without it nothing is answered
+OWN_PARAMETERS = 8
+
+# Own state.
+STOP = 0  # 1 while told to stop
+RETURNING = 1  # 1: the next command goes on from the last one, with a controller that starts anew
+ON_PATH = 2  # 1 while the reference fades from the displacement to the one that is received
+UNANSWERED = 3  # samples since the compensator said what it carried out
+ANSWERED = 4  # 1 once it did
+REFERENCE = 5  # last finite reference [m]
+COMMANDED = 6  # last command [m]; behind a damping the law knows it as an output of its own
+OFFSET_LEFT = 7  # what is left of the offset before its last change [m]
+FORCE = 8  # measured force of the last sample [N]
+OWN_STATES = 9
+
+#: An offset that is smaller is none [m].
+NO_OFFSET = 1e-18
+
+
+@kernel
+def present_offset(own_p, own, decay):
+    """Return the offset of the measurement in this sample [m]: after a change it fades from the old one to the new."""
+    left = own[OFFSET_LEFT]
+    if left == 0.0:
+        return own_p[PRELOAD]
+    own[OFFSET_LEFT] = left * decay if abs(left) > NO_OFFSET else 0.0
+    return own_p[PRELOAD] + left
+
+
+@kernel
+def resume(x, own, value):
+    """Start the controller anew at the displacement ``value``; the command continues from the last one.
+
+    The reference starts from there too and fades to the one received: a reaching law answers a step of the reference
+    calmly, but a long difference between its command and what is carried out violently (Φ = 0.93 amplifies a constant
+    one by 1/(1 - Φ) = 14).
+    """
+    own[RETURNING] = 0.0
+    own[ON_PATH] = 1.0
+    x.feedforward[feeding.STARTED] = 0.0
+    x.history[ENTRIES] = 0.0
+    x.damping[damping.STARTED] = 0.0
+    go_on_from(x.handover, own[COMMANDED])
+    go_on_from(x.return_path, value)
+    x.controller[header.STARTED] = 0.0
+
+
+@kernel
+def foreseeable(own_p, own, state, seen):
+    """Tell whether it is the measurement that is missing, and an observer at work knows where the axis is."""
+    return own_p[PREDICTS] != 0.0 and own[RETURNING] == 0.0 and state[header.STARTED] != 0.0 and seen != seen
+
+
+@kernel
+def corrected(p, x, own, value, followed, skipped):
+    """Return the reference [m] with what was learned; ``followed``: whether the axis follows it in this sample."""
+    if p.learning.shape[0] == 0:
+        return own[REFERENCE]
+    error = own[REFERENCE] - value
+    if not followed or own[RETURNING] != 0.0 or own[ON_PATH] != 0.0:
+        error = math.nan
+    shortfall = x.controller[header.APPLIED] - x.controller[header.COMMAND]
+    error = shown(p.learning, x.learning, error, shortfall, skipped)
+    return own[REFERENCE] + learned_correction(p.learning, x.learning, own[REFERENCE], error)
+
+
+@nested
+def answer(laws, arrays, value, wanted, force):
+    """Return the command [m] for the displacement ``value`` [m] without offset, NaN: for what the law foresees.
+
+    ``force`` is the measured one [N].
+    """
+    p, x, own = arrays.p, arrays.x, arrays.watch_x.own
+    if own[RETURNING] != 0.0:
+        resume(x, own, value)
+    reference = wanted
+    if own[ON_PATH] != 0.0:
+        reference = handover(p.return_path, x.return_path, wanted)
+        if reference == wanted:
+            own[ON_PATH] = 0.0
+    delayed = feedforward(p.feedforward, x.feedforward, reference)
+    fed = x.feedforward[feeding.COMMAND]
+    known = value if value == value else x.controller[header.ESTIMATED]
+    note(x.history, x.controller[header.APPLIED], delayed, fed, known)
+    x.controller[header.FEEDFORWARD] = fed
+    wanted = laws.controller(p.controller, x.controller, delayed, value)
+    seen = value if value == value else x.controller[header.ESTIMATED]
+    return handover(p.handover, x.handover, damp(p.damping, x.damping, wanted, seen, force))
+
+
+@nested
+def control(laws, arrays, row):
+    """Take reference and measurement of a sample out of its row and put the command in."""
+    own_p, own = arrays.watch_p.own, arrays.watch_x.own
+    guard_p, guard = arrays.watch_p.guard, arrays.watch_x.guard
+    faults_p, faults = arrays.watch_p.faults, arrays.watch_x.faults
+    state = arrays.x.controller
+    own[FORCE] = row[at.FORCE]
+    # a loop that was made for a damped stage is not closed without the damping
+    unforced = own_p[NEEDS_FORCE] != 0.0 and own[FORCE] - own[FORCE] != 0.0
+    missing = 1.0 if unforced else row[at.SKIPPED]
+    seen = receive(guard_p, guard, faults_p, faults, faulty.MEASUREMENT, row[at.MEASURED], missing)
+    command = own[COMMANDED]
+    value = seen
+    if row[at.REFERENCE] - row[at.REFERENCE] == 0.0:
+        own[REFERENCE] = row[at.REFERENCE]
+    elif own_p[USE_ORIGIN] != 0.0:
+        value = row[at.REFERENCE]  # without reference and origin nobody knows where the extender should go: it stays
+    if own_p[USE_ORIGIN] != 0.0:
+        value -= row[at.ORIGIN]
+    offset = present_offset(own_p, own, arrays.p.handover[DECAY])
+    value -= offset
+    mode, answered = RUNNING, False
+    unfollowed = own[ANSWERED] != 0.0 and own[UNANSWERED] >= UNFOLLOWED_SAMPLES
+    if row[at.TRIPPED] != 0.0:
+        mode = TRIPPED
+    elif faulty.given_instead(faults_p, faults, faulty.STOP, own[STOP]) != 0.0:
+        mode = STOPPED
+    elif is_stale(guard_p, guard):
+        mode = STALE
+    elif value != value and (unfollowed or unforced or not foreseeable(own_p, own, state, seen)):
+        mode = HOLDING
+    elif unfollowed:
+        mode = FOLLOWING
+    else:
+        answered = True
+        if value != value:
+            mode = HOLDING
+    wanted = corrected(arrays.p, arrays.x, own, value, answered, row[at.SKIPPED])
+    if answered:
+        command = answer(laws, arrays, value, wanted, own[FORCE])
+    elif mode == FOLLOWING:
+        # no faster than to safe: where commands are carried out after all, a copy would be a loop of gain one
+        command = towards(command, value, own_p[SAFE_STEP])
+        own[RETURNING] = 1.0
+    if mode in (TRIPPED, STOPPED, STALE):
+        command = towards(command, own_p[SAFE_COMMAND], own_p[SAFE_STEP])
+        own[RETURNING] = 1.0
+    own[UNANSWERED] += 1.0
+    # what the law wanted stays: by the difference to what was carried out it knows of saturation
+    state[header.COMMAND] = as_output(arrays.p.damping, arrays.x.damping, command)
+    sent = min(max(command, own_p[LOWEST]), own_p[HIGHEST])
+    if sent != command:
+        state[header.APPLIED] = as_output(arrays.p.damping, arrays.x.damping, sent)
+    own[COMMANDED] = sent
+    row[at.COMMAND] = sent
+    row[at.SEEN] = seen
+    row[at.ESTIMATED] = state[header.ESTIMATED] + offset
+    row[at.SWITCHING] = state[header.SWITCHING]
+    row[at.DISTURBANCE] = state[header.DISTURBANCE]
+    row[at.CONTROLLER_MODE] = mode
+
+
+@nested
+def carried_out(arrays, applied):
+    """Tell the controller what the compensator has carried out [m] of the last command; NaN: it did not say."""
+    own = arrays.watch_x.own
+    heard = faulty.given_instead(arrays.watch_p.faults, arrays.watch_x.faults, faulty.APPLIED, applied)
+    if heard - heard == 0.0:
+        arrays.x.controller[header.APPLIED] = as_output(arrays.p.damping, arrays.x.damping, heard)
+        own[UNANSWERED] = 0.0
+        own[ANSWERED] = 1.0
 
 
 class ControllerPart:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 
-from hysteresis_ros.loop.node_parameters import InchwormSequencerNodeParameters, ReferenceNodeParameters
+from hysteresis_ros.loop.parameters import InchwormSequencerNodeParameters, ReferenceNodeParameters
 
 #: Name of the link that does not move.
 BASE = "base"

@@ -7,30 +7,40 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""A device in the plant's place that machine code reads and writes: two functions of a shared library, by address.
+"""A device in the plant's place: read and written through its driver in Python, or by machine code at two addresses.
 
-Nothing here takes Python's lock, waits for it or allocates. What watches over the voltages is that of the simulated
-plant. A device that answers with an error, or a position that is no number, stops the axis in that sample: it is made
-safe at once and left alone until the axis is started again.
+The compiled functions take no lock of Python, wait for none and allocate nothing. What watches over the voltages is
+that of the simulated plant. A device that answers with an error, or a position that is no number, stops the axis in
+that sample: it is made safe at once and left alone until the axis is started again.
+
+The limits are the file's, which the device's range contains.
 """
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import math
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from hysteresis_ros import signals as at
-from hysteresis_ros.block import COMPILED, kernel, nested
-from hysteresis_ros.hardware.driver import NOTHING_NEW, Compiled
+from hysteresis_ros.errors import ParameterError, Problem
+from hysteresis_ros.hardware.device import Device
+from hysteresis_ros.hardware.driver import NOTHING_NEW, Capabilities, Compiled, DriverError
+from hysteresis_ros.hardware.library import nonsense
+from hysteresis_ros.hardware.registry import driver_of
 from hysteresis_ros.loop import faults as faulty
+from hysteresis_ros.loop.parameters import PlantNodeParameters
 from hysteresis_ros.loop.plant import (
     DEVICE_FAILED,
     FINDING_HOME,
     NOT_TRIPPED,
+    PLANTS,
     TRIP,
+    Plant,
     PlantWatchArrays,
     actuate,
     no_joints,
@@ -39,9 +49,16 @@ from hysteresis_ros.loop.plant import (
     told_force,
     watched_voltage,
 )
-from hysteresis_ros.loop.watch import FOLLOWS, GIVEN, HELD, HELD_AGE, HELD_BEGUN, SAFE
-from hysteresis_ros.models.calibration import HOMING, amplifier_value, sensor_displacement
-from hysteresis_ros.models.limits import OUTPUT, UNQUANTISED, limits
+from hysteresis_ros.loop.watch import FOLLOWS, GIVEN, HELD, HELD_AGE, HELD_BEGUN, SAFE, hold_state, hold_voltage
+from hysteresis_ros.models.block import COMPILED, interpreted, kernel, nested
+from hysteresis_ros.models.calibration import (
+    HOMING,
+    AmplifierCalibration,
+    SensorCalibration,
+    amplifier_value,
+    sensor_displacement,
+)
+from hysteresis_ros.models.limits import FLAGS, LIMITED_SAMPLES, OUTPUT, UNQUANTISED, Limits, LimitsParameters, limits
 
 # What leads to the device, int64: the addresses of its functions and of itself, and that of this very array. In a copy
 # of the arrays the last one is another one's, so no copy ever reaches the device.
@@ -235,3 +252,444 @@ def actuate_device(laws, arrays, row):
 
 sense.kinds[DevicePlantArrays], actuate.kinds[DevicePlantArrays] = sense_device, actuate_device
 tell_joints.kinds[DevicePlantArrays] = no_joints
+
+
+_TOLD = interpreted(told_force)
+
+
+class DrivenPlant(Plant):
+    """One actuator that is a device, driven from Python.
+
+    After opening and after :meth:`make_safe` the device is taken to be at ``safe_voltage``.
+
+    Parameters
+    ----------
+    parameters : PlantNodeParameters
+        With a driver.
+
+    Raises
+    ------
+    DriverError
+        The device cannot be opened, or is not what the axis needs.
+    """
+
+    #: Nothing of it is compiled.
+    kernels = (None,) * 3
+
+    _failure = ""
+    #: What was wrong when a device could not be made safe, and the voltage [V] that it has been left at.
+    _left, _left_at = "", math.nan
+
+    def __init__(self, parameters: PlantNodeParameters):
+        self.limits = Limits(_without_grid(parameters.limits), 1.0 / parameters.sample_rate)
+        self.sensor = SensorCalibration(parameters.calibration.sensor, 1.0 / parameters.sample_rate)
+        self.amplifier = AmplifierCalibration(parameters.calibration.amplifier)
+        super().__init__(parameters)
+        self.arrays = self
+        self._device: Device | None = None
+        for voltage in (0.0, math.nan):  # what is called is compiled now, not at the first sample
+            row = {at.VOLTAGE: voltage, at.MEASURED: 0.0, at.SKIPPED: 0.0}
+            self.amplifier.value(self.limits.step(watched_voltage(self._watch_p, self._watch_x, row)))
+        self.sensor.step(math.nan)
+        self.reset()
+        self._at_rest()
+        self._open(parameters)
+
+    def _open(self, parameters: PlantNodeParameters) -> None:
+        declared = driver_of(parameters.driver)
+        self._device = Device(declared, parameters.driver_parameters, parameters.sample_rate, self._require)
+
+    @property
+    def failure(self) -> str:
+        """What is wrong with a device that has stopped the axis, and the voltage that it may still put out."""
+        return f"{self._failure}; and it {self._left}" if self._left else self._failure
+
+    def _require(self, can: Capabilities) -> None:
+        """Raise a DriverError unless the device is what the axis needs."""
+        parameters, device = self.parameters, f"driver {self.parameters.driver}:"
+        low, high, rate = parameters.limits.minimum, parameters.limits.maximum, parameters.sample_rate
+        if can.keeps_time:
+            remedy = "the package has its own: let the driver sample it, or write a node (docs/hardware.md)"
+            raise DriverError(device, "the device insists on keeping the time", remedy)
+        units, given = (can.position_unit, can.voltage_unit), parameters.calibration
+        if units != (given.sensor.unit, given.amplifier.unit):
+            remedy = f"calibration.sensor.unit is {given.sensor.unit!r} and calibration.amplifier.unit "
+            remedy += f"{given.amplifier.unit!r}: give the device's units there, with scale, offset and sign"
+            raise DriverError(device, f"the device reads {units[0]!r} and puts out {units[1]!r}", remedy)
+        if can.joints != 1:
+            raise DriverError(device, f"the device has {can.joints} joints", "an axis has 1: choose another device")
+        if not 0 <= can.forces <= 1:
+            raise DriverError(device, f"the device has {can.forces} forces", "an axis has none or 1")
+        if can.voltages < 1:
+            raise DriverError(device, "the device puts out no voltage", "an axis needs 1: choose another device")
+        least, most = sorted(map(self.amplifier.value, (low, high)))
+        if not (can.minimum <= least and most <= can.maximum):
+            problem = f"the device's range of {can.minimum:g} … {can.maximum:g} {units[1]} does not contain "
+            problem += f"limits.minimum … limits.maximum = {low:g} … {high:g} V"
+            problem += "" if (least, most) == (low, high) else f", which are {least:g} … {most:g} {units[1]}"
+            raise DriverError(device, problem, "narrow the limits of plant_simulator and hysteresis_compensator")
+        if not rate <= can.highest_rate:
+            raise DriverError(device, f"the device makes at most {can.highest_rate:g} Hz", "lower sample_rate")
+        if can.watchdog is not None and not can.watchdog * rate > 1.0:
+            problem = f"the device's watchdog of {can.watchdog:g} s is no longer than a sample of {1.0 / rate:g} s"
+            raise DriverError(device, problem, "raise sample_rate, or the watchdog's time")
+
+    @property
+    def capabilities(self) -> Capabilities:
+        """What the device is able to do."""
+        return self._device.capabilities
+
+    @property
+    def measures_force(self) -> bool:
+        """Whether the device has a force sensor."""
+        return self.capabilities.forces > 0
+
+    @property
+    def description(self) -> str:
+        """What stands there, in a line."""
+        can = self.capabilities
+        text = f"driver {self.parameters.driver}: {can.minimum:g} … {can.maximum:g} {can.voltage_unit}, up to "
+        text += f"{can.highest_rate:g} Hz; "
+        if can.watchdog is None:
+            return f"{text}no watchdog of its own: killed, this node leaves the last voltage on it"
+        return f"{text}its watchdog acts after {can.watchdog:g} s"
+
+    @property
+    def _range(self) -> tuple[float, float]:
+        return self.capabilities.minimum, self.capabilities.maximum
+
+    @property
+    def resting_voltages(self) -> tuple[float, float, float]:
+        """Voltages [V] before any is received."""
+        return self.parameters.safe_voltage, 0.0, 0.0
+
+    @property
+    def travel(self) -> tuple[float, float]:
+        """Between which measurements [m] the axis may go on, by the model in the file."""
+        return self.parameters.allowed_travel
+
+    @property
+    def saturated(self) -> bool:
+        """Whether range or slew rate limited the last voltage."""
+        return self.limits.saturated
+
+    @property
+    def limited_samples(self) -> int:
+        """Samples so far that range or slew rate limited."""
+        return self.limits.limited_samples
+
+    # -- samples -------------------------------------------------------------------------------------------------
+
+    def sense(self, row) -> None:
+        """Read the position into the row, NaN when there is none.
+
+        Parameters
+        ----------
+        row : sequence of float
+        """
+        interpreted(faulty.begin_sample)(self._watch_x.faults)
+        row[at.MEASURED] = row[at.FORCE] = math.nan
+        if not self._failure:
+            try:
+                position, *forces = self._device.read()
+                row[at.MEASURED] = self.sensor.step(position)
+                row[at.FORCE] = _TOLD(self._watch_p, self._watch_x, forces[0] if forces else math.nan)
+            except DriverError as error:
+                self._fail(error)
+        stop_for_homing(self._watch_x.trip, self.sensor.homing)
+        row[at.DISPLACEMENT] = math.nan
+        row[at.TRIPPED] = self._watch_x.trip[TRIP]
+
+    def actuate(self, row) -> None:
+        """Put out the voltage of the row, or what the watch makes of it.
+
+        Parameters
+        ----------
+        row : sequence of float
+        """
+        self._put_out(watched_voltage(self._watch_p, self._watch_x, row))
+        row[at.PLANT_VOLTAGE] = self._left_at if self._left else float(self.limits.x[OUTPUT])
+
+    def _put_out(self, voltage: float) -> None:
+        if not self._failure:
+            try:
+                self._device.write((self.amplifier.value(self.limits.step(voltage)),))
+            except DriverError as error:
+                self._fail(error)
+
+    def _fail(self, error: DriverError) -> None:
+        """Stop the axis: the device is made safe, on a new connection if need be."""
+        self._failure = str(error)
+        self._watch_x.trip[TRIP] = DEVICE_FAILED
+        with contextlib.suppress(DriverError):  # the failure says it
+            self.make_safe()
+
+    def _at_rest(self) -> None:
+        """Go on from the safe voltage."""
+        safe, x = self.parameters.safe_voltage, self.limits.x
+        self._watch_x.hold[:] = hold_state(safe)
+        x[OUTPUT] = x[UNQUANTISED] = safe
+
+    # -- beginning and end ---------------------------------------------------------------------------------------
+
+    def start(self) -> None:
+        """Let the axis go on; a device that has failed is tried again, and has lost the zero of a relative sensor."""
+        failed = bool(self.failure)
+        if failed:
+            self.sensor.begin_homing()
+        super().start()
+        self._acknowledge()
+        if failed:
+            self._try_device()
+
+    def _acknowledge(self) -> None:
+        """Forget what was wrong: a person has seen it. What is still wrong shows at the next sample."""
+        self._failure = self._left = ""
+
+    def _try_device(self) -> None:
+        """Read and write the device once at its safe voltage: a person who starts the axis hears if it still fails."""
+        try:
+            self._device.read()
+            self._device.write((self.amplifier.value(self.limits.x[OUTPUT]),))
+        except DriverError as error:
+            self._fail(error)
+
+    def reset(self) -> None:
+        """Begin again where the device is: its voltage goes to the safe one, and to what comes, without a jump."""
+        self._acknowledge()
+        held = self.held()
+        super().reset()
+        self._watch_x.hold[HELD], self._watch_x.hold[FOLLOWS] = held, 0.0
+        self.limits.x[FLAGS] = self.limits.x[LIMITED_SAMPLES] = 0.0
+
+    def home(self) -> None:
+        """Take the place where the actuator stands for that of home.
+
+        Raises
+        ------
+        ParameterError
+            The sensor is absolute, or the axis is not stopped at its safe voltage.
+        """
+        sensor, safe = self.parameters.calibration.sensor, self.parameters.safe_voltage
+        if sensor.reference != "relative":
+            allowed = "knows its place by itself; only a relative sensor is homed"
+            raise ParameterError([Problem("calibration.sensor.reference", sensor.reference, allowed)])
+        if not self.tripped or self.held() != safe:
+            allowed = (
+                f"home is the place at safe_voltage = {safe:g} V: stop the axis (true on estop), wait until it is "
+            )
+            allowed += "there, then home it"
+            raise ParameterError([Problem("voltage", self.held(), allowed)])
+        self.sensor.begin_homing()
+
+    @property
+    def complaint(self) -> str:
+        """What is wrong with the last reading of the sensor; empty: nothing."""
+        return self.sensor.complaint
+
+    @property
+    def finding_home(self) -> bool:
+        """Whether the axis stands still because its sensor is homed."""
+        return bool(self._watch_x.trip[TRIP] == FINDING_HOME)
+
+    def retune(self, parameters: PlantNodeParameters) -> None:
+        """Take new limits, time-outs and safe voltages while running."""
+        before, after = self.parameters.driver_parameters, parameters.driver_parameters
+        for name, value in after.to_mapping().items():
+            if not name.startswith("limits.") and value != before.to_mapping().get(name):
+                allowed = f"the driver {parameters.driver} is open: deactivate and clean up the node first"
+                raise ParameterError([Problem(name, value, allowed)])
+        low, high = self._range
+        for name in ("minimum", "maximum"):
+            if not low <= self.amplifier.value(getattr(parameters.limits, name)) <= high:
+                unit = parameters.calibration.amplifier.unit
+                allowed = f"must lie within the device's range of {low:g} … {high:g} {unit}"
+                raise ParameterError([Problem(f"limits.{name}", getattr(parameters.limits, name), allowed)])
+        self.limits.retune(_without_grid(parameters.limits))
+        super().retune(parameters)
+
+    def step_to_safe(self) -> bool:
+        """Take the voltage a sample further towards the safe one; False when it is there, or out of reach."""
+        p, x, safe = self._watch_p.hold, self._watch_x.hold, self.parameters.safe_voltage
+        if self._failure or (x[HELD] == safe and self.limits.x[OUTPUT] == safe):
+            return False
+        self._put_out(hold_voltage(p, x, math.nan, 1.0, -math.inf))
+        return True
+
+    def refresh(self) -> None:
+        """Put the voltage out again, for the device's watchdog."""
+        if not self._failure:
+            try:
+                self._device.write((self.amplifier.value(self.limits.x[OUTPUT]),))
+            except DriverError as error:
+                self._fail(error)
+
+    def held(self, input_: int = 0) -> float:
+        """Return the voltage that is put out [V], also by a device that could not be made safe.
+
+        Parameters
+        ----------
+        input_ : int
+        """
+        return self._left_at if self._left else super().held(input_)
+
+    def make_safe(self) -> None:
+        """Bring the device to its safe state.
+
+        Raises
+        ------
+        DriverError
+            It does not answer; then the error says at which voltage its output still is, and so does :attr:`failure`
+            until the device is safe, or the axis is started or reset by a person.
+        """
+        left_at = self._left_at if self._left else float(self.limits.x[OUTPUT])
+        self._at_rest()
+        try:
+            self._device.make_safe()
+        except DriverError as error:
+            self._left, self._left_at = error.problem, left_at
+            raise
+        self._left = ""
+
+    def close(self) -> str:
+        """Let go of the device; return what is wrong with it as it is left, empty when nothing is."""
+        return self._device.close()
+
+
+def _without_grid(limits: LimitsParameters) -> LimitsParameters:
+    """Return limits that do not round: the converter is the device's."""
+    return replace(limits, bits=0)
+
+
+def _sense_device(laws, plant, row):
+    plant.sense(row)
+
+
+def _actuate_device(laws, plant, row):
+    plant.actuate(row)
+
+
+sense.kinds[DrivenPlant], actuate.kinds[DrivenPlant] = _sense_device, _actuate_device
+
+
+def plant_of(parameters: PlantNodeParameters) -> Plant:
+    """Return the plant of a node: the device of its driver, or the simulated one of its type.
+
+    Parameters
+    ----------
+    parameters : PlantNodeParameters
+
+    Raises
+    ------
+    DriverError
+        The device cannot be opened, or is not what the axis needs.
+    """
+    return DrivenPlant(parameters) if parameters.driver else PLANTS[parameters.type](parameters)
+
+
+class CompiledPlant(DrivenPlant):
+    """One actuator that is a device, read and written by machine code.
+
+    Parameters
+    ----------
+    parameters : PlantNodeParameters
+        With a driver that has a compiled form.
+    linked : bool
+        Whether there is a device. A twin of a recorded run has none: it is given what the device answered.
+
+    Raises
+    ------
+    DriverError
+        The device cannot be opened, is not what the axis needs, or only Python reaches it.
+    """
+
+    # places where others have the law of a simulated plant
+    kernels = (limits,) * 3
+
+    given = (at.MEASURED, at.TRIPPED, at.FORCE)
+
+    rounding, begins_safe = 0.0, True
+
+    def __init__(self, parameters: PlantNodeParameters, linked: bool = True):
+        self._linked = linked
+        super().__init__(parameters)
+        compiled = joints = None
+        if linked:
+            compiled, joints = self._device.compiled(), self.capabilities
+            if compiled is None:
+                self.close()
+                problem = "is written in Python, which would wait for its lock in each sample"
+                remedy = "run the axis without --fused, or give the driver a compiled form (docs/hardware.md)"
+                raise DriverError(f"driver {parameters.driver}:", problem, remedy)
+        sizes = (joints.joints + joints.forces, joints.voltages) if joints is not None else (1, 1)
+        self.arrays = DevicePlantArrays(
+            link_to(compiled),
+            np.zeros(ANSWERS, dtype=np.int64),
+            *map(np.zeros, sizes),
+            self.limits.p,
+            self.limits.x,
+            self.sensor.p,
+            self.sensor.x,
+            self.amplifier.p,
+            self._watch_p,
+            self._watch_x,
+        )
+        self.reset()
+
+    def _open(self, parameters: PlantNodeParameters) -> None:
+        if self._linked:
+            super()._open(parameters)
+
+    @property
+    def _range(self) -> tuple[float, float]:
+        return super()._range if self._linked else (-math.inf, math.inf)
+
+    @property
+    def failure(self) -> str:
+        """What is wrong with a device that has stopped the axis."""
+        if self._watch_x.trip[TRIP] != DEVICE_FAILED or self._failure or not self._linked:
+            return self._failure
+        failed, code, safe_code = (int(self.arrays.answer[place]) for place in (FAILED, CODE, SAFE_CODE))
+        explain = self._device.compiled().explain
+        what = "written" if failed not in (READING, NONSENSE) else "read"
+        error = nonsense(self.parameters.driver) if failed == NONSENSE else explain(code)
+        text = f"driver {self.parameters.driver}: cannot be {what}: {error}"
+        if not safe_code:
+            return text
+        left = f"the output is still at {self.arrays.voltages[0]:.6g} {self.capabilities.voltage_unit}"
+        return f"{text}; and it cannot be made safe: {explain(safe_code).problem}: {left}"
+
+    def make_safe(self) -> None:
+        """Bring the device to its safe state.
+
+        Raises
+        ------
+        DriverError
+            It does not answer.
+        """
+        if self._linked:
+            self._device.note(float(self.arrays.voltages[0]))
+            super().make_safe()
+
+    def close(self) -> str:
+        """Let go of the device; return what is wrong with it as it is left, empty when nothing is."""
+        return super().close() if self._linked else ""
+
+
+def fused_plant_of(parameters: PlantNodeParameters, linked: bool = True) -> Plant:
+    """Return the plant of an axis that machine code runs: the device of its driver, or the simulated one of its type.
+
+    Parameters
+    ----------
+    parameters : PlantNodeParameters
+    linked : bool
+        Whether a device is opened; without it the plant is given what the device answered.
+
+    Raises
+    ------
+    DriverError
+        The device cannot be opened, is not what the axis needs, or only Python reaches it.
+    """
+    if not parameters.driver:
+        return PLANTS[parameters.type](parameters)
+    return CompiledPlant(parameters, linked)

@@ -22,8 +22,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hysteresis_ros.block import called, kernel, nested
 from hysteresis_ros.errors import ConfigurationError
+from hysteresis_ros.models.block import called, kernel, nested
 from hysteresis_ros.models.sensor import generator_state, uniform
 
 # What a fault acts on.

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The fused runner: one compiled thread makes an axis' samples against absolute deadlines.
+"""The fused runner: one compiled thread makes an axis' samples against absolute deadlines; what it costs on a machine.
 
 Other threads steer it: setpoints, starts and stops are taken by the compiled code at a sample's boundary, whole; for
 other changes it pauses between two samples, while whoever wants them makes them. Everything that was changed is logged
@@ -19,25 +19,112 @@ from __future__ import annotations
 
 import contextlib
 import copy
+import ctypes
+import gc
 import math
+import os
+import sys
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
 from hysteresis_ros import signals
-from hysteresis_ros.block import COMPILED, specialised
+from hysteresis_ros.configuration import Parameters
 from hysteresis_ros.errors import ConfigurationError, LoopError, ParameterError
 from hysteresis_ros.loop import pacing as at
 from hysteresis_ros.loop.axis import Axis, Change
-from hysteresis_ros.loop.pacing import Pace, pace
+from hysteresis_ros.loop.pacing import CODES, Lateness, Pace, Reader, Samples, lateness, latest, pace, switched
+from hysteresis_ros.loop.parameters import AxisParameters, RealtimeParameters
 from hysteresis_ros.loop.plant import JOINT_NUMBERS
-from hysteresis_ros.loop.ring import Lateness, Reader, Samples, lateness, latest
-from hysteresis_ros.loop.scheduling import ask_for, boosted, undisturbed
-from hysteresis_ros.loop.switches import CODES, switched
 from hysteresis_ros.loop.tick import WHOLE, ticks
-from hysteresis_ros.parameters import Parameters
+from hysteresis_ros.models.block import COMPILED, specialised
+
+#: Turn of a thread of Python while the loop waits for another one [s].
+TURN = 5e-4
+
+_TIMER_SLACK = 29
+_LOCK_PRESENT_AND_FUTURE = 3
+
+
+def ask_for(parameters: RealtimeParameters) -> str:
+    """Give the calling thread its priority and core, and keep the process in RAM, as far as that is permitted.
+
+    Parameters
+    ----------
+    parameters : RealtimeParameters
+
+    Returns
+    -------
+    str
+        What was not permitted, and what to do about it; empty when all was.
+    """
+    library = ctypes.CDLL(None, use_errno=True)
+    # without priority a thread is woken up to 50 µs late on purpose, to save energy
+    if hasattr(library, "prctl"):
+        library.prctl(_TIMER_SLACK, ctypes.c_ulong(1), ctypes.c_ulong(0), ctypes.c_ulong(0), ctypes.c_ulong(0))
+    refused = []
+    if parameters.priority:
+        try:
+            policy = os.SCHED_FIFO | os.SCHED_RESET_ON_FORK
+            os.sched_setscheduler(0, policy, os.sched_param(parameters.priority))
+        except (AttributeError, OSError) as error:
+            refused.append(
+                f"realtime.priority = {parameters.priority} ({_reason(error)}: a line '@GROUP - rtprio "
+                f"{parameters.priority}' in /etc/security/limits.conf and a new login, or CAP_SYS_NICE)"
+            )
+    if parameters.cpu >= 0:
+        try:
+            os.sched_setaffinity(0, {parameters.cpu})
+        except (AttributeError, OSError) as error:
+            cores = ", ".join(map(str, sorted(os.sched_getaffinity(0)))) if hasattr(os, "sched_getaffinity") else "none"
+            refused.append(f"realtime.cpu = {parameters.cpu} ({_reason(error)}: this process may use {cores})")
+    if parameters.lock_memory and (not hasattr(library, "mlockall") or library.mlockall(_LOCK_PRESENT_AND_FUTURE)):
+        refused.append(
+            f"realtime.lock_memory = true ({os.strerror(ctypes.get_errno())}: a line '@GROUP - memlock unlimited' in "
+            "/etc/security/limits.conf and a new login, or CAP_IPC_LOCK)"
+        )
+    return f"goes on without {'; without '.join(refused)}" if refused else ""
+
+
+@contextlib.contextmanager
+def boosted(parameters: RealtimeParameters):
+    """Be nearly as urgent as the thread that keeps time, where that is permitted: on one core that one goes first."""
+    priority = max(parameters.priority - 1, 1)
+    before = None
+    if parameters.priority:
+        with contextlib.suppress(AttributeError, OSError):
+            before = os.sched_getscheduler(0), os.sched_getparam(0)
+            os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
+    try:
+        yield
+    finally:
+        if before is not None:
+            with contextlib.suppress(OSError):
+                os.sched_setscheduler(0, *before)
+
+
+@contextlib.contextmanager
+def undisturbed():
+    """Run without the garbage collector, and with other threads of Python in the way as shortly as possible."""
+    collects, interval = gc.isenabled(), sys.getswitchinterval()
+    gc.disable()
+    sys.setswitchinterval(TURN)
+    time.sleep(0.0)  # whoever waits for its turn has had one, and now waits for a whole turn again
+    try:
+        yield
+    finally:
+        sys.setswitchinterval(interval)
+        if collects:
+            gc.enable()
+
+
+def _reason(error: Exception) -> str:
+    return getattr(error, "strerror", None) or "this system does not know it"
+
 
 #: Samples per second that are held without Numba: a sample takes up to 0.4 ms (a motor's), and any other thread of
 #: Python a turn of 5 ms, which is a period then.
@@ -428,3 +515,93 @@ def _same(one, other) -> bool:
     if isinstance(one, tuple):
         return len(one) == len(other) and all(map(_same, one, other))
     return one is other
+
+
+#: A rate is held when 99 % of the samples begin within this part of a period, and fewer than this part are skipped.
+LATEST, MOST_SKIPPED = 0.5, 0.005
+#: Batches, and samples of each, in which the cost of a sample is measured: of the batches the quickest counts.
+BATCHES, BATCH = 5, 100
+
+
+class Trial(NamedTuple):
+    """What a loop did at a rate.
+
+    Parameters
+    ----------
+    rate : float
+        Samples per second [Hz].
+    lateness : Lateness
+        How late its samples began, and how many were skipped.
+    warning : str
+        What the operating system did not permit; empty when all was.
+    """
+
+    rate: float
+    lateness: Lateness
+    warning: str
+
+    @property
+    def is_held(self) -> bool:
+        """Whether the machine holds this rate."""
+        late = self.lateness
+        return late.p99 * self.rate < LATEST and late.missed < MOST_SKIPPED * late.samples
+
+
+def trial(parameters: AxisParameters, seconds: float, priority: int) -> Trial:
+    """Run an axis' fused loop for a moment in real time, and return how it kept the time.
+
+    Parameters
+    ----------
+    parameters : AxisParameters
+        Its plant is simulated, whatever driver it names.
+    seconds : float
+        Length of the run [s].
+    priority : int
+        Of its thread, SCHED_FIFO; 0: a normal one.
+    """
+    plant = parameters.plant_simulator
+    realtime = replace(plant.realtime, priority=priority)
+    # what a busy machine makes late must not end the trial
+    asked = replace(parameters, plant_simulator=replace(plant, realtime=realtime, late_limit=-1))
+    loop = FusedLoop(Axis(asked), samples=max(round(seconds * plant.sample_rate), 1))
+    loop.start()
+    try:
+        loop.join()
+    finally:
+        loop.leave()  # also when somebody interrupts
+    if loop.failure:
+        raise ConfigurationError(loop.failure)
+    return Trial(plant.sample_rate, loop.lateness(), loop.warning)
+
+
+def tick_cost(parameters: AxisParameters) -> float:
+    """Return what a sample of an axis takes on this machine at least, beyond waiting [s]; its plant is simulated."""
+    axis = Axis(parameters)
+    found = []
+    for _ in range(BATCHES):
+        own = pace_arrays(axis)
+        own.state[at.UNTIL] = own.state[at.SAMPLE] + BATCH
+        run, arguments = machine(axis, own)
+        run(*arguments)
+        found.append(lateness(own).cost)
+    return min(found)
+
+
+def require_speed(parameters: AxisParameters) -> None:
+    """Refuse an axis whose samples take longer than they may, before anything moves.
+
+    Raises
+    ------
+    ConfigurationError
+        Names the rate, what a sample takes here, and the option that runs it nevertheless.
+    """
+    plant = parameters.plant_simulator
+    if plant.realtime.force or plant.driver or not COMPILED:
+        return  # what a device takes is known only once it is driven; without Numba the loop has its own limit
+    rate, cost = plant.sample_rate * plant.real_time_factor, tick_cost(parameters)
+    if cost * rate > 1.0:
+        raise ConfigurationError(
+            f"sample_rate = {plant.sample_rate:g} Hz at real_time_factor {plant.real_time_factor:g}: a sample takes "
+            f"{1e6 * cost:.3g} µs on this machine, which holds at most {1.0 / cost:.3g} of them a second; lower one "
+            "of the two, or run it nevertheless with --force (realtime.force: true)"
+        )

@@ -13,10 +13,10 @@ from __future__ import annotations
 
 import math
 
-from hysteresis_ros.compensation.reachable import reachable_commands
 from hysteresis_ros.errors import Problem
+from hysteresis_ros.models.compensator import reachable_commands
+from hysteresis_ros.references.inchworm_parameters import SWING_RANGE
 from hysteresis_ros.references.inchworm_steps import LOAD_PART
-from hysteresis_ros.references.walk import SWING_RANGE
 
 #: Holding force over load below which an axis is doubtful.
 SAFETY_FACTOR = 2.0

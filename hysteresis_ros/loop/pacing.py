@@ -7,7 +7,11 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The compiled loop of the fused runner: samples against absolute deadlines, each written into a ring.
+"""The compiled loop of the fused runner: samples against absolute deadlines, its switches, and the ring it writes.
+
+What is started and stopped within a sample is switched here; every other change takes Python (
+:meth:`hysteresis_ros.loop.axis.Axis.apply`). A switch does the same as
+the methods ``start``, ``stop``, ``halt`` and ``hold`` of the parts.
 
 A sample that would begin a whole period or more after its deadline is skipped: nobody measures or answers, the voltage
 stays, and time goes on. So a burst of late answers never follows a missed deadline.
@@ -21,12 +25,69 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hysteresis_ros import elementary
 from hysteresis_ros import signals as at
-from hysteresis_ros.block import COMPILED, nested
+from hysteresis_ros.loop import compensator as compensating
+from hysteresis_ros.loop import controller as controlling
+from hysteresis_ros.loop import plant as planting
 from hysteresis_ros.loop.plant import tell_joints
-from hysteresis_ros.loop.switches import HALT, NOTHING, switch
+from hysteresis_ros.loop.source import hold, rest
 from hysteresis_ros.loop.tick import WHOLE
+from hysteresis_ros.models import elementary
+from hysteresis_ros.models.block import COMPILED, nested
+
+# Codes of what can be switched; HALT is the emergency stop, all that can be stopped.
+NOTHING, START_PLANT, HALT_PLANT, START_CONTROLLER, STOP_CONTROLLER, START_COMPENSATOR, STOP_COMPENSATOR = range(7)
+STOP_GENERATOR, HALT, HOLD_GENERATOR = 7, 8, 9
+
+#: Node and action of each code.
+SWITCHES = {
+    START_PLANT: ("plant_simulator", "start"),
+    HALT_PLANT: ("plant_simulator", "halt"),
+    START_CONTROLLER: ("motion_controller", "start"),
+    STOP_CONTROLLER: ("motion_controller", "stop"),
+    START_COMPENSATOR: ("hysteresis_compensator", "start"),
+    STOP_COMPENSATOR: ("hysteresis_compensator", "stop"),
+    STOP_GENERATOR: ("reference_generator", "stop"),
+    HOLD_GENERATOR: ("reference_generator", "hold"),
+}
+
+#: Code of each node and action.
+CODES = {what: code for code, what in SWITCHES.items()}
+
+
+def switched(code: int, motor: bool) -> list[tuple[str, str]]:
+    """Return node and action of everything that a code switches; a motor's sequencer is asked to stop instead."""
+    if code != HALT:
+        return [SWITCHES[code]]
+    stopped = [HALT_PLANT, STOP_CONTROLLER, STOP_COMPENSATOR, *([] if motor else [STOP_GENERATOR])]
+    return [SWITCHES[one] for one in stopped]
+
+
+@nested
+def switch(laws, parts, column, code):
+    """Start or stop a part from this sample on; what a source asks for because of that is put into the column."""
+    trip = parts.plant.watch_x.trip
+    controller, compensator = parts.controller.watch_x.own, parts.compensator.watch_x.own
+    if code == START_PLANT:
+        for i in range(trip.shape[0]):
+            if i != planting.LATE:
+                trip[i] = 0.0
+    if code in (HALT_PLANT, HALT):
+        trip[planting.TRIP] = max(trip[planting.TRIP], planting.HALTED)
+    if code in (STOP_CONTROLLER, HALT):
+        controller[controlling.STOP] = 1.0
+    if code in (STOP_COMPENSATOR, HALT):
+        compensator[compensating.STOP] = 1.0
+    if code in (STOP_GENERATOR, HALT):
+        rest(laws, parts.source, column)
+    if code == HOLD_GENERATOR:
+        hold(laws, parts.source, column)
+    if code == START_CONTROLLER:
+        controller[controlling.STOP] = 0.0
+        controller[controlling.RETURNING] = 1.0
+    if code == START_COMPENSATOR:
+        compensator[compensating.STOP] = 0.0
+        compensator[compensating.RETURNING] = 1.0
 
 
 class Pace(NamedTuple):
@@ -273,3 +334,115 @@ def pace(step, laws, parts, own, motor):
             state[IN_ROW] = 0
             sleep_until(timespec, now + BREATH)
             now = clock(timespec)
+
+
+class Samples(NamedTuple):
+    """Samples that follow one another.
+
+    Parameters
+    ----------
+    first : int
+        Number of the first one, counted from the beginning of the axis.
+    table : ndarray, shape (row length, N)
+        A column for each sample, a row for each signal, see :func:`hysteresis_ros.signals.row_signals`.
+    times : ndarray, shape (N,)
+        When each was begun [ns since 1970], whole numbers.
+    joints : ndarray or None, shape (JOINT_NUMBERS, N)
+        Of a motor: positions [m], velocities [m/s] and efforts [N] of its joints.
+    lost : int
+        Samples before the first one that were overwritten before anybody took them.
+    """
+
+    first: int
+    table: np.ndarray
+    times: np.ndarray
+    joints: np.ndarray | None
+    lost: int
+
+
+class Lateness(NamedTuple):
+    """How late samples began, skipped ones included, and what they took.
+
+    Parameters
+    ----------
+    p50, p99, p999, max : float
+        So late [s] at most began 50, 99, 99.9 and 100 % of the samples; the first three to 2 %.
+    missed : int
+        Samples that were skipped.
+    samples : int
+        All of them.
+    cost, highest_cost : float
+        Time that a sample took beyond waiting [s]: the mean, and the longest.
+    """
+
+    p50: float
+    p99: float
+    p999: float
+    max: float
+    missed: int
+    samples: int
+    cost: float
+    highest_cost: float
+
+
+class Reader:
+    """Takes samples out of the ring, each once; it begins with the next one.
+
+    Parameters
+    ----------
+    own : Pace
+        Arrays of the loop.
+    offset : callable
+        ``offset()`` returns what to add to the loop's clock for the time since 1970 [ns].
+    """
+
+    def __init__(self, own: Pace, offset):
+        self._own = own
+        self._offset = offset
+        self._next = int(own.state[HEAD])
+
+    def take(self) -> Samples:
+        """Return all samples since the last time, none when there are none."""
+        state, rows = self._own.state, self._own.rows
+        size = len(rows)
+        head = int(state[HEAD])
+        first = max(self._next, head - size)
+        places = np.arange(first, head) % size
+        table, times = np.ascontiguousarray(rows[places].T), self._own.times[places] + self._offset()
+        joints = np.ascontiguousarray(self._own.joints[places].T) if self._own.joints.shape[1] else None
+        # what was overwritten while it was copied; of the next sample a part may stand in the ring already
+        whole = min(max(first, int(state[HEAD]) + 1 - size), head)
+        lost, self._next = whole - self._next, head
+        begin = int(state[FIRST])
+        if whole > first:
+            table, times = np.ascontiguousarray(table[:, whole - first :]), times[whole - first :]
+            joints = None if joints is None else np.ascontiguousarray(joints[:, whole - first :])
+        return Samples(begin + whole, table, times, joints, lost)
+
+
+def latest(own: Pace) -> tuple[int, np.ndarray]:
+    """Return number and row of the last sample, -1 and NaN before the first one."""
+    state, rows = own.state, own.rows
+    while True:
+        head = int(state[HEAD])
+        row = rows[(head - 1) % len(rows)].copy()
+        if int(state[HEAD]) - head < len(rows) - 1:
+            return (int(state[FIRST]) + head - 1 if head else -1), row
+
+
+def quantile(histogram: np.ndarray, part: float) -> float:
+    """Return the lateness [s] that a part of the samples does not exceed, to 2 %."""
+    counts = np.cumsum(histogram)
+    if not counts[-1]:
+        return 0.0
+    index = int(np.searchsorted(counts, part * counts[-1]))
+    return LEAST * elementary.exp(max(index - 0.5, 0.0) / RESOLUTION) * 1e-9
+
+
+def lateness(own: Pace) -> Lateness:
+    """Return the figures of all samples so far."""
+    state, histogram = own.state, own.histogram.copy()
+    largest, samples = float(state[LATEST]) * 1e-9, int(state[HEAD])
+    found = [min(quantile(histogram, part), largest) for part in (0.5, 0.99, 0.999)]
+    cost, highest = float(state[BUSY]) * 1e-9 / max(samples, 1), float(state[BUSIEST]) * 1e-9
+    return Lateness(*found, largest, int(state[MISSED]), samples, cost, highest)

@@ -7,13 +7,16 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The plant as a part of the loop: an actuator or an inchworm motor, behind what watches over its voltages.
+"""The plant as a part of the loop: an actuator, one that a camera sees, or an inchworm motor, and the watch over it.
 
 A voltage that does not come in time is late: the last one is held and the miss counted. When none comes for
 ``voltage_timeout`` the voltage goes to its safe value, and back without a jump when they return. When more than
 ``late_limit`` are late in a row, or come together within a second, the loop is not closed any more: the plant *trips*,
 goes to its safe voltage and stops the axis until it is started again. So it does when an actuator is measured far
 beyond where it can rest: only a loop that is unstable gets there.
+
+A plant that a camera sees measures nothing itself. Offline the part looks at each frame at once; between nodes the
+frames are messages. Both run in Python: a frame takes a thousand times as long as a sample of anything else.
 """
 
 from __future__ import annotations
@@ -24,10 +27,11 @@ from typing import NamedTuple
 import numpy as np
 
 from hysteresis_ros import signals as at
-from hysteresis_ros.block import by_part, kernel, nested
 from hysteresis_ros.errors import ParameterError, Problem
+from hysteresis_ros.hardware.simulated_camera import SimulatedCamera
+from hysteresis_ros.hardware.tracker import CameraParameters, Tracker
 from hysteresis_ros.loop import faults as faulty
-from hysteresis_ros.loop.plant_parameters import PlantNodeParameters
+from hysteresis_ros.loop.parameters import DisplacementCameraNodeParameters, PlantNodeParameters, part
 from hysteresis_ros.loop.watch import (
     HELD,
     HELD_AGE,
@@ -47,13 +51,18 @@ from hysteresis_ros.models import clamp as clamping
 from hysteresis_ros.models import inchworm as motors
 from hysteresis_ros.models import limits as limiting
 from hysteresis_ros.models.actuator import (
+    Actuator,
     ActuatorArrays,
+    ActuatorParameters,
     actuator_advance,
     actuator_force,
     actuator_measure,
 )
+from hysteresis_ros.models.block import by_part, interpreted, kernel, nested
 from hysteresis_ros.models.inchworm import (
+    Inchworm,
     InchwormArrays,
+    InchwormPlantParameters,
     inchworm_advance,
     inchworm_measure,
 )
@@ -467,3 +476,224 @@ class Plant:
     def close(self) -> str:
         """Let go of a device; return what is wrong with it as it is left, empty when nothing is."""
         return ""
+
+
+class ActuatorPlant(Plant):
+    """One actuator.
+
+    Parameters
+    ----------
+    parameters : PlantNodeParameters
+        Of type actuator.
+    """
+
+    def __init__(self, parameters: PlantNodeParameters):
+        self.actuator = Actuator(part(parameters, ActuatorParameters), 1.0 / parameters.sample_rate)
+        super().__init__(parameters)
+        self.arrays = ActuatorPlantArrays(self.actuator.ps, self.actuator.xs, self._watch_p, self._watch_x)
+
+    @property
+    def kernels(self):
+        """Hysteresis of the plant for the loop: of the extender and of the clamps, which are not there."""
+        return (self.actuator.hysteresis_kernel,) * 3
+
+    @property
+    def measures_force(self) -> bool:
+        """Whether there is a force sensor."""
+        return self.parameters.force_sensor.there
+
+    @property
+    def rounding(self) -> float:
+        """Rounding [V] of the voltage that is put out."""
+        return float(self.arrays.p.limits[limiting.STEP])
+
+    @property
+    def resting_voltages(self) -> tuple[float, float, float]:
+        """Voltages [V] before any is received."""
+        return self.actuator.voltage, 0.0, 0.0
+
+    @property
+    def travel(self) -> tuple[float, float]:
+        """Between which measurements [m] the axis may go on."""
+        return self.parameters.allowed_travel
+
+    @property
+    def saturated(self) -> bool:
+        """Whether range or slew rate limited the last voltage."""
+        return self.actuator.saturated
+
+    @property
+    def limited_samples(self) -> int:
+        """Samples so far that range or slew rate limited."""
+        return self.actuator.limits.limited_samples
+
+    def reset(self) -> None:
+        """Begin again at rest."""
+        self.actuator.reset()
+        super().reset()
+
+    def retune(self, parameters: PlantNodeParameters) -> None:
+        """Take new parameters of the same structure while running."""
+        self.actuator.retune(part(parameters, ActuatorParameters))
+        super().retune(parameters)
+
+
+class MotorPlant(Plant):
+    """An inchworm motor: three voltages, four joints.
+
+    Parameters
+    ----------
+    parameters : PlantNodeParameters
+        Of type inchworm.
+    """
+
+    def __init__(self, parameters: PlantNodeParameters):
+        self.motor = Inchworm(part(parameters, InchwormPlantParameters), 1.0 / parameters.sample_rate)
+        super().__init__(parameters)
+        self.arrays = MotorPlantArrays(self.motor.ps, self.motor.xs, self._watch_p, self._watch_x)
+
+    def _pack(self, parameters: PlantNodeParameters) -> None:
+        super()._pack(parameters)
+        self._watch_p.trip[STIFFNESS] = self.motor.ps.front_contact[clamping.STIFFNESS]
+
+    @property
+    def kernels(self):
+        """Hysteresis of extender, front and rear clamp, for the loop."""
+        return self.motor.hysteresis_kernels
+
+    @property
+    def resting_voltages(self) -> tuple[float, float, float]:
+        """Voltages [V] before any is received."""
+        return self.motor.voltages
+
+    @property
+    def safe_voltages(self) -> tuple[float, float, float]:
+        """Voltages [V] without commands; a clamp stays where it is when that is higher."""
+        motor = self.parameters.inchworm
+        return self.parameters.safe_voltage, motor.front_clamp.initial_voltage, motor.rear_clamp.initial_voltage
+
+    @property
+    def saturated(self) -> bool:
+        """Whether range or slew rate limited one of the last voltages."""
+        return self.motor.saturated
+
+    @property
+    def limited_samples(self) -> int:
+        """Samples so far in which range or slew rate limited a voltage, summed over the three amplifiers."""
+        motor = self.motor
+        return sum(item.limits.limited_samples for item in (motor.extender, motor.front_clamp, motor.rear_clamp))
+
+    def reset(self) -> None:
+        """Begin again at rest, the clamps at their initial voltages."""
+        self.motor.reset()
+        super().reset()
+
+    def retune(self, parameters: PlantNodeParameters) -> None:
+        """Take new parameters of the same structure while running."""
+        self.motor.retune(part(parameters, InchwormPlantParameters))
+        super().retune(parameters)
+
+
+class CameraPart:
+    """Makes displacements of frames: ``displacement_camera`` as a part of the loop.
+
+    Parameters
+    ----------
+    parameters : DisplacementCameraNodeParameters
+    """
+
+    def __init__(self, parameters: DisplacementCameraNodeParameters):
+        self.parameters = parameters
+        self.tracker = Tracker(part(parameters, CameraParameters))
+
+    def retune(self, parameters: DisplacementCameraNodeParameters) -> None:
+        """Take other limits of what is refused."""
+        self.tracker.retune(part(parameters, CameraParameters))
+        self.parameters = parameters
+
+    def reset(self) -> None:
+        """Begin again with the next frame; a relative place is homed again."""
+        self.tracker.reset()
+
+    def inject(self, faults: tuple[str, ...]) -> None:
+        """Faults are those of the measurement, where the controller takes it."""
+
+
+class Eye:
+    """The camera of a plant, and who looks at its frames, if anybody does.
+
+    Parameters
+    ----------
+    camera : SimulatedCamera
+    """
+
+    def __init__(self, camera: SimulatedCamera):
+        self.camera = camera
+        self.part: CameraPart | None = None
+        self.frame: np.ndarray | None = None
+
+    def look(self, displacement: float) -> float:
+        """Take a frame of a displacement [m] and return what is seen in it [m]; NaN: somebody else looks at it."""
+        self.frame = self.camera.take(displacement)
+        return math.nan if self.part is None else self.part.tracker.see(self.frame)[0]
+
+
+class SeenPlantArrays(NamedTuple):
+    """All arrays of an actuator that is seen by a camera."""
+
+    p: ActuatorArrays
+    x: ActuatorArrays
+    watch_p: PlantWatchArrays
+    watch_x: PlantWatchArrays
+    eye: Eye
+
+
+_SENSE, _ACTUATE = interpreted(sense_actuator), interpreted(actuate_actuator)
+
+
+def _sense_seen(laws, arrays, row):
+    """Let the camera see the tip."""
+    _SENSE(laws, arrays, row)
+    row[at.MEASURED] = arrays.eye.look(float(row[at.DISPLACEMENT]))
+
+
+def _actuate_seen(laws, arrays, row):
+    """Hold the voltage on the actuator; the plant itself knows of no measurement."""
+    seen, row[at.MEASURED] = row[at.MEASURED], math.nan
+    _ACTUATE(laws, arrays, row)
+    row[at.MEASURED] = seen
+
+
+sense.kinds[SeenPlantArrays], actuate.kinds[SeenPlantArrays] = _sense_seen, _actuate_seen
+tell_joints.kinds[SeenPlantArrays] = no_joints
+
+
+class SeenPlant(ActuatorPlant):
+    """One actuator that is seen by a camera.
+
+    Parameters
+    ----------
+    parameters : PlantNodeParameters
+        Of type camera.
+    """
+
+    is_compiled = False
+
+    def __init__(self, parameters: PlantNodeParameters):
+        super().__init__(parameters)
+        self.eye = Eye(SimulatedCamera(parameters.camera, 1.0 / parameters.sample_rate))
+        self.arrays = SeenPlantArrays(*self.arrays, self.eye)
+
+    @property
+    def travel(self) -> tuple[float, float]:
+        """Between which measurements [m] the axis may go on: the plant has none."""
+        return -math.inf, math.inf
+
+    def reset(self) -> None:
+        """Begin again at rest, with the first frame."""
+        super().reset()
+        self.eye.camera.reset()
+
+
+#: Plant of each ``type``.
+PLANTS = {"actuator": ActuatorPlant, "inchworm": MotorPlant, "camera": SeenPlant}

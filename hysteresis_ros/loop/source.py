@@ -17,11 +17,10 @@ from typing import NamedTuple
 import numpy as np
 
 from hysteresis_ros import signals as at
-from hysteresis_ros.block import by_part, nested
 from hysteresis_ros.loop import faults as faulty
-from hysteresis_ros.loop.common_parameters import part
-from hysteresis_ros.loop.node_parameters import InchwormSequencerNodeParameters, ReferenceNodeParameters
+from hysteresis_ros.loop.parameters import InchwormSequencerNodeParameters, ReferenceNodeParameters, part
 from hysteresis_ros.loop.watch import RUNNING, STOPPED, TRIPPED
+from hysteresis_ros.models.block import by_part, nested
 from hysteresis_ros.references import generator as generating
 from hysteresis_ros.references import inchworm_layout as gait
 from hysteresis_ros.references.generator import (
@@ -32,10 +31,9 @@ from hysteresis_ros.references.generator import (
     reference_step,
     setpoint_in_force,
 )
-from hysteresis_ros.references.inchworm_machine import sequence
 from hysteresis_ros.references.inchworm_parameters import InchwormSequencerParameters
-from hysteresis_ros.references.inchworm_sequencer import InchwormSequencer
-from hysteresis_ros.references.step_model import GAIN, OFFSET
+from hysteresis_ros.references.inchworm_sequencer import InchwormSequencer, sequence
+from hysteresis_ros.references.inchworm_steps import GAIN, OFFSET
 from hysteresis_ros.references.trajectory import HELD, NOWHERE, brake
 
 

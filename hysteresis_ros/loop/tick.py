@@ -22,11 +22,11 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from hysteresis_ros import signals as at
-from hysteresis_ros.block import kernels_of
 from hysteresis_ros.loop.compensator import CompensationArrays, compensate, note_output
-from hysteresis_ros.loop.control_sample import ControllerArrays, carried_out, control
+from hysteresis_ros.loop.controller import ControllerArrays, carried_out, control
 from hysteresis_ros.loop.plant import ActuatorPlantArrays, MotorPlantArrays, actuate, sense
 from hysteresis_ros.loop.source import GeneratorSourceArrays, SequencerSourceArrays, refer
+from hysteresis_ros.models.block import kernels_of
 
 
 @kernels_of("kernel", "kernel", "kernel", "kernel", "controller", "kernel", "inverse")

@@ -21,8 +21,8 @@ from typing import NamedTuple
 import numpy as np
 
 from hysteresis_ros import signals
-from hysteresis_ros.block import called, kernel
 from hysteresis_ros.loop import faults as faulty
+from hysteresis_ros.models.block import called, kernel
 
 #: Modes of a part, see :mod:`hysteresis_ros.signals`.
 RUNNING, HOLDING, STALE = signals.MODE_RUNNING, signals.MODE_HOLDING, signals.MODE_STALE

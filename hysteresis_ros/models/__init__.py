@@ -7,7 +7,11 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Forward models: from voltage to displacement, as blocks over plain arrays.
+"""Models as blocks over plain arrays: hysteresis and dynamics of an actuator, their inverses, and sensors.
+
+Read :mod:`.block` (what a kernel and a block are), :mod:`.declaration` and one law of ``hysteresis/``, then
+:mod:`.actuator`, which puts hysteresis, :mod:`.creep` and :mod:`.linear` dynamics together, and :mod:`.compensator`,
+which inverts them. Friction, clamp and inchworm make the motor.
 
 The package itself has a class for each hysteresis model, whose constructor takes the parameters as keywords:
 ``hysteresis_ros.models.BoucWen(d_e=…, alpha=…, beta=…, gamma=…).simulate(voltage)``. ``dir()`` lists them.
@@ -23,7 +27,7 @@ if TYPE_CHECKING:
 
 def __getattr__(name: str) -> type[Hysteresis]:
     """Return the class of a hysteresis model; imported at the first use."""
-    from hysteresis_ros.keywords import find
+    from hysteresis_ros.registry import find
 
     # names of modules are asked for while they are imported
     if not name[:1].isupper():

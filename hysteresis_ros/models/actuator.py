@@ -16,24 +16,41 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hysteresis_ros.block import Chain, interpreted, kernel, nested
+from hysteresis_ros.configuration import Parameters, group, parameter
 from hysteresis_ros.models import sensor as sensing
+from hysteresis_ros.models.block import Chain, interpreted, kernel, nested
 from hysteresis_ros.models.creep import Creep, CreepParameters, creep
-from hysteresis_ros.models.force_sensor import (
+from hysteresis_ros.models.declaration import require_structure
+from hysteresis_ros.models.hysteresis import HysteresisParameters, hysteresis_block
+from hysteresis_ros.models.limits import OUTPUT, Limits, LimitsParameters, limits
+from hysteresis_ros.models.linear import LinearDynamics, LinearParameters, linear_advance, linear_output
+from hysteresis_ros.models.sensor import (
     ForceSensorParameters,
+    Sensor,
+    SensorParameters,
     force_reading,
     force_state,
     note_acting,
     pack_force,
+    sensor,
     settle_force,
 )
-from hysteresis_ros.models.hysteresis import HysteresisParameters, hysteresis_block
-from hysteresis_ros.models.limits import OUTPUT, Limits, LimitsParameters, limits
-from hysteresis_ros.models.linear import LinearDynamics, LinearParameters, linear_advance, linear_output
-from hysteresis_ros.models.preload import PreloadParameters
-from hysteresis_ros.models.rate_independent import require_structure
-from hysteresis_ros.models.sensor import Sensor, SensorParameters, sensor
-from hysteresis_ros.parameters import Parameters, group
+
+
+@dataclass(frozen=True)
+class PreloadParameters(Parameters):
+    """Preload L0 and the coefficients of W = A1 + B1 L0 + B2 L0² (Kim, Kim & Park 2009, eqs 3-5)."""
+
+    force: float = parameter(0.0, description="preload L0, compressing", unit="N", low=0.0)
+    A1: float = parameter(0.0, description="offset without preload", unit="m")
+    B1: float = parameter(0.0, description="compliance: offset per preload", unit="m/N")
+    B2: float = parameter(0.0, description="change of the compliance with the preload", unit="m/N²")
+
+    @property
+    def offset(self) -> float:
+        """Offset W of the displacement [m]."""
+        return self.A1 + self.force * (self.B1 + self.force * self.B2)
+
 
 PRELOAD = 3  # ps.sensor[PRELOAD]: offset W [m], behind the sensor's own parameters
 DISPLACEMENT = sensing.STATES  # xs.sensor[DISPLACEMENT]: true displacement at the last measurement [m]

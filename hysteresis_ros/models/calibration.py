@@ -23,9 +23,9 @@ from typing import Any
 
 import numpy as np
 
-from hysteresis_ros.block import Block, kernel
+from hysteresis_ros.configuration import Parameters, group, parameter
 from hysteresis_ros.errors import ParameterError, Problem
-from hysteresis_ros.parameters import Parameters, group, parameter
+from hysteresis_ros.models.block import Block, kernel
 
 #: Most coefficients of a polynomial.
 COEFFICIENTS = 8

@@ -21,15 +21,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hysteresis_ros import elementary
-from hysteresis_ros.block import Chain, kernel
+from hysteresis_ros.configuration import Parameters, group, parameter
 from hysteresis_ros.errors import ParameterError, Problem
+from hysteresis_ros.models import elementary
 from hysteresis_ros.models import sensor as sensing
+from hysteresis_ros.models.block import Chain, kernel
 from hysteresis_ros.models.hysteresis import HysteresisParameters, hysteresis_block
 from hysteresis_ros.models.limits import FLAGS, OUTPUT, UNQUANTISED, Limits, LimitsParameters
 from hysteresis_ros.models.linear import LinearDynamics, LinearParameters
 from hysteresis_ros.models.sensor import Sensor, SensorParameters, sensor
-from hysteresis_ros.parameters import Parameters, group, parameter
 
 # Layout of ps.contact, behind the sensor's own parameters.
 GAP = 3  # [m]

@@ -14,9 +14,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from hysteresis_ros.keywords import block_class, class_name, samples
 from hysteresis_ros.models.declaration import HysteresisBlock
 from hysteresis_ros.models.hysteresis import MODELS
+from hysteresis_ros.registry import block_class, class_name, samples
 
 
 class Hysteresis(HysteresisBlock):  # numpydoc ignore=PR02

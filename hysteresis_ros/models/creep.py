@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Creep: slow drift after a step, as a sum of first-order operators behind the hysteresis.
+"""Creep: slow drift after a step, as a sum of first-order operators behind the hysteresis, and its inverse.
 
 ``y = d x + Σ a_i z_i``, ``τ_i z_i' = x - z_i``. The logarithmic law ``ΔL (1 + γ lg(t/t_0))`` of piezo data sheets
 (γ = 0.01 … 0.02 a decade, t_0 = 0.1 s) is realised by operators with equal weights and time constants in geometric
@@ -21,12 +21,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hysteresis_ros import elementary
-from hysteresis_ros.block import Block, interpreted, kernel
+from hysteresis_ros.configuration import Parameters, group, parameter
 from hysteresis_ros.errors import Problem
-from hysteresis_ros.linear_algebra import product
-from hysteresis_ros.models.rate_independent import require_structure
-from hysteresis_ros.parameters import Parameters, group, parameter
+from hysteresis_ros.models import elementary
+from hysteresis_ros.models.block import Block, interpreted, kernel
+from hysteresis_ros.models.declaration import require_structure
+from hysteresis_ros.models.linear_algebra import product
 
 # Layout of p, followed by the factors e^(-Ts/τ) and by the weights a.
 FEEDTHROUGH = 0
@@ -180,3 +180,13 @@ class Creep(Block):
         """
         require_structure(self.parameters, parameters.validated())
         super().retune(parameters)
+
+
+@kernel
+def creep_inverse(p, x, y):
+    """Input [m] at which the creep model gives ``y`` [m] at this sample; its state ``x`` is left as it is.
+
+    Exact at the samples. The model advances by what is really carried out. Without operators the result is ``y``, bit
+    for bit.
+    """
+    return (y - crept(p, x)) / p[FEEDTHROUGH]

@@ -7,11 +7,14 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What a hysteresis model declares, so that the rest of the package needs to know nothing else of it.
+"""What a hysteresis model declares, and what rate-independent models share.
 
 A model is one file, or one folder, in ``models/hysteresis``. It holds the parameters, the law and ``MODEL``, a
 :class:`HysteresisModel`; the registry of :mod:`hysteresis_ros.models.hysteresis` finds it.
 ``docs/extending.md`` adds one.
+
+A rate-independent model knows only the order of the voltages, not their speed. Its kernel takes the voltage at the end
+of a step along which it moved monotonically and returns the displacement there.
 """
 
 from __future__ import annotations
@@ -21,9 +24,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
-from hysteresis_ros.block import Block
-from hysteresis_ros.errors import IdentificationError, did_you_mean
-from hysteresis_ros.parameters import ParameterRow, Parameters
+from hysteresis_ros.configuration import ParameterRow, Parameters
+from hysteresis_ros.errors import IdentificationError, ParameterError, Problem, did_you_mean
+from hysteresis_ros.models.block import Block
 
 #: Parts of the linear model that can be found together with a hysteresis.
 PARTS = ("lag", "delay", "creep", "modes")
@@ -32,7 +35,7 @@ DISPLACEMENT_PLACE = 1
 #: No place in the parameters or in the state.
 NOWHERE = -1
 #: Fits the parameters a model declares as ``free`` from its ``guess`` on.
-PARAMETRIC = "hysteresis_ros.identification.parametric:identify"
+PARAMETRIC = "hysteresis_ros.identification.procedures:parametric"
 
 
 @dataclass(frozen=True)
@@ -308,3 +311,68 @@ def plus(parameters, offset: float, *names: str):
     *names : str
     """
     return replace(parameters, **{name: getattr(parameters, name) + offset for name in names})
+
+
+# The first two places of x in every model with memory.
+VOLTAGE = 0  # at the last step [V]
+DISPLACEMENT = DISPLACEMENT_PLACE  # the last output [m]
+
+
+def require_structure(present, wanted) -> None:
+    """Raise ParameterError when parameters differ in structure (sizes of arrays) from those in use.
+
+    Parameters
+    ----------
+    present, wanted : Parameters
+        Of the same class. A class whose arrays may have any length has a ``structure``: a dict of name to size.
+    """
+    before, after = getattr(present, "structure", {}), getattr(wanted, "structure", {})
+    problems = [
+        Problem(name, after.get(name), f"is fixed while running: keep {size}; another size needs a new configuration")
+        for name, size in before.items()
+        if after.get(name) != size
+    ]
+    if problems:
+        raise ParameterError(problems)
+
+
+class InvertibleBlock(HysteresisBlock):
+    """Base of the models with memory whose output at the end of a step rises with the voltage there.
+
+    Their parameters change live without a jump, and inverses fit them.
+
+    Parameters
+    ----------
+    parameters : Parameters
+        Typed parameters, checked on construction.
+    sample_time : float
+        Sample time [s].
+    """
+
+    invertible = True
+
+    def retune(self, parameters) -> None:
+        """Take new parameters of the same structure while running; the output stays where it is.
+
+        Raises
+        ------
+        ParameterError
+            The parameters are wrong or of another structure; the block is unchanged then.
+        """
+        require_structure(self.parameters, parameters.validated())
+        super().retune(parameters)
+        self.rebase()
+
+
+class RateIndependentBlock(InvertibleBlock):
+    """Base of the rate-independent hysteresis models, voltage [V] to displacement [m].
+
+    Parameters
+    ----------
+    parameters : Parameters
+        Typed parameters, checked on construction.
+    sample_time : float
+        Sample time [s]; not used by the model itself.
+    """
+
+    rate_independent = True

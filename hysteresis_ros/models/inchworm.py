@@ -22,20 +22,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hysteresis_ros.block import Chain, interpreted, kernel, kernels_of, nested
+from hysteresis_ros.configuration import Parameters, group, parameter
 from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.models import actuator as acting
 from hysteresis_ros.models import clamp as clamping
 from hysteresis_ros.models import friction
 from hysteresis_ros.models.actuator import PRELOAD, Actuator, ActuatorParameters
+from hysteresis_ros.models.block import Chain, interpreted, kernel, kernels_of, nested
 from hysteresis_ros.models.clamp import Clamp, ClampParameters, contact
 from hysteresis_ros.models.creep import creep
-from hysteresis_ros.models.friction import slide, slide_elastically
+from hysteresis_ros.models.friction import Contacts, Slider, SliderParameters, slide, slide_elastically
 from hysteresis_ros.models.limits import limits
 from hysteresis_ros.models.linear import linear, linear_advance, linear_output
 from hysteresis_ros.models.sensor import Sensor, sensor
-from hysteresis_ros.models.slider import Contacts, Slider, SliderParameters
-from hysteresis_ros.parameters import Parameters, group, parameter
 
 #: Names of the joints, in the order in which they stand in ``xs.joints``.
 JOINT_NAMES = ("slider", "extender", "front_clamp", "rear_clamp")

@@ -16,9 +16,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hysteresis_ros.block import Block, interpreted, kernel
+from hysteresis_ros.configuration import Parameters, parameter
 from hysteresis_ros.errors import Problem
-from hysteresis_ros.parameters import Parameters, parameter
+from hysteresis_ros.models.block import Block, interpreted, kernel
 
 # Layout of p.
 MINIMUM = 0

@@ -7,4 +7,10 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""ROS 2 nodes: the only place where rclpy and messages are imported."""
+"""ROS 2 nodes: the only core folder that imports rclpy and messages.
+
+Read base (what every node has), responder (nodes that answer samples), then a node: plant_simulator,
+hysteresis_compensator, motion_controller, reference_generator, inchworm_sequencer, recorder, displacement_camera.
+lockstep, realtime and fused are the time modes; axis composes the nodes in one process.
+launcher, domain and bench start graphs without ROS in their own process; remote and security serve commands.
+"""

@@ -7,38 +7,394 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The shared lifecycle of all nodes: parameters, autostart, topics, services, diagnostics."""
+"""What every node of an axis has in common: lifecycle, topics, log of changes, diagnostics; the node itself is last.
+
+``changes`` logs what a node is set to and what is changed while it runs. Its entries are numbered, so that a recorder
+knows which are missing, and the last one says that the run is over. A recorder in the process of a fused loop takes
+entries where they are made, as it takes the samples: by message they would come after the samples, or not at all.
+"""
 
 from __future__ import annotations
 
+import json
 import math
 import time
 from array import array
+from collections import deque
 from typing import Any
 
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.clock import Clock, ClockType
-from rclpy.lifecycle import TransitionCallbackReturn
+from rclpy.duration import Duration
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
+from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String, UInt64
 from std_srvs.srv import Trigger
 
 from hysteresis_ros import signals
 from hysteresis_ros.errors import HysteresisError, ParameterError
-from hysteresis_ros.loop.node_parameters import NODE_PARAMETERS
-from hysteresis_ros.nodes.changes import ChangeLog
-from hysteresis_ros.nodes.compatibility import Compatibility
-from hysteresis_ros.nodes.diagnostics import diagnostics, introduction
-from hysteresis_ros.nodes.endpoints import Endpoints
+from hysteresis_ros.loop.parameters import NODE_PARAMETERS
+from hysteresis_ros.nodes.domain import named
 from hysteresis_ros.nodes.fused import Fused
-from hysteresis_ros.nodes.lifecycle import GuardedLifecycleNode
 from hysteresis_ros.nodes.lockstep import Lockstep, Partners
 from hysteresis_ros.nodes.masters import Masters, require_alone
-from hysteresis_ros.nodes.parameters import ParameterInterface, TabledParameters
-from hysteresis_ros.nodes.qos import diagnostics_qos, latched_qos
+from hysteresis_ros.nodes.parameters import GuardedServices, ParameterInterface, TabledParameters, answered
+from hysteresis_ros.nodes.qos import diagnostics_qos, latched_qos, loop_qos
 from hysteresis_ros.nodes.realtime import RealTime
-from hysteresis_ros.nodes.services import answered
-from hysteresis_ros.nodes.timing import Pace
+from hysteresis_ros.nodes.timing import OVERRUN, Pace
+from hysteresis_ros.signals import CONFIGURED, ENDED
+
+
+class GuardedLifecycleNode(GuardedServices, LifecycleNode):
+    """A lifecycle node that refuses a transition its state does not have.
+
+    rclpy up to 7.1.6 answers ``change_state`` with such an ``id`` by an exception in the executor, which ends the
+    process with its outputs where they are (ros2/rclpy, issue 1209).
+    """
+
+    def __init__(self, name: str, **options):
+        super().__init__(name, **options)
+        self.guard_services()
+
+    # The service calls the method by this name, Python's for a private one of the class that rclpy declares it in.
+    def _LifecycleNodeMixin__on_change_state(self, request, response):
+        wanted = request.transition
+        allowed = {number: label for number, label, *_ in self._state_machine.available_transitions}
+        if not wanted.label and wanted.id not in allowed:
+            now = self._state_machine.current_state[1]
+            names = ", ".join(f"{label} ({number})" for number, label in allowed.items())
+            self.get_logger().warning(f"transition {wanted.id} refused: {now} now, which allows {names}")
+            response.success = False
+            return response
+        return super()._LifecycleNodeMixin__on_change_state(request, response)
+
+    @property
+    def autostart(self) -> bool:
+        """Whether the node configures and activates by itself."""
+        return self.get_parameter("autostart").value is not False
+
+    def configure_now(self) -> bool:
+        """Configure; False when that failed."""
+        return self.trigger_configure() == TransitionCallbackReturn.SUCCESS
+
+    def activate_now(self) -> bool:
+        """Activate; False when that failed."""
+        return self.trigger_activate() == TransitionCallbackReturn.SUCCESS
+
+
+class Endpoints:
+    """What a node of an axis makes publishers, subscriptions and timers with."""
+
+    def qos(self):
+        """Quality of service of the topics between the nodes."""
+        return loop_qos(self.runner.keeps, self.parameters.queue_depth)
+
+    def changes_qos(self):
+        """Quality of service of what people have changed: kept for a recorder that comes later."""
+        return loop_qos(True, self.parameters.queue_depth)
+
+    def publisher(self, message_type, topic: str, qos, loop: bool = False):
+        """Make a publisher that goes with cleanup; ``loop``: lockstep needs its partner before the first answer."""
+        made = self.create_publisher(message_type, topic, qos, event_callbacks=self.compatibility.of_publisher(topic))
+        self._topic_handles.append((self.destroy_publisher, made))
+        if loop:
+            self._loop_publishers.append(made)
+        return made
+
+    def subscriber(self, message_type, topic: str, callback, qos, raw: bool = False, partner: str = ""):
+        """Make a subscription that goes with cleanup; ``partner``: who publishes it in lockstep, and is watched."""
+        events = self.compatibility.of_subscription(topic)
+        made = self.create_subscription(message_type, topic, callback, qos, raw=raw, event_callbacks=events)
+        self._topic_handles.append((self.destroy_subscription, made))
+        if partner:
+            self.partners.add(made.topic_name, partner)
+        return made
+
+    def loop_input(self, message_type, topic: str, callback, qos, partner: str):
+        """Make a subscription of the loop: one publisher feeds it, in lockstep from the beginning to the end."""
+        if self.runner.exact:
+            return self.subscriber(message_type, topic, callback, qos, partner=partner)
+        return self.masters.add(message_type, topic, callback, qos, self.compatibility.of_subscription(topic))
+
+    @property
+    def loop_topics(self) -> list[str]:
+        """Full names of the topics of the loop that this node publishes."""
+        return [publisher.topic_name for publisher in self._loop_publishers]
+
+    def drop(self, subscription) -> None:
+        """Destroy a subscription before cleanup does."""
+        self._topic_handles.remove((self.destroy_subscription, subscription))
+        self.destroy_subscription(subscription)
+
+    def timer(self, period: float, callback):
+        """Make a timer on the steady clock that goes with deactivation."""
+        made = self.create_timer(period, callback, clock=self.steady)
+        self._work_timers.append(made)
+        return made
+
+    def all_matched(self) -> bool:
+        """Tell whether every publisher of the loop has a subscription."""
+        return all(publisher.get_subscription_count() > 0 for publisher in self._loop_publishers)
+
+    def publish_state(self, stamp, *values: float) -> None:
+        """Publish ``~/state`` with the stamp of the measurement it belongs to; the message is reused."""
+        message = self._state
+        message.header.stamp = stamp
+        position = message.position
+        for index, value in enumerate(values):
+            position[index] = value
+        self._state_publisher.publish(message)
+
+    def warn(self, key: str, text: str, every: float = 1.0, error: bool = False) -> None:
+        """Log a warning (or error), at most one per ``key`` and ``every`` seconds."""
+        now = self.steady.now().nanoseconds
+        if now - self._warned.get(key, -(10**18)) >= every * 1e9:
+            self._warned[key] = now
+            # two lines, because rclpy ties a place in the source to one severity
+            if error:
+                self.get_logger().error(text)
+            else:
+                self.get_logger().warning(text)
+
+    def wait_acknowledged(self, deadline: float) -> None:
+        """Wait until all that was published has been received, at most until ``time.monotonic()`` is ``deadline``."""
+        for _, handle in self._topic_handles:
+            if hasattr(handle, "wait_for_all_acked"):
+                handle.wait_for_all_acked(Duration(seconds=max(deadline - time.monotonic(), 0.0)))
+
+
+class ChangeLog:
+    """What one node says on ``changes``; nothing before :meth:`open`.
+
+    Parameters
+    ----------
+    node : str
+        Its kind.
+    """
+
+    def __init__(self, node: str):
+        self._node = node
+        self._entries: deque[str] = deque()
+        self._made = 0
+        self.close()
+
+    def open(self, publisher, parameters: dict) -> None:
+        """Begin with the parameters that the node is configured with.
+
+        Parameters
+        ----------
+        publisher : rclpy.publisher.Publisher
+            Of String, transient-local.
+        parameters : dict
+            Flat dotted names.
+        """
+        self._publisher, self._number, self._is_over = publisher, 0, False
+        self._entries = deque(maxlen=publisher.qos_profile.depth)
+        self.publish({"sample": 0, "node": self._node, "action": CONFIGURED, "parameters": parameters})
+
+    def close(self) -> None:
+        """Say nothing any more."""
+        self._publisher, self._number, self._is_over = None, 0, False
+
+    def publish(self, entry: dict) -> None:
+        """Publish an entry.
+
+        Parameters
+        ----------
+        entry : dict
+            Sample, node, action and parameters.
+        """
+        if self._publisher is not None:
+            self._number += 1
+            text = json.dumps({**entry, "number": self._number})
+            self._entries.append(text)
+            self._made += 1
+            self._publisher.publish(String(data=text))
+
+    def since(self, made: int) -> tuple[list[str], int]:
+        """Return the entries after the first so many, as JSON, and how many there are by now.
+
+        Parameters
+        ----------
+        made : int
+            What was returned before; 0: all that are still published.
+        """
+        new = min(self._made - made, len(self._entries))
+        return list(self._entries)[len(self._entries) - new :], self._made
+
+    def end(self, sample: int, stopped: bool = False) -> None:
+        """Say, once, that the run is over at a sample: no entry follows that belongs to it.
+
+        Parameters
+        ----------
+        sample : int
+            Number of the next sample.
+        stopped : bool
+            Whether somebody has ended it before its time.
+        """
+        if not self._is_over:
+            self._is_over = True
+            told = {"stopped": True} if stopped else {}
+            self.publish({"sample": sample, "node": self._node, "action": ENDED, "parameters": {}, **told})
+
+
+#: Topics whose reliability a parameter chooses, and that parameter.
+CHOSEN = {"joint_states": "measurement_reliability", "setpoint": "setpoint_reliability"}
+
+
+def unheard(offered, asked, chosen_by: str) -> str:
+    """Say why a subscription hears nothing of a publisher, and what to do; empty when it does.
+
+    Parameters
+    ----------
+    offered, asked : QoSProfile
+        Of the publisher and of the subscription.
+    chosen_by : str
+        Parameter that chooses the reliability of the subscription; empty where none does.
+    """
+    best_effort, reliable = ReliabilityPolicy.BEST_EFFORT, ReliabilityPolicy.RELIABLE
+    if offered.reliability == best_effort and asked.reliability == reliable:
+        choice = f"set {chosen_by}: best_effort here, or " if chosen_by else ""
+        return f"offers best effort, reliable is asked for: {choice}let the publisher be reliable"
+    latched, volatile = DurabilityPolicy.TRANSIENT_LOCAL, DurabilityPolicy.VOLATILE
+    if offered.durability == volatile and asked.durability == latched:
+        return "offers volatile, transient local is asked for: let the publisher be transient local"
+    return ""
+
+
+class Compatibility:
+    """Watches the topics of a node for partners with which it is not connected.
+
+    Parameters
+    ----------
+    node : AxisNode
+    """
+
+    def __init__(self, node):
+        self._node = node
+        self._suspected: dict[str, str] = {}
+
+    def of_subscription(self, topic: str) -> SubscriptionEventCallbacks:
+        """Return what hears of publishers that do not fit a subscription."""
+        chosen_by = CHOSEN.get(topic, "")
+        return SubscriptionEventCallbacks(incompatible_qos=lambda event: self._suspect(topic, chosen_by))
+
+    def of_publisher(self, topic: str) -> PublisherEventCallbacks:
+        """Return what hears of subscriptions that do not fit a publisher."""
+        return PublisherEventCallbacks(incompatible_qos=lambda event: self._suspect(topic, ""))
+
+    def _suspect(self, topic: str, chosen_by: str) -> None:
+        self._suspected[topic] = chosen_by
+        self.complaint()
+
+    def complaint(self) -> str:
+        """Say who is not connected now, log it now and then, and return it; empty when all are."""
+        found = [text for topic in tuple(self._suspected) for text in self._look(topic)]
+        for text in found:
+            self._node.warn(f"qos {text}", text, every=10.0)
+        return "; ".join(found)
+
+    def _look(self, topic: str) -> list[str]:
+        """Return what does not fit on a topic; one on which everybody has found each other is forgotten."""
+        node, chosen_by = self._node, self._suspected[topic]
+        full, own = node.resolve_topic_name(topic), node.get_fully_qualified_name()
+        found = set()
+        subscriptions = node.get_subscriptions_info_by_topic(full)
+        for publisher in node.get_publishers_info_by_topic(full):
+            for subscription in subscriptions:
+                reason = unheard(publisher.qos_profile, subscription.qos_profile, chosen_by)
+                talks, hears = named(publisher), named(subscription)
+                if reason and hears == own:
+                    found.add(f"{full}: nothing is heard from {talks}, which {reason}")
+                elif reason and talks == own:
+                    found.add(f"{full}: {hears} hears nothing of this node, which {reason}")
+        if not found:
+            del self._suspected[topic]
+        return sorted(found)
+
+
+#: Levels: as it should be; somebody ought to look at it; the axis does not do what is asked; nobody says anything.
+OK, WARN, ERROR, STALE = range(4)
+
+#: What of a node a status is about; stands behind its name, as tools that gather diagnostics expect.
+ITEM = "axis"
+
+#: Seconds after which it is an error that a node still has nothing to work on.
+START_UP = 10.0
+
+
+def diagnostics(node) -> DiagnosticArray:
+    """Return what a node says of itself: level, words and numbers.
+
+    Parameters
+    ----------
+    node : AxisNode
+        In any state of its life.
+    """
+    level, text, table = _at_work(node) if node.active else _at_rest(node)
+    status = DiagnosticStatus()
+    status.name = f"{node.get_fully_qualified_name()}: {ITEM}"
+    status.hardware_id = f"{node.get_namespace()}/{node.get_parameter('joint').value}".strip("/")
+    status.level = (DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR, DiagnosticStatus.STALE)[level]
+    status.message = text or "OK"
+    status.values = [KeyValue(key=key, value=str(value)) for key, value in table.items()]
+    message = DiagnosticArray()
+    message.header.stamp = node.get_clock().now().to_msg()
+    message.status = [status]
+    return message
+
+
+def _at_rest(node) -> tuple[int, str, dict]:
+    """Return level, words and numbers of a node that is not active."""
+    name = node.get_fully_qualified_name()
+    if node.failure:
+        return ERROR, node.failure, {}
+    if node.leaving or node.finished:
+        return STALE, "left", {}
+    if node.parameters is None:
+        return WARN, f"unconfigured: ros2 lifecycle set {name} configure", {}
+    return WARN, f"inactive: ros2 lifecycle set {name} activate", {}
+
+
+def _at_work(node) -> tuple[int, str, dict]:
+    """Return level, words and numbers of a node that is active."""
+    rate, jitter = node.pace.read()
+    level, text, values = node.health()
+    # late samples are counted once, by the plant; other nodes say what of their input came late
+    counted = node.kind == "plant_simulator" or node.is_fused
+    late = 0 if counted else node.since_report("late_inputs", node.pace.overruns)
+    if node.failure:
+        level, text = ERROR, node.failure
+    elif not node.running:
+        level, text = max(level, WARN), text or "stopped"
+    elif level == ERROR and not node.sample and time.monotonic() - node.active_since < START_UP:
+        level = WARN  # the others are only coming
+    elif late and not level:
+        level, text = WARN, f"{late} late inputs: more than {OVERRUN:g} periods after the one before"
+    contested = "" if node.runner.exact else node.masters.complaint()  # in lockstep that ends the run
+    if contested:
+        node.warn("others", contested, every=10.0, error=True)
+        level, text = ERROR, f"{text}; {contested}" if text else contested
+    unconnected = node.compatibility.complaint()
+    if unconnected:
+        level, text = max(level, WARN), f"{text}; {unconnected}" if text else unconnected
+    table = {"rate_hz": f"{rate:.3f}", "jitter_p99_s": f"{jitter:.6f}", "samples": node.pace.total}
+    return level, text, table | ({} if counted else {"late_inputs": node.pace.overruns}) | values
+
+
+def introduction(node) -> str:
+    """Return what a node says when it begins to work: what it is, at what rate, and in which time mode.
+
+    Parameters
+    ----------
+    node : AxisNode
+        Configured.
+    """
+    values = node.parameters.to_mapping()
+    words = [f"{name} {values[name]}" for name in node.identity if values.get(name)]
+    return ", ".join(["active", *words, f"{node.parameters.sample_rate:g} Hz", node.parameters.time_mode])
 
 
 class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):

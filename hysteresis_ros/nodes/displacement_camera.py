@@ -21,13 +21,12 @@ import time
 
 from sensor_msgs.msg import Image, JointState
 
-from hysteresis_ros.loop.camera import CameraPart
+from hysteresis_ros.hardware.tracker import FrameError, grey_image, nowhere
+from hysteresis_ros.loop.plant import CameraPart
 from hysteresis_ros.nodes.base import AxisNode
-from hysteresis_ros.nodes.images import TOPIC, camera_qos
 from hysteresis_ros.nodes.responder import TRIPPED_FRAME
+from hysteresis_ros.nodes.samples import FRAMES, camera_qos
 from hysteresis_ros.nodes.spin import run
-from hysteresis_ros.sensing.edge import nowhere
-from hysteresis_ros.sensing.images import FrameError, grey_image
 
 #: What stands in ``~/state``, and its unit in docs/topics.md.
 STATE = ("displacement", "pixels", "uncertainty", "contrast", "blur")
@@ -62,7 +61,7 @@ class DisplacementCameraNode(AxisNode):
         self._joint_states = self.publisher(JointState, "joint_states", self.qos(), loop=True)
         self.subscribe_end()
         qos = self.qos() if self.runner.exact else camera_qos()
-        self.subscriber(Image, TOPIC, self._on_image, qos, partner="plant_simulator")
+        self.subscriber(Image, FRAMES, self._on_image, qos, partner="plant_simulator")
 
     def reset_blocks(self) -> None:
         """Begin again with the next frame."""
@@ -126,7 +125,7 @@ class DisplacementCameraNode(AxisNode):
         lost = self.since_report("lost", self._lost)
         silent = time.monotonic() - self._heard
         if not self.runner.exact and silent > self.parameters.image_timeout:
-            text = f"no image on {self.resolve_topic_name(TOPIC)} for {silent:.1f} s: is the camera's driver there?"
+            text = f"no image on {self.resolve_topic_name(FRAMES)} for {silent:.1f} s: is the camera's driver there?"
             return 2, text, values
         if self._reason:
             return 2, f"frame refused: {self._reason}", values

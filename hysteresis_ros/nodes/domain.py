@@ -7,11 +7,11 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""A ROS domain for a graph that nobody steers from outside; imports no ROS.
+"""Which nodes find each other: discovery on this machine, and ROS domains for graphs of their own; imports no ROS.
 
-A graph that a command or a test makes for itself must never meet an axis of the user: two graphs of one domain and
-namespace hear each other's commands. So it gets a domain beyond those that people choose (0 to 101), on this machine
-only, and nodes that were not started for it are refused there as long as it runs.
+A graph that a command or a test starts must never meet an axis of the user: two graphs of one domain and namespace
+hear each other's commands. It gets a domain above those that people choose (0 to 101), on this machine only, and
+nodes that were not started for it are refused there as long as it runs.
 """
 
 from __future__ import annotations
@@ -23,6 +23,47 @@ import socket
 from collections.abc import Iterator
 
 from hysteresis_ros.errors import HysteresisError
+
+#: What says how far discovery reaches; the second one is the older, deprecated form.
+RANGE, LOCALHOST_ONLY = "ROS_AUTOMATIC_DISCOVERY_RANGE", "ROS_LOCALHOST_ONLY"
+
+#: Machines that are found besides.
+STATIC_PEERS = "ROS_STATIC_PEERS"
+
+
+def stay_on_this_machine() -> None:
+    """Let nobody of another machine find the nodes that are made from now on, if nothing was said about it.
+
+    ROS 2 itself lets everybody of the network do so. Whoever finds an axis can move it.
+    """
+    if not (os.environ.get(RANGE) or os.environ.get(LOCALHOST_ONLY)):
+        os.environ[RANGE] = "LOCALHOST"
+
+
+def reaches_others() -> bool:
+    """Tell whether nodes of other machines can be found."""
+    if os.environ.get(LOCALHOST_ONLY) == "1":
+        return False
+    return os.environ.get(RANGE) not in ("LOCALHOST", "OFF") or bool(os.environ.get(STATIC_PEERS))
+
+
+def named(endpoint) -> str:
+    """Return the full name of the node of a publisher or subscription that was found.
+
+    Parameters
+    ----------
+    endpoint : TopicEndpointInfo
+        Its node is not known before discovery has told of it, and never where it is no node of ROS.
+    """
+    if "UNKNOWN" in endpoint.node_name:  # the word of rmw: _NODE_NAME_UNKNOWN_
+        return "somebody who has not told a name"
+    return f"{endpoint.node_namespace.rstrip('/')}/{endpoint.node_name}"
+
+
+def is_name(words: str) -> bool:
+    """Tell whether what :func:`named` returned is the name of a node."""
+    return words.startswith("/")
+
 
 #: Domains whose ports lie above those that Linux hands out by itself, as far as that of a claim is one.
 DOMAINS = range(231, 214, -1)

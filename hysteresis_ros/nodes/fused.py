@@ -7,11 +7,11 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Fused: one compiled thread makes all samples of an axis, and its nodes in the same process show and steer it.
+"""Fused: one compiled thread runs the loop of an axis, and the nodes in the same process show and steer it.
 
-The nodes keep their names, topics, parameters, services and diagnostics. What people ask of them goes to the loop
-(:mod:`hysteresis_ros.loop.fused`), which takes it at a sample's boundary; what the loop has made they publish at
-``publish_rate``, with the stamps of its samples. Who needs every sample reads them out of the loop's ring.
+The nodes keep their names, topics, parameters, services and diagnostics. Requests go to the loop
+(:mod:`hysteresis_ros.loop.fused`), which applies them at the boundary of a sample; the nodes publish its samples at
+``publish_rate``, with the stamps of the samples. The ring of the loop holds every sample.
 """
 
 from __future__ import annotations
@@ -23,14 +23,59 @@ from hysteresis_ros import signals
 from hysteresis_ros.configuration import node_names
 from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.loop.axis import Axis, Change
-from hysteresis_ros.loop.axis_parameters import AxisParameters
-from hysteresis_ros.loop.fused import BLOCKED, FusedLoop
-from hysteresis_ros.loop.node_parameters import RecorderNodeParameters
-from hysteresis_ros.loop.trial import require_speed
-from hysteresis_ros.nodes.loop_pace import LoopPace
+from hysteresis_ros.loop.fused import BLOCKED, FusedLoop, require_speed
+from hysteresis_ros.loop.parameters import AxisParameters, RecorderNodeParameters
 from hysteresis_ros.nodes.realtime import RealTime
 from hysteresis_ros.nodes.samples import SampleStream
+from hysteresis_ros.nodes.timing import CountedRate
 from hysteresis_ros.references import inchworm_layout as gait
+
+
+class LoopPace:
+    """Rate, jitter and misses of the loop, in the words of :class:`hysteresis_ros.nodes.timing.Pace`.
+
+    Parameters
+    ----------
+    fused : FusedAxis
+    """
+
+    def __init__(self, fused):
+        self._fused = fused
+        self._last = 0.0
+        self._rate = CountedRate()
+
+    @property
+    def total(self) -> int:
+        """Samples so far."""
+        loop = self._fused.loop
+        return loop.sample if loop is not None else 0
+
+    @property
+    def overruns(self) -> int:
+        """Samples so far that were skipped."""
+        loop = self._fused.loop
+        return loop.missed if loop is not None else 0
+
+    @property
+    def age(self) -> float:
+        """Seconds since samples were last seen; infinite before the first."""
+        return time.monotonic() - self._last if self._last else float("inf")
+
+    def tick(self) -> None:
+        """Note that there are new samples."""
+        self._last = time.monotonic()
+
+    def restart(self) -> None:
+        """Forget the last samples, so that a pause is not taken for a rate."""
+        self._rate.restart()
+        self._rate.begin(time.monotonic(), self.total)
+
+    def read(self) -> tuple[float, float]:
+        """Return the rate of the last second [Hz] and the lateness that 99 % of all samples do not exceed [s]."""
+        rate = self._rate.read(time.monotonic(), self.total)
+        loop = self._fused.loop
+        return rate, loop.lateness().p99 if loop is not None else 0.0
+
 
 #: Seconds in which the voltage goes to its safe value before the loop of a node that leaves is ended.
 RETURN = 2.0

@@ -16,15 +16,15 @@ import pathlib
 import time
 
 from hysteresis_ros import signals
-from hysteresis_ros.block import interpreted
-from hysteresis_ros.compensation import recursive as adapting
 from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.loop.compensator import CompensatorPart, adapted_text, compensate
 from hysteresis_ros.loop.tick import Laws
 from hysteresis_ros.loop.watch import MODE_NAMES, RUNNING, STALE, TRIPPED
-from hysteresis_ros.nodes.limited_time import AMPLIFIER, LimitedTime
+from hysteresis_ros.models import adaptation as adapting
+from hysteresis_ros.models.block import interpreted
 from hysteresis_ros.nodes.responder import Input, Responder
 from hysteresis_ros.nodes.spin import run
+from hysteresis_ros.nodes.timing import AMPLIFIER, LimitedTime
 
 #: Seconds that the way to the safe voltage may take when the node leaves; what is left then is one step.
 LEAVING_TIME = 0.3

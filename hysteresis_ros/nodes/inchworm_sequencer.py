@@ -21,8 +21,8 @@ from collections import deque
 from std_msgs.msg import Float64
 
 from hysteresis_ros import signals
-from hysteresis_ros.block import interpreted
 from hysteresis_ros.loop.source import SequencerSource, sequenced
+from hysteresis_ros.models.block import interpreted
 from hysteresis_ros.nodes.qos import setpoint_qos
 from hysteresis_ros.nodes.realtime import WATCHDOG_PERIOD
 from hysteresis_ros.nodes.reference_source import ReferenceSource

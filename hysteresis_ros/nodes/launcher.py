@@ -7,12 +7,14 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Start the graph of a configuration as processes and bring it down again; imports no ROS itself."""
+"""Start the processes of a graph, tie them to the process that started them, and stop them in order; imports no ROS."""
 
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import importlib.util
+import json
 import os
 import pathlib
 import signal
@@ -27,11 +29,56 @@ from typing import TYPE_CHECKING
 
 from hysteresis_ros.configuration import node_names
 from hysteresis_ros.errors import ConfigurationError, HysteresisError
-from hysteresis_ros.nodes.parent import die_with_parent
+from hysteresis_ros.nodes.domain import Domain
 from hysteresis_ros.nodes.security.policy import enclave_of
 
 if TYPE_CHECKING:
-    from hysteresis_ros.loop.axis_parameters import AxisParameters
+    from hysteresis_ros.loop.parameters import AxisParameters
+
+_PR_SET_PDEATHSIG = 1
+
+#: What starts nodes for somebody: at SIGTERM and SIGKILL it leaves them behind.
+STARTERS = ("launch", "run")
+
+
+def die_with_parent(parent: int) -> None:
+    """Linux: a child does not outlive the process that started it; in the child, or for its ``preexec_fn``.
+
+    Parameters
+    ----------
+    parent : int
+        Process identifier of the one who starts it.
+    """
+    with contextlib.suppress(OSError, AttributeError):
+        ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
+        if os.getppid() != parent:
+            os._exit(1)
+
+
+def starts_nodes(command: list[str]) -> bool:
+    """Tell whether a command line is that of ``ros2 launch`` or ``ros2 run``.
+
+    Parameters
+    ----------
+    command : list of str
+        Program and arguments; an interpreter may come first.
+    """
+    words = [pathlib.PurePath(word).name for word in command[:3]]
+    return "ros2" in words[:2] and any(word in STARTERS for word in words[1:])
+
+
+def leave_with_ros2() -> None:
+    """Let this process be told to leave when the ``ros2 launch`` or ``ros2 run`` that started it is gone.
+
+    Both pass on Ctrl-C only: ended by SIGTERM, as by a service manager, they leave their nodes behind, and an axis at
+    work. Another parent may end as it likes, as a shell that has put a node into the background.
+    """
+    parent = os.getppid()
+    with contextlib.suppress(OSError):
+        text = pathlib.Path(f"/proc/{parent}/cmdline").read_bytes().decode(errors="replace")
+        if starts_nodes(text.split("\0")):
+            die_with_parent(parent)
+
 
 #: Order in which nodes are told to leave: the voltage returns to safe while the plant still listens, the recorder last.
 STOP_ORDER = (
@@ -328,3 +375,25 @@ def _require_creatable(folder: pathlib.Path) -> None:
         raise ConfigurationError(
             f"{folder}: cannot be created: {error.strerror}; choose another folder for the recording"
         ) from None
+
+
+def run_apart(module: str, request: dict) -> int:
+    """Run a module where nobody hears its nodes, and return its exit code.
+
+    Parameters
+    ----------
+    module : str
+        One that takes its only argument as JSON.
+    request : dict
+        What it is asked for.
+
+    Raises
+    ------
+    HysteresisError
+        rclpy is not installed, or all ROS domains are in use.
+    """
+    require_ros()
+    with Domain() as domain:
+        # the pip wheels of ROS restart the interpreter on import
+        command = [sys.executable, "-m", module, json.dumps(request)]
+        return started(command, node_environment() | domain.environment).wait()

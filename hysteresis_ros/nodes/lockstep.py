@@ -15,9 +15,9 @@ import math
 
 from std_msgs.msg import String
 
-from hysteresis_ros.nodes.discovery import named
+from hysteresis_ros.nodes.domain import named
 from hysteresis_ros.nodes.qos import latched_qos
-from hysteresis_ros.nodes.runner import Runner
+from hysteresis_ros.nodes.timing import Runner
 
 #: Seconds a first sample may take: discovery, and compilation of the kernels on a machine that has no cache yet. Who
 #: has done its part of sample 0 waits so long too: with a recorder it counts as matched before its partner is there.

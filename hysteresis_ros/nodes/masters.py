@@ -7,26 +7,238 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""One axis, one master: each input of a node is fed by one publisher, and by another one when a person says so.
+"""One axis, one active publisher: a node runs once in a ROS domain, and each of its inputs is fed by one publisher.
 
-A node takes what comes on an input from the publisher that sent the first message, known by its identity. Silence
-gives nobody else the input: when nothing has come from the active publisher for as long as the node waits for the input
-before it goes safe, or when it has left the graph, only a publisher of a node with the same full name follows it: the
-same node, restarted or configured anew. Any other one needs a person's word first: ``~/reset`` of the node that
-listens, or configuring it anew. What a competing publisher sends meanwhile moves nothing, and diagnostics name both.
+A node claims its name on this machine: discovery would report a second graph only after both have moved. The kernel
+releases the claim when the process ends, however it ends.
+
+A node accepts an input from the publisher that sent the first message, known by its identity (GID), which rclpy
+leaves out of its callbacks. Silence does not release the input: when the active publisher has been silent for the
+time-out of the input, or has left the graph, only a publisher of a node with the same full name replaces it. Any other
+publisher needs ``~/reset`` of the node that listens, or a new configuration. What a competing publisher sends has no
+effect, and diagnostics name both.
 """
 
 from __future__ import annotations
 
+import ctypes
+import hashlib
 import math
+import pathlib
+import socket
+import struct
+import sys
 import time
+import weakref
 from functools import partial
 
+from rclpy.impl.implementation_singleton import rclpy_implementation as _rclpy
+from rclpy.type_support import check_for_type_support
+from rclpy.utilities import get_rmw_implementation_identifier
+from rclpy.waitable import NumberOfEntities, Waitable
 from sensor_msgs.msg import JointState
 
 from hysteresis_ros.errors import HysteresisError
-from hysteresis_ros.nodes.discovery import is_name, named, reaches_others
-from hysteresis_ros.nodes.identified import IdentifiedSubscription
+from hysteresis_ros.nodes.domain import is_name, named, reaches_others
+
+#: Seconds that who is about to leave gets for it.
+CLAIM_PATIENCE = 5.0
+#: How often is looked whether it has left [s].
+CLAIM_LOOK = 0.1
+
+
+def _address(domain: int, name: str) -> bytes:
+    return b"\0hysteresis_ros/" + hashlib.sha256(f"{domain}{name}".encode()).hexdigest().encode()
+
+
+def holder(domain: int, name: str) -> str:
+    """Say which process has claimed a node, by its number and command line; '' when nobody has.
+
+    Parameters
+    ----------
+    domain : int
+        ROS domain.
+    name : str
+        Full name of the node.
+    """
+    with socket.socket(socket.AF_UNIX) as probe:
+        probe.setblocking(False)
+        try:
+            probe.connect(_address(domain, name))
+        except BlockingIOError:
+            return "a process of this machine"
+        except OSError:
+            return ""
+        peer = probe.getsockopt(socket.SOL_SOCKET, socket.SO_PEERCRED, struct.calcsize("3i"))
+    process = struct.unpack("3i", peer)[0]
+    try:
+        words = pathlib.Path(f"/proc/{process}/cmdline").read_bytes().decode(errors="replace").split("\0")
+    except OSError:
+        words = []
+    return f"process {process} ({' '.join(words).strip()[:120]})" if any(words) else f"process {process}"
+
+
+def claim(domain: int, name: str, patience: float = CLAIM_PATIENCE) -> socket.socket | None:
+    """Claim a node of a domain on this machine, until what is returned is closed or the process ends.
+
+    Parameters
+    ----------
+    domain : int
+        ROS domain.
+    name : str
+        Full name of the node.
+    patience : float, optional
+        How long is waited for a process that has it already, which may be about to leave [s].
+
+    Returns
+    -------
+    socket or None
+        None where there are no such claims: not on Linux.
+
+    Raises
+    ------
+    HysteresisError
+        Somebody else has it: says who, and what to do.
+    """
+    if not sys.platform.startswith("linux"):
+        return None
+    until = time.monotonic() + patience
+    while True:
+        made = socket.socket(socket.AF_UNIX)
+        try:
+            made.bind(_address(domain, name))
+            made.listen(8)
+            return made
+        except OSError:
+            made.close()
+        if time.monotonic() > until:
+            break
+        time.sleep(CLAIM_LOOK)
+    who = holder(domain, name) or "a process of this machine"
+    raise HysteresisError(
+        f"{name} runs already in ROS domain {domain}: {who}; one axis has one master: stop that one, or give this axis "
+        "another namespace or ROS_DOMAIN_ID"
+    )
+
+
+#: Bytes of an identity (RMW_GID_STORAGE_SIZE of Jazzy).
+IDENTITY_BYTES = 16
+
+
+class _Identity(ctypes.Structure):
+    """``rmw_gid_t``."""
+
+    _fields_ = (("implementation", ctypes.c_char_p), ("data", ctypes.c_uint8 * IDENTITY_BYTES))
+
+
+class _Information(ctypes.Structure):
+    """``rmw_message_info_t``."""
+
+    _fields_ = (
+        ("source_timestamp", ctypes.c_int64),
+        ("received_timestamp", ctypes.c_int64),
+        ("publication_sequence_number", ctypes.c_uint64),
+        ("reception_sequence_number", ctypes.c_uint64),
+        ("publisher", _Identity),
+        ("from_intra_process", ctypes.c_bool),
+    )
+
+
+def _function(capsule, result, *arguments):
+    """Return what a type support offers as a pointer in a capsule."""
+    api = ctypes.pythonapi
+    api.PyCapsule_GetName.restype, api.PyCapsule_GetName.argtypes = ctypes.c_char_p, [ctypes.py_object]
+    api.PyCapsule_GetPointer.restype = ctypes.c_void_p
+    api.PyCapsule_GetPointer.argtypes = [ctypes.py_object, ctypes.c_char_p]
+    return ctypes.PYFUNCTYPE(result, *arguments)(api.PyCapsule_GetPointer(capsule, api.PyCapsule_GetName(capsule)))
+
+
+class IdentifiedSubscription(Waitable):
+    """A subscription that tells with each message who sent it, and lives as long as its node.
+
+    rclpy's EventsExecutor ends the process when such a waitable is taken away while messages come.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        Holds it as a waitable.
+    message_type : type
+        Of the messages.
+    topic : str
+        As the node names it.
+    callback : callable
+        Takes a message and the identity of its publisher (``bytes``), which is empty where the identity is not where
+        Jazzy has it.
+    qos : rclpy.qos.QoSProfile
+        Quality of service.
+    events : rclpy.event_handler.SubscriptionEventCallbacks
+        What hears of publishers that do not fit.
+    """
+
+    def __init__(self, node, message_type, topic: str, callback, qos, events):
+        group = node.default_callback_group
+        super().__init__(group)
+        check_for_type_support(message_type)
+        with node.handle:
+            self._handle = _rclpy.Subscription(node.handle, message_type, topic, qos.get_c_qos_profile())
+        with self._handle:
+            self.topic_name = self._handle.get_topic_name()
+        self._callback, self._index = callback, 0
+        support = message_type.__class__
+        self._to_python = _function(support._CONVERT_TO_PY, ctypes.py_object, ctypes.c_void_p)
+        self._message = _function(support._CREATE_ROS_MESSAGE, ctypes.c_void_p)()
+        weakref.finalize(self, _function(support._DESTROY_ROS_MESSAGE, None, ctypes.c_void_p), self._message)
+        self._information = _Information()
+        self._implementation = get_rmw_implementation_identifier().encode()
+        self._take = ctypes.PyDLL("librcl.so").rcl_take
+        self._take.argtypes, self._take.restype = [ctypes.c_void_p] * 4, ctypes.c_int
+        for waitable in (self, *events.create_event_handlers(group, self._handle, topic)):
+            node.add_waitable(waitable)
+
+    def hand_over_to(self, callback) -> None:
+        """Let something else take the messages from now on.
+
+        Parameters
+        ----------
+        callback : callable or None
+            None: they are thrown away.
+        """
+        self._callback = callback
+
+    def __enter__(self):
+        """Keep it while it is waited for."""
+        self._handle.__enter__()
+
+    def __exit__(self, *error):
+        """It may go again."""
+        self._handle.__exit__(*error)
+
+    def get_num_entities(self) -> NumberOfEntities:
+        """One subscription."""
+        return NumberOfEntities(num_subs=1)
+
+    def add_to_wait_set(self, wait_set) -> None:
+        """Let an executor wait for messages."""
+        self._index = wait_set.add_subscription(self._handle)
+
+    def is_ready(self, wait_set) -> bool:
+        """Tell whether there may be a message."""
+        return wait_set.is_ready("subscription", self._index)
+
+    def take_data(self):
+        """Take a message; None when there is none."""
+        information = ctypes.addressof(self._information)
+        if self._take(self._handle.pointer, self._message, information, None) or self._callback is None:
+            return None
+        publisher = self._information.publisher
+        known = publisher.implementation == self._implementation
+        return self._to_python(self._message), bytes(publisher.data) if known else b""
+
+    async def execute(self, taken) -> None:
+        """Hand a message over."""
+        if taken is not None and self._callback is not None:
+            self._callback(*taken)
+
 
 #: Longest wait for an input whose silence has no time-out of its own [s].
 PATIENCE = 1.0

@@ -7,25 +7,150 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Node ``motion_controller``: ``reference`` and ``joint_states`` → ``command``, the displacement that is wanted."""
+"""Node ``motion_controller``: ``reference`` and ``joint_states`` → ``command``, the displacement that is wanted.
+
+It also monitors saturation, and publishes the messages of ros2_control where the package control_msgs is installed.
+"""
 
 from __future__ import annotations
 
+import importlib
 import math
+from collections import deque
+
+from builtin_interfaces.msg import Duration
 
 from hysteresis_ros import signals
-from hysteresis_ros.block import interpreted
 from hysteresis_ros.control.damping.kind import FORCE
-from hysteresis_ros.control.learning.correction import MODES
+from hysteresis_ros.control.laws.pid import INTEGRAL
+from hysteresis_ros.control.learning import MODES
 from hysteresis_ros.errors import ParameterError, Problem
-from hysteresis_ros.loop.control_sample import carried_out, control
-from hysteresis_ros.loop.controller import ControllerPart
+from hysteresis_ros.loop.controller import ControllerPart, carried_out, control
 from hysteresis_ros.loop.tick import ANSWERED, Laws
 from hysteresis_ros.loop.watch import FOLLOWING, HOLDING, MODE_NAMES, REJECTED, RUNNING, STALE, STOPPED, TRIPPED
-from hysteresis_ros.nodes.controller_state import MISSING, ControllerState, message_types
+from hysteresis_ros.models.block import interpreted
+from hysteresis_ros.nodes.qos import setpoint_qos
 from hysteresis_ros.nodes.responder import Input, Responder
-from hysteresis_ros.nodes.shortfall import Shortfall
 from hysteresis_ros.nodes.spin import run
+
+#: A difference counts above this part of the largest command carried out so far: inverses are approximate.
+FRACTION = 0.05
+#: And above this [m]: before anything moved, rounding is no shortfall.
+SMALLEST = 1e-9
+#: Answers may be late by as many samples less one on a busy machine.
+LATENESS = 20
+
+
+class Shortfall:
+    """Compares commands with what was carried out, and remembers the worst since the last report."""
+
+    def __init__(self):
+        self.count = 0
+        self._sent = deque([0.0], maxlen=LATENESS)
+        self._largest = 0.0
+        self._worst = None
+
+    def sent(self, command: float) -> None:
+        """Note a command [m] that was sent."""
+        self._sent.append(command)
+
+    def carried_out(self, applied: float) -> None:
+        """Compare what was carried out [m] with the nearest of the last commands: an answer may be late."""
+        self._largest = max(self._largest, abs(applied))
+        allowed = max(FRACTION * self._largest, SMALLEST)
+        if abs(self._sent[-1] - applied) <= allowed:
+            return  # as it is in nearly every sample
+        wanted = min(self._sent, key=lambda command: abs(command - applied))
+        difference = abs(wanted - applied)
+        if difference <= allowed:
+            return
+        self.count += 1
+        if self._worst is None or difference > abs(self._worst[0] - self._worst[1]):
+            self._worst = (wanted, applied)
+
+    def report(self) -> str:
+        """Return a sentence about the worst since the last call, empty when all was carried out."""
+        if self._worst is None:
+            return ""
+        (wanted, applied), self._worst = self._worst, None
+        return f"command saturated: wanted {1e6 * wanted:.4g} µm, carried out {1e6 * applied:.4g} µm"
+
+
+#: What is said where the package is missing.
+MISSING = (
+    "~/controller_state and ~/pid_state are not published: the package control_msgs is not installed "
+    "(sudo apt install ros-jazzy-control-msgs; it is not among the wheels; controller_state_rate: 0 does without them)"
+)
+
+
+def message_types() -> tuple[type, type] | None:
+    """Return the types SingleDOFStateStamped and PidState, None where the package control_msgs is not installed."""
+    try:
+        found = importlib.import_module("control_msgs.msg")
+    except ImportError:
+        return None
+    return found.SingleDOFStateStamped, found.PidState
+
+
+class ControllerState:
+    """Publishes ``~/controller_state``, and ``~/pid_state`` while a PID controller works.
+
+    Parameters
+    ----------
+    node : MotionControllerNode
+    state_type, pid_type : type
+        SingleDOFStateStamped and PidState.
+    """
+
+    def __init__(self, node, state_type: type, pid_type: type):
+        self._node = node
+        self._state, self._pid = state_type(), pid_type()
+        self._state_publisher = node.publisher(state_type, "~/controller_state", setpoint_qos())
+        self._pid_publisher = node.publisher(pid_type, "~/pid_state", setpoint_qos())
+        self._shown, self._before = -1, (math.nan, math.nan)
+
+    def tell(self, stamp) -> None:
+        """Publish the present sample, ``controller_state_rate`` times a second of the axis.
+
+        Parameters
+        ----------
+        stamp : builtin_interfaces.msg.Time
+            Of the measurement.
+        """
+        node, row = self._node, self._node.row
+        rate, since = node.parameters.sample_rate, node.sample - self._shown
+        if self._shown >= 0 and 0 <= since < rate / node.parameters.controller_state_rate:
+            return
+        reference, measured, command = row[signals.REFERENCE], row[signals.SEEN], row[signals.COMMAND]
+        elapsed = max(since, 1) / rate
+        error = reference - measured
+        velocity, drift = (measured - self._before[0]) / elapsed, (error - self._before[1]) / elapsed
+        self._shown, self._before = node.sample, (measured, error)
+        state = self._state.dof_state
+        self._state.header.stamp = stamp
+        state.name, state.time_step = node.parameters.joint, 1.0 / rate
+        state.reference, state.feedback, state.feedback_dot = reference, measured, velocity
+        state.error, state.error_dot, state.output = error, drift, command
+        self._state_publisher.publish(self._state)
+        if node.controller_type == "pid":
+            self._tell_pid(stamp, error, drift, command)
+
+    def _tell_pid(self, stamp, error: float, drift: float, command: float) -> None:
+        """Publish what a PID controller is made of; the names of its gains have changed between versions."""
+        gains, message = self._node.parameters.pid, self._pid
+        given = {"Kp": gains.Kp, "Ki": gains.Ki, "Kd": gains.Kd, "integral": float(self._node.controller.x[INTEGRAL])}
+        renamed = hasattr(message, "p_gain")
+        names = ("p_gain", "i_gain", "d_gain", "i_term") if renamed else ("p_term", "i_term", "d_term", "i_error")
+        for name, value in zip(names, given.values(), strict=True):
+            setattr(message, name, value)
+        if not renamed:
+            message.p_error, message.d_error, message.i_max, message.i_min = error, drift, math.inf, -math.inf
+        message.header.stamp = stamp
+        nanoseconds = round(1e9 / self._node.parameters.sample_rate)
+        message.timestep = Duration(sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9)
+        message.error, message.error_dot, message.output = error, drift, command
+        self._pid_publisher.publish(message)
+
 
 _CONTROL = interpreted(control)
 

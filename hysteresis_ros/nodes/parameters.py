@@ -7,12 +7,19 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""From the parameter tables of the blocks to ROS 2 parameters and back."""
+"""What others may set and call on a node: parameters from the tables of the blocks, and services that give reasons.
+
+A value of the command line (``-p``) wins over parameter files, which rcl does not do for sections of wildcards. A file
+that is named over the graph must lie in a folder that the user of the node has allowed. A request of any content
+leaves the node running.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import copy
+import os
+import pathlib
 import sys
 from array import array
 
@@ -24,12 +31,205 @@ from rcl_interfaces.msg import (
     ParameterType,
     SetParametersResult,
 )
+from rcl_interfaces.srv import SetParameters, SetParametersAtomically
+from rclpy.node import Node
 from rclpy.parameter import Parameter
 
-from hysteresis_ros.errors import HysteresisError, ParameterError, Problem, shortened
-from hysteresis_ros.nodes.command_line import assigned
-from hysteresis_ros.nodes.places import misplaced
-from hysteresis_ros.parameters import ARRAY_TYPES, ParameterRow
+from hysteresis_ros.configuration import ARRAY_TYPES, ParameterRow
+from hysteresis_ros.errors import LONGEST, HysteresisError, ParameterError, Problem, shortened
+from hysteresis_ros.files import BoundsError, read_yaml
+
+#: Where the arguments for ROS begin and end.
+BEGIN, END = "--ros-args", "--"
+FLAGS = ("-p", "--param")
+
+
+def assigned(name: str, full_name: str, arguments: list[str] | None = None) -> dict:
+    """Return the values that ``-p [NODE:]NAME:=VALUE`` gives to parameters of a node; of several the last one counts.
+
+    Parameters
+    ----------
+    name, full_name : str
+        Of the node; either may stand before the colon.
+    arguments : list of str, optional
+        Command line; ``sys.argv`` by default.
+    """
+    values, ours, words = {}, False, iter(sys.argv if arguments is None else arguments)
+    for word in words:
+        if word in (BEGIN, END):
+            ours = word == BEGIN
+        elif ours and word in FLAGS:
+            left, is_one, value = next(words, "").partition(":=")
+            node, _, parameter = left.rpartition(":")
+            if is_one and node in ("", name, full_name):
+                values[parameter] = _value(value)
+    return {parameter: value for parameter, value in values.items() if value is not None}
+
+
+def _value(text: str):
+    """Return a value as a parameter file would have it; unlike in YAML 1.1, 1e-6 is a number."""
+    try:
+        value = read_yaml(text)
+    except BoundsError:
+        return text
+    if isinstance(value, str):
+        try:
+            return float(value)
+        except ValueError:
+            return value
+    if isinstance(value, list):
+        return [_value(item) if isinstance(item, str) else item for item in value]
+    return value
+
+
+#: Environment variable: folders, as in PATH; not set: the folder the node was started in, without what is hidden there.
+FOLDERS = "HYSTERESIS_FILES"
+
+
+def misplaced(row: ParameterRow, value) -> Problem | None:
+    """Return what is wrong with a value that somebody gives over the graph, None when it names nothing forbidden.
+
+    Symbolic links and ``..`` are followed first.
+
+    Parameters
+    ----------
+    row : ParameterRow
+        Of the parameter.
+    value : object
+    """
+    if row.place == "start" and (row.choices is None or (isinstance(value, str) and "/" in value)):
+        allowed = "is code, or given to it: only the parameter file or the command line of the node may name it"
+        return Problem(row.name, value, allowed)
+    if row.place != "files" or not isinstance(value, str) or not value:
+        return None
+    stated = os.environ.get(FOLDERS)
+    if stated is None:
+        folders, where = _working_folder(), "the folder the node was started in, hidden files excepted"
+    else:
+        folders, where = [pathlib.Path(name) for name in stated.split(os.pathsep) if name], FOLDERS
+    try:
+        path = pathlib.Path(value).expanduser().resolve()
+        below = [path.relative_to(root) for root in _resolved(folders) if path.is_relative_to(root)]
+    except (OSError, RuntimeError, ValueError) as error:  # a loop of links, a user who is not, a null byte
+        return Problem(row.name, value, f"is no path: {error}")
+    if any(stated is not None or not any(part.startswith(".") for part in found.parts) for found in below):
+        return None
+    there = ", ".join(map(str, folders)) or "nowhere"
+    allowed = (
+        f"a file that is named over the graph must lie in {there} ({where}); name one there, give it in the parameter "
+        f"file of the node, or start the node with {FOLDERS}=FOLDER"
+    )
+    return Problem(row.name, value, allowed)
+
+
+def _working_folder() -> list[pathlib.Path]:
+    """Return the working folder; of services, which are started in the root, none: everything lies below that."""
+    folder = pathlib.Path.cwd()
+    return [folder] if folder != pathlib.Path(folder.anchor) else []
+
+
+def _resolved(folders: list[pathlib.Path]) -> list[pathlib.Path]:
+    return [folder.expanduser().resolve() for folder in folders]
+
+
+#: Types of a value that a parameter can be set to, by their number.
+_SETTABLE = {kind.value: kind.name.lower() for kind in Parameter.Type if kind != Parameter.Type.NOT_SET}
+
+
+def answered(serve):
+    """Return a service that says why nothing could be done."""
+
+    def answer(request, response):
+        try:
+            return serve(request, response)
+        except HysteresisError as error:
+            response.success, response.message = False, str(error)
+            return response
+
+    return answer
+
+
+class GuardedServices(Node):
+    """A node whose services survive any request, rclpy's own too; stands before rclpy's class of the node.
+
+    An exception in a service ends the process with the outputs where they are: rclpy up to 7.1.6 raises one for a value
+    of a type that it does not know, for instance.
+    """
+
+    def create_service(self, srv_type, srv_name, callback, **options):
+        """Create a service that answers with a reason where its callback raises an exception."""
+        return super().create_service(srv_type, srv_name, self._guarded(srv_type, srv_name, callback), **options)
+
+    def guard_services(self) -> None:
+        """Guard the services that rclpy made without :meth:`create_service`: of the life cycle, of message types."""
+        for service in self._services:
+            if not getattr(service.callback, "is_guarded", False):
+                service.callback = self._guarded(service.srv_type, service.srv_name, service.callback)
+
+    def _guarded(self, srv_type, name: str, serve):
+        def answer(request, response):
+            try:
+                return answer_checked(request, response)
+            except Exception as error:  # whatever a request leads to: the node goes on
+                reason = _of(error)
+                self.get_logger().warning(f"service {name} refused a request: {reason}", throttle_duration_sec=1.0)
+                return _refusal(srv_type, request, reason)
+
+        def answer_checked(request, response):
+            if srv_type is SetParameters:
+                return _set_each(request, response, answer_one)
+            if srv_type is SetParametersAtomically:
+                reasons = filter(None, map(_why_not, request.parameters))
+                if reason := next(reasons, ""):
+                    response.result = SetParametersResult(successful=False, reason=reason)
+                    return response
+            return serve(request, response)
+
+        def answer_one(request):
+            try:
+                return serve(request, SetParameters.Response()).results
+            except Exception as error:
+                reason = f"{shortened(request.parameters[0].name)}: {_of(error)}"
+                return [SetParametersResult(successful=False, reason=reason)]
+
+        answer.is_guarded = True
+        return answer
+
+
+def _of(error: Exception) -> str:
+    """Return what an exception says, in a line of bounded length."""
+    return f"{type(error).__name__}: {' '.join(str(error).split())[:LONGEST]}"
+
+
+def _why_not(parameter) -> str:
+    """Return why a parameter of a request cannot be set, whatever the node; empty: it may be."""
+    if not parameter.name:
+        return "a parameter without a name cannot be set: give its name"
+    if parameter.value.type not in _SETTABLE:
+        types = ", ".join(f"{number} {name}" for number, name in _SETTABLE.items())
+        return f"{shortened(parameter.name)}: type {parameter.value.type} of its value is not one of {types}"
+    return ""
+
+
+def _set_each(request, response, serve):
+    """Set parameters one by one: what one is refused for does not concern the others."""
+    for parameter in request.parameters:
+        reason = _why_not(parameter)
+        refused = [SetParametersResult(successful=False, reason=reason)] if reason else None
+        response.results.extend(refused or serve(SetParameters.Request(parameters=[parameter])))
+    return response
+
+
+def _refusal(srv_type, request, reason: str):
+    """Return the answer of a service that has not done what it was asked, with the reason where it has a place."""
+    response = srv_type.Response()
+    if srv_type is SetParametersAtomically:
+        response.result.reason = reason
+    for name, value in (("success", False), ("successful", False), ("message", reason), ("failure_reason", reason)):
+        if hasattr(response, name):
+            setattr(response, name, value)
+    return response
+
 
 #: Parameters that ROS itself puts on every node.
 _ROS_OWN = ("use_sim_time", "start_type_description_service")

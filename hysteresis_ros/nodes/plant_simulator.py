@@ -10,8 +10,8 @@
 """Node ``plant_simulator``: ``voltage`` [V] → ``joint_states``; it owns the time of the axis.
 
 What it simulates is a part of the loop (:mod:`hysteresis_ros.loop.plant`): an inchworm has three voltages and four
-joints. With a driver a device stands there (:mod:`hysteresis_ros.loop.driven`). When samples are made is decided by its
-runner (:mod:`hysteresis_ros.nodes.plant_runners`).
+joints. With a driver a device takes its place (:mod:`hysteresis_ros.loop.driven`). Its runner decides when a sample
+is processed (:mod:`hysteresis_ros.nodes.plant_runners`).
 """
 
 from __future__ import annotations
@@ -22,31 +22,183 @@ import time
 from array import array
 from functools import partial
 
+import numpy as np
 from builtin_interfaces.msg import Time
 from rosgraph_msgs.msg import Clock
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Bool, Float64, UInt64
 
 from hysteresis_ros import signals
-from hysteresis_ros.block import interpreted
 from hysteresis_ros.errors import ConfigurationError, HysteresisError
-from hysteresis_ros.loop.compiled_plant import fused_plant_of
-from hysteresis_ros.loop.driven import plant_of
+from hysteresis_ros.loop.device import fused_plant_of, plant_of
 from hysteresis_ros.loop.plant import actuate, sense
 from hysteresis_ros.loop.tick import MEASURED, Laws
 from hysteresis_ros.loop.watch import RUNNING
+from hysteresis_ros.models.block import interpreted
 from hysteresis_ros.models.inchworm import EFFORT, JOINT_NAMES, POSITION, VELOCITY
-from hysteresis_ros.nodes.base import AxisNode
-from hysteresis_ros.nodes.images import output_of
-from hysteresis_ros.nodes.limited_time import AMPLIFIER, LimitedTime
-from hysteresis_ros.nodes.plant_report import explain_trip, verdict
+from hysteresis_ros.nodes.base import ERROR, OK, WARN, AxisNode
 from hysteresis_ros.nodes.plant_runners import LockstepPlant, RealTimePlant
 from hysteresis_ros.nodes.qos import latched_qos, setpoint_qos
 from hysteresis_ros.nodes.responder import TRIPPED_FRAME
+from hysteresis_ros.nodes.samples import output_of
 from hysteresis_ros.nodes.spin import run
-from hysteresis_ros.nodes.stamps import Stamps
-from hysteresis_ros.nodes.voltage_input import VOLTAGES, VoltageInput
-from hysteresis_ros.recordings.output import output_tolerance
+from hysteresis_ros.nodes.timing import AMPLIFIER, LimitedTime
+from hysteresis_ros.recordings.dataset import output_tolerance
+
+#: How far the stamps of a sample may be from the wall clock [ns] before they go on from there.
+OFF_CLOCK = 100_000_000
+
+
+def _wall_clock() -> int | None:
+    """Return the time since 1970 [ns]; None where the clock cannot be read."""
+    try:
+        return time.time_ns()
+    except OSError:
+        return None
+
+
+class Stamps:
+    """Which sample has which stamp.
+
+    Parameters
+    ----------
+    parameters : PlantNodeParameters
+    """
+
+    def __init__(self, parameters):
+        self._rate = parameters.sample_rate
+        self._is_source = parameters.publish_clock
+        self._stands_for_the_clock = not parameters.publish_clock and parameters.real_time_factor == 1.0
+        self._start = 0
+        #: Of the last sample that was published [ns].
+        self.last = 0
+
+    def _since_start(self, sample: int) -> int:
+        return round(sample * 1e9 / self._rate)
+
+    def of(self, sample: int) -> int:
+        """Return the stamp of a sample [ns]."""
+        return self._start + self._since_start(sample)
+
+    def of_all(self, samples: np.ndarray) -> np.ndarray:
+        """Return the stamps [ns] of samples, both of shape (N,)."""
+        return self._start + np.rint(samples * 1e9 / self._rate).astype(np.int64)
+
+    def begin(self, origin: int = 0) -> None:
+        """Take the time of sample 0 [ns since 1970]."""
+        self._start = 0 if self._is_source else origin
+
+    def go_on(self, sample: int) -> None:
+        """Let the stamps go on with this sample from now, or from zero where they are the source of time themselves.
+
+        A clock that was set back, or cannot be read, does not take them back: no node accepts an earlier stamp.
+        """
+        now = max(_wall_clock() or 0, self.last + self._since_start(1))
+        self.begin(now - self._since_start(sample))
+
+    @property
+    def are_off_clock(self) -> bool:
+        """Whether stamps that stand for the wall clock are off it, because it was set; False if it cannot be read."""
+        now = _wall_clock() if self._stands_for_the_clock else None
+        return now is not None and abs(now - self.last) > OFF_CLOCK + self._since_start(1)
+
+
+#: Voltages of an axis, and who publishes them; an actuator has the first only.
+VOLTAGES = (
+    ("voltage", signals.VOLTAGE, "hysteresis_compensator"),
+    ("front_clamp/voltage", signals.FRONT_VOLTAGE, "inchworm_sequencer"),
+    ("rear_clamp/voltage", signals.REAR_VOLTAGE, "inchworm_sequencer"),
+)
+
+
+class VoltageInput:
+    """One voltage of the plant, as it comes over its topic.
+
+    Parameters
+    ----------
+    topic : str
+    signal : int
+        Place in the row.
+    partner : str
+        Who publishes it.
+    """
+
+    def __init__(self, topic: str, signal: int, partner: str):
+        self.topic, self.signal, self.partner = topic, signal, partner
+        self.clear()
+
+    def clear(self) -> None:
+        """Begin anew."""
+        self.value = math.nan
+        self.received = 0.0
+        #: Voltages so far, and when the first of them came [s].
+        self.count, self.first = 0, 0.0
+        self.full_name = self.topic
+
+
+def explain_trip(part, runner) -> str:
+    """Say why a plant has stopped the axis, and what lets it go on.
+
+    Parameters
+    ----------
+    part : PlantPart
+    runner : Runner
+        Of its node.
+    """
+    if part.failure:
+        return f"{part.failure}; ~/start tries the device again, cleanup and configure open it anew"
+    if part.lost:
+        return f"{part.lost} is lost: nothing has come from it; start it again, then call ~/start"
+    if part.finding_home:
+        return "its relative sensor is homed at the safe voltage; it goes on by itself"
+    if part.halted:
+        return "an emergency stop (~/stop of a fused axis, or estop); ~/start lets it go on"
+    if part.overtravelled:
+        low, high = part.travel
+        where = f"measured beyond {1e6 * low:.4g} … {1e6 * high:.4g} µm (overtravel)"
+        others = "look at gains, delay and scaling"
+        late = runner.late_samples
+        if not late:
+            return f"{where}, where an unstable loop or a wrong sensor gets: {others}; ~/start lets it go on"
+        return (
+            f"{where} after {late} late samples: voltages that come late make a loop unstable, so look at these first "
+            f"(`hysteresis doctor` says what this machine holds); if they are not the cause, {others}; ~/start lets it "
+            "go on"
+        )
+    return runner.explain_trip()
+
+
+def verdict(part, runner, inputs, late: int, limited: str = "") -> tuple[int, str]:
+    """Return level and words of a plant's diagnostics.
+
+    Parameters
+    ----------
+    part : PlantPart
+    runner : Runner
+    inputs : list of VoltageInput
+        Whoever drives the plant.
+    late : int
+        Samples that were late since this was last asked.
+    limited : str
+        For how long its output was limited lately; empty: for no more than a moment.
+    """
+    topics = " or ".join(input_.topic for input_ in inputs)
+    if part.tripped:
+        return WARN if part.finding_home else ERROR, f"axis stopped: {explain_trip(part, runner)}"
+    if part.silent:
+        return ERROR, f"{topics} is stale"
+    if limited:
+        return WARN, f"{limited}; {part.complaint}" if part.complaint else limited
+    if part.complaint:
+        return WARN, part.complaint
+    if part.saturated:
+        return WARN, "voltage saturated"
+    if late:
+        return WARN, f"{late} samples late"
+    if runner.by_message and not runner.exact and not any(input_.received for input_ in inputs):
+        return WARN, f"no {topics} has come yet: nobody drives the axis"
+    return OK, ""
+
 
 #: Samples of a fused loop after which it is known whether an axis that was stopped goes on.
 OUTCOME = 3

@@ -30,8 +30,7 @@ from std_msgs.msg import String
 from hysteresis_ros import signals
 from hysteresis_ros.errors import HysteresisError
 from hysteresis_ros.nodes.qos import latched_qos
-from hysteresis_ros.nodes.runner import Runner
-from hysteresis_ros.nodes.timing import Pace, Pairing
+from hysteresis_ros.nodes.timing import Pace, Pairing, Runner
 
 #: Seconds between two looks at an input that may have stopped.
 WATCHDOG_PERIOD = 0.01

@@ -20,20 +20,18 @@ from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, String, UInt64
 
-from hysteresis_ros.bounded import BoundsError, read_json, read_text
 from hysteresis_ros.configuration import parse_configuration
 from hysteresis_ros.errors import ConfigurationError, RecordingError
-from hysteresis_ros.loop.named_files import named_files
+from hysteresis_ros.files import BoundsError, read_json, read_text
+from hysteresis_ros.loop.repeated import named_files
 from hysteresis_ros.nodes.base import AxisNode
 from hysteresis_ros.nodes.qos import chosen_qos, diagnostics_qos, latched_qos, loop_qos, setpoint_qos
 from hysteresis_ros.nodes.reference_source import KEPT
 from hysteresis_ros.nodes.spin import QUIET, run
 from hysteresis_ros.nodes.timing import STALE
-from hysteresis_ros.recordings.bag_files import FILES, packed_files
-from hysteresis_ros.recordings.bag_writer import BagWriter
-from hysteresis_ros.recordings.batch_writer import CHUNK_TIME, AxisTopics, SampleWriter
-from hysteresis_ros.recordings.guarded_bag import GuardedBag, require_space
-from hysteresis_ros.recordings.provenance import RECORD, provenance
+from hysteresis_ros.recordings.bag_writer import BagWriter, GuardedBag, require_space
+from hysteresis_ros.recordings.provenance import FILES, RECORD, packed_files, provenance
+from hysteresis_ros.recordings.run_bag import CHUNK_TIME, AxisTopics, SampleWriter
 from hysteresis_ros.signals import ENDED, MOTOR_SOURCE, PLANT, SOURCE, WRITERS
 
 #: Topic of what people change.

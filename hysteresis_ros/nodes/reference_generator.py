@@ -7,24 +7,220 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Node ``reference_generator``: setpoints from people and waveforms → ``reference``, one for every sample."""
+"""Node ``reference_generator``: setpoints and waveforms → ``reference``, one for every sample.
+
+A generator that starts with its axis begins as configured: at ``initial_setpoint``, with its waveform. A generator that
+was restarted beside a running axis begins where the axis is and stays there until a setpoint comes. It learns the
+place from ``~/state`` of the controller; measurements are those of a preloaded actuator, and off by the control error.
+
+With an external plant it also begins and ends the run: after the loop is complete and the recorder is there, it
+answers the measurements of the external node for the given number of samples.
+"""
 
 from __future__ import annotations
 
 import math
+import time
+
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64, UInt64
 
 from hysteresis_ros import signals
-from hysteresis_ros.block import interpreted
 from hysteresis_ros.loop.source import GeneratorSource, generate
 from hysteresis_ros.loop.tick import Laws
-from hysteresis_ros.nodes.beginning import Beginning
-from hysteresis_ros.nodes.external import ExternalRun
+from hysteresis_ros.loop.watch import FOLLOWING, HOLDING, RUNNING
+from hysteresis_ros.models.block import interpreted
+from hysteresis_ros.nodes.qos import latched_qos
 from hysteresis_ros.nodes.reference_source import ReferenceSource
 from hysteresis_ros.nodes.spin import run
-from hysteresis_ros.nodes.timing import STALE
-from hysteresis_ros.nodes.trajectories import Trajectories
-from hysteresis_ros.nodes.trajectory_action import TrajectoryAction, action_type
-from hysteresis_ros.references.settling import Settling
+from hysteresis_ros.nodes.timing import STALE, WINDOW, Pairing
+from hysteresis_ros.nodes.trajectories import Trajectories, TrajectoryAction, action_type
+from hysteresis_ros.references.moves import Settling
+
+#: Seconds after the first measurement for which a controller is looked for, and for which one that is there but says
+#: nothing (it is not active) is waited for.
+CONTROLLER_LOOK, CONTROLLER_PATIENCE = 1.0, 5.0
+
+#: Modes of a controller that follows its reference.
+LEADING_MODES = (RUNNING, HOLDING, FOLLOWING)
+
+
+def place_of(state: dict[str, float]) -> float:
+    """Return where an axis is kept [m], by the signals of its controller's ``~/state``; NaN: nobody has led it yet.
+
+    Under a controller that has been stopped that is the command, on its way to ``safe_command``.
+
+    Parameters
+    ----------
+    state : dict of str to float
+        ``reference``, ``command`` and ``mode`` among others.
+    """
+    if math.isnan(state["reference"]):
+        return math.nan
+    return state["reference"] if int(state["mode"]) in LEADING_MODES else state["command"]
+
+
+class Beginning:
+    """Whether a reference generator begins as configured or where the axis is.
+
+    Parameters
+    ----------
+    node : ReferenceGeneratorNode
+        In real time, apart from the controller.
+    """
+
+    def __init__(self, node):
+        self._node = node
+        self._known = False
+        self._since = math.nan
+        self._heard = node.subscriber(JointState, "motion_controller/state", self._on_state, node.qos())
+
+    def _on_state(self, message) -> None:
+        node = self._node
+        if self._known or not node.active:
+            return
+        self._known = True
+        place = place_of(dict(zip(message.name, message.position, strict=True)))
+        if math.isfinite(place):
+            node.begin_at(place)
+            node.get_logger().info(f"the axis is at work: beginning at {place:.6g} m, until a setpoint or ~/start")
+
+    def take(self, message) -> bool:
+        """Tell whether this measurement may be answered: whether it is known how to begin."""
+        node = self._node
+        if not self._known and node.active:
+            now = time.monotonic()
+            if math.isnan(self._since):
+                self._since = now
+            there = node.count_publishers(self._heard.topic_name)
+            self._known = now - self._since > (CONTROLLER_PATIENCE if there else CONTROLLER_LOOK)
+        if self._known and self._heard is not None:
+            node.drop(self._heard)
+            self._heard = None
+        return self._known
+
+
+#: How long a run of given length waits for its beginning [s], and how often it is said what for [s].
+START_PATIENCE, START_REPORT = 30.0, 5.0
+
+#: Measurements between a loop that is complete and the first sample: others find out which answers belong to which.
+SETTLING_SAMPLES = Pairing.SUSPICION + 20
+
+#: Between the last sample and the end [s]: on a busy machine others answer later than the source.
+END_GRACE = 0.5
+
+#: Measurements whose stamps say at what rate they come, and how far that may be from ``sample_rate``.
+RATE_STAMPS, RATE_TOLERANCE = 50, 0.1
+
+
+class ExternalRun:
+    """Beginning and end of a run.
+
+    Parameters
+    ----------
+    node : AxisNode
+        Answers the measurements.
+    """
+
+    def __init__(self, node):
+        self._node = node
+        self._begun = self._recorded = self._answered = False
+        self._stamps: list[int] = []
+        self._noted = False
+        self._further = self._settled = 0
+        self._end = node.publisher(UInt64, "end_of_run", latched_qos())
+        topics = ("command", "applied", "voltage", "joint_states")
+        self._command, self._applied, self._voltage, self._joint_states = map(node.resolve_topic_name, topics)
+        node.subscriber(Float64, "voltage", self._on_voltage, node.qos(), partner="hysteresis_compensator")
+        if node.parameters.wait_for_recorder:
+            node.subscriber(UInt64, "recorder/acknowledged", self._on_recorder, latched_qos(), partner="recorder")
+
+    def _on_recorder(self, message) -> None:
+        self._recorded = True
+
+    def _on_voltage(self, message) -> None:
+        """Note that controller and compensator have found each other: they answer before the first reference."""
+        self._answered = True
+
+    def begin(self) -> None:
+        """Begin to wait."""
+        self._since = time.monotonic()
+        self._node.timer(0.5, self._look)
+
+    def _absent(self) -> str:
+        """Name who is missing for the run to begin; nobody: ''."""
+        node = self._node
+        who = {
+            "motion_controller": node.count_publishers(self._command),
+            "hysteresis_compensator": node.count_publishers(self._applied),
+            "who publishes joint_states (the node in the plant's place)": node.count_publishers(self._joint_states),
+            # beside this node and the recorder
+            "who hears voltage (the node in the plant's place)": node.count_subscribers(self._voltage)
+            > 1 + node.parameters.wait_for_recorder,
+            "recorder": self._recorded or not node.parameters.wait_for_recorder,
+            "a voltage": self._answered,
+            "who hears reference": node.runner.matched(),
+        }
+        return ", ".join(name for name, there in who.items() if not there)
+
+    def take(self, message) -> bool:
+        """Take a measurement; tell whether it belongs to the run.
+
+        Parameters
+        ----------
+        message : JointState
+        """
+        node = self._node
+        if node.finished or node.failure:
+            return False
+        if not self._begun:
+            self._settled = 0 if self._absent() else self._settled + 1
+            self._begun = self._settled > SETTLING_SAMPLES
+            return self._begun
+        if not node.sample:
+            self._further = 0  # after a reset too
+        self._note(message.header.stamp)
+        samples = node.parameters.samples
+        if not samples or node.sample < samples:
+            return True
+        self._further += 1
+        if self._further == math.ceil(END_GRACE * node.parameters.sample_rate):
+            node.end_of_run = node.sample
+            self._end.publish(UInt64(data=node.sample))
+            node.get_logger().info(f"{node.sample} samples: the run ends")
+            node.leave_when_done()
+        return False
+
+    def _note(self, stamp) -> None:
+        """Look once at what rate measurements come."""
+        if self._noted:
+            return
+        self._stamps.append(stamp.sec * 1_000_000_000 + stamp.nanosec)
+        span = 1e-9 * (self._stamps[-1] - self._stamps[0])
+        if len(self._stamps) < RATE_STAMPS or span < WINDOW:
+            return
+        self._noted = True
+        steps = sorted(later - earlier for earlier, later in zip(self._stamps[:-1], self._stamps[1:], strict=True))
+        wanted, rate = self._node.parameters.sample_rate, len(steps) / span
+        # a burst deceives the usual step and a gap the count, a wrong rate is wrong in both
+        usual = 1e9 / max(steps[len(steps) // 2], 1)
+        self._stamps.clear()
+        if min(abs(rate - wanted), abs(usual - wanted)) > RATE_TOLERANCE * wanted:
+            text = f"joint_states come at {rate:.6g} Hz, sample_rate is {wanted:g} Hz: models and controllers are made "
+            self._node.warn("rate", f"{text}for that; give both the same", error=True, every=0.0)
+
+    def _look(self) -> None:
+        """Timer: say what the run waits for; one of given length does not do so for ever."""
+        node, waited = self._node, time.monotonic() - self._since
+        absent = "" if self._begun else self._absent()
+        if self._begun or waited < START_REPORT:
+            return
+        text = f"the run waits for {absent or 'a measurement of the node in the plant’s place'}"
+        if node.parameters.samples and waited > START_PATIENCE:
+            node.fail(f"{text} since {waited:.0f} s; start it and begin again")
+        else:
+            node.warn("waiting", text, every=START_REPORT)
+
 
 _GENERATE = interpreted(generate)
 

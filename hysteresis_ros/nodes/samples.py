@@ -7,10 +7,10 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""All samples of a fused axis on a topic, in blocks, for whoever looks at them while the axis runs.
+"""What the plant publishes in bulk: all samples of a fused axis in blocks, and the frames of a plant seen by a camera.
 
-Its other topics show the last sample at ``publish_rate``; a peak between two of them would be seen by nobody. A block
-is a table: a row for each quantity, named in the label of the first dimension, and a column for each sample.
+The other topics of a fused axis show the last sample at ``publish_rate`` and would miss a peak between two of them. A
+block is a table: a row for each quantity, named in the label of the first dimension, and a column for each sample.
 """
 
 from __future__ import annotations
@@ -20,7 +20,8 @@ from array import array
 from typing import NamedTuple
 
 import numpy as np
-from rclpy.qos import QoSProfile
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import Image, JointState
 from std_msgs.msg import Float64MultiArray, MultiArrayDimension, MultiArrayLayout
 
 from hysteresis_ros import signals
@@ -167,3 +168,58 @@ class SampleStream:
         if numbers.size:
             block = Block(self._plant.stamps.of_all(numbers), numbers, taken.table, taken.joints)
             self._publisher.publish(message_of(labels(self._plant.is_motor, self._plant.joint_names), block))
+
+
+#: Topic of the frames.
+FRAMES = "image"
+
+
+def camera_qos() -> QoSProfile:
+    """Quality of service for frames in real time: of any camera, and only the last one."""
+    return QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT, durability=DurabilityPolicy.VOLATILE)
+
+
+class FramePublisher:
+    """Publishes the frames of a plant with the header of what it would say itself.
+
+    Parameters
+    ----------
+    node : PlantSimulatorNode
+        Its part has an eye.
+    """
+
+    def __init__(self, node):
+        self._node = node
+        self._publisher = node.publisher(Image, FRAMES, node.qos(), loop=True)
+        self._message = Image(encoding="mono8", is_bigendian=0)
+
+    def publish(self, joint_states) -> None:
+        """Publish the frame of the present sample.
+
+        Parameters
+        ----------
+        joint_states : JointState
+            Its header is that of the frame.
+        """
+        frame, message = self._node.part.eye.frame, self._message
+        message.header = joint_states.header
+        message.height, message.width = frame.shape
+        message.step = message.width
+        message.data = array("B", frame.tobytes())
+        self._publisher.publish(message)
+
+    def get_subscription_count(self) -> int:
+        """Return how many hear what somebody makes of the frames; 0 while nobody looks at them."""
+        node = self._node
+        seen = self._publisher.get_subscription_count()
+        return node.count_subscribers(node.resolve_topic_name("joint_states")) if seen else 0
+
+
+def output_of(node):
+    """Return what publishes the samples of a plant: its joint_states, or its frames.
+
+    Parameters
+    ----------
+    node : PlantSimulatorNode
+    """
+    return FramePublisher(node) if node.is_seen else node.publisher(JointState, "joint_states", node.qos(), loop=True)

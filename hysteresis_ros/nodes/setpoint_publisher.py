@@ -23,10 +23,10 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
 from hysteresis_ros.configuration import normalised_namespace
-from hysteresis_ros.nodes.discovery import stay_on_this_machine
+from hysteresis_ros.nodes.domain import stay_on_this_machine
+from hysteresis_ros.nodes.parameters import GuardedServices
 from hysteresis_ros.nodes.qos import setpoint_qos
 from hysteresis_ros.nodes.security.policy import OPERATOR, enclave_of
-from hysteresis_ros.nodes.services import GuardedServices
 
 #: Seconds after which both sides know each other; a volatile message sent before is lost.
 ACQUAINTANCE = 0.5

@@ -7,11 +7,13 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Run nodes until they finish, fail or are told to leave; exit codes and signals are the same for all of them."""
+"""Run nodes until they finish, fail or are stopped; exit codes and signals are the same for all of them."""
 
 from __future__ import annotations
 
+import ctypes
 import gc
+import pathlib
 import signal
 import sys
 import time
@@ -21,12 +23,31 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.logging import LoggingSeverity, set_logger_level
 from rclpy.signals import SignalHandlerOptions
 
-from hysteresis_ros.nodes.claim import claim
-from hysteresis_ros.nodes.discovery import stay_on_this_machine
-from hysteresis_ros.nodes.domain import require_admission
-from hysteresis_ros.nodes.footprint import release_compiler
-from hysteresis_ros.nodes.masters import await_discovery
-from hysteresis_ros.nodes.parent import leave_with_ros2
+from hysteresis_ros.models.block import COMPILED
+from hysteresis_ros.nodes.domain import require_admission, stay_on_this_machine
+from hysteresis_ros.nodes.launcher import leave_with_ros2
+from hysteresis_ros.nodes.masters import await_discovery, claim
+
+#: ``madvise``: these pages are not needed for now.
+_MADV_DONTNEED = 4
+
+
+def release_compiler() -> None:
+    """Give the code pages of LLVM back once all kernels are loaded; should it be used again, they come back.
+
+    Only pages that are mapped from the file for execution, which nobody writes: Linux reads them again on demand.
+    """
+    maps = pathlib.Path("/proc/self/maps")
+    if not COMPILED or not maps.exists():
+        return
+    madvise = ctypes.CDLL(None).madvise
+    madvise.argtypes = [ctypes.c_void_p, ctypes.c_size_t, ctypes.c_int]
+    for line in maps.read_text().splitlines():
+        span, rights, *_, path = line.split(maxsplit=5)
+        if "libllvmlite" in path and rights == "r-xp":
+            start, end = (int(address, 16) for address in span.split("-"))
+            madvise(start, end - start, _MADV_DONTNEED)
+
 
 #: Seconds between two looks at signals and at nodes that have finished, when nothing happens otherwise.
 LOOK = 0.05

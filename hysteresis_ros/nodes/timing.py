@@ -7,13 +7,18 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""How regularly samples come: rate, jitter and overruns for ``/diagnostics``."""
+"""When a node processes its samples, and what is measured of that: rate, jitter, overruns, time in limitation.
+
+It imports no ROS. ``Runner`` is the base of the time modes (lockstep, real time, fused).
+"""
 
 from __future__ import annotations
 
 import time
 from array import array
 from collections import deque
+
+from hysteresis_ros.analysis.metrics import MOMENT
 
 #: An interval is overrun when it is longer than this many periods.
 OVERRUN = 1.5
@@ -174,3 +179,101 @@ class Pairing:
             return other.popleft()[1]
         own.append((now, item))
         return None
+
+
+#: Seconds of the past of which a node speaks.
+LATELY = 60.0
+#: What the words of such a report begin with.
+LIMITED = "output limited for"
+#: What limits a voltage besides the way back to a path.
+AMPLIFIER = "limits (range or slew rate)"
+
+
+class LimitedTime:
+    """Remembers how counters of limited samples stood at each report of the last minute."""
+
+    def __init__(self) -> None:
+        """Begin without a report."""
+        self._counts: deque[tuple[float, dict[str, int]]] = deque()
+
+    def report(self, counts: dict[str, int], sample_rate: float, now: float | None = None) -> str:
+        """Return for how long of the last minute limits kept the output from what was asked, longest first.
+
+        Parameters
+        ----------
+        counts : dict of str to int
+            By what limits the samples so far were limited; counters that went back were reset, and count from 0.
+        sample_rate : float
+            [Hz]
+        now : float, optional
+            Time of the report [s], never going back; that of the machine by default.
+
+        Returns
+        -------
+        str
+            Empty: for no more than a moment.
+        """
+        now = time.monotonic() if now is None else now
+        if self._counts and any(count < self._counts[-1][1].get(name, 0) for name, count in counts.items()):
+            self._counts.clear()
+        if not self._counts:
+            self._counts.append((now, dict.fromkeys(counts, 0)))
+        self._counts.append((now, dict(counts)))
+        # the last report from before the minute is where the minute begins
+        while len(self._counts) > 2 and now - self._counts[1][0] >= LATELY:
+            self._counts.popleft()
+        began, before = self._counts[0]
+        seconds = {name: (count - before.get(name, 0)) / sample_rate for name, count in counts.items()}
+        total = sum(seconds.values())
+        if total <= MOMENT:
+            return ""
+        by = " and ".join(name for name, part in sorted(seconds.items(), key=lambda item: -item[1]) if part > 0.0)
+        whole = f" of the last {now - began:.3g} s" if now - began >= total else ""
+        return f"{LIMITED} {total:.3g} s{whole}, by {by}"
+
+
+class Runner:
+    """Base of the runners.
+
+    Parameters
+    ----------
+    node : AxisNode
+    """
+
+    #: Period of a sample for the statistics of pace [s].
+    period = float("inf")
+    #: Whether the node makes its part of a sample when messages come.
+    by_message = True
+    #: Inputs of the node that came once and do not come any more, by topic.
+    absent: tuple[str, ...] = ()
+    #: Partner whose loss keeps this node's part of the loop safe until a person lets it go on; empty: none.
+    latched = ""
+
+    def __init__(self, node):
+        self.node = node
+
+    def require_rest(self) -> None:
+        """Refuse that the node begins again now."""
+
+    def make_pace(self) -> Pace:
+        """Return what tells how regularly samples come."""
+        return Pace(self.period)
+
+    def missing_partners(self) -> str:
+        """Name the nodes without which an axis cannot go on; empty: none is lost."""
+        return ""
+
+    def follow_trip(self, tripped: bool) -> None:
+        """Take note whether the plant has stopped the axis."""
+
+    def unlatch(self) -> str:
+        """Let the part go on after the loss of a partner; return why it cannot, empty: it does."""
+        return ""
+
+    def timeliness(self) -> dict:
+        """Return what diagnostics say about how late samples begin, where that is known."""
+        return {}
+
+    def go_safe(self) -> None:
+        """Bring the outputs of the node to their safe values."""
+        self.node.go_safe()

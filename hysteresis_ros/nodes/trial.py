@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hysteresis_ros.loop.axis_parameters import AxisParameters
+from hysteresis_ros.loop.parameters import AxisParameters
 from hysteresis_ros.nodes.domain import Domain
 from hysteresis_ros.nodes.launcher import Graph
 from hysteresis_ros.recordings.bag_reader import read_bag

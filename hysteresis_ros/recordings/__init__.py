@@ -7,7 +7,11 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Recordings: bags, CSV and NPZ, all read into and written from one dataset type (time, named signals, units)."""
+"""Recordings: bags, CSV and NPZ, all read into and written from one dataset type (time, named signals, units).
+
+Read ``dataset`` and ``files`` first; a bag goes through ``bag_reader`` and ``align``, and is written by ``bag_writer``
+and ``run_bag``. Tables of other programs: ``foreign_tables``. Bags that were cut off: ``repair``.
+"""
 
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.files import load_run, save_run

@@ -12,19 +12,429 @@
 from __future__ import annotations
 
 import contextlib
+import io
+import os
 import pathlib
 import re
+import shutil
+import sqlite3
 import tempfile
-from collections.abc import Iterator
+import zlib
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from urllib.parse import quote
 
 import numpy as np
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
+from mcap.reader import SeekingReader
+from mcap.records import Channel, Chunk, DataEnd, Message, Metadata, Schema
+from mcap.stream_reader import StreamReader
 from rosbags.rosbag2 import Reader
+from rosbags.rosbag2.metadata import parse_qos
 
 from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.recordings import cdr
-from hysteresis_ros.recordings.mcap_stream import StreamResult, read_stream, words_of
-from hysteresis_ros.recordings.sqlite_stream import read_database
+from hysteresis_ros.recordings.bag_format import (
+    CHUNK,
+    MAGIC,
+    MESSAGE,
+    RECORD,
+    FileInformation,
+    TopicInformation,
+    records_in,
+)
+
+#: What a chunk may unpack to in any case [bytes], and else in parts of its own size; how much is unpacked at a time.
+SMALL, RATIO, PART = 1 << 24, 200, 1 << 20
+
+
+@dataclass
+class StreamResult:
+    """How reading ended.
+
+    Parameters
+    ----------
+    complete : bool
+        The end of the data section was reached.
+    size, whole : int
+        Bytes of the file, and bytes up to the last whole record.
+    salvaged : int
+        Messages taken from a chunk that was cut off.
+    damaged_chunks : int
+        Chunks inside the file that could not be unpacked.
+    words : dict of str to dict
+        What metadata records say, by their names.
+    """
+
+    complete: bool = False
+    size: int = 0
+    whole: int = 0
+    salvaged: int = 0
+    damaged_chunks: int = 0
+    words: dict[str, dict[str, str]] = field(default_factory=dict)
+
+
+@dataclass
+class _Records:
+    """Follows schemas and channels and hands every message on."""
+
+    sink: Callable[..., object]
+    schemas: dict = field(default_factory=dict)
+    channels: dict = field(default_factory=dict)
+    count: int = 0
+
+    def schema(self, record: Schema) -> None:
+        self.schemas[record.id] = record.name
+
+    def channel(self, record: Channel) -> None:
+        if record.message_encoding == "cdr":
+            self.channels[record.id] = (record.topic, self.schemas.get(record.schema_id, ""))
+
+    def message(self, channel_id: int, time_ns: int, data: bytes) -> None:
+        channel = self.channels.get(channel_id)
+        if channel is not None:
+            self.sink(*channel, time_ns, data)
+            self.count += 1
+
+    def walk(self, data: bytes) -> None:
+        """Go through the records of a chunk, up to the last whole one."""
+        for opcode, begin, end in records_in(data):
+            if opcode == Opcode.MESSAGE and end - begin >= MESSAGE.size:
+                channel_id, _, time_ns, _ = MESSAGE.unpack_from(data, begin)
+                self.message(channel_id, time_ns, data[begin + MESSAGE.size : end])
+            elif opcode == Opcode.SCHEMA:
+                self.schema(Schema.read(ReadDataStream(io.BytesIO(data[begin:end]))))
+            elif opcode == Opcode.CHANNEL:
+                self.channel(Channel.read(ReadDataStream(io.BytesIO(data[begin:end]))))
+
+
+def read_stream(path, sink) -> StreamResult:
+    """Hand every whole message of an MCAP file to ``sink(topic, type_name, time_ns, data)``, in file order.
+
+    Neither index nor footer is needed. A file that ends anywhere gives everything before that point, messages inside
+    a chunk that was cut off included.
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be opened or is no MCAP.
+    """
+    path = pathlib.Path(path)
+    result, records = StreamResult(), _Records(sink)
+    try:
+        stream = path.open("rb")
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read: {error.strerror}") from None
+    with stream:
+        result.size = stream.seek(0, io.SEEK_END)
+        stream.seek(0)
+        head = stream.read(len(MAGIC))
+        if not MAGIC.startswith(head):
+            raise RecordingError(f"{path}: not an MCAP file (it begins with {head!r}); give a recorded bag")
+        stream.seek(0)
+        result.whole = len(head)
+        # A damaged file makes the parser fail in any way (struct, UTF-8, decompression …); all of them mean "ends here"
+        try:
+            for record in StreamReader(stream, emit_chunks=True, record_size_limit=result.size).records:
+                _take(record, records, result)
+                result.whole = stream.tell()
+        except Exception:
+            if not result.complete:
+                before = records.count
+                stream.seek(result.whole)
+                with contextlib.suppress(Exception):
+                    records.walk(salvaged(stream.read()))
+                result.salvaged = records.count - before
+    return result
+
+
+def words_of(path: pathlib.Path) -> dict[str, dict[str, str]]:
+    """Return what the metadata records of an MCAP file with an index say, by their names; nothing of other files.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        The file.
+    """
+    try:
+        with path.open("rb") as stream:
+            reader = SeekingReader(stream, record_size_limit=path.stat().st_size)
+            return {record.name: record.metadata for record in reader.iter_metadata()}
+    except Exception:  # see read_stream
+        return {}
+
+
+def _take(record, records: _Records, result: StreamResult) -> None:
+    if isinstance(record, Chunk):
+        try:
+            records.walk(_content(record))
+        except Exception:  # see read_stream; the next chunk may be sound
+            result.damaged_chunks += 1
+    elif isinstance(record, Schema):
+        records.schema(record)
+    elif isinstance(record, Channel):
+        records.channel(record)
+    elif isinstance(record, Message):
+        records.message(record.channel_id, record.log_time, record.data)
+    elif isinstance(record, Metadata):
+        result.words[record.name] = record.metadata
+    elif isinstance(record, DataEnd):
+        result.complete = True
+
+
+def chunk_content(record: bytes) -> bytes:
+    """Return what stands in a chunk, unpacked.
+
+    Parameters
+    ----------
+    record : bytes
+        Its record, without opcode and length.
+
+    Raises
+    ------
+    Exception
+        Of any kind: it is damaged.
+    """
+    return _content(Chunk.read(ReadDataStream(io.BytesIO(record))))
+
+
+def _content(chunk: Chunk) -> bytes:
+    """Return what stands in a chunk, unpacked; any exception when it is damaged."""
+    data = _unpacked(chunk.data, chunk.compression.encode(), most(len(chunk.data)))
+    if len(data) != chunk.uncompressed_size or chunk.uncompressed_crc not in (0, zlib.crc32(data)):
+        raise ValueError("a damaged chunk")
+    return data
+
+
+def most(size: int) -> int:
+    """Return to how many bytes a chunk of so many may unpack; what says more is no recording.
+
+    Parameters
+    ----------
+    size : int
+    """
+    return max(SMALL, RATIO * size)
+
+
+def salvaged(tail: bytes) -> bytes:
+    """Return the records of a chunk whose end is missing, as far as they can be unpacked.
+
+    Parameters
+    ----------
+    tail : bytes
+        What follows the last whole record of a file.
+    """
+    if len(tail) < RECORD.size + CHUNK.size or tail[0] != Opcode.CHUNK:
+        return b""
+    name_length = CHUNK.unpack_from(tail, RECORD.size)[4]
+    name_start = RECORD.size + CHUNK.size
+    compression = tail[name_start : name_start + name_length]
+    data = tail[name_start + name_length + 8 :]
+    try:
+        return _unpacked(data, compression, most(len(data)))
+    except Exception:  # see read_stream
+        return b""
+
+
+def _unpacked(data: bytes, compression: bytes, most: int) -> bytes:
+    """Return what was packed, at most so much of it, as far as it goes."""
+    if compression == b"zstd":
+        import zstandard
+
+        found = []
+        with zstandard.ZstdDecompressor().stream_reader(data) as reader, contextlib.suppress(zstandard.ZstdError):
+            while most > 0 and (part := reader.read(min(PART, most))):
+                found.append(part)
+                most -= len(part)
+        return b"".join(found)
+    if compression == b"lz4":
+        import lz4.frame
+
+        return lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=most)
+    return data if compression == b"" else b""
+
+
+#: Tables of a bag of ``ros2 bag``; older ones have fewer.
+TABLES = ("schema", "metadata", "message_definitions", "topics", "messages")
+
+
+@contextlib.contextmanager
+def opened(path: pathlib.Path) -> Iterator[sqlite3.Connection]:
+    """Open a database to read it, also one that is shorter than its header says.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        The file. What waits in a write-ahead log or journal beside it is seen.
+
+    Raises
+    ------
+    RecordingError
+        It is no database of a bag.
+    """
+    beside = any(path.with_name(f"{path.name}-{end}").exists() for end in ("wal", "journal"))
+    with contextlib.ExitStack() as stack:
+        try:
+            file = path if beside else stack.enter_context(_of_whole_pages(path))
+            mode = "mode=ro" if beside else "mode=ro&immutable=1"
+            connection = stack.enter_context(
+                contextlib.closing(sqlite3.connect(f"file:{quote(str(file))}?{mode}", uri=True))
+            )
+            # without it a database that has fewer pages than it should is not read at all
+            connection.execute("PRAGMA writable_schema=ON")
+            names = {name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+        except OSError as error:
+            raise RecordingError(f"{path}: cannot be read: {error.strerror}") from None
+        except sqlite3.Error as error:
+            raise RecordingError(f"{path}: not a readable bag: damaged, or no database ({error})") from None
+        if not {"topics", "messages"} <= names:
+            raise RecordingError(f"{path}: not a readable bag: damaged, or no tables of messages and topics in it")
+        yield connection
+
+
+@contextlib.contextmanager
+def _of_whole_pages(path: pathlib.Path) -> Iterator[pathlib.Path]:
+    """Yield the file, or a copy without the part of a page at its end, which sqlite would fill up with zeros."""
+    with path.open("rb") as stream:
+        head = stream.read(18)
+        size = stream.seek(0, os.SEEK_END)
+    page = int.from_bytes(head[16:18], "big") if len(head) == 18 else 0
+    page = 65536 if page == 1 else page
+    if page < 512 or size % page == 0:
+        yield path
+        return
+    with tempfile.TemporaryDirectory(prefix="hysteresis_") as folder:
+        copy = pathlib.Path(shutil.copyfile(path, pathlib.Path(folder) / "whole_pages.db3"))
+        os.truncate(copy, size - size % page)
+        yield copy
+
+
+class Rows:
+    """The rows of a table in their order, up to the first that cannot be read.
+
+    Parameters
+    ----------
+    connection : sqlite3.Connection
+        The database.
+    statement : str
+        What selects them.
+
+    Attributes
+    ----------
+    complete : bool
+        Whether the last one was reached.
+    """
+
+    def __init__(self, connection: sqlite3.Connection, statement: str):
+        self._connection, self._statement = connection, statement
+        self.complete = False
+
+    def __iter__(self) -> Iterator[tuple]:
+        """Yield the rows."""
+        with contextlib.suppress(sqlite3.Error):
+            yield from self._connection.execute(self._statement)
+            self.complete = True
+
+
+def read_database(path: pathlib.Path, sink) -> bool:
+    """Hand every message that can be read to ``sink(topic, type_name, time_ns, data)``, in the order of writing.
+
+    Returns
+    -------
+    bool
+        Whether all were read.
+
+    Raises
+    ------
+    RecordingError
+        It is no database of a bag.
+    """
+    with opened(path) as connection:
+        topics = {number: words for number, *words in Rows(connection, "SELECT id, name, type FROM topics")}
+        rows = Rows(connection, "SELECT topic_id, timestamp, data FROM messages ORDER BY rowid")
+        for topic, time_ns, data in rows:
+            if topic in topics and isinstance(time_ns, int) and isinstance(data, bytes):
+                sink(*topics[topic], time_ns, data)
+    return rows.complete
+
+
+def repair_database(source: pathlib.Path, target: pathlib.Path) -> FileInformation:
+    """Write what can be read of a bag in sqlite3 as a whole database.
+
+    Parameters
+    ----------
+    source : pathlib.Path
+        The damaged file; it stays as it is.
+    target : pathlib.Path
+        File to create.
+
+    Returns
+    -------
+    FileInformation
+        What stands in the new file.
+
+    Raises
+    ------
+    RecordingError
+        Nothing can be saved.
+    OSError
+        The new file cannot be written.
+    """
+    with opened(source) as old, contextlib.closing(sqlite3.connect(target)) as new:
+        try:
+            with new:
+                _copy(old, new)
+        except sqlite3.Error as error:
+            raise OSError(error.sqlite_errorcode, str(error)) from None
+        found = _described(target.name, new)
+    with target.open("rb") as stream:
+        os.fsync(stream.fileno())
+    if not found.count:
+        raise RecordingError(f"{source}: nothing can be saved: no message can be reached")
+    return found
+
+
+def whole_database(path: pathlib.Path) -> FileInformation | None:
+    """Return what stands in a database in which every page is there and sound; None otherwise."""
+    try:
+        with opened(path) as connection:
+            if next(connection.execute("PRAGMA quick_check(1)")) != ("ok",):
+                return None
+            return _described(path.name, connection)
+    except (RecordingError, sqlite3.Error):
+        return None
+
+
+def _copy(old: sqlite3.Connection, new: sqlite3.Connection) -> None:
+    made: dict[str, str] = dict(Rows(old, "SELECT name, sql FROM sqlite_master WHERE type = 'table'"))
+    for name in TABLES:
+        if name not in made:
+            continue
+        new.execute(made[name])
+        rows = Rows(old, f"SELECT * FROM {name} ORDER BY rowid")
+        for row in rows:
+            new.execute(f"INSERT INTO {name} VALUES ({', '.join('?' * len(row))})", row)
+    for (statement,) in Rows(old, "SELECT sql FROM sqlite_master WHERE type = 'index' AND tbl_name = 'messages'"):
+        if statement:
+            new.execute(statement)
+
+
+def _described(name: str, connection: sqlite3.Connection) -> FileInformation:
+    columns = [row[1] for row in connection.execute("PRAGMA table_info(topics)")]
+    counts = dict(connection.execute("SELECT topic_id, count(*) FROM messages GROUP BY topic_id"))
+    (times,) = connection.execute("SELECT min(timestamp), max(timestamp) FROM messages")
+    found = FileInformation(name) if times[0] is None else FileInformation(name, *times)
+    for row in connection.execute("SELECT * FROM topics ORDER BY id"):
+        topic = dict(zip(columns, row, strict=True))
+        try:
+            qos = parse_qos(topic.get("offered_qos_profiles", ""))
+        except Exception:  # rosbags lets errors of YAML, of types and of keys through
+            qos = []
+        words = topic["name"], topic["type"], topic["serialization_format"], topic.get("type_description_hash") or ""
+        found.topics.append(TopicInformation(*words, qos, counts.get(topic["id"], 0)))
+    return found
+
 
 #: How the files of a bag end, and what ``ros2 bag record`` puts behind that where it compresses whole files.
 ENDINGS, COMPRESSED = (".mcap", ".db3"), ".zstd"

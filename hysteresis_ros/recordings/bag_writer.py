@@ -7,20 +7,361 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Bags written through ``rosbags`` as MCAP, in chunks that survive a kill."""
+"""Bags written through ``rosbags`` as MCAP, in chunks that survive a kill, and ended in order when the disk is full.
+
+A chunk goes to the operating system in one piece. When that fails (a full disk) the file is cut back to the chunk
+before, so that it never ends in the middle of a record, and nothing of the chunk counts as written.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import io
+import os
 import pathlib
+import time
+from collections import defaultdict
 from collections.abc import Callable
+from types import MappingProxyType
 from typing import Any
 
-from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+import numpy as np
+from mcap.opcode import Opcode
+from mcap.records import Channel, Metadata, MetadataIndex, Schema
+from rosbags.interfaces import (
+    Connection,
+    MessageDefinitionFormat,
+    Qos,
+    QosDurability,
+    QosHistory,
+    QosLiveliness,
+    QosReliability,
+    QosTime,
+)
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.rosbag2.enums import CompressionMode
 from rosbags.rosbag2.errors import WriterError
+from rosbags.rosbag2.storage_mcap import McapWriter, PendingChunk
 
 from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.recordings import cdr
-from hysteresis_ros.recordings.mcap_storage import ChunkedWriter, Frames
+from hysteresis_ros.recordings.bag_format import (
+    MESSAGE,
+    NEVER,
+    RECORD,
+    FileInformation,
+    McapIndex,
+    information,
+    mcap_file,
+    packed,
+    text_of,
+    write_metadata,
+)
+from hysteresis_ros.recordings.cdr import MessageForm
+
+#: Metadata record of an MCAP file in which ``ros2 bag`` keeps what else stands in metadata.yaml, and its key.
+ROSBAG2, SERIALISED = "rosbag2", "serialized_metadata"
+
+
+class Frames:
+    """The messages of one sample after another: a *frame* a sample, all of one size, as the bytes of a chunk.
+
+    Parameters
+    ----------
+    messages : sequence of (int, MessageForm)
+        The messages of a sample in order: channel and form.
+    rows : int
+        Most samples that are held.
+    """
+
+    def __init__(self, messages: list[tuple[int, MessageForm]], rows: int):
+        """Write what is the same in all frames."""
+        frame, self.starts = bytearray(), []
+        layout: list[tuple[str, Any, int]] = []
+        self._values: list[list[str]] = []
+        self._stamps: list[str] = []
+        for number, (channel, form) in enumerate(messages):
+            start = len(frame)
+            data = start + RECORD.size + MESSAGE.size
+            self.starts.append(start)
+            frame += RECORD.pack(Opcode.MESSAGE, MESSAGE.size + len(form.data)) + MESSAGE.pack(channel, 0, 0, 0)
+            frame += form.data
+            layout += [(f"log{number}", "<u8", data - 16), (f"publish{number}", "<u8", data - 8)]
+            if form.stamp >= 0:
+                self._stamps.append(str(number))
+                layout.append((f"seconds{number}", "<i4", data + form.stamp))
+                layout.append((f"nanoseconds{number}", "<u4", data + form.stamp + 4))
+            groups = [(f"values{number}.{i}", *group) for i, group in enumerate(form.values)]
+            self._values.append([name for name, *_ in groups])
+            layout += [(name, ("<f8", (count,)), data + place) for name, place, count in groups]
+        self.channels = [channel for channel, _ in messages]
+        self.size = len(frame)
+        self.rows = rows
+        self.count = 0
+        names, formats, offsets = (list(column) for column in zip(*layout, strict=True))
+        kind = np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": self.size})
+        self._bytes = np.tile(np.frombuffer(bytes(frame), np.uint8), (rows, 1))
+        self._fields = self._bytes.reshape(-1).view(kind)
+        self._times = np.zeros(rows, np.uint64)
+
+    def add(self, stamps, times, values) -> None:
+        """Append samples, as many as there is room for at most.
+
+        Parameters
+        ----------
+        stamps : ndarray, shape (n,)
+            Stamps of the samples [ns].
+        times : ndarray, shape (n,)
+            When they were made [ns].
+        values : sequence of sequences of ndarray, shape (m, n)
+            For each message its groups of numbers.
+        """
+        rows = slice(self.count, self.count + len(stamps))
+        fields = self._fields[rows]
+        self._times[rows] = times
+        for number in range(len(self.channels)):
+            fields[f"log{number}"] = fields[f"publish{number}"] = times
+        seconds, nanoseconds = np.divmod(stamps, 1_000_000_000)
+        for message in self._stamps:
+            fields[f"seconds{message}"] = seconds
+            fields[f"nanoseconds{message}"] = nanoseconds
+        for names, groups in zip(self._values, values, strict=True):
+            for name, group in zip(names, groups, strict=True):
+                fields[name] = np.transpose(group)
+        self.count = rows.stop
+
+    def clear(self) -> None:
+        """Begin anew."""
+        self.count = 0
+
+    @property
+    def data(self) -> memoryview:
+        """The records of the samples."""
+        return self._bytes[: self.count].reshape(-1).data
+
+    @property
+    def times(self) -> np.ndarray:
+        """When the samples were made [ns], shape (n,)."""
+        return self._times[: self.count]
+
+    def entries(self, base: int) -> np.ndarray:
+        """Return the entries of the message indices, shape (channels, n, 2), of records that begin at ``base``."""
+        found = np.empty((len(self.channels), self.count, 2), "<u8")
+        found[..., 0] = self.times
+        found[..., 1] = np.array(self.starts)[:, None] + (base + self.size * np.arange(self.count))
+        return found
+
+
+class ChunkStorage(McapWriter):
+    """The MCAP storage of ``rosbags``, with whole chunks and message indices made by NumPy.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        Folder of the bag.
+    compression : CompressionMode
+        Of its chunks.
+    """
+
+    def __init__(self, path, compression):
+        """Create the file."""
+        super().__init__(path, compression)
+        self.bio: Any = self.bio.detach()  # nothing waits in a buffer
+        self.index = McapIndex()
+
+    def rename(self, name: str) -> None:
+        """Give the file another name in its folder."""
+        self.path = self.path.rename(self.path.with_name(name))
+
+    @property
+    def size(self) -> int:
+        """Bytes that the file will have when the messages that came one by one are written."""
+        return self.bio.tell() + self.chunk.bio.tell()
+
+    def add_msgtype(self, connection: Connection) -> None:
+        """Write a message type."""
+        name = "ros2msg" if connection.msgdef.format == MessageDefinitionFormat.MSG else "ros2idl"
+        schema = Schema(len(self.index.schemas) + 1, connection.msgdef.data.encode(), name, connection.msgtype)
+        self._append([packed(schema)])
+        self.index.schemas[schema.id] = schema
+
+    def add_connection(self, connection: Connection, offered_qos_profiles: str) -> None:
+        """Write a channel."""
+        schema = next(number for number, item in self.index.schemas.items() if item.name == connection.msgtype)
+        words = {"offered_qos_profiles": offered_qos_profiles, "topic_type_hash": connection.digest}
+        encoding = getattr(connection.ext, "serialization_format", "cdr")
+        channel = Channel(connection.id, connection.topic, encoding, words, schema)
+        self._append([packed(channel)])
+        self.index.channels[channel.id] = channel
+        self.channel_stats[channel.id] = 0
+
+    def continue_from(self, before: ChunkStorage) -> None:
+        """Announce the topics of the file before, and take over the messages that it has not written yet."""
+        schemas, channels = before.index.schemas, before.index.channels
+        self._append([packed(*schemas.values(), *channels.values())])
+        self.index.schemas, self.index.channels = dict(schemas), dict(channels)
+        self.channel_stats = dict.fromkeys(channels, 0)
+        self.chunk, before.chunk = before.chunk, self.chunk
+
+    def write_words(self, name: str, words: dict[str, str]) -> None:
+        """Write a metadata record."""
+        record = packed(Metadata(name, words))
+        place = MetadataIndex(self.bio.tell(), len(record), name)
+        self._append([record])
+        self.index.metadata.append(place)
+
+    def close_chunk(self) -> None:
+        """Write the messages that came one by one."""
+        self._write_chunk([self.chunk.bio.getvalue()], self._pending())
+
+    def write_frames(self, frames: Frames) -> None:
+        """Write samples, after the messages that came one by one before.
+
+        Raises
+        ------
+        OSError
+            The disk is full; then nothing of it is in the file.
+        """
+        before = self.chunk.bio.getvalue()
+        entries = self._pending()
+        for channel, own in zip(frames.channels, frames.entries(len(before)), strict=True):
+            entries[channel] = np.concatenate([entries[channel], own]) if channel in entries else own
+        self._write_chunk([before, frames.data], entries)
+
+    def _pending(self) -> dict:
+        return {channel: np.array(messages, "<u8") for channel, messages in self.chunk.msgs.items()}
+
+    def _write_chunk(self, pieces: list, entries: dict) -> None:
+        size = sum(len(piece) for piece in pieces)
+        if self.compression:
+            pieces = [self.compressor(b"".join(pieces))]
+        noted = self.index.noted()
+        try:
+            self._append(self.index.chunk(self.bio.tell(), pieces, size, entries, self.compression))
+        except BaseException:
+            self.index.forget(noted)
+            raise
+        self.drop()
+
+    def drop(self) -> None:
+        """Forget the messages that came one by one and are not in the file."""
+        self.chunk = PendingChunk(NEVER, 0, io.BytesIO(), defaultdict(list))
+
+    def _append(self, pieces) -> None:
+        """Write pieces at the end of the file, all or none."""
+        whole = self.bio.tell()
+        left = [memoryview(piece) for piece in pieces if len(piece)]
+        try:
+            while left:
+                written = os.writev(self.bio.fileno(), left)
+                while left and written >= len(left[0]):
+                    written -= len(left.pop(0))
+                if left:
+                    left[0] = left[0][written:]
+        except BaseException:
+            # a record that breaks off would hide all that is written later
+            with contextlib.suppress(OSError):
+                self.bio.seek(whole)
+                self.bio.truncate()
+            raise
+
+    def information(self) -> FileInformation:
+        """Return what stands in the file."""
+        return mcap_file(self.path.name, self.index)
+
+    def close(self, version: int, metadata: str) -> None:
+        """Write what waits, and the summary; without room for it the file stays readable in its order."""
+        with self.bio:
+            if self.chunk.msgs:
+                self.close_chunk()
+            words = packed(Metadata(ROSBAG2, {SERIALISED: metadata}))
+            begin = self.bio.tell()
+            self.index.metadata.append(MetadataIndex(begin, len(words), ROSBAG2))
+            self._append([words, self.index.tail(begin + len(words))])
+
+
+class ChunkedWriter(Writer):
+    """The bag writer of ``rosbags`` with :class:`ChunkStorage`, in one file or, one after the other, in several.
+
+    Parameters
+    ----------
+    path : path-like
+        Folder to create.
+    numbered : bool
+        Name the files ``NAME_0.mcap``, ``NAME_1.mcap`` …, not ``NAME.mcap``.
+    """
+
+    STORAGE_PLUGINS = MappingProxyType({**Writer.STORAGE_PLUGINS, StoragePlugin.MCAP: ChunkStorage})
+
+    def __init__(self, path, numbered: bool = False):
+        super().__init__(path, version=9, storage_plugin=StoragePlugin.MCAP)
+        self.numbered = numbered
+        self.files: list[FileInformation] = []
+
+    def open(self) -> None:
+        """Create the folder and its first file."""
+        super().open()
+        if self.numbered:
+            self.file.rename(f"{self.path.name}_0.mcap")
+
+    @property
+    def file(self) -> ChunkStorage:
+        """The file that is being written."""
+        storage: Any = self.storage
+        return storage
+
+    def next_file(self) -> None:
+        """Finish the file; what is not written yet comes into the next one.
+
+        Raises
+        ------
+        OSError
+            The disk is full.
+        """
+        before = self.file
+        after = ChunkStorage(self.path, CompressionMode.NONE)
+        try:
+            after.rename(f"{self.path.name}_{len(self.files) + 1}.mcap")
+            after.continue_from(before)
+        except OSError:
+            after.bio.close()
+            after.path.unlink()
+            raise
+        self.storage = after
+        self._finish(before)
+
+    def _finish(self, file: ChunkStorage) -> None:
+        if file.chunk.msgs:
+            file.close_chunk()
+        self.files.append(file.information())
+        file.close(self.version, text_of(information(self.files[-1:], "mcap", self.custom_data)))
+
+    def close(self) -> None:
+        """Write what waits, the index and ``metadata.yaml``.
+
+        Raises
+        ------
+        OSError
+            The disk is full.
+        """
+        file, self.storage = self.file, None
+        try:
+            self._finish(file)
+        finally:
+            file.bio.close()
+        write_metadata(self.path, information(self.files, "mcap", self.custom_data))
+
+    def write_frames(self, frames: Frames) -> None:
+        """Write samples.
+
+        Raises
+        ------
+        OSError
+            The disk is full; then nothing of it is in the file.
+        """
+        if frames.count:
+            self.file.write_frames(frames)
+
 
 #: Bytes of messages after which a chunk is closed and handed to the operating system.
 CHUNK_BYTES = 256 * 1024
@@ -311,3 +652,131 @@ class BagWriter:
         if self._writer is None:
             raise RecordingError(f"{self.path}: the bag is closed already; open a new one")
         return self._writer
+
+
+#: Seconds between two looks at the disk.
+LOOK = 1.0
+
+
+class GuardedBag:
+    """Writes into a bag as long as that can be done, and hands what it has to the operating system in time.
+
+    Parameters
+    ----------
+    bag : BagWriter
+        The bag, just made.
+    flush_time : float
+        Seconds after which :meth:`tend` hands on what was written.
+
+    Attributes
+    ----------
+    bag : BagWriter or None
+        None when the recording is over.
+    stopped : str
+        Why nothing is recorded any more; empty while all is well and after a regular end.
+    free : int
+        Bytes that are free on its disk, as :meth:`tend` last saw.
+    """
+
+    def __init__(self, bag: BagWriter, flush_time: float):
+        self.bag: BagWriter | None = bag
+        self.path: pathlib.Path = bag.path
+        self.stopped = ""
+        self.messages = 0
+        self._flush_time = flush_time
+        self._flushed = self._looked = time.monotonic()
+        self.free = free_space(self.path)
+
+    def attempt(self, write) -> None:
+        """Call ``write(bag)`` unless the recording is over; what cannot be written ends it.
+
+        Parameters
+        ----------
+        write : callable
+            Raises RecordingError where the disk is full.
+        """
+        if self.bag is None:
+            return
+        try:
+            write(self.bag)
+        except RecordingError as error:
+            self.stop(str(error))
+
+    def tend(self, min_space: int) -> None:
+        """Hand on what was written, when it is time, and look at the disk.
+
+        Parameters
+        ----------
+        min_space : int
+            Free bytes below which the recording ends.
+        """
+        now = time.monotonic()
+        if now - self._flushed >= self._flush_time:
+            self._flushed = now
+            self.attempt(BagWriter.flush)
+        if self.bag is not None and now - self._looked >= LOOK:
+            self._looked, self.free = now, free_space(self.path)
+            if self.free < min_space:
+                self.stop(
+                    f"{self.path}: {self.free / 1e6:.4g} MB are free on the disk, less than min_space = "
+                    f"{min_space / 1e6:.4g} MB; make room and record into another folder"
+                )
+
+    def stop(self, reason: str) -> None:
+        """End the recording for a reason; the bag is whole up to here where there is room for its end."""
+        self.stopped = reason
+        try:
+            self.finish()
+        except RecordingError:
+            self.stopped += f"; its index is missing: hysteresis repair {self.path}"
+
+    def finish(self) -> None:
+        """End the recording in order.
+
+        Raises
+        ------
+        RecordingError
+            There is no room for the end of the bag.
+        """
+        bag, self.bag = self.bag, None
+        if bag is not None:
+            try:
+                bag.close()
+            finally:
+                self.messages = bag.message_count
+
+    @property
+    def message_count(self) -> int:
+        """Messages written so far."""
+        return self.messages if self.bag is None else self.bag.message_count
+
+
+def free_space(path: pathlib.Path) -> int:
+    """Return how many bytes a process without privileges may still write beside a file or folder."""
+    found = os.statvfs(path)
+    return found.f_bavail * found.f_frsize
+
+
+def require_space(path, least: int) -> None:
+    """Refuse to begin a recording where there is no room for it.
+
+    Parameters
+    ----------
+    path : path-like
+        Folder to be created.
+    least : int
+        Bytes that must be free.
+
+    Raises
+    ------
+    RecordingError
+        There are fewer.
+    """
+    path = pathlib.Path(path).absolute()
+    there = next(parent for parent in path.parents if parent.exists())
+    free = free_space(there)
+    if free < least:
+        raise RecordingError(
+            f"{path}: {free / 1e6:.4g} MB are free on the disk, less than min_space = {least / 1e6:.4g} MB; make room, "
+            "record elsewhere, or lower min_space of the recorder"
+        )

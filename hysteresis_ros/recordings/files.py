@@ -7,15 +7,172 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""One door for every kind of recording: the path says which format it is."""
+"""One door for every kind of recording: the path says which format it is. CSV and NPZ come back bit for bit.
+
+Bags are imported only where one is opened.
+"""
 
 from __future__ import annotations
 
+import json
 import pathlib
+import re
+import warnings
+import zipfile
+
+import numpy as np
 
 from hysteresis_ros.errors import RecordingError
+from hysteresis_ros.files import read_arrays, read_json, replacing
 from hysteresis_ros.recordings.dataset import Recording
-from hysteresis_ros.recordings.tables import read_csv, read_npz, write_csv, write_npz
+from hysteresis_ros.signals import UNITS as SIGNAL_UNITS
+from hysteresis_ros.units import SUBUNITS
+
+_HEADER = re.compile(r"^\s*(?P<name>[^\[\]]+?)\s*\[(?P<unit>[^\[\]]*)\]\s*$")
+
+
+def write_csv(recording: Recording, path) -> None:
+    """Write ``time`` and all signals as CSV: one header line such as ``time [s],displacement [m]``, then numbers.
+
+    Numbers are written with as many digits as give the same float64 back. A plain table has no place for metadata:
+    the configuration and the notes stay behind.
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be written.
+    """
+    names = ["time", *recording.signals]
+    units = {"time": "s", **recording.units}
+    columns = [recording[name].tolist() for name in names]
+    with replacing(path, RecordingError) as beside, beside.open("w", encoding="utf-8") as stream:
+        stream.write(",".join(f"{name} [{units[name]}]" for name in names) + "\n")
+        stream.writelines(",".join(map(repr, row)) + "\n" for row in zip(*columns, strict=True))
+
+
+def read_csv(path) -> Recording:
+    """Read a CSV table whose header gives each column as ``name [unit]``; lines that start with ``#`` are skipped.
+
+    SI units and their usual parts (µm, mm, nm, ms, µs, mV) are understood and become SI.
+
+    Raises
+    ------
+    RecordingError
+        The file is missing or unreadable, a header has no unit, a cell is no number, or there is no ``time``.
+    """
+    path = _existing(path)
+    try:
+        with path.open(encoding="utf-8-sig", newline="") as stream:
+            header = next((line for line in stream if line.strip() and not line.startswith("#")), "")
+            cells = [cell.strip().strip('"') for cell in header.split(",")]
+            parts = [_named_column(path, cell) for cell in cells]
+            with warnings.catch_warnings():
+                warnings.filterwarnings("ignore", "loadtxt: input contained no data", UserWarning)
+                table = np.loadtxt(stream, delimiter=",", ndmin=2, dtype=np.float64)
+    except (OSError, UnicodeDecodeError) as error:
+        raise RecordingError(f"{path}: cannot be read: {_reason(error)}") from None
+    except RecordingError:
+        raise
+    except ValueError as error:
+        raise RecordingError(f"{path}: not a table of numbers: {error}") from None
+    if not table.size:
+        table = np.empty((0, len(parts)))
+    if table.shape[1] != len(parts):
+        raise RecordingError(f"{path}: rows have {table.shape[1]} numbers and the header {len(parts)} columns")
+    names = [name for name, _, _ in parts]
+    repeated = {name for name in names if names.count(name) > 1}
+    if repeated:
+        raise RecordingError(f"{path}: column {', '.join(sorted(repeated))} appears more than once")
+    columns = {
+        name: table[:, i].copy() if divisor == 1.0 else table[:, i] / divisor
+        for i, (name, _, divisor) in enumerate(parts)
+    }
+    return _assemble(path, columns, {name: unit for name, unit, _ in parts}, {})
+
+
+def write_npz(recording: Recording, path) -> None:
+    """Write a compressed NPZ: one array per column, and ``units`` and ``metadata`` as JSON text.
+
+    ``numpy.load(path)["displacement"]`` gives a column without this package.
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be written.
+    """
+    units = json.dumps({"time": "s", **recording.units}, ensure_ascii=False)
+    metadata = json.dumps(recording.metadata, ensure_ascii=False)
+    reserved = {"units", "metadata"} & set(recording.signals)
+    if reserved:
+        raise RecordingError(f"a signal may not be called {', '.join(sorted(reserved))} in an NPZ file; rename it")
+
+    arrays = {"time": recording.time, **recording.signals, "units": np.array(units), "metadata": np.array(metadata)}
+    with (
+        replacing(path, RecordingError) as beside,
+        # as numpy.savez_compressed, whose compression takes longer than a simulation and saves little more
+        zipfile.ZipFile(beside, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
+    ):
+        for name, array in arrays.items():
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                np.lib.format.write_array(member, np.asanyarray(array), allow_pickle=False)
+
+
+def read_npz(path) -> Recording:
+    """Read an NPZ written by :func:`write_npz`, or any with one-dimensional arrays of the known column names.
+
+    Raises
+    ------
+    RecordingError
+        The file is missing, unreadable, or its arrays are no recording.
+    """
+    path = _existing(path)
+    try:
+        arrays = read_arrays(path)
+        units = _mapping(arrays.pop("units", "{}"), "units")
+        metadata = _mapping(arrays.pop("metadata", "{}"), "metadata")
+    except (OSError, ValueError) as error:
+        raise RecordingError(f"{path}: not a readable NPZ file: {_reason(error)}") from None
+    return _assemble(path, arrays, units, metadata)
+
+
+def _mapping(text, name: str) -> dict:
+    """Return the mapping that an array of one text holds as JSON."""
+    found = read_json(str(text))
+    if not isinstance(found, dict):
+        raise ValueError(f"its {name} are no mapping")
+    return found
+
+
+def _assemble(path, columns, units, metadata) -> Recording:
+    if "time" not in columns:
+        raise RecordingError(f"{path}: no column 'time'; the columns are {', '.join(columns) or 'none'}")
+    time = columns.pop("time")
+    if units.pop("time", "s") != "s":
+        raise RecordingError(f"{path}: the column 'time' must be in seconds; write 'time [s]'")
+    try:
+        return Recording(time, columns, units, metadata)
+    except RecordingError as error:
+        raise RecordingError(f"{path}: {error}") from None
+
+
+def _named_column(path, cell):
+    match = _HEADER.match(cell)
+    if match is None:
+        example = f"{cell or 'displacement'} [{SIGNAL_UNITS.get(cell, 'm')}]"
+        raise RecordingError(f"{path}: column '{cell}' has no unit in the header; write it like '{example}'")
+    unit, divisor = SUBUNITS.get(match["unit"].strip(), (match["unit"].strip(), 1.0))
+    return match["name"], unit, divisor
+
+
+def _existing(path) -> pathlib.Path:
+    path = pathlib.Path(path)
+    if not path.is_file():
+        raise RecordingError(f"{path}: no such file; give the path of a recording")
+    return path
+
+
+def _reason(error) -> str:
+    return getattr(error, "strerror", None) or str(error) or type(error).__name__
 
 
 def load_run(path, namespace: str | None = None, *, further: bool = False) -> Recording:

@@ -7,15 +7,161 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What made a recording: the versions of software and the machine, as words that go into the bag."""
+"""Where a recording comes from: the configuration of its nodes, the files they read, the software and the machine."""
 
 from __future__ import annotations
 
+import base64
+import binascii
+import contextlib
+import functools
+import hashlib
 import importlib.metadata
 import os
+import pathlib
 import platform
 import sys
 import time
+from collections.abc import Iterable, Mapping
+
+from hysteresis_ros.configuration import Configuration, dump_configuration, parse_configuration
+from hysteresis_ros.errors import HysteresisError, RecordingError
+from hysteresis_ros.recordings.dataset import Recording
+from hysteresis_ros.signals import COMPENSATOR, CONTROLLER, PLANT
+
+#: Nodes whose parameters an axis needs, and the one that keeps no log.
+LOGGED = {PLANT, CONTROLLER, COMPENSATOR}
+OPTIONAL = ("displacement_camera",)
+
+
+def described(text: str, node: str, namespace: str = "") -> bool:
+    """Tell whether the configuration in a recording has a section of ``node`` itself, not only one for every node."""
+    configuration = _parsed(text)
+    return configuration is not None and configuration.describes(node, namespace)
+
+
+def configured(text: str, node: str, namespace: str = "") -> dict:
+    """Return the flat dotted parameters of ``node``; empty when the text is empty or no ROS 2 parameter file.
+
+    A recording must stay readable whatever text somebody published on ``configuration``, so nothing is raised.
+    """
+    configuration = _parsed(text)
+    return {} if configuration is None else configuration.node(node, namespace)
+
+
+def in_force(recording: Recording) -> str:
+    """Return the parameter file of what the nodes of a recording were really configured with.
+
+    Their own log knows what a parameter file does not: values of the command line, and what was set before they began.
+
+    Parameters
+    ----------
+    recording : Recording
+        Of any axis; one without such a log gives the configuration in it.
+    """
+    known = recording.metadata.get("parameters", {})
+    if not known.keys() >= LOGGED:
+        return recording.configuration
+    namespace = recording.metadata.get("namespace", "")
+    nodes = {node: configured(recording.configuration, node, namespace) for node in OPTIONAL} | known
+    given = {node: {name: value for name, value in values.items() if value != []} for node, values in nodes.items()}
+    return dump_configuration({f"{namespace}/{node}": values for node, values in given.items() if values})
+
+
+@functools.lru_cache(maxsize=4)
+def _parsed(text: str) -> Configuration | None:
+    # a page asks for the same text a few dozen times, and reading YAML takes longer than anything else of it
+    if not text:
+        return None
+    try:
+        return parse_configuration(text, "configuration of the recording")
+    except HysteresisError:
+        return None
+
+
+#: Name of the words; of a file of more bytes than this there is only its digest.
+FILES, LARGEST = "hysteresis_ros files", 2**20
+
+#: How the words of a file begin: what follows is all of it, or its SHA-256.
+WHOLE, DIGEST = "base64:", "sha256:"
+
+
+def packed_files(paths: Iterable[pathlib.Path]) -> dict[str, str]:
+    """Return files as words, by their paths.
+
+    Parameters
+    ----------
+    paths : iterable of pathlib.Path
+        Those that cannot be read are left out: whoever needs them says so.
+    """
+    words = {}
+    for path in paths:
+        with contextlib.suppress(OSError):
+            content = path.read_bytes()
+            whole = WHOLE + base64.b64encode(content).decode()
+            words[str(path)] = whole if len(content) <= LARGEST else DIGEST + hashlib.sha256(content).hexdigest()
+    return words
+
+
+def whole(words: Mapping[str, str]) -> dict[str, bytes]:
+    """Return the content of files by the paths they had, as far as it is there.
+
+    Parameters
+    ----------
+    words : mapping of str to str
+        As :func:`packed_files` gives them.
+    """
+    found = {}
+    for name, text in words.items():
+        if text.startswith(WHOLE):
+            with contextlib.suppress(binascii.Error, ValueError):
+                found[name] = base64.b64decode(text.removeprefix(WHOLE), validate=True)
+    return found
+
+
+def note_on_disk(name: str, content: bytes) -> str:
+    """Return in one line that the file on this disk is another one now; empty: it is not, or there is none.
+
+    Parameters
+    ----------
+    name : str
+        Path.
+    content : bytes
+        What the recording holds.
+    """
+    with contextlib.suppress(OSError, ValueError):
+        path = pathlib.Path(name)
+        if path.is_file() and (path.stat().st_size != len(content) or path.read_bytes() != content):
+            return f"{name} on this disk is not the file that the run was made with, which is in the recording and used"
+    return ""
+
+
+def require_same(name: str, text: str) -> None:
+    """Refuse to repeat a run with a file of which the recording holds a digest only, unless it is that on this disk.
+
+    Parameters
+    ----------
+    name : str
+        Path.
+    text : str
+        Words of the file.
+
+    Raises
+    ------
+    RecordingError
+        It is not there, or another one.
+    """
+    try:
+        with pathlib.Path(name).open("rb") as stream:
+            same = DIGEST + hashlib.file_digest(stream, "sha256").hexdigest() == text
+    except (OSError, ValueError):
+        same = False
+    if not same:
+        raise RecordingError(
+            f"{name}: the run was made with this file, which is too large for the recording, and it is not on this "
+            f"disk any more ({text}); put it there to repeat the run"
+        )
+
 
 #: Name of the words in a bag (a metadata record of MCAP).
 RECORD = "hysteresis_ros"

@@ -7,24 +7,234 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""A bag that was cut off or is damaged, made whole in a new folder: for ``ros2 bag``, Foxglove, ``rosbags`` and us."""
+"""A bag that was cut off or is damaged, made whole in a new folder: for ``ros2 bag``, Foxglove and ``rosbags``."""
 
 from __future__ import annotations
 
 import contextlib
+import io
 import os
 import pathlib
 import shutil
+from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any, BinaryIO
 
+import numpy as np
+from mcap.data_stream import ReadDataStream
+from mcap.opcode import Opcode
+from mcap.reader import SeekingReader
+from mcap.records import Attachment, AttachmentIndex, Channel, Metadata, MetadataIndex, Schema
 from rosbags.rosbag2 import Reader
 
 from hysteresis_ros.errors import RecordingError
-from hysteresis_ros.recordings.bag_metadata import FileInformation, information, write_metadata
-from hysteresis_ros.recordings.bag_reader import files_of
-from hysteresis_ros.recordings.mcap_repair import repair_mcap, whole_mcap
-from hysteresis_ros.recordings.sqlite_stream import repair_database, whole_database
+from hysteresis_ros.recordings.bag_format import (
+    MAGIC,
+    MESSAGE,
+    RECORD,
+    FileInformation,
+    McapIndex,
+    information,
+    mcap_file,
+    packed,
+    records_in,
+    records_of,
+    text_of,
+    write_metadata,
+)
+from hysteresis_ros.recordings.bag_reader import chunk_content, files_of, repair_database, salvaged, whole_database
+from hysteresis_ros.recordings.bag_writer import ROSBAG2, SERIALISED
+
+#: Records that are taken as they are; those from 0x80 on belong to others than the format.
+_KEPT = (Opcode.HEADER, Opcode.SCHEMA, Opcode.CHANNEL, Opcode.ATTACHMENT, Opcode.METADATA)
+_PRIVATE = 0x80
+
+#: Bytes of messages that stood outside of chunks, or in one that was cut off, after which a chunk is written.
+CHUNK_BYTES = 1024 * 1024
+
+
+def whole_mcap(path: pathlib.Path) -> FileInformation | None:
+    """Return what stands in a file by its own summary; None where that is missing or damaged.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+        The file.
+
+    Raises
+    ------
+    RecordingError
+        It cannot be read.
+    """
+    try:
+        stream = path.open("rb")
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read: {error.strerror}") from None
+    with stream:
+        try:
+            summary = SeekingReader(stream, record_size_limit=path.stat().st_size).get_summary()
+            if summary is None or summary.statistics is None:
+                return None
+            # a file may have lost its end and got another one: the index must lie within it
+            for chunk in summary.chunk_indexes:
+                stream.seek(chunk.chunk_start_offset)
+                if stream.read(1) != bytes([Opcode.CHUNK]):
+                    return None
+        except Exception:  # a damaged summary, or a file without room for one, makes the parser fail in any way
+            return None
+    told = summary.statistics
+    index = McapIndex(summary.schemas, summary.channels, counts=told.channel_message_counts)
+    if index.message_count:
+        index.start, index.end = told.message_start_time, told.message_end_time
+    return mcap_file(path.name, index)
+
+
+def repair_mcap(source: pathlib.Path, target: pathlib.Path) -> FileInformation:
+    """Write what is left of an MCAP file as a whole one.
+
+    Everything up to the last whole message stays: schemas, channels, messages, attachments, other metadata records.
+    Chunks inside the file that cannot be unpacked are left out.
+
+    Parameters
+    ----------
+    source : pathlib.Path
+        The damaged file; it stays as it is.
+    target : pathlib.Path
+        File to create.
+
+    Returns
+    -------
+    FileInformation
+        What stands in the new file.
+
+    Raises
+    ------
+    RecordingError
+        Nothing can be saved.
+    OSError
+        One cannot be read or the other not be written.
+    """
+    with source.open("rb") as stream, target.open("xb") as out:
+        size = stream.seek(0, io.SEEK_END)
+        stream.seek(0)
+        if not MAGIC.startswith(stream.read(len(MAGIC))):
+            raise RecordingError(f"{source}: not an MCAP file; nothing can be saved")
+        out.write(MAGIC)
+        rescue = _Rescue(out)
+        whole = stream.tell()
+        for opcode, begin, length in records_of(stream, size):
+            if opcode in (Opcode.DATA_END, Opcode.FOOTER) or not opcode:
+                break
+            stream.seek(begin)
+            rescue.take(opcode, stream.read(length))
+            whole = begin + length
+        else:
+            stream.seek(whole)
+            rescue.take_messages(salvaged(stream.read()))
+        found = rescue.finish(target.name)
+        out.flush()
+        os.fsync(out.fileno())
+    if not found.count:
+        raise RecordingError(f"{source}: nothing can be saved: no whole message is in it")
+    return found
+
+
+class _Rescue:
+    """Takes the records of a damaged file, in order, and writes a whole one."""
+
+    def __init__(self, out: BinaryIO):
+        self.out = out
+        self.index = McapIndex()
+        self._clear()
+
+    def _clear(self) -> None:
+        self.loose = bytearray()
+        self.entries: dict[int, list[tuple[int, int]]] = defaultdict(list)
+
+    def take(self, opcode: int, data: bytes) -> None:
+        """Take a whole record; one whose content makes no sense is left out."""
+        if opcode == Opcode.CHUNK:
+            self._take_chunk(data)
+        elif opcode == Opcode.MESSAGE:
+            self.take_messages(RECORD.pack(opcode, len(data)) + data)
+        elif opcode in _KEPT or opcode >= _PRIVATE:
+            self._take_other(opcode, data)
+
+    def _take_other(self, opcode: int, data: bytes) -> None:
+        begin, size = self.out.tell(), RECORD.size + len(data)
+        try:
+            if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                self._announce(opcode, data)
+                return
+            if opcode == Opcode.METADATA:
+                record = Metadata.read(_stream(data))
+                if record.name == ROSBAG2:
+                    return  # written anew
+                self.index.metadata.append(MetadataIndex(begin, size, record.name))
+            elif opcode == Opcode.ATTACHMENT:
+                item = Attachment.read(_stream(data))
+                place = AttachmentIndex(
+                    begin, size, item.log_time, item.create_time, len(item.data), item.name, item.media_type
+                )
+                self.index.attachments.append(place)
+        except Exception:  # the parser fails in any way on a damaged record
+            return
+        self.out.write(RECORD.pack(opcode, len(data)) + data)
+
+    def _announce(self, opcode: int, data: bytes) -> None:
+        """Note a schema or a channel that makes sense, and write it where it is new."""
+        item: Any = (Schema if opcode == Opcode.SCHEMA else Channel).read(_stream(data))
+        known: dict = self.index.schemas if opcode == Opcode.SCHEMA else self.index.channels
+        if opcode == Opcode.CHANNEL and item.schema_id and item.schema_id not in self.index.schemas:
+            return
+        if known.setdefault(item.id, item) is item:
+            self.out.write(packed(item))
+
+    def _take_chunk(self, data: bytes) -> None:
+        try:
+            content = chunk_content(data)
+        except Exception:  # see _take_other; the next chunk may be sound
+            return
+        self.take_messages(content)
+        self._write_loose()
+
+    def take_messages(self, content: bytes) -> None:
+        """Take the records of a chunk, up to the last whole one."""
+        for opcode, begin, end in records_in(content):
+            if opcode == Opcode.MESSAGE and end - begin >= MESSAGE.size:
+                channel, _, time_ns, _ = MESSAGE.unpack_from(content, begin)
+                if channel in self.index.channels:
+                    self.entries[channel].append((time_ns, len(self.loose)))
+                    self.loose += content[begin - RECORD.size : end]
+            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                try:
+                    self._announce(opcode, content[begin:end])
+                except Exception:  # see _take_other
+                    continue
+        if len(self.loose) >= CHUNK_BYTES:
+            self._write_loose()
+
+    def _write_loose(self) -> None:
+        if self.loose:
+            entries = {channel: np.array(column, "<u8") for channel, column in self.entries.items()}
+            pieces = self.index.chunk(self.out.tell(), [bytes(self.loose)], len(self.loose), entries)
+            self.out.writelines(pieces)
+        self._clear()
+
+    def finish(self, name: str) -> FileInformation:
+        """Write what waits, and the end of the file."""
+        self._write_loose()
+        found = mcap_file(name, self.index)
+        words = packed(Metadata(ROSBAG2, {SERIALISED: text_of(information([found], "mcap"))}))
+        begin = self.out.tell()
+        self.index.metadata.append(MetadataIndex(begin, len(words), ROSBAG2))
+        self.out.write(words + self.index.tail(begin + len(words)))
+        return found
+
+
+def _stream(data: bytes) -> ReadDataStream:
+    return ReadDataStream(io.BytesIO(data))
 
 
 @dataclass(frozen=True)

@@ -7,23 +7,299 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""A simulated run as a bag: the topics, stamps and order of messages that the nodes would have published."""
+"""The samples of an axis as a bag, with the topics, types and stamps of its nodes: in batches, or a whole run at once.
+
+In batches, what the messages of a sample have in common, nearly everything, is written once; of each sample only stamps
+and numbers are filled in, for many samples at a time.
+"""
 
 from __future__ import annotations
 
 import pathlib
 import shutil
 import tempfile
+import time
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from hysteresis_ros import signals
 from hysteresis_ros.errors import RecordingError
-from hysteresis_ros.recordings.bag_writer import BagWriter
-from hysteresis_ros.recordings.configured import configured
+from hysteresis_ros.recordings import cdr
+from hysteresis_ros.recordings.bag_writer import BagWriter, Frames
 from hysteresis_ros.recordings.dataset import Recording
-from hysteresis_ros.recordings.provenance import RECORD, provenance
+from hysteresis_ros.recordings.provenance import RECORD, configured, provenance
 from hysteresis_ros.signals import ASKED_VOLTAGE, MOTOR_SOURCE, SOURCE, WRITERS, float_topics, state_signals
+
+#: Bytes of samples after which a chunk is written.
+BLOCK_BYTES = 1024 * 1024
+
+#: Seconds that a sample waits at most for others to share its chunk, as long as others come.
+CHUNK_TIME = 0.25
+
+#: Numbers that ``joint_states`` has for each joint: position, velocity, effort.
+NUMBERS = 3
+
+
+@dataclass(frozen=True)
+class AxisTopics:
+    """What the topics of an axis are called, and what of them its samples do not say.
+
+    Parameters
+    ----------
+    namespace : str
+        Namespace of the axis.
+    joints : tuple of str
+        Names in ``joint_states``: one, and where a force is measured that joint; or of a motor four.
+    sample_rate : float
+        [Hz], from which velocities follow.
+    motor : bool
+        An inchworm motor with its sequencer, not an actuator with a reference generator.
+    force : float
+        Of an actuator: preload [N], the effort of the joint.
+    simulated : bool
+        The plant is simulated; of a device nobody knows the true displacement, and its state has none.
+    durability : str
+        Of the topics: ``volatile`` in real time, ``transient_local`` in lockstep.
+    """
+
+    namespace: str = ""
+    joints: tuple[str, ...] = ("piezo",)
+    sample_rate: float = 1000.0
+    motor: bool = False
+    force: float = 0.0
+    simulated: bool = True
+    durability: str = "volatile"
+
+    @property
+    def prefix(self) -> str:
+        """What stands before the topics."""
+        stripped = self.namespace.strip("/")
+        return f"/{stripped}" if stripped else ""
+
+    def floats(self) -> dict[str, int]:
+        """Return the Float64 topics in the order of a sample, and the places of their signals."""
+        row = {signal.name for signal in signals.row_signals(self.motor)}
+        found = signals.float_topics().items()
+        return {f"{self.prefix}/{topic}": signals.place(name) for topic, name in found if name in row}
+
+    def states(self) -> dict[str, dict[str, int]]:
+        """Return what stands in ``~/state`` of each node, by topic: names and the places of their signals."""
+        absent = signals.SOURCE if self.motor else signals.MOTOR_SOURCE
+        found = {}
+        for node in signals.WRITERS:
+            if node != absent:
+                names = signals.state_signals(node, self.motor)
+                if node == signals.PLANT and not self.simulated:
+                    del names["displacement"]
+                found[f"{self.prefix}/{node}/state"] = {name: signals.place(own) for name, own in names.items()}
+        return found
+
+
+class SampleWriter:
+    """Writes all samples of an axis into a bag.
+
+    Samples collect until there are enough for a chunk, or the oldest has waited for ``chunk_time``, or the bag is
+    flushed (:meth:`BagWriter.flush <hysteresis_ros.recordings.bag_writer.BagWriter.flush>`, which whoever owns the bag
+    calls now and then, so that the last samples before a pause go to the disk as well). Other messages go into the same
+    bag one by one, from the same thread.
+
+    Parameters
+    ----------
+    bag : BagWriter
+        Where to.
+    axis : AxisTopics
+        The axis.
+    block_bytes : int
+        Size of a chunk.
+    chunk_time : float
+        Longest time [s] that a sample waits while others come.
+
+    Raises
+    ------
+    RecordingError
+        The bag is closed, or has these topics with other types.
+
+    Examples
+    --------
+    >>> with BagWriter("run") as bag:                                                        # doctest: +SKIP
+    ...     samples = SampleWriter(bag, AxisTopics(joints=("extender",), sample_rate=3000.0))
+    ...     samples.write(stamps, table)
+    """
+
+    def __init__(
+        self, bag: BagWriter, axis: AxisTopics, *, block_bytes: int = BLOCK_BYTES, chunk_time: float = CHUNK_TIME
+    ):
+        """Announce the topics."""
+        if len(axis.joints) == 0 or (len(axis.joints) > 2 and not axis.motor):
+            allowed = "an actuator has one joint, or two with that of its force, a motor at least one"
+            raise RecordingError(f"joints = {axis.joints}: {allowed}")
+        self.bag = bag
+        self.axis = axis
+        #: Effort [N] of an actuator's joint: the preload may be changed while the axis runs.
+        self.force = axis.force
+        self.sample_count = 0
+        self._block_bytes, self._chunk_time = int(block_bytes), float(chunk_time)
+        self._rows = len(signals.row_signals(axis.motor))
+        bag.add_topic(self._joint_topic, cdr.JOINT_STATE, axis.durability)
+        for topic in axis.floats():
+            bag.add_topic(topic, cdr.FLOAT64, axis.durability)
+        for topic in axis.states():
+            bag.add_topic(topic, cdr.JOINT_STATE, axis.durability)
+        self._places: list[list[int]] = [[place] for place in axis.floats().values()]
+        self._places += [list(names.values()) for names in axis.states().values()]
+        self._frames = {False: self._make_frames(False)}
+        self._tripped = False
+        self._since = 0.0
+        self.restart()
+        bag.on_flush(self.flush)
+
+    @property
+    def _joint_topic(self) -> str:
+        return f"{self.axis.prefix}/joint_states"
+
+    def _make_frames(self, tripped: bool) -> Frames:
+        axis, channel = self.axis, self.bag.channel
+        joints = cdr.joint_state_form(axis.joints, signals.TRIPPED_FRAME if tripped else "", moving=True)
+        messages = [(channel(self._joint_topic), joints)]
+        messages += [(channel(topic), cdr.float64_form()) for topic in axis.floats()]
+        messages += [(channel(topic), cdr.joint_state_form(list(names))) for topic, names in axis.states().items()]
+        size = sum(len(form.data) + 31 for _, form in messages)  # 31 bytes of record header around every message
+        return Frames(messages, max(self._block_bytes // size, 1))
+
+    @property
+    def topics(self) -> tuple[str, ...]:
+        """Topics with one message a sample, in the order of a sample."""
+        return (self._joint_topic, *self.axis.floats(), *self.axis.states())
+
+    @property
+    def sample_bytes(self) -> int:
+        """Bytes that a sample takes in the file, index included."""
+        return self._frames[False].size + 16 * len(self.topics)
+
+    def restart(self) -> None:
+        """Begin a run anew: its first sample has no velocity."""
+        self._measured = np.nan
+        self._started = False
+
+    def write(self, stamps, table, *, joints=None, times=None) -> None:
+        """Write samples.
+
+        Parameters
+        ----------
+        stamps : array_like, shape (n,)
+            Stamps of the samples [ns], int64.
+        table : array_like, shape (signals, n)
+            Rows as the loop leaves them (:func:`hysteresis_ros.signals.row_signals`), float64.
+        joints : array_like, shape (3 × joints, n), optional
+            Of a motor, and needed there: the positions [m] of its joints, their velocities [m/s], their efforts [N], in
+            the order in which the plant's array ``joints`` begins (:mod:`hysteresis_ros.models.inchworm`). Positions of
+            the clamps and forces on slider and extender are no signals of the row.
+        times : array_like, shape (n,), optional
+            When the samples were made [ns]; the stamps by default.
+
+        Raises
+        ------
+        RecordingError
+            A shape is wrong, the bag is closed, or the disk is full.
+        """
+        stamps, table, joints, times = self._checked(stamps, table, joints, times)
+        if not stamps.size:
+            return
+        groups = self._joint_groups(table, joints)
+        tripped = table[signals.TRIPPED] != 0.0
+        cuts = (np.flatnonzero(tripped[1:] != tripped[:-1]) + 1).tolist()
+        values = [groups, *([table[places]] for places in self._places)]
+        for begin, end in zip((0, *cuts), (*cuts, stamps.size), strict=True):
+            self._fill(self._frames_of(bool(tripped[begin])), stamps, times, values, slice(begin, end))
+        self.sample_count += stamps.size
+        if time.monotonic() - self._since > self._chunk_time:
+            self.flush()
+
+    def flush(self) -> None:
+        """Hand what waits to the operating system: a kill of this process no longer loses it.
+
+        Raises
+        ------
+        RecordingError
+            The bag is closed or the disk is full.
+        """
+        frames = self._frames[self._tripped]
+        if frames.count:
+            self.bag.write_frames(frames)
+            frames.clear()
+        self._since = time.monotonic()
+
+    def _fill(self, frames: Frames, stamps, times, values, samples: slice) -> None:
+        """Put samples into frames; ``values`` has the groups of numbers of each topic, shape (numbers, n) each."""
+        begin = samples.start
+        while begin < samples.stop:
+            if not frames.count:
+                self._since = time.monotonic()
+            until = min(samples.stop, begin + frames.rows - frames.count)
+            chosen = [[group[:, begin:until] for group in groups] for groups in values]
+            frames.add(stamps[begin:until], times[begin:until], chosen)
+            begin = until
+            if frames.count == frames.rows:
+                self.flush()
+
+    def _frames_of(self, tripped: bool) -> Frames:
+        """Return where samples go of which the plant has stopped the axis, or not."""
+        if tripped != self._tripped:
+            self.flush()
+            self._tripped = tripped
+        if tripped not in self._frames:
+            self._frames[tripped] = self._make_frames(tripped)
+        return self._frames[tripped]
+
+    def _joint_groups(self, table: np.ndarray, joints: np.ndarray) -> list[np.ndarray]:
+        """Return positions, velocities and efforts of the joints."""
+        if self.axis.motor:
+            return np.split(joints, NUMBERS)
+        measured = table[signals.MEASURED]
+        before = np.concatenate([[self._measured], measured[:-1]])
+        with np.errstate(invalid="ignore"):
+            velocity = (measured - before) * self.axis.sample_rate
+        if not self._started:
+            velocity[0] = 0.0
+        self._started, self._measured = True, measured[-1]
+        groups = [measured[None], velocity[None], np.full((1, measured.size), self.force)]
+        if len(self.axis.joints) == 1:
+            return groups
+        further = np.zeros(measured.size), np.zeros(measured.size), table[signals.FORCE]
+        return [np.vstack([group, row]) for group, row in zip(groups, further, strict=True)]
+
+    def _checked(self, stamps, table, joints, times):
+        stamps = _instants("stamps", stamps, None)
+        times = stamps if times is None else _instants("times", times, stamps.size)
+        table = _table("table", table, (self._rows, stamps.size), "a row for each signal and a column for each sample")
+        if self.axis.motor:
+            if joints is None:
+                raise RecordingError("joints: missing; the samples of a motor need positions, velocities and efforts")
+            shape = NUMBERS * len(self.axis.joints), stamps.size
+            joints = _table("joints", joints, shape, "positions, velocities and efforts of all joints")
+        elif joints is not None:
+            raise RecordingError("joints: given for an actuator, whose joint is in the table; leave it out")
+        return stamps, table, joints, times
+
+
+def _instants(name: str, given, count: int | None) -> np.ndarray:
+    """Return instants [ns] as int64."""
+    instants = np.asarray(given)
+    wrong = instants.ndim != 1 or (count is not None and instants.size != count)
+    if wrong or (instants.size and instants.dtype.kind not in "iu"):
+        allowed = "one whole number of nanoseconds for each sample"
+        raise RecordingError(f"{name}: shape {instants.shape}, {instants.dtype}: must be {allowed}")
+    return instants.astype(np.int64, copy=False)
+
+
+def _table(name: str, given, shape: tuple[int, int], meaning: str) -> np.ndarray:
+    """Return a table of numbers."""
+    table = np.asarray(given, np.float64)
+    if table.shape != shape:
+        raise RecordingError(f"{name}: shape {table.shape}: must be {shape}, {meaning}")
+    return table
 
 
 def write_recording(

@@ -7,7 +7,11 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""References: waveforms, the jerk-limited approach to setpoints, and the generator that adds them.
+"""References: where an axis is to be at each sample.
+
+Read :mod:`.generator`: :mod:`.approach` or :mod:`.trajectory`, plus a waveform of ``waveforms/``
+(:mod:`.declaration`). The inchworm's setpoints go through :mod:`.inchworm_sequencer`, whose steps and walk stand in
+files of their own. :mod:`.recipes` has the excitations of identifications.
 
 The package itself has a class for each waveform, whose constructor takes the parameters as keywords:
 ``hysteresis_ros.references.Sine(amplitude=1e-6, frequency=10.0).samples(1000)``. ``dir()`` lists them.
@@ -37,7 +41,7 @@ __all__ = [
 
 def __getattr__(name: str) -> type[Reference]:
     """Return the class of a waveform; imported at the first use."""
-    from hysteresis_ros.keywords import find
+    from hysteresis_ros.registry import find
 
     # names of modules are asked for while they are imported
     if not name[:1].isupper():

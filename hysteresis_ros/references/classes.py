@@ -14,8 +14,8 @@ from __future__ import annotations
 import numpy as np
 
 from hysteresis_ros.errors import HysteresisError
-from hysteresis_ros.keywords import block_class, class_name
 from hysteresis_ros.references.waveforms import WAVEFORMS, Waveform, WaveformParameters
+from hysteresis_ros.registry import block_class, class_name
 
 
 class Reference(Waveform):  # numpydoc ignore=PR02

@@ -21,9 +21,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hysteresis_ros.block import Chain, compiled, composite, interpreted, nested
+from hysteresis_ros.configuration import Parameters, group, parameter
 from hysteresis_ros.errors import ParameterError, Problem
-from hysteresis_ros.parameters import Parameters, group, parameter
+from hysteresis_ros.models.block import Chain, compiled, composite, interpreted, nested
 from hysteresis_ros.references import trajectory as following
 from hysteresis_ros.references.approach import (
     HIGH,
@@ -31,11 +31,14 @@ from hysteresis_ros.references.approach import (
     SETPOINT,
     Approach,
     ApproachParameters,
+    Shaper,
+    ShapingParameters,
     approach,
     effective_limits,
     rest,
+    rest_shaper,
+    shaped,
 )
-from hysteresis_ros.references.shaping import Shaper, ShapingParameters, rest_shaper, shaped
 from hysteresis_ros.references.trajectory import (
     Bounds,
     Points,

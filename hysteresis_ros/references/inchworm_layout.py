@@ -135,7 +135,7 @@ RETURNED, CLOSE_FRONT, OPEN_REAR, CARRY, CARRIED, CLOSE_REAR, OPEN_FRONT, RETURN
     WEIGHED,  # steps from which the load was learned so far
     FINE_DRIFT,  # the part of the slip that is taken for drift [m]
 ) = range(64)
-#: Learned step models, forward and backward (see :mod:`hysteresis_ros.references.step_model`).
+#: Learned step models, forward and backward (see :mod:`hysteresis_ros.references.inchworm_steps`).
 FORWARD_MODEL = 64
 BACKWARD_MODEL = 69
 

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Excitations that identifications need, as waveforms within the range of an amplifier.
+"""Excitations for identification: recipes, ways between levels, waveforms in words, and the open axis that plays them.
 
 Amplitudes and offsets are voltages here: an axis in open loop without inverse puts out reference / gain, so that
 :func:`in_metres` turns a recipe into a waveform of the reference generator.
@@ -15,13 +15,68 @@ Amplitudes and offsets are voltages here: an axis in open loop without inverse p
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import pathlib
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
-from hysteresis_ros.errors import ConfigurationError, did_you_mean
-from hysteresis_ros.references.waveforms import WaveformParameters
+from hysteresis_ros.configuration import Configuration, ParameterRow
+from hysteresis_ros.errors import ConfigurationError, ParameterError, Problem, did_you_mean
+from hysteresis_ros.models.limits import LimitsParameters
+from hysteresis_ros.references.declaration import PREFIX
+from hysteresis_ros.references.waveforms import WAVEFORMS, Waveform, WaveformParameters
+from hysteresis_ros.units import quantity, quantity_in
+
+#: Seconds of a way from one place to another, and of resting there before anything is measured.
+WAY, REST = 0.5, 0.5
+
+
+def way(begin: float, end: float, seconds: float, rate: float) -> np.ndarray:
+    """Return a way that begins and ends at rest, half a cosine; its first sample has left ``begin`` already.
+
+    Parameters
+    ----------
+    begin, end : float
+        [V] or [m]
+    seconds : float
+    rate : float
+        [Hz]
+    """
+    count = max(round(seconds * rate), 1)
+    return begin + (end - begin) * 0.5 * (1.0 - np.cos(np.pi * np.arange(1, count + 1) / count))
+
+
+def hold(level: float, seconds: float, rate: float) -> np.ndarray:
+    """Return a level that is held.
+
+    Parameters
+    ----------
+    level : float
+        [V] or [m]
+    seconds : float
+    rate : float
+        [Hz]
+    """
+    return np.full(max(round(seconds * rate), 1), level)
+
+
+def there_and_back(middle: np.ndarray, safe: float, rate: float) -> np.ndarray:
+    """Return samples with the ways to their first and from their last one.
+
+    Parameters
+    ----------
+    middle : ndarray, shape (N,)
+        [V] or [m]
+    safe : float
+        Where it begins and ends.
+    rate : float
+        [Hz]
+    """
+    parts = [hold(safe, REST, rate), way(safe, middle[0], WAY, rate), middle, way(middle[-1], safe, WAY, rate)]
+    return np.concatenate([*parts, hold(safe, REST, rate)])
+
 
 #: Peaks of the triangles, levels of the steps.
 PEAKS = 20
@@ -241,3 +296,227 @@ def in_metres(excitation: Excitation, gain: float) -> dict:
             value = [item * gain for item in value] if isinstance(value, list) else value * gain
         scaled[name] = value
     return scaled
+
+
+def asked_waveform(kind: str, given: Mapping[str, str], gain: float | None = None) -> dict[str, Any]:
+    """Return all parameters of a waveform, those that nobody gave at their defaults.
+
+    Parameters
+    ----------
+    kind : str
+        One of :data:`~hysteresis_ros.references.waveforms.WAVEFORMS`.
+    given : mapping of str to str
+        Text of each parameter; what belongs to one waveform only may be named without it, ``values`` for
+        ``steps.values``. Numbers carry their units or are in SI, those of lists stand between commas.
+    gain : float, optional
+        Of an axis in open loop without inverse [m/V]: lengths may be given as voltages then, and need a unit.
+
+    Raises
+    ------
+    ParameterError
+        The waveform or a parameter is unknown, missing, or is not what it must be; names begin with ``waveform.``.
+    """
+    if kind not in WAVEFORMS:
+        allowed = f"there is no such waveform; there are {', '.join(WAVEFORMS)}{did_you_mean(kind, WAVEFORMS)}"
+        raise ParameterError([Problem(f"{PREFIX}type", kind, allowed)])
+    rows = _rows(kind)
+    values = {"type": kind, **{name: row.default for name, row in rows.items() if not row.required}}
+    problems = []
+    for name, text in given.items():
+        full = name if name in rows else f"{kind}.{name}"
+        if full not in rows:
+            words = [known.removeprefix(f"{kind}.") for known in rows]
+            allowed = f"{kind} has no such parameter, it has {', '.join(words)}{did_you_mean(name, words)}"
+            problems.append(Problem(PREFIX + name, text, allowed))
+            continue
+        try:
+            values[full] = _value(rows[full], text, gain)
+        except ValueError as error:
+            problems.append(Problem(PREFIX + full, text, str(error)))
+    problems = problems or _missing(kind, values, rows)
+    if problems:
+        raise ParameterError(problems)
+    return values
+
+
+def _rows(kind: str) -> dict[str, ParameterRow]:
+    """Return the parameters that a waveform uses, by name."""
+    shape = WAVEFORMS[kind]
+    unused = {"type"} | (set() if shape.takes_phase else {"phase"}) | (set() if shape.takes_polarity else {"polarity"})
+    if shape.extent != "amplitude":  # levels in metres, at times of their own
+        unused |= {"amplitude", "frequency"}
+    rows = {row.name: row for row in WaveformParameters.table() if "." not in row.name and row.name not in unused}
+    return rows | ({row.name: row for row in shape.parameters.table(f"{kind}.")} if shape.parameters else {})
+
+
+def played(values: Mapping[str, Any], sample_time: float) -> float:
+    """Return how long a waveform lasts [s].
+
+    Parameters
+    ----------
+    values : mapping of str to object
+        Its parameters.
+    sample_time : float
+        [s]
+
+    Raises
+    ------
+    ParameterError
+        It has no end, or cannot be played.
+    """
+    waveform = Waveform(WaveformParameters.from_mapping(values, PREFIX), sample_time)
+    if not waveform.duration_samples:
+        allowed = "the waveform has no end; give cycles, or the duration of the run"
+        raise ParameterError([Problem(f"{PREFIX}cycles", values["cycles"], allowed)])
+    return waveform.duration_samples * sample_time
+
+
+def _missing(kind: str, values: Mapping[str, Any], rows: Mapping[str, ParameterRow]) -> list[Problem]:
+    """Return a Problem for each parameter that has to be given."""
+    shape = WAVEFORMS[kind]
+    missing = [row.name for row in rows.values() if row.name not in values]
+    if shape.extent == "amplitude" and values["amplitude"] == 0.0:
+        missing.append("amplitude")
+    return [Problem(PREFIX + name, None, f"missing; {kind} needs a {rows[name].allowed()}") for name in missing]
+
+
+def _value(row: ParameterRow, text: str, gain: float | None):
+    """Return the text of a parameter in its type.
+
+    Raises
+    ------
+    ValueError
+        It is none; the text says what is allowed.
+    """
+    if row.type is str:
+        # nodes run elsewhere
+        value: Any = str(pathlib.Path(text).expanduser().resolve()) if row.name == "file.path" else text
+    elif row.type is int:
+        try:
+            value = int(text)
+        except ValueError:
+            raise ValueError(f"must be a whole number, allowed: {row.allowed()}") from None
+    elif row.type is float:
+        value = _numbers(row, [text], gain)[0]
+    else:
+        value = _numbers(row, text.split(","), gain)
+    try:
+        row.convert(value)
+    except ParameterError as error:
+        raise ValueError(error.problems[0].allowed) from None
+    return value
+
+
+def _numbers(row: ParameterRow, texts: list[str], gain: float | None) -> list[float]:
+    """Return numbers in the unit of a parameter.
+
+    Raises
+    ------
+    ValueError
+        One is no number, or has another unit, or none where that is not clear.
+    """
+    found = [quantity(text) for text in texts]
+    voltages = {"V": gain} if gain is not None and row.unit == "m" else {}
+    bare = [text for text, (number, unit) in zip(texts, found, strict=True) if number and not unit]
+    if bare and voltages:
+        raise ValueError(f"{bare[0].strip()} of which unit? Write 60V or 5um")
+    if bare and row.unit != "m" and any(unit for _, unit in found):
+        raise ValueError(f"{bare[0].strip()} of which unit? Write it behind")
+    if not voltages:
+        return [quantity_in(text, row.unit) for text in texts]
+    allowed = {"": 1.0, row.unit: 1.0} | voltages
+    wrong = [unit for _, unit in found if unit not in allowed]
+    if wrong:
+        raise ValueError(f"is in {wrong[0]}, allowed: {row.allowed()} or in V")
+    return [number * allowed[unit] for number, unit in found]
+
+
+#: Parameters of a controller that is given nothing but the reference; of one whose reference is what was played; and of
+#: one that hands it on as it is.
+UNFED, PLAYED = {"feedforward__type": "none", "feedforward__preview": 0}, {"learning__type": "none"}
+OPEN = {"type": "open_loop", "damping__type": "none", **UNFED, **PLAYED}
+
+
+def write_samples(path, reference, sample_rate: float, **further) -> str:
+    """Write a reference for a waveform of type ``file``, and return its whole path.
+
+    Parameters
+    ----------
+    path : path-like
+        ``.npz``; its folder is made.
+    reference : ndarray, shape (N,)
+        [m]
+    sample_rate : float
+        [Hz]
+    **further
+        Further arrays of the file.
+
+    Raises
+    ------
+    ConfigurationError
+        It cannot be written.
+    """
+    path = pathlib.Path(path).resolve()
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        np.savez(path, time=np.arange(reference.size) / sample_rate, reference=reference, **further)
+    except OSError as error:
+        raise ConfigurationError(f"{path}: cannot be written: {error.strerror}; choose another place") from None
+    return str(path)
+
+
+def driven(configuration: Configuration, limits: LimitsParameters, gain: float, waveform: dict) -> Configuration:
+    """Return the configuration in open loop without inverse, with this waveform.
+
+    Parameters
+    ----------
+    configuration : Configuration
+    limits : LimitsParameters
+        Of the compensator.
+    gain : float
+        Of the compensator without inverse [m/V].
+    waveform : dict
+        Parameters of the waveform, flat [m]; what the configuration's own says besides does not count.
+    """
+    plain = {
+        "cycles": 0,
+        "phase": 0.0,
+        "steps.period": 0.0,
+        "multisine.first_harmonic": 1,
+        "multisine.harmonic_step": 1,
+    }
+    low, high = (gain * end for end in (limits.minimum, limits.maximum))
+    configuration = configuration.override("", exit_at_end=True, autostart=True)
+    configuration = configuration.override("motion_controller", **OPEN)
+    configuration = configuration.override("hysteresis_compensator", inverse__type="none")
+    return configuration.override(
+        "reference_generator",
+        minimum=low,
+        maximum=high,
+        initial_setpoint=min(max(0.0, low), high),
+        approach__maximum_velocity=0.0,
+        approach__maximum_acceleration=0.0,
+        approach__maximum_jerk=0.0,
+        **{f"waveform.{name}": value for name, value in {**plain, **waveform}.items()},
+    )
+
+
+def following(configuration: Configuration, path: str, rest: float = 0.0) -> Configuration:
+    """Return the configuration whose axis follows samples once, from where they begin, and then leaves.
+
+    Parameters
+    ----------
+    configuration : Configuration
+    path : str
+        Of :func:`write_samples`.
+    rest : float
+        Setpoint from which the axis begins [m]; the samples are absolute all the same.
+    """
+    values = {"type": "file", "cycles": 1, "phase": 0.0, "offset": -rest, "file.path": path, "file.column": "reference"}
+    configuration = configuration.override(
+        "reference_generator",
+        initial_setpoint=rest,
+        **{f"approach.maximum_{name}": 0.0 for name in ("velocity", "acceleration", "jerk")},
+        **{f"waveform.{name}": value for name, value in values.items()},
+    )
+    return configuration.override("", exit_at_end=True, autostart=True)

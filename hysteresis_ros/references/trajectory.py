@@ -25,9 +25,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hysteresis_ros.block import kernel
+from hysteresis_ros.configuration import Parameters, parameter
 from hysteresis_ros.errors import ParameterError, Problem
-from hysteresis_ros.parameters import Parameters, parameter
+from hysteresis_ros.models.block import kernel
 
 #: Parameters: SMOOTH 1 where the approach is limited, and so its velocity one of the motion; DECELERATION 0: at once.
 SAMPLE_TIME, SMOOTH, DECELERATION, LOWEST, HIGHEST = range(5)

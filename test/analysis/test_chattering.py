@@ -18,9 +18,9 @@ import pytest
 
 from hysteresis_ros.analysis.metrics import chattering_figures, compute_metrics
 from hysteresis_ros.configuration import load_configuration
+from hysteresis_ros.loop.reach import single_axis
+from hysteresis_ros.loop.simulation import simulate
 from hysteresis_ros.recordings import Recording
-from hysteresis_ros.simulation.axes import single_axis
-from hysteresis_ros.simulation.run import simulate
 
 CONFIG = pathlib.Path(__file__).resolve().parents[2] / "config" / "kim2009.yaml"
 RATE = 1000.0

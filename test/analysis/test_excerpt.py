@@ -24,13 +24,12 @@ pytest.importorskip("jinja2", reason="jinja2 is not installed: no pages")
 
 from click.testing import CliRunner
 
-from hysteresis_ros.analysis.charts import chart_figure
-from hysteresis_ros.analysis.excerpt import last_periods, seconds, within
-from hysteresis_ros.analysis.metrics import compute_metrics
+from hysteresis_ros.analysis.metrics import compute_metrics, judged_reference
+from hysteresis_ros.analysis.parts import last_periods, seconds, within
+from hysteresis_ros.analysis.plots import chart_figure
 from hysteresis_ros.analysis.report import render_report
 from hysteresis_ros.analysis.run_charts import error_chart, judged, loops_chart
-from hysteresis_ros.analysis.settings import judged_reference
-from hysteresis_ros.analysis.shown_figures import format_table
+from hysteresis_ros.analysis.tables import format_table
 from hysteresis_ros.cli.main import main
 from hysteresis_ros.configuration import config_path, parse_configuration
 from hysteresis_ros.errors import RecordingError

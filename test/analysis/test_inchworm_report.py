@@ -18,17 +18,16 @@ import pytest
 from click.testing import CliRunner
 
 import hysteresis_ros as hr
-from hysteresis_ros.analysis.inchworm import format_inchworm, inchworm_figures
-from hysteresis_ros.analysis.inchworm_moves import REQUIRED, inchworm_run, is_inchworm
-from hysteresis_ros.analysis.motors_side_by_side import laid_over, summary
-from hysteresis_ros.cli.report import report
+from hysteresis_ros.analysis.inchworm import REQUIRED, format_inchworm, inchworm_figures, inchworm_run, is_inchworm
+from hysteresis_ros.analysis.side_by_side import laid_over, summary
+from hysteresis_ros.cli.recording import report
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.errors import RecordingError
+from hysteresis_ros.loop.reach import single_axis
+from hysteresis_ros.loop.simulation import simulate
 from hysteresis_ros.recordings import Recording
 from hysteresis_ros.recordings.files import save_run
 from hysteresis_ros.references import inchworm_layout as at
-from hysteresis_ros.simulation.axes import single_axis
-from hysteresis_ros.simulation.run import simulate
 
 CYCLE = 20  # samples of a step
 RATE = 1000.0
@@ -255,9 +254,8 @@ def test_a_simulated_run(simulated):
 @pytest.mark.parametrize("case", ["simulated", "made up", "at rest", "one step"])
 def test_plots_say_quantity_and_unit(simulated, case):
     pytest.importorskip("matplotlib", reason="plots need Matplotlib")
-    from hysteresis_ros.analysis.charts import chart_figure
-    from hysteresis_ros.analysis.inchworm_plots import IN_THE_PLACE, INCHWORM_PLOTS, inchworm_charts
-    from hysteresis_ros.analysis.plots import png
+    from hysteresis_ros.analysis.inchworm_report import IN_THE_PLACE, INCHWORM_PLOTS, inchworm_charts
+    from hysteresis_ros.analysis.plots import chart_figure, png
 
     recordings = {
         "simulated": lambda: simulated,

@@ -14,9 +14,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hysteresis_ros.analysis.charts import chart_figure
-from hysteresis_ros.analysis.learning_plots import period_errors
-from hysteresis_ros.analysis.run_charts import judged, learned_chart
+from hysteresis_ros.analysis.plots import chart_figure
+from hysteresis_ros.analysis.run_charts import judged, learned_chart, period_errors
 from hysteresis_ros.recordings.dataset import Recording
 
 LEARNED = "/**/motion_controller:\n  ros__parameters:\n    learning.type: inversion\n    learning.period: 0.02\n"

@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hysteresis_ros.analysis.limited import limited_text
+from hysteresis_ros.analysis.metrics import limited_text
 from hysteresis_ros.analysis.report import sampling_text
 from hysteresis_ros.loop.watch import STALE
 from hysteresis_ros.recordings.dataset import Recording

@@ -18,8 +18,8 @@ from hypothesis import strategies as st
 
 from hysteresis_ros.analysis.inchworm import MOVE_FIGURES, RUN_FIGURES
 from hysteresis_ros.analysis.metrics import FIGURES, compute_metrics
-from hysteresis_ros.analysis.shown_figures import format_table
-from hysteresis_ros.analysis.steps import step_responses
+from hysteresis_ros.analysis.parts import step_responses
+from hysteresis_ros.analysis.tables import format_table
 from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.recordings import Recording
 from hysteresis_ros.recordings.loops import loop_opening, turning_points

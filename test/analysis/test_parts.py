@@ -14,13 +14,12 @@ import json
 import numpy as np
 import pytest
 
-from hysteresis_ros.analysis.excerpt import period_ends
 from hysteresis_ros.analysis.metrics import compute_metrics
-from hysteresis_ros.analysis.parts import Kind, find_parts, stopped
+from hysteresis_ros.analysis.parts import Kind, find_parts, period_ends, stopped
+from hysteresis_ros.analysis.report import columns_of
 from hysteresis_ros.analysis.run_charts import judged
-from hysteresis_ros.analysis.shown_figures import format_table, leading
 from hysteresis_ros.analysis.side_by_side import format_runs
-from hysteresis_ros.analysis.spans import columns_of
+from hysteresis_ros.analysis.tables import format_table, leading
 from hysteresis_ros.recordings import Recording
 
 RATE = 1000.0

@@ -14,11 +14,14 @@ import pytest
 
 pytest.importorskip("matplotlib")
 
-from hysteresis_ros.analysis.metrics import compute_metrics  # noqa: E402
+from hysteresis_ros.analysis.metrics import (  # noqa: E402
+    axis_settings,
+    compute_metrics,  # noqa: E402
+    judged_reference,
+)
 from hysteresis_ros.analysis.report import render_report  # noqa: E402
 from hysteresis_ros.analysis.run_charts import judged  # noqa: E402
-from hysteresis_ros.analysis.settings import axis_settings, judged_reference  # noqa: E402
-from hysteresis_ros.papers.measurements import loop_width, step_figures  # noqa: E402
+from hysteresis_ros.laboratory.papers.runs import loop_width, step_figures  # noqa: E402
 from hysteresis_ros.recordings import Recording  # noqa: E402
 
 PREVIEW = 7

@@ -18,8 +18,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hysteresis_ros.analysis.charts import chart_figure
-from hysteresis_ros.analysis.plots import envelope, png
+from hysteresis_ros.analysis.plots import chart_figure, envelope, png
 from hysteresis_ros.analysis.report import charts_of, render_report, write_report
 from hysteresis_ros.analysis.run_charts import judged, traces_chart, voltage_chart
 from hysteresis_ros.errors import HysteresisError, RecordingError

@@ -23,10 +23,10 @@ import pytest
 pytest.importorskip("matplotlib", reason="matplotlib is not installed: no plots")
 pytest.importorskip("jinja2", reason="jinja2 is not installed: no pages")
 
-from hysteresis_ros.analysis.excerpt import within
 from hysteresis_ros.analysis.metrics import FIGURES, compute_metrics
+from hysteresis_ros.analysis.parts import within
 from hysteresis_ros.analysis.report import render_report
-from hysteresis_ros.analysis.shown_figures import shown
+from hysteresis_ros.analysis.tables import shown
 from hysteresis_ros.recordings import Recording
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")

@@ -24,11 +24,12 @@ from hypothesis import strategies as st
 pytest.importorskip("matplotlib", reason="matplotlib is not installed: no plots")
 pytest.importorskip("jinja2", reason="jinja2 is not installed: no pages")
 
-from hysteresis_ros.analysis import error_charts, report, spans
-from hysteresis_ros.analysis.charts import Line, thin, thin_path
-from hysteresis_ros.analysis.excerpt import within
+from hysteresis_ros.analysis import report, run_charts
+from hysteresis_ros.analysis import report as spans
 from hysteresis_ros.analysis.metrics import compute_metrics
-from hysteresis_ros.analysis.payload import chart_payload
+from hysteresis_ros.analysis.page import chart_payload
+from hysteresis_ros.analysis.parts import within
+from hysteresis_ros.analysis.plots import Line, thin, thin_path
 from hysteresis_ros.analysis.run_charts import error_chart, judged, late_samples_chart, lateness_chart, traces_chart
 from hysteresis_ros.recordings import Recording
 
@@ -212,7 +213,7 @@ def test_a_sine_has_its_line_and_its_variance_in_the_spectrum():
     values = 30e-9 * np.sin(2 * np.pi * 50.0 * time) + 7e-9
     values[np.arange(0, 20000, 500)] = np.nan
     there = np.isfinite(values)
-    frequency, density = error_charts.amplitude_spectrum(time[there], values[there], 1.0 / RATE)
+    frequency, density = run_charts.amplitude_spectrum(time[there], values[there], 1.0 / RATE)
     assert frequency[np.argmax(density)] == pytest.approx(50.0, abs=0.1)
     assert np.sum((1e9 * density) ** 2) * frequency[0] == pytest.approx(0.5 * 30.0**2, rel=0.01)
 
@@ -225,18 +226,18 @@ def test_trace_and_retrace_are_told_apart():
     run = judged(
         Recording.from_columns({"time": np.arange(1000) / RATE, "reference": reference, "displacement": displacement})
     )
-    chart = error_charts.trace_retrace_chart(run)
+    chart = run_charts.trace_retrace_chart(run)
     trace, retrace = chart.lines
     assert trace.label.startswith("trace") and np.median(trace.y) == pytest.approx(10.0)
     assert retrace.label.startswith("retrace") and np.median(retrace.y) == pytest.approx(-10.0)
     assert all(np.all(np.diff(line.x) >= 0.0) for line in chart.lines) and "20 nm at most" in chart.note
-    periods = error_charts.last_periods_chart(run)
+    periods = run_charts.last_periods_chart(run)
     assert [line.label for line in periods.lines] == ["the one before that", "the one before", "last"]
     assert periods.up == "error [nm]" and all(line.x[-1] < 200.0 for line in periods.lines)
 
 
 def test_bars_of_the_histogram_are_all_samples():
-    chart = error_charts.histogram_chart(judged(scan()))
+    chart = run_charts.histogram_chart(judged(scan()))
     bars, normal = chart.lines
     assert np.sum(bars.y) == pytest.approx(100.0) and np.sum(normal.y) == pytest.approx(100.0, rel=0.05)
 

@@ -18,14 +18,14 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from hysteresis_ros.cli.commissioning.bench import require_sound
+from hysteresis_ros.cli.commissioning.new_file import NewAxis, write_new
+from hysteresis_ros.cli.commissioning.situation import plan_of
 from hysteresis_ros.cli.main import main
-from hysteresis_ros.commissioning.bench import require_sound
-from hysteresis_ros.commissioning.new_file import NewAxis, write_new
-from hysteresis_ros.commissioning.plan import plan_of
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.errors import HysteresisError
-from hysteresis_ros.simulation.axes import single_axis
-from hysteresis_ros.simulation.driven_axis import driven, write_samples
+from hysteresis_ros.loop.reach import single_axis
+from hysteresis_ros.references.recipes import driven, write_samples
 
 DRIVER = """
 from dataclasses import replace
@@ -100,7 +100,7 @@ def test_a_device_that_is_not_there_is_named_by_its_node_and_ends_it(tmp_path, c
 
 @needs_ros
 def test_a_run_through_the_nodes_is_what_was_asked_for(tmp_path):
-    from hysteresis_ros.commissioning.graph_bench import GraphBench
+    from hysteresis_ros.cli.commissioning.bench import GraphBench
 
     configuration = load_configuration(written(tmp_path, sample_rate=100.0))
     axis = single_axis(configuration)

@@ -16,10 +16,10 @@ import json
 import pytest
 from click.testing import CliRunner
 
-from hysteresis_ros.block import COMPILED
+from hysteresis_ros.cli import doctor
 from hysteresis_ros.cli import doctor as command
-from hysteresis_ros.cli import machine
 from hysteresis_ros.cli.main import main
+from hysteresis_ros.models.block import COMPILED
 
 
 @pytest.fixture
@@ -65,7 +65,7 @@ def test_what_was_measured_is_said_and_written(tmp_path, short):
 
 def test_nodes_that_answer_nothing_are_said_to(monkeypatch, tmp_path, short):
     trial = pytest.importorskip("hysteresis_ros.nodes.trial", reason="rosbags is not installed")
-    monkeypatch.setattr("hysteresis_ros.block.COMPILED", False)
+    monkeypatch.setattr("hysteresis_ros.models.block.COMPILED", False)
     monkeypatch.setattr(trial.Trial, "message_rate", lambda self: 1000.0)
     monkeypatch.setattr(trial.Trial, "answers", lambda self: trial.Answers(300.0, 30, 0, None, None, None))
     path = tmp_path / "found.json"
@@ -75,7 +75,7 @@ def test_nodes_that_answer_nothing_are_said_to(monkeypatch, tmp_path, short):
 
 
 def test_without_a_compiler_nothing_is_measured_and_the_reason_is_said(monkeypatch, short):
-    monkeypatch.setattr("hysteresis_ros.block.COMPILED", False)
+    monkeypatch.setattr("hysteresis_ros.models.block.COMPILED", False)
     monkeypatch.setattr(command, "_messages", lambda *arguments: {})
     result = CliRunner().invoke(main, ["doctor"])
     assert result.exit_code == 0 and "200 Hz at most without Numba" in result.output
@@ -88,10 +88,10 @@ def test_a_file_that_cannot_be_written_is_refused_before_anything_is_measured(tm
 
 def test_what_is_missing_comes_with_what_to_do():
     system = {"cores": 2, "governor": "unknown"}
-    libraries = dict.fromkeys(machine.LIBRARIES, "1.0")
-    assert machine.advice({"system": system, "libraries": libraries}, True) == []
+    libraries = dict.fromkeys(doctor.LIBRARIES, "1.0")
+    assert doctor.advice({"system": system, "libraries": libraries}, True) == []
     libraries |= {"numba": "not installed", "rosbags": "not installed", "mcap": "not installed"}
-    lines = machine.advice({"system": {"cores": 1, "governor": "powersave"}, "libraries": libraries}, False)
+    lines = doctor.advice({"system": {"cores": 1, "governor": "powersave"}, "libraries": libraries}, False)
     text = "\n".join(lines)
     assert 'numba missing: pip install "hysteresis_ros[fast]"' in text
     assert 'rosbags and mcap missing: pip install "hysteresis_ros"' in text

@@ -19,9 +19,9 @@ import sys
 import pytest
 from click.testing import CliRunner
 
-from hysteresis_ros.cli.emulate import _bench_of
 from hysteresis_ros.cli.main import main
 from hysteresis_ros.hardware.registry import DRIVERS
+from hysteresis_ros.laboratory.emulation.command import _bench_of
 
 
 def refusal(*words) -> str:

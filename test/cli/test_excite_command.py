@@ -21,12 +21,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hysteresis_ros.block import COMPILED
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.errors import ConfigurationError
+from hysteresis_ros.loop.reach import single_axis
+from hysteresis_ros.models.block import COMPILED
 from hysteresis_ros.references.recipes import RECIPES, in_metres, recipe
 from hysteresis_ros.references.waveforms import Waveform, WaveformParameters
-from hysteresis_ros.simulation.axes import single_axis
 
 
 def voltages(name, low, high, rate, **options):

@@ -22,18 +22,16 @@ from hysteresis_ros.cli.main import main
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.identification.parameter_file import load_chain
 from hysteresis_ros.identification.prediction import predict
-from hysteresis_ros.identification.registry import MODELS
 from hysteresis_ros.loop.axis import Axis
-from hysteresis_ros.loop.common_parameters import part
-from hysteresis_ros.loop.plant_parameters import PlantNodeParameters
+from hysteresis_ros.loop.parameters import PlantNodeParameters, part
+from hysteresis_ros.loop.reach import axes
 from hysteresis_ros.models.actuator import Actuator, ActuatorParameters
 from hysteresis_ros.models.creep import CreepParameters
-from hysteresis_ros.models.hysteresis import HysteresisParameters
+from hysteresis_ros.models.hysteresis import MODELS, HysteresisParameters
 from hysteresis_ros.models.hysteresis.bouc_wen_mechanical import BoucWenMechanicalParameters, BoucWenOscillator
 from hysteresis_ros.models.hysteresis.prandtl_ishlinskii import PrandtlIshlinskiiHysteresis, PrandtlIshlinskiiParameters
 from hysteresis_ros.models.limits import LimitsParameters
 from hysteresis_ros.models.linear import LinearParameters
-from hysteresis_ros.simulation.axes import axes
 
 RATE = 200.0
 STACK = PrandtlIshlinskiiParameters(

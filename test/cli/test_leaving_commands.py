@@ -24,8 +24,8 @@ from click.testing import CliRunner
 from hysteresis_ros.cli.main import main
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.errors import ConfigurationError, RecordingError
+from hysteresis_ros.loop.reach import single_axis
 from hysteresis_ros.nodes.launcher import Graph
-from hysteresis_ros.simulation.axes import single_axis
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 

@@ -18,12 +18,12 @@ import pytest
 import yaml
 from click.testing import CliRunner
 
+from hysteresis_ros.cli.commission import new
+from hysteresis_ros.cli.commissioning.situation import plan_of
 from hysteresis_ros.cli.main import main
-from hysteresis_ros.cli.new import new
-from hysteresis_ros.commissioning.plan import plan_of
 from hysteresis_ros.configuration import load_configuration
-from hysteresis_ros.simulation.axes import single_axis
-from hysteresis_ros.simulation.run import simulate
+from hysteresis_ros.loop.reach import single_axis
+from hysteresis_ros.loop.simulation import simulate
 
 STAGE = ("--stroke", "100um", "--voltage", "-20..80 V", "--rate", "2kHz")
 

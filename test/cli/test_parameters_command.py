@@ -13,21 +13,21 @@ import pathlib
 import subprocess
 import sys
 
-from hysteresis_ros.cli.parameters import lines
-from hysteresis_ros.loop.node_parameters import NODE_PARAMETERS
+from hysteresis_ros.cli.describe import parameter_lines
+from hysteresis_ros.loop.parameters import NODE_PARAMETERS
 
 DOCUMENT = pathlib.Path(__file__).resolve().parents[2] / "docs" / "parameters.md"
 
 
 def test_the_documentation_holds_the_present_tables():
     text = DOCUMENT.read_text(encoding="utf-8")
-    assert text.endswith("\n".join(lines(list(NODE_PARAMETERS)))), (
+    assert text.endswith("\n".join(parameter_lines(list(NODE_PARAMETERS)))), (
         "docs/parameters.md is out of date: keep its head and replace the tables by what `hysteresis parameters` prints"
     )
 
 
 def test_every_parameter_of_a_node_is_listed_with_range_and_meaning():
-    printed = "\n".join(lines(["motion_controller"]))
+    printed = "\n".join(parameter_lines(["motion_controller"]))
     for row in NODE_PARAMETERS["motion_controller"].table():
         assert f"| `{row.name}` |" in printed and row.description
     assert "plant_simulator" not in printed.split("## motion_controller")[0].split("## Every node")[0]

@@ -17,10 +17,10 @@ from click.testing import CliRunner
 
 from hysteresis_ros.cli.main import main
 from hysteresis_ros.configuration import load_configuration
-from hysteresis_ros.recordings.bag_files import LARGEST, packed_files
+from hysteresis_ros.loop.reach import single_axis
+from hysteresis_ros.loop.simulation import simulate
 from hysteresis_ros.recordings.files import load_run, save_run
-from hysteresis_ros.simulation.axes import single_axis
-from hysteresis_ros.simulation.run import simulate
+from hysteresis_ros.recordings.provenance import LARGEST, packed_files
 
 
 def verify(path):

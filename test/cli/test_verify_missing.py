@@ -16,12 +16,12 @@ import pytest
 from click.testing import CliRunner
 
 from hysteresis_ros.cli.main import main
-from hysteresis_ros.cli.verify import unlike
+from hysteresis_ros.cli.recording import unlike
 from hysteresis_ros.configuration import load_configuration
+from hysteresis_ros.loop.reach import single_axis
+from hysteresis_ros.loop.simulation import simulate
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.files import save_run
-from hysteresis_ros.simulation.axes import single_axis
-from hysteresis_ros.simulation.run import simulate
 
 
 @pytest.mark.parametrize(

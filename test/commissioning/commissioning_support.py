@@ -15,12 +15,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from hysteresis_ros.commissioning.bench import Bench
-from hysteresis_ros.commissioning.commission import Attendant
-from hysteresis_ros.comparison.plants import ForeignPlant
+from hysteresis_ros.cli.commissioning.bench import Bench
+from hysteresis_ros.cli.commissioning.stages import Attendant
+from hysteresis_ros.laboratory.comparison.tasks import ForeignPlant
+from hysteresis_ros.laboratory.foreign import ForeignParameters
 from hysteresis_ros.loop.axis import Axis
-from hysteresis_ros.models.foreign import ForeignParameters
-from hysteresis_ros.models.preload import PreloadParameters
+from hysteresis_ros.models.actuator import PreloadParameters
 from hysteresis_ros.recordings.dataset import Recording
 
 RATE = 2000.0

@@ -13,12 +13,10 @@ from __future__ import annotations
 
 from commissioning_support import RATE, ForeignBench
 
-from hysteresis_ros.commissioning.folder import Folder
-from hysteresis_ros.commissioning.new_file import NewAxis, write_new
-from hysteresis_ros.commissioning.plan import plan_of
-from hysteresis_ros.commissioning.situation import Situation
+from hysteresis_ros.cli.commissioning.new_file import NewAxis, write_new
+from hysteresis_ros.cli.commissioning.situation import Folder, Situation, plan_of
 from hysteresis_ros.configuration import load_configuration
-from hysteresis_ros.simulation.axes import single_axis
+from hysteresis_ros.loop.reach import single_axis
 
 #: Entries of the plan that make a commissioning short.
 SHORT = "    noise_duration: 0.5\n    cycle_frequency: 2.0\n    creep_duration: 2.0\n"

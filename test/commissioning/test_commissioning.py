@@ -18,18 +18,15 @@ import pytest
 from commissioning_support import RATE, STAGE, ForeignBench, Willing
 from sitting_support import sitting
 
-from hysteresis_ros.commissioning import voltages as volts
-from hysteresis_ros.commissioning.bench import require_sound
-from hysteresis_ros.commissioning.commission import NotAllowedError, commission
-from hysteresis_ros.commissioning.folder import COMMISSIONED, Folder
-from hysteresis_ros.commissioning.new_file import NewAxis, write_new
-from hysteresis_ros.commissioning.outcome import CommissioningError
-from hysteresis_ros.commissioning.plan import plan_of
-from hysteresis_ros.commissioning.stages import STAGES
+from hysteresis_ros.cli.commissioning import measuring as volts
+from hysteresis_ros.cli.commissioning.bench import require_sound
+from hysteresis_ros.cli.commissioning.new_file import NewAxis, write_new
+from hysteresis_ros.cli.commissioning.situation import COMMISSIONED, CommissioningError, Folder, plan_of
+from hysteresis_ros.cli.commissioning.stages import STAGES, NotAllowedError, commission
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.errors import ConfigurationError, ParameterError
+from hysteresis_ros.loop.reach import single_axis
 from hysteresis_ros.recordings.dataset import Recording
-from hysteresis_ros.simulation.axes import single_axis
 
 
 class Counting(ForeignBench):

@@ -17,10 +17,10 @@ import numpy as np
 import pytest
 from sitting_support import sitting
 
-from hysteresis_ros.commissioning import voltages as volts
-from hysteresis_ros.commissioning.bench import require_sound
-from hysteresis_ros.commissioning.measuring import judge_gain, judge_hysteresis, judge_noise
-from hysteresis_ros.commissioning.outcome import CommissioningError, Outcome
+from hysteresis_ros.cli.commissioning import measuring as volts
+from hysteresis_ros.cli.commissioning.bench import require_sound
+from hysteresis_ros.cli.commissioning.measuring import judge_gain, judge_hysteresis, judge_noise
+from hysteresis_ros.cli.commissioning.situation import CommissioningError, Outcome
 from hysteresis_ros.recordings.dataset import Recording
 
 #: Expected of the new axis: 100 µm over 100 V, at 2 kHz.

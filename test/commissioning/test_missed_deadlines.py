@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hysteresis_ros.commissioning.learning import in_time, missed_line
+from hysteresis_ros.cli.commissioning.closed_loop import in_time, missed_line
 
 
 def test_a_period_with_a_missed_deadline_and_the_one_after_it_do_not_count():

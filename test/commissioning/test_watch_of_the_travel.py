@@ -17,8 +17,8 @@ import numpy as np
 import pytest
 from sitting_support import sitting
 
-from hysteresis_ros.commissioning import voltages as volts
-from hysteresis_ros.commissioning.outcome import Outcome
+from hysteresis_ros.cli.commissioning import measuring as volts
+from hysteresis_ros.cli.commissioning.situation import Outcome
 
 STROKE = 100e-6
 

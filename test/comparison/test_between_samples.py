@@ -18,14 +18,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hysteresis_ros.comparison.judging import Followed, best_delay, followed, judged
-from hysteresis_ros.comparison.plants import ModelledPlant
-from hysteresis_ros.comparison.tasks import Conditions, make_tasks
 from hysteresis_ros.configuration import load_configuration
+from hysteresis_ros.laboratory.between_samples import INSTANTS, between_samples
+from hysteresis_ros.laboratory.comparison.tasks import (
+    Conditions,
+    Followed,
+    ModelledPlant,
+    best_delay,
+    followed,
+    judged,
+    make_tasks,
+)
+from hysteresis_ros.loop.reach import single_axis
+from hysteresis_ros.loop.simulation import simulate
 from hysteresis_ros.models.linear import LinearDynamics, LinearParameters, zero_order_hold
-from hysteresis_ros.simulation.axes import single_axis
-from hysteresis_ros.simulation.between_samples import INSTANTS, between_samples
-from hysteresis_ros.simulation.run import simulate
 
 T = 1e-3
 SINE, TRIANGLE = make_tasks(Conditions(), (0.0, 10e-6))

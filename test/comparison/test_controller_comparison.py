@@ -24,18 +24,17 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from hysteresis_ros.analysis.ranking import ranking_figure
 from hysteresis_ros.cli.main import main
-from hysteresis_ros.comparison import table
-from hysteresis_ros.comparison.candidates import candidates, known, names
-from hysteresis_ros.comparison.compare import compare, trial_around
-from hysteresis_ros.comparison.outcome import Comparison, Tried, table_of_others
-from hysteresis_ros.comparison.rows import Row
-from hysteresis_ros.comparison.tasks import Conditions, make_tasks
 from hysteresis_ros.configuration import load_configuration, parse_configuration
 from hysteresis_ros.errors import ConfigurationError, ParameterError
-from hysteresis_ros.simulation.axes import single_axis
-from hysteresis_ros.simulation.run import simulate
+from hysteresis_ros.laboratory.comparison import table
+from hysteresis_ros.laboratory.comparison.candidates import candidates, known, names
+from hysteresis_ros.laboratory.comparison.compare import Comparison, Tried, compare, table_of_others, trial_around
+from hysteresis_ros.laboratory.comparison.rows import Row
+from hysteresis_ros.laboratory.comparison.table import ranking_figure
+from hysteresis_ros.laboratory.comparison.tasks import Conditions, make_tasks
+from hysteresis_ros.loop.reach import single_axis
+from hysteresis_ros.loop.simulation import simulate
 
 FED, ALONE, OPEN = ("PID + feedforward", "exact inverse with creep"), ("PID", "none"), ("open loop", "none")
 INTEGRAL = "integral + static feedforward", "none"
@@ -183,7 +182,7 @@ def test_table_and_json_tell_the_same(comparison):
 
 def test_the_page_holds_the_table_and_its_plots(comparison, tmp_path):
     pytest.importorskip("matplotlib")
-    table.write_page(comparison, tmp_path / "page.html")
+    table.write_comparison_page(comparison, tmp_path / "page.html")
     page = (tmp_path / "page.html").read_text(encoding="utf-8")
     assert page.count("<img") == 3 and FED[0] in page
 

@@ -19,17 +19,18 @@ import typing
 import numpy as np
 import pytest
 
-from hysteresis_ros.comparison import candidates, others, plants, rows
-from hysteresis_ros.comparison.candidates import known
-from hysteresis_ros.comparison.compare import drawn_around, trial_around, trial_on_other
-from hysteresis_ros.comparison.tasks import Conditions
 from hysteresis_ros.configuration import Configuration, load_configuration, parse_configuration
 from hysteresis_ros.control.margins import Requirements
+from hysteresis_ros.laboratory.comparison import candidates, rows, tasks
+from hysteresis_ros.laboratory.comparison import rows as others
+from hysteresis_ros.laboratory.comparison.candidates import known
+from hysteresis_ros.laboratory.comparison.compare import drawn_around, trial_around, trial_on_other
+from hysteresis_ros.laboratory.comparison.tasks import Conditions
+from hysteresis_ros.laboratory.foreign import ForeignParameters
+from hysteresis_ros.loop.parameters import PlantNodeParameters
 from hysteresis_ros.loop.plant import Plant
-from hysteresis_ros.loop.plant_parameters import PlantNodeParameters
-from hysteresis_ros.models.foreign import ForeignParameters
+from hysteresis_ros.loop.simulation import mismatched
 from hysteresis_ros.recordings.dataset import Recording
-from hysteresis_ros.simulation.mismatch import mismatched
 
 OPEN = "open loop", "exact inverse"
 #: A plant whose answer to any voltage is its gain times that; its inverse leaves nothing but what the gain is off.
@@ -146,7 +147,7 @@ def test_no_design_can_be_handed_a_plant(function):
     hints = typing.get_type_hints(function)
     given = [hint for name, hint in hints.items() if name != "return"]
     found = set().union(*(reachable_types(hint, set()) for hint in given))
-    forbidden = (plants.DrawnPlant, ForeignParameters, Plant)
+    forbidden = (tasks.DrawnPlant, ForeignParameters, Plant)
     assert not [kind for kind in found if issubclass(kind, forbidden)]
     names = set(inspect.signature(function).parameters)
     assert names - {"only", "tasks"} <= set(hints), "an argument without a type could be anything"
@@ -159,8 +160,8 @@ def test_what_is_identified_follows_from_recording_and_bench_alone():
         "return": candidates.Known,
     }
     assert set(typing.get_type_hints(others.Bench)) == {"sample_rate", "voltage", "bits", "noise", "resolution"}
-    assert issubclass(plants.ForeignPlant, plants.DrawnPlant) and PlantNodeParameters in reachable_types(
-        plants.ForeignPlant, set()
+    assert issubclass(tasks.ForeignPlant, tasks.DrawnPlant) and PlantNodeParameters in reachable_types(
+        tasks.ForeignPlant, set()
     )
 
 
@@ -168,12 +169,13 @@ def test_a_foreign_plant_is_recorded_as_it_is_before_it_deviates(monkeypatch):
     """Models and references of a trial are those of the recording; the corners come after it."""
     bench, taken = others.Bench(), []
     monkeypatch.setattr(
-        "hysteresis_ros.comparison.compare.recorded",
+        "hysteresis_ros.laboratory.comparison.compare.recorded",
         lambda plant, bench, seed: taken.append((plant, seed)) or "recording",
     )
     axis = known(proportional(), 16)
     monkeypatch.setattr(
-        "hysteresis_ros.comparison.compare.identified", lambda recording, bench: taken.append(recording) or axis
+        "hysteresis_ros.laboratory.comparison.compare.identified",
+        lambda recording, bench: taken.append(recording) or axis,
     )
     trial = trial_on_other(5, Conditions(mismatch=0.05))
     plant = others.drawn(5, bench)

@@ -15,13 +15,12 @@ from dataclasses import replace
 
 import pytest
 
-from hysteresis_ros.comparison.candidates import LEARNERS, Candidate, controllers, learner
-from hysteresis_ros.comparison.compare import trial_around
-from hysteresis_ros.comparison.outcome import Comparison, Table
-from hysteresis_ros.comparison.tasks import LEARNING_PERIODS, Conditions
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.errors import ConfigurationError
-from hysteresis_ros.simulation.axes import single_axis
+from hysteresis_ros.laboratory.comparison.candidates import LEARNERS, Candidate, controllers, learner
+from hysteresis_ros.laboratory.comparison.compare import Comparison, Table, trial_around
+from hysteresis_ros.laboratory.comparison.tasks import LEARNING_PERIODS, Conditions
+from hysteresis_ros.loop.reach import single_axis
 
 CONTROLLER = learner("offset-free", "norm_optimal")
 

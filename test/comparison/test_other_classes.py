@@ -16,9 +16,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hysteresis_ros.comparison.others import Bench, around, drawn, excitation, recorded
 from hysteresis_ros.errors import ParameterError
-from hysteresis_ros.models.foreign import HYSTERESES, Foreign, ForeignParameters
+from hysteresis_ros.laboratory.comparison.rows import Bench, around, drawn, excitation, recorded
+from hysteresis_ros.laboratory.foreign import HYSTERESES, Foreign, ForeignParameters
 from hysteresis_ros.recordings.loops import loop_opening
 
 T = 5e-4

@@ -11,14 +11,14 @@
 
 from __future__ import annotations
 
-from hysteresis_ros.comparison.candidates import candidates
-from hysteresis_ros.comparison.compare import trial_around
-from hysteresis_ros.comparison.tasks import Conditions
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.control.controller import ControllerParameters
-from hysteresis_ros.control.robust import robustness
 from hysteresis_ros.control.uncertainty import Uncertainty
-from hysteresis_ros.loop.common_parameters import part
+from hysteresis_ros.designs.gains import robustness
+from hysteresis_ros.laboratory.comparison.candidates import candidates
+from hysteresis_ros.laboratory.comparison.compare import trial_around
+from hysteresis_ros.laboratory.comparison.tasks import Conditions
+from hysteresis_ros.loop.parameters import part
 
 NAME = "offset-free + feedforward", "none"
 

@@ -22,13 +22,13 @@ from hysteresis_ros.control.laws.open_loop import OpenLoop
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 PACKAGE = """
-from hysteresis_ros.comparison.laws import ComparedLaw
+from hysteresis_ros.laboratory.comparison.laws import ComparedLaw
 COMPARED = ComparedLaw("leaky_pi", {{"{row}": lambda given: {{"type": "leaky_pi", "leaky_pi.Kp": 2.0}}}})
 """
 CODE = """
-from hysteresis_ros.comparison.candidates import controllers
+from hysteresis_ros.laboratory.comparison.candidates import controllers
 from hysteresis_ros.configuration import load_configuration
-from hysteresis_ros.simulation.axes import single_axis
+from hysteresis_ros.loop.reach import single_axis
 found = controllers(single_axis(load_configuration("picma_stage"), None))
 print(*found, sep="|")
 print(found["leaky PI"](None))

@@ -13,16 +13,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from hysteresis_ros.block import compiled, composite
-from hysteresis_ros.compensation.compensator import (
-    Compensator,
-    CompensatorArrays,
-    CompensatorParameters,
-    InverseParameters,
-    compensator_step,
-)
+from hysteresis_ros.models.block import compiled, composite
+from hysteresis_ros.models.compensator import Compensator, CompensatorArrays, CompensatorParameters, compensator_step
 from hysteresis_ros.models.hysteresis import HysteresisParameters
 from hysteresis_ros.models.hysteresis.polynomial import assumed_stack
+from hysteresis_ros.models.inverses import InverseParameters
 from hysteresis_ros.models.limits import LimitsParameters
 
 GAIN = 0.1025e-6

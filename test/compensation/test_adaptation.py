@@ -16,12 +16,12 @@ import functools
 import numpy as np
 import pytest
 
-from hysteresis_ros.compensation import recursive as adapting
-from hysteresis_ros.compensation.adaptation import Adaptation, AdaptationParameters, adaptable
-from hysteresis_ros.compensation.compensator import Compensator, CompensatorParameters, InverseParameters
-from hysteresis_ros.compensation.recursive import adapt, drive
+from hysteresis_ros.models import adaptation as adapting
+from hysteresis_ros.models.adaptation import Adaptation, AdaptationParameters, adapt, adaptable, drive
+from hysteresis_ros.models.compensator import Compensator, CompensatorParameters
 from hysteresis_ros.models.creep import Creep, CreepParameters, LogarithmicCreepParameters
 from hysteresis_ros.models.hysteresis import MODELS, HysteresisParameters, hysteresis_block
+from hysteresis_ros.models.inverses import InverseParameters
 from hysteresis_ros.models.limits import LimitsParameters
 from hysteresis_ros.models.linear import LinearDynamics, LinearParameters
 

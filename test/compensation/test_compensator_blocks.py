@@ -20,12 +20,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from interpreted import interpreted
 
-from hysteresis_ros.block import COMPILED
-from hysteresis_ros.compensation.compensator import (
-    BIAS,
-    Compensator,
-)
 from hysteresis_ros.errors import ParameterError
+from hysteresis_ros.models.block import COMPILED
+from hysteresis_ros.models.compensator import BIAS, Compensator
 from hysteresis_ros.models.hysteresis import HysteresisParameters
 from hysteresis_ros.models.hysteresis.polynomial import PolynomialHysteresis, assumed_stack
 from hysteresis_ros.models.hysteresis.proportional import ProportionalParameters

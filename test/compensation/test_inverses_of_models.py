@@ -18,11 +18,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hysteresis_ros.block import kernel
-from hysteresis_ros.compensation.compensator import Compensator, CompensatorParameters
-from hysteresis_ros.compensation.general import general
-from hysteresis_ros.compensation.inverses import InverseParameters
 from hysteresis_ros.errors import ParameterError
+from hysteresis_ros.models.block import kernel
+from hysteresis_ros.models.compensator import Compensator, CompensatorParameters
 from hysteresis_ros.models.creep import Creep, CreepOperatorsParameters, CreepParameters
 from hysteresis_ros.models.hysteresis import HysteresisParameters, hysteresis_block
 from hysteresis_ros.models.hysteresis.bouc_wen import BoucWenHysteresis, BoucWenParameters, multiplicative
@@ -32,6 +30,7 @@ from hysteresis_ros.models.hysteresis.polynomial import assumed_stack
 from hysteresis_ros.models.hysteresis.prandtl_ishlinskii import PrandtlIshlinskiiParameters
 from hysteresis_ros.models.hysteresis.preisach import PreisachParameters, everett_of
 from hysteresis_ros.models.hysteresis.proportional import ProportionalParameters
+from hysteresis_ros.models.inverses import InverseParameters, general
 from hysteresis_ros.models.limits import LimitsParameters
 
 STROKE = 12e-6

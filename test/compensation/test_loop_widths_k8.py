@@ -20,13 +20,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hysteresis_ros.block import interpreted
-from hysteresis_ros.compensation.compensator import Compensator, CompensatorParameters
-from hysteresis_ros.compensation.inverses import InverseParameters
-from hysteresis_ros.compensation.picard import picard
+from hysteresis_ros.models.block import interpreted
+from hysteresis_ros.models.compensator import Compensator, CompensatorParameters
 from hysteresis_ros.models.hysteresis import HysteresisParameters
-from hysteresis_ros.models.hysteresis.polynomial import PolynomialHysteresis, assumed_stack
-from hysteresis_ros.models.hysteresis.polynomial.law import falling_curve, rising_curve
+from hysteresis_ros.models.hysteresis.polynomial import PolynomialHysteresis, assumed_stack, falling_curve, rising_curve
+from hysteresis_ros.models.inverses import InverseParameters, picard
 from hysteresis_ros.models.limits import LimitsParameters
 
 GAIN = 0.1025e-6

@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hysteresis_ros.control import base
+from hysteresis_ros.control import law
 from hysteresis_ros.control.controller import ControllerParameters, controller_block
 from hysteresis_ros.models.linear import LinearDynamics, LinearParameters
 
@@ -60,7 +60,7 @@ class Loop:
                 y += self.noise[k]
             u = self.controller.step(r, y)
             applied = u if self.carry is None else self.carry(u)
-            self.controller.x[base.APPLIED] = applied
+            self.controller.x[law.APPLIED] = applied
             self.plant.step(applied + self.disturbance)
             commands[k], measured[k] = u, y
         return commands, measured

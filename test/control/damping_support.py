@@ -14,11 +14,9 @@ from __future__ import annotations
 import math
 
 from hysteresis_ros.control.controller import ControllerParameters, ModelParameters
-from hysteresis_ros.control.damping.parameters import DampingParameters
-from hysteresis_ros.models.force_sensor import (
-    ForceParameters,
-)
+from hysteresis_ros.control.damping.inner_loop import DampingParameters
 from hysteresis_ros.models.linear import LinearParameters, zero_order_hold
+from hysteresis_ros.models.sensor import ForceParameters
 
 #: A stage of 700 Hz and 1 % damping at 20 kHz with a sample of delay, its output in µm, 2 µm a volt.
 T, OMEGA, DAMPING = 5e-5, 2.0 * math.pi * 700.0, 0.01

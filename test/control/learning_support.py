@@ -13,9 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hysteresis_ros.control.learning.block import Learning
-from hysteresis_ros.control.learning.correction import learned_correction
-from hysteresis_ros.control.learning.parameters import LearningParameters
+from hysteresis_ros.control.learning import Learning, LearningParameters, learned_correction
 
 RATE, N = 1000.0, 40
 

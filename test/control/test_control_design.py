@@ -20,11 +20,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hysteresis_ros.control import design
+from hysteresis_ros.control import state_feedback
 from hysteresis_ros.control.kalman import filter_gain
-from hysteresis_ros.control.sliding_design import design_sliding_mode
+from hysteresis_ros.control.sliding_surface import design_sliding_mode
 from hysteresis_ros.errors import ParameterError
-from hysteresis_ros.models.state_space import StateSpace
+from hysteresis_ros.models.linear import StateSpace
 
 PUBLISHED_S = np.array([-1.0744, -0.0904, 0.0781])
 
@@ -35,7 +35,7 @@ def stable_systems(order=3):
     def build(entries):
         values = np.array(entries)
         A = values[: order**2].reshape(order, order)
-        A = 0.9 * A / max(design.spectral_radius(A), 1e-3)
+        A = 0.9 * A / max(state_feedback.spectral_radius(A), 1e-3)
         return A, values[order**2 : order**2 + order, None], values[None, order**2 + order :]
 
     def well_posed(system):
@@ -53,7 +53,7 @@ def stable_systems(order=3):
 
 def test_published_linear_gain_follows_from_S_and_phi(model):
     A, B = model.A, model.B
-    K, switching_gain = design.sliding_gain(A, B, PUBLISHED_S, 0.93)
+    K, switching_gain = state_feedback.sliding_gain(A, B, PUBLISHED_S, 0.93)
     assert pytest.approx([0.5130, -1.6069, 1.1001], abs=2e-4) == K
     assert switching_gain == pytest.approx(0.836, abs=1e-3)
     poles = np.sort(np.linalg.eigvals(A - B @ K[None]).real)
@@ -66,7 +66,7 @@ def test_published_observer_gain_follows_from_q_over_r(model, parameters):
 
 
 def test_dc_gain_of_published_model(model):
-    state, command = design.steady_state(model)
+    state, command = state_feedback.steady_state(model)
     A, B, C = model.A, model.B, model.C
     assert 1.0 / command == pytest.approx(2.05, abs=1e-4)
     assert A @ state + B[:, 0] * command == pytest.approx(state, abs=1e-14)
@@ -78,20 +78,20 @@ def test_dc_gain_of_published_model(model):
 def test_riccati_residual_vanishes_and_filter_is_stable(system, q, r):
     A, B, C = system
     Q = q * B @ B.T
-    gain, P = design.kalman_gain(A, C, Q, r)
+    gain, P = state_feedback.kalman_gain(A, C, Q, r)
     innovation = r + (C @ P @ C.T).item()
     residual = A @ P @ A.T - A @ P @ C.T @ C @ P @ A.T / innovation + Q - P
     assert np.abs(residual).max() <= 1e-8 * np.abs(P).max()
     assert gain == pytest.approx((P @ C.T)[:, 0] / innovation)
-    assert design.spectral_radius(A - np.outer(A @ gain, C)) < 1.0
+    assert state_feedback.spectral_radius(A - np.outer(A @ gain, C)) < 1.0
 
 
 @settings(max_examples=50, deadline=None)
 @given(stable_systems(), st.lists(st.floats(-0.95, 0.95), min_size=2, max_size=2), st.floats(-0.95, 0.95))
 def test_placed_poles_and_phi_are_the_poles_of_the_loop(system, poles, phi):
     A, B, _ = system
-    S = design.hyperplane_from_poles(A, B, poles)
-    K, switching_gain = design.sliding_gain(A, B, S, phi)
+    S = state_feedback.hyperplane_from_poles(A, B, poles)
+    K, switching_gain = state_feedback.sliding_gain(A, B, S, phi)
     assert switching_gain == pytest.approx(1.0, rel=1e-6)
     # Compared as polynomials: coinciding poles are ill-conditioned, their polynomial is not.
     assert np.poly(A - B @ K[None]) == pytest.approx(np.poly([*poles, phi]), abs=1e-5)
@@ -113,9 +113,9 @@ def test_complex_poles(parameters, model):
 @given(stable_systems(), st.floats(1e-3, 1e3))
 def test_lq_hyperplane_slides_stably_whatever_the_input_weight(system, input_weight):
     A, B, C = system
-    S = design.hyperplane_lq(A, B, C.T @ C + 1e-3 * np.eye(3), input_weight)
+    S = state_feedback.hyperplane_lq(A, B, C.T @ C + 1e-3 * np.eye(3), input_weight)
     assert (S @ B).item() == pytest.approx(1.0)
-    assert design.spectral_radius((np.eye(3) - B @ S[None]) @ A) < 1.0
+    assert state_feedback.spectral_radius((np.eye(3) - B @ S[None]) @ A) < 1.0
 
 
 def test_lq_hyperplane_with_cheap_control_and_phi_zero_is_the_lq_gain(model):
@@ -125,7 +125,7 @@ def test_lq_hyperplane_with_cheap_control_and_phi_zero_is_the_lq_gain(model):
     Q, R = C.T @ C, 1e-9
     P = scipy.linalg.solve_discrete_are(A, B, Q, [[R]])
     regulator = (B.T @ P @ A)[0] / (R + (B.T @ P @ B).item())
-    K, _ = design.sliding_gain(A, B, design.hyperplane_lq(A, B, Q, R), 0.0)
+    K, _ = state_feedback.sliding_gain(A, B, state_feedback.hyperplane_lq(A, B, Q, R), 0.0)
     assert pytest.approx(regulator, rel=1e-6) == K
 
 
@@ -146,7 +146,7 @@ def test_full_process_noise_equals_its_scalar_form(parameters, model):
 @pytest.mark.parametrize("form", ["predictor", "current"])
 @pytest.mark.parametrize("disturbance", ["none", "constant"])
 def test_predictor_gain_is_A_times_current_gain(parameters, model, form, disturbance):
-    whole = design.disturbance_system(model).A if disturbance == "constant" else model.A
+    whole = state_feedback.disturbance_system(model).A if disturbance == "constant" else model.A
     gains = {
         form: filter_gain(parameters({"kalman.form": form, "kalman.disturbance": disturbance}).kalman, model)
         for form in ("predictor", "current")
@@ -216,17 +216,17 @@ def test_modes_that_cannot_be_seen_or_moved_are_refused():
     unstable = np.diag([0.5, 1.1])
     blind, lame = np.array([[1.0, 0.0]]), np.array([[1.0], [0.0]])
     with pytest.raises(ParameterError, match="model.dynamics.C"):
-        design.kalman_gain(unstable, blind, np.eye(2), 1.0)
+        state_feedback.kalman_gain(unstable, blind, np.eye(2), 1.0)
     with pytest.raises(ParameterError, match="model.dynamics.B"):
-        design.hyperplane_lq(unstable, lame, np.eye(2), 1.0)
+        state_feedback.hyperplane_lq(unstable, lame, np.eye(2), 1.0)
     with pytest.raises(ParameterError, match="model.dynamics.B"):
-        design.hyperplane_from_poles(unstable, lame, [0.5])
+        state_feedback.hyperplane_from_poles(unstable, lame, [0.5])
     with pytest.raises(ParameterError, match="sliding_mode.lq_state_weight"):
-        design.hyperplane_lq(unstable, np.ones((2, 1)), np.diag([1.0, 0.0]), 1.0)
+        state_feedback.hyperplane_lq(unstable, np.ones((2, 1)), np.diag([1.0, 0.0]), 1.0)
     with pytest.raises(ParameterError, match="kalman.q"):
-        design.kalman_gain(np.diag([0.5, 1.0]), np.ones((1, 2)), np.diag([1.0, 0.0]), 1.0)
+        state_feedback.kalman_gain(np.diag([0.5, 1.0]), np.ones((1, 2)), np.diag([1.0, 0.0]), 1.0)
     # A hidden mode that decays by itself does no harm.
-    gain, _ = design.kalman_gain(np.diag([0.5, 0.9]), blind, np.eye(2), 1.0)
+    gain, _ = state_feedback.kalman_gain(np.diag([0.5, 0.9]), blind, np.eye(2), 1.0)
     assert np.isfinite(gain).all()
 
 
@@ -235,10 +235,10 @@ def test_modes_that_cannot_be_seen_or_moved_are_refused():
 def test_rank_decisions_do_not_depend_on_units(model, input_unit, output_unit):
     A, B, C, D = model.A, model.B, model.C, model.D
     changed = StateSpace(A, B * input_unit, C * output_unit, D)
-    state, command = design.steady_state(changed)
+    state, command = state_feedback.steady_state(changed)
     assert command * input_unit * output_unit * 2.05 == pytest.approx(1.0, rel=1e-4)
-    whole = design.disturbance_system(changed)
-    assert design.detectable(whole.A, whole.C)
+    whole = state_feedback.disturbance_system(changed)
+    assert state_feedback.detectable(whole.A, whole.C)
 
 
 def test_other_types_do_not_check_the_sliding_mode_design(parameters):
@@ -255,8 +255,8 @@ def test_designed_gains_need_no_scipy(tmp_path):
         "block.step(1.0, 0.0)\n"
         "sys.exit('scipy.linalg' in sys.modules)\n"
     )
-    import hysteresis_ros.block
+    import hysteresis_ros.models.block
 
-    root = os.path.dirname(os.path.dirname(hysteresis_ros.block.__file__))
+    root = os.path.dirname(os.path.dirname(hysteresis_ros.models.block.__file__))
     environment = os.environ | {"PYTHONPATH": root, "NUMBA_DISABLE_JIT": "1"}
     assert subprocess.run([sys.executable, "-c", script], env=environment, cwd=tmp_path).returncode == 0

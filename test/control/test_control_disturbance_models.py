@@ -14,11 +14,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hysteresis_ros.control import base, design, kalman
+from hysteresis_ros.control import kalman, law, state_feedback
 from hysteresis_ros.control.kalman import KalmanFilter, disturbance_model, filter_gain
 from hysteresis_ros.errors import ParameterError
-from hysteresis_ros.models.linear import LinearParameters
-from hysteresis_ros.models.state_space import StateSpace
+from hysteresis_ros.models.linear import LinearParameters, StateSpace
 
 SAMPLE_TIME = 1.0 / 3000.0
 STEP = 2.05e-6
@@ -57,11 +56,11 @@ def test_filter_is_the_textbook_recursion_of_the_whole_system(parameters, model,
     observer = KalmanFilter(chosen, SAMPLE_TIME, dynamics)
     L = filter_gain(chosen, dynamics.state_space, SAMPLE_TIME)
     A_d, c_d, _ = disturbance_model(chosen, SAMPLE_TIME)
-    disturbed = design.disturbance_system(dynamics.state_space, A_d, c_d)
+    disturbed = state_feedback.disturbance_system(dynamics.state_space, A_d, c_d)
     whole, output = disturbed.A, disturbed.C
     known = np.append(B[:, 0], np.zeros(len(A_d)))
     applied, measured = np.random.default_rng(1).normal(size=(2, 150))
-    rest, rest_input = design.steady_state(dynamics.state_space)
+    rest, rest_input = state_feedback.steady_state(dynamics.state_space)
     state = np.concatenate([rest * measured[0], [rest_input * measured[0] - applied[0]], np.zeros(len(A_d) - 1)])
     late, expected, disturbances = 0.0, [measured[0]], []
     for k in range(1, len(applied)):
@@ -92,7 +91,7 @@ def test_a_ramp_of_disturbance_is_compensated_in_the_sample_in_which_it_acts(loo
         errors[name] = abs(y[-1] - STEP)
     assert errors["ramp"] < 1e-12
     assert errors["constant"] > 1e-9
-    assert axis.controller.x[base.DISTURBANCE] == pytest.approx(rate * (samples - 1), rel=1e-6)
+    assert axis.controller.x[law.DISTURBANCE] == pytest.approx(rate * (samples - 1), rel=1e-6)
 
 
 @pytest.mark.parametrize("form", ["predictor", "current"])

@@ -18,8 +18,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hysteresis_ros.control import handover as module
-from hysteresis_ros.control.handover import Handover, HandoverParameters, arm
+from hysteresis_ros.control import controller as module
+from hysteresis_ros.control.controller import Handover, HandoverParameters, arm
 
 finite = st.floats(-1e-3, 1e-3)
 

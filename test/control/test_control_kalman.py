@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hysteresis_ros.control import design, kalman
+from hysteresis_ros.control import kalman, state_feedback
 from hysteresis_ros.control.kalman import KalmanFilter, KalmanParameters, filter_gain
 from hysteresis_ros.models.linear import LinearParameters
 
@@ -41,11 +41,11 @@ def test_filter_is_its_textbook_recursion(parameters, model, signals, form, dist
     A, B, C = model.A, model.B, model.C
     B_known = B[:, 0]
     if disturbance == "constant":
-        whole = design.disturbance_system(model)
+        whole = state_feedback.disturbance_system(model)
         A, C = whole.A, whole.C
         B_known = np.append(B_known, 0.0)
     L = filter_gain(observer.parameters, model)
-    rest, rest_input = design.steady_state(model)
+    rest, rest_input = state_feedback.steady_state(model)
     state = rest * measured[0]
     if disturbance == "constant":
         state = np.append(state, rest_input * measured[0] - applied[0])

@@ -17,13 +17,11 @@ import numpy as np
 import pytest
 import scipy.signal
 
-from hysteresis_ros.control.closed_loop import close, loop_transfer, plant_state_space
 from hysteresis_ros.control.controller import ControllerParameters, ModelParameters, controller_block
-from hysteresis_ros.control.laws.pid.law import PidParameters, pid_state_space
+from hysteresis_ros.control.laws.pid import PidParameters, pid_state_space
 from hysteresis_ros.control.linearisation import at_rest, linear_loop, linearise, margins
-from hysteresis_ros.control.margins import Requirements, judge, margins_of
-from hysteresis_ros.models.linear import LinearDynamics, LinearParameters, zero_order_hold
-from hysteresis_ros.models.state_space import StateSpace
+from hysteresis_ros.control.margins import Requirements, close, judge, loop_transfer, margins_of, plant_state_space
+from hysteresis_ros.models.linear import LinearDynamics, LinearParameters, StateSpace, zero_order_hold
 
 T = 1.0 / 3000.0
 #: One entry per type: what makes the published axis run under it.

@@ -16,10 +16,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hysteresis_ros.control import base
+from hysteresis_ros.control import law
 from hysteresis_ros.control.controller import ControllerParameters, controller_block
-from hysteresis_ros.control.laws.pid import law as module
-from hysteresis_ros.control.laws.pid.law import PidParameters, pid_state_space
+from hysteresis_ros.control.laws import pid as module
+from hysteresis_ros.control.laws.pid import PidParameters, pid_state_space
 from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.models.linear import LinearDynamics, LinearParameters
 
@@ -50,7 +50,7 @@ def run(controller, reference, least=-np.inf, most=np.inf):
         y = plant.output()
         u = controller.step(r, y)
         applied = min(max(u, least), most)
-        controller.x[base.APPLIED] = applied
+        controller.x[law.APPLIED] = applied
         plant.step(applied)
         commands.append(u)
         displacements.append(y)
@@ -64,7 +64,7 @@ def test_hand_computed_samples():
     assert c.step(4e-6, 1e-6) == pytest.approx((2.0 * (2.0 - 1.0) + 0.35 - 50.0) * 1e-6)
     # k = 2: r = 8, y = 2: I += 0.1·(6 + 3)/2, D = 0.5·(0.25·4 - 1)/0.01 = 0
     assert c.step(8e-6, 2e-6) == pytest.approx((2.0 * (4.0 - 2.0) + 0.35 + 0.45) * 1e-6)
-    assert c.x[base.ESTIMATED] == 2e-6
+    assert c.x[law.ESTIMATED] == 2e-6
 
 
 def test_derivative_filter_by_hand():
@@ -139,7 +139,7 @@ def test_small_differences_of_an_approximate_inverse_do_not_stop_the_integral():
     for _ in range(400):
         y = plant.output()
         applied = 0.95 * c.step(3e-6, y)
-        c.x[base.APPLIED] = applied
+        c.x[law.APPLIED] = applied
         plant.step(applied)
     assert plant.output() == pytest.approx(3e-6, rel=1e-9)
 
@@ -148,7 +148,7 @@ def test_small_differences_of_an_approximate_inverse_do_not_stop_the_integral():
 @given(st.floats(-5e-6, 5e-6).filter(lambda v: abs(v) > 1e-12), st.floats(-5e-6, 5e-6), st.floats(0.0, 1.0))
 def test_first_command_is_the_last_one_where_the_reference_is_where_the_axis_stands(applied, measured, weight):
     c = block({"Kp": 3.0, "Ki": 10.0, "Kd": 0.1, "setpoint_weight": weight, "model.preload.A1": 1e-6})
-    c.x[base.APPLIED] = applied
+    c.x[law.APPLIED] = applied
     assert c.step(measured - 1e-6, measured) == pytest.approx(applied, rel=1e-9, abs=1e-18)
 
 
@@ -159,9 +159,9 @@ def test_without_a_last_command_it_starts_from_the_measured_displacement():
 
 def test_feedforward_is_added_and_the_integral_leaves_it_alone():
     c = block({"Kp": 2.0, "Ki": 10.0, "feedforward.type": "static"}, MODEL)
-    c.x[base.FEEDFORWARD] = 3e-6
+    c.x[law.FEEDFORWARD] = 3e-6
     assert c.step(3e-6, 3e-6) == pytest.approx(3e-6)
-    c.x[base.FEEDFORWARD] = 4e-6
+    c.x[law.FEEDFORWARD] = 4e-6
     assert c.step(4e-6, 3e-6) == pytest.approx(4e-6 + 2.0 * 1e-6 + 10.0 * T / 2 * 1e-6)
 
 
@@ -183,7 +183,7 @@ def test_whatever_comes_in_the_command_stays_finite():
     c = block({"Kp": 1e9, "Ki": 1e9, "Kd": 1e9, "derivative_weight": 1.0, "anti_windup": "none"})
     for r, y in [(1e300, -1e300), (-1e308, 1e308), (np.inf, -np.inf), (np.nan, np.nan), (0.0, 0.0)] * 5:
         assert np.isfinite(c.step(r, y))
-        c.x[base.APPLIED] = r
+        c.x[law.APPLIED] = r
 
 
 REFUSED = [

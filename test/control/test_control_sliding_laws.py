@@ -16,7 +16,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hysteresis_ros.control import base, design, kalman, sliding_surface
+from hysteresis_ros.control import kalman, law, sliding_surface, state_feedback
 from hysteresis_ros.control.controller import ControllerParameters, controller_block, feedforward_block
 from hysteresis_ros.control.laws import integral_sliding_mode, super_twisting
 from hysteresis_ros.errors import ParameterError
@@ -56,9 +56,9 @@ class Known:
         rows = []
         for r, d in zip(reference, disturbance, strict=True):
             u = self.controller.step(r, self.place)
-            rows.append((self.controller.x[base.SWITCHING] / 0.1, u, self.place))
+            rows.append((self.controller.x[law.SWITCHING] / 0.1, u, self.place))
             applied = min(max(u, -self.limit), self.limit)
-            self.controller.x[base.APPLIED] = applied
+            self.controller.x[law.APPLIED] = applied
             self.place = 0.9 * self.place + 0.1 * (applied + d)
         return np.array(rows)
 
@@ -87,7 +87,7 @@ def test_a_step_of_the_reference_never_leaves_the_integral_surface(loop, form):
     s = []
     for k in range(300):
         axis.run([STEP if k > 5 else 0.0])
-        s.append(axis.controller.x[base.SWITCHING])
+        s.append(axis.controller.x[law.SWITCHING])
     assert np.max(np.abs(s)) < 1e-13
     assert axis.plant.output() == pytest.approx(STEP, rel=1e-6)
 
@@ -105,7 +105,7 @@ def test_integral_switching_function_is_driven_by_the_innovation_alone(loop, mod
     for k in range(400):
         axis.offset = noise[k]
         axis.run([STEP * np.sin(0.02 * k)])
-        s.append(axis.controller.x[base.SWITCHING])
+        s.append(axis.controller.x[law.SWITCHING])
         innovations.append(axis.controller.x[sliding_surface.OBSERVER + kalman.INNOVATION])
     s, innovations = np.array(s), np.array(innovations)
     late = innovations[:-1] if form == "predictor" else innovations[1:]
@@ -213,7 +213,7 @@ def fed(parameters):
         for k, r in enumerate(reference):
             y[k] = plant.output()
             delayed[k] = ahead.step(r)
-            controller.x[base.FEEDFORWARD] = ahead.command
+            controller.x[law.FEEDFORWARD] = ahead.command
             plant.step(controller.step(delayed[k], y[k]))
         return y, delayed
 
@@ -298,10 +298,10 @@ def test_any_input_gives_finite_signals(parameters, changes, disturbed, feedforw
     ahead = {"feedforward.type": feedforward, "feedforward.preview": 5}
     block = controller_block(parameters(changes | disturbed | ahead), SAMPLE_TIME)
     for reference, measured, applied, ahead in samples:
-        block.x[base.FEEDFORWARD] = ahead
+        block.x[law.FEEDFORWARD] = ahead
         assert np.isfinite(block.step(reference, measured))
-        block.x[base.APPLIED] = applied
-        held = np.delete(block.x, [base.APPLIED, base.FEEDFORWARD])
+        block.x[law.APPLIED] = applied
+        held = np.delete(block.x, [law.APPLIED, law.FEEDFORWARD])
         assert np.isfinite(held).all()
 
 
@@ -322,4 +322,4 @@ def test_nominal_state_feedback_is_the_published_gain(parameters, model):
     A, B = model.A, model.B
     poles = np.sort(np.linalg.eigvals(A - B @ equivalent[None]).real)
     assert poles == pytest.approx([-0.700, -0.122, 1.0], abs=1e-3)
-    assert design.spectral_radius(A - B @ packed[first : first + 3][None]) < 1.0
+    assert state_feedback.spectral_radius(A - B @ packed[first : first + 3][None]) < 1.0

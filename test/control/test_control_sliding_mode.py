@@ -20,9 +20,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hysteresis_ros.control import base, sliding_surface
-from hysteresis_ros.control.controller import controller_block, handover_block
-from hysteresis_ros.control.handover import arm
+from hysteresis_ros.control import law, sliding_surface
+from hysteresis_ros.control.controller import arm, controller_block, handover_block
 from hysteresis_ros.control.kalman import filter_gain
 from hysteresis_ros.errors import ParameterError
 
@@ -55,7 +54,7 @@ def test_switching_function_decays_by_phi_without_the_nonlinear_part(loop):
     s = []
     for _ in range(60):
         axis.run([STEP])
-        s.append(axis.controller.x[base.SWITCHING])
+        s.append(axis.controller.x[law.SWITCHING])
     assert abs(s[0]) > 0.1
     assert np.array(s[1:]) == pytest.approx(0.93 * np.array(s[:-1]), abs=1e-13)
 
@@ -65,7 +64,7 @@ def test_boundary_layer_adds_its_own_decay(loop):
     s = []
     for _ in range(60):
         axis.run([STEP])
-        s.append(axis.controller.x[base.SWITCHING])
+        s.append(axis.controller.x[law.SWITCHING])
     s = np.array(s)
     switching_gain = float(np.dot((-1.0744, -0.0904, 0.0781), (-0.7318, -0.3533, 0.2288)))
     nonlinear = (0.002 / switching_gain * np.abs(s) + 0.0002) * s / (np.abs(s) + 0.01)
@@ -82,7 +81,7 @@ def test_mirrored_hyperplane_is_the_same_controller(loop):
 def test_zero_boundary_layer_stays_in_its_band(loop):
     axis = loop({"sliding_mode.delta": 0.0})
     _, y = axis.run(np.full(900, STEP))
-    assert abs(axis.controller.x[base.SWITCHING]) < 0.0002
+    assert abs(axis.controller.x[law.SWITCHING]) < 0.0002
     assert y[-1] == pytest.approx(STEP, abs=2e-9)
 
 
@@ -93,7 +92,7 @@ def test_constant_disturbance_leaves_no_offset(loop, variant, disturbance):
     _, y = axis.run(np.full(3000, STEP))
     assert y[-1] == pytest.approx(STEP, abs=1e-15)
     if variant is not INTEGRAL:
-        assert axis.controller.x[base.DISTURBANCE] == pytest.approx(disturbance, abs=1e-15)
+        assert axis.controller.x[law.DISTURBANCE] == pytest.approx(disturbance, abs=1e-15)
 
 
 def test_without_either_the_disturbance_stays(loop):
@@ -116,7 +115,7 @@ def test_preload_offset_belongs_to_the_measurement_not_to_the_reference(loop, va
     axis = loop(variant | preload, offset=-5.88e-6 / 0.41)
     shifted, y = axis.run(np.full(300, STEP))
     assert shifted == pytest.approx(commands, abs=1e-15)
-    assert axis.controller.x[base.ESTIMATED] == pytest.approx(y[-1], abs=1e-15)
+    assert axis.controller.x[law.ESTIMATED] == pytest.approx(y[-1], abs=1e-15)
 
 
 def limited(u):
@@ -180,9 +179,9 @@ def test_stale_measurement_restarts_from_rest_at_the_new_one(controller):
     block = controller()
     for _ in range(10):
         block.step(STEP, 0.0)
-    block.x[base.STARTED] = 0.0
+    block.x[law.STARTED] = 0.0
     assert block.step(STEP, STEP) == pytest.approx(STEP, rel=1e-9)
-    assert block.x[base.ESTIMATED] == pytest.approx(STEP)
+    assert block.x[law.ESTIMATED] == pytest.approx(STEP)
 
 
 @pytest.mark.parametrize("variant", [{}, DISTURBED | {"kalman.form": "current"}, INTEGRAL])
@@ -210,9 +209,9 @@ def test_retune_is_atomic_and_keeps_the_structure(controller, parameters):
     estimate = block.step(STEP, 0.0), block.estimate
     block.retune(parameters({"sliding_mode.phi": 0.5}))
     assert (block.estimate == estimate[1]).all()
-    assert block.x[base.STARTED] == 1.0
+    assert block.x[law.STARTED] == 1.0
     block.retune(parameters({"model.preload.A1": 1e-6}))
-    assert block.x[base.STARTED] == 0.0
+    assert block.x[law.STARTED] == 0.0
 
 
 @settings(max_examples=100, deadline=None)
@@ -224,7 +223,7 @@ def test_finite_input_gives_finite_signals(parameters, variant, samples):
     block = controller_block(parameters(variant), 1 / 3000)
     for reference, measured, applied in samples:
         assert np.isfinite(block.step(reference, measured))
-        block.x[base.APPLIED] = applied
+        block.x[law.APPLIED] = applied
         assert np.isfinite(block.x).all()
 
 
@@ -232,7 +231,7 @@ def test_open_loop_passes_the_reference_through(controller):
     block = controller({"type": "open_loop"})
     reference = np.linspace(-1e-5, 1e-5, 20)
     assert (block.simulate(reference, np.zeros(20)) == reference).all()
-    assert block.x[base.APPLIED] == block.x[base.COMMAND] == reference[-1]
+    assert block.x[law.APPLIED] == block.x[law.COMMAND] == reference[-1]
 
 
 SCRIPT = """
@@ -251,7 +250,7 @@ for entries in json.load(sys.stdin):
 def test_compiled_and_interpreted_controllers_give_the_same_bits(parameters, model, tmp_path):
     import json
 
-    import hysteresis_ros.block
+    import hysteresis_ros.models.block
 
     ramp = parameters({"kalman.disturbance": "ramp"}).kalman
     ramp_gain = tuple(filter_gain(ramp, model).tolist())
@@ -269,7 +268,7 @@ def test_compiled_and_interpreted_controllers_give_the_same_bits(parameters, mod
         | {"kalman.disturbance": "ramp", "kalman.L": ramp_gain},
     ]
     given = json.dumps([parameters(case).to_mapping() for case in cases])
-    root = os.path.dirname(os.path.dirname(hysteresis_ros.block.__file__))
+    root = os.path.dirname(os.path.dirname(hysteresis_ros.models.block.__file__))
     outputs = [
         subprocess.run(
             [sys.executable, "-c", SCRIPT],

@@ -18,14 +18,13 @@ import numpy as np
 import pytest
 
 from hysteresis_ros.configuration import load_configuration
-from hysteresis_ros.control.base import APPLIED, COMMAND, STARTED
-from hysteresis_ros.control.controller import ControllerParameters, controller_block
+from hysteresis_ros.control.controller import SAMPLES, ControllerParameters, History, controller_block, note, successor
+from hysteresis_ros.control.law import APPLIED, COMMAND, STARTED
 from hysteresis_ros.control.sliding_surface import LAST, OBSERVER
-from hysteresis_ros.control.succession import SAMPLES, History, note, successor
 from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.loop.axis import Axis
-from hysteresis_ros.loop.common_parameters import part
-from hysteresis_ros.simulation.axes import single_axis
+from hysteresis_ros.loop.parameters import part
+from hysteresis_ros.loop.reach import single_axis
 
 CONFIG = pathlib.Path(__file__).resolve().parents[2] / "config" / "kim2009.yaml"
 STEP = 2.05e-6

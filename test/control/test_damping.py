@@ -20,18 +20,16 @@ from damping_support import CHOSEN, DAMPING, FORCE, OMEGA, T, controller, dampin
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hysteresis_ros.control.closed_loop import loop_transfer
 from hysteresis_ros.control.controller import ControllerParameters, ModelParameters, controller_block, damping_block
-from hysteresis_ros.control.damping import block
-from hysteresis_ros.control.damping.block import as_output
-from hysteresis_ros.control.damping.design import damping_plants, design_damping
-from hysteresis_ros.control.damping.plant import damped, inner_loop, modes
-from hysteresis_ros.control.damping.registry import KINDS
-from hysteresis_ros.control.gain_design import design_gains
+from hysteresis_ros.control.damping import inner_loop as block
+from hysteresis_ros.control.damping.inner_loop import KINDS, as_output, damped, inner_loop, modes
 from hysteresis_ros.control.linearisation import linear_loop, whole_loop
-from hysteresis_ros.control.margins import margins_of
+from hysteresis_ros.control.margins import loop_transfer, margins_of
+from hysteresis_ros.designs.damping import damping_plants, design_damping
+from hysteresis_ros.designs.gains import design_gains
 from hysteresis_ros.errors import ParameterError
-from hysteresis_ros.models.force_sensor import (
+from hysteresis_ros.models.linear import LinearDynamics, LinearParameters
+from hysteresis_ros.models.sensor import (
     ForceParameters,
     ForceSensorParameters,
     force_reading,
@@ -39,7 +37,6 @@ from hysteresis_ros.models.force_sensor import (
     note_acting,
     pack_force,
 )
-from hysteresis_ros.models.linear import LinearDynamics, LinearParameters
 
 kinds = pytest.mark.parametrize("kind", CHOSEN)
 

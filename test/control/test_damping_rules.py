@@ -17,10 +17,8 @@ import numpy as np
 import pytest
 from damping_support import T, stage
 
-from hysteresis_ros.control.damping.design import damping_plants, design_damping, mode_to_damp
-from hysteresis_ros.control.damping.parameters import DampingParameters
-from hysteresis_ros.control.damping.plant import damped, modes
-from hysteresis_ros.control.damping.registry import KINDS
+from hysteresis_ros.control.damping.inner_loop import KINDS, DampingParameters, damped, modes
+from hysteresis_ros.designs.damping import damping_plants, design_damping, mode_to_damp
 from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.models.linear import LinearParameters, zero_order_hold
 

@@ -16,8 +16,8 @@ import pytest
 from damping_support import CHOSEN, FORCE, T, controller, damping, stage
 
 from hysteresis_ros.control.controller import ControllerParameters, ModelParameters, damping_block
-from hysteresis_ros.control.damping import block
-from hysteresis_ros.models.preload import PreloadParameters
+from hysteresis_ros.control.damping import inner_loop
+from hysteresis_ros.models.actuator import PreloadParameters
 
 kinds = pytest.mark.parametrize("kind", CHOSEN)
 
@@ -25,7 +25,7 @@ kinds = pytest.mark.parametrize("kind", CHOSEN)
 def fed(between, outputs, measured, force=0.0) -> np.ndarray:
     """Return the commands for these outputs of the law and measurements."""
     pairs = zip(outputs, measured, strict=True)
-    return np.array([block.damp(between.p, between.x, float(w), float(y), force) for w, y in pairs])
+    return np.array([inner_loop.damp(between.p, between.x, float(w), float(y), force) for w, y in pairs])
 
 
 @kinds

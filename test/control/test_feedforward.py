@@ -20,7 +20,7 @@ from hypothesis import strategies as st
 from scipy.signal import cont2discrete
 
 from hysteresis_ros.control.controller import ControllerParameters, feedforward_block
-from hysteresis_ros.control.inversion import (
+from hysteresis_ros.control.feedforward import (
     designed_preview,
     inverse_filter,
     inversion_error,

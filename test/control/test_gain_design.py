@@ -14,11 +14,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hysteresis_ros.control.controller import ControllerParameters
-from hysteresis_ros.control.gain_design import design_gains
-from hysteresis_ros.control.laws.pid.design import design_pid, pid_with_zeros
-from hysteresis_ros.control.laws.pid.law import PidParameters, pid_state_space
-from hysteresis_ros.control.registry import DESIGNS
+from hysteresis_ros.control.controller import DESIGNS, ControllerParameters
+from hysteresis_ros.control.laws.pid import PidParameters, design_pid, pid_state_space, pid_with_zeros
+from hysteresis_ros.designs.gains import design_gains
 from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.models.linear import LinearParameters
 

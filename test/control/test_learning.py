@@ -17,10 +17,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from learning_support import RATE, REFERENCE, N, followed, learning
 
-from hysteresis_ros.control.learning import correction as at
-from hysteresis_ros.control.learning.correction import FORGETTING, FROZEN, LEARNING, LIMITED, learned_correction, shown
-from hysteresis_ros.control.learning.file import Learned, write_learned
-from hysteresis_ros.control.learning.filters import MARGIN, UNSEEN, Response, design_filters
+from hysteresis_ros.control import learning as at
+from hysteresis_ros.control.learning import (
+    FORGETTING,
+    FROZEN,
+    LEARNING,
+    LIMITED,
+    Learned,
+    learned_correction,
+    shown,
+    write_learned,
+)
+from hysteresis_ros.designs.learning_filters import MARGIN, UNSEEN, Response, design_filters
 from hysteresis_ros.errors import ConfigurationError, ParameterError
 
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hysteresis_ros.control.learning.filters import CHANGE, MARGIN, UNSEEN, Response, design_filters
+from hysteresis_ros.designs.learning_filters import CHANGE, MARGIN, UNSEEN, Response, design_filters
 
 POINTS = 2049
 ANGLES = np.linspace(0.0, np.pi, POINTS)

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from learning_support import REFERENCE, N, followed, learning
 
-from hysteresis_ros.control.learning.correction import FROZEN, LEARNING
+from hysteresis_ros.control.learning import FROZEN, LEARNING
 
 
 def gains(errors) -> np.ndarray:

@@ -16,13 +16,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hysteresis_ros.control.closed_loop import plant_state_space
-from hysteresis_ros.control.controller import ControllerParameters
-from hysteresis_ros.control.gain_design import design_gains
+from hysteresis_ros.control.controller import DESIGNS, ControllerParameters
 from hysteresis_ros.control.kalman import INNOVATION, KalmanFilter, KalmanParameters
 from hysteresis_ros.control.linearisation import linear_loop, margins
-from hysteresis_ros.control.margins import REQUIRED, margins_of
-from hysteresis_ros.control.registry import DESIGNS
+from hysteresis_ros.control.margins import REQUIRED, margins_of, plant_state_space
+from hysteresis_ros.designs.gains import design_gains
 from hysteresis_ros.models.linear import LinearDynamics
 
 T = 0.005

@@ -14,11 +14,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hysteresis_ros.control.closed_loop import loop_transfer
-from hysteresis_ros.control.margins import margins_of
-from hysteresis_ros.control.measured_loop import NOWHERE, Interval, MeasuredLoop, loop_of
-from hysteresis_ros.control.response_uncertainty import integral_controller
-from hysteresis_ros.models.state_space import StateSpace
+from hysteresis_ros.control.margins import NOWHERE, Interval, MeasuredLoop, loop_of, loop_transfer, margins_of
+from hysteresis_ros.control.uncertainty import integral_controller
+from hysteresis_ros.models.linear import StateSpace
 
 RATE = 1000.0
 #: 120 Hz with 20 % of damping, held for a sample, of unit gain at rest.

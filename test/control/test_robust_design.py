@@ -15,9 +15,7 @@ import numpy as np
 import pytest
 
 from hysteresis_ros.control.controller import ControllerParameters
-from hysteresis_ros.control.gain_design import design_gains
 from hysteresis_ros.control.margins import judge
-from hysteresis_ros.control.robust import design_robust, robustness
 from hysteresis_ros.control.uncertainty import (
     CORNERS,
     PossiblePlant,
@@ -26,9 +24,9 @@ from hysteresis_ros.control.uncertainty import (
     judge_worst,
     possible_plant,
 )
+from hysteresis_ros.designs.gains import design_gains, design_robust, robustness
 from hysteresis_ros.errors import ParameterError
-from hysteresis_ros.models.linear import LinearParameters, zero_order_hold
-from hysteresis_ros.models.state_space import StateSpace
+from hysteresis_ros.models.linear import LinearParameters, StateSpace, zero_order_hold
 
 T = 1e-3
 #: A mode at 40 Hz with 20 % damping, of unit gain.

@@ -73,7 +73,7 @@ def test_every_public_name_is_in_the_reference(pages):
         public |= {f"{block}.{name}" for name, value in members.items() if inspect.isclass(value)}
     assert named == public
     assert all(f"\nhysteresis {name}\n---" in made["commands"] for name in COMMANDS)
-    assert "``hysteresis_ros.recordings.mcap_repair``" in made["modules"]
+    assert "``hysteresis_ros.recordings.repair``" in made["modules"]
 
 
 @pytest.mark.parametrize("block", BLOCKS[:1] + BLOCKS[2:3])

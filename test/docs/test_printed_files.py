@@ -22,7 +22,7 @@ from safe_motion_support import NODES, quantum, stated, steps
 
 from hysteresis_ros.cli.main import main
 from hysteresis_ros.configuration import dump_configuration, load_configuration, parse_configuration
-from hysteresis_ros.simulation.axes import single_axis
+from hysteresis_ros.loop.reach import single_axis
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]

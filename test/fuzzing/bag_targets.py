@@ -64,7 +64,7 @@ def _read_file(data: bytes, folder: Path, name: str):
 
 def _replayed(run):
     from hysteresis_ros.recordings.align import setpoints_per_sample
-    from hysteresis_ros.recordings.replay import requests_per_sample
+    from hysteresis_ros.recordings.dataset import requests_per_sample
 
     return len(run) and (setpoints_per_sample(run), requests_per_sample(run))
 

@@ -51,9 +51,8 @@ NV200_WORDS = ("set,5\r", "meas\r", "cl,1\r", "stat\r", "\xff\xfa", "\xff\xf0", 
 
 
 def _gcs_controller():
-    from hysteresis_ros.hardware.drivers.gcs.emulator.controller import MODELS, Controller
-    from hysteresis_ros.hardware.emulation.faults import DeviceFaults
-    from hysteresis_ros.hardware.emulation.plant import assumed_stage
+    from hysteresis_ros.laboratory.emulation.bench import DeviceFaults, assumed_stage
+    from hysteresis_ros.laboratory.emulation.gcs_controller import MODELS, Controller
 
     now = [0.0]
 
@@ -72,7 +71,7 @@ def _gcs_commands() -> list[bytes]:
 
 
 def _feed_gcs(data: bytes, folder: Path):
-    from hysteresis_ros.hardware.drivers.gcs.emulator.session import Session
+    from hysteresis_ros.laboratory.emulation.gcs import Session
 
     session = Session(_gcs_bench())
     return session.feed(data) + session.feed(b"\nERR?\n")
@@ -80,9 +79,8 @@ def _feed_gcs(data: bytes, folder: Path):
 
 @functools.cache
 def _amplifier():
-    from hysteresis_ros.hardware.drivers.nv200.emulator import Amplifier
-    from hysteresis_ros.hardware.emulation.faults import DeviceFaults
-    from hysteresis_ros.hardware.emulation.plant import EmulatedPlant, assumed_stage
+    from hysteresis_ros.laboratory.emulation.bench import DeviceFaults, EmulatedPlant, assumed_stage
+    from hysteresis_ros.laboratory.emulation.nv200 import Amplifier
 
     now = [0.0]
 
@@ -122,7 +120,7 @@ class _Answering(_Spoken):
     """A connection to an emulated controller, which keeps what that says."""
 
     def __init__(self):
-        from hysteresis_ros.hardware.drivers.gcs.emulator.session import Session
+        from hysteresis_ros.laboratory.emulation.gcs import Session
 
         super().__init__(b"")
         self._session, self.said = Session(_gcs_controller()), b""
@@ -134,8 +132,7 @@ class _Answering(_Spoken):
 
 
 def _open_gcs(connection):
-    from hysteresis_ros.hardware.drivers.gcs.driver import GcsDriver, GcsParameters
-    from hysteresis_ros.hardware.drivers.gcs.link import GcsLink
+    from hysteresis_ros.hardware.drivers.gcs import GcsDriver, GcsLink, GcsParameters
 
     driver, link = GcsDriver(), GcsLink.__new__(GcsLink)
     link.name, link.broken, link._rest, link._socket = "controller", False, b"", connection
@@ -167,7 +164,7 @@ def _iio_devices() -> list[bytes]:
 
 
 def _read_iio(data: bytes, folder: Path):
-    from hysteresis_ros.hardware.drivers.iio.tree import Channel, device_at
+    from hysteresis_ros.hardware.drivers.iio import Channel, device_at
 
     place = folder / "iio" / "iio:device0"
     place.mkdir(parents=True, exist_ok=True)

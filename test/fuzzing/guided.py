@@ -33,10 +33,11 @@ def main() -> int:
         print("guided.py: needs atheris, which is not installed: pip install atheris", file=sys.stderr)
         return 2
     with atheris.instrument_imports(include=["hysteresis_ros"]):
-        from hysteresis_ros import archives, bounded, configuration, units  # noqa: F401
-        from hysteresis_ros.identification import reading, response_file  # noqa: F401
-        from hysteresis_ros.recordings import align, columns, matlab_elements, tables, text_tables  # noqa: F401
-        from hysteresis_ros.references import asked, samples  # noqa: F401
+        from hysteresis_ros import configuration, files, units  # noqa: F401
+        from hysteresis_ros.identification import frequency_response, reading  # noqa: F401
+        from hysteresis_ros.recordings import align, foreign_tables  # noqa: F401
+        from hysteresis_ros.recordings import files as recorded_files  # noqa: F401
+        from hysteresis_ros.references.waveforms import file  # noqa: F401
     from targets import TARGETS
 
     if not sys.argv[1:] or sys.argv[1] not in TARGETS:

@@ -32,7 +32,7 @@ def _nodes():
     from rclpy.parameter import Parameter
 
     from hysteresis_ros.configuration import load_configuration
-    from hysteresis_ros.loop.axis_parameters import AxisParameters
+    from hysteresis_ros.loop.parameters import AxisParameters
     from hysteresis_ros.nodes.displacement_camera import DisplacementCameraNode
     from hysteresis_ros.nodes.domain import Domain
     from hysteresis_ros.nodes.hysteresis_compensator import HysteresisCompensatorNode
@@ -160,7 +160,7 @@ def _hear(data: bytes, folder: Path):
 
 @functools.cache
 def _words() -> tuple[str, ...]:
-    from hysteresis_ros.loop.node_parameters import NODE_PARAMETERS
+    from hysteresis_ros.loop.parameters import NODE_PARAMETERS
 
     names = [row.name for name in ("motion_controller", "reference_generator") for row in NODE_PARAMETERS[name].table()]
     return ("extender", "joint_states", "setpoint", "joint_trajectory", "tripped", *names[::5])

@@ -71,9 +71,9 @@ def _read_axis(data: bytes, folder: Path):
     """Values of every type under names that are known: what a parameter file leads to after YAML."""
     import json
 
-    from hysteresis_ros.commissioning.plan import plan_of
+    from hysteresis_ros.cli.commissioning.situation import plan_of
     from hysteresis_ros.configuration import Configuration
-    from hysteresis_ros.loop.axis_parameters import AxisParameters
+    from hysteresis_ros.loop.parameters import AxisParameters
 
     configuration = Configuration(tuple(_mappings(json.loads(data)).items()), "", "axis.yaml")
     return plan_of(configuration, AxisParameters.from_configuration(configuration, ""))
@@ -100,7 +100,7 @@ def _read_chain(data: bytes, folder: Path):
 
 @functools.cache
 def _known_parameters() -> tuple[str, ...]:
-    from hysteresis_ros.loop.node_parameters import NODE_PARAMETERS
+    from hysteresis_ros.loop.parameters import NODE_PARAMETERS
 
     names = [row.name for parameters in NODE_PARAMETERS.values() for row in parameters.table()]
     return (*names[::7], "bouc_wen", "duhem", "sliding_mode", "super_twisting", "triangle", "steps", "file", "camera")
@@ -118,7 +118,7 @@ def _corrections() -> list[bytes]:
 
 
 def _read_correction(data: bytes, folder: Path):
-    from hysteresis_ros.control.learning.file import read_learned
+    from hysteresis_ros.control.learning import read_learned
 
     return read_learned(given(data, folder, "learned.yaml"))
 
@@ -128,7 +128,7 @@ def _walks() -> list[bytes]:
 
 
 def _read_walk(data: bytes, folder: Path):
-    from hysteresis_ros.references.walk_file import read_walk
+    from hysteresis_ros.references.inchworm_sequencer import read_walk
 
     return read_walk(given(data, folder, "walk.yaml"), 4, 1e-5, 1e-7)
 
@@ -137,15 +137,15 @@ def _outcomes() -> list[bytes]:
     import json
     from dataclasses import asdict
 
-    from hysteresis_ros.analysis.pictures import Line, Picture
-    from hysteresis_ros.commissioning.outcome import Outcome
+    from hysteresis_ros.analysis.commissioning_report import Line, Picture
+    from hysteresis_ros.cli.commissioning.situation import Outcome
 
     picture = Picture("a title", "t [s]", "y [µm]", [Line("y", [0.0, 1.0], [1.0, 2.0])])
     return [json.dumps(asdict(Outcome(["done"], {"gain_m_per_V": 1e-7, "rows": [1, 2]}, [picture], 1.5))).encode()]
 
 
 def _read_outcome(data: bytes, folder: Path):
-    from hysteresis_ros.commissioning.folder import STATE, Folder
+    from hysteresis_ros.cli.commissioning.situation import STATE, Folder
 
     place = folder / "stages"
     if not place.exists():
@@ -155,7 +155,7 @@ def _read_outcome(data: bytes, folder: Path):
 
 
 def _read_state(data: bytes, folder: Path):
-    from hysteresis_ros.commissioning.folder import STATE, Folder
+    from hysteresis_ros.cli.commissioning.situation import STATE, Folder
 
     place = folder / "stages"
     place.mkdir(exist_ok=True)

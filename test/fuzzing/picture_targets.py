@@ -58,8 +58,7 @@ def _mutated_image(random: Random, data: bytes, others: list[bytes], words: tupl
 def _see(data: bytes, folder: Path):
     """An image and the one after it, looked at by the tracker of an axis."""
     from hysteresis_ros.errors import HysteresisError
-    from hysteresis_ros.sensing.images import grey_image
-    from hysteresis_ros.sensing.tracker import CameraParameters, Tracker
+    from hysteresis_ros.hardware.tracker import CameraParameters, Tracker, grey_image
 
     text, _, content = data.partition(b"\n")
     head = json.loads(text)
@@ -89,8 +88,8 @@ def _pictures() -> list[bytes]:
 
 
 def _follow(data: bytes, folder: Path):
-    from hysteresis_ros.sensing.footage import Footage, follow
-    from hysteresis_ros.sensing.tracker import CameraParameters, Tracker
+    from hysteresis_ros.hardware.footage import Footage, follow
+    from hysteresis_ros.hardware.tracker import CameraParameters, Tracker
 
     place = folder / "frames"
     shutil.rmtree(place, ignore_errors=True)

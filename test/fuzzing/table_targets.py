@@ -75,14 +75,14 @@ def _recording():
 
 
 def _run_tables() -> list[bytes]:
-    from hysteresis_ros.recordings.tables import write_csv
+    from hysteresis_ros.recordings.files import write_csv
 
     own = written("run.csv", lambda path: write_csv(_recording(), path))
     return [own, b"# made elsewhere\n" + own, b'"time [ms]","displacement [um]"\n0,1\n1,2.5\n2,-3e-1\n']
 
 
 def _read_run_table(data: bytes, folder: Path):
-    from hysteresis_ros.recordings.tables import read_csv
+    from hysteresis_ros.recordings.files import read_csv
 
     return read_csv(given(data, folder, "run.csv"))
 
@@ -109,7 +109,7 @@ def _reference_tables() -> list[bytes]:
 
 
 def _read_reference(data: bytes, folder: Path, name: str):
-    from hysteresis_ros.references.samples import read_samples
+    from hysteresis_ros.references.waveforms.file import read_samples
 
     return read_samples(str(given(data, folder, name)), "reference", 1e-3, 1e-3, "waveform.file.")
 
@@ -198,7 +198,7 @@ ODD_ARRAYS = (
 
 
 def _archives() -> list[bytes]:
-    from hysteresis_ros.recordings.tables import write_npz
+    from hysteresis_ros.recordings.files import write_npz
 
     return [
         written("run.npz", lambda path: write_npz(_recording(), path)),
@@ -210,7 +210,7 @@ def _archives() -> list[bytes]:
 
 
 def _read_archive(data: bytes, folder: Path):
-    from hysteresis_ros.recordings.tables import read_npz
+    from hysteresis_ros.recordings.files import read_npz
 
     return read_npz(given(data, folder, "run.npz"))
 
@@ -236,7 +236,7 @@ def _responses() -> list[bytes]:
 
 
 def _read_response(data: bytes, folder: Path):
-    from hysteresis_ros.identification.response_file import holds_response, load_response, response_columns
+    from hysteresis_ros.identification.frequency_response import holds_response, load_response, response_columns
 
     path = given(data, folder, "frf.npz")
     holds_response(path)
@@ -251,7 +251,7 @@ def _plans() -> list[bytes]:
 
 
 def _read_plan(data: bytes, folder: Path):
-    from hysteresis_ros.simulation.recorded_response import read_plan
+    from hysteresis_ros.designs.frequency_response import read_plan
 
     np.savez(folder / "plan.npz", plan=np.array(data.decode(errors="replace")))
     return read_plan(folder / "plan.npz").length

@@ -75,11 +75,11 @@ def _texts() -> list[bytes]:
 def _understand(data: bytes, folder: Path):
     """Give one text to everything that takes one; each has errors of its own, all of them ValueErrors."""
     from hysteresis_ros.configuration import parse_value
-    from hysteresis_ros.hardware.emulation.faults import DeviceFaults
+    from hysteresis_ros.laboratory.emulation.bench import DeviceFaults
     from hysteresis_ros.loop.faults import parse_fault
-    from hysteresis_ros.nodes.command_line import assigned
-    from hysteresis_ros.recordings.units import column_unit, named_column, split_choice
-    from hysteresis_ros.references.asked import asked_waveform
+    from hysteresis_ros.nodes.parameters import assigned
+    from hysteresis_ros.recordings.foreign_tables import column_unit, named_column, split_choice
+    from hysteresis_ros.references.recipes import asked_waveform
     from hysteresis_ros.units import conversion, quantity
 
     text = data.decode("utf-8", "replace")

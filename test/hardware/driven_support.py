@@ -21,7 +21,7 @@ from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.hardware.driver import Capabilities
 from hysteresis_ros.hardware.drivers.simulated import SimulatedDriver
 from hysteresis_ros.hardware.registry import DRIVERS
-from hysteresis_ros.loop.axis_parameters import AxisParameters
+from hysteresis_ros.loop.parameters import AxisParameters
 
 #: Limits, noise, 16 bits: what a plant can have.
 PLANT = {"limits__slew_rate": 4.0e4, "limits__bits": 12, "sensor__noise": 5e-9, "late_limit": -1, "driver": "simulated"}

@@ -14,12 +14,11 @@ from __future__ import annotations
 import time
 
 from hysteresis_ros.hardware.device import Device
-from hysteresis_ros.hardware.drivers.gcs.driver import GcsParameters
-from hysteresis_ros.hardware.drivers.gcs.emulator.controller import MODELS, Controller
-from hysteresis_ros.hardware.drivers.gcs.emulator.session import Session
-from hysteresis_ros.hardware.emulation.faults import DeviceFaults
-from hysteresis_ros.hardware.emulation.plant import assumed_stage
+from hysteresis_ros.hardware.drivers.gcs import GcsParameters
 from hysteresis_ros.hardware.registry import DRIVERS
+from hysteresis_ros.laboratory.emulation.bench import DeviceFaults, assumed_stage
+from hysteresis_ros.laboratory.emulation.gcs import Session
+from hysteresis_ros.laboratory.emulation.gcs_controller import MODELS, Controller
 
 RATE, CYCLE = 100.0, 5.0e-4
 

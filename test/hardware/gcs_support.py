@@ -11,10 +11,9 @@
 
 from __future__ import annotations
 
-from hysteresis_ros.hardware.drivers.gcs.emulator.controller import MODELS, Controller
-from hysteresis_ros.hardware.drivers.gcs.emulator.session import Session
-from hysteresis_ros.hardware.emulation.faults import DeviceFaults
-from hysteresis_ros.hardware.emulation.plant import assumed_stage
+from hysteresis_ros.laboratory.emulation.bench import DeviceFaults, assumed_stage
+from hysteresis_ros.laboratory.emulation.gcs import Session
+from hysteresis_ros.laboratory.emulation.gcs_controller import MODELS, Controller
 
 CYCLE = 5.0e-4
 

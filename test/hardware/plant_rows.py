@@ -14,9 +14,9 @@ from __future__ import annotations
 import numpy as np
 
 from hysteresis_ros import signals as at
-from hysteresis_ros.block import interpreted
 from hysteresis_ros.loop.plant import actuate, sense
 from hysteresis_ros.loop.tick import Laws
+from hysteresis_ros.models.block import interpreted
 
 
 def rows_of(plant, kernels, voltages) -> np.ndarray:

@@ -29,12 +29,11 @@ from hysteresis_ros.configuration import parse_configuration
 from hysteresis_ros.hardware.device import Device
 from hysteresis_ros.hardware.driver import DriverError
 from hysteresis_ros.hardware.library import _Capabilities
-from hysteresis_ros.hardware.located import driver_of, options_of
+from hysteresis_ros.hardware.registry import driver_of, options_of
 from hysteresis_ros.loop.axis import Axis
-from hysteresis_ros.loop.axis_parameters import AxisParameters
-from hysteresis_ros.loop.compiled_plant import fused_plant_of
-from hysteresis_ros.loop.driven import DrivenPlant
+from hysteresis_ros.loop.device import DrivenPlant, fused_plant_of
 from hysteresis_ros.loop.fused import FusedLoop
+from hysteresis_ros.loop.parameters import AxisParameters
 
 pytestmark = needs_compiler
 
@@ -201,7 +200,7 @@ MASTER = """
 import sys
 from hysteresis_ros.hardware.device import Device
 from hysteresis_ros.hardware.library import _Capabilities
-from hysteresis_ros.hardware.located import driver_of, options_of
+from hysteresis_ros.hardware.registry import driver_of, options_of
 declared = driver_of(sys.argv[1])
 device = Device(declared, options_of(declared, (sys.argv[2],)), 1000.0)
 while device.read()[0] < 9.7e-6:  # what stays at 0 V depends on how far it went

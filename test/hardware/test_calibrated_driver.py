@@ -25,13 +25,12 @@ from hysteresis_ros.configuration import parse_configuration
 from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.hardware.driver import DriverError
 from hysteresis_ros.loop.axis import Axis, Change, sample_times
-from hysteresis_ros.loop.axis_parameters import AxisParameters
-from hysteresis_ros.loop.compiled_plant import CompiledPlant, fused_plant_of
-from hysteresis_ros.loop.driven import DrivenPlant
+from hysteresis_ros.loop.device import CompiledPlant, DrivenPlant, fused_plant_of
 from hysteresis_ros.loop.fused import FusedLoop
+from hysteresis_ros.loop.parameters import AxisParameters
 from hysteresis_ros.loop.plant import FINDING_HOME
+from hysteresis_ros.loop.simulation import differences
 from hysteresis_ros.recordings.dataset import Recording
-from hysteresis_ros.simulation.run import differences
 
 pytestmark = needs_compiler
 

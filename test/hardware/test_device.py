@@ -15,11 +15,10 @@ import contextlib
 
 import pytest
 
+from hysteresis_ros.configuration import Parameters
 from hysteresis_ros.errors import ParameterError, Problem
-from hysteresis_ros.hardware.declaration import HardwareDriver
 from hysteresis_ros.hardware.device import Device
-from hysteresis_ros.hardware.driver import Capabilities, Driver, DriverError, Reading
-from hysteresis_ros.parameters import Parameters
+from hysteresis_ros.hardware.driver import Capabilities, Driver, DriverError, HardwareDriver, Reading
 
 
 class Stage(Driver):

@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 from driven_support import parameters, run
 
-from hysteresis_ros.loop.driven import DrivenPlant
+from hysteresis_ros.loop.device import DrivenPlant
 from hysteresis_ros.loop.plant import DEVICE_FAILED, TRIP
 
 

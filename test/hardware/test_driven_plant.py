@@ -22,9 +22,9 @@ from hysteresis_ros import signals as at
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.hardware.driver import Capabilities, DriverError
-from hysteresis_ros.loop.driven import DrivenPlant, plant_of
+from hysteresis_ros.loop.device import DrivenPlant, plant_of
+from hysteresis_ros.loop.parameters import PlantNodeParameters
 from hysteresis_ros.loop.plant import DEVICE_FAILED
-from hysteresis_ros.loop.plant_parameters import PlantNodeParameters
 from hysteresis_ros.loop.watch import STALE, TRIPPED
 
 

@@ -17,8 +17,13 @@ import numpy as np
 import pytest
 
 from hysteresis_ros.errors import ConfigurationError
-from hysteresis_ros.hardware.emulation.faults import FAULTS, DeviceFaults
-from hysteresis_ros.hardware.emulation.plant import LONGEST_CATCH_UP, EmulatedPlant, assumed_stage
+from hysteresis_ros.laboratory.emulation.bench import (
+    FAULTS,
+    LONGEST_CATCH_UP,
+    DeviceFaults,
+    EmulatedPlant,
+    assumed_stage,
+)
 from hysteresis_ros.models.actuator import Actuator
 
 CYCLE = 1.0e-3

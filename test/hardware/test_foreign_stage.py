@@ -17,9 +17,9 @@ import pathlib
 import numpy as np
 import pytest
 
-from hysteresis_ros.block import COMPILED
 from hysteresis_ros.hardware.driver import DriverError
-from hysteresis_ros.hardware.located import driver_of, options_of
+from hysteresis_ros.hardware.registry import driver_of, options_of
+from hysteresis_ros.models.block import COMPILED
 
 PATH = pathlib.Path(__file__).resolve().parents[2] / "examples" / "foreign_stage.py"
 VOLTAGES = 50.0 + 50.0 * np.sin(np.arange(300) / 20.0)

@@ -24,15 +24,15 @@ from waiting import until
 
 from hysteresis_ros import signals as at
 from hysteresis_ros.errors import ParameterError
-from hysteresis_ros.hardware import bringup
+from hysteresis_ros.hardware import driver as bringup
 from hysteresis_ros.hardware.device import Device
 from hysteresis_ros.hardware.driver import DriverError
-from hysteresis_ros.hardware.drivers.gcs import driver as driving
-from hysteresis_ros.hardware.drivers.gcs.driver import GcsParameters
-from hysteresis_ros.hardware.emulation.server import serving
+from hysteresis_ros.hardware.drivers import gcs as driving
+from hysteresis_ros.hardware.drivers.gcs import GcsParameters
 from hysteresis_ros.hardware.registry import DRIVERS
-from hysteresis_ros.loop.driven import DrivenPlant
-from hysteresis_ros.loop.plant_parameters import PlantNodeParameters
+from hysteresis_ros.laboratory.emulation.server import serving
+from hysteresis_ros.loop.device import DrivenPlant
+from hysteresis_ros.loop.parameters import PlantNodeParameters
 
 
 @pytest.fixture

@@ -17,8 +17,7 @@ from gcs_support import CYCLE, Bench
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hysteresis_ros.hardware.drivers.gcs.emulator.dictionary import COMMANDS
-from hysteresis_ros.hardware.drivers.gcs.protocol import (
+from hysteresis_ros.hardware.drivers.gcs import (
     BUSY,
     GENERATOR_RUNS,
     NO_WAVE,
@@ -39,6 +38,7 @@ from hysteresis_ros.hardware.drivers.gcs.protocol import (
     WRONG_COUNT,
     meaning,
 )
+from hysteresis_ros.laboratory.emulation.gcs import COMMANDS
 
 
 @pytest.fixture(scope="module")

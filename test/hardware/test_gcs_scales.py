@@ -19,8 +19,8 @@ from gcs_stand_support import Stand
 from waiting import until
 
 from hysteresis_ros.hardware.driver import DriverError
-from hysteresis_ros.hardware.drivers.gcs.emulator.session import Session
-from hysteresis_ros.hardware.emulation.server import serving
+from hysteresis_ros.laboratory.emulation.gcs import Session
+from hysteresis_ros.laboratory.emulation.server import serving
 
 
 @pytest.fixture

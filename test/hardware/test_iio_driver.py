@@ -19,10 +19,10 @@ from waiting import until
 from hysteresis_ros.errors import ConfigurationError, ParameterError
 from hysteresis_ros.hardware.device import Device
 from hysteresis_ros.hardware.driver import DriverError
-from hysteresis_ros.hardware.drivers.iio.driver import IioParameters
-from hysteresis_ros.hardware.drivers.iio.emulator import EmulatedConvertersParameters, start
-from hysteresis_ros.hardware.emulation.bench import Bench
+from hysteresis_ros.hardware.drivers.iio import IioParameters
 from hysteresis_ros.hardware.registry import DRIVERS
+from hysteresis_ros.laboratory.emulation.bench import Bench
+from hysteresis_ros.laboratory.emulation.iio import EmulatedConvertersParameters, start
 
 RATE = 100.0
 #: A DAC of 12 bits around zero with scale and offset of its own, an ADC with one scale for all channels.

@@ -22,12 +22,10 @@ from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.hardware import device as devices
 from hysteresis_ros.hardware.device import Device
 from hysteresis_ros.hardware.driver import DriverError
-from hysteresis_ros.hardware.drivers.nv200.driver import Nv200Parameters
-from hysteresis_ros.hardware.drivers.nv200.emulator import SETTINGS, Amplifier, EmulatedAmplifierParameters, start
-from hysteresis_ros.hardware.emulation.bench import Bench
-from hysteresis_ros.hardware.emulation.faults import DeviceFaults
-from hysteresis_ros.hardware.emulation.plant import EmulatedPlant, assumed_stage
+from hysteresis_ros.hardware.drivers.nv200 import Nv200Parameters
 from hysteresis_ros.hardware.registry import DRIVERS
+from hysteresis_ros.laboratory.emulation.bench import Bench, DeviceFaults, EmulatedPlant, assumed_stage
+from hysteresis_ros.laboratory.emulation.nv200 import SETTINGS, Amplifier, EmulatedAmplifierParameters, start
 
 CYCLE = 5.0e-4
 

@@ -20,16 +20,15 @@ from types import SimpleNamespace
 
 import pytest
 
-from hysteresis_ros.hardware import trusted
+from hysteresis_ros.hardware import library as trusted
 from hysteresis_ros.hardware.driver import DriverError
-from hysteresis_ros.hardware.library import loaded
-from hysteresis_ros.hardware.located import driver_of
-from hysteresis_ros.hardware.trusted import FOLDERS, require_trusted
+from hysteresis_ros.hardware.library import FOLDERS, loaded, require_trusted
+from hysteresis_ros.hardware.registry import driver_of
 
 #: A user who is neither root nor anybody here, and one with a name.
 STRANGER = 54321
 DRIVER = """
-from hysteresis_ros.hardware.declaration import HardwareDriver
+from hysteresis_ros.hardware.driver import HardwareDriver
 from hysteresis_ros.hardware.drivers.simulated import DRIVER as SIMULATED
 
 DRIVER = HardwareDriver(name="mine", title=TITLE, parameters=SIMULATED.parameters, driver=SIMULATED.driver)

@@ -17,9 +17,9 @@ import scipy.io
 
 from hysteresis_ros.errors import HysteresisError
 from hysteresis_ros.identification.data import IdentificationData
+from hysteresis_ros.identification.preprocessing import resample
 from hysteresis_ros.identification.reading import Columns, read_data
-from hysteresis_ros.identification.sampling import resample
-from hysteresis_ros.recordings.units import named_column
+from hysteresis_ros.recordings.foreign_tables import named_column
 from hysteresis_ros.units import conversion, readable
 
 RATE = 200.0

@@ -17,9 +17,9 @@ import scipy.signal
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from hysteresis_ros.identification.arx import ArxOrders, fit_arx, suggest_arx_orders
 from hysteresis_ros.identification.data import DataError
-from hysteresis_ros.identification.least_squares import ArxOrders, fit_arx, suggest_arx_orders
-from hysteresis_ros.identification.state_space import FitError
+from hysteresis_ros.identification.linear_systems import FitError
 
 A, B = np.array([1.0, -1.5, 0.7]), np.array([0.5, 0.2])
 INPUT = np.random.default_rng(0).standard_normal(800)

@@ -16,8 +16,7 @@ import pytest
 from excited_support import RATE, plant, truth
 
 from hysteresis_ros.identification.excitations import Experiment, excitation
-from hysteresis_ros.identification.frequency_response import multisine_response, welch_response
-from hysteresis_ros.identification.response_analysis import analyse
+from hysteresis_ros.identification.frequency_response import analyse, multisine_response, welch_response
 
 #: A gain without memory: no window leaks, and what scatters is the noise alone.
 GAIN, NOISE = 2.0, 0.7

@@ -12,9 +12,9 @@
 import numpy as np
 import pytest
 
-from hysteresis_ros.block import COMPILED
 from hysteresis_ros.errors import IdentificationError
-from hysteresis_ros.identification.bouc_wen_mechanical import fit_bouc_wen_mechanical, simulate_oscillator
+from hysteresis_ros.identification.bouc_wen import fit_bouc_wen_mechanical, simulate_oscillator
+from hysteresis_ros.models.block import COMPILED
 from hysteresis_ros.models.hysteresis.bouc_wen_mechanical import BoucWenMechanicalParameters
 
 SAMPLE_TIME = 1.0 / 750.0

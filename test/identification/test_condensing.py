@@ -17,9 +17,9 @@ import numpy as np
 import pytest
 import scipy.signal
 
-from hysteresis_ros.identification.condensing import ENOUGH_SAMPLES, MOST_SAMPLES, condense
 from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.linear_part import first_order_hold
+from hysteresis_ros.identification.preprocessing import FEWEST_REDUCED, MOST_SAMPLES, reduced
 from hysteresis_ros.identification.reading import Columns, read_data
 from hysteresis_ros.identification.workflow import identify, validate
 
@@ -38,13 +38,13 @@ def sine(frequency=2.0, low=0.0, high=3.6):
 
 def test_short_data_stays_as_it_is():
     data = recording(sine()[:MOST_SAMPLES])
-    assert condense(data) is data
+    assert reduced(data) is data
 
 
 def test_a_sine_is_condensed_to_what_carries_information():
     noise = 1e-3 * np.random.default_rng(1).standard_normal(SIZE)
-    data = condense(recording(sine(), sine() + noise))
-    assert ENOUGH_SAMPLES // 2 < len(data) <= 2 * ENOUGH_SAMPLES and data.factor == 3
+    data = reduced(recording(sine(), sine() + noise))
+    assert FEWEST_REDUCED // 2 < len(data) <= 2 * FEWEST_REDUCED and data.factor == 3
     assert data.sample_time == pytest.approx(data.factor / RATE)
     # every sample is the mean of those it stands for, at their middle
     first = slice(0, data.factor)
@@ -58,25 +58,25 @@ def test_a_sine_is_condensed_to_what_carries_information():
 
 def test_a_resonance_keeps_its_samples():
     resonance = scipy.signal.sosfilt(scipy.signal.butter(2, [270, 290], "band", fs=RATE, output="sos"), sine() > 1.8)
-    data = condense(recording(sine(), sine() + 0.05 * resonance))
+    data = reduced(recording(sine(), sine() + 0.05 * resonance))
     assert data.factor == 1 and len(data) == pytest.approx(10 * RATE, rel=0.01)
 
 
 def test_the_stretch_that_reaches_both_ends_is_taken():
     voltage = np.where(TIME < 60.0, sine(2.0, 1.0, 2.0), sine())
-    data = condense(recording(voltage))
+    data = reduced(recording(voltage))
     assert data.first > 0 and np.ptp(data.input) == pytest.approx(3.6, rel=2e-3)
     assert "the stretch from" in data.notes[-1]
-    growing = condense(recording(sine() * np.minimum(TIME / TIME[-1], 1.0)))
+    growing = reduced(recording(sine() * np.minimum(TIME / TIME[-1], 1.0)))
     assert np.ptp(growing.input) > 0.95 * 3.6
 
 
 def test_a_sweep_is_taken_whole_and_so_is_what_is_judged():
     """Every part of a sweep shows another frequency: no stretch of it stands for the rest."""
     sweep = 1.8 + 1.8 * scipy.signal.chirp(TIME, 1.0, TIME[-1], 40.0)
-    data = condense(recording(sweep))
+    data = reduced(recording(sweep))
     assert len(data) * data.factor > 0.99 * SIZE
-    judged = condense(recording(sine()), whole=True)
+    judged = reduced(recording(sine()), whole=True)
     assert len(judged) * judged.factor > 0.99 * SIZE and judged.factor > 1
 
 

@@ -19,13 +19,12 @@ from measured_data import measured_data
 
 from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.identification.data import IdentificationData
-from hysteresis_ros.identification.direction import slow_gain
-from hysteresis_ros.identification.identified import PlantModel
+from hysteresis_ros.identification.dynamics import choose_dynamics, segment_spectra
 from hysteresis_ros.identification.linear_part import LinearPart, Mode
-from hysteresis_ros.identification.modal_choice import choose_dynamics
+from hysteresis_ros.identification.plant_model import PlantModel
 from hysteresis_ros.identification.prediction import predict
+from hysteresis_ros.identification.registry import slow_gain
 from hysteresis_ros.identification.response_check import check_response
-from hysteresis_ros.identification.segment_spectra import segment_spectra
 from hysteresis_ros.identification.workflow import identify
 from hysteresis_ros.models.creep import CreepParameters
 from hysteresis_ros.models.hysteresis import HysteresisParameters

@@ -15,14 +15,19 @@ import numpy as np
 import pytest
 
 from hysteresis_ros.errors import IdentificationError
-from hysteresis_ros.identification.duhem import identify_duhem, identify_inverse_duhem
-from hysteresis_ros.identification.duhem_hammerstein import identify_duhem_hammerstein
-from hysteresis_ros.identification.duhem_loops import major_loop, prepare_loops, reversal_delay
-from hysteresis_ros.identification.shape_functions import LoopOperator
+from hysteresis_ros.identification.duhem import (
+    LoopOperator,
+    identify_duhem,
+    identify_duhem_hammerstein,
+    identify_inverse_duhem,
+    major_loop,
+    prepare_loops,
+    reversal_delay,
+)
+from hysteresis_ros.laboratory.papers.wang2014.identification import paper_w, polymer_truth
 from hysteresis_ros.models.hysteresis.duhem import DuhemHysteresis
 from hysteresis_ros.models.hysteresis.prandtl_ishlinskii import PrandtlIshlinskiiHysteresis
 from hysteresis_ros.models.linear import LinearDynamics, LinearParameters
-from hysteresis_ros.papers.wang2014.recovery import paper_w, polymer_truth
 
 CYCLE = np.sin(2.0 * np.pi * np.arange(600) / 600.0)
 MAJOR = np.tile(CYCLE, 3)

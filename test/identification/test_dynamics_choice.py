@@ -17,12 +17,10 @@ import scipy.signal
 from foreign_plant import ForeignPlant
 
 from hysteresis_ros.identification.data import IdentificationData
-from hysteresis_ros.identification.inverse import undo
+from hysteresis_ros.identification.dynamics import choose_dynamics, in_series, part_response, segment_spectra
 from hysteresis_ros.identification.linear_part import LinearPart, Mode
-from hysteresis_ros.identification.modal_choice import choose_dynamics
-from hysteresis_ros.identification.modal_search import in_series, part_response
 from hysteresis_ros.identification.prandtl_ishlinskii import fit_prandtl_ishlinskii
-from hysteresis_ros.identification.segment_spectra import segment_spectra
+from hysteresis_ros.identification.prediction import undo
 from hysteresis_ros.identification.workflow import identify, validate
 
 RATE = 2000.0

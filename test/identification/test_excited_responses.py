@@ -20,7 +20,7 @@ from excited_support import RATE, A, B, plant, truth
 
 from hysteresis_ros.errors import ConfigurationError, IdentificationError
 from hysteresis_ros.identification.excitations import Experiment, Plan, excitation, uniform
-from hysteresis_ros.identification.response_analysis import analyse, plan_of_recording
+from hysteresis_ros.identification.frequency_response import analyse, plan_of_recording
 
 #: One kind each; how many seeds; which of its lines are counted, because those of noise hang together with their
 #: neighbours; and by how much more often than stated the band of one realisation may hold it: distortion that is not

@@ -17,6 +17,7 @@ from measured_data import measured_data
 
 from hysteresis_ros.identification.data import DataError
 from hysteresis_ros.identification.frequency_response import FrequencyResponse, multisine_response, welch_response
+from hysteresis_ros.identification.linear_systems import FitError, LinearModel, propagate
 from hysteresis_ros.identification.matrix_fraction import (
     balanced_realisation,
     fit_matrix_fraction,
@@ -24,7 +25,6 @@ from hysteresis_ros.identification.matrix_fraction import (
     stable_part,
     truncate,
 )
-from hysteresis_ros.identification.state_space import FitError, LinearModel, propagate
 from hysteresis_ros.models.linear import LinearDynamics
 
 RATE = 3000.0

@@ -17,13 +17,13 @@ import numpy as np
 import pytest
 
 from hysteresis_ros.errors import IdentificationError
-from hysteresis_ros.identification import auto, separation
-from hysteresis_ros.identification.condensed import condense
+from hysteresis_ros.identification import separation, workflow
 from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.generalised_play import fit_generalised_play, speeds_differ
 from hysteresis_ros.identification.linear_part import LinearPart
+from hysteresis_ros.identification.plant_model import Request
 from hysteresis_ros.identification.prandtl_ishlinskii import fit_prandtl_ishlinskii
-from hysteresis_ros.identification.request import Request
+from hysteresis_ros.identification.preprocessing import condense
 from hysteresis_ros.identification.workflow import identify
 from hysteresis_ros.models.hysteresis import MODELS
 from hysteresis_ros.models.hysteresis.generalised_play import GeneralisedPlayHysteresis, GeneralisedPlayParameters
@@ -124,17 +124,17 @@ def test_lag_and_creep_are_separated_once_for_all_models_that_have_none(monkeypa
         assert separation.separated(data, asked) is separation.separated(data, asked)
         raise IdentificationError("not fitted")
 
-    monkeypatch.setattr(auto.registry, "identify", identified)
+    monkeypatch.setattr(workflow.registry, "identify", identified)
     data = IdentificationData(np.arange(VOLTAGE.size) * T, VOLTAGE, recorded(PLAIN))
     with pytest.raises(IdentificationError, match="no model can be fitted"):
-        auto.choose_model(data, "none")
+        workflow.choose_model(data, "none")
     assert len(kept) > 3 and all(found is kept[0] for found in kept) and searched == [("lag",)]
 
 
 @pytest.mark.parametrize("other, chosen", [(0.99, "preisach"), (0.9, "generalised_play")])
 def test_auto_takes_it_only_where_it_predicts_clearly_better(monkeypatch, other, chosen):
     errors = {"preisach": (1e-7, 0.0), "generalised_play": (other * 1e-7, 0.0)}
-    monkeypatch.setattr(auto, "MODELS", {name: MODELS[name] for name in errors})
-    monkeypatch.setattr(auto, "held_out_error", lambda _, name, **request: errors[name])
+    monkeypatch.setattr(workflow, "MODELS", {name: MODELS[name] for name in errors})
+    monkeypatch.setattr(workflow, "held_out_error", lambda _, name, **request: errors[name])
     data = IdentificationData(np.arange(VOLTAGE.size) * T, VOLTAGE, recorded(PLAIN))
-    assert auto.choose_model(data, None)[0] == chosen
+    assert workflow.choose_model(data, None)[0] == chosen

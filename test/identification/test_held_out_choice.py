@@ -16,11 +16,11 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from hysteresis_ros.identification.held_out import PARTS, STRETCHES, held_out, survivor
+from hysteresis_ros.identification.hammerstein import PARTS, STRETCHES_OF_A_PART, held_out, survivor
 
-COUNT = 20 * PARTS * STRETCHES
+COUNT = 20 * PARTS * STRETCHES_OF_A_PART
 #: Which part each sample belongs to: stretches are dealt out in turn.
-PART = np.repeat(np.arange(PARTS * STRETCHES), COUNT // (PARTS * STRETCHES)) % PARTS
+PART = np.repeat(np.arange(PARTS * STRETCHES_OF_A_PART), COUNT // (PARTS * STRETCHES_OF_A_PART)) % PARTS
 
 
 @dataclass(frozen=True)

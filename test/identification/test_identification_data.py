@@ -19,11 +19,14 @@ from hysteresis_ros.identification.data import (
     DataError,
     IdentificationData,
     check_data,
+    check_uniform,
+    clipped_share,
+    count_reversals,
+    estimate_delay,
     from_recording,
     load_data,
 )
-from hysteresis_ros.identification.data_checks import check_uniform, clipped_share, count_reversals, estimate_delay
-from hysteresis_ros.identification.sampling import resample
+from hysteresis_ros.identification.preprocessing import resample
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.files import save_run
 

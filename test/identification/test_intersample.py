@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from hysteresis_ros.errors import IdentificationError
-from hysteresis_ros.identification.intersample import find_period, upsample
+from hysteresis_ros.identification.linear_systems import find_period, upsample
 
 
 @pytest.mark.parametrize("method", ["zoh", "linear", "bandlimited"])

@@ -13,11 +13,11 @@ import numpy as np
 import pytest
 from measured_data import measured_data
 
-from hysteresis_ros.block import COMPILED
-from hysteresis_ros.identification.bouc_wen_mechanical import fit_bouc_wen_mechanical
-from hysteresis_ros.identification.inverse import recover_voltage
+from hysteresis_ros.identification.bouc_wen import fit_bouc_wen_mechanical
 from hysteresis_ros.identification.prandtl_ishlinskii import fit_prandtl_ishlinskii
+from hysteresis_ros.identification.prediction import recover_voltage
 from hysteresis_ros.identification.preisach import fit_preisach
+from hysteresis_ros.models.block import COMPILED
 from hysteresis_ros.models.hysteresis.bouc_wen_mechanical import BoucWenMechanicalParameters
 
 SKIPPED = 400  # samples of both piezo recordings that their README leaves out

@@ -15,12 +15,15 @@ import numpy as np
 import pytest
 import scipy.signal
 
-from hysteresis_ros.identification.continuous import simulate_transfer_function
 from hysteresis_ros.identification.data import DataError
-from hysteresis_ros.identification.output_error import fit_transfer_function
-from hysteresis_ros.identification.reduction import dominant_second_order, mass_spring_damper
-from hysteresis_ros.identification.state_space import FitError
-from hysteresis_ros.identification.transfer_function import Search, Structure
+from hysteresis_ros.identification.linear_systems import FitError, simulate_transfer_function
+from hysteresis_ros.identification.transfer_function import (
+    Search,
+    Structure,
+    dominant_second_order,
+    fit_transfer_function,
+    mass_spring_damper,
+)
 from hysteresis_ros.identification.validation import validate
 
 #: Paper B, eqs 1 and 2.

@@ -14,13 +14,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hysteresis_ros.block import COMPILED
 from hysteresis_ros.errors import IdentificationError
-from hysteresis_ros.identification.bouc_wen_mechanical import simulate_oscillator
-from hysteresis_ros.identification.cleaning import cleaned, drift_of
+from hysteresis_ros.identification.bouc_wen import simulate_oscillator
 from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.hammerstein import pass_through
+from hysteresis_ros.identification.preprocessing import cleaned, drift_of
 from hysteresis_ros.identification.workflow import identify
+from hysteresis_ros.models.block import COMPILED
 from hysteresis_ros.models.hysteresis import MODELS, hysteresis_block
 from hysteresis_ros.models.hysteresis.bouc_wen import BoucWenHysteresis, BoucWenParameters
 from hysteresis_ros.models.hysteresis.bouc_wen_mechanical import BoucWenMechanicalParameters

@@ -15,12 +15,11 @@ import numpy as np
 import pytest
 
 from hysteresis_ros.errors import IdentificationError
-from hysteresis_ros.identification.polynomial import identify_polynomial
-from hysteresis_ros.identification.preload import identify_preload, preload_of_offset
+from hysteresis_ros.identification.polynomial import identify_polynomial, identify_preload, preload_of_offset
+from hysteresis_ros.laboratory.papers.kim2009.identification import KIM_PEAKS, STIFFNESS, paper_k
+from hysteresis_ros.laboratory.papers.runs import triangles
+from hysteresis_ros.models.actuator import PreloadParameters
 from hysteresis_ros.models.hysteresis.polynomial import PolynomialHysteresis, assumed_stack
-from hysteresis_ros.models.preload import PreloadParameters
-from hysteresis_ros.papers.kim2009.recovery import KIM_PEAKS, STIFFNESS, paper_k
-from hysteresis_ros.papers.triangles import triangles
 
 STACK = assumed_stack(voltage_low=0.0)
 NAMES = ("virgin", "rising_D", "rising_C1", "rising_C2", "falling_D", "falling_C1", "falling_C2")

@@ -17,8 +17,8 @@ from click.testing import CliRunner
 from foreign_plant import ForeignPlant
 
 from hysteresis_ros.cli.main import main
-from hysteresis_ros.control.closed_loop import plant_state_space
-from hysteresis_ros.control.response_uncertainty import (
+from hysteresis_ros.control.margins import plant_state_space
+from hysteresis_ros.control.uncertainty import (
     UNKNOWN,
     UNSEEN,
     ResponseUncertainty,
@@ -26,8 +26,8 @@ from hysteresis_ros.control.response_uncertainty import (
     integral_controller,
 )
 from hysteresis_ros.identification.data import IdentificationData
-from hysteresis_ros.identification.identified import PlantModel
 from hysteresis_ros.identification.linear_part import LinearPart, Mode
+from hysteresis_ros.identification.plant_model import PlantModel
 from hysteresis_ros.identification.response_check import check_response
 from hysteresis_ros.models.creep import CreepParameters
 from hysteresis_ros.models.hysteresis import HysteresisParameters

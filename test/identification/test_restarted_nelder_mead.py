@@ -15,15 +15,11 @@ import numpy as np
 import pytest
 
 from hysteresis_ros.errors import IdentificationError
-from hysteresis_ros.identification.bouc_wen_static import (
-    NAMES,
-    PUBLISHED_GUESS,
-    identify_bouc_wen_static,
-)
+from hysteresis_ros.identification.bouc_wen import PUBLISHED_GUESS, STATIC_FREE, identify_bouc_wen_static
 from hysteresis_ros.identification.restarted_nelder_mead import SimplexSettings, restarted_nelder_mead
+from hysteresis_ros.laboratory.papers.auwal2017.model import PUBLISHED_BOUC_WEN, paper_b
+from hysteresis_ros.laboratory.papers.runs import triangles
 from hysteresis_ros.models.hysteresis.bouc_wen import BoucWenHysteresis, BoucWenParameters
-from hysteresis_ros.papers.auwal2017.recovery import PUBLISHED_BOUC_WEN, paper_b
-from hysteresis_ros.papers.triangles import triangles
 
 
 def rosenbrock(x):
@@ -84,7 +80,7 @@ def test_paper_b_all_four_within_one_percent(seed):
     assert any("outside the bounded class" in warning for warning in found.model.warnings)
     assert found.model.rms == pytest.approx(10e-9, rel=0.15)
     trajectory = found.model.search.runs[0].trajectory
-    np.testing.assert_allclose(trajectory[0], [getattr(PUBLISHED_GUESS, name) for name in NAMES])
+    np.testing.assert_allclose(trajectory[0], [getattr(PUBLISHED_GUESS, name) for name in STATIC_FREE])
     for name, error in found.errors.items():
         assert abs(error * getattr(PUBLISHED_BOUC_WEN, name)) < 4.5 * found.model.standard_errors[name]
 
@@ -98,7 +94,7 @@ def test_a_bounded_element_without_a_guess(exponent):
     voltage = triangles([60.0, 100.0, 40.0], 60)
     x = BoucWenHysteresis(truth, 1.0).simulate(voltage)
     result = identify_bouc_wen_static(voltage, x + 2e-6, exponent=exponent, free_offset=True)
-    for name in NAMES:
+    for name in STATIC_FREE:
         assert getattr(result.parameters, name) == pytest.approx(getattr(truth, name), rel=1e-3), name
     assert result.offset == pytest.approx(2e-6, rel=1e-3)
     assert result.converged and result.warnings == truth.warnings()

@@ -15,18 +15,21 @@ import numpy as np
 import pytest
 
 from hysteresis_ros.errors import IdentificationError
-from hysteresis_ros.identification import auto
-from hysteresis_ros.identification.ambiguity import find_ambiguity
-from hysteresis_ros.identification.condensed import condense, simple_loops, wiped_out
+from hysteresis_ros.identification import workflow
 from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.dynamics import TurnSearch
 from hysteresis_ros.identification.hammerstein import simulate_chain
 from hysteresis_ros.identification.linear_part import LinearPart
-from hysteresis_ros.identification.prandtl_ishlinskii import fit_prandtl_ishlinskii
+from hysteresis_ros.identification.prandtl_ishlinskii import (
+    PRIOR_DECAY,
+    SmoothDensity,
+    find_ambiguity,
+    fit_prandtl_ishlinskii,
+)
 from hysteresis_ros.identification.prediction import predict
+from hysteresis_ros.identification.preprocessing import condense, simple_loops, wiped_out
 from hysteresis_ros.identification.registry import parse_options
-from hysteresis_ros.identification.smooth_density import PRIOR_DECAY, SmoothDensity
-from hysteresis_ros.identification.start import find_start
+from hysteresis_ros.identification.separation import find_start
 from hysteresis_ros.identification.workflow import identify
 from hysteresis_ros.models.hysteresis import MODELS, HysteresisParameters, hysteresis_block
 from hysteresis_ros.models.hysteresis.prandtl_ishlinskii import PrandtlIshlinskiiParameters
@@ -209,7 +212,7 @@ def test_drift_is_a_term_of_its_own_and_only_where_it_is():
 @pytest.mark.slow
 def test_auto_takes_what_predicts_held_out_thirds(monkeypatch):
     tried = ("proportional", "prandtl_ishlinskii")
-    monkeypatch.setattr(auto, "MODELS", {name: MODELS[name] for name in tried})
+    monkeypatch.setattr(workflow, "MODELS", {name: MODELS[name] for name in tried})
     found = identify(data(DECAYING, recorded(DECAYING)), "auto", linear="none")
     errors = [found.figures[f"held_out_{name}_rmse_m"] for name in tried]
     assert errors[0] > 3.0 * errors[1] and found.figures["model"] == "prandtl_ishlinskii"
@@ -223,9 +226,9 @@ def test_auto_takes_what_predicts_held_out_thirds(monkeypatch):
 )
 def test_auto_rests_on_the_prior_where_blocks_show_nothing_new(monkeypatch, doubt, other, chosen):
     errors = {"prandtl_ishlinskii": (1e-7, doubt), "preisach": (other * 1e-7, doubt)}
-    monkeypatch.setattr(auto, "MODELS", {name: MODELS[name] for name in errors})
-    monkeypatch.setattr(auto, "held_out_error", lambda _, name, **request: errors[name])
-    assert auto.choose_model(data(DECAYING, recorded(DECAYING)), None)[0] == chosen
+    monkeypatch.setattr(workflow, "MODELS", {name: MODELS[name] for name in errors})
+    monkeypatch.setattr(workflow, "held_out_error", lambda _, name, **request: errors[name])
+    assert workflow.choose_model(data(DECAYING, recorded(DECAYING)), None)[0] == chosen
 
 
 def test_the_doubt_of_small_loops_is_a_ratio_of_gains():

@@ -17,12 +17,12 @@ import numpy as np
 from loop_support import HOLD, axis
 
 from hysteresis_ros import signals as at
-from hysteresis_ros.block import specialised
 from hysteresis_ros.loop.compensator import compensate
-from hysteresis_ros.loop.control_sample import carried_out, control
+from hysteresis_ros.loop.controller import carried_out, control
 from hysteresis_ros.loop.plant import actuate, sense
 from hysteresis_ros.loop.source import refer
 from hysteresis_ros.loop.tick import Parts
+from hysteresis_ros.models.block import specialised
 
 #: First axis, second axis.
 SETPOINTS = (4e-6, 7e-6)

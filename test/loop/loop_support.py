@@ -15,7 +15,7 @@ import numpy as np
 
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.loop.axis import Axis
-from hysteresis_ros.simulation.axes import single_axis
+from hysteresis_ros.loop.reach import single_axis
 
 #: A reference that stays where the setpoint is, for kim2009.
 HOLD = {"reference_generator": {"waveform__type": "hold"}}

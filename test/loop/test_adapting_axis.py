@@ -19,15 +19,15 @@ from interpreted import interpreted
 from loop_support import assert_same_bits, parameters
 from waiting import until
 
-from hysteresis_ros.block import COMPILED
-from hysteresis_ros.compensation import recursive as states
 from hysteresis_ros.configuration import parse_configuration
 from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.loop.axis import Axis, Change
 from hysteresis_ros.loop.compensator import adapted_text
 from hysteresis_ros.loop.fused import FusedLoop
-from hysteresis_ros.simulation.axes import single_axis
-from hysteresis_ros.simulation.drift import drifting
+from hysteresis_ros.loop.reach import single_axis
+from hysteresis_ros.loop.simulation import drifting
+from hysteresis_ros.models import adaptation as states
+from hysteresis_ros.models.block import COMPILED
 
 NODE = "hysteresis_compensator"
 

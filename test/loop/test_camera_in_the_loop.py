@@ -20,7 +20,7 @@ from hysteresis_ros import signals
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.errors import ConfigurationError, ParameterError
 from hysteresis_ros.loop.axis import Axis, Change
-from hysteresis_ros.loop.axis_parameters import AxisParameters
+from hysteresis_ros.loop.parameters import AxisParameters
 from hysteresis_ros.loop.watch import STALE
 
 #: Frames of a size that takes no time, in which a pixel is 0.5 µm as in the file.

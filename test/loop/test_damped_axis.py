@@ -17,8 +17,8 @@ from fused_support import ANY_LATE, STAGE_SLOWLY, assert_twin, change, made_loop
 from loop_support import assert_same_bits, axis, steps
 from waiting import until
 
-from hysteresis_ros.control import base as header
-from hysteresis_ros.control.damping import block
+from hysteresis_ros.control import law as header
+from hysteresis_ros.control.damping import inner_loop
 from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.loop.axis import Change
 
@@ -86,10 +86,10 @@ def test_a_law_behind_limits_hears_what_was_carried_out_of_its_own_output_and_do
     held = made.run(np.full(4000, 8e-6))
     x, between = made.controller.controller.x, made.controller.damping
     assert held["saturated"][-1] == 1.0 and held["applied"][-1] < held["command"][-1]
-    carried = block.as_output(between.p, between.x, held["applied"][-1])
-    assert x[header.APPLIED] == carried < between.x[block.OUTPUT]
+    carried = inner_loop.as_output(between.p, between.x, held["applied"][-1])
+    assert x[header.APPLIED] == carried < between.x[inner_loop.OUTPUT]
     # the law's output stays where the limit is, within what a sample moves it
-    assert between.x[block.OUTPUT] - carried < 2e-6
+    assert between.x[inner_loop.OUTPUT] - carried < 2e-6
     free = made.run(np.full(1200, 2e-6))
     assert abs(np.mean(free["displacement"][60:120]) - 2e-6) < 1e-6
     assert np.all(np.abs(free["displacement"][600:] - 2e-6) < 2e-8)
@@ -103,8 +103,11 @@ def test_it_starts_at_rest_wherever_the_axis_is_when_it_is_started():
     made.apply(Change(0, "motion_controller", "start"))
     made.run(np.full(1, 6e-6))
     p, x = made.controller.damping.p, made.controller.damping.x
-    rest = p[block.MATRICES + 3]  # of its single state, behind A, B and C
-    assert x[block.STATE] == pytest.approx(rest * x[block.FILTERED], rel=1e-9) and 1e-6 < x[block.FILTERED] < 5e-6
+    rest = p[inner_loop.MATRICES + 3]  # of its single state, behind A, B and C
+    assert (
+        x[inner_loop.STATE] == pytest.approx(rest * x[inner_loop.FILTERED], rel=1e-9)
+        and 1e-6 < x[inner_loop.FILTERED] < 5e-6
+    )
     made.run(np.full(6000, 6e-6))
     made.apply(Change(0, "motion_controller", "stop"))
     made.run(np.full(30, 6e-6))

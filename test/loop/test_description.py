@@ -19,8 +19,8 @@ from click.testing import CliRunner
 
 from hysteresis_ros.cli.main import main
 from hysteresis_ros.configuration import load_configuration
-from hysteresis_ros.loop.axis_parameters import AxisParameters
 from hysteresis_ros.loop.description import BASE, robot_description
+from hysteresis_ros.loop.parameters import AxisParameters
 
 CONFIG = pathlib.Path(__file__).resolve().parents[2] / "config"
 

@@ -24,9 +24,9 @@ from hysteresis_ros.errors import ConfigurationError, ParameterError
 from hysteresis_ros.loop import faults, watch
 from hysteresis_ros.loop.axis import Axis
 from hysteresis_ros.loop.faults import FAULTS, fault_parameters, fault_state, parse_fault
+from hysteresis_ros.loop.reach import single_axis
+from hysteresis_ros.loop.simulation import simulate
 from hysteresis_ros.models.sensor import generator_state, uniform
-from hysteresis_ros.simulation.axes import single_axis
-from hysteresis_ros.simulation.run import simulate
 
 FIRST, BEYOND, COUNT = 300, 450, 700
 WINDOW = slice(FIRST, BEYOND)
@@ -117,7 +117,7 @@ def disorder(fault):
 
 
 def unanswered(fault):
-    from hysteresis_ros.loop.control_sample import UNFOLLOWED_SAMPLES
+    from hysteresis_ros.loop.controller import UNFOLLOWED_SAMPLES
 
     quick = {node: dict(values, safe_slew_rate=1.0) for node, values in PRELOAD.items()}
     made, table, plain = run(fault, **quick)

@@ -26,7 +26,8 @@ from loop_support import HOLD, axis
 from waiting import until, until_clock
 
 from hysteresis_ros.errors import ConfigurationError, LoopError
-from hysteresis_ros.loop import fused, scheduling
+from hysteresis_ros.loop import fused
+from hysteresis_ros.loop import fused as scheduling
 from hysteresis_ros.loop.fused import INTERPRETED_RATE, FusedLoop
 
 HERE = pathlib.Path(__file__).parent

@@ -20,12 +20,12 @@ from fused_support import ANY_LATE, assert_twin, change, made_loop, whole
 from loop_support import HOLD, assert_same_bits, axis, parameters
 from waiting import until
 
-from hysteresis_ros.commissioning.learned_periods import learned_line
-from hysteresis_ros.control.learning import correction as at
-from hysteresis_ros.control.learning.correction import LIMITED, shown
+from hysteresis_ros.cli.commissioning.closed_loop import learned_line
+from hysteresis_ros.control import learning as at
+from hysteresis_ros.control.learning import LIMITED, shown
+from hysteresis_ros.designs.learning import LearningRequest, design_learning
 from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.loop.axis import Axis, Change
-from hysteresis_ros.simulation.learning_design import LearningRequest, design_learning
 
 #: Of 30 samples.
 TRIANGLE = {"waveform__type": "triangle", "waveform__frequency": 100.0, "waveform__amplitude": 4e-6}

@@ -18,9 +18,9 @@ from loop_support import HOLD, assert_same_bits, axis, parameters
 from hysteresis_ros import signals
 from hysteresis_ros.errors import ParameterError, RecordingError
 from hysteresis_ros.loop.axis import Change
+from hysteresis_ros.loop.simulation import changes_of, differences, simulate
 from hysteresis_ros.loop.tick import ANSWER, ANSWERED, CONFIRM, MEASURE, MEASURED
 from hysteresis_ros.recordings.dataset import Recording
-from hysteresis_ros.simulation.run import changes_of, differences, simulate
 
 CHANGES = (
     Change(100, "motion_controller", "retune", {"sliding_mode.phi": 0.9, "handover_time": 0.02}),

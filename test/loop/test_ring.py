@@ -18,7 +18,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from loop_support import axis
 
-from hysteresis_ros.loop import fused, pacing, ring
+from hysteresis_ros.loop import fused, pacing
+from hysteresis_ros.loop import pacing as ring
 from hysteresis_ros.loop.fused import FusedLoop
 
 

@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 from loop_support import HOLD, axis, steps
 
-from hysteresis_ros.control.base import APPLIED
+from hysteresis_ros.control.law import APPLIED
 from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.loop import watch
 from hysteresis_ros.loop.axis import Change

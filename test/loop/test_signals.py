@@ -18,9 +18,9 @@ import pytest
 from loop_support import assert_same_bits, axis, parameters
 
 from hysteresis_ros import signals
+from hysteresis_ros.loop.simulation import simulate
 from hysteresis_ros.recordings import load_run, save_run
 from hysteresis_ros.recordings.run_bag import write_recording
-from hysteresis_ros.simulation.run import simulate
 
 NODES = (*signals.WRITERS,)
 

@@ -19,8 +19,8 @@ from waiting import until
 
 from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.loop.axis import Change
+from hysteresis_ros.loop.simulation import changes_of
 from hysteresis_ros.recordings.dataset import Recording
-from hysteresis_ros.simulation.run import changes_of
 
 SOURCE = "reference_generator"
 POINTS = {"times": (0.04, 0.08), "positions": (3e-6, 5e-6), "velocities": (6e-5, 0.0)}

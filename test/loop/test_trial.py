@@ -13,12 +13,12 @@ from __future__ import annotations
 
 import pytest
 
-from hysteresis_ros.block import COMPILED
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.errors import ConfigurationError
-from hysteresis_ros.loop import trial as trials
-from hysteresis_ros.loop.ring import Lateness
-from hysteresis_ros.simulation.axes import single_axis
+from hysteresis_ros.loop import fused as trials
+from hysteresis_ros.loop.pacing import Lateness
+from hysteresis_ros.loop.reach import single_axis
+from hysteresis_ros.models.block import COMPILED
 
 
 def kim(**plant):

@@ -351,7 +351,7 @@ def test_without_a_limit_nothing_trips():
     ("late_limit", "rate", "allowed"), [(0, 3000.0, 150), (0, 100.0, 20), (-1, 3000.0, 0), (7, 3000.0, 7)]
 )
 def test_what_late_limit_allows(late_limit, rate, allowed):
-    from hysteresis_ros.loop.plant_parameters import PlantNodeParameters
+    from hysteresis_ros.loop.parameters import PlantNodeParameters
 
     axis = loop_support.parameters(plant_simulator={"late_limit": late_limit})
     values = {**axis.plant_simulator.to_mapping(), "late_limit": late_limit, "sample_rate": rate}

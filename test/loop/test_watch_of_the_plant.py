@@ -19,11 +19,11 @@ from loop_support import HOLD, axis
 from watch_support import guard, run_guard
 
 from hysteresis_ros import signals
-from hysteresis_ros.block import interpreted
 from hysteresis_ros.loop.axis import Change
 from hysteresis_ros.loop.plant import actuate, sense
 from hysteresis_ros.loop.tick import Laws
 from hysteresis_ros.loop.watch import HOLDING, RUNNING, STOPPED
+from hysteresis_ros.models.block import interpreted
 
 NAN = math.nan
 

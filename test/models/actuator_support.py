@@ -13,12 +13,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from hysteresis_ros.models.actuator import Actuator, ActuatorParameters
+from hysteresis_ros.models.actuator import Actuator, ActuatorParameters, PreloadParameters
 from hysteresis_ros.models.hysteresis import HysteresisParameters
 from hysteresis_ros.models.hysteresis.polynomial import assumed_stack
 from hysteresis_ros.models.limits import LimitsParameters
 from hysteresis_ros.models.linear import LinearParameters
-from hysteresis_ros.models.preload import PreloadParameters
 from hysteresis_ros.models.sensor import SensorParameters
 
 SAMPLE_TIME = 1.0 / 3000.0

@@ -13,9 +13,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from hysteresis_ros.block import specialised
 from hysteresis_ros.models import friction
+from hysteresis_ros.models.block import specialised
 from hysteresis_ros.models.clamp import ClampParameters, FirstOrderParameters, LagParameters
+from hysteresis_ros.models.friction import SliderParameters
 from hysteresis_ros.models.hysteresis import HysteresisParameters
 from hysteresis_ros.models.hysteresis.polynomial import assumed_stack
 from hysteresis_ros.models.hysteresis.proportional import ProportionalParameters
@@ -28,7 +29,6 @@ from hysteresis_ros.models.inchworm import (
 )
 from hysteresis_ros.models.limits import LimitsParameters
 from hysteresis_ros.models.sensor import SensorParameters
-from hysteresis_ros.models.slider import SliderParameters
 
 STEP = 1e-4
 STIFFNESS = 0.41e6

@@ -18,14 +18,13 @@ import pytest
 from actuator_support import PARAMETERS, SAMPLE_TIME, drive, outputs, run
 from interpreted import interpreted
 
-from hysteresis_ros.block import COMPILED
 from hysteresis_ros.errors import ParameterError
-from hysteresis_ros.models.actuator import Actuator, ActuatorParameters
+from hysteresis_ros.models.actuator import Actuator, ActuatorParameters, PreloadParameters
+from hysteresis_ros.models.block import COMPILED
 from hysteresis_ros.models.hysteresis import HysteresisParameters
 from hysteresis_ros.models.hysteresis.polynomial import PolynomialHysteresis, assumed_stack
 from hysteresis_ros.models.hysteresis.proportional import ProportionalParameters
 from hysteresis_ros.models.limits import LimitsParameters
-from hysteresis_ros.models.preload import PreloadParameters
 from hysteresis_ros.models.sensor import SensorParameters
 
 

@@ -19,12 +19,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hysteresis_ros.block import interpreted
 from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.models import friction
-from hysteresis_ros.models.friction import slide_elastically
+from hysteresis_ros.models.block import interpreted
+from hysteresis_ros.models.friction import Contacts, Slider, SliderParameters, slide_elastically
 from hysteresis_ros.models.inchworm import Inchworm
-from hysteresis_ros.models.slider import Contacts, Slider, SliderParameters
 
 STEP, MASS, STIFFNESS = 1e-4, 0.05, 0.41e6
 COMPLIANCE = 2e-8

@@ -16,11 +16,16 @@ import dataclasses
 import numpy as np
 import pytest
 
-from hysteresis_ros.block import COMPILED
-from hysteresis_ros.compensation.creep import creep_inverse
 from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.models.actuator import Actuator, ActuatorParameters
-from hysteresis_ros.models.creep import Creep, CreepOperatorsParameters, CreepParameters, LogarithmicCreepParameters
+from hysteresis_ros.models.block import COMPILED
+from hysteresis_ros.models.creep import (
+    Creep,
+    CreepOperatorsParameters,
+    CreepParameters,
+    LogarithmicCreepParameters,
+    creep_inverse,
+)
 from hysteresis_ros.models.hysteresis import HysteresisParameters
 from hysteresis_ros.models.hysteresis.polynomial import assumed_stack
 from hysteresis_ros.models.limits import LimitsParameters

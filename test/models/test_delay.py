@@ -19,11 +19,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hysteresis_ros.configuration import load_configuration
+from hysteresis_ros.control.uncertainty import slowed
 from hysteresis_ros.errors import ParameterError
+from hysteresis_ros.loop.reach import single_axis
+from hysteresis_ros.loop.simulation import simulate
 from hysteresis_ros.models.linear import LinearDynamics, LinearParameters
-from hysteresis_ros.simulation.axes import single_axis
-from hysteresis_ros.simulation.mismatch import slowed
-from hysteresis_ros.simulation.run import simulate
 
 T = 0.005
 MODELS = {

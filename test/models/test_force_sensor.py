@@ -18,7 +18,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hysteresis_ros.control.closed_loop import plant_state_space
+from hysteresis_ros.control.margins import plant_state_space
 from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.models.actuator import Actuator, ActuatorParameters
 from hysteresis_ros.models.linear import zero_order_hold

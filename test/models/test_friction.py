@@ -18,11 +18,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hysteresis_ros.block import COMPILED, interpreted
 from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.models import friction
-from hysteresis_ros.models.friction import slide
-from hysteresis_ros.models.slider import Slider, SliderParameters
+from hysteresis_ros.models.block import COMPILED, interpreted
+from hysteresis_ros.models.friction import Slider, SliderParameters, slide
 
 STEP = 1e-4
 MASS = 0.05

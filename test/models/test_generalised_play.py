@@ -18,9 +18,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hysteresis_ros.compensation.compensator import Compensator, CompensatorParameters
-from hysteresis_ros.compensation.inverses import InverseParameters
 from hysteresis_ros.errors import ParameterError
+from hysteresis_ros.models.compensator import Compensator, CompensatorParameters
 from hysteresis_ros.models.hysteresis import HysteresisParameters
 from hysteresis_ros.models.hysteresis.generalised_play import (
     MODEL,
@@ -32,6 +31,7 @@ from hysteresis_ros.models.hysteresis.prandtl_ishlinskii import (
     PrandtlIshlinskiiHysteresis,
     PrandtlIshlinskiiParameters,
 )
+from hysteresis_ros.models.inverses import InverseParameters
 from hysteresis_ros.models.limits import LimitsParameters
 
 T = 1e-3

@@ -21,8 +21,9 @@ from hypothesis import strategies as st
 from inchworm_support import GRIP, LINE, RISE, STACK, STEP, STIFFNESS, TOP, cycle, motor, phase, run
 
 from hysteresis_ros.errors import ParameterError
-from hysteresis_ros.loop.plant_parameters import PlantNodeParameters
+from hysteresis_ros.loop.parameters import PlantNodeParameters
 from hysteresis_ros.models import friction
+from hysteresis_ros.models.actuator import PreloadParameters
 from hysteresis_ros.models.clamp import LagParameters
 from hysteresis_ros.models.creep import CreepParameters
 from hysteresis_ros.models.inchworm import (
@@ -33,7 +34,6 @@ from hysteresis_ros.models.inchworm import (
     Inchworm,
 )
 from hysteresis_ros.models.linear import LinearParameters
-from hysteresis_ros.models.preload import PreloadParameters
 from hysteresis_ros.models.sensor import SensorParameters
 
 

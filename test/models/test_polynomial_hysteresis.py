@@ -20,9 +20,13 @@ from hypothesis import strategies as st
 
 from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.models.hysteresis import HysteresisParameters, hysteresis_block
-from hysteresis_ros.models.hysteresis.polynomial import PolynomialHysteresis, assumed_stack
-from hysteresis_ros.models.hysteresis.polynomial import law as model
-from hysteresis_ros.models.hysteresis.polynomial.law import polynomial, polynomial_inverse
+from hysteresis_ros.models.hysteresis import polynomial as model
+from hysteresis_ros.models.hysteresis.polynomial import (
+    PolynomialHysteresis,
+    assumed_stack,
+    polynomial,
+    polynomial_inverse,
+)
 
 STROKE = 120.0 * 0.1025e-6
 # whole microvolts: a loop of 1e-300 V has no continuity that a probe of 1e-9 V could see

@@ -30,8 +30,8 @@ from rate_independent_support import (
     ramps,
 )
 
-from hysteresis_ros.block import COMPILED
 from hysteresis_ros.errors import ParameterError
+from hysteresis_ros.models.block import COMPILED
 from hysteresis_ros.models.hysteresis import HysteresisParameters, hysteresis_block
 
 WITH_RETURN_POINTS = ("prandtl_ishlinskii", "preisach")

@@ -17,8 +17,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.signal import dfreqresp, dlti
 
-from hysteresis_ros.block import interpreted
-from hysteresis_ros.models.state_space import StateSpace, accumulate, advance
+from hysteresis_ros.models.block import interpreted
+from hysteresis_ros.models.linear import StateSpace, accumulate, advance
 
 NONE = np.zeros((0, 0))
 

@@ -65,7 +65,7 @@ SOON_AT_REST = {
 def axis_parameters(namespace: str = "", overrides: dict | None = None, **common):
     """Return the parameters of Kim's axis with overrides: node → {parameter with double underscores: value}."""
     from hysteresis_ros.configuration import load_configuration
-    from hysteresis_ros.loop.axis_parameters import AxisParameters
+    from hysteresis_ros.loop.parameters import AxisParameters
 
     configuration = load_configuration(ROOT / "config" / "kim2009.yaml").override("", **common)
     configuration = configuration.override("reference_generator", waveform__type="hold")

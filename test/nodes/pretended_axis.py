@@ -23,10 +23,10 @@ import pytest
 
 from hysteresis_ros import signals
 from hysteresis_ros.errors import HysteresisError
+from hysteresis_ros.laboratory.watch.access import Access
+from hysteresis_ros.laboratory.watch.memory import Memory
+from hysteresis_ros.laboratory.watch.server import Server
 from hysteresis_ros.nodes.samples import Block
-from hysteresis_ros.nodes.watch.access import Access
-from hysteresis_ros.nodes.watch.memory import Memory
-from hysteresis_ros.nodes.watch.server import Server
 
 TestServer = pytest.importorskip("aiohttp.test_utils").TestServer
 

@@ -11,7 +11,7 @@
 
 from __future__ import annotations
 
-from hysteresis_ros.nodes.epics.settings import MotorSettings
+from hysteresis_ros.laboratory.epics.record import MotorSettings
 
 #: Of an axis of 0 … 12 µm without a speed of its own.
 SETTINGS = MotorSettings(

@@ -31,9 +31,9 @@ def lockstep_axis(samples: int, path):
 def test_services_steer_it_a_file_keeps_it_and_the_log_repeats_it(inside, observer, tmp_path):
     from diagnostic_msgs.msg import DiagnosticArray
 
-    from hysteresis_ros.cli.arguments import laid_under
-    from hysteresis_ros.simulation.axes import single_axis
-    from hysteresis_ros.simulation.run import differences, simulate
+    from hysteresis_ros.cli.options import laid_under
+    from hysteresis_ros.loop.reach import single_axis
+    from hysteresis_ros.loop.simulation import differences, simulate
 
     saved = tmp_path / "adapted.yaml"
     run = RecordedRun(inside, lockstep_axis(4000, saved), tmp_path / "bag")

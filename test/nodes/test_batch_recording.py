@@ -37,7 +37,7 @@ def actuator():
 def motor():
     """Return the inchworm on its way, and a trip."""
     from hysteresis_ros.configuration import load_configuration
-    from hysteresis_ros.loop.axis_parameters import AxisParameters
+    from hysteresis_ros.loop.parameters import AxisParameters
 
     configuration = load_configuration(ROOT / "config" / "inchworm_travel.yaml")
     configuration = configuration.override("", time_mode="lockstep", exit_at_end=True, faults=FAULTS)
@@ -65,7 +65,7 @@ def samples_of(axis):
 def test_batches_give_the_bytes_that_the_nodes_publish(processes, tmp_path, axis, namespace):
     from hysteresis_ros.recordings.bag_reader import read_bag
     from hysteresis_ros.recordings.bag_writer import BagWriter
-    from hysteresis_ros.recordings.batch_writer import AxisTopics, SampleWriter
+    from hysteresis_ros.recordings.run_bag import AxisTopics, SampleWriter
 
     given = shortened(axis(), SAMPLES)
     run = processes.command(

@@ -20,7 +20,7 @@ pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
 from nodes_support import axis_parameters, compose, until  # noqa: E402
 
 from hysteresis_ros.loop import watch  # noqa: E402
-from hysteresis_ros.nodes.beginning import place_of  # noqa: E402
+from hysteresis_ros.nodes.reference_generator import place_of  # noqa: E402
 
 PLACE = 7.0e-6
 TRIANGLE = {

@@ -24,9 +24,12 @@ from sensor_msgs.msg import JointState  # noqa: E402
 from std_msgs.msg import Float64, String  # noqa: E402
 
 from hysteresis_ros.errors import ParameterError  # noqa: E402
-from hysteresis_ros.nodes.compatibility import unheard  # noqa: E402
-from hysteresis_ros.nodes.diagnostics import WARN, diagnostics  # noqa: E402
-from hysteresis_ros.nodes.discovery import named  # noqa: E402
+from hysteresis_ros.nodes.base import (  # noqa: E402
+    WARN,
+    diagnostics,
+    unheard,  # noqa: E402
+)
+from hysteresis_ros.nodes.domain import named  # noqa: E402
 from hysteresis_ros.nodes.motion_controller import MotionControllerNode  # noqa: E402
 from hysteresis_ros.nodes.qos import chosen_qos  # noqa: E402
 from hysteresis_ros.nodes.reference_generator import ReferenceGeneratorNode  # noqa: E402

@@ -26,15 +26,24 @@ from sensor_msgs.msg import JointState  # noqa: E402
 from waiting import until  # noqa: E402
 
 from hysteresis_ros.configuration import config_path, load_configuration  # noqa: E402
-from hysteresis_ros.nodes.campaign import group  # noqa: E402
-from hysteresis_ros.nodes.campaign.actions import ACTIONS  # noqa: E402
-from hysteresis_ros.nodes.campaign.measurement import SCHEDULE, scheduled  # noqa: E402
-from hysteresis_ros.nodes.campaign.relay import FOREIGN, Relay  # noqa: E402
-from hysteresis_ros.nodes.campaign.surroundings import Clock  # noqa: E402
+from hysteresis_ros.laboratory.campaign import rig  # noqa: E402
+from hysteresis_ros.laboratory.campaign.actions import (  # noqa: E402
+    ACTIONS,  # noqa: E402
+    SCHEDULE,
+    scheduled,
+)
+from hysteresis_ros.laboratory.campaign.judging import bounds_of, prepared  # noqa: E402
+from hysteresis_ros.laboratory.campaign.mishaps import (  # noqa: E402
+    CATALOGUE,  # noqa: E402
+    COMPOSED,
+    FUSED,
+    GRAPHS,
+    RELAY,
+    TIMEOUTS,
+)
+from hysteresis_ros.laboratory.campaign.rig import Clock  # noqa: E402
+from hysteresis_ros.laboratory.campaign.witness import FOREIGN, Relay  # noqa: E402
 from hysteresis_ros.nodes.launcher import node_environment  # noqa: E402
-from hysteresis_ros.reliability.bounds import bounds_of, prepared  # noqa: E402
-from hysteresis_ros.reliability.catalogue import CATALOGUE  # noqa: E402
-from hysteresis_ros.reliability.mishaps import COMPOSED, FUSED, GRAPHS, RELAY, TIMEOUTS  # noqa: E402
 
 STROKE = 1e-4
 
@@ -158,13 +167,13 @@ def test_a_group_whose_disk_is_full_may_say_so_when_it_leaves_and_no_other(tmp_p
     """Of the processes only how they leave matters here."""
     leave = "import signal, sys; signal.signal(signal.SIGTERM, lambda *_: sys.exit(1)); print('there', flush=True); "
     command = [sys.executable, "-c", leave + "signal.pause()"]
-    monkeypatch.setattr(group, "node_command", lambda *given, **options: command)
+    monkeypatch.setattr(rig, "node_command", lambda *given, **options: command)
     axis = prepared(load_configuration(config_path("picma_stage")), FUSED, "/faults")
     for number, (prefix, expected) in enumerate(
         ((("env",), []), ((), ["hysteresis_axis left with exit code 1: there"]))
     ):
         folder = tmp_path / str(number)
         folder.mkdir()
-        made = group.Group(axis, COMPOSED, folder, prefix=prefix)
+        made = rig.Group(axis, COMPOSED, folder, prefix=prefix)
         until(lambda made=made: "there" in made.printed(), what="a process that is there")
         assert made.codes() == [None] and made.close() == expected and made.codes() == [1]

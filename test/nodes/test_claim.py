@@ -22,7 +22,7 @@ pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
 from nodes_support import axis_parameters, until, write_axis  # noqa: E402
 
 from hysteresis_ros.errors import HysteresisError  # noqa: E402
-from hysteresis_ros.nodes.claim import claim, holder  # noqa: E402
+from hysteresis_ros.nodes.masters import claim, holder  # noqa: E402
 
 pytestmark = pytest.mark.skipif(not sys.platform.startswith("linux"), reason="claims are Linux's")
 

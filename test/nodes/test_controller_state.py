@@ -23,8 +23,8 @@ from nodes_support import axis_parameters  # noqa: E402
 
 import hysteresis_ros.nodes.motion_controller as module  # noqa: E402
 from hysteresis_ros import signals  # noqa: E402
-from hysteresis_ros.control.laws.pid.law import INTEGRAL  # noqa: E402
-from hysteresis_ros.nodes.controller_state import MISSING, message_types  # noqa: E402
+from hysteresis_ros.control.laws.pid import INTEGRAL  # noqa: E402
+from hysteresis_ros.nodes.motion_controller import MISSING, message_types  # noqa: E402
 
 #: Fields of control_msgs/SingleDOFState, and of control_msgs/PidState in Jazzy and later.
 DOF = ("name", "reference", "feedback", "feedback_dot", "error", "error_dot", "time_step", "output")

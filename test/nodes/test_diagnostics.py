@@ -24,10 +24,10 @@ pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
 from diagnostic_msgs.msg import DiagnosticStatus  # noqa: E402
 from nodes_support import axis_parameters, compose  # noqa: E402
 
-from hysteresis_ros.loop.node_parameters import NODE_PARAMETERS  # noqa: E402
+from hysteresis_ros.loop.parameters import NODE_PARAMETERS  # noqa: E402
 from hysteresis_ros.loop.watch import FOLLOWING, HOLDING, RUNNING, STALE, STOPPED, TRIPPED  # noqa: E402
-from hysteresis_ros.nodes.diagnostics import START_UP, diagnostics  # noqa: E402
-from hysteresis_ros.nodes.plant_report import verdict  # noqa: E402
+from hysteresis_ros.nodes.base import START_UP, diagnostics  # noqa: E402
+from hysteresis_ros.nodes.plant_simulator import verdict  # noqa: E402
 from hysteresis_ros.nodes.reference_generator import ReferenceGeneratorNode  # noqa: E402
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
@@ -141,7 +141,7 @@ def test_levels_of_a_plant():
 
 
 def test_an_overtravel_names_late_samples_first_where_there_were_some():
-    from hysteresis_ros.nodes.plant_report import explain_trip
+    from hysteresis_ros.nodes.plant_simulator import explain_trip
 
     part, runner = Part(), Runner()
     part.overtravelled = True

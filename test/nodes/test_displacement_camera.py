@@ -20,10 +20,10 @@ pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
 from nodes_support import RecordedRun, diagnostics, shortened, until  # noqa: E402
 
 from hysteresis_ros.configuration import load_configuration  # noqa: E402
-from hysteresis_ros.loop.axis_parameters import AxisParameters  # noqa: E402
+from hysteresis_ros.hardware.simulated_camera import Scene, SceneParameters  # noqa: E402
+from hysteresis_ros.loop.parameters import AxisParameters  # noqa: E402
+from hysteresis_ros.loop.simulation import differences  # noqa: E402
 from hysteresis_ros.nodes.launcher import Graph  # noqa: E402
-from hysteresis_ros.sensing.scene import Scene, SceneParameters  # noqa: E402
-from hysteresis_ros.simulation.run import differences  # noqa: E402
 
 SMALL = {"width": 128, "height": 48, "zero": 40.0}
 

@@ -20,8 +20,15 @@ import pytest
 from record_support import SETTINGS
 from waiting import until
 
-from hysteresis_ros.nodes.epics.record import SILENT, STOPPED, Alarm, MotorRecord, Seen
-from hysteresis_ros.nodes.epics.settings import RecordOptions, motor_settings
+from hysteresis_ros.laboratory.epics.record import (
+    SILENT,
+    STOPPED,
+    Alarm,
+    MotorRecord,
+    RecordOptions,
+    Seen,
+    motor_settings,
+)
 
 
 class Stage:
@@ -65,7 +72,7 @@ def served(monkeypatch):
     }
     for name, value in values.items():
         monkeypatch.setenv(name, value)
-    from hysteresis_ros.nodes.epics.server import Motor, serve
+    from hysteresis_ros.laboratory.epics.server import Motor, serve
 
     stage, over, ready = Stage(), threading.Event(), threading.Event()
 
@@ -160,8 +167,8 @@ def test_the_link_moves_stops_and_judges_running_nodes(inside, observer, monkeyp
     from rclpy.executors import SingleThreadedExecutor
     from std_msgs.msg import Bool
 
-    from hysteresis_ros.nodes.epics import link
-    from hysteresis_ros.nodes.epics import record as recording
+    from hysteresis_ros.laboratory.epics import link
+    from hysteresis_ros.laboratory.epics import record as recording
 
     # a busy machine is no axis that is dead or deaf
     monkeypatch.setattr(link, "SILENCE", 30.0)

@@ -71,7 +71,7 @@ def test_faults_of_a_shipped_configuration_are_verified_bit_for_bit(processes, t
 
 def test_faults_of_an_inchworm_are_verified_bit_for_bit(processes, tmp_path):
     from hysteresis_ros.configuration import load_configuration
-    from hysteresis_ros.loop.axis_parameters import AxisParameters
+    from hysteresis_ros.loop.parameters import AxisParameters
 
     quick = {f"gait__{name}": 1.0e-3 for name in ("release", "grip", "settle")}
     quick |= {f"gait__{name}": 4.0e-3 for name in ("extend", "contract")}
@@ -109,7 +109,7 @@ def test_a_hundred_random_sequences_of_faults_give_the_bits_of_the_offline_twin(
     """One run; the plant trips now and then, and is started again some samples later, measured or not."""
     from std_srvs.srv import Trigger
 
-    from hysteresis_ros.simulation.run import differences
+    from hysteresis_ros.loop.simulation import differences
 
     windows, length = 100, 40
     axis = quick_axis(late_limit=12).with_faults(random_faults(1, windows, length))

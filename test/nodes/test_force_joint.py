@@ -22,9 +22,9 @@ from force_support import IFF  # noqa: E402
 from nodes_support import RecordedRun, compose, shortened, until  # noqa: E402
 
 from hysteresis_ros.configuration import load_configuration  # noqa: E402
-from hysteresis_ros.models.force_sensor import ForceSensorParameters  # noqa: E402
-from hysteresis_ros.simulation.axes import single_axis  # noqa: E402
-from hysteresis_ros.simulation.run import differences  # noqa: E402
+from hysteresis_ros.loop.reach import single_axis  # noqa: E402
+from hysteresis_ros.loop.simulation import differences  # noqa: E402
+from hysteresis_ros.models.sensor import ForceSensorParameters  # noqa: E402
 
 
 def lockstep_axis(samples: int):

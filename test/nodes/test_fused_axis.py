@@ -23,7 +23,7 @@ pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
 from nodes_support import axis_parameters, compose, until, write_axis  # noqa: E402
 from steered_support import COMPENSATOR, CONTROLLER, PLANT, Steered  # noqa: E402
 
-from hysteresis_ros.block import COMPILED  # noqa: E402
+from hysteresis_ros.models.block import COMPILED  # noqa: E402
 
 pytestmark = pytest.mark.skipif(not COMPILED, reason="without Numba the fused loop is too slow for these axes")
 
@@ -155,8 +155,8 @@ def test_topics_show_samples_at_their_rate_with_their_stamps(steered):
 def test_sigkill_leaves_a_recording_that_is_whole_up_to_its_last_half_second(processes, observer, tmp_path):
     from sensor_msgs.msg import JointState
 
+    from hysteresis_ros.loop.simulation import differences
     from hysteresis_ros.recordings.files import load_run
-    from hysteresis_ros.simulation.run import differences
 
     axis = axis_parameters(overrides={PLANT: {"late_limit": -1}}, time_mode="fused")
     axis = replace(axis, recorder=replace(axis.recorder, path=str(tmp_path / "bag")))

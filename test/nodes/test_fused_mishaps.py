@@ -29,11 +29,11 @@ from steered_support import (  # noqa: E402
 )
 from waiting import until  # noqa: E402
 
-from hysteresis_ros.block import COMPILED  # noqa: E402
 from hysteresis_ros.configuration import load_configuration  # noqa: E402
+from hysteresis_ros.loop.reach import axes  # noqa: E402
+from hysteresis_ros.loop.simulation import differences  # noqa: E402
+from hysteresis_ros.models.block import COMPILED  # noqa: E402
 from hysteresis_ros.recordings.files import load_run  # noqa: E402
-from hysteresis_ros.simulation.axes import axes  # noqa: E402
-from hysteresis_ros.simulation.run import differences  # noqa: E402
 
 pytestmark = pytest.mark.skipif(not COMPILED, reason="without Numba the fused loop is too slow for this axis")
 

@@ -17,8 +17,8 @@ pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
 
 from nodes_support import axis_parameters, compose, diagnostics, until  # noqa: E402
 
-from hysteresis_ros.hardware.drivers.gcs.emulator.session import EmulatedControllerParameters, start  # noqa: E402
-from hysteresis_ros.hardware.emulation.bench import Bench  # noqa: E402
+from hysteresis_ros.laboratory.emulation.bench import Bench  # noqa: E402
+from hysteresis_ros.laboratory.emulation.gcs import EmulatedControllerParameters, start  # noqa: E402
 
 RATE = 50.0
 GAIN = 8.0e-7

@@ -29,17 +29,16 @@ from click.testing import CliRunner
 from hysteresis_ros.cli.main import main
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.errors import HysteresisError
+from hysteresis_ros.laboratory.papers import graph_runner
+from hysteresis_ros.laboratory.papers.claims import Claim, Reproduction
+from hysteresis_ros.laboratory.papers.kim2009 import axis as kim
+from hysteresis_ros.laboratory.papers.kim2009 import reproduction as kim2009
+from hysteresis_ros.laboratory.papers.runs import step_figures, through
+from hysteresis_ros.loop.reach import single_axis
+from hysteresis_ros.loop.simulation import simulate
 from hysteresis_ros.nodes import domain as domains
-from hysteresis_ros.nodes import graph_runner
 from hysteresis_ros.nodes.domain import OWN, Domain, entered, require_admission
 from hysteresis_ros.nodes.launcher import GraphError, node_environment
-from hysteresis_ros.papers.claims import Claim, Reproduction
-from hysteresis_ros.papers.kim2009 import axis as kim
-from hysteresis_ros.papers.kim2009 import reproduction as kim2009
-from hysteresis_ros.papers.measurements import step_figures
-from hysteresis_ros.papers.runner import through
-from hysteresis_ros.simulation.axes import single_axis
-from hysteresis_ros.simulation.run import simulate
 
 HOLD = 0.02  # s
 

@@ -24,7 +24,7 @@ from nodes_support import ROOT, shortened, until, write_axis  # noqa: E402
 
 from hysteresis_ros.models.inchworm import POSITION  # noqa: E402
 from hysteresis_ros.references import inchworm_layout as at  # noqa: E402
-from hysteresis_ros.references.walk_file import read_walk  # noqa: E402
+from hysteresis_ros.references.inchworm_sequencer import read_walk  # noqa: E402
 from hysteresis_ros.signals import MOTOR_COLUMNS  # noqa: E402
 
 NODES = ("plant_simulator", "hysteresis_compensator", "motion_controller", "inchworm_sequencer")
@@ -40,7 +40,7 @@ WALK = {"walk__continuous": True, "walk__learning_speed": 4.0e-4, "walk__swing":
 def motor(**common):
     """Return the walking motor of config/inchworm_travel.yaml with a quick gait, on the way to 0.2 mm."""
     from hysteresis_ros.configuration import load_configuration
-    from hysteresis_ros.loop.axis_parameters import AxisParameters
+    from hysteresis_ros.loop.parameters import AxisParameters
 
     configuration = load_configuration(ROOT / "config" / "inchworm_travel.yaml").override("", **common)
     schedule = {"setpoints__values": [2.0e-4], "setpoints__times": [2.0e-3]}
@@ -114,7 +114,7 @@ def recorded_run(inside, observer, tmp_path):
 def test_what_people_ask_takes_effect_safely_and_is_replayed_bit_for_bit(recorded_run, observer, tmp_path):
     from std_msgs.msg import Float64
 
-    from hysteresis_ros.simulation.run import differences
+    from hysteresis_ros.loop.simulation import differences
 
     nodes, heard, end = recorded_run
     sequencer = nodes["inchworm_sequencer"]
@@ -186,10 +186,10 @@ def test_what_people_ask_takes_effect_safely_and_is_replayed_bit_for_bit(recorde
     home = int(np.flatnonzero(run["request"] == at.RELEASE_REQUEST)[0])
     assert abs(run["displacement"][home]) < 1.0e-7
     # the same through a file, as `hysteresis simulate --setpoints` takes it
+    from hysteresis_ros.loop.simulation import simulate
     from hysteresis_ros.recordings.align import setpoints_per_sample
+    from hysteresis_ros.recordings.dataset import requests_per_sample
     from hysteresis_ros.recordings.files import load_run, save_run
-    from hysteresis_ros.recordings.replay import requests_per_sample
-    from hysteresis_ros.simulation.run import simulate
 
     save_run(run, tmp_path / "run.npz")
     table = load_run(tmp_path / "run.npz")

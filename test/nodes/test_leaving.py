@@ -141,10 +141,10 @@ def test_memory_does_not_grow_over_many_samples(processes, observer, tmp_path):
 def test_up_stopped_by_a_signal_leaves_a_whole_recording(processes, observer, tmp_path, mode, how):
     from std_msgs.msg import Float64
 
+    from hysteresis_ros.loop.simulation import differences
     from hysteresis_ros.recordings.bag_reader import read_bag
     from hysteresis_ros.recordings.cdr import decode_float64s
     from hysteresis_ros.recordings.files import load_run
-    from hysteresis_ros.simulation.run import differences
 
     axis = held_axis(mode)
     voltages = observer.listen(Float64, "/voltage")
@@ -281,9 +281,9 @@ def killed_recorder(tmp_path_factory, domain_of_module):
 
 
 def test_sigkill_of_the_recorder_leaves_a_readable_bag(killed_recorder):
+    from hysteresis_ros.loop.simulation import differences
     from hysteresis_ros.recordings.bag_writer import CHUNK_BYTES
     from hysteresis_ros.recordings.files import load_run
-    from hysteresis_ros.simulation.run import differences
 
     axis, bag, _, output = killed_recorder
     recorded = load_run(bag)

@@ -17,7 +17,7 @@ pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
 
 from nodes_support import axis_parameters, compose  # noqa: E402
 
-from hysteresis_ros.nodes.limited_time import AMPLIFIER, LimitedTime  # noqa: E402
+from hysteresis_ros.nodes.timing import AMPLIFIER, LimitedTime  # noqa: E402
 from hysteresis_ros.signals import COMMAND, PLANT_VOLTAGE, VOLTAGE  # noqa: E402
 
 RATE = 100.0
@@ -92,7 +92,7 @@ def test_plant_and_compensator_count_what_they_hold_back(inside):
 
 
 def test_status_says_it_first():
-    from hysteresis_ros.nodes.remote.status import AxisStatus, NodeStatus, _lines
+    from hysteresis_ros.nodes.remote.commands import AxisStatus, NodeStatus, _lines
 
     said = f"output limited for 12.3 s of the last 60 s, by {SAFE}"
     nodes = [

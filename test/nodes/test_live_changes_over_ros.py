@@ -69,8 +69,8 @@ def names_of(values: dict) -> set[str]:
 def test_changes_at_any_moment_are_repeated_bit_for_bit(processes, observer, tmp_path, how, moments):
     from sensor_msgs.msg import JointState
 
+    from hysteresis_ros.loop.simulation import differences
     from hysteresis_ros.recordings.files import load_run
-    from hysteresis_ros.simulation.run import differences
 
     random = np.random.default_rng(3)
     heard = observer.listen(JointState, "/plant_simulator/state")
@@ -113,7 +113,7 @@ def test_a_change_between_any_two_inputs_of_a_sample_is_repeated_bit_for_bit(ins
     """Each change falls between two messages of a sample, at a place of its own, in turn."""
     from rclpy.parameter import Parameter
 
-    from hysteresis_ros.simulation.run import differences
+    from hysteresis_ros.loop.simulation import differences
 
     run = RecordedRun(inside, walking_axis(1500), tmp_path / "bag")
     nodes = {PLANT: run.plant, COMPENSATOR: run.compensator, CONTROLLER: run.controller, SOURCE: run.source}
@@ -158,7 +158,7 @@ def test_a_change_between_any_two_inputs_of_a_sample_is_repeated_bit_for_bit(ins
 
 
 def test_a_change_before_activation_is_part_of_the_run(inside, observer, tmp_path):
-    from hysteresis_ros.simulation.run import differences
+    from hysteresis_ros.loop.simulation import differences
 
     axis = walking_axis(200)
     run = RecordedRun(inside, axis, tmp_path / "bag")

@@ -51,9 +51,9 @@ def real_axis(**more):
     ("how", "busy"), [("--composed", False), ("--processes", True)], ids=["composed-idle", "processes-busy"]
 )
 def test_recorded_run_equals_offline_twin_bit_for_bit(processes, tmp_path, how, busy):
+    from hysteresis_ros.loop.simulation import differences, simulate
     from hysteresis_ros.recordings.bag_reader import read_bag
     from hysteresis_ros.recordings.files import load_run
-    from hysteresis_ros.simulation.run import differences, simulate
 
     axis = shortened(real_axis(), SAMPLES)
     path = write_axis(tmp_path / "axis.yaml", axis)
@@ -86,8 +86,8 @@ def test_recorded_run_equals_offline_twin_bit_for_bit(processes, tmp_path, how, 
 
 
 def test_inverse_dynamics_with_preview_are_the_same_in_the_nodes(processes, tmp_path):
+    from hysteresis_ros.loop.simulation import differences
     from hysteresis_ros.recordings.files import load_run
-    from hysteresis_ros.simulation.run import differences
 
     axis = shortened(real_axis(), 300)
     ahead = replace(axis.motion_controller.feedforward, type="inverse_dynamics", preview=8)

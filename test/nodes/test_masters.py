@@ -23,8 +23,9 @@ from nodes_support import Observer, axis_parameters, until  # noqa: E402
 from sensor_msgs.msg import JointState  # noqa: E402
 from std_msgs.msg import Float64  # noqa: E402
 
-from hysteresis_ros.nodes import identified, masters  # noqa: E402
-from hysteresis_ros.nodes.diagnostics import diagnostics  # noqa: E402
+from hysteresis_ros.nodes import masters
+from hysteresis_ros.nodes import masters as identified  # noqa: E402
+from hysteresis_ros.nodes.base import diagnostics  # noqa: E402
 from hysteresis_ros.nodes.masters import LOOK, Master, Masters  # noqa: E402
 from hysteresis_ros.nodes.plant_simulator import PlantSimulatorNode  # noqa: E402
 from hysteresis_ros.nodes.reference_generator import ReferenceGeneratorNode  # noqa: E402

@@ -23,10 +23,21 @@ from record_support import SETTINGS
 from hysteresis_ros.cli.main import main
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.errors import ConfigurationError
-from hysteresis_ros.nodes.epics import serving
-from hysteresis_ros.nodes.epics.record import MISSED, SILENT, STOPPED, TOO_HIGH, TOO_LOW, Alarm, MotorRecord, Seen
-from hysteresis_ros.nodes.epics.settings import RecordOptions, at_rest, motor_settings
-from hysteresis_ros.simulation.axes import single_axis
+from hysteresis_ros.laboratory.epics import serving
+from hysteresis_ros.laboratory.epics.record import (
+    MISSED,
+    SILENT,
+    STOPPED,
+    TOO_HIGH,
+    TOO_LOW,
+    Alarm,
+    MotorRecord,
+    RecordOptions,
+    Seen,
+    at_rest,
+    motor_settings,
+)
+from hysteresis_ros.loop.reach import single_axis
 
 
 class Axis:

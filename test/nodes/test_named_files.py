@@ -22,11 +22,11 @@ from nodes_support import axis_parameters  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 
 from hysteresis_ros.hardware.registry import DRIVERS  # noqa: E402
-from hysteresis_ros.loop.node_parameters import NODE_PARAMETERS  # noqa: E402
-from hysteresis_ros.nodes import places  # noqa: E402
-from hysteresis_ros.nodes.discovery import LOCALHOST_ONLY, RANGE, stay_on_this_machine  # noqa: E402
-from hysteresis_ros.nodes.epics.serving import interfaces  # noqa: E402
-from hysteresis_ros.nodes.places import FOLDERS, misplaced  # noqa: E402
+from hysteresis_ros.laboratory.epics.serving import interfaces  # noqa: E402
+from hysteresis_ros.loop.parameters import NODE_PARAMETERS  # noqa: E402
+from hysteresis_ros.nodes import parameters as places  # noqa: E402
+from hysteresis_ros.nodes.domain import LOCALHOST_ONLY, RANGE, stay_on_this_machine  # noqa: E402
+from hysteresis_ros.nodes.parameters import FOLDERS, misplaced  # noqa: E402
 from hysteresis_ros.nodes.plant_simulator import PlantSimulatorNode  # noqa: E402
 from hysteresis_ros.nodes.recorder import RecorderNode  # noqa: E402
 

@@ -45,10 +45,10 @@ def moving_axis():
 
 @pytest.mark.parametrize("how", ["--composed", "--processes"])
 def test_every_command_answers_the_reference_of_its_own_sample(processes, tmp_path, how):
+    from hysteresis_ros.loop.simulation import simulate
     from hysteresis_ros.recordings.bag_reader import read_bag
     from hysteresis_ros.recordings.cdr import decode_joint_states
     from hysteresis_ros.recordings.files import load_run
-    from hysteresis_ros.simulation.run import simulate
 
     axis = moving_axis()
     path = write_axis(tmp_path / "axis.yaml", axis)

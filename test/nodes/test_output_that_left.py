@@ -18,7 +18,7 @@ pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
 
 from nodes_support import axis_parameters, shortened, write_axis  # noqa: E402
 
-from hysteresis_ros.analysis.limited import limited_text  # noqa: E402
+from hysteresis_ros.analysis.metrics import limited_text  # noqa: E402
 from hysteresis_ros.loop.watch import STALE  # noqa: E402
 
 RATE = 100.0
@@ -51,9 +51,9 @@ def recorded(processes, tmp_path, axis):
     ids=["lockstep", "realtime", "driver"],
 )
 def test_a_voltage_that_was_held_back_is_recorded_as_what_left(processes, tmp_path, time_mode, driver):
+    from hysteresis_ros.loop.simulation import differences
     from hysteresis_ros.recordings.bag_reader import read_bag
     from hysteresis_ros.recordings.cdr import decode_float64s
-    from hysteresis_ros.simulation.run import differences
 
     axis = axis_of(time_mode, ("lost_voltage:0.5:0.5",), driver=driver)
     output, run = recorded(processes, tmp_path, axis)
@@ -75,9 +75,9 @@ def test_a_voltage_that_was_held_back_is_recorded_as_what_left(processes, tmp_pa
 
 
 def test_without_a_cut_a_run_holds_what_the_compensator_asked_for_and_its_twin_agrees(processes, tmp_path):
+    from hysteresis_ros.loop.simulation import differences
     from hysteresis_ros.recordings.bag_reader import read_bag
     from hysteresis_ros.recordings.cdr import decode_float64s
-    from hysteresis_ros.simulation.run import differences
 
     axis = axis_of("lockstep", (), limits__bits=10)
     output, run = recorded(processes, tmp_path, axis)

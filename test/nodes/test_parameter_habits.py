@@ -20,8 +20,8 @@ pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
 from nodes_support import axis_parameters  # noqa: E402
 from rclpy.parameter import Parameter  # noqa: E402
 
-from hysteresis_ros.nodes.command_line import assigned  # noqa: E402
 from hysteresis_ros.nodes.hysteresis_compensator import HysteresisCompensatorNode  # noqa: E402
+from hysteresis_ros.nodes.parameters import assigned  # noqa: E402
 from hysteresis_ros.nodes.reference_generator import ReferenceGeneratorNode  # noqa: E402
 
 

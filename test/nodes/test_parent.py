@@ -20,12 +20,12 @@ pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
 
 from nodes_support import axis_parameters, until, write_axis  # noqa: E402
 
-from hysteresis_ros.nodes.parent import starts_nodes  # noqa: E402
+from hysteresis_ros.nodes.launcher import starts_nodes  # noqa: E402
 
 #: What ``ros2`` does: start something and wait for it.
 STARTER = "import subprocess, sys\nsys.exit(subprocess.call(sys.argv[2:]))\n"
 CHILD = """
-from hysteresis_ros.nodes.parent import leave_with_ros2
+from hysteresis_ros.nodes.launcher import leave_with_ros2
 import signal
 
 leave_with_ros2()

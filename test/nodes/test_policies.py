@@ -29,10 +29,12 @@ from rclpy.context import Context  # noqa: E402
 from waiting import PATIENCE  # noqa: E402
 
 from hysteresis_ros.errors import HysteresisError  # noqa: E402
+from hysteresis_ros.laboratory.watch.link import AxisLink  # noqa: E402
 from hysteresis_ros.nodes.domain import entered  # noqa: E402
 from hysteresis_ros.nodes.fused import FusedAxis  # noqa: E402
 from hysteresis_ros.nodes.launcher import node_command, node_environment  # noqa: E402
 from hysteresis_ros.nodes.remote.client import Client  # noqa: E402
+from hysteresis_ros.nodes.security.__main__ import NODES, enclaves_of, used_by  # noqa: E402
 from hysteresis_ros.nodes.security.policy import (  # noqa: E402
     WORDS,
     Enclave,
@@ -41,8 +43,6 @@ from hysteresis_ros.nodes.security.policy import (  # noqa: E402
     policy_text,
     profile,
 )
-from hysteresis_ros.nodes.security.used import NODES, enclaves_of, used_by  # noqa: E402
-from hysteresis_ros.nodes.watch.link import AxisLink  # noqa: E402
 
 LOOP = {"/left/reference", "/left/command", "/left/applied", "/left/voltage", "/left/joint_states"}
 

@@ -21,7 +21,7 @@ from dataclasses import replace
 
 import pytest
 
-from hysteresis_ros.block import COMPILED
+from hysteresis_ros.models.block import COMPILED
 from hysteresis_ros.nodes.launcher import Graph, GraphError, NodeProcess
 
 pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
@@ -49,10 +49,10 @@ def change_often(fused, least: int) -> None:
 @pytest.mark.parametrize("ending", ["stopped", "killed"])
 def test_a_fused_run_verifies_however_it_ends_though_no_message_of_its_log_has_come(inside, tmp_path, ending):
     """Nobody spins: what a busy machine delivers late does not come at all here."""
+    from hysteresis_ros.loop.simulation import differences
     from hysteresis_ros.nodes.fused import FusedAxis
     from hysteresis_ros.nodes.recorder import RecorderNode
     from hysteresis_ros.recordings.files import load_run
-    from hysteresis_ros.simulation.run import differences
 
     overrides = {"plant_simulator": {"late_limit": -1}, "recorder": {"path": str(tmp_path / "bag")}}
     axis = axis_parameters(overrides=overrides, time_mode="fused")
@@ -83,7 +83,7 @@ def test_a_change_that_comes_after_the_last_sample_is_still_recorded(inside, tmp
     """A message that was lost on the way comes again when the run may be over long since."""
     from rclpy.parameter import Parameter
 
-    from hysteresis_ros.simulation.run import differences
+    from hysteresis_ros.loop.simulation import differences
 
     overrides = {node: dict(values) for node, values in REAL.items()}
     overrides["reference_generator"] |= SINE
@@ -116,9 +116,9 @@ def test_a_change_that_comes_after_the_last_sample_is_still_recorded(inside, tmp
 def test_a_run_in_lockstep_that_is_stopped_keeps_its_last_change_however_late_its_message_comes(inside, tmp_path):
     from rclpy.parameter import Parameter
 
+    from hysteresis_ros.loop.simulation import differences
     from hysteresis_ros.nodes import spin
     from hysteresis_ros.recordings.files import load_run
-    from hysteresis_ros.simulation.run import differences
 
     overrides = {node: dict(values) for node, values in REAL.items()}
     overrides["reference_generator"] |= SINE
@@ -158,22 +158,22 @@ def test_a_full_disk_ends_the_recording_and_not_the_axis(inside, observer, tmp_p
     from diagnostic_msgs.msg import DiagnosticArray
 
     from hysteresis_ros.nodes.recorder import RecorderNode
-    from hysteresis_ros.recordings import guarded_bag
+    from hysteresis_ros.recordings import bag_writer
     from hysteresis_ros.recordings.files import load_run
 
     slow = {"plant_simulator": {"real_time_factor": 0.05, "late_limit": -1}}
     axis = axis_parameters(overrides=slow, time_mode="realtime")
     axis = replace(axis, recorder=replace(axis.recorder, path=str(tmp_path / "bag"), min_space=1, warn_space=2))
     heard = observer.listen(DiagnosticArray, "/diagnostics")
-    monkeypatch.setattr(guarded_bag, "LOOK", 0.0)
+    monkeypatch.setattr(bag_writer, "LOOK", 0.0)
     recorder = inside.add(RecorderNode, axis.recorder)
     plant, *_ = compose(inside, axis)
     inside.spin()
     until(lambda: min(recorder._counts) > 30, what="samples")
-    monkeypatch.setattr(guarded_bag, "free_space", lambda path: 1)
+    monkeypatch.setattr(bag_writer, "free_space", lambda path: 1)
     until(lambda: "free on the disk" in (diagnostics(heard, "/recorder") or (0, ""))[1], what="the warning")
     assert diagnostics(heard, "/recorder")[0] == 1 and recorder.bag is not None
-    monkeypatch.setattr(guarded_bag, "free_space", lambda path: 0)
+    monkeypatch.setattr(bag_writer, "free_space", lambda path: 0)
     until(lambda: "recording ended" in (diagnostics(heard, "/recorder") or (0, ""))[1], what="the error")
     level, text, values = diagnostics(heard, "/recorder")
     assert level == 2 and "less than min_space" in text and values["recording"] == "False"
@@ -193,9 +193,9 @@ def test_parameters_versions_and_the_twin_are_in_the_bag_itself(inside, tmp_path
     from rclpy.parameter import Parameter
 
     from hysteresis_ros.configuration import parse_configuration
-    from hysteresis_ros.recordings.configured import in_force
-    from hysteresis_ros.simulation.axes import single_axis
-    from hysteresis_ros.simulation.run import differences
+    from hysteresis_ros.loop.reach import single_axis
+    from hysteresis_ros.loop.simulation import differences
+    from hysteresis_ros.recordings.provenance import in_force
 
     overrides = {node: dict(values) for node, values in REAL.items()}
     overrides["reference_generator"] |= SINE

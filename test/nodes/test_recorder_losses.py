@@ -19,7 +19,7 @@ import pytest
 
 pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
 
-from hysteresis_ros.loop.ring import Samples  # noqa: E402
+from hysteresis_ros.loop.pacing import Samples  # noqa: E402
 from hysteresis_ros.nodes.recorder import RecorderNode  # noqa: E402
 
 

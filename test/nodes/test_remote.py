@@ -24,11 +24,15 @@ from nodes_support import InProcess, axis_parameters, compose  # noqa: E402
 
 from hysteresis_ros.errors import HysteresisError, ParameterError  # noqa: E402
 from hysteresis_ros.nodes.remote.client import AbsentError, Client  # noqa: E402
-from hysteresis_ros.nodes.remote.parameters import get, set_  # noqa: E402
-from hysteresis_ros.nodes.remote.services import call  # noqa: E402
-from hysteresis_ros.nodes.remote.setpoint import setpoint, stands  # noqa: E402
-from hysteresis_ros.nodes.remote.status import status  # noqa: E402
-from hysteresis_ros.nodes.remote.topics import echo  # noqa: E402
+from hysteresis_ros.nodes.remote.commands import (  # noqa: E402  # noqa: E402
+    call,  # noqa: E402
+    echo,  # noqa: E402
+    get,
+    set_,
+    setpoint,
+    stands,
+    status,  # noqa: E402
+)
 
 RATE = 50.0
 #: A client gives up after so long [s] where it is to find nothing.
@@ -302,7 +306,7 @@ def test_status_waits_until_every_node_is_found(axis, client, capsys, monkeypatc
     import time
 
     known, begun = Client.nodes, time.monotonic()
-    monkeypatch.setattr("hysteresis_ros.nodes.remote.status.DIAGNOSTICS", "/unheard")
+    monkeypatch.setattr("hysteresis_ros.nodes.remote.commands.DIAGNOSTICS", "/unheard")
 
     def late(self):
         return [name for name in known(self) if "compensator" not in name or time.monotonic() - begun > 2.0]
@@ -315,7 +319,7 @@ def test_status_waits_until_every_node_is_found(axis, client, capsys, monkeypatc
 
 def test_status_says_how_long_it_looked_for_a_node(axis, client, capsys, monkeypatch):
     known = Client.nodes
-    monkeypatch.setattr("hysteresis_ros.nodes.remote.status.DIAGNOSTICS", "/unheard")
+    monkeypatch.setattr("hysteresis_ros.nodes.remote.commands.DIAGNOSTICS", "/unheard")
     monkeypatch.setattr(Client, "nodes", lambda self: [name for name in known(self) if "compensator" not in name])
     client.timeout = 1.0
     assert status(client, as_json=False) == 1

@@ -59,7 +59,7 @@ def test_commands_that_are_not_carried_out_are_reported(inside, observer, change
 
 
 def test_an_answer_to_an_earlier_command_is_no_shortfall_and_a_cut_one_is():
-    from hysteresis_ros.nodes.shortfall import LATENESS, Shortfall
+    from hysteresis_ros.nodes.motion_controller import LATENESS, Shortfall
 
     shortfall = Shortfall()
     for k in range(LATENESS):

@@ -19,7 +19,7 @@ pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
 
 from nodes_support import axis_parameters, until  # noqa: E402
 
-import hysteresis_ros.nodes.stamps as module  # noqa: E402
+import hysteresis_ros.nodes.plant_simulator as module  # noqa: E402
 from hysteresis_ros.nodes.plant_simulator import PlantSimulatorNode  # noqa: E402
 
 SECOND = 1_000_000_000

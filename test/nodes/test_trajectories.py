@@ -27,7 +27,7 @@ from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint  # noqa: E
 
 from hysteresis_ros import signals  # noqa: E402
 from hysteresis_ros.loop.description import robot_description  # noqa: E402
-from hysteresis_ros.nodes.trajectory_action import TrajectoryAction, action_type  # noqa: E402
+from hysteresis_ros.nodes.trajectories import TrajectoryAction, action_type  # noqa: E402
 from hysteresis_ros.references.trajectory import HELD  # noqa: E402
 
 SOURCE = "reference_generator"
@@ -195,7 +195,7 @@ class StandIn:
 
 def test_goals_of_the_action_end_as_their_moves_do(axis, monkeypatch):
     """With a stand-in for the message class and rclpy's server, in the thread of the node."""
-    import hysteresis_ros.nodes.trajectory_action as module
+    import hysteresis_ros.nodes.trajectories as module
 
     monkeypatch.setattr(module, "ActionServer", lambda *arguments, **options: SimpleNamespace(destroy=lambda: None))
     source = axis.source

@@ -21,11 +21,17 @@ pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
 from sensor_msgs.msg import JointState  # noqa: E402
 
 from hysteresis_ros import signals  # noqa: E402
+from hysteresis_ros.laboratory.watch.access import (  # noqa: E402
+    Access,  # noqa: E402
+    RequestError,
+    read_request,
+)
+from hysteresis_ros.laboratory.watch.memory import (  # noqa: E402
+    PART_PATIENCE,
+    Collector,
+    Memory,  # noqa: E402
+)
 from hysteresis_ros.nodes.samples import Block  # noqa: E402
-from hysteresis_ros.nodes.watch.access import Access  # noqa: E402
-from hysteresis_ros.nodes.watch.collect import PATIENCE, Collector  # noqa: E402
-from hysteresis_ros.nodes.watch.memory import Memory  # noqa: E402
-from hysteresis_ros.nodes.watch.requests import RequestError, read_request  # noqa: E402
 
 NODES = ("plant_simulator", "reference_generator", "motion_controller", "hysteresis_compensator")
 
@@ -87,7 +93,7 @@ def test_a_sample_whose_part_never_comes_is_shown_without_it_once_others_are_you
             collector.add(node, said(number, stamp, node))
     assert collector.take().numbers.size == 0, "its part may still come"
     for node in NODES[:-1]:
-        collector.add(node, said(2, 2_001 + PATIENCE, node))
+        collector.add(node, said(2, 2_001 + PART_PATIENCE, node))
     found = collector.take()
     assert found.stamps.tolist() == [1_000, 2_000] and found.table[signals.MEASURED].tolist() == [0.0, 1.0]
     assert np.isnan(found.table[signals.VOLTAGE]).all()
@@ -108,7 +114,7 @@ def test_an_origin_that_only_begins_like_the_page_is_another_page(origin):
 def test_the_rate_is_that_of_the_samples_between_the_arrivals(monkeypatch):
     """Ten samples each hundredth of a second are 1000 a second; those of the first arrival came before it."""
     memory, now = Memory(rate=1000.0), [100.0]
-    monkeypatch.setattr("hysteresis_ros.nodes.watch.memory.time.monotonic", lambda: now[0])
+    monkeypatch.setattr("hysteresis_ros.laboratory.watch.memory.time.monotonic", lambda: now[0])
     for number in range(6):
         memory.add(block(10 * number, measured=[0.0] * 10))
         now[0] += 0.01

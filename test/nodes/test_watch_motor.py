@@ -24,16 +24,16 @@ from browser_support import CHROMIUM, Browser  # noqa: E402
 from pretended_axis import Pretended, served  # noqa: E402
 
 from hysteresis_ros.configuration import load_configuration  # noqa: E402
-from hysteresis_ros.loop.axis_parameters import AxisParameters  # noqa: E402
-from hysteresis_ros.nodes.watch.motor import about, told  # noqa: E402
-from hysteresis_ros.nodes.watch.requests import RequestError, read_request  # noqa: E402
+from hysteresis_ros.laboratory.watch.access import RequestError, read_request  # noqa: E402
+from hysteresis_ros.laboratory.watch.memory import motor_facts, motor_values  # noqa: E402
+from hysteresis_ros.loop.parameters import AxisParameters  # noqa: E402
 from hysteresis_ros.references.inchworm_layout import CARRYING, PHASE_NAMES, POSITIONING  # noqa: E402
 
 
 @pytest.fixture(scope="module")
 def motor() -> dict:
     """What a page is told of the motor of the shipped configuration."""
-    found = about(AxisParameters.from_configuration(load_configuration("inchworm_travel")))
+    found = motor_facts(AxisParameters.from_configuration(load_configuration("inchworm_travel")))
     assert found is not None
     return found
 
@@ -60,8 +60,8 @@ def test_the_error_of_a_motor_is_that_of_what_its_controller_follows(motor):
 
 def test_an_actuator_has_no_figures_of_a_gait():
     assert (
-        told(Pretended().memory) is None
-        and about(AxisParameters.from_configuration(load_configuration("kim2009"))) is None
+        motor_values(Pretended().memory) is None
+        and motor_facts(AxisParameters.from_configuration(load_configuration("kim2009"))) is None
     )
 
 

@@ -26,7 +26,7 @@ from browser_support import CHROMIUM, Browser, found  # noqa: E402
 from nodes_support import Processes, axis_parameters, write_axis  # noqa: E402
 from waiting import PATIENCE, until  # noqa: E402
 
-from hysteresis_ros.block import COMPILED  # noqa: E402
+from hysteresis_ros.models.block import COMPILED  # noqa: E402
 from hysteresis_ros.recordings.bag_reader import read_bag  # noqa: E402
 from hysteresis_ros.recordings.files import load_run  # noqa: E402
 

@@ -20,13 +20,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hysteresis_ros import signals
-from hysteresis_ros.analysis.live import History, extremes
-from hysteresis_ros.loop.common_parameters import NodeParameters
-from hysteresis_ros.loop.node_parameters import NODE_PARAMETERS
-from hysteresis_ros.nodes.watch.access import Access, Control, is_loopback, new_token
-from hysteresis_ros.nodes.watch.requests import ACTIONS, RequestError, read_request
-from hysteresis_ros.nodes.watch.tuning import limits_of, table_of
-from hysteresis_ros.nodes.watch.views import SHOWN, View
+from hysteresis_ros.laboratory.watch.access import (
+    ACTIONS,
+    Access,
+    Control,
+    RequestError,
+    is_loopback,
+    new_token,
+    read_request,
+)
+from hysteresis_ros.laboratory.watch.live import History, extremes
+from hysteresis_ros.laboratory.watch.views import SHOWN, View, limits_of, table_of
+from hysteresis_ros.loop.parameters import NODE_PARAMETERS, NodeParameters
 
 ANYTHING = st.recursive(
     st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=20),

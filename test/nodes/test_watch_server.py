@@ -25,10 +25,10 @@ from sensor_msgs.msg import JointState  # noqa: E402
 
 from hysteresis_ros import signals  # noqa: E402
 from hysteresis_ros.errors import HysteresisError  # noqa: E402
-from hysteresis_ros.nodes.watch import server  # noqa: E402
-from hysteresis_ros.nodes.watch.collect import Collector  # noqa: E402
-from hysteresis_ros.nodes.watch.link import AxisLink  # noqa: E402
-from hysteresis_ros.nodes.watch.server import FILES  # noqa: E402
+from hysteresis_ros.laboratory.watch import server  # noqa: E402
+from hysteresis_ros.laboratory.watch.link import AxisLink  # noqa: E402
+from hysteresis_ros.laboratory.watch.memory import Collector  # noqa: E402
+from hysteresis_ros.laboratory.watch.server import FILES  # noqa: E402
 
 
 def test_the_files_are_there_and_nothing_changes_by_get():

@@ -22,12 +22,12 @@ import hysteresis_ros as hr
 from hysteresis_ros.cli.main import main
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.errors import ParameterError
+from hysteresis_ros.laboratory.papers.auwal2017 import axis as auwal
+from hysteresis_ros.laboratory.papers.auwal2017 import control, model
+from hysteresis_ros.laboratory.papers.auwal2017 import reproduction as auwal2017
+from hysteresis_ros.laboratory.papers.claims import format_claims
+from hysteresis_ros.loop.reach import single_axis
 from hysteresis_ros.models.hysteresis.bouc_wen import BoucWenHysteresis
-from hysteresis_ros.papers.auwal2017 import axis as auwal
-from hysteresis_ros.papers.auwal2017 import honest, model
-from hysteresis_ros.papers.auwal2017 import reproduction as auwal2017
-from hysteresis_ros.papers.claims import format_claims
-from hysteresis_ros.simulation.axes import single_axis
 
 DOCUMENT = pathlib.Path(__file__).resolve().parents[2] / "docs" / "auwal2017.md"
 
@@ -79,7 +79,7 @@ def test_the_papers_integrals_come_out_within_one_per_cent(measured):
 def test_the_papers_case_needs_a_voltage_the_stack_must_not_have(measured):
     assert max(measured["voltage.pid"], measured["voltage.inverse"]) < -23.5
     assert measured["limited.inverse"] > 5.0 * measured["iae.inverse"]
-    ways = [measured[f"limited.{method}"] for method in honest.WAYS]
+    ways = [measured[f"limited.{method}"] for method in control.WAYS]
     assert measured["limited.unavoidable"] < min(ways)
 
 
@@ -132,7 +132,7 @@ def test_a_triangle_of_10_hz_is_refused_by_name_before_anything_moves(axis):
 def test_what_zero_volt_leaves_is_on_the_falling_branch():
     """IAE of a ramp that ends ``left`` too high: a triangle of that height, ``left`` over the slope long."""
     slope = 2.0 * auwal.HEIGHT / auwal.PERIOD
-    left = np.sqrt(2.0 * slope * honest.unavoidable())
+    left = np.sqrt(2.0 * slope * control.unavoidable())
     element = BoucWenHysteresis(model.PUBLISHED_BOUC_WEN, 1.0)
     rising = element.simulate(np.linspace(0.0, 123.3, 200))
     assert rising[-1] == pytest.approx(auwal.HEIGHT, rel=2e-3)

@@ -18,9 +18,9 @@ import numpy as np
 import pytest
 
 from hysteresis_ros.errors import ParameterError, RecordingError
+from hysteresis_ros.laboratory.papers.claims import HEADINGS, Claim, Reproduction, format_claims
+from hysteresis_ros.laboratory.papers.runs import loop_width, picard_width, step_figures, worst
 from hysteresis_ros.models.hysteresis.polynomial import assumed_stack
-from hysteresis_ros.papers.claims import HEADINGS, Claim, Reproduction, format_claims
-from hysteresis_ros.papers.measurements import loop_width, picard_width, step_figures, worst
 from hysteresis_ros.recordings.dataset import Recording
 
 RATE = 1000.0

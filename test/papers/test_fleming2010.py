@@ -18,11 +18,11 @@ import pytest
 
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.control.controller import ControllerParameters
-from hysteresis_ros.loop.common_parameters import part
-from hysteresis_ros.papers.claims import format_claims
-from hysteresis_ros.papers.fleming2010 import axis as fleming
-from hysteresis_ros.papers.fleming2010 import reproduction as fleming2010
-from hysteresis_ros.simulation.axes import single_axis
+from hysteresis_ros.laboratory.papers.claims import format_claims
+from hysteresis_ros.laboratory.papers.fleming2010 import axis as fleming
+from hysteresis_ros.laboratory.papers.fleming2010 import reproduction as fleming2010
+from hysteresis_ros.loop.parameters import part
+from hysteresis_ros.loop.reach import single_axis
 
 DOCUMENT = pathlib.Path(__file__).resolve().parents[2] / "docs" / "fleming2010.md"
 

@@ -20,10 +20,10 @@ from click.testing import CliRunner
 
 from hysteresis_ros.cli.main import main
 from hysteresis_ros.configuration import load_configuration
-from hysteresis_ros.papers.claims import format_claims
-from hysteresis_ros.papers.kim2009 import axis as kim
-from hysteresis_ros.papers.kim2009 import honest
-from hysteresis_ros.papers.kim2009 import reproduction as kim2009
+from hysteresis_ros.laboratory.papers.claims import format_claims
+from hysteresis_ros.laboratory.papers.kim2009 import axis as kim
+from hysteresis_ros.laboratory.papers.kim2009 import reproduction as kim2009
+from hysteresis_ros.laboratory.papers.kim2009 import tracking
 
 DOCUMENT = pathlib.Path(__file__).resolve().parents[2] / "docs" / "kim2009.md"
 
@@ -123,10 +123,10 @@ def test_without_negative_voltage_the_residual_of_the_falling_branch_stays(measu
 
 
 def test_a_limit_below_the_step_costs_what_it_does_not_reach_and_winds_nothing_up(measured):
-    missing = kim.DC_GAIN * kim.STEP * (1.0 - honest.LOW_LIMIT / (kim.AMPLIFIER * kim.STEP))
+    missing = kim.DC_GAIN * kim.STEP * (1.0 - tracking.LOW_LIMIT / (kim.AMPLIFIER * kim.STEP))
     assert measured["honest.limits_low.error"] == pytest.approx(missing, rel=1e-3)
     # the compensator believes in a peak of 20 V; the corner of the loop moves by 0.0125 µm a volt of the peak
-    assert measured["honest.limits_low.residual"] == pytest.approx(0.0125e-6 * (20.0 - honest.LOW_LIMIT), rel=0.05)
+    assert measured["honest.limits_low.residual"] == pytest.approx(0.0125e-6 * (20.0 - tracking.LOW_LIMIT), rel=0.05)
     assert measured["honest.limits_low.residual_estimated"] < 1e-9
 
 
@@ -143,7 +143,7 @@ def test_another_structure_moves_the_resonance_and_keeps_damping_and_real_pole(m
         poles = np.linalg.eigvals(np.reshape(configuration.node("plant_simulator")["dynamics.A"], (3, 3)))
         return np.sort_complex(np.log(poles.astype(complex)))
 
-    before, after = modes(axis), modes(honest.other_structure(axis, mismatch))
+    before, after = modes(axis), modes(tracking.other_structure(axis, mismatch))
     pair = np.abs(before.imag) < 3.0
     assert after[pair] == pytest.approx((1.0 + mismatch) * before[pair])
     assert after[~pair] == pytest.approx(before[~pair])

@@ -11,8 +11,8 @@
 
 import pytest
 
-from hysteresis_ros.papers.auwal2017.recovery import paper_b_reduction
-from hysteresis_ros.papers.kim2009.recovery import paper_k_dynamics
+from hysteresis_ros.laboratory.papers.auwal2017.model import paper_b_reduction
+from hysteresis_ros.laboratory.papers.kim2009.identification import paper_k_dynamics
 
 
 def test_order_three_and_the_635_hz_pole_pair_come_back_from_a_noisy_recording():

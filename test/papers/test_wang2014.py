@@ -17,15 +17,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hysteresis_ros.cli.reproduce import EXPERIMENTS
 from hysteresis_ros.configuration import load_configuration
-from hysteresis_ros.identification.least_squares import fit_arx
+from hysteresis_ros.identification.arx import fit_arx
+from hysteresis_ros.laboratory.papers.claims import format_claims
+from hysteresis_ros.laboratory.papers.experiments import EXPERIMENTS
+from hysteresis_ros.laboratory.papers.wang2014 import axis as wang
+from hysteresis_ros.laboratory.papers.wang2014 import identification, model
+from hysteresis_ros.laboratory.papers.wang2014 import reproduction as wang2014
 from hysteresis_ros.models.hysteresis.prandtl_ishlinskii import PrandtlIshlinskiiHysteresis
 from hysteresis_ros.models.linear import LinearDynamics
-from hysteresis_ros.papers.claims import format_claims
-from hysteresis_ros.papers.wang2014 import axis as wang
-from hysteresis_ros.papers.wang2014 import identification, model
-from hysteresis_ros.papers.wang2014 import reproduction as wang2014
 
 DOCUMENT = pathlib.Path(__file__).resolve().parents[2] / "docs" / "wang2014.md"
 SAMPLE_TIME = 0.005

@@ -18,7 +18,7 @@ import pytest
 
 from hysteresis_ros import signals
 from hysteresis_ros.recordings.bag_reader import read_bag
-from hysteresis_ros.recordings.batch_writer import AxisTopics
+from hysteresis_ros.recordings.run_bag import AxisTopics
 
 RATE = 10_000.0
 BEGIN = 1_700_000_000_123_456_789

@@ -26,9 +26,8 @@ from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.recordings import cdr
 from hysteresis_ros.recordings.align import read_recording
 from hysteresis_ros.recordings.bag_reader import read_bag
-from hysteresis_ros.recordings.bag_writer import BagWriter
-from hysteresis_ros.recordings.batch_writer import AxisTopics, SampleWriter
-from hysteresis_ros.recordings.mcap_storage import ChunkedWriter, Frames
+from hysteresis_ros.recordings.bag_writer import BagWriter, ChunkedWriter, Frames
+from hysteresis_ros.recordings.run_bag import AxisTopics, SampleWriter
 
 
 def decoded(path, topic):

@@ -29,7 +29,7 @@ from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.recordings.align import align, read_recording
 from hysteresis_ros.recordings.bag_reader import read_bag
 from hysteresis_ros.recordings.bag_writer import BagWriter
-from hysteresis_ros.recordings.batch_writer import SampleWriter
+from hysteresis_ros.recordings.run_bag import SampleWriter
 
 
 @settings(max_examples=40)
@@ -125,7 +125,7 @@ import resource, sys
 import numpy as np
 from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.recordings.bag_writer import BagWriter
-from hysteresis_ros.recordings.batch_writer import AxisTopics, SampleWriter
+from hysteresis_ros.recordings.run_bag import AxisTopics, SampleWriter
 from hysteresis_ros.signals import ACTUATOR_ROW
 resource.setrlimit(resource.RLIMIT_FSIZE, (3_000_000, 3_000_000))
 bag = BagWriter(sys.argv[1])
@@ -152,7 +152,7 @@ KILLED = """
 import signal, sys, time
 import numpy as np
 from hysteresis_ros.recordings.bag_writer import BagWriter
-from hysteresis_ros.recordings.batch_writer import AxisTopics, SampleWriter
+from hysteresis_ros.recordings.run_bag import AxisTopics, SampleWriter
 from hysteresis_ros.signals import ACTUATOR_ROW
 signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGALRM])
 bag = BagWriter(sys.argv[1])

@@ -22,17 +22,13 @@ from samples_support import ACTUATOR, make_samples
 
 from hysteresis_ros.configuration import dump_configuration, load_configuration
 from hysteresis_ros.errors import RecordingError
-from hysteresis_ros.loop.named_files import named_files
-from hysteresis_ros.recordings import Recording, cdr, guarded_bag
-from hysteresis_ros.recordings.align import read_recording
-from hysteresis_ros.recordings.bag_files import FILES, LARGEST, packed_files, whole
+from hysteresis_ros.loop.repeated import named_files
+from hysteresis_ros.recordings import Recording, bag_writer, cdr
+from hysteresis_ros.recordings.align import ChangeLog, read_recording
 from hysteresis_ros.recordings.bag_reader import read_bag
-from hysteresis_ros.recordings.bag_writer import BagWriter
-from hysteresis_ros.recordings.batch_writer import SampleWriter
-from hysteresis_ros.recordings.change_log import ChangeLog
-from hysteresis_ros.recordings.configured import in_force
-from hysteresis_ros.recordings.guarded_bag import GuardedBag, require_space
-from hysteresis_ros.recordings.provenance import RECORD, provenance
+from hysteresis_ros.recordings.bag_writer import BagWriter, GuardedBag, require_space
+from hysteresis_ros.recordings.provenance import FILES, LARGEST, RECORD, in_force, packed_files, provenance, whole
+from hysteresis_ros.recordings.run_bag import SampleWriter
 
 SAMPLES = 400
 STEP = 100_000  # ns between two samples
@@ -88,9 +84,9 @@ def test_a_bag_says_what_made_it(tmp_path):
 
 
 def test_a_simulated_run_says_what_made_it_too(tmp_path):
+    from hysteresis_ros.loop.reach import axes
+    from hysteresis_ros.loop.simulation import simulate
     from hysteresis_ros.recordings.run_bag import write_recording
-    from hysteresis_ros.simulation.axes import axes
-    from hysteresis_ros.simulation.run import simulate
 
     write_recording(simulate(axes(load_configuration("kim2009"))[0], duration=0.01), tmp_path / "run.mcap")
     made = read_recording(tmp_path / "run.mcap").metadata["provenance"]
@@ -128,8 +124,8 @@ def guarded(path, flush_time=0.0):
 
 def test_a_disk_that_is_nearly_full_ends_the_recording_in_order(tmp_path, monkeypatch):
     recording = guarded(tmp_path / "run")
-    monkeypatch.setattr(guarded_bag, "LOOK", 0.0)
-    monkeypatch.setattr(guarded_bag, "free_space", lambda path: 5_000_000)
+    monkeypatch.setattr(bag_writer, "LOOK", 0.0)
+    monkeypatch.setattr(bag_writer, "free_space", lambda path: 5_000_000)
     recording.tend(5_000_000)
     assert recording.bag is not None and recording.free == 5_000_000
     recording.tend(5_000_001)

@@ -19,7 +19,7 @@ import xml.etree.ElementTree
 import pytest
 
 from hysteresis_ros import signals
-from hysteresis_ros.recordings.batch_writer import AxisTopics
+from hysteresis_ros.recordings.run_bag import AxisTopics
 
 LAYOUTS = pathlib.Path(__file__).resolve().parents[2] / "config" / "layouts"
 FIELD = re.compile(r"(?P<topic>/[\w/]+)(?P<field>\.data|\.position\[(?P<index>\d+)\])")

@@ -17,15 +17,15 @@ import numpy as np
 import pytest
 
 from hysteresis_ros import signals
-from hysteresis_ros.block import COMPILED
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.loop.axis import Axis
 from hysteresis_ros.loop.fused import FusedLoop
+from hysteresis_ros.loop.reach import single_axis
+from hysteresis_ros.loop.simulation import differences, simulate
+from hysteresis_ros.models.block import COMPILED
 from hysteresis_ros.recordings.align import read_recording
 from hysteresis_ros.recordings.bag_writer import BagWriter
-from hysteresis_ros.recordings.batch_writer import AxisTopics, SampleWriter
-from hysteresis_ros.simulation.axes import single_axis
-from hysteresis_ros.simulation.run import differences, simulate
+from hysteresis_ros.recordings.run_bag import AxisTopics, SampleWriter
 
 SAMPLES = 3000
 

@@ -14,17 +14,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hysteresis_ros.analysis.limited import limited_text
+from hysteresis_ros.analysis.metrics import limited_text
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.loop.compensator import note_output as note_in_loop
+from hysteresis_ros.loop.reach import single_axis
+from hysteresis_ros.loop.simulation import differences, simulate
 from hysteresis_ros.loop.watch import HOLDING, RUNNING, STALE
 from hysteresis_ros.recordings.align import read_recording
+from hysteresis_ros.recordings.dataset import note_output, output_tolerance
 from hysteresis_ros.recordings.files import load_run, save_run
-from hysteresis_ros.recordings.output import note_output, output_tolerance
 from hysteresis_ros.recordings.run_bag import write_recording
 from hysteresis_ros.signals import ACTUATOR_ROW, PLANT_VOLTAGE, SATURATED, VOLTAGE
-from hysteresis_ros.simulation.axes import single_axis
-from hysteresis_ros.simulation.run import differences, simulate
 
 RATE = 200.0
 

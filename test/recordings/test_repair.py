@@ -27,12 +27,13 @@ from samples_support import ACTUATOR, make_samples, write_batches
 
 from hysteresis_ros.cli.main import main
 from hysteresis_ros.errors import RecordingError
-from hysteresis_ros.recordings import cdr, mcap_repair
+from hysteresis_ros.recordings import cdr
+from hysteresis_ros.recordings import repair as mcap_repair
 from hysteresis_ros.recordings.align import align
 from hysteresis_ros.recordings.bag_reader import read_bag
 from hysteresis_ros.recordings.bag_writer import BagWriter
-from hysteresis_ros.recordings.batch_writer import SampleWriter
 from hysteresis_ros.recordings.repair import repair
+from hysteresis_ros.recordings.run_bag import SampleWriter
 
 BEGIN = 1_700_000_000_000_000_000
 WORDS = {"hysteresis_ros": "1.2.3"}

@@ -18,8 +18,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hysteresis_ros.block import interpreted
 from hysteresis_ros.errors import ParameterError
+from hysteresis_ros.models.block import interpreted
 from hysteresis_ros.references import Approach, ApproachParameters
 from hysteresis_ros.references import approach as module
 from hysteresis_ros.references.approach import RINGS, SLEWED, STEP, WINDOW1, WINDOW2, effective_limits

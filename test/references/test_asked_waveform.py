@@ -16,7 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hysteresis_ros.errors import ParameterError
-from hysteresis_ros.references.asked import asked_waveform, played
+from hysteresis_ros.references.recipes import asked_waveform, played
 from hysteresis_ros.references.waveforms import WAVEFORMS, WaveformParameters
 from hysteresis_ros.units import quantity, quantity_in
 

@@ -19,7 +19,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from hysteresis_ros.errors import ParameterError
-from hysteresis_ros.references.gait import GaitParameters, crossing, cycloid, ramp
+from hysteresis_ros.references.inchworm_parameters import GaitParameters, crossing, cycloid, ramp
 
 GAIT = GaitParameters()
 

@@ -21,7 +21,7 @@ from hypothesis import strategies as st
 
 from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.references import inchworm_layout as at
-from hysteresis_ros.references import step_model
+from hysteresis_ros.references import inchworm_steps
 from hysteresis_ros.references.inchworm_parameters import InchwormSequencerParameters
 from hysteresis_ros.references.inchworm_sequencer import InchwormSequencer
 
@@ -277,35 +277,39 @@ def test_continuous_walking_keeps_its_speed_and_then_holds(part):
 
 
 def test_least_squares_find_gain_and_offset_and_stay_bounded():
-    x = np.zeros(step_model.SIZE)
-    step_model.forget_all(x, 0, 1.0, 0.0)
+    x = np.zeros(inchworm_steps.SIZE)
+    inchworm_steps.forget_all(x, 0, 1.0, 0.0)
     random = np.random.default_rng(1)
     for u in random.uniform(0.1, 1.0, 200):
-        step_model.learn(x, 0, 0.98, u, 0.8 * u - 0.05 + 1e-4 * random.normal())
-    assert x[step_model.GAIN] == pytest.approx(0.8, abs=1e-3) and x[step_model.OFFSET] == pytest.approx(-0.05, abs=1e-3)
+        inchworm_steps.learn(x, 0, 0.98, u, 0.8 * u - 0.05 + 1e-4 * random.normal())
+    assert x[inchworm_steps.GAIN] == pytest.approx(0.8, abs=1e-3) and x[inchworm_steps.OFFSET] == pytest.approx(
+        -0.05, abs=1e-3
+    )
     for _ in range(5000):
-        step_model.learn(x, 0, 0.9, 1.0, 0.75)
-    assert np.all(np.isfinite(x)) and x[step_model.COVARIANCE] + x[step_model.COVARIANCE + 2] < 0.02
-    assert x[step_model.GAIN] + x[step_model.OFFSET] == pytest.approx(0.75, abs=1e-6)
-    length = step_model.longest_step(x, 0, 0.5)
-    assert step_model.extension_for(x, 0, length) == pytest.approx(0.5)
+        inchworm_steps.learn(x, 0, 0.9, 1.0, 0.75)
+    assert np.all(np.isfinite(x)) and x[inchworm_steps.COVARIANCE] + x[inchworm_steps.COVARIANCE + 2] < 0.02
+    assert x[inchworm_steps.GAIN] + x[inchworm_steps.OFFSET] == pytest.approx(0.75, abs=1e-6)
+    length = inchworm_steps.longest_step(x, 0, 0.5)
+    assert inchworm_steps.extension_for(x, 0, length) == pytest.approx(0.5)
 
 
 def test_full_steps_alone_leave_the_gain_where_it_was():
-    x = np.zeros(step_model.SIZE)
-    step_model.forget_all(x, 0, 1.0, 0.0)
+    x = np.zeros(inchworm_steps.SIZE)
+    inchworm_steps.forget_all(x, 0, 1.0, 0.0)
     for u, z in [(1.0, 0.4), (0.7, 0.45), (0.55, 0.48), *[(0.54, 0.49)] * 2000]:  # a load that is being learned
-        step_model.learn(x, 0, 0.98, u, z)
-    assert 0.5 <= x[step_model.GAIN] <= 1.5
-    assert x[step_model.GAIN] * 0.54 + x[step_model.OFFSET] == pytest.approx(0.49, abs=1e-3)
-    assert step_model.extension_for(x, 0, 0.4) > 0.3
+        inchworm_steps.learn(x, 0, 0.98, u, z)
+    assert 0.5 <= x[inchworm_steps.GAIN] <= 1.5
+    assert x[inchworm_steps.GAIN] * 0.54 + x[inchworm_steps.OFFSET] == pytest.approx(0.49, abs=1e-3)
+    assert inchworm_steps.extension_for(x, 0, 0.4) > 0.3
 
 
 def test_a_wrong_model_that_wants_no_extension_gives_up_instead_of_stepping_on_the_spot():
     motor = Motor()
     motor.run(0.0, 0.2, lambda: motor.sequencer.arrived)
-    motor.x[at.FORWARD_MODEL + step_model.OFFSET] = 1.0  # as if a load carried the slider by itself
-    motor.x[at.FORWARD_MODEL + step_model.COVARIANCE] = motor.x[at.FORWARD_MODEL + step_model.COVARIANCE + 2] = 0.0
+    motor.x[at.FORWARD_MODEL + inchworm_steps.OFFSET] = 1.0  # as if a load carried the slider by itself
+    motor.x[at.FORWARD_MODEL + inchworm_steps.COVARIANCE] = motor.x[
+        at.FORWARD_MODEL + inchworm_steps.COVARIANCE + 2
+    ] = 0.0
     motor.run(7e-6, 3.0, lambda: motor.sequencer.error == "no_motion")
     motor.never_both_open()
 

@@ -16,7 +16,7 @@ import math
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hysteresis_ros.references.settling import Settling
+from hysteresis_ros.references.moves import Settling
 
 TOLERANCE, TIME, STEP = 2e-8, 0.01, 1e-3
 

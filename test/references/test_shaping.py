@@ -20,8 +20,8 @@ from hypothesis import strategies as st
 
 from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.models.linear import zero_order_hold
+from hysteresis_ros.references.approach import RING, Shaper, ShapingParameters, zero_vibration
 from hysteresis_ros.references.generator import ReferenceGenerator, ReferenceParameters
-from hysteresis_ros.references.shaping import RING, Shaper, ShapingParameters, zero_vibration
 
 T = 1e-3
 

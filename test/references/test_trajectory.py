@@ -20,8 +20,8 @@ from hypothesis import strategies as st
 
 from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.references.approach import ApproachParameters
-from hysteresis_ros.references.arrival import Arrival
 from hysteresis_ros.references.generator import ReferenceGenerator, ReferenceParameters
+from hysteresis_ros.references.moves import Arrival
 from hysteresis_ros.references.trajectory import ENDED, HELD, OPEN, REPLACED, STOPPED, Points
 
 TS = 1e-3

@@ -21,10 +21,10 @@ from scipy.interpolate import BSpline
 
 from hysteresis_ros.errors import ConfigurationError, ParameterError
 from hysteresis_ros.references import inchworm_layout as at
-from hysteresis_ros.references import walk as walks
+from hysteresis_ros.references import inchworm_parameters as walks
 from hysteresis_ros.references.inchworm_parameters import InchwormSequencerParameters
 from hysteresis_ros.references.inchworm_sequencer import InchwormSequencer
-from hysteresis_ros.references.walk_machine import bend, carried, spline
+from hysteresis_ros.references.inchworm_walk import bend, carried, spline
 
 RATE = 4000.0
 SPEED = 1.0e-4

@@ -19,9 +19,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hysteresis_ros.block import interpreted
 from hysteresis_ros.errors import ParameterError
-from hysteresis_ros.references import Waveform, WaveformParameters, cycle
+from hysteresis_ros.models.block import interpreted
+from hysteresis_ros.references import Waveform, WaveformParameters, declaration
 
 TS = 1.0 / 3000.0
 A = 5e-6
@@ -190,7 +190,7 @@ def test_position_is_accurate_after_two_milliard_samples(frequency, rate, k):
     exact = Fraction(frequency) * Fraction(1.0 / rate) * k
     # The rule may take frequency · sample time as the fraction it is within the rounding of the two.
     allowed = 1e-14 + float(exact) * 2.0**-51
-    difference = cycle.turns(w.p, float(k)) - float(exact - math.floor(exact))
+    difference = declaration.turns(w.p, float(k)) - float(exact - math.floor(exact))
     assert abs(difference - round(difference)) <= allowed
 
 
@@ -218,7 +218,7 @@ def test_compiled_and_interpreted_agree(kind, monkeypatch):
     plain = interpreted(w.kernel)
     for helper in ("turns", "whole_turns", "triangle_shape"):
         if helper in plain.__globals__:
-            monkeypatch.setitem(plain.__globals__, helper, interpreted(getattr(cycle, helper)))
+            monkeypatch.setitem(plain.__globals__, helper, interpreted(getattr(declaration, helper)))
     w.x[0] = 12345
     assert compiled == pytest.approx([plain(w.p, w.x, 0.0) for _ in range(700)], abs=1e-12 * A, rel=0)
 

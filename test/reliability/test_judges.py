@@ -19,14 +19,19 @@ import pytest
 
 from hysteresis_ros.configuration import config_path, load_configuration
 from hysteresis_ros.errors import ConfigurationError
-from hysteresis_ros.reliability.bounds import Bounds, bounds_of, prepared
-from hysteresis_ros.reliability.catalogue import CATALOGUE, chosen
-from hysteresis_ros.reliability.conditions import conditions
-from hysteresis_ros.reliability.figures_file import Results, load_results
-from hysteresis_ros.reliability.judge import judged, largest_step, time_to_safe, worst
-from hysteresis_ros.reliability.mishaps import FUSED, WAYS, Mishap, chosen_ways
-from hysteresis_ros.reliability.page import line, page
-from hysteresis_ros.reliability.trace import Samples, Trace
+from hysteresis_ros.laboratory.campaign.judging import (
+    Bounds,
+    Samples,
+    Trace,
+    bounds_of,
+    judged,
+    largest_step,
+    prepared,
+    time_to_safe,
+    worst,
+)
+from hysteresis_ros.laboratory.campaign.mishaps import CATALOGUE, FUSED, WAYS, Mishap, chosen, chosen_ways
+from hysteresis_ros.laboratory.campaign.results import Results, conditions, line, load_results, page
 
 #: 0 … 10 V, 0.1 V a sample of 1 ms, places of 0 … 100 µm.
 BOUNDS = Bounds(

@@ -23,11 +23,10 @@ from hypothesis import strategies as st
 
 from hysteresis_ros.cli.camera import camera
 from hysteresis_ros.errors import HysteresisError
+from hysteresis_ros.hardware.footage import Footage, numbered, scale_of_motion, scale_of_target
+from hysteresis_ros.hardware.simulated_camera import Scene, SceneParameters
+from hysteresis_ros.hardware.tracker import FrameError
 from hysteresis_ros.recordings.files import load_run
-from hysteresis_ros.sensing.footage import Footage, numbered
-from hysteresis_ros.sensing.images import FrameError
-from hysteresis_ros.sensing.scale import scale_of_motion, scale_of_target
-from hysteresis_ros.sensing.scene import Scene, SceneParameters
 
 SMALL = {"width": 160, "height": 96, "zero": 80.0, "scale": 0.5e-6}
 MOTION = 10.0e-6 * np.sin(np.arange(12) / 2.0)

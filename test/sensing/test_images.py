@@ -14,7 +14,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hysteresis_ros.sensing.images import ENCODINGS, FrameError, grey_image
+from hysteresis_ros.hardware.tracker import ENCODINGS, FrameError, grey_image
 
 LEVELS = np.arange(12, dtype=np.uint8).reshape(3, 4) * 20
 

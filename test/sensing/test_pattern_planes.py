@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from numpy import fft
 
-from hysteresis_ros.sensing.pattern import Pattern
+from hysteresis_ros.hardware.tracker import Pattern
 
 SIZE = 128
 REGION = (16, 16, 96, 96)

@@ -20,8 +20,8 @@ from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter
 
 from hysteresis_ros.errors import ParameterError
-from hysteresis_ros.sensing.scene import Scene, SceneParameters
-from hysteresis_ros.sensing.tracker import CameraParameters, Tracker
+from hysteresis_ros.hardware.simulated_camera import Scene, SceneParameters
+from hysteresis_ros.hardware.tracker import CameraParameters, Tracker
 
 #: A small frame: what is asked of methods and refusals does not depend on the size.
 SMALL = {"width": 160, "height": 96, "zero": 80.0, "scale": 1.0e-6}

@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 
 from hysteresis_ros.configuration import load_configuration
-from hysteresis_ros.control.base import APPLIED, COMMAND
+from hysteresis_ros.control.law import APPLIED, COMMAND
 from hysteresis_ros.errors import ConfigurationError
 from hysteresis_ros.loop.axis import Axis
+from hysteresis_ros.loop.reach import axes, single_axis
+from hysteresis_ros.loop.simulation import differences, simulate
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.signals import row_signals
-from hysteresis_ros.simulation.axes import axes, single_axis
-from hysteresis_ros.simulation.run import differences, simulate
 
 NOISY = {"sensor__noise": 5e-9, "preload__force": 5.88, "limits__slew_rate": 2.0e4}
 

@@ -20,16 +20,20 @@ from click.testing import CliRunner
 
 from hysteresis_ros.cli.main import main
 from hysteresis_ros.configuration import load_configuration
+from hysteresis_ros.designs.frequency_response import (
+    ResponseRequest,
+    axis_response,
+    measured_loop_parts,
+    recorded_response,
+    response_run,
+)
 from hysteresis_ros.errors import ConfigurationError, RecordingError
 from hysteresis_ros.identification.excitations import Experiment
-from hysteresis_ros.identification.response_file import load_response, save_response
+from hysteresis_ros.identification.frequency_response import load_response, save_response
+from hysteresis_ros.loop.reach import single_axis
+from hysteresis_ros.loop.simulation import simulate
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.files import load_run, save_run
-from hysteresis_ros.simulation.axes import single_axis
-from hysteresis_ros.simulation.axis_response import axis_response
-from hysteresis_ros.simulation.recorded_response import recorded_response
-from hysteresis_ros.simulation.response_run import ResponseRequest, measured_loop_parts, response_run
-from hysteresis_ros.simulation.run import simulate
 
 #: Kim's axis under a PI-D of moderate gains; a sensor of 0.5 nm.
 GAINS = {"pid__Kp": -0.1225, "pid__Ki": 410.8, "pid__Kd": 5.522e-5, "pid__derivative_filter": 3770.0}

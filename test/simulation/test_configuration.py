@@ -21,8 +21,8 @@ from hysteresis_ros.configuration import (
     parse_configuration,
 )
 from hysteresis_ros.errors import ConfigurationError, ParameterError
-from hysteresis_ros.loop.axis_parameters import AxisParameters
-from hysteresis_ros.simulation.axes import axes
+from hysteresis_ros.loop.parameters import AxisParameters
+from hysteresis_ros.loop.reach import axes
 
 
 @pytest.mark.parametrize(

@@ -15,16 +15,15 @@ import numpy as np
 import pytest
 
 from hysteresis_ros.configuration import load_configuration
-from hysteresis_ros.control.closed_loop import close
 from hysteresis_ros.control.linearisation import whole_loop
-from hysteresis_ros.control.response_uncertainty import DAMPING, UNKNOWN, UNSEEN, ResponseUncertainty
+from hysteresis_ros.control.margins import close
+from hysteresis_ros.control.uncertainty import DAMPING, UNKNOWN, UNSEEN, ResponseUncertainty
+from hysteresis_ros.designs.controller import DesignRequest, design_axis, doubts
 from hysteresis_ros.errors import ConfigurationError
 from hysteresis_ros.identification.linear_part import LinearPart, Mode
-from hysteresis_ros.identification.response_model import MeasuredPlant
-from hysteresis_ros.models.linear import LinearParameters
-from hysteresis_ros.models.state_space import StateSpace
-from hysteresis_ros.simulation.axes import single_axis
-from hysteresis_ros.simulation.design import DesignRequest, design_axis, doubts
+from hysteresis_ros.identification.response_check import MeasuredPlant
+from hysteresis_ros.loop.reach import single_axis
+from hysteresis_ros.models.linear import LinearParameters, StateSpace
 
 RATE = 3000.0
 STEP = 1.0 / RATE

@@ -18,9 +18,8 @@ from adapting_support import adapting
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.loop.axis import Axis
-from hysteresis_ros.simulation.axes import single_axis
-from hysteresis_ros.simulation.drift import drifting
-from hysteresis_ros.simulation.run import simulate
+from hysteresis_ros.loop.reach import single_axis
+from hysteresis_ros.loop.simulation import drifting, simulate
 
 SAMPLES = 6000
 FIXED = {"adaptation__type": "none"}

@@ -14,12 +14,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hysteresis_ros.block import COMPILED
 from hysteresis_ros.configuration import load_configuration, parse_configuration
-from hysteresis_ros.control.base import APPLIED, COMMAND, FEEDFORWARD
+from hysteresis_ros.control.law import APPLIED, COMMAND, FEEDFORWARD
 from hysteresis_ros.errors import ParameterError
-from hysteresis_ros.loop.inchworm_checks import design_warnings, inchworm_warnings
-from hysteresis_ros.papers.kim2009.inchworm import (
+from hysteresis_ros.laboratory.papers.kim2009.inchworm import (
     LOADED,
     honest_moves,
     inchworm,
@@ -28,9 +26,11 @@ from hysteresis_ros.papers.kim2009.inchworm import (
     speed,
     step_errors,
 )
+from hysteresis_ros.loop.inchworm_checks import design_warnings, inchworm_warnings
+from hysteresis_ros.loop.reach import single_axis
+from hysteresis_ros.loop.simulation import simulate
+from hysteresis_ros.models.block import COMPILED
 from hysteresis_ros.references import inchworm_layout as at
-from hysteresis_ros.simulation.axes import single_axis
-from hysteresis_ros.simulation.run import simulate
 
 #: Without machine code a simulated second takes a minute.
 slow = pytest.mark.skipif(not COMPILED, reason="takes minutes without Numba")

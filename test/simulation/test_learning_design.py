@@ -20,21 +20,15 @@ from force_support import IFF
 
 from hysteresis_ros.cli.main import main
 from hysteresis_ros.configuration import load_configuration, parse_configuration
-from hysteresis_ros.control.closed_loop import close
 from hysteresis_ros.control.controller import ControllerParameters
 from hysteresis_ros.control.linearisation import linear_loop
+from hysteresis_ros.control.margins import close
 from hysteresis_ros.control.uncertainty import drawn_plants
+from hysteresis_ros.designs.controller import DesignRequest, design_axis, design_file
+from hysteresis_ros.designs.learning import POSSIBLE, LearningRequest, closed_loop, design_learning, learning_file
 from hysteresis_ros.loop.axis import Axis
-from hysteresis_ros.loop.common_parameters import part
-from hysteresis_ros.simulation.axes import single_axis
-from hysteresis_ros.simulation.design import DesignRequest, design_axis, design_file
-from hysteresis_ros.simulation.learning_design import (
-    POSSIBLE,
-    LearningRequest,
-    closed_loop,
-    design_learning,
-    learning_file,
-)
+from hysteresis_ros.loop.parameters import part
+from hysteresis_ros.loop.reach import single_axis
 
 NEAR = replace(POSSIBLE, draws=2)
 

@@ -17,21 +17,17 @@ from click.testing import CliRunner
 
 from hysteresis_ros.cli.main import main
 from hysteresis_ros.configuration import load_configuration, parse_configuration
-from hysteresis_ros.errors import ConfigurationError, IdentificationError
-from hysteresis_ros.identification.distortion import Distortion
-from hysteresis_ros.identification.frequency_response import FrequencyResponse
-from hysteresis_ros.identification.response_analysis import Analysis
-from hysteresis_ros.identification.response_file import save_response
-from hysteresis_ros.simulation.axes import single_axis
-from hysteresis_ros.simulation.design import DesignRequest, design_axis
-from hysteresis_ros.simulation.design_certainty import response_uncertainty
-from hysteresis_ros.simulation.measured_design import (
+from hysteresis_ros.designs.controller import DesignRequest, design_axis, response_uncertainty
+from hysteresis_ros.designs.frequency_response import measured_loop_parts
+from hysteresis_ros.designs.measured import (
     measured_lines,
     measured_margins,
     measured_uncertainty,
     with_measured_dynamics,
 )
-from hysteresis_ros.simulation.response_run import measured_loop_parts
+from hysteresis_ros.errors import ConfigurationError, IdentificationError
+from hysteresis_ros.identification.frequency_response import Analysis, Distortion, FrequencyResponse, save_response
+from hysteresis_ros.loop.reach import single_axis
 
 LINES = np.concatenate([np.arange(1.0, 500.0, 3.0), np.arange(500.0, 800.0, 1.0), np.arange(800.0, 1200.0, 5.0)])
 

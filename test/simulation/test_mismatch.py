@@ -17,11 +17,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from hysteresis_ros.configuration import load_configuration
+from hysteresis_ros.control.uncertainty import slowed
 from hysteresis_ros.errors import ParameterError
+from hysteresis_ros.loop.reach import single_axis
+from hysteresis_ros.loop.simulation import mismatched
 from hysteresis_ros.models.hysteresis import hysteresis_block
 from hysteresis_ros.models.linear import LinearParameters
-from hysteresis_ros.simulation.axes import single_axis
-from hysteresis_ros.simulation.mismatch import mismatched, slowed
 
 
 def plant_of(name: str, mismatch: float, seed: int):

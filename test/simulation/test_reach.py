@@ -15,10 +15,9 @@ import pytest
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.errors import ParameterError
 from hysteresis_ros.loop.axis import Axis
+from hysteresis_ros.loop.reach import axes, reach_warnings, reachable_displacements
+from hysteresis_ros.loop.simulation import simulate
 from hysteresis_ros.models.linear import LinearDynamics, LinearParameters
-from hysteresis_ros.simulation.axes import axes
-from hysteresis_ros.simulation.reach import reach_warnings, reachable_displacements
-from hysteresis_ros.simulation.run import simulate
 
 
 def axis(name="kim2009", **nodes):

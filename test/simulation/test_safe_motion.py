@@ -19,15 +19,15 @@ import pytest
 import yaml
 from safe_motion_support import NODES, quantum, stated, steps
 
-from hysteresis_ros.commissioning.new_file import NewAxis, new_text
+from hysteresis_ros.cli.commissioning.new_file import NewAxis, new_text
 from hysteresis_ros.configuration import load_configuration, parse_configuration
+from hysteresis_ros.designs.controller import DesignRequest, design_axis, design_file
+from hysteresis_ros.designs.setpoint_step import require_gentle, setpoint_step, step_lines
 from hysteresis_ros.errors import ConfigurationError, ParameterError
 from hysteresis_ros.identification.safe_motion import largest_change, safe_approach, safe_slew, with_safe_motion
+from hysteresis_ros.loop.reach import single_axis
+from hysteresis_ros.loop.simulation import simulate
 from hysteresis_ros.models.linear import zero_order_hold
-from hysteresis_ros.simulation.axes import single_axis
-from hysteresis_ros.simulation.design import DesignRequest, design_axis, design_file
-from hysteresis_ros.simulation.run import simulate
-from hysteresis_ros.simulation.setpoint_step import require_gentle, setpoint_step, step_lines
 
 RATE = 2000.0
 CONFIGURATIONS = sorted(path.stem for path in (pathlib.Path(__file__).resolve().parents[2] / "config").glob("*.yaml"))

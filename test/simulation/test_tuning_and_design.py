@@ -18,22 +18,21 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from hysteresis_ros import linear_algebra
 from hysteresis_ros.cli.main import main
-from hysteresis_ros.comparison.candidates import Given
-from hysteresis_ros.comparison.tasks import Conditions
 from hysteresis_ros.configuration import load_configuration, parse_configuration
 from hysteresis_ros.control.controller import ControllerParameters
 from hysteresis_ros.control.laws.pid import PidParameters
 from hysteresis_ros.control.linearisation import margins
+from hysteresis_ros.designs.controller import DesignRequest, design_axis
+from hysteresis_ros.designs.gains import believed_axis, criterion_of, tune
 from hysteresis_ros.errors import ConfigurationError, HysteresisError
+from hysteresis_ros.laboratory.comparison.candidates import Given
+from hysteresis_ros.laboratory.comparison.tasks import Conditions
 from hysteresis_ros.loop.axis import Axis
-from hysteresis_ros.loop.common_parameters import part
-from hysteresis_ros.simulation.axes import single_axis
-from hysteresis_ros.simulation.design import DesignRequest, design_axis
-from hysteresis_ros.simulation.reach import reachable_displacements
-from hysteresis_ros.simulation.run import simulate
-from hysteresis_ros.simulation.tuning import believed_axis, criterion_of, tune
+from hysteresis_ros.loop.parameters import part
+from hysteresis_ros.loop.reach import reachable_displacements, single_axis
+from hysteresis_ros.loop.simulation import simulate
+from hysteresis_ros.models import linear_algebra
 
 ROOT = pathlib.Path(__file__).resolve().parents[2]
 PICMA = ROOT / "config" / "picma_stage.yaml"

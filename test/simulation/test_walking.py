@@ -14,13 +14,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hysteresis_ros.block import COMPILED
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.errors import ParameterError
+from hysteresis_ros.laboratory.papers.kim2009.inchworm import inchworm
+from hysteresis_ros.laboratory.papers.kim2009.walking import SPEED, Walker, compared
 from hysteresis_ros.loop.inchworm_checks import inchworm_warnings
-from hysteresis_ros.papers.kim2009.inchworm import inchworm
-from hysteresis_ros.papers.kim2009.walking import SPEED, Walker, compared
-from hysteresis_ros.simulation.axes import single_axis
+from hysteresis_ros.loop.reach import single_axis
+from hysteresis_ros.models.block import COMPILED
 
 WALK = {"walk__continuous": True, "walk__swing": 456.0, "walk__learning_speed": SPEED}
 

@@ -17,10 +17,9 @@ from __future__ import annotations
 import numpy as np
 
 from hysteresis_ros.configuration import parse_configuration
-from hysteresis_ros.simulation.axes import single_axis
-from hysteresis_ros.sweeps.plan import make_plan
-from hysteresis_ros.sweeps.study import Study
-from hysteresis_ros.sweeps.variations import parse_variations
+from hysteresis_ros.laboratory.sweeps.plan import make_plan, parse_variations
+from hysteresis_ros.laboratory.sweeps.study import Study
+from hysteresis_ros.loop.reach import single_axis
 
 PLACE = 2e-6
 AXIS = f"""

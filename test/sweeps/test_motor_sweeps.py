@@ -18,11 +18,10 @@ from sweep_support import axis
 from hysteresis_ros.analysis.inchworm import inchworm_figures
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.errors import ConfigurationError
-from hysteresis_ros.simulation.axes import single_axis
-from hysteresis_ros.simulation.run import simulate
-from hysteresis_ros.sweeps.judging import require_metrics
-from hysteresis_ros.sweeps.study import Study
-from hysteresis_ros.sweeps.variations import parse_variations, varied
+from hysteresis_ros.laboratory.sweeps.plan import parse_variations, varied
+from hysteresis_ros.laboratory.sweeps.study import Study, require_metrics
+from hysteresis_ros.loop.reach import single_axis
+from hysteresis_ros.loop.simulation import simulate
 
 
 def motor(duration=0.3):

@@ -29,28 +29,22 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from sweep_support import AXIS, PLACE, PRODUCT, asked, axis, same_bits
 
+from hysteresis_ros import executors
 from hysteresis_ros.analysis.metrics import compute_metrics
-from hysteresis_ros.block import COMPILED
 from hysteresis_ros.cli.main import main
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.errors import ConfigurationError, ParameterError
-from hysteresis_ros.executors import cluster
+from hysteresis_ros.laboratory.sweeps.plan import DEVIATIONS, make_plan, parse_variations, varied
+from hysteresis_ros.laboratory.sweeps.plan import settings as settings_of
+from hysteresis_ros.laboratory.sweeps.study import Study, judged
+from hysteresis_ros.laboratory.sweeps.summary import Summary, interval, parse_bound, sensitivity
+from hysteresis_ros.laboratory.sweeps.sweep import SUFFIX, load, sweep
 from hysteresis_ros.loop.axis import Axis
-from hysteresis_ros.loop.node_parameters import PlantNodeParameters
+from hysteresis_ros.loop.parameters import PlantNodeParameters
+from hysteresis_ros.loop.reach import single_axis
+from hysteresis_ros.loop.simulation import simulate
+from hysteresis_ros.models.block import COMPILED
 from hysteresis_ros.models.hysteresis import hysteresis_block
-from hysteresis_ros.simulation.axes import single_axis
-from hysteresis_ros.simulation.run import simulate
-from hysteresis_ros.sweeps.journal import SUFFIX
-from hysteresis_ros.sweeps.judging import judged
-from hysteresis_ros.sweeps.outcome import load
-from hysteresis_ros.sweeps.plan import make_plan
-from hysteresis_ros.sweeps.sensitivity import sensitivity
-from hysteresis_ros.sweeps.study import Study
-from hysteresis_ros.sweeps.summary import Summary
-from hysteresis_ros.sweeps.sweep import sweep
-from hysteresis_ros.sweeps.variations import DEVIATIONS, parse_variations, varied
-from hysteresis_ros.sweeps.variations import settings as settings_of
-from hysteresis_ros.sweeps.yields import interval, parse_bound
 
 GAIN = "plant_simulator.hysteresis.proportional.gain"
 
@@ -226,7 +220,7 @@ def cut_short(study, plan, path, after, **options):
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", [".parquet", ".npz"])
 def test_a_sweep_goes_on_where_it_was_left_with_the_same_bits(tmp_path, monkeypatch, kind):
-    monkeypatch.setattr("hysteresis_ros.sweeps.sweep.JOB_RUNS", 5)
+    monkeypatch.setattr("hysteresis_ros.laboratory.sweeps.sweep.JOB_RUNS", 5)
     path, whole = tmp_path / f"f{kind}", sweep(*asked(runs=40), workers=1)
     cut_short(*asked(runs=40), path, after=20)
     journal = tmp_path / f"f{kind}{SUFFIX}"
@@ -361,7 +355,7 @@ def test_effects_after_morris_are_the_slopes():
     ],
 )
 def test_the_command_names_what_is_wrong(config, tmp_path, monkeypatch, words, named):
-    monkeypatch.setattr(cluster, "CONNECT", 0.3)
+    monkeypatch.setattr(executors, "CONNECT", 0.3)
     answer = run_command(config, *words, "-o", tmp_path / "f.npz")
     assert answer.exit_code == 2 and named in answer.output and "Traceback" not in answer.output
     assert len(answer.output.strip().splitlines()) == 1
@@ -404,7 +398,7 @@ def test_a_run_that_no_axis_can_make_is_named_and_the_others_are_kept(config, tm
 
 def test_a_full_disk_loses_nothing(tmp_path, monkeypatch):
     """Here a file may not become larger than a limit; what stands in it stays, and the sweep goes on with more room."""
-    monkeypatch.setattr("hysteresis_ros.sweeps.sweep.JOB_RUNS", 5)
+    monkeypatch.setattr("hysteresis_ros.laboratory.sweeps.sweep.JOB_RUNS", 5)
     path, before = tmp_path / "f.npz", resource.getrlimit(resource.RLIMIT_FSIZE)
     cut_short(*asked(runs=40), path, after=5)
     journal = tmp_path / f"f.npz{SUFFIX}"

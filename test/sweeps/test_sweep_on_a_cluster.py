@@ -22,8 +22,8 @@ import pytest
 from sweep_support import asked, same_bits
 from waiting import until
 
-from hysteresis_ros.executors.cluster import cluster
-from hysteresis_ros.sweeps.sweep import sweep
+from hysteresis_ros.executors import cluster
+from hysteresis_ros.laboratory.sweeps.sweep import sweep
 
 pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
 
@@ -57,7 +57,7 @@ def workers(tmp_path):
 
 def test_a_cluster_that_loses_a_worker_finds_what_one_core_does(workers, tmp_path, monkeypatch):
     address, processes = workers
-    monkeypatch.setattr("hysteresis_ros.sweeps.sweep.JOB_RUNS", 10)
+    monkeypatch.setattr("hysteresis_ros.laboratory.sweeps.sweep.JOB_RUNS", 10)
     with cluster(address) as found:
         until(lambda: len(found.client.nthreads()) == 2)
     progress = []

@@ -15,10 +15,8 @@ import numpy as np
 import pytest
 from sweep_support import asked
 
-from hysteresis_ros.sweeps.outcome import Results
-from hysteresis_ros.sweeps.sensitivity import sensitivity
-from hysteresis_ros.sweeps.summary import Summary
-from hysteresis_ros.sweeps.yields import met, parse_bound, yield_of
+from hysteresis_ros.laboratory.sweeps.summary import Summary, met, parse_bound, sensitivity, yield_of
+from hysteresis_ros.laboratory.sweeps.sweep import Results
 
 
 def results(error, tripped=(), refused=()) -> Results:

@@ -7,7 +7,7 @@
 // an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 // specific language governing permissions and limitations under the License.
 
-// The charts of a page, drawn from the JSON that it holds (analysis/payload.py) with uPlot, in the place of the pictures
+// The charts of a page, drawn from the JSON that it holds (analysis/page.py) with uPlot, in the place of the pictures
 // that stand there without scripts. Those over time share the span of span.js.
 "use strict";
 

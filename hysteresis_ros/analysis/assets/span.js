@@ -8,7 +8,7 @@
 // specific language governing permissions and limitations under the License.
 
 // The span of time that a page shows, and the figures over it, added up from sums over blocks of samples
-// (analysis/spans.py). The page can be read without this script: it then shows pictures and the figures of whole runs.
+// (analysis/report.py). The page can be read without this script: it then shows pictures and the figures of whole runs.
 "use strict";
 
 const data = JSON.parse(document.getElementById("data").textContent);

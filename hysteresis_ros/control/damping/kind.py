@@ -7,16 +7,30 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What a kind of damping declares, so that parameters, loop and design know all of it."""
+"""What a kind of damping declares, and the discrete filters that kinds are made of.
+
+s = h (z − 1)/(z + 1); with h = ω / tan(ω T/2) a filter has at ω exactly the response that it has in continuous time,
+with h = 2/T at low frequencies. Poles in the left half plane stay stable whatever the sample time.
+
+References
+----------
+.. [1] Franklin, Powell & Workman, Digital Control of Dynamic Systems, 3rd ed. 1998, section 6.1 (Tustin, prewarping).
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-from hysteresis_ros.models.state_space import StateSpace
-from hysteresis_ros.parameters import Parameters
+import numpy as np
+
+from hysteresis_ros.configuration import Parameters
+from hysteresis_ros.errors import ParameterError, Problem
+from hysteresis_ros.models import elementary
+from hysteresis_ros.models.linear import StateSpace
+from hysteresis_ros.models.linear_algebra import product
 
 #: What a filter works on: nothing, the measured displacement, the output of the law, the measured force in the stack.
 NOTHING, MEASUREMENT, COMMAND, FORCE = range(4)
@@ -82,3 +96,140 @@ class DampingKind:
     filter: Callable[[Any, float], StateSpace]
     ranges: Callable[[Mode], tuple]
     chosen: Callable[[Any, Mode], Any]
+
+
+def warped(frequency: float, sample_time: float) -> float:
+    """Return h [1/s] with which the response at a frequency stays.
+
+    Parameters
+    ----------
+    frequency : float
+        Below half the sample rate [Hz].
+    sample_time : float
+        [s]
+    """
+    angle = math.pi * frequency * sample_time
+    return 2.0 * math.pi * frequency * elementary.cos(angle) / elementary.sin(angle)
+
+
+def first_order(gain: float, rate: float, sample_time: float) -> StateSpace:
+    """Return gain/(s + rate) of one input and one output.
+
+    Parameters
+    ----------
+    gain : float
+        [1/s]
+    rate : float
+        Above 0 [rad/s].
+    sample_time : float
+        [s]
+    """
+    h = 2.0 / sample_time
+    pole, through = (h - rate) / (h + rate), gain / (h + rate)
+    return StateSpace(np.array([[pole]]), np.ones((1, 1)), np.array([[through * (1.0 + pole)]]), np.array([[through]]))
+
+
+def second_order(numerator, denominator, h: float) -> StateSpace:
+    """Return (b₂ s² + b₁ s + b₀)/(a₂ s² + a₁ s + a₀) of one input and one output.
+
+    Parameters
+    ----------
+    numerator, denominator : tuple of float, shape (3,)
+        (b₂, b₁, b₀) and (a₂, a₁, a₀).
+    h : float
+        Of the transformation [1/s].
+    """
+    above, below = _discrete(numerator, h), _discrete(denominator, h)
+    b0, b1, b2 = (value / below[0] for value in above)
+    a1, a2 = below[1] / below[0], below[2] / below[0]
+    A = np.array([[-a1, 1.0], [-a2, 0.0]])
+    return StateSpace(A, np.array([[b1 - a1 * b0], [b2 - a2 * b0]]), np.array([[1.0, 0.0]]), np.array([[b0]]))
+
+
+def _discrete(coefficients, h: float) -> tuple[float, float, float]:
+    c2, c1, c0 = coefficients
+    square = c2 * h * h
+    return square + c1 * h + c0, 2.0 * (c0 - square), square - c1 * h + c0
+
+
+def in_series(systems) -> StateSpace:
+    """Return systems one after the other, the first one first.
+
+    Parameters
+    ----------
+    systems : sequence of StateSpace
+        Of one input and one output; at least one.
+    """
+    found, *others = systems
+    for after in others:
+        corner = np.zeros((found.order, after.order))
+        found = StateSpace(
+            np.block([[found.A, corner], [product(after.B, found.C), after.A]]),
+            np.vstack([found.B, product(after.B, found.D)]),
+            np.hstack([product(after.D, found.C), after.C]),
+            product(after.D, found.D),
+        )
+    return found
+
+
+def in_parallel(systems) -> StateSpace:
+    """Return the sum of systems.
+
+    Parameters
+    ----------
+    systems : sequence of StateSpace
+        Of one input and one output; at least one.
+    """
+    found, *others = systems
+    for beside in others:
+        corner = np.zeros((found.order, beside.order))
+        found = StateSpace(
+            np.block([[found.A, corner], [corner.T, beside.A]]),
+            np.vstack([found.B, beside.B]),
+            np.hstack([found.C, beside.C]),
+            found.D + beside.D,
+        )
+    return found
+
+
+def require_filters(parameters, most: int, beside: tuple[str, ...]):
+    """Yield a Problem for filters that are none, too many, or incomplete.
+
+    Parameters
+    ----------
+    parameters : Parameters
+        With ``frequencies``.
+    most : int
+        How many there may be.
+    beside : tuple of str
+        Arrays that have a number for each of them.
+    """
+    count = len(parameters.frequencies)
+    if not 1 <= count <= most:
+        yield Problem("frequencies", parameters.frequencies, f"must be 1 … {most} numbers")
+        return
+    for name in beside:
+        values = getattr(parameters, name)
+        if len(values) != count:
+            yield Problem(name, values, f"must be {count} numbers, as many as frequencies")
+
+
+def require_below_half_the_rate(frequencies: tuple[float, ...], sample_time: float) -> None:
+    """Refuse a filter that samples cannot make.
+
+    Parameters
+    ----------
+    frequencies : tuple of float
+        [Hz]
+    sample_time : float
+        [s]
+
+    Raises
+    ------
+    ParameterError
+        ``frequencies``: one is not below half the sample rate.
+    """
+    highest = 0.5 / sample_time
+    if not max(frequencies) < highest:
+        allowed = f"each must be below half the sample rate, {highest:g} Hz"
+        raise ParameterError([Problem("frequencies", frequencies, allowed)])

@@ -7,4 +7,4 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The controllers: each file or folder here declares one, as ``CONTROLLER``, and is found by the registry."""
+"""The controllers: each file here declares one as ``CONTROLLER``; :mod:`hysteresis_ros.control.controller` finds it."""

@@ -41,12 +41,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from hysteresis_ros.block import kernel
-from hysteresis_ros.control import design
-from hysteresis_ros.control.base import APPLIED, STARTED, bounded
+from hysteresis_ros.control import state_feedback
 from hysteresis_ros.control.kalman import ESTIMATE, OFFSET, KalmanParameters
-from hysteresis_ros.control.law import ControllerLaw
-from hysteresis_ros.control.sliding_design import SlidingModeParameters
+from hysteresis_ros.control.law import APPLIED, STARTED, ControllerLaw, bounded
 from hysteresis_ros.control.sliding_gains import (
     integration_warning,
     reaching_law,
@@ -67,6 +64,7 @@ from hysteresis_ros.control.sliding_surface import (
     TARGET,
     N,
     SlidingController,
+    SlidingModeParameters,
     boundary_layer,
     check_with,
     leave,
@@ -74,6 +72,7 @@ from hysteresis_ros.control.sliding_surface import (
     require_target,
     switching_function,
 )
+from hysteresis_ros.models.block import kernel
 
 #: p[REJECTION]: (1 − ρ) / Λ.
 REJECTION = OWN
@@ -118,9 +117,9 @@ def packed_integral_sliding_mode(parameters, sample_time: float | None = None) -
     gains, packed = pack_surface(parameters, sample_time)
     pole, eta = parameters.sliding_mode.rejection_pole, parameters.sliding_mode.eta
     if not abs(pole) < 1.0:
-        design.refuse("sliding_mode.rejection_pole", pole, "must be inside -1 … 1, or nothing is ever rejected")
+        state_feedback.refuse("sliding_mode.rejection_pole", pole, "must be inside -1 … 1, or nothing is ever rejected")
     if not pole - eta > -1.0:
-        design.refuse("sliding_mode.eta", eta, f"must be below 1 + rejection_pole = {1.0 + pole:g}")
+        state_feedback.refuse("sliding_mode.eta", eta, f"must be below 1 + rejection_pole = {1.0 + pole:g}")
     packed = packed.copy()
     packed[REJECTION] = (1.0 - pole) / gains.switching_gain
     packed.flags.writeable = False

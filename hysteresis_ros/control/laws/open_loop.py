@@ -13,9 +13,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from hysteresis_ros.block import kernel
-from hysteresis_ros.control.base import APPLIED, COMMAND, ESTIMATED, FED, FEEDFORWARD, HEADER, STARTED, Controller
-from hysteresis_ros.control.law import ControllerLaw
+from hysteresis_ros.control.law import (
+    APPLIED,
+    COMMAND,
+    ESTIMATED,
+    FED,
+    FEEDFORWARD,
+    HEADER,
+    STARTED,
+    Controller,
+    ControllerLaw,
+)
+from hysteresis_ros.models.block import kernel
 
 
 @kernel

@@ -33,22 +33,22 @@ from __future__ import annotations
 
 import numpy as np
 
-from hysteresis_ros.block import kernel
 from hysteresis_ros.control.kalman import OFFSET, KalmanParameters
 from hysteresis_ros.control.law import ControllerLaw
-from hysteresis_ros.control.sliding_design import SlidingModeParameters
 from hysteresis_ros.control.sliding_gains import reaching_law, reaching_rows, sliding_gains
 from hysteresis_ros.control.sliding_surface import (
     LINEAR,
     OBSERVER,
     TARGET,
     SlidingController,
+    SlidingModeParameters,
     boundary_layer,
     check_with,
     leave,
     pack_surface,
     switching_function,
 )
+from hysteresis_ros.models.block import kernel
 
 
 @kernel

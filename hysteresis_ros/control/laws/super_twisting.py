@@ -56,12 +56,10 @@ from functools import lru_cache
 
 import numpy as np
 
-from hysteresis_ros.block import kernel
-from hysteresis_ros.control import design
-from hysteresis_ros.control.base import APPLIED, bounded
+from hysteresis_ros.configuration import Parameters, parameter
+from hysteresis_ros.control import state_feedback
 from hysteresis_ros.control.kalman import OFFSET, KalmanParameters
-from hysteresis_ros.control.law import ControllerLaw, DesignTask
-from hysteresis_ros.control.sliding_design import SlidingModeParameters, design_sliding_mode
+from hysteresis_ros.control.law import APPLIED, ControllerLaw, DesignTask, bounded
 from hysteresis_ros.control.sliding_gains import (
     filter_row,
     integration_warning,
@@ -78,14 +76,16 @@ from hysteresis_ros.control.sliding_surface import (
     OWN,
     TARGET,
     SlidingController,
+    SlidingModeParameters,
     check_with,
+    design_sliding_mode,
     leave,
     pack_surface,
     require_target,
     switching_function,
     widens,
 )
-from hysteresis_ros.parameters import Parameters, parameter
+from hysteresis_ros.models.block import kernel
 
 # Entries of the law in p.
 ROOT_GAIN = OWN  # k1
@@ -164,7 +164,7 @@ def twisting_gains(parameters: SuperTwistingParameters, sample_time: float) -> t
     """
     for name in ("bound",) if parameters.gains == "from_bound" else ("k1", "k2"):
         if not getattr(parameters, name) > 0.0:
-            design.refuse(f"super_twisting.{name}", getattr(parameters, name), "must be above 0")
+            state_feedback.refuse(f"super_twisting.{name}", getattr(parameters, name), "must be above 0")
     if parameters.gains == "given":
         return parameters.k1, parameters.k2
     return 1.5 * math.sqrt(parameters.bound * sample_time), 1.1 * parameters.bound
@@ -242,7 +242,7 @@ def designed(task: DesignTask):
         allowed = (
             "a model of one state leaves super_twisting no pole to place; leave it out, or take another controller"
         )
-        design.refuse("bandwidth", task.bandwidth, allowed)
+        state_feedback.refuse("bandwidth", task.bandwidth, allowed)
     place = sliding_pole if task.parameters.model.dynamics.order > 1 else None
     return sliding_gains(task, "super_twisting", place)
 

@@ -18,8 +18,7 @@ import contextlib
 import math
 from collections.abc import Iterator, Sequence
 
-from hysteresis_ros.hardware.declaration import HardwareDriver
-from hysteresis_ros.hardware.driver import Capabilities, Driver, Reading
+from hysteresis_ros.hardware.driver import Capabilities, Driver, HardwareDriver, Reading
 from hysteresis_ros.models.actuator import Actuator, ActuatorParameters
 
 

@@ -17,10 +17,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
+from hysteresis_ros.configuration import Parameters, parameter, variants
 from hysteresis_ros.errors import ParameterError, Problem
-from hysteresis_ros.models.declaration import HysteresisBlock, HysteresisModel
-from hysteresis_ros.models.rate_independent import require_structure
-from hysteresis_ros.parameters import Parameters, parameter, variants
+from hysteresis_ros.models.declaration import HysteresisBlock, HysteresisModel, require_structure
 from hysteresis_ros.registry import discover
 
 #: The models by name.

@@ -41,12 +41,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hysteresis_ros import elementary
-from hysteresis_ros.block import kernel
+from hysteresis_ros.configuration import Parameters, parameter
 from hysteresis_ros.errors import Problem
-from hysteresis_ros.models.declaration import Deviation, HysteresisModel, Option, OwnInverse, times
-from hysteresis_ros.models.rate_independent import DISPLACEMENT, VOLTAGE, RateIndependentBlock
-from hysteresis_ros.parameters import Parameters, parameter
+from hysteresis_ros.models import elementary
+from hysteresis_ros.models.block import kernel
+from hysteresis_ros.models.declaration import (
+    DISPLACEMENT,
+    VOLTAGE,
+    Deviation,
+    HysteresisModel,
+    Option,
+    OwnInverse,
+    RateIndependentBlock,
+    times,
+)
 
 # Layout of p.
 D_E = 0
@@ -308,7 +316,7 @@ MODEL = HysteresisModel(
     deviated=_deviated,
     inverses=("multiplicative", "general", "picard_steps", "none"),
     own_inverses={"multiplicative": OwnInverse(multiplicative, "of bouc_wen")},
-    identify="hysteresis_ros.identification.static_procedures:bouc_wen",
+    identify="hysteresis_ros.identification.procedures:bouc_wen",
     options={
         "d_e": Option(float, "initial guess [m/V]"),
         "alpha": Option(float, "initial guess [m/V]"),

@@ -30,12 +30,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hysteresis_ros import elementary
-from hysteresis_ros.block import kernel
+from hysteresis_ros.configuration import Parameters, parameter
 from hysteresis_ros.errors import ParameterError, Problem
-from hysteresis_ros.models.declaration import Deviation, HysteresisBlock, HysteresisModel, Option, times
-from hysteresis_ros.models.rate_independent import DISPLACEMENT, VOLTAGE
-from hysteresis_ros.parameters import Parameters, parameter
+from hysteresis_ros.models import elementary
+from hysteresis_ros.models.block import kernel
+from hysteresis_ros.models.declaration import (
+    DISPLACEMENT,
+    VOLTAGE,
+    Deviation,
+    HysteresisBlock,
+    HysteresisModel,
+    Option,
+    times,
+)
 
 # Layout of p.
 INVERSE_MASS = 0
@@ -249,10 +256,10 @@ MODEL = HysteresisModel(
     scaled=_scaled,
     deviated=_deviated,
     inverses=("none",),
-    identify="hysteresis_ros.identification.direct_procedures:bouc_wen_mechanical",
+    identify="hysteresis_ros.identification.procedures:bouc_wen_mechanical",
     parts=(),
     stages=False,
-    response="hysteresis_ros.identification.bouc_wen_mechanical:simulate_oscillator",
+    response="hysteresis_ros.identification.bouc_wen:simulate_oscillator",
     options={
         "mass": Option(float, "initial value [kg]"),
         "damping": Option(float, "initial value [N·s/m]"),

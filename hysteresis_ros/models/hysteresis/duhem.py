@@ -34,13 +34,22 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hysteresis_ros import elementary
-from hysteresis_ros.block import kernel
+from hysteresis_ros.configuration import Parameters, parameter
 from hysteresis_ros.errors import Problem
-from hysteresis_ros.linear_algebra import product, solve
-from hysteresis_ros.models.declaration import Deviation, HysteresisModel, Option, OwnInverse, plus, times
-from hysteresis_ros.models.rate_independent import DISPLACEMENT, VOLTAGE, RateIndependentBlock
-from hysteresis_ros.parameters import Parameters, parameter
+from hysteresis_ros.models import elementary
+from hysteresis_ros.models.block import kernel
+from hysteresis_ros.models.declaration import (
+    DISPLACEMENT,
+    VOLTAGE,
+    Deviation,
+    HysteresisModel,
+    Option,
+    OwnInverse,
+    RateIndependentBlock,
+    plus,
+    times,
+)
+from hysteresis_ros.models.linear_algebra import product, solve
 
 # Layout of p, followed by the numbers of f and of g.
 ALPHA = 0  # [1/input unit]
@@ -373,7 +382,7 @@ MODEL = HysteresisModel(
             block=DuhemHysteresis,
         )
     },
-    identify="hysteresis_ros.identification.static_procedures:duhem",
+    identify="hysteresis_ros.identification.procedures:duhem",
     options={
         "alpha": Option(float, "α of the normalised input (the paper: 80); from minor loops by default"),
         "shape": Option(str, "how f and g are given", ("network", "spline")),

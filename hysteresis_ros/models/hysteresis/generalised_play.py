@@ -44,13 +44,23 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hysteresis_ros import elementary
-from hysteresis_ros.block import composite, kernel
+from hysteresis_ros.configuration import Parameters, parameter
 from hysteresis_ros.errors import Problem
-from hysteresis_ros.linear_algebra import product
-from hysteresis_ros.models.declaration import NOWHERE, Deviation, HysteresisModel, LinearTerms, Option, plus, times
-from hysteresis_ros.models.rate_independent import DISPLACEMENT, VOLTAGE, InvertibleBlock
-from hysteresis_ros.parameters import Parameters, parameter
+from hysteresis_ros.models import elementary
+from hysteresis_ros.models.block import composite, kernel
+from hysteresis_ros.models.declaration import (
+    DISPLACEMENT,
+    NOWHERE,
+    VOLTAGE,
+    Deviation,
+    HysteresisModel,
+    InvertibleBlock,
+    LinearTerms,
+    Option,
+    plus,
+    times,
+)
+from hysteresis_ros.models.linear_algebra import product
 
 # Layout of p, followed by radii and weights of the plays.
 PLAYS = 0

@@ -35,12 +35,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hysteresis_ros.block import kernel
+from hysteresis_ros.configuration import Parameters, parameter
 from hysteresis_ros.errors import Problem
-from hysteresis_ros.linear_algebra import product
-from hysteresis_ros.models.declaration import Deviation, HysteresisModel, LinearTerms, Option, plus, times
-from hysteresis_ros.models.rate_independent import DISPLACEMENT, VOLTAGE, RateIndependentBlock
-from hysteresis_ros.parameters import Parameters, parameter
+from hysteresis_ros.models.block import kernel
+from hysteresis_ros.models.declaration import (
+    DISPLACEMENT,
+    VOLTAGE,
+    Deviation,
+    HysteresisModel,
+    LinearTerms,
+    Option,
+    RateIndependentBlock,
+    plus,
+    times,
+)
+from hysteresis_ros.models.linear_algebra import product
 
 # Layout of p, followed by radii and weights of the plays, then by thresholds and weights of the dead zones: first
 # those above zero in rising order, then those below in falling order.

@@ -28,11 +28,19 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hysteresis_ros.block import kernel
+from hysteresis_ros.configuration import Parameters, parameter
 from hysteresis_ros.errors import Problem
-from hysteresis_ros.models.declaration import Deviation, HysteresisModel, Option, plus, times
-from hysteresis_ros.models.rate_independent import DISPLACEMENT, VOLTAGE, RateIndependentBlock
-from hysteresis_ros.parameters import Parameters, parameter
+from hysteresis_ros.models.block import kernel
+from hysteresis_ros.models.declaration import (
+    DISPLACEMENT,
+    VOLTAGE,
+    Deviation,
+    HysteresisModel,
+    Option,
+    RateIndependentBlock,
+    plus,
+    times,
+)
 
 # Layout of p, followed by the lower triangle of E row by row: E[i, j], a = node i, b = node j <= i.
 LOW = 0

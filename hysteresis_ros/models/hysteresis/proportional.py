@@ -22,10 +22,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hysteresis_ros.block import kernel
-from hysteresis_ros.models.declaration import NOWHERE, Deviation, HysteresisModel, LinearTerms, times
-from hysteresis_ros.models.rate_independent import RateIndependentBlock
-from hysteresis_ros.parameters import Parameters, parameter
+from hysteresis_ros.configuration import Parameters, parameter
+from hysteresis_ros.models.block import kernel
+from hysteresis_ros.models.declaration import (
+    NOWHERE,
+    Deviation,
+    HysteresisModel,
+    LinearTerms,
+    RateIndependentBlock,
+    times,
+)
 
 GAIN = 0  # p
 OUTPUT = 0  # x
@@ -103,6 +109,6 @@ MODEL = HysteresisModel(
     deviated=_deviated,
     weighted=_weighted,
     inverses=("exact", "none"),
-    identify="hysteresis_ros.identification.direct_procedures:proportional",
+    identify="hysteresis_ros.identification.procedures:proportional",
     parts=("lag", "delay", "modes"),
 )

@@ -18,11 +18,7 @@ from collections.abc import Callable
 
 from hysteresis_ros.errors import HysteresisError
 from hysteresis_ros.nodes.remote.client import AbsentError, Client
-from hysteresis_ros.nodes.remote.parameters import get, set_
-from hysteresis_ros.nodes.remote.services import call
-from hysteresis_ros.nodes.remote.setpoint import setpoint
-from hysteresis_ros.nodes.remote.status import status
-from hysteresis_ros.nodes.remote.topics import echo
+from hysteresis_ros.nodes.remote.commands import call, echo, get, set_, setpoint, status
 
 #: What can be asked for; each gets the client and the further arguments.
 COMMANDS = {"status": status, "get": get, "set": set_, "call": call, "echo": echo, "setpoint": setpoint}

@@ -22,7 +22,7 @@ from rclpy.executors import SingleThreadedExecutor
 
 from hysteresis_ros.configuration import NODE_NAMES, OPTIONAL_NODE_NAMES, normalised_namespace
 from hysteresis_ros.errors import HysteresisError, did_you_mean
-from hysteresis_ros.nodes.discovery import stay_on_this_machine
+from hysteresis_ros.nodes.domain import stay_on_this_machine
 from hysteresis_ros.nodes.security.policy import OPERATOR, enclave_of
 
 #: Seconds of one look at the graph.

@@ -31,7 +31,7 @@ OTHERS = ("ROS_DISTRO", "ROS_VERSION", "ROS_PYTHON_VERSION", "ROS_LOG_DIR", "ROS
 
 def address() -> bytes:
     """Return the abstract address of the session of this environment."""
-    from hysteresis_ros.nodes.discovery import stay_on_this_machine
+    from hysteresis_ros.nodes.domain import stay_on_this_machine
 
     stay_on_this_machine()
     settings = {key: os.environ[key] for key in os.environ if key.startswith(ENVIRONMENT) and key not in OTHERS}

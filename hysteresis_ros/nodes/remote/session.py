@@ -30,8 +30,8 @@ from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 
-import hysteresis_ros.loop.node_parameters  # noqa: F401  what a command would import at its first use
-from hysteresis_ros.nodes.discovery import stay_on_this_machine
+import hysteresis_ros.loop.parameters  # noqa: F401  what a command would import at its first use
+from hysteresis_ros.nodes.domain import stay_on_this_machine
 from hysteresis_ros.nodes.remote.__main__ import done
 from hysteresis_ros.nodes.remote.client import Client
 from hysteresis_ros.nodes.remote.door import address, is_of_this_user

@@ -7,24 +7,240 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Write a policy as a command asks for it: ``python -m hysteresis_ros.nodes.security '{"config": …}'``.
+"""Write an SROS 2 policy of what the nodes use: ``python -m hysteresis_ros.nodes.security '{"config": …}'``.
 
-The argument has ``config``, ``output``, ``namespace`` (or null), ``rate`` (or null), ``processes`` (or null: as `up`
-decides), ``record`` and ``external`` (truths), ``remap`` (list).
+The nodes are created and configured in a ROS domain of their own, and their topics and services are listed. No driver
+is opened and no node is activated: what a node uses does not depend on the device behind it, and it makes all its
+topics and services when it is configured. The argument has ``config``, ``output``, ``namespace`` (or null), ``rate``
+(or null), ``processes`` (or null: as `up` decides), ``record`` and ``external`` (truths), ``remap`` (list).
 """
 
 from __future__ import annotations
 
+import contextlib
+import gc
+import importlib
 import json
+import os
+import pathlib
 import sys
+import tempfile
+from dataclasses import replace
 
-from hysteresis_ros.configuration import load_configuration
+import rclpy
+from rclpy.context import Context
+from rclpy.parameter import Parameter
+
+from hysteresis_ros.configuration import load_configuration, node_names
 from hysteresis_ros.errors import HysteresisError
 from hysteresis_ros.identification.parameter_file import write_file
-from hysteresis_ros.loop.axis_parameters import AxisParameters, in_time
-from hysteresis_ros.nodes.security.policy import policy_text
-from hysteresis_ros.nodes.security.used import enclaves_of
-from hysteresis_ros.simulation.axes import axes
+from hysteresis_ros.loop.parameters import AxisParameters, in_time
+from hysteresis_ros.loop.reach import axes
+from hysteresis_ros.nodes.displacement_camera import DisplacementCameraNode
+from hysteresis_ros.nodes.domain import stay_on_this_machine
+from hysteresis_ros.nodes.fused import FusedAxis
+from hysteresis_ros.nodes.hysteresis_compensator import HysteresisCompensatorNode
+from hysteresis_ros.nodes.inchworm_sequencer import InchwormSequencerNode
+from hysteresis_ros.nodes.motion_controller import MotionControllerNode
+from hysteresis_ros.nodes.plant_simulator import PlantSimulatorNode
+from hysteresis_ros.nodes.recorder import RecorderNode
+from hysteresis_ros.nodes.reference_generator import ReferenceGeneratorNode
+from hysteresis_ros.nodes.remote.client import Client
+from hysteresis_ros.nodes.security.policy import (
+    MONITOR,
+    OPERATOR,
+    PAGE,
+    RECORDS,
+    Enclave,
+    Profile,
+    enclave_of,
+    monitor,
+    operator,
+    policy_text,
+    profile,
+)
+from hysteresis_ros.nodes.setpoint_publisher import SetpointPublisher
+
+NODES = {
+    "plant_simulator": PlantSimulatorNode,
+    "reference_generator": ReferenceGeneratorNode,
+    "inchworm_sequencer": InchwormSequencerNode,
+    "motion_controller": MotionControllerNode,
+    "hysteresis_compensator": HysteresisCompensatorNode,
+    "displacement_camera": DisplacementCameraNode,
+    "recorder": RecorderNode,
+}
+
+#: What may stand beside the nodes: name of its enclave → what returns its profile, ``profile(axes, context, used_by)``.
+FURTHER = {
+    PAGE: "hysteresis_ros.laboratory.watch.link:profile",
+    RECORDS: "hysteresis_ros.laboratory.epics.link:profile",
+}
+
+#: Node of somebody else in the plant's place, as in ``examples/driver_skeleton.py``.
+EXTERNAL = "driver"
+
+
+def used_by(node, name: str = "", namespace: str = "") -> Profile:
+    """Return what a node uses now.
+
+    Parameters
+    ----------
+    node : rclpy.node.Node
+        Who looks: itself, or another one.
+    name, namespace : str
+        Who is looked at; ``node`` itself by default.
+    """
+    name, namespace = name or node.get_name(), namespace or node.get_namespace()
+
+    def names(ask) -> list[str]:
+        return [found for found, _ in ask(name, namespace)]
+
+    topics = (names(node.get_publisher_names_and_types_by_node), names(node.get_subscriber_names_and_types_by_node))
+    services = (names(node.get_service_names_and_types_by_node), names(node.get_client_names_and_types_by_node))
+    return profile(namespace, name, topics, services)
+
+
+def enclaves_of(
+    axes: list[AxisParameters], *, composed: bool = False, record: bool = False, remap: tuple[str, ...] = ()
+) -> list[Enclave]:
+    """Return the enclaves of the processes that a graph of these axes has, and of who steers and watches it.
+
+    Parameters
+    ----------
+    axes : list of AxisParameters
+    composed : bool
+        The nodes of an axis in one process, as they always are when it is fused.
+    record : bool
+        With a recorder.
+    remap : tuple of str
+        ``FROM:=TO`` each, as the nodes get them.
+
+    Raises
+    ------
+    HysteresisError
+        A node cannot be made of its parameters, or a remapping is none.
+    """
+    stay_on_this_machine()
+    context = Context()
+    rclpy.init(args=["--ros-args", "--log-level", "warn"], context=context)
+    with tempfile.TemporaryDirectory() as folder:
+        try:
+            enclaves = []
+            for number, axis in enumerate(axes):
+                enclaves += _of_axis(axis, context, (composed, record), remap, pathlib.Path(folder) / str(number))
+            return [*enclaves, Enclave(enclave_of("", RECORDS), (_further(RECORDS, axes, context),))]
+        finally:
+            gc.collect()  # lifecycle nodes stand in reference cycles
+            context.try_shutdown()
+
+
+def _of_axis(axis, context, how: tuple[bool, bool], remap, folder: pathlib.Path) -> list[Enclave]:
+    """Return the enclaves of one axis."""
+    composed, record = how
+    fused, namespace = axis.plant_simulator.time_mode == "fused", axis.namespace
+    names = [name for name in node_names(axis.inchworm_sequencer is not None) if _is_ours(name, axis)]
+    names += ["displacement_camera"] * (axis.displacement_camera is not None) + ["recorder"] * record
+    arguments = ["--ros-args", *(word for rule in remap for word in ("-r", rule))] if remap else []
+    found = {}
+    with contextlib.ExitStack() as stack:
+        joined = FusedAxis()
+        for name in names:
+            node = _configured(name, axis, context, arguments, folder, joined if fused else None)
+            stack.callback(_destroyed, node)
+            found[name] = used_by(node)
+    own = _of_a_command(axis, context)
+    everyone = tuple(found.values())
+    alone = {"displacement_camera"} if fused else {"displacement_camera", "recorder"}
+    together = [name for name in names if name not in alone] if composed or fused else []
+    enclaves = []
+    if together:
+        enclaves.append(Enclave(enclave_of(namespace, "hysteresis_axis"), tuple(found[name] for name in together)))
+    enclaves += [Enclave(enclave_of(namespace, name), (found[name],)) for name in names if name not in together]
+    if axis.plant_simulator.external_plant:
+        external = _of_an_external_plant(axis, context)
+        everyone += (external,)
+        enclaves.append(Enclave(enclave_of(namespace, EXTERNAL), (external,)))
+    publisher = _of(lambda: SetpointPublisher([(1.0, 0.0)], context=context, namespace=namespace or "/"))
+    steering = operator(namespace, everyone, own), publisher
+    enclaves.append(Enclave(enclave_of(namespace, OPERATOR), steering))
+    enclaves.append(Enclave(enclave_of(namespace, MONITOR), (monitor(namespace, everyone, own),)))
+    enclaves.append(Enclave(enclave_of(namespace, PAGE), (_further(PAGE, [axis], context),)))
+    return enclaves
+
+
+def _is_ours(name: str, axis: AxisParameters) -> bool:
+    return name != "plant_simulator" or not axis.plant_simulator.external_plant
+
+
+def _configured(name: str, axis: AxisParameters, context, arguments, folder: pathlib.Path, joined: FusedAxis | None):
+    """Return a node of an axis, configured."""
+    given = getattr(axis, name)
+    if name == "plant_simulator":
+        given = replace(given, driver="", driver_options=())
+    if name == "recorder":
+        given = replace(given, path=str(folder), configuration="", inchworm=axis.inchworm_sequencer is not None)
+    values = {key: list(value) if isinstance(value, tuple) else value for key, value in given.to_mapping().items()}
+    overrides = [Parameter(key, value=value) for key, value in values.items() if value != []]
+    try:
+        node = NODES[name](
+            context=context,
+            namespace=axis.namespace or "/",
+            parameter_overrides=overrides,
+            cli_args=arguments,
+            enable_logger_service=False,
+        )
+    except Exception as error:  # rclpy has one of its own for each thing wrong with a rule
+        raise HysteresisError(f"{name}: {' '.join(str(error).split(', at /')[0].split())}") from None
+    if joined is not None:
+        joined.join(node)
+    if not node.configure_now():
+        failure = node.failure
+        _destroyed(node)
+        raise HysteresisError(f"{name}: {failure}")
+    return node
+
+
+def _destroyed(node) -> None:
+    node.release()
+    node.destroy_node()
+
+
+def _of_a_command(axis: AxisParameters, context) -> Profile:
+    """Return what a command uses for itself, whatever its number and whether it is ours or ``ros2``."""
+    with Client(axis.namespace, context=context) as client:
+        own = used_by(client.node)
+        numbered = f"_hysteresis_{os.getpid()}"
+    there = {name.replace(numbered, "_hysteresis_*") for name in own.serves}
+    # the commands of ros2 are nodes of the root, which say what they log
+    there |= {"/_ros2cli_*/get_type_description"}
+    return replace(own, serves=tuple(sorted(there)), publishes=tuple(sorted({*own.publishes, "/rosout"})))
+
+
+def _further(name: str, axes: list[AxisParameters], context) -> Profile:
+    """Return what something uses beside the nodes of axes; its module is imported now."""
+    module, _, function = FURTHER[name].partition(":")
+    return getattr(importlib.import_module(module), function)(axes, context, used_by)
+
+
+def _of(make) -> Profile:
+    """Return what a plain node uses, which goes again."""
+    node = make()
+    try:
+        return used_by(node)
+    finally:
+        node.destroy_node()
+
+
+def _of_an_external_plant(axis: AxisParameters, context) -> Profile:
+    """Return what a plain node in the plant's place uses that answers voltages by measurements."""
+    space = axis.namespace
+    plain = _of(lambda: rclpy.create_node(EXTERNAL, namespace=space or "/", context=context))
+    return replace(
+        plain,
+        publishes=tuple(sorted({*plain.publishes, f"{space}/joint_states"})),
+        hears=tuple(sorted({*plain.hears, f"{space}/voltage"})),
+    )
 
 
 def main() -> int:

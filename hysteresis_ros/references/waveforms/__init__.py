@@ -11,7 +11,8 @@
 
 The folder holds nothing else. What a waveform declares is described in :mod:`hysteresis_ros.references.declaration`.
 
-A waveform is a block whose output depends on the sample counter only (:mod:`hysteresis_ros.references.cycle` states
+A waveform is a block whose output depends on the sample counter only (:mod:`hysteresis_ros.references.declaration`
+states
 how the counter becomes a position within the cycle). After the last of ``cycles`` cycles it holds its final value:
 where it stands at the end of the cycle, which for square is the last level and for staircase the level reached by
 the last step, on which a next cycle would begin.
@@ -24,9 +25,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hysteresis_ros.block import Block
+from hysteresis_ros.configuration import Parameters, parameter, variants
 from hysteresis_ros.errors import ParameterError, Problem
-from hysteresis_ros.parameters import Parameters, parameter, variants
+from hysteresis_ros.models.block import Block
 from hysteresis_ros.references.declaration import PREFIX, WaveformShape
 from hysteresis_ros.registry import discover
 
@@ -117,7 +118,7 @@ class Waveform(Block):
         return self.parameters.shape.duration(self.p)
 
     def pack(self, parameters) -> np.ndarray:
-        """Return the kernel's parameters; their layout is in :mod:`~hysteresis_ros.references.cycle`."""
+        """Return the kernel's parameters; their layout is in :mod:`~hysteresis_ros.references.declaration`."""
         packed = parameters.shape.pack(parameters, self.sample_time)
         self.kernel, self.period, self.crest_factor = packed.kernel, packed.period, packed.crest_factor
         self.lowest, self.highest = packed.lowest, packed.highest

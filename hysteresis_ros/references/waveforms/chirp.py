@@ -17,12 +17,25 @@ from fractions import Fraction
 
 import numpy as np
 
-from hysteresis_ros import elementary
-from hysteresis_ros.block import kernel
+from hysteresis_ros.configuration import Parameters, parameter
 from hysteresis_ros.errors import Problem
-from hysteresis_ros.parameters import Parameters, parameter
-from hysteresis_ros.references.cycle import AMPLITUDE, COUNTER, END, FINAL, OFFSET, OWN, TWO_PI, turns
-from hysteresis_ros.references.declaration import Packed, WaveformShape, head, time_cycles, turns_of
+from hysteresis_ros.models import elementary
+from hysteresis_ros.models.block import kernel
+from hysteresis_ros.references.declaration import (
+    AMPLITUDE,
+    COUNTER,
+    END,
+    FINAL,
+    OFFSET,
+    OWN,
+    TWO_PI,
+    Packed,
+    WaveformShape,
+    head,
+    time_cycles,
+    turns,
+    turns_of,
+)
 
 CHIRP_PHASE, CHIRP_LINEAR, CHIRP_CURVE = OWN, OWN + 1, OWN + 2  # turns
 

@@ -13,11 +13,22 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from hysteresis_ros import elementary
-from hysteresis_ros.block import kernel
-from hysteresis_ros.parameters import Parameters, parameter
-from hysteresis_ros.references.cycle import AMPLITUDE, COUNTER, END, FINAL, OFFSET, OWN, PHASE, TWO_PI, turns
-from hysteresis_ros.references.declaration import WaveformShape, cyclic
+from hysteresis_ros.configuration import Parameters, parameter
+from hysteresis_ros.models import elementary
+from hysteresis_ros.models.block import kernel
+from hysteresis_ros.references.declaration import (
+    AMPLITUDE,
+    COUNTER,
+    END,
+    FINAL,
+    OFFSET,
+    OWN,
+    PHASE,
+    TWO_PI,
+    WaveformShape,
+    cyclic,
+    turns,
+)
 
 DECAY = OWN  # 1/samples
 

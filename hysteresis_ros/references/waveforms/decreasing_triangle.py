@@ -13,9 +13,9 @@ from __future__ import annotations
 
 import math
 
-from hysteresis_ros.block import kernel
 from hysteresis_ros.errors import Problem
-from hysteresis_ros.references.cycle import (
+from hysteresis_ros.models.block import kernel
+from hysteresis_ros.references.declaration import (
     AMPLITUDE,
     COUNTER,
     END,
@@ -23,11 +23,12 @@ from hysteresis_ros.references.cycle import (
     OFFSET,
     OWN,
     UNIPOLAR,
+    WaveformShape,
+    cyclic,
     triangle_shape,
     turns,
     whole_turns,
 )
-from hysteresis_ros.references.declaration import WaveformShape, cyclic
 
 CYCLES = OWN + 1
 

@@ -11,15 +11,171 @@
 
 from __future__ import annotations
 
+import csv
+import pathlib
+import re
 from dataclasses import dataclass
 
 import numpy as np
 
-from hysteresis_ros.block import kernel
-from hysteresis_ros.parameters import Parameters, parameter
-from hysteresis_ros.references.cycle import COUNTER, END, FINAL, OFFSET, OWN
-from hysteresis_ros.references.declaration import PREFIX, Packed, WaveformShape, head
-from hysteresis_ros.references.samples import read_samples
+from hysteresis_ros.configuration import Parameters, parameter
+from hysteresis_ros.errors import ParameterError, Problem
+from hysteresis_ros.files import read_array, read_arrays
+from hysteresis_ros.models.block import kernel
+from hysteresis_ros.references.declaration import COUNTER, END, FINAL, OFFSET, OWN, PREFIX, Packed, WaveformShape, head
+
+#: Metres per unit a header may name.
+LENGTH_UNITS = {"m": 1.0, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6, "nm": 1e-9}
+#: Seconds per unit a header may name.
+TIME_UNITS = {"s": 1.0, "ms": 1e-3}
+#: Samples must lie this close to a uniform grid, and the grid this close to the generator's, in sample times.
+GRID_TOLERANCE = 0.01
+LARGEST_TABLE = 10_000_000
+
+
+def read_samples(path: str, column: str, file_sample_time: float, sample_time: float, prefix: str) -> np.ndarray:
+    """Return the samples [m], shape (N,), at the generator's sample time.
+
+    Parameters
+    ----------
+    path : str
+        A ``.csv`` with a header that names columns and units (``time [s], reference [m]``), an ``.npz`` with arrays
+        ``column`` [m] and optionally ``time`` [s], or an ``.npy`` with one array of metres.
+    column : str
+        Name of the column without unit.
+    file_sample_time : float
+        Sample time of the file [s]; the samples are then interpolated linearly. 0 = the file must have the
+        generator's sample time and say so in its time column.
+    sample_time : float
+        Sample time of the generator [s].
+    prefix : str
+        Name prefix of the parameters in errors.
+
+    Raises
+    ------
+    ParameterError
+        The file is missing, unreadable, lacks the column or unit, holds values that are not finite, or its sample
+        time does not fit.
+    """
+
+    def refused(name, value, text):
+        return ParameterError([Problem(prefix + name, value, text)])
+
+    source = pathlib.Path(path).expanduser()
+    if not source.is_file():
+        raise refused("path", path, "no such file; give the path of a CSV, NPZ or NPY file")
+    readers = {".csv": _read_csv, ".npz": _read_npz, ".npy": _read_npy}
+    reader = readers.get(source.suffix.lower())
+    if reader is None:
+        raise refused("path", path, "unknown kind of file; allowed: .csv, .npz, .npy")
+    try:
+        time, values = reader(source, column)
+    except KeyError as error:
+        raise refused("column", column, str(error.args[0])) from None
+    except (OSError, ValueError, csv.Error) as error:
+        raise refused("path", path, f"cannot be read: {error}") from None
+    if values.ndim != 1 or not 1 <= values.size <= LARGEST_TABLE:
+        raise refused("path", path, f"must hold one column of 1 … {LARGEST_TABLE} samples, has shape {values.shape}")
+    if not np.all(np.isfinite(values)):
+        row = int(np.flatnonzero(~np.isfinite(values))[0])
+        raise refused("path", path, f"sample {row} is {values[row]}; all samples must be finite metres")
+    measured = None if time is None else _uniform_sample_time(time, lambda text: refused("path", path, text))
+    if file_sample_time == 0.0:
+        if measured is None and values.size > 1:
+            raise refused("sample_time", 0.0, f"{path} does not say its sample time; give it [s]")
+        if measured is not None and _differs(measured, sample_time, values.size):
+            raise refused(
+                "sample_time",
+                0.0,
+                f"the sample time of {path}, {measured:g} s, is not the generator's {sample_time:g} s; "
+                f"give {measured:g} to interpolate linearly",
+            )
+        return values
+    if measured is not None and _differs(measured, file_sample_time, values.size):
+        raise refused("sample_time", file_sample_time, f"the time column of {path} says {measured:g} s; give that or 0")
+    if not _differs(file_sample_time, sample_time, values.size):
+        return values
+    count = int(np.floor((values.size - 1) * file_sample_time / sample_time + 1e-6)) + 1
+    if count > LARGEST_TABLE:
+        raise refused(
+            "sample_time", file_sample_time, f"interpolates {path} to {count} samples, allowed ≤ {LARGEST_TABLE}"
+        )
+    grid = np.arange(count) * (sample_time / file_sample_time)
+    return np.interp(grid, np.arange(values.size), values)
+
+
+def _differs(first: float, second: float, count: int) -> bool:
+    """Whether two sample times drift apart by more than the tolerance over ``count`` samples."""
+    return abs(first - second) * max(count - 1, 1) > GRID_TOLERANCE * second
+
+
+def _uniform_sample_time(time: np.ndarray, refused) -> float | None:
+    if time.size < 2:
+        return None
+    mean = float(time[-1] - time[0]) / (time.size - 1)
+    deviation = np.abs(time - (time[0] + np.arange(time.size) * mean))
+    if not mean > 0.0 or not np.max(deviation) <= GRID_TOLERANCE * mean:
+        raise refused("its time column must grow in equal steps")
+    return mean
+
+
+def _name_and_unit(text: str) -> tuple[str, str | None]:
+    """Split ``reference [m]``, ``reference (m)`` or ``reference_m``."""
+    match = re.fullmatch(r"\s*(.*?)\s*[\[(]\s*(\S+?)\s*[\])]\s*", text)
+    if match is None:
+        units = "|".join([*LENGTH_UNITS, *TIME_UNITS])
+        match = re.fullmatch(rf"\s*(.*?)_({units})\s*", text)
+    return (match[1], match[2]) if match else (text.strip(), None)
+
+
+def _read_csv(source: pathlib.Path, column: str):
+    with source.open(newline="", encoding="utf-8-sig") as stream:
+        rows = csv.reader(line for line in stream if line.strip() and not line.startswith("#"))
+        header = [_name_and_unit(text) for text in next(rows, [])]
+        names = [name for name, _ in header]
+        if column not in names:
+            raise KeyError(f"{source} has no such column; its header has {', '.join(names) or 'nothing'}")
+        unit = header[names.index(column)][1]
+        if unit not in LENGTH_UNITS:
+            raise KeyError(
+                f"its header in {source} must name the unit, e.g. {column} [m]; allowed: {', '.join(LENGTH_UNITS)}"
+            )
+        wanted = [(names.index(column), LENGTH_UNITS[unit])]
+        if "time" in names:
+            unit = header[names.index("time")][1]
+            if unit not in TIME_UNITS:
+                raise ValueError("the header of column time must name its unit: time [s] or time [ms]")
+            wanted.append((names.index("time"), TIME_UNITS[unit]))
+        data: list[list[float]] = [[] for _ in wanted]
+        for number, row in enumerate(rows):
+            if len(row) != len(header):
+                raise ValueError(f"data row {number} has {len(row)} fields, the header {len(header)}")
+            for target, (index, factor) in zip(data, wanted, strict=True):
+                target.append(float(row[index]) * factor)
+    return (np.array(data[1]) if len(data) > 1 else None), np.array(data[0], dtype=float)
+
+
+def _read_npz(source: pathlib.Path, column: str):
+    arrays = read_arrays(source)
+    if column not in arrays:
+        raise KeyError(f"{source} has no such array; it has {', '.join(arrays) or 'nothing'}")
+    time = _real(arrays["time"]) if "time" in arrays else None
+    values = _real(arrays[column])
+    if time is not None and time.shape != values.shape:
+        raise ValueError(f"time has shape {time.shape} and {column} {values.shape}; they must be equal")
+    return time, values
+
+
+def _read_npy(source: pathlib.Path, column: str):
+    return None, _real(read_array(source))
+
+
+def _real(array: np.ndarray) -> np.ndarray:
+    """Return numbers as float64; texts and complex numbers are none that could be followed."""
+    if array.dtype.kind not in "biuf":
+        raise ValueError(f"holds an array of {array.dtype}, not of real numbers")
+    return array.astype(float)
+
 
 COUNT, REPEAT, TABLE = OWN, OWN + 1, OWN + 2  # entries, samples after which it repeats, samples
 

@@ -11,9 +11,8 @@
 
 from __future__ import annotations
 
-from hysteresis_ros.block import kernel
-from hysteresis_ros.references.cycle import COUNTER, OFFSET
-from hysteresis_ros.references.declaration import Packed, WaveformShape, head
+from hysteresis_ros.models.block import kernel
+from hysteresis_ros.references.declaration import COUNTER, OFFSET, Packed, WaveformShape, head
 
 
 @kernel

@@ -17,12 +17,12 @@ from fractions import Fraction
 
 import numpy as np
 
-from hysteresis_ros import elementary
-from hysteresis_ros.block import kernel
+from hysteresis_ros.configuration import Parameters, parameter
 from hysteresis_ros.errors import Problem
-from hysteresis_ros.linear_algebra import rounded
-from hysteresis_ros.parameters import Parameters, parameter
-from hysteresis_ros.references.cycle import (
+from hysteresis_ros.models import elementary
+from hysteresis_ros.models.block import kernel
+from hysteresis_ros.models.linear_algebra import rounded
+from hysteresis_ros.references.declaration import (
     AMPLITUDE,
     COUNTER,
     DENOMINATOR,
@@ -34,15 +34,13 @@ from hysteresis_ros.references.cycle import (
     PHASE,
     RESIDUAL,
     TWO_PI,
-    turns,
-)
-from hysteresis_ros.references.declaration import (
     Packed,
     WaveformShape,
     first_value,
     head,
     refuse,
     time_cycles,
+    turns,
     turns_of,
 )
 

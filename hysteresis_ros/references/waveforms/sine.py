@@ -11,10 +11,19 @@
 
 from __future__ import annotations
 
-from hysteresis_ros import elementary
-from hysteresis_ros.block import kernel
-from hysteresis_ros.references.cycle import AMPLITUDE, COUNTER, END, FINAL, OFFSET, TWO_PI, turns
-from hysteresis_ros.references.declaration import WaveformShape, cyclic
+from hysteresis_ros.models import elementary
+from hysteresis_ros.models.block import kernel
+from hysteresis_ros.references.declaration import (
+    AMPLITUDE,
+    COUNTER,
+    END,
+    FINAL,
+    OFFSET,
+    TWO_PI,
+    WaveformShape,
+    cyclic,
+    turns,
+)
 
 
 @kernel

@@ -14,10 +14,23 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from hysteresis_ros.block import kernel
-from hysteresis_ros.parameters import Parameters, parameter
-from hysteresis_ros.references.cycle import AMPLITUDE, COUNTER, EDGE, END, FINAL, OFFSET, OWN, PHASE, UNIPOLAR, turns
-from hysteresis_ros.references.declaration import WaveformShape, cyclic, first_value
+from hysteresis_ros.configuration import Parameters, parameter
+from hysteresis_ros.models.block import kernel
+from hysteresis_ros.references.declaration import (
+    AMPLITUDE,
+    COUNTER,
+    EDGE,
+    END,
+    FINAL,
+    OFFSET,
+    OWN,
+    PHASE,
+    UNIPOLAR,
+    WaveformShape,
+    cyclic,
+    first_value,
+    turns,
+)
 
 DUTY = OWN + 1
 

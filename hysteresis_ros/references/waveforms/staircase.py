@@ -14,9 +14,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from hysteresis_ros.block import kernel
-from hysteresis_ros.parameters import Parameters, parameter
-from hysteresis_ros.references.cycle import (
+from hysteresis_ros.configuration import Parameters, parameter
+from hysteresis_ros.models.block import kernel
+from hysteresis_ros.references.declaration import (
     AMPLITUDE,
     COUNTER,
     EDGE,
@@ -25,10 +25,11 @@ from hysteresis_ros.references.cycle import (
     OFFSET,
     OWN,
     UNIPOLAR,
+    WaveformShape,
+    cyclic,
     triangle_shape,
     turns,
 )
-from hysteresis_ros.references.declaration import WaveformShape, cyclic
 
 LEVELS = OWN + 1  # levels a cycle
 

@@ -15,11 +15,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hysteresis_ros.block import kernel
+from hysteresis_ros.configuration import Parameters, parameter
 from hysteresis_ros.errors import Problem
-from hysteresis_ros.parameters import Parameters, parameter
-from hysteresis_ros.references.cycle import COUNTER, END, FINAL, OFFSET, OWN
-from hysteresis_ros.references.declaration import Packed, WaveformShape, head, refuse
+from hysteresis_ros.models.block import kernel
+from hysteresis_ros.references.declaration import COUNTER, END, FINAL, OFFSET, OWN, Packed, WaveformShape, head, refuse
 
 COUNT, REPEAT, TABLE = OWN, OWN + 1, OWN + 2  # entries, samples after which it repeats (0 = never), starts and levels
 

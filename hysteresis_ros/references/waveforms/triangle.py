@@ -13,9 +13,19 @@ from __future__ import annotations
 
 import math
 
-from hysteresis_ros.block import kernel
-from hysteresis_ros.references.cycle import AMPLITUDE, COUNTER, END, FINAL, OFFSET, UNIPOLAR, triangle_shape, turns
-from hysteresis_ros.references.declaration import WaveformShape, cyclic
+from hysteresis_ros.models.block import kernel
+from hysteresis_ros.references.declaration import (
+    AMPLITUDE,
+    COUNTER,
+    END,
+    FINAL,
+    OFFSET,
+    UNIPOLAR,
+    WaveformShape,
+    cyclic,
+    triangle_shape,
+    turns,
+)
 
 
 @kernel

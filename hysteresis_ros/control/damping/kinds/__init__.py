@@ -7,4 +7,4 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The kinds of damping: one file each, found by :mod:`hysteresis_ros.control.damping.registry`."""
+"""The kinds of damping: one file each, found by :mod:`hysteresis_ros.control.damping.inner_loop`."""

@@ -11,7 +11,7 @@
 
 u = γ w − α s / ((s + ω_c)(s + ω_h)) f
 
-The force has zeros below its poles (:mod:`hysteresis_ros.models.force_sensor`), whatever the mass. An integrator of
+The force has zeros below its poles (:mod:`hysteresis_ros.models.sensor`), whatever the mass. An integrator of
 it, in phase with the velocity between them, damps the poles, by (ω_p − ω_z)/(2 ω_z) at most where it does nothing
 else [1]_. A pure integrator would bring the force at rest, k_f y, to zero and with it the displacement. So it leaks
 at ω_c = α β, which is what a feedthrough β of the command into the force makes of it [3]_, and a high-pass at ω_h
@@ -37,11 +37,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from hysteresis_ros.control.damping.filters import first_order, second_order
-from hysteresis_ros.control.damping.kind import FORCE, DampingKind, Mode, shortened
+from hysteresis_ros.configuration import Parameters, parameter
+from hysteresis_ros.control.damping.kind import FORCE, DampingKind, Mode, first_order, second_order, shortened
 from hysteresis_ros.errors import Problem
-from hysteresis_ros.models.state_space import StateSpace
-from hysteresis_ros.parameters import Parameters, parameter
+from hysteresis_ros.models.linear import StateSpace
 
 
 @dataclass(frozen=True)

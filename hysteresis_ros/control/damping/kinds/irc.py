@@ -32,11 +32,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from hysteresis_ros.control.damping.filters import first_order
-from hysteresis_ros.control.damping.kind import MEASUREMENT, DampingKind, Mode, shortened
+from hysteresis_ros.configuration import Parameters, parameter
+from hysteresis_ros.control.damping.kind import MEASUREMENT, DampingKind, Mode, first_order, shortened
 from hysteresis_ros.errors import Problem
-from hysteresis_ros.models.state_space import StateSpace
-from hysteresis_ros.parameters import Parameters, parameter
+from hysteresis_ros.models.linear import StateSpace
 
 
 @dataclass(frozen=True)

@@ -26,11 +26,19 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from hysteresis_ros.control.damping.filters import in_parallel, second_order, warped
-from hysteresis_ros.control.damping.frequencies import require_below_half_the_rate, require_filters
-from hysteresis_ros.control.damping.kind import MEASUREMENT, DampingKind, Mode, shortened
-from hysteresis_ros.models.state_space import StateSpace
-from hysteresis_ros.parameters import Parameters, parameter
+from hysteresis_ros.configuration import Parameters, parameter
+from hysteresis_ros.control.damping.kind import (
+    MEASUREMENT,
+    DampingKind,
+    Mode,
+    in_parallel,
+    require_below_half_the_rate,
+    require_filters,
+    second_order,
+    shortened,
+    warped,
+)
+from hysteresis_ros.models.linear import StateSpace
 
 #: Most modes.
 MOST = 2

@@ -1,0 +1,194 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Where the axis of a stage runs: offline, or through its nodes; imports no ROS itself."""
+
+from __future__ import annotations
+
+import contextlib
+import pathlib
+import tempfile
+from abc import ABC, abstractmethod
+from typing import Any
+
+import numpy as np
+
+from hysteresis_ros.cli.commissioning.situation import CommissioningError
+from hysteresis_ros.loop.parameters import AxisParameters, in_time, require_carried
+from hysteresis_ros.loop.plant import BEYOND_TRAVEL, DEVICE_FAILED, HALTED, PARTNER_LOST, WITHOUT_VOLTAGE
+from hysteresis_ros.loop.simulation import simulate
+from hysteresis_ros.nodes.domain import Domain
+from hysteresis_ros.nodes.launcher import Graph, require_ros
+from hysteresis_ros.recordings.dataset import Recording
+from hysteresis_ros.recordings.files import load_run
+
+#: Why an axis has stopped itself, and what to do.
+TRIPPED = {
+    WITHOUT_VOLTAGE: "too many voltages came late: this machine does not hold the rate; lower sample_rate, leave a "
+    "core free, or use a compiled driver (docs/hardware.md)",
+    BEYOND_TRAVEL: "the sensor measured farther than the actuator gets: look at its scaling, sign and cable",
+    HALTED: "somebody stopped it; begin again when it may go on",
+    DEVICE_FAILED: "the device failed, the line above says how; mend it and begin again",
+    PARTNER_LOST: "a node of the axis was lost, the line above says which; begin again",
+}
+#: Part of the samples that may be without a measurement.
+MOST_MISSING = 0.05
+#: Signals by which stages are judged, and those of a closed loop.
+JUDGED, FURTHER = ("reference", "voltage", "measured"), ("command", "seen", "skipped")
+#: Distances of samples may differ by this part.
+IRREGULAR = 0.01
+
+
+class Bench(ABC):
+    """Runs axes for the stages of a commissioning, from the safe state to the safe state."""
+
+    @abstractmethod
+    def run(self, axis: AxisParameters) -> Recording:
+        """Run an axis once, as long as its parameters say.
+
+        Parameters
+        ----------
+        axis : AxisParameters
+
+        Raises
+        ------
+        HysteresisError
+            It cannot be run, or failed; the outputs are safe then.
+        """
+
+    @property
+    @abstractmethod
+    def name(self) -> str:
+        """What it is, for the file of the state."""
+
+
+class OfflineBench(Bench):
+    """The simulated plant of the file, as fast as the machine can, without ROS."""
+
+    name = "offline"
+
+    def run(self, axis: AxisParameters) -> Recording:
+        """Simulate.
+
+        Parameters
+        ----------
+        axis : AxisParameters
+        """
+        return simulate(axis)
+
+
+def require_sound(recording: Recording, samples: int) -> Recording:
+    """Return a recording of regular samples in which each has its measurement; the few that miss are interpolated.
+
+    Parameters
+    ----------
+    recording : Recording
+    samples : int
+        How many were asked for.
+
+    Raises
+    ------
+    CommissioningError
+        The axis stopped itself, or too many measurements are missing.
+    """
+    if recording.has("tripped"):
+        codes = recording["tripped"]
+        stopped = np.flatnonzero(codes > 0.0)  # below zero: a sensor that is being homed
+        if stopped.size:
+            first = stopped[0]
+            why = TRIPPED.get(int(codes[first]), f"code {codes[first]:g}")
+            raise CommissioningError(f"the axis stopped itself after {recording.time[first]:.3g} s: {why}")
+    there = np.isfinite(recording["measured"]) & np.isfinite(recording["voltage"])
+    missing = 1.0 - np.count_nonzero(there) / samples
+    if missing > MOST_MISSING:
+        raise CommissioningError(
+            f"{100.0 * missing:.1f} % of {samples} samples have no measurement or no voltage: look at the sensor and "
+            "its cable, at whether the run was cut off, and whether this machine holds the rate (hysteresis doctor)"
+        )
+    distances = np.diff(recording.time)
+    regular = np.ptp(distances) < IRREGULAR * distances.mean()
+    return recording if missing <= 0.0 and regular else _complete(recording, samples)
+
+
+def _complete(recording: Recording, samples: int) -> Recording:
+    """Return a recording with all of its samples, regularly: straight lines between those that are there."""
+    begin, period = recording.time[0], float(np.median(np.diff(recording.time)))
+    time = begin + period * np.arange(min(samples, 1 + round((recording.time[-1] - begin) / period)))
+    signals = {}
+    for name in (*JUDGED, *(further for further in FURTHER if recording.has(further))):
+        known = np.isfinite(recording[name])
+        signals[name] = np.interp(time, recording.time[known], recording[name][known])
+    return Recording(time, signals, {}, recording.metadata)
+
+
+def held_back(recording: Recording) -> list[str]:
+    """Return a line when voltages were late, none when the machine held the rate.
+
+    Parameters
+    ----------
+    recording : Recording
+    """
+    count = int(np.nanmax(recording["late"])) if recording.has("late") else 0
+    if not count:
+        return []
+    return [
+        f"this machine was too busy for {count} of {len(recording)} samples: the voltage before was held, and what "
+        "moves meanwhile is farther off than the model says"
+    ]
+
+
+class GraphBench(Bench):
+    """Runs axes through their nodes in real time, fused where messages are too slow.
+
+    Parameters
+    ----------
+    external : bool
+        A node of the user's own, which runs already in the user's ROS domain, stands in the plant's place.
+
+    Raises
+    ------
+    HysteresisError
+        rclpy is not installed.
+    """
+
+    def __init__(self, external: bool):
+        require_ros()
+        self._external = external
+
+    @property
+    def name(self) -> str:
+        """What it is, for the file of the state."""
+        return "external plant" if self._external else "nodes"
+
+    def run(self, axis: AxisParameters) -> Recording:
+        """Run an axis once; its nodes bring the outputs to safe when they leave, also when it is interrupted.
+
+        Parameters
+        ----------
+        axis : AxisParameters
+
+        Raises
+        ------
+        GraphError
+            A node died or refused to start, such as one whose device is not there.
+        RecordingError
+            Nothing was recorded.
+        ConfigurationError
+            Its samples come faster than messages can carry them.
+        """
+        require_carried(axis)
+        with contextlib.ExitStack() as stack:
+            folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="hysteresis_"))
+            options: dict[str, Any] = {"composed": True, "record": pathlib.Path(folder) / "bag"}
+            if not self._external:
+                # nobody steers this graph: a running axis of the user must not hear its commands
+                options["environment"] = stack.enter_context(Domain()).environment
+            with Graph([in_time(axis)], **options) as graph:
+                graph.wait()
+            return load_run(graph.bags[0], further=True)

@@ -1,0 +1,697 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""The stages in closed loop: small steps, margins, the scan that is judged, and the scan again with learning.
+
+Each is judged beside its prediction.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import cast
+
+import numpy as np
+
+from hysteresis_ros.analysis.commissioning_report import Picture, line
+from hysteresis_ros.analysis.metrics import delayed
+from hysteresis_ros.cli.commissioning.measuring import MICRO
+from hysteresis_ros.cli.commissioning.situation import (
+    COMMISSIONED,
+    LEARNING,
+    OVERTRAVEL,
+    CommissioningError,
+    Outcome,
+    Situation,
+    verdict,
+)
+from hysteresis_ros.configuration import Configuration, load_configuration
+from hysteresis_ros.control.learning import LearningParameters, period_samples
+from hysteresis_ros.control.margins import Margins, MeasuredLoop
+from hysteresis_ros.control.uncertainty import Uncertainty
+from hysteresis_ros.designs.controller import response_uncertainty
+from hysteresis_ros.designs.frequency_response import AxisResponse, around, axis_response
+from hysteresis_ros.designs.learning import LearningRequest, MeasuredPlant, design_learning, learning_file
+from hysteresis_ros.errors import HysteresisError, IdentificationError, RecordingError
+from hysteresis_ros.identification.excitations import Experiment, Plan, excitation
+from hysteresis_ros.identification.parameter_file import write_file
+from hysteresis_ros.loop.parameters import AxisParameters
+from hysteresis_ros.loop.reach import single_axis
+from hysteresis_ros.loop.simulation import simulate
+from hysteresis_ros.recordings.dataset import Recording
+from hysteresis_ros.references.recipes import following, hold, way, write_samples
+from hysteresis_ros.units import readable
+
+#: Part of the stroke that is scanned by default, and the periods: those that are not judged, and those that are.
+SCANNED, UNJUDGED_PERIODS, JUDGED_PERIODS = 0.7, 3, 10
+#: Small steps in closed loop, as parts of the stroke, and the seconds each is held and its way lasts. They begin above
+#: the end of the stroke: what the past left of it cannot be reached.
+FIRST_STEP, STEPS, STEP_HOLD, STEP_WAY = 0.1, (0.2, 0.3, 0.2), 0.5, 0.05
+#: Part of a hold at whose end it is judged.
+JUDGED_PART = 0.2
+#: What is left at the end of a small step may be so many times what was predicted, and this part of the step.
+LEFT, RINGING = 6.0, 0.05
+#: An error may be so many times the predicted one.
+ERROR_AS_PREDICTED = 1.5
+
+
+def scan_stroke(situation: Situation) -> float:
+    """Return the displacement of the scan from peak to peak [m].
+
+    Parameters
+    ----------
+    situation : Situation
+    """
+    return situation.plan.scan_stroke or SCANNED * situation.figure("hysteresis", "stroke_m")
+
+
+def scan_period(situation: Situation) -> int:
+    """Return the samples of a triangle of the scan.
+
+    Parameters
+    ----------
+    situation : Situation
+    """
+    return max(round(situation.rate / situation.plan.scan_frequency), 4)
+
+
+def _reach(situation: Situation, configuration: Configuration) -> tuple[float, float]:
+    values = configuration.node("reference_generator", situation.axis.namespace)
+    return values["minimum"], values["maximum"]
+
+
+def scan_reference(situation: Situation, configuration: Configuration, unjudged: int = UNJUDGED_PERIODS) -> np.ndarray:
+    """Return the scan [m]: the way to its low end, triangles, and the way back to rest.
+
+    Parameters
+    ----------
+    situation : Situation
+    configuration : Configuration
+        Of the designed axis.
+    unjudged : int
+        Triangles before those that are judged.
+
+    Raises
+    ------
+    CommissioningError
+        The stage does not reach as far.
+    """
+    low, high = _reach(situation, configuration)
+    size, rate = scan_stroke(situation), situation.rate
+    if size > high - low:
+        raise CommissioningError(
+            f"a scan of {readable(size, 'm')} was asked for, the stage reaches {readable(high - low, 'm')}; lower "
+            "scan_stroke in /commissioning"
+        )
+    begin = 0.5 * (low + high - size)
+    period = scan_period(situation)
+    phase = np.arange(1, (unjudged + JUDGED_PERIODS) * period + 1) / period
+    triangle = begin + size * 2.0 * np.abs(phase - np.round(phase))
+    rest = _resting_reference(low, high)
+    parts = [hold(rest, STEP_HOLD, rate), way(rest, begin, STEP_HOLD, rate), hold(begin, STEP_HOLD, rate), triangle]
+    return np.concatenate([*parts, way(begin, rest, STEP_HOLD, rate), hold(rest, STEP_HOLD, rate)])
+
+
+def _resting_reference(low: float, high: float) -> float:
+    """Return the reference [m] at which an axis begins and ends."""
+    return min(max(0.0, low), high)
+
+
+def steps_reference(situation: Situation, configuration: Configuration) -> np.ndarray:
+    """Return small steps in closed loop [m].
+
+    Parameters
+    ----------
+    situation : Situation
+    configuration : Configuration
+        Of the designed axis.
+    """
+    low, high = _reach(situation, configuration)
+    rest, rate = _resting_reference(low, high), situation.rate
+    far = high if high - rest >= rest - low else low
+    place = rest + FIRST_STEP * (far - rest)
+    parts = [hold(rest, STEP_HOLD, rate), way(rest, place, STEP_HOLD, rate), hold(place, STEP_HOLD, rate)]
+    for part in STEPS:
+        target = rest + part * (far - rest)
+        parts += [way(place, target, STEP_WAY, rate), hold(target, STEP_HOLD, rate)]
+        place = target
+    return np.concatenate([*parts, way(place, rest, STEP_HOLD, rate), hold(rest, STEP_HOLD, rate)])
+
+
+def closed_axis(
+    situation: Situation, configuration: Configuration, stage: str, reference: np.ndarray
+) -> AxisParameters:
+    """Return the designed axis that follows a reference once.
+
+    Parameters
+    ----------
+    situation : Situation
+    configuration : Configuration
+    stage : str
+    reference : ndarray, shape (N,)
+        [m]
+    """
+    path = write_samples(situation.folder.path / "waveforms" / f"{stage}.npz", reference, situation.rate)
+    configuration = following(configuration, path)
+    if situation.has_device:
+        configuration = configuration.override("plant_simulator", overtravel=OVERTRAVEL * situation.plan.stroke)
+    axis = single_axis(configuration, situation.axis.namespace)
+    return axis.with_duration(reference.size / situation.rate)
+
+
+def predicted_scan(situation: Situation, configuration: Configuration) -> Recording:
+    """Return the scan as ``hysteresis simulate`` of the file has it.
+
+    Parameters
+    ----------
+    situation : Situation
+    configuration : Configuration
+        Of the designed axis.
+    """
+    return simulate(closed_axis(situation, configuration, "scan", scan_reference(situation, configuration)))
+
+
+def error_of(configuration: Configuration, namespace: str, recording: Recording) -> np.ndarray:
+    """Return reference less measurement [m], the reference as late as its preview, the sensor's zero taken off.
+
+    Parameters
+    ----------
+    configuration : Configuration
+        Of the axis.
+    namespace : str
+    recording : Recording
+    """
+    controller = single_axis(configuration, namespace).motion_controller
+    wanted = delayed(recording["reference"], controller.feedforward.preview)
+    return wanted - (recording["measured"] - controller.model.preload.offset)
+
+
+def judged_samples(situation: Situation, configuration: Configuration) -> slice:
+    """Return the samples of the scan that are judged: the last periods, as late as the preview.
+
+    Parameters
+    ----------
+    situation : Situation
+    configuration : Configuration
+        Of the designed axis.
+    """
+    period = scan_period(situation)
+    begin = scan_begin(situation) + UNJUDGED_PERIODS * period
+    preview = single_axis(configuration, situation.axis.namespace).motion_controller.feedforward.preview
+    return slice(begin + preview, begin + JUDGED_PERIODS * period)
+
+
+def scan_begin(situation: Situation) -> int:
+    """Return the sample at which the first triangle begins.
+
+    Parameters
+    ----------
+    situation : Situation
+    """
+    return 3 * max(round(STEP_HOLD * situation.rate), 1)
+
+
+def scan_error(situation: Situation, configuration: Configuration, recording: Recording) -> float:
+    """Return the RMS error [m] of the periods that are judged.
+
+    Parameters
+    ----------
+    situation : Situation
+    configuration : Configuration
+        Of the designed axis.
+    recording : Recording
+    """
+    error = error_of(configuration, situation.axis.namespace, recording)
+    return root_mean_square(error[judged_samples(situation, configuration)])
+
+
+def root_mean_square(error: np.ndarray) -> float:
+    """Return the RMS of an error [m].
+
+    Parameters
+    ----------
+    error : ndarray, shape (N,)
+        [m]
+    """
+    return float(np.sqrt(np.mean(error**2)))
+
+
+def designed(situation: Situation) -> Configuration:
+    """Return the configuration of the designed axis.
+
+    Parameters
+    ----------
+    situation : Situation
+    """
+    situation.figure("design", "predicted_rms_m")
+    return load_configuration(situation.folder.path / COMMISSIONED)
+
+
+def loop_axis(situation: Situation) -> AxisParameters:
+    """Return the axis of the small steps in closed loop.
+
+    Parameters
+    ----------
+    situation : Situation
+    """
+    configuration = designed(situation)
+    return closed_axis(situation, configuration, "loop", steps_reference(situation, configuration))
+
+
+def judge_loop(situation: Situation, recording: Recording) -> Outcome:
+    """Judge small steps: whether the loop comes to rest, as the simulation does.
+
+    Parameters
+    ----------
+    situation : Situation
+    recording : Recording
+
+    Raises
+    ------
+    CommissioningError
+        It rings, or stays away.
+    """
+    configuration, namespace = designed(situation), situation.axis.namespace
+    error = error_of(configuration, namespace, recording)
+    expected = error_of(configuration, namespace, simulate(loop_axis(situation)))
+    rate, size = situation.rate, (STEPS[0] - FIRST_STEP) * np.ptp(_reach(situation, configuration))
+    held = round(STEP_HOLD * rate)
+    stops = [3 * held + (number + 1) * (held + round(STEP_WAY * rate)) for number in range(len(STEPS))]
+    ends = [slice(stop - round(JUDGED_PART * held), stop) for stop in stops]
+    left = max(float(np.sqrt(np.mean(error[end] ** 2))) for end in ends)
+    right = max(float(np.sqrt(np.mean(expected[end] ** 2))) for end in ends)
+    if left > max(LEFT * right, RINGING * size):
+        raise CommissioningError(
+            f"the closed loop does not come to rest: {1e9 * left:.3g} nm RMS are left after a step of "
+            f"{readable(size, 'm')}, {1e9 * right:.3g} nm in the simulation; it rings or drifts. Outputs are safe. "
+            "Resume with another --controller, or measure the resonance again (--stage resonance)"
+        )
+    time = recording.time - recording.time[0]
+    traces = [
+        line("reference", time, MICRO * recording["reference"]),
+        line("measured", time, MICRO * (recording["reference"] - error)),
+    ]
+    lines = [f"comes to rest: {1e9 * left:.3g} nm RMS are left, {1e9 * right:.3g} nm predicted"]
+    picture = Picture("Small steps in closed loop", "time [s]", "displacement [µm]", traces)
+    return Outcome(lines, {"rest_rms_m": left, "predicted_rest_rms_m": right}, [picture])
+
+
+def scan_axis(situation: Situation) -> AxisParameters:
+    """Return the axis of the scan.
+
+    Parameters
+    ----------
+    situation : Situation
+    """
+    configuration = designed(situation)
+    return closed_axis(situation, configuration, "scan", scan_reference(situation, configuration))
+
+
+def judge_scan(situation: Situation, recording: Recording) -> Outcome:
+    """Judge the scan beside its prediction.
+
+    Parameters
+    ----------
+    situation : Situation
+    recording : Recording
+    """
+    configuration, namespace = designed(situation), situation.axis.namespace
+    simulated = predicted_scan(situation, configuration)
+    found, expected = (scan_error(situation, configuration, run) for run in (recording, simulated))
+    ratio = found / expected
+    what = f"triangle of {readable(scan_stroke(situation), 'm')} at {situation.plan.scan_frequency:g} Hz"
+    lines = [
+        f"{what}: error {1e9 * found:.4g} nm RMS, predicted {1e9 * expected:.4g} nm, ratio {ratio:.3g}: "
+        f"{verdict(ratio, ERROR_AS_PREDICTED)}"
+    ]
+    judged = judged_samples(situation, configuration)
+    time = recording.time - recording.time[0]
+    errors = [
+        line(label, time[judged], 1e9 * error_of(configuration, namespace, run)[judged])
+        for label, run in (("measured", recording), ("predicted", simulated))
+    ]
+    way_ = [
+        line("reference", time, MICRO * recording["reference"]),
+        line("measured", time, MICRO * (recording["reference"] - error_of(configuration, namespace, recording))),
+    ]
+    pictures = [
+        Picture(f"Scan: {what}", "time [s]", "displacement [µm]", way_),
+        Picture("Its error, in the periods that are judged", "time [s]", "reference − measured [nm]", errors),
+    ]
+    undelayed = recording["reference"] - (recording["measured"] - preload_offset(configuration, namespace))
+    figures = {
+        "rms_error_m": found,
+        "undelayed_rms_m": root_mean_square(undelayed[judged]),
+        "predicted_rms_m": expected,
+        "ratio": ratio,
+        "as_predicted": ratio <= ERROR_AS_PREDICTED,
+    }
+    return Outcome(lines, figures, pictures)
+
+
+def preload_offset(configuration: Configuration, namespace: str) -> float:
+    """Return what the preload adds to the measurement [m].
+
+    Parameters
+    ----------
+    configuration : Configuration
+        Of the designed axis.
+    namespace : str
+    """
+    return float(single_axis(configuration, namespace).motion_controller.model.preload.offset)
+
+
+#: What is played: lines of 4 Hz, five realisations of three periods, the first of which settles.
+EXPERIMENT = Experiment(period=0.5, periods=2, settle=1, realisations=5)
+#: M_s may be so many times the predicted one.
+MARGIN_AS_PREDICTED = 1.25
+#: Part of the plane that is drawn.
+PLANE = 3.0
+
+
+def _played_reference(situation: Situation, configuration: Configuration) -> tuple[np.ndarray, Plan, float]:
+    """Return the reference [m], where the excitation stands in it, and its peak [m]."""
+    values = configuration.node("reference_generator", situation.axis.namespace)
+    low, high = values["minimum"], values["maximum"]
+    samples, plan = excitation(EXPERIMENT, situation.rate)
+    peak = situation.plan.small * (high - low)
+    reference, plan = around(samples, peak, 0.5 * (low + high), min(max(0.0, low), high), situation.rate, plan)
+    return reference, plan, peak
+
+
+def response_peak(situation: Situation) -> float:
+    """Return how far the reference moves to both sides [m].
+
+    Parameters
+    ----------
+    situation : Situation
+    """
+    return _played_reference(situation, designed(situation))[2]
+
+
+def response_axis(situation: Situation) -> AxisParameters:
+    """Return the axis whose reference is excited in closed loop.
+
+    Parameters
+    ----------
+    situation : Situation
+    """
+    configuration = designed(situation)
+    return closed_axis(situation, configuration, "response", _played_reference(situation, configuration)[0])
+
+
+def _measured_response(situation: Situation, recording: Recording) -> AxisResponse:
+    configuration = designed(situation)
+    plan = replace(_played_reference(situation, configuration)[1], loop="closed", at="reference")
+    return axis_response(recording, plan, single_axis(configuration, situation.axis.namespace))
+
+
+def measured_plant(situation: Situation) -> MeasuredPlant | None:
+    """Return what the plant was measured to be in closed loop, over its model; None where nothing was seen.
+
+    Parameters
+    ----------
+    situation : Situation
+    """
+    try:
+        found = _measured_response(situation, situation.folder.recording("response"))
+    except (IdentificationError, RecordingError):
+        return None
+    loop = cast("MeasuredLoop", found.loop)
+    # what stands between plant and loop is the same in both
+    return MeasuredPlant(loop.frequency, loop.loop / cast("np.ndarray", found.model_loop))
+
+
+def judge_response(situation: Situation, recording: Recording) -> Outcome:
+    """Judge the closed loop by its margins, measured and predicted.
+
+    Parameters
+    ----------
+    situation : Situation
+    recording : Recording
+    """
+    try:
+        found = _measured_response(situation, recording)
+    except (IdentificationError, RecordingError) as error:
+        # what follows does not rest on it
+        return Outcome([f"margins not measured: {error}; here: `small` in /commissioning"])
+    # the plan closes the loop, and the axis is known
+    known = found.loop, found.margins, found.model_loop
+    loop, margins, model = cast("tuple[MeasuredLoop, Margins, np.ndarray]", known)
+    peak, expected = loop.sensitivity_peak, margins.sensitivity_peak
+    ratio = peak.low / expected
+    lines = [f"M_s {peak.text('.3g')}, predicted {expected:.3g}: {verdict(ratio, MARGIN_AS_PREDICTED)}"]
+    lines += [f"{name} {text}".replace("model", "predicted") for name, text in loop.rows(margins)[:-1]]
+    return Outcome(
+        lines, {**found.figures, "as_predicted": ratio <= MARGIN_AS_PREDICTED}, _response_pictures(loop, model)
+    )
+
+
+def _response_pictures(loop: MeasuredLoop, model: np.ndarray) -> list[Picture]:
+    f, predicted = loop.frequency, 1.0 / (1.0 + model)
+    curves = [
+        line("S, measured", f, np.abs(loop.sensitivity)),
+        line("S, predicted", f, np.abs(predicted)),
+        line("T, measured", f, np.abs(loop.complementary)),
+        line("T, predicted", f, np.abs(1.0 - predicted)),
+    ]
+    turn = np.exp(1j * np.linspace(0.0, 2.0 * np.pi, 200))
+    bound = -1.0 + 0.5 * turn
+    near = np.abs(loop.loop) < PLANE
+    plane = [
+        line("loop, measured", loop.loop[near].real, loop.loop[near].imag),
+        line("M_s = 2", bound.real, bound.imag),
+        line("loop, predicted", model[np.abs(model) < PLANE].real, model[np.abs(model) < PLANE].imag),
+        line("|L| = 1", turn.real, turn.imag),
+    ]
+    return [
+        Picture("Sensitivity S and complementary sensitivity T", "frequency [Hz]", "magnitude [1]", curves, "xy"),
+        Picture("Nyquist", "Re L", "Im L", plane, equal=True),
+    ]
+
+
+def at_or_after(events: np.ndarray, samples: int) -> np.ndarray:
+    """Tell which samples are events, or follow one by at most so many samples.
+
+    Parameters
+    ----------
+    events : ndarray of bool, shape (N,)
+    samples : int
+    """
+    numbers = np.arange(len(events))
+    last = np.maximum.accumulate(np.where(events, numbers, -samples - 1))
+    return numbers - last <= samples
+
+
+def not_learned(parameters: LearningParameters, rate: float, signals) -> dict[str, np.ndarray]:
+    """Return the samples from which nothing is learned, by reason; the first reason of a sample counts.
+
+    Parameters
+    ----------
+    parameters : LearningParameters
+        Of the learning.
+    rate : float
+        Samples per second [Hz].
+    signals : mapping of str to ndarray, shape (N,)
+        Of a recording: ``command``, ``applied``, ``measured``, and where they are known ``skipped`` and ``seen``.
+    """
+    # what was carried out is known a sample later
+    shortfall = np.abs(signals["applied"] - signals["command"]) > parameters.shortfall
+    shortfall = np.concatenate([[False], shortfall[:-1]])
+    skipped = np.asarray(signals.get("skipped", np.zeros(len(shortfall)))) > 0.5
+    unseen = ~np.isfinite(signals.get("seen", signals["measured"]))
+    answers, lasts = round(parameters.late_answer * rate), round(parameters.recovery * rate)
+    found, known = {}, np.zeros(len(shortfall), dtype=bool)
+    for reason, samples in (
+        ("late samples", skipped),
+        ("what the axis still answered to them", at_or_after(skipped, answers)),
+        ("commands that limits cut", shortfall),
+        ("recovery from those", at_or_after(shortfall, lasts)),
+        ("measurements that were missing", unseen),
+    ):
+        found[reason] = samples & ~known
+        known |= samples
+    return found
+
+
+def learned_line(parameters: LearningParameters, rate: float, signals, begin: int, count: int) -> str:
+    """Say from how many periods was learned, and why from the others was not, or only in part.
+
+    Parameters
+    ----------
+    parameters : LearningParameters
+        Of the learning.
+    rate : float
+        Samples per second [Hz].
+    signals : mapping of str to ndarray, shape (N,)
+        See :func:`left_out`.
+    begin : int
+        First sample of the first period.
+    count : int
+        Periods.
+    """
+    period = period_samples(parameters.period, rate)
+    reasons = {
+        reason: samples[begin : begin + count * period].reshape(-1, period)
+        for reason, samples in not_learned(parameters, rate, signals).items()
+    }
+    out = np.sum(list(reasons.values()), axis=(0, 2))
+    whole, none = int(np.count_nonzero(out == 0)), int(np.count_nonzero(out == period))
+    text = f"learned from {whole} of {len(out)} periods whole"
+    if whole == len(out):
+        return text
+    text += f", from {len(out) - whole - none} in part, from {none} not at all; left out: "
+    shares = {reason: float(np.mean(samples)) for reason, samples in reasons.items() if samples.any()}
+    return text + ", ".join(f"{100.0 * share:.3g} % of the samples for {reason}" for reason, share in shares.items())
+
+
+#: Periods of learning, fewer where they take longer than these seconds, and least.
+MOST_PERIODS, LONGEST_LEARNING, FEWEST_PERIODS = 30, 20.0, 10
+#: How far the stage may be from the model that was identified from itself a minute ago (assumed).
+CLOSE_TO_MODEL = Uncertainty(gain=0.02, hysteresis=0.05, resonance=0.005, delay=0.1, draws=20)
+#: The design of the filters.
+FILTER_DESIGN = "inversion"
+
+
+def learning_periods(situation: Situation) -> int:
+    """Return the periods of learning before those that are judged.
+
+    Parameters
+    ----------
+    situation : Situation
+    """
+    return int(min(MOST_PERIODS, max(LONGEST_LEARNING * situation.plan.scan_frequency, FEWEST_PERIODS)))
+
+
+def learn_axis(situation: Situation) -> AxisParameters | Outcome:
+    """Return the axis that learns the scan, and write its file; or why nothing can be learned.
+
+    Parameters
+    ----------
+    situation : Situation
+    """
+    configuration, namespace = designed(situation), situation.axis.namespace
+    # what another attempt has learned belongs to another loop
+    (situation.folder.path / LEARNING).unlink(missing_ok=True)
+    try:
+        request = LearningRequest(
+            FILTER_DESIGN, period=scan_period(situation) / situation.rate, possible=CLOSE_TO_MODEL
+        )
+        known = measured_plant(situation) or response_uncertainty(configuration)
+        result = design_learning(single_axis(configuration, namespace), request, known)
+        text = learning_file(configuration, result, namespace)
+    except HysteresisError as error:
+        return Outcome([f"nothing is learned: {' '.join(str(error).split())}"])
+    write_file(situation.folder.path / LEARNING, text)
+    return _learning_axis(situation, _learning_configuration(situation))
+
+
+def _learning_configuration(situation: Situation) -> Configuration:
+    return load_configuration(situation.folder.path / LEARNING)
+
+
+def _learning_axis(situation: Situation, configuration: Configuration) -> AxisParameters:
+    reference = scan_reference(situation, configuration, learning_periods(situation))
+    return closed_axis(situation, configuration, "learn", reference)
+
+
+def judge_learned(situation: Situation, recording: Recording) -> Outcome:
+    """Judge the scan after so many periods of learning, beside its prediction and the scan without.
+
+    Parameters
+    ----------
+    situation : Situation
+    recording : Recording
+    """
+    configuration, count = _learning_configuration(situation), learning_periods(situation)
+    learning = single_axis(configuration, situation.axis.namespace).motion_controller.learning
+    simulated = simulate(_learning_axis(situation, configuration))
+    runs = {"measured": _period_errors(situation, recording), "predicted": _period_errors(situation, simulated)}
+    found, expected = (root_mean_square(errors[count:]) for errors in runs.values())
+    # a folder of an earlier version has the scan's error against the delayed reference only
+    before, ratio = situation.found["scan"].figures.get("undelayed_rms_m", math.nan), found / expected
+    what = f"triangle of {readable(scan_stroke(situation), 'm')} at {situation.plan.scan_frequency:g} Hz"
+    lines = [
+        f"{what} after {count} periods: error {1e9 * found:.4g} nm RMS, {1e9 * before:.4g} nm without learning, "
+        f"both against the undelayed reference; predicted {1e9 * expected:.4g} nm, ratio {ratio:.3g}: "
+        f"{verdict(ratio, ERROR_AS_PREDICTED)}",
+        learned_line(learning, situation.rate, _signals(recording), scan_begin(situation), count),
+    ]
+    figures = {
+        "rms_error_m": found,
+        "undelayed_rms_without_m": before,
+        "predicted_rms_m": expected,
+        "ratio": ratio,
+        "as_predicted": ratio <= ERROR_AS_PREDICTED,
+    }
+    if recording.has("skipped"):
+        kept = in_time(_by_period(situation, recording["skipped"]))[count:]
+        undisturbed = root_mean_square(runs["measured"][count:][kept]) if np.any(kept) else math.nan
+        lines.append(missed_line(undisturbed, kept))
+    numbers = np.arange(1, count + JUDGED_PERIODS + 1)
+    falling = [line(name, numbers, 1e9 * np.sqrt(np.mean(each**2, axis=1))) for name, each in runs.items()]
+    time = np.arange(scan_period(situation)) / situation.rate
+    last = [line(name, time, 1e9 * each[-1]) for name, each in runs.items()]
+    pictures = [
+        Picture("Error of each period", "period", "RMS error [nm]", falling, "y"),
+        Picture("What learning leaves in a period", "time [s]", "reference − measured [nm]", last),
+    ]
+    return Outcome(lines, figures, pictures)
+
+
+def in_time(skipped: np.ndarray) -> np.ndarray:
+    """Tell which periods have no missed deadline, and do not follow one that has: the axis answers to it for a while.
+
+    Parameters
+    ----------
+    skipped : ndarray, shape (periods, samples)
+        1 at each sample whose time was missed.
+
+    Returns
+    -------
+    ndarray of bool, shape (periods,)
+    """
+    late = np.any(skipped > 0.5, axis=1)
+    return ~(late | np.concatenate([[False], late[:-1]]))
+
+
+def missed_line(error: float, kept: np.ndarray) -> str:
+    """Say what the error is in the periods that no missed deadline has disturbed.
+
+    Parameters
+    ----------
+    error : float
+        Of those periods [m]; NaN: there is none.
+    kept : ndarray of bool, shape (periods,)
+    """
+    count = np.count_nonzero(kept)
+    if not count:
+        return f"deadlines were missed in or before each of the {len(kept)} periods: the machine limits the error"
+    if count == len(kept):
+        return "no deadline was missed"
+    return f"deadlines were missed: in the {count} of {len(kept)} periods without, {1e9 * error:.4g} nm RMS"
+
+
+def _signals(recording: Recording) -> dict[str, np.ndarray]:
+    names = ("command", "applied", "measured", "skipped", "seen")
+    return {name: recording[name] for name in names if recording.has(name)}
+
+
+def _period_errors(situation: Situation, recording: Recording) -> np.ndarray:
+    """Return the errors of all periods, shape (periods, samples) [m]: against the undelayed reference, as it learns."""
+    offset = single_axis(
+        _learning_configuration(situation), situation.axis.namespace
+    ).motion_controller.model.preload.offset
+    return _by_period(situation, recording["reference"] - (recording["measured"] - offset))
+
+
+def _by_period(situation: Situation, values: np.ndarray) -> np.ndarray:
+    begin, period = scan_begin(situation), scan_period(situation)
+    return values[begin : begin + (learning_periods(situation) + JUDGED_PERIODS) * period].reshape(-1, period)

@@ -1,0 +1,370 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""The stages in open loop: sensor, gain and sign, resonance, hysteresis, creep; their voltages, and how each is judged.
+
+Each voltage begins and ends at the safe voltage, and goes there smoothly.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hysteresis_ros.analysis.commissioning_report import Picture, line
+from hysteresis_ros.cli.commissioning.situation import CommissioningError, Outcome, Plan, Situation
+from hysteresis_ros.identification.frequency_response import FrequencyResponse, multisine_response
+from hysteresis_ros.recordings.dataset import Recording
+from hysteresis_ros.recordings.loops import loop_opening
+from hysteresis_ros.references.recipes import HIGHEST, REST, SMALL, WAY, hold, recipe, there_and_back, way
+from hysteresis_ros.references.waveforms import Waveform, WaveformParameters
+from hysteresis_ros.units import readable
+
+#: Seconds of a small step, and of the holds around it; of the step whose creep is measured, and part of its hold that
+#: the way back is watched.
+STEP_WAY, STEP_HOLD = 0.05, 0.75
+CREEP_WAY, BACK_PART = 0.1, 0.25
+#: Periods of the multisine, and their length [s]; the first one settles.
+PERIODS, PERIOD = 5, 2.0
+#: Decaying cycles: those over the whole range, all others, and how many of these lower the amplitude to 1/e.
+WHOLE, DECAYING, DECAY = 2, 14, 3.5
+#: Where the step whose creep is measured ends, as a part of the range.
+CREEP_PART = 0.8
+
+
+def listening(plan: Plan, safe: float, rate: float) -> np.ndarray:
+    """Return the voltage [V] under which the sensor is listened to: the safe one."""
+    return hold(safe, plan.noise_duration, rate)
+
+
+def step_size(plan: Plan, safe: float) -> float:
+    """Return the small step [V]: towards the farther end of the range."""
+    size = plan.step * plan.span
+    return size if plan.maximum - safe >= safe - plan.minimum else -size
+
+
+def small_step(plan: Plan, safe: float, rate: float) -> np.ndarray:
+    """Return a small step and the way back [V]."""
+    level, wait = safe + step_size(plan, safe), hold(safe, STEP_HOLD, rate)
+    up, back = way(safe, level, STEP_WAY, rate), way(level, safe, STEP_WAY, rate)
+    return np.concatenate([wait, up, hold(level, STEP_HOLD, rate), back, wait])
+
+
+def small_multisine(plan: Plan, safe: float, rate: float) -> np.ndarray:
+    """Return a small multisine around the middle of the range, with the ways there and back [V]."""
+    part = plan.small / SMALL
+    asked = recipe("multisine", plan.minimum, plan.maximum, rate, 1.0 / PERIOD, part, PERIODS * PERIOD)
+    sines = Waveform(WaveformParameters.from_mapping(asked.waveform), 1.0 / rate)
+    voltages = sines.simulate(np.zeros(round(asked.duration * rate)))
+    return there_and_back(np.clip(voltages, plan.minimum, plan.maximum), safe, rate)
+
+
+def decaying_cycles(plan: Plan, safe: float, rate: float) -> np.ndarray:
+    """Return cycles over the whole range whose amplitude then decays, with the ways there and back [V]."""
+    cycle = max(round(rate / plan.cycle_frequency), 8)
+    index = np.arange((WHOLE + DECAYING) * cycle + 1)
+    fall = np.exp(-np.maximum(index - WHOLE * cycle, 0) / (DECAY * cycle))
+    middle = 0.5 * (plan.minimum + plan.maximum)
+    return there_and_back(middle - 0.5 * plan.span * fall * np.cos(2.0 * np.pi * index / cycle), safe, rate)
+
+
+def creeping_level(plan: Plan, safe: float) -> float:
+    """Return where the step whose creep is measured ends [V]."""
+    far = plan.maximum if plan.maximum - safe >= safe - plan.minimum else plan.minimum
+    return safe + CREEP_PART * (far - safe)
+
+
+def creeping_step(plan: Plan, safe: float, rate: float) -> np.ndarray:
+    """Return a large step that is held, and the way back, which is watched for a while [V]."""
+    level = creeping_level(plan, safe)
+    up, back = way(safe, level, CREEP_WAY, rate), way(level, safe, CREEP_WAY, rate)
+    held, rest = hold(level, plan.creep_duration, rate), hold(safe, BACK_PART * plan.creep_duration, rate)
+    return np.concatenate([hold(safe, REST, rate), up, held, back, rest])
+
+
+#: The sensor's noise may be this part of the stroke, and its zero so many strokes away.
+NOISY, FAR_AWAY = 0.02, 20.0
+#: A movement counts when it is so many times the noise, and this part of the one expected.
+SEEN, LEAST_MOVEMENT = 6.0, 0.02
+#: A gain may differ from the expected one by this factor, and the movement left after a small step be this part of it.
+EXPECTED, RINGING = 3.0, 0.25
+#: A resonance stands out of the response at rest by this factor.
+STANDS_OUT = 2.0
+#: The lowest frequencies of a response, by which delay and gain are read [1 / period].
+LOW_LINES = 20
+#: Part of the samples that may lie within the noise of the sensor's end: more of them are clipped.
+CLIPPED = 0.03
+MICRO = 1e6
+
+
+def _name_unit(value: float, expected: float) -> str:
+    """Return a remark about a factor that looks like a unit's."""
+    factor = abs(value / expected)
+    for power in (1e3, 1e6, 1e9):
+        for ratio in (power, 1.0 / power):
+            if 1.0 / EXPECTED < factor / ratio < EXPECTED:
+                return f"; it is off by about {ratio:g}: has the driver other units than m and V?"
+    return ""
+
+
+def judge_noise(situation: Situation, recording: Recording) -> Outcome:
+    """Judge the sensor at rest: noise, drift, zero.
+
+    Parameters
+    ----------
+    situation : Situation
+    recording : Recording
+
+    Raises
+    ------
+    CommissioningError
+        The reading cannot be that of a stage at rest.
+    """
+    time, measured = recording.time - recording.time[0], recording["measured"]
+    drift, zero = np.polyfit(time, measured, 1)
+    rest = measured - (zero + drift * time)
+    noise, stroke = float(np.std(rest)), situation.plan.stroke
+    if abs(zero) > FAR_AWAY * stroke:
+        raise CommissioningError(
+            f"the sensor reads {readable(zero, 'm')} at rest, and a stroke of {readable(stroke, 'm')} is expected"
+            f"{_name_unit(zero, stroke)}; mend its scaling or zero, or the stroke in /commissioning"
+        )
+    if noise > NOISY * stroke:
+        raise CommissioningError(
+            f"the sensor's noise at rest is {readable(noise, 'm')} RMS, {100.0 * noise / stroke:.2g} % of the stroke: "
+            "look at its cable, shield, range and units, and whether something else moves the stage"
+        )
+    lines = [
+        f"noise {1e9 * noise:.3g} nm RMS, drift {1e9 * drift:+.3g} nm/s, reads {readable(zero, 'm')} "
+        f"at {situation.safe:g} V"
+    ]
+    if noise == 0.0:
+        lines.append("all readings are equal: noise below the resolution, or a sensor that does not see the stage")
+    picture = Picture(
+        "Sensor at rest", "time [s]", "measured − mean [nm]", [line("measured", time, 1e9 * (measured - zero))]
+    )
+    figures = {"noise_rms_m": noise, "drift_m_s": float(drift), "sensor_zero_m": float(zero)}
+    return Outcome(lines, figures, [picture])
+
+
+def judge_gain(situation: Situation, recording: Recording) -> Outcome:
+    """Judge a small step: whether the sensor sees it, in which direction, by how much, and whether it comes to rest.
+
+    Parameters
+    ----------
+    situation : Situation
+    recording : Recording
+
+    Raises
+    ------
+    CommissioningError
+        It does not move, moves the wrong way, by quite another amount, or rings.
+    """
+    plan, noise = situation.plan, situation.figure("noise", "noise_rms_m")
+    time, voltage, measured = recording.time - recording.time[0], recording["voltage"], recording["measured"]
+    step, count = step_size(plan, situation.safe), round(STEP_HOLD * situation.rate)
+    second = count + round(STEP_WAY * situation.rate)
+    part = count // 2
+    before, after = measured[count - part : count], measured[second + count - part : second + count]
+    applied = float(np.mean(voltage[second + count - part : second + count]) - np.mean(voltage[count - part : count]))
+    moved, expected = float(np.mean(after) - np.mean(before)), plan.gain * step
+    if abs(applied) < 0.5 * abs(step):
+        raise CommissioningError(
+            f"a step of {step:g} V was asked for and {applied:.3g} V were put out: limits were reached; look at limits "
+            "and slew_rate"
+        )
+    if abs(moved) < max(SEEN * noise, LEAST_MOVEMENT * abs(expected)):
+        raise CommissioningError(
+            f"the sensor does not move with the actuator: {step:+.3g} V moved it by {readable(moved, 'm')}, "
+            f"{readable(expected, 'm')} were expected{_name_unit(moved, expected)}; look at amplifier, cables, servo "
+            "switch, and whether this sensor sees this actuator"
+        )
+    if moved * expected < 0.0:
+        raise CommissioningError(
+            f"the sign is reversed: {step:+.3g} V moved the sensor by {readable(moved, 'm')}; a loop would run away. "
+            "Turn the sign of sensor or amplifier (calibration of plant_simulator, docs/sensors.md) or swap its wires"
+        )
+    if not 1.0 / EXPECTED < moved / expected < EXPECTED:
+        raise CommissioningError(
+            f"the gain is {1e6 * moved / applied:.4g} µm/V and {1e6 * plan.gain:.4g} µm/V were expected"
+            f"{_name_unit(moved, expected)}; mend the scaling, or stroke and range in /commissioning"
+        )
+    left = float(np.std(after - np.polyval(np.polyfit(np.arange(part), after, 1), np.arange(part))))
+    if left > max(SEEN * noise, RINGING * abs(moved)):
+        raise CommissioningError(
+            f"the stage does not come to rest after a step of {step:+.3g} V: {readable(left, 'm')} RMS are left; look "
+            "for another controller that is switched on, and at its mounting"
+        )
+    gain = moved / applied
+    lines = [f"{applied:+.3g} V moved it by {readable(moved, 'm')}: {1e6 * gain:.4g} µm/V, the sign is right"]
+    traces = [
+        line("measured", time, MICRO * (measured - np.mean(before))),
+        line(
+            f"voltage × {1e6 * gain:.3g} µm/V",
+            time,
+            MICRO * gain * (voltage - voltage[0]),
+        ),
+    ]
+    return Outcome(lines, {"gain_m_per_v": gain}, [Picture("Small step", "time [s]", "displacement [µm]", traces)])
+
+
+def steady_periods(situation: Situation, recording: Recording) -> tuple[slice, int]:
+    """Return the samples of the multisine without its first period, and how many there are in a period.
+
+    Parameters
+    ----------
+    situation : Situation
+    recording : Recording
+
+    Raises
+    ------
+    CommissioningError
+        The recording ends before.
+    """
+    period = round(PERIOD * situation.rate)
+    first = round(REST * situation.rate) + round(WAY * situation.rate) + period
+    last = first + (PERIODS - 1) * period
+    if last > len(recording):
+        raise CommissioningError("the recording of the multisine is cut off; do the stage again: --stage resonance")
+    return slice(first, last), period
+
+
+def judge_resonance(situation: Situation, recording: Recording) -> Outcome:
+    """Judge a small multisine: resonance, damping, delay.
+
+    Parameters
+    ----------
+    situation : Situation
+    recording : Recording
+
+    Raises
+    ------
+    CommissioningError
+        The sensor hardly answers, or the limits cut the voltage.
+    """
+    steady, period = steady_periods(situation, recording)
+    voltage, measured = recording["voltage"][steady], recording["measured"][steady]
+    whole = multisine_response(voltage, measured, 1.0 / situation.rate, period)
+    # above there is nothing but what limits and noise make of the voltage
+    found = whole.band(whole.frequency[0], 2.0 * HIGHEST * situation.rate)
+    size, noise = np.abs(found.single), np.sqrt(np.ravel(np.asarray(found.noise_variance)))
+    if np.median(noise / size) > 0.5:
+        raise CommissioningError(
+            "the answer to the small multisine drowns in noise: raise `small` in /commissioning, or look at the sensor"
+        )
+    gain = float(np.median(size[:LOW_LINES]))
+    peak = int(np.argmax(size))
+    figures = {"gain_m_per_v": gain, "delay_s": _delay(found, peak)}
+    lines = [
+        f"gain of small movements {1e6 * gain:.4g} µm/V, delay {1e3 * figures['delay_s']:.3g} ms with the sample's"
+    ]
+    if size[peak] > STANDS_OUT * gain:
+        frequency, damping = _resonance(found, peak)
+        figures |= {"resonance_hz": frequency, "damping": damping}
+        lines.insert(0, f"resonance at {frequency:.4g} Hz, damping {100.0 * damping:.2g} %")
+    else:
+        lines.insert(0, f"no resonance stands out up to {found.frequency[-1]:.4g} Hz")
+    traces = [line("measured", found.frequency, MICRO * size), line("noise", found.frequency, MICRO * noise)]
+    phase = np.degrees(np.unwrap(np.angle(found.single)))
+    pictures = [
+        Picture("Response to small voltages", "frequency [Hz]", "gain [µm/V]", traces, "xy"),
+        Picture("Its phase", "frequency [Hz]", "phase [degrees]", [line("measured", found.frequency, phase)], "x"),
+    ]
+    return Outcome(lines, figures, pictures)
+
+
+def _resonance(found: FrequencyResponse, peak: int) -> tuple[float, float]:
+    """Return frequency [Hz] and damping of the highest peak."""
+    near = slice(max(peak - 3, 0), peak + 4)
+    omega = 2.0 * np.pi * found.frequency[near]
+    # |1/H|² = ((ω₀² − ω²)² + (2 ζ ω₀ ω)²) / g², a parabola of ω²
+    curve = np.polyfit(omega**2, 1.0 / np.abs(found.single[near]) ** 2, 2)
+    square = -0.5 * curve[1] / curve[0]
+    least = np.polyval(curve, square) / curve[0]
+    if not (square > 0.0 and least > 0.0):
+        return float(found.frequency[peak]), 0.0
+    return float(np.sqrt(square) / (2.0 * np.pi)), float(0.5 * np.sqrt(least) / square)
+
+
+def _delay(found: FrequencyResponse, peak: int) -> float:
+    """Return the delay by which the phase falls far below the highest peak [s]."""
+    low = found.frequency < 0.4 * found.frequency[peak]
+    if np.count_nonzero(low) < LOW_LINES:
+        low = found.frequency <= found.frequency[LOW_LINES]
+    phase = np.unwrap(np.angle(found.single[low]))
+    return float(-np.polyfit(2.0 * np.pi * found.frequency[low], phase, 1)[0])
+
+
+def judge_hysteresis(situation: Situation, recording: Recording) -> Outcome:
+    """Judge the decaying cycles: stroke, and how far the loop is open.
+
+    Parameters
+    ----------
+    situation : Situation
+    recording : Recording
+
+    Raises
+    ------
+    CommissioningError
+        The stroke is quite another one, or the sensor ends within it.
+    """
+    voltage, measured = recording["voltage"], recording["measured"]
+    plan, noise = situation.plan, situation.figure("noise", "noise_rms_m")
+    stroke = float(np.ptp(measured))
+    if not 1.0 / EXPECTED < stroke / plan.stroke < EXPECTED:
+        raise CommissioningError(
+            f"the whole range moved it by {readable(stroke, 'm')}, {readable(plan.stroke, 'm')} were expected: limits "
+            "of the amplifier or of the sensor were reached; mend them, or stroke and range in /commissioning"
+        )
+    for end, words in ((measured.max(), "highest"), (measured.min(), "lowest")):
+        at_end = np.abs(measured - end) <= max(noise, 1e-6 * stroke)
+        inside = (voltage > plan.minimum + 0.02 * plan.span) & (voltage < plan.maximum - 0.02 * plan.span)
+        if np.mean(at_end & inside) > CLIPPED:
+            raise CommissioningError(
+                f"the sensor stays at its {words} reading of {readable(float(end), 'm')} while the voltage goes on: "
+                "its range ends there; shift the sensor, or narrow minimum and maximum in /commissioning"
+            )
+    opening = loop_opening(voltage, measured) or 0.0
+    lines = [
+        f"stroke {readable(stroke, 'm')} over {voltage.min():.4g} … {voltage.max():.4g} V, loop open by "
+        f"{100.0 * opening / stroke:.2g} % of it"
+    ]
+    loop = Picture("Loops", "voltage [V]", "displacement [µm]", [line("measured", voltage, MICRO * measured)])
+    figures = {"stroke_m": stroke, "lowest_m": float(measured.min()), "highest_m": float(measured.max())}
+    return Outcome(lines, figures | {"loop_opening_m": opening}, [loop])
+
+
+def judge_creep(situation: Situation, recording: Recording) -> Outcome:
+    """Judge a step that is held: how much of it comes late.
+
+    Parameters
+    ----------
+    situation : Situation
+    recording : Recording
+    """
+    rate, plan = situation.rate, situation.plan
+    begin = round(REST * rate) + round(CREEP_WAY * rate)
+    end = begin + round(plan.creep_duration * rate)
+    measured = recording["measured"]
+    time = recording.time[begin:end] - recording.time[begin] + CREEP_WAY
+    held = measured[begin:end]
+    late = time > 2.0 * CREEP_WAY
+    slope, _ = np.polyfit(np.log10(time[late]), held[late], 1)
+    step = float(np.mean(held[: max(round(CREEP_WAY * rate), 1)]) - np.mean(measured[: begin // 2]))
+    share = float(slope) / step
+    lines = [
+        f"creep {100.0 * share:.2g} % of the step a decade of time, {readable(float(held[-1] - held[0]), 'm')} in all"
+    ]
+    picture = Picture(
+        f"After a step to {creeping_level(plan, situation.safe):.4g} V",
+        "time since the step [s]",
+        "displacement [µm]",
+        [line("measured", time, MICRO * held)],
+        "x",
+    )
+    return Outcome(lines, {"creep_per_decade": share}, [picture])

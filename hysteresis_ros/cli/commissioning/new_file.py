@@ -1,0 +1,274 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""The parameter file of an axis of which nothing is known yet: open loop, no inverse, small limits, slow."""
+
+from __future__ import annotations
+
+import pathlib
+import string
+from dataclasses import dataclass
+
+import yaml
+
+from hysteresis_ros.configuration import load_configuration
+from hysteresis_ros.errors import ConfigurationError, HysteresisError
+from hysteresis_ros.identification.safe_motion import DIGITS, safe_slew
+from hysteresis_ros.loop.parameters import require_message_rate
+from hysteresis_ros.loop.reach import single_axis
+from hysteresis_ros.units import quantity_in, readable
+
+#: What actuators do: strokes [m], gains [m/V] and sample rates [Hz] beyond these are mistakes of a unit.
+STROKES, GAINS, RATES = (1e-9, 0.1), (1e-12, 1e-3), (0.1, 1e6)
+#: Part of the range of voltage that may be used before anything is known, and of the slew rate that a setpoint takes.
+FIRST_PART = 0.1
+
+_TEMPLATE = string.Template("""\
+# An axis of which nothing is known yet, written by `hysteresis new`: open loop, no inverse, $percent % of the range,
+# slowly. `hysteresis commission` measures the rest and writes a file with model and controller. SI units.
+/**:
+  ros__parameters:
+    sample_rate: $rate                # Hz
+    time_mode: realtime
+    joint: $joint                     # name in joint_states
+$external
+/**/plant_simulator:                  # the device, or what stands for it offline
+  ros__parameters:
+$driver
+    limits: {minimum: $low, maximum: $high, slew_rate: $slew}   # V, V, V/s: $reason
+    safe_voltage: $safe               # V: where it goes when commands stop, and at the end
+    safe_slew_rate: $slew             # V/s
+    hysteresis: {type: proportional, proportional: {gain: $gain}}   # m/V: ASSUMED, stroke over range
+
+/**/reference_generator:
+  ros__parameters:
+    minimum: $nearest                 # m, what the limits allow
+    maximum: $farthest
+    initial_setpoint: $start
+    # m/s, m/s², m/s³; nothing is known of resonances: $percent % of the slew rate, reached within $ramp s
+    approach: {maximum_velocity: $velocity, maximum_acceleration: $acceleration, maximum_jerk: $jerk}
+
+/**/motion_controller:
+  ros__parameters:
+    type: open_loop
+
+/**/hysteresis_compensator:
+  ros__parameters:
+    inverse: {type: none}
+    limits: {minimum: $low, maximum: $high, slew_rate: $slew}   # V: what may be put out by hand
+    safe_voltage: $safe
+    safe_slew_rate: $slew
+    hysteresis: {type: proportional, proportional: {gain: $gain}}
+
+# No node: what `hysteresis commission` may move.
+/commissioning:
+  ros__parameters:
+    minimum: $minimum                 # V
+    maximum: $maximum
+    stroke: $stroke                   # m that are expected over this range
+""")
+
+
+@dataclass(frozen=True)
+class NewAxis:
+    """What a person says of a new axis.
+
+    Parameters
+    ----------
+    stroke : float
+        Displacement over the range of voltage [m].
+    minimum, maximum : float
+        Range of voltage [V].
+    sample_rate : float
+        [Hz]
+    driver : str
+        Name or path of a driver; empty: the simulated plant.
+    driver_options : tuple of str
+        ``NAME=VALUE`` each.
+    external : bool
+        A node of the user's own stands in the plant's place.
+    joint : str
+        Name in ``joint_states``.
+    """
+
+    stroke: float
+    minimum: float
+    maximum: float
+    sample_rate: float
+    driver: str = ""
+    driver_options: tuple[str, ...] = ()
+    external: bool = False
+    joint: str = "stage"
+
+
+def parsed(option: str, text: str, unit: str) -> float:
+    """Return a quantity in SI.
+
+    Parameters
+    ----------
+    option : str
+        For the message.
+    text : str
+        ``70um``, ``2kHz``; a number without a unit is in SI, and a length needs one.
+    unit : str
+        SI unit.
+
+    Raises
+    ------
+    ConfigurationError
+        It is no number, or has another unit.
+    """
+    try:
+        return quantity_in(text, unit)
+    except ValueError as error:
+        raise ConfigurationError(f"{option} {text!r}: {error}") from None
+
+
+def parsed_range(option: str, text: str, unit: str) -> tuple[float, float]:
+    """Return both ends of a range in SI, ``0:100V``, ``-30..120 V`` or ``100V`` (from 0).
+
+    Parameters
+    ----------
+    option, text, unit : str
+        See :func:`parsed`.
+
+    Raises
+    ------
+    ConfigurationError
+        It is no range.
+    """
+    for mark in ("...", "…", "..", ":"):
+        if mark in text:
+            low, _, high = text.partition(mark)
+            break
+    else:
+        low, high = "0", text
+    ends = parsed(option, low.strip(), unit), parsed(option, high.strip(), unit)
+    if not ends[0] < ends[1]:
+        raise ConfigurationError(f"{option} {text!r}: must rise, such as 0:100{unit}")
+    return ends
+
+
+def new_text(axis: NewAxis) -> str:
+    """Return the text of the parameter file of a new axis.
+
+    Parameters
+    ----------
+    axis : NewAxis
+
+    Raises
+    ------
+    ConfigurationError
+        Options exclude each other, or a number is out of range.
+    """
+    if axis.external and axis.driver:
+        raise ConfigurationError("--driver and --plant external exclude each other; give one of them")
+    if axis.driver_options and not axis.driver:
+        raise ConfigurationError("--driver-option belongs to --driver; give both")
+    _require_plausible(axis)
+    safe = min(max(0.0, axis.minimum), axis.maximum)
+    small = FIRST_PART * (axis.maximum - axis.minimum)
+    low, high = max(axis.minimum, safe - small), min(axis.maximum, safe + small)
+    gain, first = axis.stroke / (axis.maximum - axis.minimum), safe_slew(axis.maximum - axis.minimum)
+    slew = first.rate
+    velocity, acceleration = FIRST_PART * gain * slew, gain * slew
+    # both averages of the approach last 2 V/A
+    jerk = acceleration**2 / velocity
+    numbers = {
+        "rate": axis.sample_rate,
+        **{"low": low, "high": high, "safe": safe, "slew": slew, "gain": gain},
+        **{"nearest": gain * low, "farthest": gain * high, "start": gain * safe},
+        **{"velocity": velocity, "acceleration": acceleration, "jerk": jerk},
+        **{"minimum": axis.minimum, "maximum": axis.maximum, "stroke": axis.stroke},
+    }
+    text = _TEMPLATE.substitute(
+        {name: _number(value) for name, value in numbers.items()},
+        percent=f"{100.0 * FIRST_PART:g}",
+        reason=first.reason,
+        ramp=f"{4.0 * velocity / acceleration:.{DIGITS}g}",
+        joint=_scalar(axis.joint),
+        external="    external_plant: true              # a node of your own publishes joint_states\n"
+        if axis.external
+        else "",
+        driver=_driver_lines(axis),
+    )
+    return text
+
+
+def _require_plausible(axis: NewAxis) -> None:
+    """Refuse what no actuator has; what is not above 0 is refused too."""
+    span = axis.maximum - axis.minimum
+    gain = axis.stroke / span
+    over = f"{readable(axis.stroke, 'm')} over {span:g} V"
+    for option, value, unit, (low, high), words in (
+        ("--stroke", axis.stroke, "m", STROKES, ""),
+        ("--stroke and --voltage", gain, "m/V", GAINS, f"{over} are "),
+        ("--rate", axis.sample_rate, "Hz", RATES, ""),
+    ):
+        if not low <= value <= high:
+            raise ConfigurationError(
+                f"{option}: {words}{value:.4g} {unit}: actuators have {low:g} to {high:g} {unit}; look at the units, "
+                "as in --stroke 100um --voltage 0:100V --rate 2kHz"
+            )
+    if axis.external:
+        require_message_rate(axis.sample_rate, "--plant external")
+
+
+def _driver_lines(axis: NewAxis) -> str:
+    lines = f"    driver: {_scalar(axis.driver)}          # '': simulated"
+    if axis.driver_options:
+        options = ", ".join(_scalar(option) for option in axis.driver_options)
+        lines += f"\n    driver_options: [{options}]"
+    return lines
+
+
+def _number(value: float) -> str:
+    """Return a number that YAML and ROS both read as a double."""
+    text = f"{value:.6g}"
+    if "e" in text and "." not in text:
+        return text.replace("e", ".0e")
+    return text if "." in text or "e" in text else f"{text}.0"
+
+
+def _scalar(text: str) -> str:
+    """Return a text as YAML writes it within a line."""
+    return yaml.safe_dump(text, default_flow_style=True, width=10**6).splitlines()[0]
+
+
+def write_new(path, axis: NewAxis) -> None:
+    """Write the parameter file of a new axis, from which an axis can be built; an existing file is not touched.
+
+    Parameters
+    ----------
+    path : path-like
+        ``.yaml``
+    axis : NewAxis
+
+    Raises
+    ------
+    ConfigurationError, ParameterError
+        The file exists or cannot be written, a number is out of range, or the driver is not known.
+    """
+    path = pathlib.Path(path)
+    if path.suffix not in (".yaml", ".yml"):
+        raise ConfigurationError(f"{path}: give a name that ends in .yaml")
+    if path.exists():
+        raise ConfigurationError(f"{path}: exists already; choose another name or remove it")
+    text = new_text(axis)
+    try:
+        with path.open("x", encoding="utf-8") as file:
+            file.write(text)
+    except OSError as error:
+        raise ConfigurationError(f"{path}: cannot be written: {error.strerror}; choose another place") from None
+    try:
+        # a driver's relative path leads from the file
+        single_axis(load_configuration(path))
+    except HysteresisError:
+        path.unlink()
+        raise

@@ -1,0 +1,443 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""What every stage of a commissioning knows: the axis, the plan of what may be moved, the outcomes of earlier stages.
+
+The plan is the section ``/commissioning`` of a parameter file, which no node reads. An outcome (figures, sentences
+and pictures for a page) is kept as JSON in the folder of the commissioning, beside the recordings.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import pathlib
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass, field
+
+import numpy as np
+
+from hysteresis_ros.analysis.commissioning_report import Line, Picture
+from hysteresis_ros.configuration import Configuration, Parameters, parameter
+from hysteresis_ros.errors import ConfigurationError, HysteresisError, Problem
+from hysteresis_ros.files import read_json, read_text, write_text
+from hysteresis_ros.loop.parameters import AxisParameters
+from hysteresis_ros.loop.reach import single_axis
+from hysteresis_ros.models.hysteresis import hysteresis_block
+from hysteresis_ros.recordings.dataset import Recording
+from hysteresis_ros.recordings.files import load_run, save_run
+from hysteresis_ros.references.recipes import driven, write_samples
+
+
+class CommissioningError(HysteresisError):
+    """Something looks wrong: nothing goes on before a person has looked."""
+
+    exit_code = 2
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a stage found.
+
+    Parameters
+    ----------
+    lines : list of str
+        What a person is told.
+    figures : dict
+        By names with units.
+    pictures : list of Picture
+    seconds : float
+        How long the axis was driven.
+    """
+
+    lines: list[str]
+    figures: dict = field(default_factory=dict)
+    pictures: list[Picture] = field(default_factory=list)
+    seconds: float = 0.0
+
+    @classmethod
+    def from_mapping(cls, mapping: dict) -> Outcome:
+        """Return the outcome that :func:`dataclasses.asdict` gave.
+
+        Parameters
+        ----------
+        mapping : dict
+
+        Raises
+        ------
+        TypeError, KeyError
+            It is another mapping.
+        """
+        lines, figures, seconds = (mapping[name] for name in ("lines", "figures", "seconds"))
+        if not (isinstance(lines, list) and isinstance(figures, dict) and isinstance(seconds, (int, float))):
+            raise TypeError("an outcome with values of other types")
+        pictures = [
+            Picture(**{**picture, "lines": [Line(**line) for line in picture["lines"]]})
+            for picture in mapping["pictures"]
+        ]
+        return cls(**{**mapping, "pictures": pictures})
+
+
+def verdict(ratio: float, most: float) -> str:
+    """Return in words whether something is as it was predicted.
+
+    Parameters
+    ----------
+    ratio : float
+        Found over predicted.
+    most : float
+        Up to which it is.
+    """
+    return "as predicted" if ratio <= most else f"MORE than {most:g} x the prediction"
+
+
+#: The entry of the file.
+SECTION = "/commissioning"
+
+
+@dataclass(frozen=True)
+class Plan(Parameters):
+    """What a commissioning may move and how."""
+
+    minimum: float = parameter(description="lowest voltage that it may put out", unit="V", low=-1e4, high=1e4)
+    maximum: float = parameter(description="highest voltage that it may put out", unit="V", low=-1e4, high=1e4)
+    stroke: float = parameter(
+        description="displacement that is expected over that range; another one by a factor of 3 stops it",
+        unit="m",
+        low=1e-12,
+        high=1.0,
+    )
+    slew_rate: float = parameter(
+        0.0, description="largest change of the voltage that the amplifier can follow; 0: any", unit="V/s", low=0.0
+    )
+    current: float = parameter(
+        0.0, description="largest current of the amplifier; 0: not known; needs capacitance", unit="A", low=0.0
+    )
+    capacitance: float = parameter(
+        0.0, description="capacitance of the actuator; 0: not known; needs current", unit="F", low=0.0
+    )
+    noise_duration: float = parameter(
+        4.0, description="how long the sensor is listened to", unit="s", low=0.5, high=600
+    )
+    step: float = parameter(0.05, description="small step, as a part of the range", low=1e-4, high=0.5)
+    small: float = parameter(0.02, description="peak of the multisine, as a part of the range", low=1e-5, high=0.2)
+    cycle_frequency: float = parameter(1.0, description="of the decaying cycles", unit="Hz", low=1e-3, high=100.0)
+    creep_duration: float = parameter(15.0, description="how long a step is held", unit="s", low=1.0, high=3600.0)
+    scan_frequency: float = parameter(5.0, description="of the triangle that is judged", unit="Hz", low=1e-3, high=1e4)
+    scan_stroke: float = parameter(
+        0.0, description="its displacement from peak to peak; 0: seven tenths of what was reached", unit="m", low=0.0
+    )
+
+    def check(self):
+        """Yield a Problem when the range is empty."""
+        if not self.minimum < self.maximum:
+            yield Problem("minimum", self.minimum, f"must be below maximum ({self.maximum:g} V)")
+        if (self.current > 0.0) != (self.capacitance > 0.0):
+            missing = "capacitance" if self.current > 0.0 else "current"
+            yield Problem(missing, 0.0, "current and capacitance give the slew rate together: give both, or neither")
+
+    @property
+    def span(self) -> float:
+        """Width of the range [V]."""
+        return self.maximum - self.minimum
+
+    @property
+    def amplifier(self) -> float:
+        """What the amplifier can follow [V/s]: its slew rate, or its current into the capacitance; 0: not known."""
+        charging = self.current / self.capacitance if self.capacitance > 0.0 else 0.0
+        return min((rate for rate in (self.slew_rate, charging) if rate > 0.0), default=0.0)
+
+    @property
+    def gain(self) -> float:
+        """Gain that is expected [m/V]."""
+        return self.stroke / self.span
+
+
+def plan_of(configuration: Configuration, axis: AxisParameters) -> Plan:
+    """Return the plan of a parameter file; where it has none, of the limits and the model of the compensator.
+
+    Parameters
+    ----------
+    configuration : Configuration
+    axis : AxisParameters
+
+    Raises
+    ------
+    ParameterError
+        The section has an unknown or wrong entry.
+    ConfigurationError
+        The safe voltage is out of the range, or the axis is an inchworm motor.
+    """
+    if axis.inchworm_sequencer is not None:
+        raise ConfigurationError(
+            f"{configuration.source}: an inchworm motor walks; commission its extender alone, in a file without "
+            "inchworm_sequencer"
+        )
+    compensator = axis.hysteresis_compensator
+    low, high = compensator.limits.minimum, compensator.limits.maximum
+    gain = hysteresis_block(compensator.hysteresis, 1.0 / axis.plant_simulator.sample_rate).gain
+    given = next((values for name, values in configuration.entries if name == SECTION), {})
+    values = {"minimum": low, "maximum": high, "stroke": 1.0, **given}
+    plan = Plan.from_mapping(values, prefix=f"{SECTION}: ")
+    if "stroke" not in given:
+        plan = Plan.from_mapping({**values, "stroke": abs(gain) * plan.span}, prefix=f"{SECTION}: ")
+    safe = compensator.safe_voltage
+    if not plan.minimum <= safe <= plan.maximum:
+        raise ConfigurationError(
+            f"{configuration.source}: safe_voltage {safe:g} V of hysteresis_compensator is not within the "
+            f"{plan.minimum:g} … {plan.maximum:g} V of {SECTION}; change one of them"
+        )
+    return plan
+
+
+#: Files in the folder: what it belongs to, the identified axis, the one with a controller, and that which also learns.
+STATE, IDENTIFIED, COMMISSIONED, LEARNING = "state.json", "identified.yaml", "commissioned.yaml", "learning.yaml"
+
+
+class Folder:
+    """What is kept between the stages of a commissioning.
+
+    Parameters
+    ----------
+    path : path-like
+    text : str
+        Text of the parameter file that is commissioned.
+    bench : str
+        Name of the bench.
+    resumed : bool
+        Go on with what is there; otherwise nothing may be there.
+
+    Raises
+    ------
+    ConfigurationError
+        Something is there already or cannot be made, or what is there belongs to another file or bench.
+    """
+
+    def __init__(self, path, text: str, bench: str, resumed: bool):
+        self.path = pathlib.Path(path)
+        self._own = {"file": hashlib.sha256(text.encode()).hexdigest(), "bench": bench}
+        state = self.path / STATE
+        if self.path.exists() and not resumed:
+            raise ConfigurationError(
+                f"{self.path}: exists already; go on with --resume, choose another --directory or remove it"
+            )
+        if resumed and not state.is_file():
+            raise ConfigurationError(f"{self.path}: no commissioning to resume there; begin without --resume")
+        if not resumed:
+            try:
+                self.path.mkdir(parents=True)
+                self._write(STATE, self._own)
+            except OSError as error:
+                raise ConfigurationError(f"{self.path}: cannot be made: {error.strerror}; choose another") from None
+        self._require_same(state)
+
+    def _require_same(self, state: pathlib.Path) -> None:
+        kept = self._read(state)
+        words = {
+            "file": "the parameter file has changed since it began; begin anew in another --directory",
+            "bench": f"it began with {kept.get('bench')!r}, not {self._own['bench']!r}; give the same options",
+        }
+        for name, text in words.items():
+            if kept.get(name) != self._own[name]:
+                raise ConfigurationError(f"{self.path}: {text}")
+
+    def _read(self, path: pathlib.Path) -> dict:
+        try:
+            found = read_json(read_text(path))
+            if not isinstance(found, dict):
+                raise ValueError("no mapping")
+            return found
+        except (OSError, ValueError) as error:
+            raise ConfigurationError(f"{path}: cannot be read: {error}; begin anew in another --directory") from None
+
+    def _write(self, name: str, content: dict) -> None:
+        write_text(self.path / name, json.dumps(content, indent=1), ConfigurationError)
+
+    def outcome(self, stage: str) -> Outcome | None:
+        """Return what a stage found; None when it is not done.
+
+        Parameters
+        ----------
+        stage : str
+
+        Raises
+        ------
+        ConfigurationError
+            What is kept cannot be read.
+        """
+        path = self.path / f"{stage}.json"
+        try:
+            return Outcome.from_mapping(self._read(path)) if path.exists() else None
+        except (TypeError, KeyError):
+            raise ConfigurationError(f"{path}: is no outcome; do the stage again: --stage {stage}") from None
+
+    def keep(self, stage: str, outcome: Outcome) -> None:
+        """Keep what a stage found: it is done.
+
+        Parameters
+        ----------
+        stage : str
+        outcome : Outcome
+        """
+        self._write(f"{stage}.json", asdict(outcome))
+
+    def forget(self, stages: Iterable[str]) -> None:
+        """Let stages count as not done.
+
+        Parameters
+        ----------
+        stages : iterable of str
+        """
+        for stage in stages:
+            (self.path / f"{stage}.json").unlink(missing_ok=True)
+
+    def record(self, stage: str, recording: Recording) -> None:
+        """Keep the recording of a stage.
+
+        Parameters
+        ----------
+        stage : str
+        recording : Recording
+        """
+        save_run(recording, self.path / f"{stage}.npz")
+
+    def recording(self, stage: str) -> Recording:
+        """Return the recording of a stage that is done.
+
+        Parameters
+        ----------
+        stage : str
+
+        Raises
+        ------
+        CommissioningError
+            It is gone.
+        """
+        path = self.path / f"{stage}.npz"
+        if not path.exists():
+            raise CommissioningError(f"{path}: is gone; do the stage again: --stage {stage}")
+        return load_run(path)
+
+
+#: Part of the stroke by which the sensor may read beyond what the voltages of a stage should give.
+OVERTRAVEL = 0.5
+#: Part of the range that a stage without movement may use: limits are never empty.
+NOTHING = 1e-4
+
+
+@dataclass
+class Situation:
+    """What every stage knows.
+
+    Parameters
+    ----------
+    configuration : Configuration
+        The parameter file, with what the command line says of the plant.
+    axis : AxisParameters
+    plan : Plan
+    folder : Folder
+    model, controller : str
+        What to identify and to design, or ``auto``.
+    against : tuple of str, optional
+        Other models that a controller has to bear as well; by default what is nearly as good.
+    progress : callable
+        Called as ``progress(number, text)`` by what takes long.
+    found : dict of str to Outcome
+        What earlier stages found.
+    """
+
+    configuration: Configuration
+    axis: AxisParameters
+    plan: Plan
+    folder: Folder
+    model: str = "auto"
+    controller: str = "auto"
+    against: tuple[str, ...] | None = None
+    progress: Callable[[int, str], None] = lambda number, text: None
+    found: dict[str, Outcome] = field(default_factory=dict)
+
+    @property
+    def rate(self) -> float:
+        """Samples per second [Hz]."""
+        return self.axis.plant_simulator.sample_rate
+
+    @property
+    def safe(self) -> float:
+        """The safe voltage [V], at which every stage begins and ends."""
+        return self.axis.hysteresis_compensator.safe_voltage
+
+    def figure(self, stage: str, name: str) -> float:
+        """Return a figure of an earlier stage.
+
+        Parameters
+        ----------
+        stage, name : str
+
+        Raises
+        ------
+        CommissioningError
+            The stage is not done.
+        """
+        if stage not in self.found:
+            raise CommissioningError(f"the stage {stage} is not done yet: do it first (--stage {stage})")
+        return self.found[stage].figures[name]
+
+    def driven_axis(self, stage: str, voltages: np.ndarray) -> AxisParameters:
+        """Return the axis that puts out voltages in open loop, within limits that hold nothing else.
+
+        Parameters
+        ----------
+        stage : str
+        voltages : ndarray, shape (N,)
+            [V]
+        """
+        room = NOTHING * self.plan.span
+        low = max(float(voltages.min()) - room, self.plan.minimum)
+        high = min(float(voltages.max()) + room, self.plan.maximum)
+        configuration = self.within(self.configuration, low, high)
+        if "noise" not in self.found:
+            # nothing moves yet: a device whose own range is narrower is refused now
+            whole = {"limits.minimum": self.plan.minimum, "limits.maximum": self.plan.maximum}
+            configuration = configuration.override("plant_simulator", **whole)
+        if self.has_device:
+            configuration = configuration.override("plant_simulator", **self._watched())
+        limits = single_axis(configuration, self.axis.namespace).hysteresis_compensator.limits
+        block = hysteresis_block(self.axis.hysteresis_compensator.hysteresis, 1.0 / self.rate)
+        path = write_samples(self.folder.path / "waveforms" / f"{stage}.npz", voltages * block.gain, self.rate)
+        waveform = {"type": "file", "cycles": 1, "file.path": path, "file.column": "reference", "offset": 0.0}
+        found = single_axis(driven(configuration, limits, block.gain, waveform), self.axis.namespace)
+        return found.with_duration(voltages.size / self.rate)
+
+    def _watched(self) -> dict:
+        """Return parameters by which the watch over a device's movement is right, whatever model stands in the file."""
+        # the gain that is expected: what the axis may measure follows from it
+        values = {"hysteresis.type": "proportional", "hysteresis.proportional.gain": self.plan.gain, "overtravel": -1.0}
+        values |= {name: () for name in ("dynamics.A", "dynamics.B", "dynamics.C")}
+        if "noise" in self.found:  # before, nobody knows where the sensor's zero is
+            values |= {"preload.A1": self.figure("noise", "sensor_zero_m"), "overtravel": OVERTRAVEL * self.plan.stroke}
+        return values
+
+    @property
+    def has_device(self) -> bool:
+        """Whether something else than the simulated plant of the file moves."""
+        plant = self.axis.plant_simulator
+        return bool(plant.driver) or plant.external_plant
+
+    def within(self, configuration: Configuration, low: float, high: float) -> Configuration:
+        """Return a configuration whose plant and compensator put out nothing else than ``low`` … ``high`` [V].
+
+        Parameters
+        ----------
+        configuration : Configuration
+        low, high : float
+        """
+        limits = {"limits.minimum": low, "limits.maximum": high, "limits.slew_rate": self.plan.amplifier}
+        for node in ("plant_simulator", "hysteresis_compensator"):
+            configuration = configuration.override(node, **limits)
+        return configuration

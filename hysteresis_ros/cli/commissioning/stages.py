@@ -1,0 +1,278 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""The stages of a commissioning in their order, and their sequence: what is done is passed over, the rest is run."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from hysteresis_ros.cli.commissioning import closed_loop, measuring
+from hysteresis_ros.cli.commissioning import measuring as volts
+from hysteresis_ros.cli.commissioning.bench import Bench, held_back, require_sound
+from hysteresis_ros.cli.commissioning.fitting import design_stage, identify_stage
+from hysteresis_ros.cli.commissioning.situation import CommissioningError, Outcome, Plan, Situation
+from hysteresis_ros.errors import HysteresisError, did_you_mean
+from hysteresis_ros.loop.parameters import AxisParameters
+from hysteresis_ros.recordings.dataset import Recording
+from hysteresis_ros.units import readable
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A stage that moves the axis.
+
+    Parameters
+    ----------
+    title : str
+        A few words.
+    words : callable
+        ``words(situation)``: what is about to move, and how far.
+    axis : callable
+        ``axis(situation)``: the axis to run, or what is found without moving it.
+    judge : callable
+        ``judge(situation, recording)``: what was found; raises an error when something looks wrong.
+    """
+
+    title: str
+    words: Callable[[Situation], str]
+    axis: Callable[[Situation], AxisParameters | Outcome]
+    judge: Callable[[Situation, Recording], Outcome]
+
+
+@dataclass(frozen=True)
+class Computation:
+    """A stage in which nothing moves.
+
+    Parameters
+    ----------
+    title : str
+        A few words.
+    compute : callable
+        ``compute(situation)``: what was found.
+    """
+
+    title: str
+    compute: Callable[[Situation], Outcome]
+
+
+def _driven(stage: str, voltages: Callable[[Plan, float, float], np.ndarray]):
+    """Return what makes the axis of a stage in open loop."""
+
+    def axis(situation: Situation) -> AxisParameters:
+        return situation.driven_axis(stage, voltages(situation.plan, situation.safe, situation.rate))
+
+    return axis
+
+
+def _noise_words(situation: Situation) -> str:
+    return f"nothing moves: the sensor is read at {situation.safe:g} V"
+
+
+def _gain_words(situation: Situation) -> str:
+    step = volts.step_size(situation.plan, situation.safe)
+    way = readable(abs(step) * situation.plan.gain, "m")
+    return f"a step of {step:+.4g} V from {situation.safe:g} V and back, about {way}"
+
+
+def _resonance_words(situation: Situation) -> str:
+    plan = situation.plan
+    middle, peak = 0.5 * (plan.minimum + plan.maximum), plan.small * plan.span
+    way, small = readable(abs(middle - situation.safe) * plan.gain, "m"), readable(2.0 * peak * plan.gain, "m")
+    return (
+        f"slowly to {middle:.4g} V (about {way}), a multisine of ±{peak:.3g} V there (about {small} from peak to peak, "
+        "more in resonance), and back"
+    )
+
+
+def _hysteresis_words(situation: Situation) -> str:
+    plan = situation.plan
+    way = readable(plan.stroke, "m")
+    return (
+        f"the whole range {plan.minimum:g} … {plan.maximum:g} V, about {way}, in {volts.WHOLE + volts.DECAYING} cycles"
+    )
+
+
+def _creep_words(situation: Situation) -> str:
+    level = volts.creeping_level(situation.plan, situation.safe)
+    way = readable(abs(level - situation.safe) * situation.plan.gain, "m")
+    return f"a step to {level:.4g} V, about {way}, held for {situation.plan.creep_duration:g} s, and back"
+
+
+def _loop_words(situation: Situation) -> str:
+    stroke = situation.figure("hysteresis", "stroke_m")
+    largest = readable(max(closed_loop.STEPS) * stroke, "m")
+    controller = situation.found["design"].figures["controller"]
+    return f"the loop is closed ({controller}): small steps up to {largest} and back"
+
+
+def _response_words(situation: Situation) -> str:
+    peak = readable(closed_loop.response_peak(situation), "m")
+    return f"closed loop: a multisine of ±{peak} at the reference around the middle of what is reached"
+
+
+def _scan_words(situation: Situation) -> str:
+    way = readable(closed_loop.scan_stroke(situation), "m")
+    periods = closed_loop.UNJUDGED_PERIODS + closed_loop.JUDGED_PERIODS
+    return f"closed loop: {periods} triangles of {way} from peak to peak at {situation.plan.scan_frequency:g} Hz"
+
+
+def _learn_words(situation: Situation) -> str:
+    way = readable(closed_loop.scan_stroke(situation), "m")
+    count, frequency = (
+        closed_loop.learning_periods(situation) + closed_loop.JUDGED_PERIODS,
+        situation.plan.scan_frequency,
+    )
+    return f"closed loop, learning: {count} triangles of {way} from peak to peak at {frequency:g} Hz"
+
+
+#: The stages by name, in their order; each needs those before it.
+STAGES: dict[str, Stage | Computation] = {
+    "noise": Stage("sensor at rest", _noise_words, _driven("noise", volts.listening), measuring.judge_noise),
+    "gain": Stage("gain and sign", _gain_words, _driven("gain", volts.small_step), measuring.judge_gain),
+    "resonance": Stage(
+        "resonance", _resonance_words, _driven("resonance", volts.small_multisine), measuring.judge_resonance
+    ),
+    "hysteresis": Stage(
+        "hysteresis", _hysteresis_words, _driven("hysteresis", volts.decaying_cycles), measuring.judge_hysteresis
+    ),
+    "creep": Stage("creep", _creep_words, _driven("creep", volts.creeping_step), measuring.judge_creep),
+    "identify": Computation("model", identify_stage),
+    "design": Computation("controller", design_stage),
+    "loop": Stage("closed loop", _loop_words, closed_loop.loop_axis, closed_loop.judge_loop),
+    "response": Stage("margins", _response_words, closed_loop.response_axis, closed_loop.judge_response),
+    "scan": Stage("judged scan", _scan_words, closed_loop.scan_axis, closed_loop.judge_scan),
+    "learn": Stage("learning over periods", _learn_words, closed_loop.learn_axis, closed_loop.judge_learned),
+}
+
+
+class Attendant(Protocol):
+    """Who is asked before anything moves, and told what was found."""
+
+    def may_move(self, stage: str, words: str) -> bool:
+        """Tell what is about to move and return whether it may.
+
+        Parameters
+        ----------
+        stage, words : str
+        """
+
+    def told(self, stage: str, outcome: Outcome, done_before: bool) -> None:
+        """Hear what a stage found.
+
+        Parameters
+        ----------
+        stage : str
+        outcome : Outcome
+        done_before : bool
+            It was done in an earlier sitting.
+        """
+
+
+class NotAllowedError(CommissioningError):
+    """Nobody allowed the next movement."""
+
+
+def require_stages(stages: Iterable[str]) -> None:
+    """Refuse names that no stage has.
+
+    Parameters
+    ----------
+    stages : iterable of str
+
+    Raises
+    ------
+    CommissioningError
+        There is no such stage; the message says which there are.
+    """
+    for stage in stages:
+        if stage not in STAGES:
+            there = f"there are {', '.join(STAGES)}{did_you_mean(stage, STAGES)}"
+            raise CommissioningError(f"no stage {stage}; {there}")
+
+
+def commission(situation: Situation, bench: Bench, attendant: Attendant, stages: Iterable[str] = ()) -> bool:
+    """Do the stages in their order, without those that are done.
+
+    Parameters
+    ----------
+    situation : Situation
+        What is found is put into it and kept in its folder.
+    bench : Bench
+    attendant : Attendant
+    stages : iterable of str
+        Names of those to be done, anew, and no others; all by default.
+
+    Returns
+    -------
+    bool
+        Whether all stages are done now.
+
+    Raises
+    ------
+    NotAllowedError
+        The attendant said no.
+    HysteresisError
+        Something looks wrong; outputs are safe, and what was done before is kept.
+    """
+    asked = set(stages)
+    names = list(STAGES)
+    for place, name in enumerate(names):
+        before = situation.folder.outcome(name)
+        if before is not None and name not in asked:
+            situation.found[name] = before
+            attendant.told(name, before, True)
+            continue
+        if asked and name not in asked:
+            continue
+        missing = [other for other in names[:place] if other not in situation.found]
+        if missing:
+            raise CommissioningError(f"{name} needs what {', '.join(missing)} find; do them first, or all in a row")
+        # what was found later rested on what is done anew
+        situation.folder.forget(names[place:])
+        outcome = _done(situation, bench, attendant, name)
+        situation.folder.keep(name, outcome)
+        situation.found[name] = outcome
+        attendant.told(name, outcome, False)
+    return all(situation.folder.outcome(name) is not None for name in names)
+
+
+def _done(situation: Situation, bench: Bench, attendant: Attendant, name: str) -> Outcome:
+    stage = STAGES[name]
+    situation.progress(0, name)
+    if isinstance(stage, Computation):
+        return stage.compute(situation)
+    axis = stage.axis(situation)
+    if isinstance(axis, Outcome):
+        return axis
+    samples = axis.plant_simulator.samples
+    seconds = samples / situation.rate
+    if not attendant.may_move(name, f"{stage.words(situation)}; {seconds:.3g} s"):
+        raise NotAllowedError(f"stopped before {name}: nothing was moved; go on with --resume")
+    try:
+        recording = require_sound(bench.run(axis), samples)
+    except HysteresisError as error:
+        raise _named(error, f"{name}: {error}") from error
+    situation.folder.record(name, recording)
+    try:
+        outcome = stage.judge(situation, recording)
+    except CommissioningError as error:
+        raise CommissioningError(f"{name}: {error}") from error
+    return replace(outcome, lines=[*outcome.lines, *held_back(recording)], seconds=seconds)
+
+
+def _named(error: HysteresisError, text: str) -> CommissioningError:
+    """Return an error that says in which stage another happened, with the exit code of that one."""
+    named = CommissioningError(text)
+    named.exit_code = getattr(error, "exit_code", 2)
+    return named

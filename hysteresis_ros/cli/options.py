@@ -1,0 +1,458 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Arguments and options that several commands share: configurations, quantities, columns of data, references."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import pathlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import click
+from click.shell_completion import CompletionItem
+
+from hysteresis_ros.cli.progress import Progress
+
+
+class ConfigurationName(click.ParamType):
+    """A parameter file: a path, or the name of one that comes with the package."""
+
+    name = "config"
+
+    def shell_complete(self, ctx, param, incomplete: str) -> list[CompletionItem]:
+        """Return the names that come with the package, and files and folders beside what was typed."""
+        from hysteresis_ros.configuration import shipped_configurations
+
+        folder, _, begun = incomplete.rpartition("/")
+        place = pathlib.Path(folder + "/" if "/" in incomplete else ".").expanduser()
+        found = [] if folder else [CompletionItem(name) for name in shipped_configurations() if name.startswith(begun)]
+        for path in sorted(place.iterdir()) if place.is_dir() else ():
+            if not path.name.startswith(begun) or path.name.startswith(".") and not begun:
+                continue
+            prefix = incomplete[: len(incomplete) - len(begun)]
+            if path.is_dir():
+                found.append(CompletionItem(f"{prefix}{path.name}/"))
+            elif path.suffix in (".yaml", ".yml"):
+                found.append(CompletionItem(f"{prefix}{path.name}"))
+        return found
+
+
+class Quantity(click.ParamType):
+    """A number with its unit, such as ``2nm``, ``100Hz``, ``0.5s``; its value is in SI. A length needs its unit."""
+
+    def __init__(self, unit: str):
+        self.unit = unit
+        self.name = {"m": "length", "s": "time", "Hz": "frequency"}[unit]
+
+    def convert(self, value, param, ctx) -> float:
+        """Return the number in SI; click reports what is refused, with exit code 2."""
+        from hysteresis_ros.units import quantity_in
+
+        try:
+            return quantity_in(value, self.unit) if isinstance(value, str) else float(value)
+        except ValueError as error:
+            self.fail(f"{value!r}: {error}", param, ctx)
+
+
+class WaveformName(click.ParamType):
+    """The name of a waveform; what is none is refused where all waveforms are known."""
+
+    name = "waveform"
+
+    def shell_complete(self, ctx, param, incomplete: str) -> list[CompletionItem]:
+        """Return the waveforms whose names begin so."""
+        from hysteresis_ros.references.waveforms import WAVEFORMS
+
+        return [CompletionItem(name) for name in WAVEFORMS if name.startswith(incomplete)]
+
+
+class NodeName(click.ParamType):
+    """The name of a node of an axis, or of any other."""
+
+    name = "node"
+
+    def shell_complete(self, ctx, param, incomplete: str) -> list[CompletionItem]:
+        """Return the nodes of an axis whose names begin so."""
+        from hysteresis_ros.configuration import NODE_NAMES, OPTIONAL_NODE_NAMES
+
+        return [CompletionItem(name) for name in NODE_NAMES + OPTIONAL_NODE_NAMES if name.startswith(incomplete)]
+
+
+#: How a recording is split, as ``ros2 bag record`` does; the command gets both under these names.
+_SPLITS = (
+    click.option("--max-bag-size", type=click.IntRange(1), metavar="BYTES", help="Begin another file of the bag then."),
+    click.option(
+        "--max-bag-duration",
+        type=click.FloatRange(0, min_open=True),
+        metavar="SECONDS",
+        help="Begin another file of the bag after so long.",
+    ),
+)
+
+
+def split_options(command):
+    """Give a command the options of how a recording is split."""
+    for option in reversed(_SPLITS):
+        command = option(command)
+    return command
+
+
+def splitting(configuration, max_bag_size: int | None, max_bag_duration: float | None):
+    """Return the configuration whose recorder splits as the options say.
+
+    Parameters
+    ----------
+    configuration : Configuration
+    max_bag_size : int or None
+        Bytes of a file.
+    max_bag_duration : float or None
+        Seconds of a file.
+    """
+    given = {"max_bag_size": max_bag_size, "max_bag_duration": max_bag_duration}
+    given = {name: value for name, value in given.items() if value is not None}
+    return configuration.override("recorder", **given) if given else configuration
+
+
+#: Parameter files that are laid over the configuration; the command gets their names as ``laid_over``.
+params_file_option = click.option(
+    "--params-file",
+    "laid_over",
+    multiple=True,
+    metavar="FILE",
+    help="Parameter file whose values win over those of CONFIG, as one that a node has saved; may be repeated.",
+)
+
+
+def laid_under(config: str, laid_over: tuple[str, ...]):
+    """Return a configuration with the parameter files that are laid over it.
+
+    Parameters
+    ----------
+    config : str
+    laid_over : tuple of str
+        The later one wins.
+
+    Raises
+    ------
+    ConfigurationError
+        One of them cannot be read.
+    """
+    from hysteresis_ros.configuration import load_configuration
+
+    return load_configuration(config).under(*map(load_configuration, laid_over))
+
+
+#: Endings of figures' names: in which SI unit the figure is.
+ENDINGS = {"_m": "m", "_v": "V", "_s": "s", "_hz": "Hz", "_percent": "%"}
+
+
+def data_options(command):
+    """Add the options to a command; it gets them as keyword arguments."""
+    for option in reversed(
+        (
+            click.option("--input", "input_", metavar="NAME[:UNIT]", help="Input column, e.g. control_V:V."),
+            click.option("--output", "output_", metavar="NAME[:UNIT]", help="Output column, e.g. cap_sensor_um:um."),
+            click.option("--time", metavar="NAME[:UNIT]", help="Time column, e.g. t_ms:ms."),
+            click.option("--sample-time", type=Quantity("s"), help="Of data without a time column, such as 1ms."),
+            click.option("--namespace", help="Which axis, when a bag holds several."),
+            click.option("--range", "range_", metavar="FIRST:LAST", help="Use these samples only, e.g. 0:6000."),
+            click.option("--resample", metavar="SECONDS|auto", help="Bring the data to a uniform grid first."),
+            click.option("--negate", is_flag=True, help="Count the output in the other direction."),
+            click.option(
+                "--all-samples", is_flag=True, help="Take every sample of long data, not what carries information."
+            ),
+            click.option(
+                "--skip",
+                type=click.IntRange(0),
+                help="Leave the first N samples out of the error; the model sees them.",
+            ),
+            click.option(
+                "--offset", type=click.Choice(["kept", "free"]), default="kept", help="free: remove one constant."
+            ),
+            click.option(
+                "--intersample", type=click.Choice(["zoh", "linear", "bandlimited"]), help="Input between the samples."
+            ),
+            click.option(
+                "--initial", type=click.Choice(["zero", "periodic", "estimate"]), help="Where the state starts."
+            ),
+            click.option(
+                "--json", "json_path", metavar="FILE", help="JSON file for the figures; '-' prints them only."
+            ),
+        )
+    ):
+        command = option(command)
+    return command
+
+
+def read(path, *, input_, output_, time, sample_time, namespace, range_, resample, negate, all_samples, whole=False):
+    """Return the checked data of a command; say on stderr how far it is, what was guessed and what was done.
+
+    Raises
+    ------
+    HysteresisError
+        The file or a choice cannot be used; the message says what is allowed.
+    """
+    from hysteresis_ros.identification.reading import Columns, read_data
+
+    columns = Columns(
+        input=input_,
+        output=output_,
+        time=time,
+        sample_time=sample_time,
+        namespace=namespace,
+        range=None if range_ is None else _range(range_),
+        resample=None if resample is None else _seconds(resample),
+        negate=negate,
+        all_samples=all_samples,
+        whole=whole,
+    )
+    state = [""]
+
+    def progress(part: float) -> None:
+        state[0] = f"{100 * part:.0f} %"
+
+    with Progress(err=True).during(f"reading {path.name}", lambda: state[0]):
+        reading = read_data(path, columns, progress)
+    for note in (*reading.guessed, *reading.data.notes):
+        click.echo(f"note: {note}", err=True)
+    return reading
+
+
+def _range(text: str):
+    from hysteresis_ros.errors import IdentificationError
+
+    first, mark, last = text.partition(":")
+    try:
+        if not mark:
+            raise ValueError
+        return int(first or 0), int(last) if last else None
+    except ValueError:
+        raise IdentificationError(f"--range {text}: write FIRST:LAST, e.g. 0:6000 or 400:") from None
+
+
+def _seconds(text: str):
+    from hysteresis_ros.errors import IdentificationError
+
+    if text == "auto":
+        return text
+    try:
+        return float(text)
+    except ValueError:
+        raise IdentificationError(f"--resample {text}: write a sample time in seconds, or auto") from None
+
+
+def write_json(figures: dict, path: str | None, table: str) -> None:
+    """Print the table, or the figures as JSON for ``-``; write them to a file besides where one is named.
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be written.
+    """
+    import json
+
+    from hysteresis_ros.errors import RecordingError
+
+    text = json.dumps(figures, indent=2, ensure_ascii=False, allow_nan=False)
+    click.echo(text if path == "-" else table)
+    if path not in (None, "-"):
+        try:
+            pathlib.Path(path).write_text(text + "\n", encoding="utf-8")
+        except OSError as error:
+            raise RecordingError(f"{path}: cannot be written: {error.strerror}; choose another place") from None
+
+
+def format_figures(figures: dict, first: tuple[str, ...] = ()) -> str:
+    """Return figures as lines ``name value``, those named ``first`` in front; lists of texts come last.
+
+    Where the name of a figure ends in its unit, the value stands in the part of the unit that people use: ``rmse_m`` of
+    2.148e-7 is shown as ``rmse  0.2148 µm``.
+    """
+    from hysteresis_ros.units import readable
+
+    order = [*(name for name in first if name in figures), *(name for name in figures if name not in first)]
+    endings = {name: next((ending for ending in ENDINGS if name.endswith(ending)), "") for name in order}
+    bare = [name.removesuffix(ending) for name, ending in endings.items()]
+    labels = {name: text if bare.count(text) == 1 else name for name, text in zip(order, bare, strict=True)}
+    width = max(len(label) for label in labels.values())
+    lines, texts = [], []
+    for name in order:
+        value = figures[name]
+        if isinstance(value, (list, tuple)):
+            texts += [f"{name.rstrip('s')}: {text}" for text in value]
+        elif isinstance(value, float):
+            shown = readable(value, ENDINGS[endings[name]]) if endings[name] else f"{value:.6g}"
+            lines.append(f"{labels[name]:<{width}}  {shown}")
+        else:
+            shown = {True: "yes", False: "no"}[value] if isinstance(value, bool) else ("-" if value is None else value)
+            lines.append(f"{labels[name]:<{width}}  {shown}")
+    return "\n".join(lines + texts)
+
+
+#: Option → parameter of the waveform; of the others ``--waveform NAME=VALUE`` takes care.
+PARAMETERS = {
+    "--amplitude": "amplitude",
+    "--frequency": "frequency",
+    "--offset": "offset",
+    "--cycles": "cycles",
+    "--polarity": "polarity",
+    "--values": "values",
+    "--times": "times",
+    "--file": "path",
+}
+HELP = {
+    "--amplitude": "Its height above the offset, e.g. 70um.",
+    "--frequency": "E.g. 5Hz.",
+    "--offset": "Added to it, e.g. 10um.",
+    "--cycles": "Cycles, after which it rests; 0: endless.",
+    "--polarity": "unipolar: from the offset upwards; symmetric: to both sides.",
+    "--values": "Levels of steps, e.g. 2um,0,2um.",
+    "--times": "When the steps begin, e.g. 0s,0.4s,0.8s.",
+    "--file": "CSV, NPZ or NPY file of --reference file.",
+}
+
+
+@dataclass(frozen=True)
+class AskedReference:
+    """What the options say; nothing where ``kind`` is None.
+
+    Parameters
+    ----------
+    kind : str or None
+        Name of the waveform.
+    given : dict of str to str
+        Text of each parameter of it.
+    """
+
+    kind: str | None
+    given: dict[str, str]
+
+    def values(self, gain: float | None = None) -> dict:
+        """Return the parameters of the waveform, see :func:`~hysteresis_ros.references.recipes.asked_waveform`.
+
+        Parameters
+        ----------
+        gain : float, optional
+            Of an axis in open loop without inverse [m/V]: lengths may be voltages.
+        """
+        from hysteresis_ros.references.recipes import asked_waveform
+
+        with self.named():
+            return asked_waveform(str(self.kind), self.given, gain)
+
+    def put_into(self, configuration):
+        """Return a configuration whose axes follow the waveform; the same one where none was asked for.
+
+        Parameters
+        ----------
+        configuration : Configuration
+
+        Raises
+        ------
+        HysteresisError
+            A value is wrong, or an inchworm has no such waveform.
+        """
+        from hysteresis_ros.errors import ConfigurationError
+
+        if self.kind is None:
+            self.refuse_others()
+            return configuration
+        if any(configuration.describes("inchworm_sequencer", space) for space in configuration.namespaces()):
+            raise ConfigurationError(
+                f"--reference {self.kind}: {configuration.source} is an inchworm, which walks to setpoints and follows "
+                "no waveform; give it setpoints with `hysteresis setpoint`"
+            )
+        values = {f"waveform.{name}": value for name, value in self.values().items()}
+        return configuration.override("reference_generator", **values)
+
+    def refuse_others(self, taken: tuple[str, ...] = ()) -> None:
+        """Refuse words about a waveform where none was asked for.
+
+        Parameters
+        ----------
+        taken : tuple of str
+            Parameters that mean something without one.
+
+        Raises
+        ------
+        click.UsageError
+            Names the option that has nothing to belong to.
+        """
+        for name in self.given:
+            if name not in taken:
+                raise click.UsageError(f"{_option(name)} belongs to a waveform: give --reference, e.g. triangle")
+
+    @contextlib.contextmanager
+    def named(self) -> Iterator[None]:
+        """Let what is wrong with the waveform be named by its option and with the words of the command line."""
+        from hysteresis_ros.errors import ParameterError
+
+        try:
+            yield
+        except ParameterError as error:
+            if self.kind is None:
+                raise
+            raise ParameterError([self._by_option(problem) for problem in error.problems]) from None
+
+    def _by_option(self, problem):
+        from hysteresis_ros.errors import Problem
+
+        name = problem.name.removeprefix("reference_generator: ")
+        if not name.startswith("waveform."):
+            return problem
+        name = name.removeprefix("waveform.")
+        if name == "type":
+            return Problem("--reference", self.kind, problem.allowed)
+        own = name.removeprefix(f"{self.kind}.")
+        text = next((self.given[word] for word in (name, own) if word in self.given), problem.value)
+        return Problem(_option(own), text, problem.allowed)
+
+
+def _option(name: str) -> str:
+    """Return the option that takes a parameter."""
+    return next((option for option, parameter in PARAMETERS.items() if parameter == name), f"--waveform {name}")
+
+
+def reference_options(command):
+    """Add the options to a command, which gets them as ``reference``, an :class:`AskedReference`.
+
+    Parameters
+    ----------
+    command : callable
+    """
+
+    @functools.wraps(command)
+    def with_reference(reference, further, **words):
+        given = {parameter: words.pop(f"reference_{parameter}") for parameter in PARAMETERS.values()}
+        given = {parameter: text for parameter, text in given.items() if text is not None}
+        for word in further:
+            name, mark, text = word.partition("=")
+            if not mark:
+                raise click.UsageError(f"--waveform {word}: write NAME=VALUE, e.g. --waveform duty=0.2")
+            given[name.strip()] = text.strip()
+        return command(reference=AskedReference(reference, given), **words)
+
+    options = [
+        click.option(
+            "--reference", type=WaveformName(), metavar="WAVEFORM", help="Follow this: triangle, sine, steps, file …"
+        ),
+        *(
+            click.option(option, f"reference_{parameter}", metavar="TEXT", help=HELP[option])
+            for option, parameter in PARAMETERS.items()
+        ),
+        click.option(
+            "--waveform", "further", multiple=True, metavar="NAME=VALUE", help="Further parameter of it; repeatable."
+        ),
+    ]
+    for option in reversed(options):
+        with_reference = option(with_reference)
+    return with_reference

@@ -1,0 +1,219 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""``hysteresis report``, ``verify``, ``export`` and ``repair``: judge, compare, convert or repair a recording."""
+
+from __future__ import annotations
+
+import pathlib
+import sys
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import click
+
+from hysteresis_ros.cli.options import write_json
+from hysteresis_ros.cli.progress import shown
+
+if TYPE_CHECKING:
+    from hysteresis_ros.recordings.dataset import Recording
+
+
+@click.command()
+@click.argument("recordings", nargs=-1, required=True, metavar="RECORDING...", type=click.Path(path_type=pathlib.Path))
+@click.option("-o", "--output", type=click.Path(path_type=pathlib.Path), help="HTML file to write.")
+@click.option(
+    "--json", "json_path", metavar="FILE", help="JSON file for the figures; '-' prints them instead of the table."
+)
+@click.option("--namespace", help="Which axis, when a bag holds several.")
+@click.option("--title", help="Heading of the page; the recording's name by default.")
+@click.option("--range", "range_", metavar="FROM:TO", help="Judge this part only, e.g. 0.5s:2s.")
+@click.option("--skip", metavar="TIME", help="Leave out the beginning, e.g. 0.5s.")
+@click.option("--last-periods", type=click.IntRange(1), metavar="N", help="Judge the last N periods of the reference.")
+def report(recordings, output, json_path, namespace, title, range_, skip, last_periods) -> None:
+    """Judge recordings (bag folder, .mcap, .db3, .npz or .csv): error, overshoot, settling, loop width, rate, jitter.
+
+    Of an inchworm: each move with its steps, speed, slip and final error. Several recordings stand side by side. Prints
+    a table; -o adds a self-contained HTML file with charts to zoom (needs the extra: pip install
+    "hysteresis_ros[report]").
+    """
+    from hysteresis_ros.analysis.side_by_side import labels_of, report_several
+    from hysteresis_ros.recordings.files import load_run
+
+    if output is not None:
+        from hysteresis_ros.analysis.page import require_page
+
+        require_page(output)
+    with shown("reading"):
+        runs = {
+            label: _excerpt(label, load_run(path, namespace, further=True), range_, skip, last_periods)
+            for label, path in labels_of(recordings).items()
+        }
+    if len(runs) > 1:
+        with shown(f"judging {len(runs)} runs"):
+            figures, table = report_several(runs, output, title)
+        write_json({"runs": figures}, json_path, table)
+    else:
+        ((label, run),) = runs.items()
+        _single(run, output, title or label, json_path)
+    if output is not None and json_path != "-":
+        click.echo(f"report: {output}")
+
+
+def _single(run, output, title: str, json_path: str | None) -> None:
+    """Judge one run, an inchworm's by its moves."""
+    from hysteresis_ros.analysis.inchworm import is_inchworm
+    from hysteresis_ros.analysis.metrics import limited_text
+
+    if is_inchworm(run):
+        from hysteresis_ros.analysis.inchworm import format_inchworm as table
+        from hysteresis_ros.analysis.inchworm import inchworm_figures as judge
+        from hysteresis_ros.analysis.inchworm_report import write_inchworm_report as write
+    else:
+        from hysteresis_ros.analysis.metrics import compute_metrics as judge
+        from hysteresis_ros.analysis.report import write_report as write
+        from hysteresis_ros.analysis.tables import format_table as table
+    limited = limited_text(run)
+    if limited:
+        click.echo(f"hysteresis: warning: {limited}", err=True)
+    with shown(f"judging {len(run)} samples"):
+        figures = judge(run)
+        if output is not None:
+            write(run, output, title, figures)
+    write_json(figures, json_path, table(figures))
+
+
+def _excerpt(label: str, run, range_: str | None, skip: str | None, periods: int | None):
+    """Return the part of a run that is to be judged; a run that lacks it is named."""
+    from hysteresis_ros.analysis import parts
+    from hysteresis_ros.errors import RecordingError
+
+    if sum(option is not None for option in (range_, skip, periods)) > 1:
+        raise click.UsageError("--range, --skip and --last-periods exclude each other")
+    if range_ is not None and ":" not in range_:
+        raise click.UsageError(f"--range {range_}: write FROM:TO, e.g. 0.5s:2s, 0.5: or :2")
+    first, _, last = (range_ or f"{skip or 0}:").partition(":")
+    option = "--skip" if skip else "--range"
+    begin = parts.seconds(first or "0", option)
+    end = parts.seconds(last, option) if last else float("inf")
+    try:
+        return parts.within(run, begin, end) if periods is None else parts.last_periods(run, periods)
+    except RecordingError as error:
+        raise RecordingError(f"{label}: {error}") from None
+
+
+@click.command(short_help="Compare a recorded run with its offline twin, bit for bit.")
+@click.argument("recording", type=click.Path(path_type=pathlib.Path))
+@click.option("--namespace", help="Which axis, when the bag holds several.")
+def verify(recording: pathlib.Path, namespace: str | None) -> None:
+    """Repeat the run in RECORDING (bag, .npz or .csv) offline from the configuration in it, and compare bit for bit.
+
+    A lockstep run made on one machine is repeated on any other. Ends with exit code 0 when all samples are equal, 1
+    when some differ or are missing, 2 when the recording cannot be repeated. Files that parameters name are those in
+    the recording, whatever is on the disk by now.
+    """
+    from hysteresis_ros.errors import RecordingError
+    from hysteresis_ros.loop.repeated import recorded_axis
+    from hysteresis_ros.loop.simulation import differences
+    from hysteresis_ros.recordings.files import load_run
+
+    with shown(f"reading {recording.name}"):
+        run = load_run(recording, namespace)
+    with recorded_axis(run, str(recording)) as (axis, notes):
+        simulated = run.metadata.get("source") == "offline simulation"
+        if not simulated and axis.plant_simulator.time_mode == "realtime":
+            raise RecordingError(
+                f"{recording}: is a run in real time, which depends on when messages came; only lockstep and "
+                "fused runs repeat"
+            )
+        for note in notes:
+            click.echo(f"hysteresis: note: {note}", err=True)
+        with shown("repeating the run"):
+            found = differences(run, axis)
+    wrong = unlike(recording, run, found)
+    if wrong:
+        click.echo(f"hysteresis: {wrong}", err=True)
+        sys.exit(1)
+    click.echo(equal(recording, run.time.size))
+
+
+def unlike(name: object, run: Recording, found: Mapping[str, int]) -> str:
+    """Return in one line in what a recording differs from its twin; empty: in nothing.
+
+    Parameters
+    ----------
+    name : object
+        Of the recording.
+    run : Recording
+        The recording.
+    found : mapping of str to int
+        Number of differing samples of each signal that differs.
+    """
+    missing, lacking = (run.metadata.get(what, 0) for what in ("missing_samples", "missing_changes"))
+    if not (found or missing or lacking):
+        return ""
+    wrong = ", ".join(f"{signal}: {count} samples" for signal, count in found.items())
+    more = f"; {lacking} entries of the log of changes missing" if lacking else ""
+    return f"{name} differs from the offline twin ({wrong or 'no signal'}; {missing} samples missing{more})"
+
+
+def equal(name: object, samples: int) -> str:
+    """Return in one line that a recording of so many samples equals its twin."""
+    return f"{name}: {samples} samples equal the offline twin bit for bit, none missing"
+
+
+@click.command()
+@click.argument("recording", type=click.Path(path_type=pathlib.Path))
+@click.option(
+    "-o", "--output", required=True, type=click.Path(path_type=pathlib.Path), help="File to write: .npz or .csv."
+)
+@click.option("--namespace", help="Which axis, when the bag holds several.")
+def export(recording: pathlib.Path, output: pathlib.Path, namespace: str | None) -> None:
+    """Turn RECORDING (bag folder, .mcap, .db3, .npz or .csv) into a table of eight columns in SI units.
+
+    The columns are time, setpoint, reference, command, voltage, displacement (true), measured, estimated: the same
+    that `hysteresis simulate` writes.
+    """
+    from hysteresis_ros.errors import RecordingError
+    from hysteresis_ros.recordings.files import load_run, save_run
+
+    if output.suffix.lower() not in (".npz", ".csv"):
+        raise RecordingError(f"{output}: unknown kind of file '{output.suffix}'; export writes .npz or .csv")
+    with shown(f"writing {output.name}"):
+        run = load_run(recording, namespace)
+        save_run(run, output)
+    missing = run.metadata.get("missing_samples", 0)
+    click.echo(f"{output}: {len(run)} samples, {missing} missing")
+    for note in run.notes:
+        click.echo(f"note: {note}", err=True)
+
+
+@click.command(short_help="Make a bag whole that was cut off or is damaged.")
+@click.argument("bag", type=click.Path(path_type=pathlib.Path))
+@click.option(
+    "-o", "--output", type=click.Path(path_type=pathlib.Path), help="Folder to create; BAG_repaired by default."
+)
+def repair(bag: pathlib.Path, output: pathlib.Path | None) -> None:
+    """Write what is left of BAG (a folder, .mcap or .db3) into a new folder that every tool reads.
+
+    Up to the last whole message nothing is lost; index, statistics and metadata.yaml are made anew, so that ros2 bag,
+    Foxglove and rosbags open it. BAG itself stays as it is. The reports of this package read a bag that was cut off
+    without this, too.
+    """
+    from hysteresis_ros.recordings import repair as repairing
+
+    with shown(f"repairing {bag.name}"):
+        done = repairing.repair(bag, output)
+    if done.path is None:
+        click.echo(f"{bag}: is whole, {done.messages} messages; nothing to repair")
+        return
+    for line in done.lost:
+        click.echo(f"left out: {line}", err=True)
+    mended = f"{', '.join(done.mended)} made whole" if done.mended else "metadata.yaml made anew"
+    click.echo(f"{done.path}: {done.messages} messages; {mended}")

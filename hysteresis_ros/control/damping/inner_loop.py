@@ -1,0 +1,467 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Damping in the loop: the kinds by name, the damped plant that a controller sees, and the filter that runs.
+
+With a filter F(z) on the measurement the command is u = γ w + F y. γ = 1 − F(1) P(1) keeps the gain at rest of the
+model P, so that gains, inverses and rest points of a law mean what they mean without damping. With a filter behind the
+law it is u = F w.
+
+A filter of the force f in the stack sees f = (k_a + k_f) d − k_a y, d what acts on the model, through the sensor's own
+high-pass; the plant then has the outputs (y, d).
+
+The filter runs as u = γ w + F y, u = γ w + F f or u = F w; w is the law's output, y the measured
+ displacement without preload offset, f the measured force in the stack. What the compensator cuts off the
+command concerns the law's output as
+
+w_applied = w + (u_applied − u) / b
+
+with b the direct gain from w to u: the output of the law that would have led to what was carried out. Where nothing is
+cut it is w exactly. The filter of a measurement sees what is there and needs no help with windup; one of the
+law's output has unit gain at rest and fades within its own time constants.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+import hysteresis_ros.control.damping.kinds  # noqa: F401  (its folder is searched)
+from hysteresis_ros.configuration import Parameters, parameter, variants
+from hysteresis_ros.control.damping.kind import (
+    COMMAND,
+    FORCE,
+    MEASUREMENT,
+    MOST_STATES,
+    NOTHING,
+    DampingKind,
+    in_series,
+)
+from hysteresis_ros.control.law import bounded
+from hysteresis_ros.control.margins import with_acting
+from hysteresis_ros.errors import ParameterError, Problem
+from hysteresis_ros.models.block import Block, called, kernel
+from hysteresis_ros.models.linear import BOUNDARY, LinearParameters, StateSpace, accumulate, advance
+from hysteresis_ros.models.linear_algebra import product, solve
+from hysteresis_ros.models.sensor import ForceParameters
+from hysteresis_ros.registry import discover
+
+#: Group of entry points by which a package adds a kind: ``lead = my_package.lead:DAMPING``.
+GROUP = "hysteresis_ros.damping"
+
+#: What each kind declares, by type; ``none`` beside them is no damping.
+KINDS: dict[str, DampingKind] = discover("hysteresis_ros.control.damping.kinds", "DAMPING", DampingKind, GROUP)
+
+#: Type without damping.
+NONE = "none"
+
+
+@dataclass(frozen=True)
+@variants("type", {name: kind.parameters for name, kind in KINDS.items()})
+class DampingParameters(Parameters):
+    """Damping between the law and the compensator."""
+
+    type: str = parameter(
+        NONE,
+        choices=(NONE, *KINDS),
+        description="none; " + "; ".join(f"{name}: {kind.description}" for name, kind in KINDS.items()),
+    )
+
+    if TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> Any:
+            """Return the group of a kind."""
+
+    @property
+    def source(self) -> int:
+        """What the filter works on, one of the numbers of :mod:`~hysteresis_ros.control.damping.kind`."""
+        return NOTHING if self.type == NONE else KINDS[self.type].source
+
+    def filter(self, sample_time: float) -> StateSpace:
+        """Return the filter of the chosen kind, SI.
+
+        Parameters
+        ----------
+        sample_time : float
+            [s]
+
+        Raises
+        ------
+        ParameterError
+            It cannot run at this sample time; names begin with ``damping.``.
+        """
+        try:
+            found = KINDS[self.type].filter(getattr(self, self.type), sample_time)
+        except ParameterError as error:
+            named = [replace(problem, name=f"damping.{self.type}.{problem.name}") for problem in error.problems]
+            raise ParameterError(named) from None
+        if found.order > MOST_STATES:
+            allowed = f"has {found.order} states, at most {MOST_STATES} are allowed"
+            raise ParameterError([Problem("damping.type", self.type, allowed)])
+        return found
+
+
+#: Poles below this are those of delays.
+AT_ZERO = 1e-3
+
+
+def modes(poles, sample_time: float) -> list[tuple[float, float]]:
+    """Return (frequency [Hz], damping) of each pair of complex poles, the least damped first.
+
+    Parameters
+    ----------
+    poles : ndarray of complex
+        In the z plane.
+    sample_time : float
+        [s]
+    """
+    found = []
+    for pole in poles:
+        if abs(pole) > AT_ZERO and pole.imag > 0.0:
+            logarithm = np.log(pole)
+            size = float(abs(logarithm))
+            found.append((size / (2.0 * np.pi * sample_time), -float(logarithm.real) / size))
+    return sorted(found, key=lambda mode: mode[1])
+
+
+@dataclass(frozen=True, eq=False)
+class InnerLoop:
+    """A filter and how the law's output passes it.
+
+    Parameters
+    ----------
+    filter : StateSpace
+        SI.
+    source : int
+        What it works on.
+    forward : float
+        γ, weight of the law's output beside the filter; 0 where the filter works on it.
+    seen : ndarray, shape (1, q)
+        What the filter works on, of the outputs of the plant.
+    sensor : StateSpace, optional
+        What a sensor does to that before.
+    """
+
+    filter: StateSpace
+    source: int
+    forward: float
+    seen: np.ndarray
+    sensor: StateSpace | None = None
+
+    @property
+    def feedback(self) -> StateSpace:
+        """The filter behind its sensor."""
+        return self.filter if self.sensor is None else in_series((self.sensor, self.filter))
+
+    @property
+    def direct(self) -> float:
+        """Change of the command per change of the law's output in the same sample."""
+        return float(self.filter.D[0, 0]) if self.source == COMMAND else self.forward
+
+    def around(self, plant: StateSpace, scale: float = 1.0) -> StateSpace:
+        """Return the damped plant from the law's output to the measured displacement.
+
+        Parameters
+        ----------
+        plant : StateSpace
+            From command to measured displacement, y_k = C x_k; under a filter of the force with its second output.
+        scale : float
+            SI units of the plant's output per its units, over those of its input.
+        """
+        F = self.feedback
+        n, m = plant.order, F.order
+        if self.source == COMMAND:
+            A = np.block([[F.A, np.zeros((m, n))], [product(plant.B, F.C), plant.A]])
+            B = np.vstack([F.B, product(plant.B, F.D)])
+        else:
+            measured = scale * product(self.seen, plant.C)
+            back = plant.A + product(plant.B, product(F.D, measured))
+            A = np.block([[F.A, product(F.B, measured)], [product(plant.B, F.C), back]])
+            B = np.vstack([np.zeros((m, 1)), self.forward * plant.B])
+        return StateSpace(A, B, np.hstack([np.zeros((1, m)), plant.C[:1]]), np.zeros((1, 1)))
+
+    def behind(self, controller: StateSpace) -> StateSpace:
+        """Return controller and damping as one, from (reference, the outputs of the plant) to the command.
+
+        Parameters
+        ----------
+        controller : StateSpace
+            From (reference, measured) to the law's output.
+        """
+        F = self.feedback
+        n, m = controller.order, F.order
+        if self.source == COMMAND:
+            A = np.block([[controller.A, np.zeros((n, m))], [F.B @ controller.C, F.A]])
+            B = np.vstack([controller.B, F.B @ controller.D])
+            return StateSpace(A, B, np.hstack([F.D @ controller.C, F.C]), F.D @ controller.D)
+        A = np.block([[controller.A, np.zeros((n, m))], [np.zeros((m, n)), F.A]])
+        only_seen = np.hstack([[[0.0]], self.seen])
+        # the law sees the displacement alone
+        unseen = (0, 0), (0, self.seen.shape[1] - 1)
+        B = np.vstack([np.pad(controller.B, unseen), F.B @ only_seen])
+        D = self.forward * np.pad(controller.D, unseen) + F.D @ only_seen
+        return StateSpace(A, B, np.hstack([self.forward * controller.C, F.C]), D)
+
+
+def inner_loop(
+    damping: DampingParameters, dynamics: LinearParameters, sample_time: float, force: ForceParameters | None = None
+) -> InnerLoop:
+    """Return the inner loop of a damping for a model.
+
+    Parameters
+    ----------
+    damping : DampingParameters
+        Of another type than none.
+    dynamics : LinearParameters
+        The model.
+    sample_time : float
+        [s]
+    force : ForceParameters, optional
+        What the model has of the force in the stack.
+
+    Raises
+    ------
+    ParameterError
+        The filter cannot run at this sample time, or nothing is known of the force that it works on.
+    """
+    found, source = damping.filter(sample_time), damping.source
+    only_displacement = np.ones((1, 1))
+    if source == COMMAND:
+        return InnerLoop(found, source, 0.0, only_displacement)
+    gain = dynamics.matrices.dc_gain * dynamics.output_scale / dynamics.resolved_input_scale
+    if source == MEASUREMENT:
+        return InnerLoop(found, source, 1.0 - found.dc_gain * gain, only_displacement)
+    require_force(damping.type, force)
+    assert force is not None
+    seen = np.array([[-force.stack_stiffness, force.whole]])
+    if not force.high_pass:
+        return InnerLoop(found, source, 1.0 - found.dc_gain * force.flexure_stiffness * gain, seen)
+    slow = force.slow_part(sample_time)
+    matrices = (np.array([[value]]) for value in (1.0 - slow, slow, -1.0, 1.0))
+    return InnerLoop(found, source, 1.0, seen, StateSpace(*matrices))
+
+
+def require_force(kind: str, force: ForceParameters | None) -> None:
+    """Refuse a damping by force without a model of it.
+
+    Parameters
+    ----------
+    kind : str
+    force : ForceParameters or None
+
+    Raises
+    ------
+    ParameterError
+    """
+    if force is None or not force.there:
+        allowed = (
+            f"missing force joint: damping {kind} needs a force sensor in series with the stack; give the stiffness of "
+            "stack and flexure (model.force.…), or take irc or ppf"
+        )
+        raise ParameterError([Problem("model.force.stack_stiffness", 0.0, allowed)])
+
+
+def closing(
+    damping: DampingParameters, dynamics: LinearParameters, sample_time: float, force: ForceParameters | None = None
+) -> Callable[[StateSpace], StateSpace]:
+    """Return the function that makes the damped plant of a plant in SI; without a damping it stays as it is.
+
+    Parameters
+    ----------
+    damping : DampingParameters
+    dynamics : LinearParameters
+        The model.
+    sample_time : float
+        [s]
+    force : ForceParameters, optional
+        What the model has of the force in the stack.
+    """
+    if damping.source == NOTHING:
+        return lambda plant: plant.shown
+    return inner_loop(damping, dynamics, sample_time, force).around
+
+
+def undamped(dynamics: LinearParameters) -> StateSpace:
+    """Return the model from command to measured displacement in its own units, with no state more than it needs.
+
+    Parameters
+    ----------
+    dynamics : LinearParameters
+    """
+    model = dynamics.state_space
+    return model.held() if model.D.item() != 0.0 else model
+
+
+def damped(
+    dynamics: LinearParameters, damping: DampingParameters, sample_time: float, force: ForceParameters | None = None
+) -> LinearParameters:
+    """Return the model of the damped plant, in the units of the model.
+
+    Parameters
+    ----------
+    dynamics : LinearParameters
+        The model, with its delay.
+    damping : DampingParameters
+    sample_time : float
+        [s]
+    force : ForceParameters, optional
+        What the model has of the force in the stack.
+
+    Raises
+    ------
+    ParameterError
+        ``damping.…``: the filter cannot run at this sample time, or the inner loop is unstable on the model.
+    """
+    if damping.source == NOTHING:
+        return dynamics
+    loop = inner_loop(damping, dynamics, sample_time, force)
+    scale = dynamics.output_scale / dynamics.resolved_input_scale
+    plant = undamped(dynamics)
+    found = loop.around(with_acting(dynamics, plant) if damping.source == FORCE else plant, scale)
+    radius = float(np.max(np.abs(found.poles)))
+    if not radius < 1.0 - BOUNDARY or not loop.direct > 0.0:
+        values = tuple(getattr(damping, damping.type).to_mapping().items())
+        given = ", ".join(f"{name} {value}" for name, value in values)
+        if radius < 1.0:
+            allowed = f"turns the sign of the plant (gain at rest {loop.forward:.4g}); lower its gain"
+        else:
+            allowed = (
+                f"the inner loop is unstable on model.dynamics: largest pole {radius:.6g}, all must be below 1; lower "
+                "its gain, or let `hysteresis design --damping` find it"
+            )
+        raise ParameterError([Problem(f"damping.{damping.type}", given, allowed)])
+    return replace(
+        dynamics,
+        A=tuple(found.A.ravel().tolist()),
+        B=tuple(found.B[:, 0].tolist()),
+        C=tuple(found.C[0].tolist()),
+        D=(),
+        input_scale=dynamics.resolved_input_scale,
+        sample_time=dynamics.sample_time or sample_time,
+        delay=0.0,
+    )
+
+
+# Parameter array: a head, then A (n·n, row by row), B, C and the state at rest under an input of one (n each).
+SOURCE = 0
+ORDER = 1
+PRELOAD = 2  # offset of the measurement [m]
+FORWARD = 3  # γ
+THROUGH = 4  # feedthrough of the filter
+DIRECT = 5  # b
+MATRICES = 6
+PARAMETERS = MATRICES + MOST_STATES * (MOST_STATES + 3)
+
+# State array: a head, then n states and n numbers of scratch.
+STARTED = 0  # 0.0: the next call starts at rest
+OUTPUT = 1  # last output of the law, w [m]
+COMMAND_PLACE = 2  # last command, u [m]
+FILTERED = 3  # last input of the filter [m] or [N]
+STATE = 4
+STATES = STATE + 2 * MOST_STATES
+
+
+@called
+def damp(p, x, output, measured, force):
+    """Return the command [m] for the law's ``output`` [m], the ``measured`` displacement [m] and ``force`` [N]."""
+    if p[SOURCE] == NOTHING:
+        return output
+    n = int(p[ORDER])
+    column = MATRICES + n * n
+    filtered = output
+    if p[SOURCE] == MEASUREMENT:
+        filtered = bounded(measured - p[PRELOAD])
+    elif p[SOURCE] == FORCE:
+        filtered = force
+    if x[STARTED] == 0.0:
+        x[STARTED] = 1.0
+        for i in range(n):
+            x[STATE + i] = p[column + 2 * n + i] * filtered
+    command = accumulate(p[FORWARD] * output + p[THROUGH] * filtered, p, column + n, x, STATE, n)
+    advance(p, MATRICES, column, x, STATE, n, filtered)
+    x[OUTPUT] = output
+    x[COMMAND_PLACE] = command
+    x[FILTERED] = filtered
+    return command
+
+
+@kernel
+def as_output(p, x, command):
+    """Return the output of the law [m] that would have led to the last ``command`` [m] as it was carried out."""
+    if p[SOURCE] == NOTHING:
+        return command
+    return x[OUTPUT] + (command - x[COMMAND_PLACE]) / p[DIRECT]
+
+
+class Damping(Block):
+    """The damping of a motion controller.
+
+    Parameters
+    ----------
+    parameters : ControllerParameters
+        Of which ``damping`` and ``model`` are used.
+    sample_time : float
+        Sample time [s].
+
+    Raises
+    ------
+    ParameterError
+        The filter cannot run at this sample time, or the inner loop is unstable on the model.
+    """
+
+    kernel = staticmethod(damp)
+
+    def pack(self, parameters) -> np.ndarray:
+        """Return the parameter array, shape (94,)."""
+        damping, p = parameters.damping, np.zeros(PARAMETERS)
+        p[SOURCE], p[DIRECT] = damping.source, 1.0
+        if damping.source == NOTHING:
+            return p
+        loop = inner_loop(damping, parameters.model.dynamics, self.sample_time, parameters.model.force)
+        found = loop.filter
+        p[ORDER], p[PRELOAD], p[FORWARD] = found.order, parameters.model.preload.offset, loop.forward
+        p[THROUGH], p[DIRECT] = found.D.item(), loop.direct
+        rest = solve(np.eye(found.order) - found.A, found.B[:, 0])
+        matrices = np.concatenate([found.A.ravel(), found.B[:, 0], found.C[0], rest])
+        p[MATRICES : MATRICES + len(matrices)] = matrices
+        return p
+
+    def initial_state(self) -> np.ndarray:
+        """Return the state before the first sample."""
+        return np.zeros(STATES)
+
+    @property
+    def direct(self) -> float:
+        """Change of the command per change of the law's output in the same sample."""
+        return float(self.p[DIRECT])
+
+    def retune(self, parameters) -> None:
+        """Take another filter, also of another kind, while running; arm the hand-over behind it.
+
+        States of a filter of the same kind and order go on, moved as far as the rest under the present input moves;
+        those of another start at rest.
+
+        Raises
+        ------
+        ParameterError
+            The parameters are wrong or the inner loop would be unstable; nothing is changed then.
+        """
+        packed = self.pack(parameters.validated())
+        same = parameters.damping.type == self.parameters.damping.type and packed[ORDER] == self.p[ORDER]
+        n = int(packed[ORDER])
+        rest = slice(MATRICES + n * (n + 2), MATRICES + n * (n + 3))
+        if same:
+            self.x[STATE : STATE + n] += (packed[rest] - self.p[rest]) * self.x[FILTERED]
+        else:
+            self.x[:] = 0.0
+        self.parameters = parameters
+        self.p[:] = packed

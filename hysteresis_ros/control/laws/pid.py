@@ -1,0 +1,637 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+r"""PID controller in parallel form with derivative filter, setpoint weights and anti-windup (B4).
+
+.. math::
+
+   u = u_{ff} + K_p (b r - y) + K_i \int e \, dt + K_d \frac{N}{s + N} \frac{d}{dt} (c r - y), \qquad e = r - y
+
+in the model's units (see ``input_scale`` and ``output_scale`` of the linear model), N the derivative filter [rad/s].
+
+Discretisation: exact for signals that are straight lines between the samples (first-order hold). With v = c r − y
+
+.. math::
+
+   I_k = I_{k-1} + K_i T \, \frac{e_k + e_{k-1}}{2}, \qquad
+   D_k = a D_{k-1} + K_d (1 - a) \frac{v_k - v_{k-1}}{T}, \qquad a = e^{-N T}
+
+(trapezoidal rule; N = 0: no filter, a = 0). Neither sees the first sample as a step: I starts there from a value, D
+from zero.
+
+Anti-windup rests on what was carried out: the excess is what the limits, one's own or those that the compensator
+reports by ``x[APPLIED]``, cut off the last command. *clamping* stops the integral while it would widen the excess,
+*back_calculation* adds −T/T_t · excess to it. An inverse that is approximate (Picard steps) carries out something else
+than the command without any limit; differences below a threshold therefore do not count.
+
+With the zeros of the discrete PID on the slowest poles of the model, the loop transfer is g/(z − 1) times what is
+left of the model, and the response to the reference close to a first-order lag whose bandwidth grows with g:
+
+* no dynamics: the pole is that of the sample of delay, z = 0 (PI),
+* one state: the lag's pole (PI),
+* more: the slowest pair, or the two slowest real poles (PID).
+
+References
+----------
+.. [1] Åström & Hägglund, Advanced PID Control, 2006, sections 3.2-3.5 (two degrees of freedom, windup) and 13.4.
+.. [2] Auwal et al., equations of section 4 (gains K_P, K_I, K_D).
+.. [3] Dahlin, Designing and tuning digital controllers, Instruments and Control Systems 41, 1968 (lambda tuning).
+.. [4] Åström & Hägglund, Advanced PID Control, 2006, section 6.4 and 7.3 (M_s between 1.2 and 2).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from hysteresis_ros.configuration import Parameters, parameter
+from hysteresis_ros.control import state_feedback
+from hysteresis_ros.control.law import (
+    APPLIED,
+    COMMAND,
+    ESTIMATED,
+    FED,
+    FEEDFORWARD,
+    HEADER,
+    STARTED,
+    Controller,
+    ControllerLaw,
+    DesignTask,
+    Tuning,
+    bounded,
+)
+from hysteresis_ros.control.margins import AIMED, REQUIRED, Requirements, judge, plant_state_space
+from hysteresis_ros.control.uncertainty import PossiblePlant, judge_worst
+from hysteresis_ros.errors import Problem
+from hysteresis_ros.models import elementary
+from hysteresis_ros.models.block import kernel
+from hysteresis_ros.models.linear import StateSpace
+from hysteresis_ros.models.linear_algebra import eigenvalues, polynomial, solve
+
+# Parameter array (FED first).
+INPUT_SCALE = 1
+OUTPUT_SCALE = 2
+PRELOAD = 3
+PROPORTIONAL = 4  # K_p
+INTEGRAL_STEP = 5  # K_i T / 2
+DERIVATIVE_STEP = 6  # K_d (1 − a) / T
+DECAY = 7  # a
+SETPOINT_WEIGHT = 8  # b
+DERIVATIVE_WEIGHT = 9  # c
+CLAMPING = 10
+TRACKING = 11  # T / T_t, 0 without back-calculation
+THRESHOLD = 12
+LIMITED = 13
+MINIMUM = 14
+MAXIMUM = 15
+REST_COMMAND = 16  # command that holds an output of one
+PARAMETERS = 17
+
+# State array after the common part, in the model's units.
+INTEGRAL = HEADER  # I, the integral's part of the command
+DERIVATIVE = HEADER + 1  # D, the derivative's part of the command
+LAST_REFERENCE = HEADER + 2  # [m]
+LAST_MEASURED = HEADER + 3  # [m]
+EXCESS = HEADER + 4  # what the controller's own limits cut off the last command
+LARGEST = HEADER + 5  # largest command carried out so far [m]
+PROPORTION = HEADER + 6  # K_p (b r − y) of the last sample
+STATES = HEADER + 7
+
+
+@kernel
+def pid(p, x, reference, measured):
+    """Return the command [m] for ``reference`` [m, without preload offset] and ``measured`` [m]."""
+    applied = bounded(x[APPLIED])
+    if abs(applied) > x[LARGEST]:
+        x[LARGEST] = abs(applied)
+    reference = bounded(reference)
+    measured = bounded(measured)
+    r = reference / p[OUTPUT_SCALE]
+    y = (measured - p[PRELOAD]) / p[OUTPUT_SCALE]
+    fed = 0.0
+    if p[FED] != 0.0:
+        fed = bounded(x[FEEDFORWARD]) / p[INPUT_SCALE]
+    if x[STARTED] == 0.0:
+        # As if the axis had rested where it is measured, without error, under the command that is carried out.
+        x[STARTED] = 1.0
+        holding = p[REST_COMMAND] * y
+        last = applied / p[INPUT_SCALE]
+        if applied == 0.0:
+            last = holding  # nothing is known to be carried out
+        if p[FED] == 0.0:
+            holding = 0.0
+        x[INTEGRAL] = bounded(last - holding - p[PROPORTIONAL] * (p[SETPOINT_WEIGHT] * y - y))
+        x[DERIVATIVE] = 0.0
+    else:
+        r_last = x[LAST_REFERENCE] / p[OUTPUT_SCALE]
+        y_last = (x[LAST_MEASURED] - p[PRELOAD]) / p[OUTPUT_SCALE]
+        step = p[INTEGRAL_STEP] * (r - y + r_last - y_last)
+        excess = x[EXCESS]
+        beyond = x[COMMAND] - applied
+        if abs(beyond) > p[THRESHOLD] * x[LARGEST]:
+            excess += beyond / p[INPUT_SCALE]
+        if p[CLAMPING] != 0.0 and ((excess > 0.0 and step > 0.0) or (excess < 0.0 and step < 0.0)):
+            step = 0.0
+        x[INTEGRAL] = bounded(x[INTEGRAL] + step - p[TRACKING] * excess)
+        change = p[DERIVATIVE_WEIGHT] * (r - r_last) - (y - y_last)
+        x[DERIVATIVE] = bounded(p[DECAY] * x[DERIVATIVE] + p[DERIVATIVE_STEP] * change)
+    x[LAST_REFERENCE] = reference
+    x[LAST_MEASURED] = measured
+    x[PROPORTION] = p[PROPORTIONAL] * (p[SETPOINT_WEIGHT] * r - y)
+    wanted = bounded(fed + x[PROPORTION] + x[INTEGRAL] + x[DERIVATIVE])
+    limited = wanted
+    if p[LIMITED] != 0.0:
+        limited = min(max(wanted, p[MINIMUM]), p[MAXIMUM])
+    x[EXCESS] = wanted - limited
+    command = bounded(limited * p[INPUT_SCALE])
+    x[ESTIMATED] = measured
+    x[COMMAND] = command
+    x[APPLIED] = command
+    return command
+
+
+@dataclass(frozen=True)
+class PidParameters(Parameters):
+    """PID controller; gains are in the model's units."""
+
+    Kp: float = parameter(0.0, description="Proportional gain (input unit over output unit of the model)")
+    Ki: float = parameter(0.0, unit="1/s", description="Integral gain (input unit over output unit and second)")
+    Kd: float = parameter(0.0, unit="s", description="Derivative gain (input unit times second over output unit)")
+    derivative_filter: float = parameter(
+        0.0, unit="rad/s", low=0.0, description="Cut-off N of the derivative's filter N/(s + N); 0: no filter"
+    )
+    setpoint_weight: float = parameter(1.0, low=0.0, high=2.0, description="b: part of the reference in the P part")
+    derivative_weight: float = parameter(
+        0.0, low=0.0, high=2.0, description="c: part of the reference in the D part; 0: no kick at steps"
+    )
+    anti_windup: str = parameter(
+        "back_calculation",
+        choices=("none", "clamping", "back_calculation"),
+        description="What the integral does while commands are not carried out: go on, stop, or be led back",
+    )
+    tracking_time: float = parameter(
+        0.0,
+        unit="s",
+        low=0.0,
+        description="T_t of back-calculation; 0: sqrt(Kd/Ki), without derivative Kp/Ki, without both one sample",
+    )
+    anti_windup_threshold: float = parameter(
+        0.02,
+        low=0.0,
+        description="A difference between command and applied counts as cut off when it is above this fraction of the "
+        "largest applied command so far; raise it where the inverse itself is less exact",
+    )
+    output_minimum: float = parameter(0.0, description="Least command (input unit); both limits 0: none")
+    output_maximum: float = parameter(0.0, description="Largest command (input unit); both limits 0: none")
+
+    def check(self):
+        """Yield what does not fit together: no gain at all, limits the wrong way round."""
+        if self.Kp == 0.0 and self.Ki == 0.0 and self.Kd == 0.0:
+            yield Problem("Kp", self.Kp, "Kp, Ki and Kd are all 0; give gains, or let `hysteresis design` find them")
+        if self.limited and not self.output_minimum < self.output_maximum:
+            allowed = f"must be above output_minimum = {self.output_minimum:g}, or both 0 for no limits"
+            yield Problem("output_maximum", self.output_maximum, allowed)
+
+    @property
+    def limited(self) -> bool:
+        """Whether the controller has limits of its own."""
+        return self.output_minimum != 0.0 or self.output_maximum != 0.0
+
+    def decay(self, sample_time: float) -> float:
+        """Return a = exp(−N T) of the derivative's filter for ``sample_time`` [s], 0 without a filter."""
+        return elementary.exp(-self.derivative_filter * sample_time) if self.derivative_filter > 0.0 else 0.0
+
+    def tracking(self, sample_time: float) -> float:
+        """Return T / T_t of back-calculation for ``sample_time`` [s], at most 1; 0 when it is not chosen."""
+        if self.anti_windup != "back_calculation":
+            return 0.0
+        time = self.tracking_time
+        if time == 0.0 and self.Ki != 0.0:
+            time = math.sqrt(abs(self.Kd / self.Ki)) or abs(self.Kp / self.Ki)
+        return min(sample_time / time, 1.0) if time > 0.0 else 1.0
+
+
+def pid_state_space(parameters: PidParameters, sample_time: float) -> StateSpace:
+    """Return the controller from (reference, measured) to command, in the model's units, both setpoint weights one.
+
+    Parameters
+    ----------
+    parameters : PidParameters
+    sample_time : float
+        Sample time [s].
+
+    Returns
+    -------
+    StateSpace
+        Integral and filtered derivative are its states, without those whose gain is zero.
+    """
+    a = parameters.decay(sample_time)
+    slope = parameters.Kd * (1.0 - a) / sample_time
+    integral = parameters.Ki * sample_time
+    B, D = np.array([[integral], [(a - 1.0) * slope]]), np.array([[parameters.Kp + 0.5 * integral + slope]])
+    whole = StateSpace(np.diag([1.0, a]), np.hstack([B, -B]), np.ones((1, 2)), np.hstack([D, -D]))
+    return whole.part([i for i, gain in enumerate((parameters.Ki, parameters.Kd)) if gain != 0.0])
+
+
+def require_stable_pid(parameters, sample_time: float | None) -> None:
+    """Refuse gains with which the controller's own model would not settle.
+
+    Without a model (no A, and an input scale of its own, so that nobody knows the gain) there is nothing to check.
+
+    Parameters
+    ----------
+    parameters : ControllerParameters
+    sample_time : float or None
+        Sample time [s]; nothing is checked where it is not known.
+
+    Raises
+    ------
+    ParameterError
+        ``pid``: the closed loop has a pole on or outside the unit circle.
+    """
+    dynamics, gains = parameters.model.dynamics, parameters.pid
+    if sample_time is None:
+        return
+    if not dynamics.order and dynamics.input_scale != 0.0:
+        return
+    plant, controller = dynamics.state_space.held(), pid_state_space(gains, sample_time)
+    measured, through = controller.B[:, 1:], controller.D[0, 0]
+    loop = np.block(
+        [[plant.A - through * plant.B @ plant.C, plant.B @ controller.C], [measured @ plant.C, controller.A]]
+    )
+    values = (gains.Kp, gains.Ki, gains.Kd)
+    state_feedback.require_stable(loop, "pid.Kp, Ki, Kd", values, "the controlled model")
+
+
+class Pid(Controller):
+    """PID controller.
+
+    Parameters
+    ----------
+    parameters : ControllerParameters
+        With ``type`` pid.
+    sample_time : float
+        Sample time [s].
+    """
+
+    kernel = staticmethod(pid)
+
+    def pack(self, parameters) -> np.ndarray:
+        """Return the parameter array, shape (17,)."""
+        gains, dynamics = parameters.pid, parameters.model.dynamics
+        require_stable_pid(parameters, self.sample_time)
+        a = gains.decay(self.sample_time)
+        gain = dynamics.state_space.dc_gain
+        p = np.zeros(PARAMETERS)
+        p[FED] = parameters.feedforward.type != "none"
+        p[INPUT_SCALE] = dynamics.resolved_input_scale
+        p[OUTPUT_SCALE] = dynamics.output_scale
+        p[PRELOAD] = parameters.model.preload.offset
+        p[PROPORTIONAL] = gains.Kp
+        p[INTEGRAL_STEP] = 0.5 * gains.Ki * self.sample_time
+        p[DERIVATIVE_STEP] = gains.Kd * (1.0 - a) / self.sample_time
+        p[DECAY] = a
+        p[SETPOINT_WEIGHT] = gains.setpoint_weight
+        p[DERIVATIVE_WEIGHT] = gains.derivative_weight
+        p[CLAMPING] = gains.anti_windup == "clamping"
+        p[TRACKING] = gains.tracking(self.sample_time) if gains.Ki != 0.0 else 0.0
+        p[THRESHOLD] = gains.anti_windup_threshold
+        p[LIMITED] = gains.limited
+        p[MINIMUM] = gains.output_minimum
+        p[MAXIMUM] = gains.output_maximum
+        p[REST_COMMAND] = 1.0 / gain if gain != 0.0 else 0.0
+        return p
+
+    def initial_state(self) -> np.ndarray:
+        """Return the state before the first sample."""
+        return np.zeros(STATES)
+
+    def retune(self, parameters) -> None:
+        """Take new gains while running: the integral takes up what the new ones would change in the last command.
+
+        Raises
+        ------
+        ParameterError
+            The parameters are wrong or make the controlled model unstable; the controller is unchanged then.
+        """
+        before = self.p.copy()
+        super().retune(parameters)
+        x, p = self.x, self.p
+        if x[STARTED] == 0.0:
+            return
+        for place in (INTEGRAL, DERIVATIVE, PROPORTION, EXCESS):
+            x[place] *= before[INPUT_SCALE] / p[INPUT_SCALE]
+        r = x[LAST_REFERENCE] / p[OUTPUT_SCALE]
+        y = (x[LAST_MEASURED] - p[PRELOAD]) / p[OUTPUT_SCALE]
+        proportion = p[PROPORTIONAL] * (p[SETPOINT_WEIGHT] * r - y)
+        x[INTEGRAL] += x[PROPORTION] - proportion
+        x[PROPORTION] = proportion
+
+
+#: What an integrator alone is held to.
+CALM = replace(REQUIRED, sensitivity_peak=1.4)
+#: Poles below this are those of a delay; several of them at 0 are computed no closer.
+AT_ZERO = 1e-3
+#: Cut-off of the derivative filter as a part of the sampling angular frequency, when none is given.
+FILTER = 0.2
+#: A slow pole with less of the answer to a step than this is left: a high-pass in a damping has a zero beside it.
+LITTLE = 0.02
+#: How near to a pole its residue is looked at, as a part of its distance from 1.
+NEAR = 1e-4
+#: Steps of the search for the gain.
+STEPS = 60
+
+
+def pid_with_zeros(zeros, gain: float, sample_time: float, derivative_filter: float):
+    """Return (K_p, K_i, K_d) of a discrete PID with numerator g (z − z₁)(z − z₂), or g (z − z₁) for a PI.
+
+    Parameters
+    ----------
+    zeros : sequence of complex
+        One for a PI, two (real or a conjugate pair) for a PID.
+    gain : float
+        g, the leading coefficient.
+    sample_time : float
+        [s]
+    derivative_filter : float
+        N [rad/s].
+    """
+    wanted = gain * polynomial(zeros)
+    half = 0.5 * sample_time
+    if len(zeros) == 1:
+        Kp, Ki = solve(np.array([[1.0, -1.0], [half, half]]).T, wanted)
+        return float(Kp), float(Ki), 0.0
+    a = elementary.exp(-derivative_filter * sample_time) if derivative_filter > 0.0 else 0.0
+    slope = (1.0 - a) / sample_time
+    columns = [polynomial([1.0, a]), half * polynomial([-1.0, a]), slope * polynomial([1.0, 1.0])]
+    Kp, Ki, Kd = solve(np.array(columns).T, wanted)
+    return float(Kp), float(Ki), float(Kd)
+
+
+def slowest_poles(model: StateSpace) -> list[complex]:
+    """Return the poles that a PI or PID cancels: one or two.
+
+    Parameters
+    ----------
+    model : StateSpace
+    """
+    if not model.order:
+        return [0.0]
+    poles = sorted(eigenvalues(model.A), key=_slowness, reverse=True)
+    # poles at zero are delay, which no zero takes away
+    poles = [pole for pole in poles if _slowness(pole) > AT_ZERO**2] or [0.0]
+    while len(poles) > 1 and poles[0].imag == 0.0 and _share(model, poles[0].real) < LITTLE:
+        poles = poles[1:]
+    if len(poles) == 1:
+        return [complex(poles[0])]
+    first = poles[0]
+    if abs(first.imag) > 0.0:
+        return [complex(first), complex(first.conjugate())]
+    second = next((pole for pole in poles[1:] if pole.imag == 0.0), None)
+    return [complex(first)] + ([] if second is None else [complex(second)])
+
+
+def _share(model: StateSpace, pole: float) -> float:
+    """Return which part of the answer to a step dies out with a real pole."""
+    near = NEAR * (1.0 - pole)
+    residue = near * complex(model.response([pole + near])[0, 0, 0])
+    return abs(residue / (1.0 - pole) / model.dc_gain)
+
+
+def _slowness(pole: complex) -> float:
+    return pole.real * pole.real + pole.imag * pole.imag  # abs() is hypot of the C library
+
+
+def design_pid(
+    given: PidParameters,
+    dynamics,
+    sample_time: float,
+    bandwidth: float | None = None,
+    *,
+    plants: tuple[PossiblePlant, ...] = (),
+    aimed: Requirements = AIMED,
+) -> PidParameters:
+    """Return the gains of a PID for a model.
+
+    Parameters
+    ----------
+    given : PidParameters
+        All but the gains, the setpoint weights and, where it is 0 and needed, the derivative filter is kept.
+    dynamics : LinearParameters
+        The model.
+    sample_time : float
+        [s]
+    bandwidth : float, optional
+        Frequency at which the response to the reference falls by 3 dB [Hz]; by default what the plants allow.
+    plants : tuple of PossiblePlant, optional
+        On which that is to be met, the model first; by default the model alone.
+    aimed : Requirements, optional
+        What is to be met where no bandwidth is asked; with one it is what every design is held to.
+
+    Raises
+    ------
+    ParameterError
+        ``bandwidth``: more than the model allows with the margins of every design.
+    """
+    zeros = slowest_poles(dynamics.state_space)
+    cut_off = given.derivative_filter
+    if len(zeros) == 2 and cut_off == 0.0:
+        cut_off = FILTER * 2.0 * np.pi / sample_time
+    scale = dynamics.resolved_input_scale / dynamics.output_scale
+    plants = plants or (PossiblePlant(plant_state_space(dynamics)),)
+    if bandwidth is not None:
+        plants, aimed = plants[:1], REQUIRED
+
+    def gains(g):
+        Kp, Ki, Kd = pid_with_zeros(zeros, g, sample_time, cut_off)
+        weights: dict[str, Any] = {"setpoint_weight": 1.0, "derivative_weight": 1.0}
+        return replace(given, Kp=Kp, Ki=Ki, Kd=Kd, derivative_filter=cut_off, **weights)
+
+    def judged(g):
+        return judge_worst(pid_state_space(gains(g), sample_time).scaled(scale), plants, sample_time)
+
+    leading = dynamics.matrices.dc_gain
+    most = _largest_gain(judged, aimed, sign=1.0 if leading > 0.0 else -1.0, start=1.0 / abs(leading))
+    if bandwidth is None:
+        return gains(most)
+    reachable = judged(most).bandwidth
+    if not bandwidth <= reachable:
+        allowed = (
+            f"a PID reaches at most {reachable:.4g} Hz on this model with M_s ≤ {aimed.sensitivity_peak:g} and "
+            f"a delay margin of {aimed.delay_margin:g} sample"
+        )
+        state_feedback.refuse("bandwidth", bandwidth, allowed)
+    low, high = 0.0, 1.0
+    for _ in range(STEPS):
+        middle = 0.5 * (low + high)
+        if judged(most * middle).bandwidth < bandwidth:
+            low = middle
+        else:
+            high = middle
+        if high - low < 1e-6 * high:
+            break
+    return gains(most * high)
+
+
+def design_integral(given: PidParameters, dynamics, sample_time: float) -> PidParameters:
+    """Return the largest integral gain, with nothing beside it, whose loop has M_s = 1.4 and the other margins.
+
+    Parameters
+    ----------
+    given : PidParameters
+        All but the gains is kept.
+    dynamics : LinearParameters
+        The model.
+    sample_time : float
+        [s]
+
+    Raises
+    ------
+    ParameterError
+        There is none.
+    """
+    plant, leading = plant_state_space(dynamics, scaled=False), dynamics.matrices.dc_gain
+
+    def gains(Ki):
+        return replace(given, Kp=0.0, Ki=Ki, Kd=0.0)
+
+    def judged(Ki):
+        return judge(pid_state_space(gains(Ki), sample_time), plant, sample_time)
+
+    return gains(_largest_gain(judged, CALM, sign=1.0 if leading > 0.0 else -1.0, start=1.0 / abs(leading)))
+
+
+def _largest_gain(judged, required: Requirements, sign: float, start: float) -> float:
+    """Return the largest g whose loop meets the requirements, as with all smaller ones."""
+
+    def good(g):
+        return judged(sign * g).meets(required)
+
+    low = start
+    while not good(low):
+        low *= 0.5
+        if low < 1e-9 * start:
+            state_feedback.refuse(
+                "model.dynamics.A", None, "no PID with these zeros has the margins; choose another controller"
+            )
+    high = 2.0 * low
+    while good(high) and high < 1e9 * start:
+        low, high = high, 2.0 * high
+    for _ in range(30):
+        middle = 0.5 * (low + high)
+        if good(middle):
+            low = middle
+        else:
+            high = middle
+    return sign * low
+
+
+#: A cancelled pole pair with less damping than this goes on ringing when something else than the reference excites it.
+LITTLE_DAMPING = 0.1
+
+
+def designed(task: DesignTask):
+    """Return the parameters with the gains of :func:`~hysteresis_ros.control.laws.pid.design_pid`.
+
+    Parameters
+    ----------
+    task : DesignTask
+    """
+    given = task.parameters
+    dynamics, T = given.model.dynamics, task.sample_time
+    gains = design_pid(given.pid, dynamics, T, task.bandwidth, plants=task.plants, aimed=task.aimed)
+    return replace(given, pid=gains)
+
+
+def near_rest(parameters):
+    """Return the parameters without limits of the controller's own.
+
+    Parameters
+    ----------
+    parameters : ControllerParameters
+    """
+    return replace(parameters, pid=replace(parameters.pid, output_minimum=0.0, output_maximum=0.0))
+
+
+def rows(parameters, sample_time: float):
+    """Yield (name, text) of what a design prints.
+
+    Parameters
+    ----------
+    parameters : ControllerParameters
+    sample_time : float
+        [s]
+    """
+    gains = parameters.pid
+    yield "Kp, Ki, Kd", f"{gains.Kp:.6g}, {gains.Ki:.6g} 1/s, {gains.Kd:.6g} s"
+    if gains.Kd:
+        yield "derivative filter", f"{gains.derivative_filter:.6g} rad/s"
+
+
+def doubts(parameters, sample_time: float, tuned: bool):
+    """Yield that cancelled poles of little damping are not damped.
+
+    Parameters
+    ----------
+    parameters : ControllerParameters
+    sample_time : float
+        [s]
+    tuned : bool
+        Whether gains were tuned after the design, which cancel nothing any more.
+    """
+    pole = slowest_poles(parameters.model.dynamics.state_space)[0]
+    logarithm = np.log(pole) if abs(pole) > 0.0 else -np.inf
+    damping = -np.real(logarithm) / abs(logarithm) if np.isfinite(logarithm) else 1.0
+    if damping < LITTLE_DAMPING and not tuned:
+        hertz = abs(logarithm) / (2.0 * np.pi * sample_time)
+        yield (
+            f"the pid cancels poles at {hertz:.4g} Hz with damping {damping:.2g}: the reference does not excite "
+            "them, but nothing damps them; offset_free does"
+        )
+
+
+def started(parameters, sample_time: float):
+    """Return the parameters with which a tuning begins: lambda tuning.
+
+    Parameters
+    ----------
+    parameters : ControllerParameters
+    sample_time : float
+        [s]
+    """
+    return replace(parameters, pid=design_pid(parameters.pid, parameters.model.dynamics, sample_time))
+
+
+def loop(parameters, sample_time: float):
+    """Return controller and model in the model's units.
+
+    Parameters
+    ----------
+    parameters : ControllerParameters
+    sample_time : float
+        [s]
+    """
+    return pid_state_space(parameters.pid, sample_time), plant_state_space(parameters.model.dynamics, scaled=False)
+
+
+CONTROLLER = ControllerLaw(
+    name="pid",
+    block=Pid,
+    description="PID with derivative filter, setpoint weights and anti-windup",
+    groups={"pid": PidParameters},
+    check=require_stable_pid,
+    near_rest=near_rest,
+    designs={"pid": designed},
+    rows=rows,
+    doubts=doubts,
+    tuning=Tuning(("Kp", "Ki", "Kd"), started, loop),
+)

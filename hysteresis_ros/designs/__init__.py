@@ -1,0 +1,15 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Designs: from a model or a measured response to the parameters of a controller.
+
+Read :mod:`.controller` (what ``hysteresis design`` does), which uses :mod:`.gains` and :mod:`.damping`;
+:mod:`.learning` with :mod:`.learning_filters` for periodic references. :mod:`.frequency_response` measures an axis,
+:mod:`.measured` and :mod:`.setpoint_step` judge a design by it. What a law alone designs stands in that law.
+"""

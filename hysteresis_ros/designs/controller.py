@@ -1,0 +1,670 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Design of the controller of an axis: what ``hysteresis design`` does, decides, prints and writes."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+import yaml
+
+from hysteresis_ros.configuration import Configuration, dump_configuration, matches, parse_configuration
+from hysteresis_ros.control.controller import DESIGNS, ControllerParameters, design_of
+from hysteresis_ros.control.damping.inner_loop import KINDS, NONE, modes
+from hysteresis_ros.control.feedforward import FeedforwardParameters, designed_preview
+from hysteresis_ros.control.learning import LearningParameters
+from hysteresis_ros.control.linearisation import margins, whole_loop
+from hysteresis_ros.control.margins import AIMED, REQUIRED, Margins
+from hysteresis_ros.control.uncertainty import KEPT, Borne, ResponseUncertainty, Uncertainty
+from hysteresis_ros.designs.damping import DampedDesign, PlantsAround, around_model, judge_damping, with_damping
+from hysteresis_ros.designs.gains import Designed, Robustness, Tuned, design_gains, design_robust, tune
+from hysteresis_ros.errors import ConfigurationError, ParameterError
+from hysteresis_ros.identification.parameter_file import SECTION
+from hysteresis_ros.identification.safe_motion import with_safe_motion
+from hysteresis_ros.loop.axis import Axis
+from hysteresis_ros.loop.parameters import AxisParameters, part
+from hysteresis_ros.loop.reach import reachable_displacements, single_axis
+
+NODE = "motion_controller"
+#: How the comment of an earlier design of the learning, and of the controller with all that was designed over it,
+#: begins, which does not describe the file any more.
+LEARNING = ("# Learning designed by `hysteresis design", "# over the controller of this file:")
+HEADERS = ("# Controller designed by `hysteresis design", "# on the model in motion_controller:", *LEARNING)
+
+
+def designed_values(before: dict, parameters: ControllerParameters) -> dict:
+    """Return the flat parameters of the controller node: those of the file, with the groups that the design decides.
+
+    A correction that was learned over the controller before has filters that are wrong for another one: it goes.
+
+    Parameters
+    ----------
+    before : dict
+        Flat parameters of the section.
+    parameters : ControllerParameters
+        Of the design.
+    """
+    groups = (*parameters.law.groups, "feedforward", *_damping(before, parameters))
+    replaced = tuple(f"{name}." for name in groups)
+    gone = (*replaced, "learning.")
+    kept = {name: value for name, value in before.items() if not name.startswith(gone) and name != "type"}
+    chosen = {"type": parameters.type}
+    flat = parameters.to_mapping()
+    unused = tuple(f"damping.{kind}." for kind in KINDS if kind != parameters.damping.type)
+    flat = {name: value for name, value in flat.items() if not name.startswith(unused)}
+    # ROS has no type for an empty array
+    chosen |= {name: value for name, value in flat.items() if name.startswith(replaced) and value != ()}
+    found = {"type": chosen.pop("type")} | kept | chosen
+    return {name: tuple(value) if isinstance(value, list) else value for name, value in found.items()}
+
+
+def _damping(before: dict, parameters: ControllerParameters) -> tuple[str, ...]:
+    """Return the group of the damping, where there is one or the file speaks of it."""
+    named = any(name.startswith("damping.") for name in before)
+    return ("damping",) if named or parameters.damping.type != NONE else ()
+
+
+def design_text(configuration: Configuration, parameters: ControllerParameters, namespace: str, header: str) -> str:
+    """Return the text of the file with the design: everything but the controller's section stays as it is written.
+
+    Parameters
+    ----------
+    configuration : Configuration
+        What was designed from.
+    parameters : ControllerParameters
+        Of the design.
+    namespace : str
+        Of the axis.
+    header : str
+        Comment lines for the beginning of the file, without ``#``.
+    """
+    return _text(configuration, lambda before: designed_values(before, parameters), namespace, header, HEADERS)
+
+
+def learning_text(configuration: Configuration, parameters: LearningParameters, namespace: str, header: str) -> str:
+    """Return the text of the file with a designed correction: everything else stays.
+
+    Parameters
+    ----------
+    configuration : Configuration
+        What was designed from.
+    parameters : LearningParameters
+        Of the design.
+    namespace : str
+        Of the axis.
+    header : str
+        Comment lines for the beginning of the file, without ``#``.
+    """
+    chosen = {f"learning.{name}": value for name, value in parameters.to_mapping().items()}
+
+    def values(before: dict) -> dict:
+        return {name: value for name, value in before.items() if not name.startswith("learning.")} | chosen
+
+    return _text(configuration, values, namespace, header, LEARNING)
+
+
+def _text(configuration: Configuration, values: Callable[[dict], dict], namespace: str, header: str, replaced) -> str:
+    """Return the text of a file with other values in the controller's section, and its comment in place of others."""
+    comment = "".join(f"# {line}\n" for line in header.splitlines())
+    full = f"{namespace}/{NODE}"
+    root = yaml.compose(configuration.text)
+    sections = [(key, value) for key, value in root.value if _belongs(key.value, full)]
+    lines = configuration.text.splitlines(keepends=True)
+    kept = 0
+    while lines[kept].startswith(replaced):
+        kept += 1
+    if lines and not lines[-1].endswith("\n"):
+        lines[-1] += "\n"
+    if not sections:
+        section = dump_configuration({f"/**{full}": values(configuration.node(NODE, namespace))})
+        text = comment + "".join(lines[kept:]) + "\n" + section
+    else:
+        key, value = sections[-1]
+        before = next(flat for pattern, flat in reversed(configuration.entries) if pattern == key.value)
+        section = dump_configuration({key.value: values(before)})
+        first, end = key.start_mark.line, min(value.end_mark.line, len(lines))
+        while end > first + 1 and (not lines[end - 1].strip() or lines[end - 1].startswith("#")):
+            end -= 1
+        text = comment + "".join(lines[kept:first]) + section + "".join(lines[end:])
+    parse_configuration(text, "the designed file")
+    return text
+
+
+def _belongs(pattern: str, full: str) -> bool:
+    return pattern.rsplit("/", 1)[-1] == NODE and matches(pattern, full)
+
+
+#: The bandwidth is halved up to so often, and then raised again in so many steps.
+HALVINGS, RAISED = 18, 3
+#: Variances of the input's noise that are tried for a slower observer, over that of the measurement.
+OBSERVERS = (1.0, 0.3, 0.1, 0.03, 0.01, 1e-3, 1e-5, 1e-7)
+#: ``design(bandwidth, q)``.
+Design = Callable[[float | None, float | None], Designed]
+
+
+def response_uncertainty(configuration: Configuration) -> ResponseUncertainty | None:
+    """Return what an identification wrote into a parameter file about the response; None where it did not.
+
+    Parameters
+    ----------
+    configuration : Configuration
+
+    Raises
+    ------
+    ConfigurationError
+        What stands there is no uncertainty.
+    """
+    found = next((values for name, values in configuration.entries if name == SECTION), {})
+    if "response.uncertainty" not in found:
+        return None
+    try:
+        frequencies, relative = (
+            np.array(found[f"response.{name}"], dtype=float) for name in ("frequencies", "uncertainty")
+        )
+        known_to = float(found.get("response.known_to", np.inf))
+    except (KeyError, TypeError, ValueError):
+        frequencies, relative, known_to = np.ones(1), np.zeros(0), 0.0
+    rising = frequencies.shape == relative.shape and frequencies.ndim == 1 and bool(np.all(np.diff(frequencies) > 0.0))
+    if not rising or not np.all(relative >= 0.0) or np.isnan(known_to):
+        raise ConfigurationError(
+            f"{configuration.source}: {SECTION}: response.frequencies and response.uncertainty must be as many numbers,"
+            " frequencies rising, uncertainties not below 0; identify again, or remove the entries response.*"
+        )
+    return ResponseUncertainty(frequencies, relative, known_to)
+
+
+def borne(found: Designed, response: ResponseUncertainty, sample_time: float) -> Borne:
+    """Return what is certain of a design.
+
+    Parameters
+    ----------
+    found : Designed
+    response : ResponseUncertainty
+    sample_time : float
+        [s]
+    """
+    return response.borne_by(*whole_loop(found.parameters, sample_time), sample_time)
+
+
+def certain_design(
+    first: Designed, design: Design, request, response: ResponseUncertainty | None, sample_time: float
+) -> Designed:
+    """Return a design that is stable for all plants that the identification leaves possible.
+
+    What was not asked for is slowed down: first the observer, then the response to the reference.
+
+    Parameters
+    ----------
+    first : Designed
+        What is to be certain.
+    design : callable
+        ``design(bandwidth, q)`` returns another; None for values of its own.
+    request : DesignRequest
+        What was asked for stays.
+    response : ResponseUncertainty, optional
+        Without one the first is taken as it is.
+    sample_time : float
+        [s]
+
+    Raises
+    ------
+    ConfigurationError
+        No design is certain; names the frequency and what would be.
+    """
+    if response is None:
+        return first
+    certain = borne(first, response, sample_time)
+    if certain.distance >= KEPT:
+        return first
+
+    observes = request.q is None and "kalman" in first.parameters.law.groups
+    observers = OBSERVERS if observes else (request.q,)
+
+    def found_with(bandwidth: float | None) -> Designed | None:
+        if observes and not _bears_unknown(design, bandwidth, observers[-1], response, sample_time):
+            return None  # a faster observer has more gain there
+        for q in observers:
+            with contextlib.suppress(ParameterError):  # the law does not reach this one
+                found = design(bandwidth, q)
+                if borne(found, response, sample_time).distance >= KEPT:
+                    return found
+        return None
+
+    slower = None
+    if not request.criterion:
+        slower = found_with(request.bandwidth)
+        if slower is None and request.bandwidth is None:
+            slower = _slower(found_with, min(first.margins.bandwidth, 0.4 / sample_time))
+    if slower is not None:
+        return slower
+    known = response.assumption(sample_time)
+    if certain.frequency <= response.known_to or not known:
+        known = f"the response is known there to {100.0 * certain.uncertainty:.0f} % only"
+    raise ConfigurationError(
+        f"the model is not fit for this feedback at {certain.frequency:.4g} Hz: {known}; ask for a lower bandwidth or "
+        "none, take another controller (pid), or identify from a recording with content there (hysteresis excite "
+        "--recipe multisine)"
+    )
+
+
+def _bears_unknown(design: Design, bandwidth, q, response: ResponseUncertainty, sample_time: float) -> bool:
+    """Return whether a design leaves room for what may stand where nothing is known; True if there is no design."""
+    with contextlib.suppress(ParameterError):
+        found = borne(design(bandwidth, q), response, sample_time)
+        return found.distance >= KEPT or found.frequency <= response.known_to
+    return True
+
+
+def _slower(found_with: Callable[[float], Designed | None], fast: float) -> Designed | None:
+    """Return the fastest design that is certain, from a bandwidth downwards."""
+    for _ in range(HALVINGS):
+        slow = 0.5 * fast
+        best = found_with(slow)
+        if best is not None:
+            for _ in range(RAISED):
+                middle = float(np.sqrt(slow * fast))
+                found = found_with(middle)
+                slow, fast, best = (slow, middle, best) if found is None else (middle, fast, found)
+            return best
+        fast = slow
+    return None
+
+
+#: Poles below this, delays, are not printed; several of them at 0 are computed no closer.
+AT_ZERO = 1e-3
+
+
+#: RMS of the noise of a sensor that is not known, and how much of the command may be noise, as parts of the stroke.
+ASSUMED_NOISE = 1e-4
+NOISY_COMMAND = 2e-3
+
+
+#: Option of the command for each range of the plants of a robust design.
+OPTIONS = {
+    "gain": "gain-range",
+    "hysteresis": "hysteresis-range",
+    "resonance": "resonance-range",
+    "delay": "delay-range",
+    "draws": "draws",
+    "seed": "seed",
+}
+
+
+@dataclass(frozen=True)
+class DesignRequest:
+    """What is asked of a design.
+
+    Parameters
+    ----------
+    controller : str
+        Name of a design, see :data:`hysteresis_ros.control.controller.DESIGNS`.
+    bandwidth : float, optional
+        [Hz]
+    q : float, optional
+        Variance of the input's noise over that of the measurement in the Kalman filter.
+    criterion : str, optional
+        ``iae``, ``ise`` or ``itae``: tune the gains on the waveform, where the law has some for that.
+    duration : float, optional
+        Length of the run for that [s].
+    feedforward : bool
+        Add the inverse of the dynamics.
+    preview : int, optional
+        Samples of preview of it; by default what the inverse needs.
+    noise : float, optional
+        RMS of the sensor's noise [m], for how fast a design of its own accord may be; by default
+        :data:`ASSUMED_NOISE` of the stroke.
+    robust : Uncertainty, optional
+        Plants on each of which the requirements are to be met; by default the model alone, with a damping those with
+        resonances off by 10 % as well.
+    damping : str, optional
+        Kind of damping to design first, or ``none``; by default that of the configuration stays.
+    """
+
+    controller: str
+    bandwidth: float | None = None
+    q: float | None = None
+    criterion: str | None = None
+    duration: float | None = None
+    feedforward: bool = False
+    preview: int | None = None
+    noise: float | None = None
+    robust: Uncertainty | None = None
+    damping: str | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class AxisDesign:
+    """A designed controller.
+
+    Parameters
+    ----------
+    request : DesignRequest
+    parameters : ControllerParameters
+    margins : Margins
+    sample_time : float
+        [s]
+    tuned : Tuned, optional
+        What the tuning did.
+    robustness : Robustness, optional
+        What the loop is worth on the plants of a robust design.
+    limited : ResponseUncertainty, optional
+        What the design was kept slower for.
+    damped : DampedDesign, optional
+        What the damping in front of which the controller stands is worth.
+    """
+
+    request: DesignRequest
+    parameters: ControllerParameters
+    margins: Margins
+    sample_time: float
+    tuned: Tuned | None = None
+    robustness: Robustness | None = None
+    limited: ResponseUncertainty | None = None
+    damped: DampedDesign | None = None
+
+    def misses(self) -> tuple[str, ...]:
+        """Return what the loop misses of what every design is held to, on the model or on a plant that was drawn."""
+        others = (found.misses() for found in (self.robustness, self.damped) if found is not None)
+        return self.margins.misses() or next((said for said in others if said), ())
+
+
+def drawn_around(robust: bool, ranges: dict) -> Uncertainty | None:
+    """Return the plants of a robust design, from the options of the command.
+
+    Parameters
+    ----------
+    robust : bool
+        Whether one is asked.
+    ranges : dict
+        Values by the names of :data:`OPTIONS`; None where nothing is given.
+
+    Raises
+    ------
+    ConfigurationError
+        A range is given without a robust design.
+    ParameterError
+        A range is out of bounds; it is named by its option.
+    """
+    given = {name: value for name, value in ranges.items() if value is not None}
+    if not robust:
+        if given:
+            raise ConfigurationError(f"--{OPTIONS[next(iter(given))]} belongs to --robust; give both")
+        return None
+    try:
+        return Uncertainty(**given)
+    except ParameterError as error:
+        named = [replace(problem, name=f"--{OPTIONS[problem.name]}") for problem in error.problems]
+        raise ParameterError(named) from None
+
+
+def design_axis(
+    axis: AxisParameters, request: DesignRequest, response: ResponseUncertainty | None = None
+) -> AxisDesign:
+    """Design the controller of an axis from the model in its own parameters.
+
+    Parameters
+    ----------
+    axis : AxisParameters
+    request : DesignRequest
+    response : ResponseUncertainty, optional
+        Of the model's response, see :func:`.response_uncertainty`: what was not asked for is slowed down until the loop
+        is stable for all plants within it.
+
+    Raises
+    ------
+    ConfigurationError
+        There is no such controller, requests exclude each other, or the model is not fit for what is asked.
+    ParameterError
+        No design follows from the model; names what keeps it.
+    """
+    _check_request(axis, request)
+    sample_time = 1.0 / axis.motion_controller.sample_rate
+    given = part(axis.motion_controller, ControllerParameters)
+    around = around_model(given, sample_time, request)
+    control = with_damping(given, sample_time, around, request)
+    control = replace(control, feedforward=_feedforward(control.before_damping(sample_time), request))
+    quiet = _quiet(axis, request.noise)
+
+    def design(bandwidth, q):
+        asked = replace(request, bandwidth=bandwidth, q=q, robust=None)
+        return _gains(control, asked, sample_time, quiet, around)[0]
+
+    first, robust = _gains(control, request, sample_time, quiet, around)
+    tuned = None
+    if request.criterion:
+        tuned = _tuned(axis, first.parameters, request)
+        law, _ = design_of(request.controller)
+        final = replace(first.parameters, **{law.name: tuned.gains})
+        first = Designed(final, margins(final, sample_time))
+    found = certain_design(first, design, request, response, sample_time)
+    damped = None
+    if control.damping.type != NONE:
+        bandwidth = None
+        plain = replace(request, damping=NONE, feedforward=False, preview=None)
+        with contextlib.suppress(ParameterError, ConfigurationError):
+            bandwidth = design_axis(axis, plain, response).margins.bandwidth
+        damped = judge_damping(found.parameters, sample_time, around, bandwidth)
+    # what was slowed down for what is unknown is no longer what was searched for
+    kept = {"robustness": robust} if found is first else {"limited": response}
+    return AxisDesign(request, found.parameters, found.margins, sample_time, tuned, damped=damped, **kept)
+
+
+def _gains(
+    control: ControllerParameters, request: DesignRequest, sample_time: float, quiet: float, around: PlantsAround
+) -> tuple[Designed, Robustness | None]:
+    """Return gains for what is asked, in front of the damping of the parameters."""
+    name, q = request.controller, request.q
+    if request.robust is not None:
+        aimed = replace(REQUIRED, command_noise_gain=quiet)
+        return design_robust(control, name, sample_time, request.robust, q, aimed=aimed)
+    aimed = replace(AIMED, command_noise_gain=quiet)
+    plants = () if request.damping in (None, NONE) else around.closed(control, sample_time)
+    return design_gains(control, name, sample_time, request.bandwidth, q, aimed=aimed, plants=plants), None
+
+
+def _tuned(axis: AxisParameters, parameters: ControllerParameters, request: DesignRequest) -> Tuned:
+    """Return gains tuned on the waveform of the axis, from those of a design on."""
+    law, _ = design_of(request.controller)
+    start = getattr(parameters, law.name)
+    changed = {"feedforward": parameters.feedforward, "damping": parameters.damping, law.name: start}
+    fed = replace(axis, motion_controller=replace(axis.motion_controller, type=law.name, **changed))
+    return tune(fed, law.name, request.criterion, start=start, duration=request.duration)
+
+
+def _check_request(axis: AxisParameters, request: DesignRequest) -> None:
+    """Refuse requests that exclude each other."""
+    law, _ = design_of(request.controller)
+    if request.criterion and law.tuning is None:
+        tunable = " or ".join(sorted(name for name, (law, _) in DESIGNS.items() if law.tuning is not None))
+        raise ConfigurationError(f"--criterion tunes a {tunable}, not {request.controller}; leave it out")
+    if request.criterion and request.bandwidth is not None:
+        raise ConfigurationError("--criterion and --bandwidth exclude each other; give one of them")
+    if request.criterion and axis.reference_generator is None:
+        raise ConfigurationError(
+            "--criterion tunes on the waveform of a reference generator, and a sequencer is in its place; leave it out"
+        )
+    if "kalman" not in law.groups and request.q is not None:
+        raise ConfigurationError(f"--q is of the Kalman filter, which {request.controller} has not; leave it out")
+    if request.q is not None and not request.q > 0.0:
+        raise ConfigurationError(f"--q {request.q:g}: must be above 0")
+    for name, given in (("--bandwidth", request.bandwidth), ("--criterion", request.criterion)):
+        if request.robust is not None and given is not None:
+            raise ConfigurationError(f"--robust and {name} exclude each other: the plants decide; give one of them")
+    if request.preview is not None and not request.feedforward:
+        raise ConfigurationError("--preview belongs to --feedforward; give both")
+
+
+def _quiet(axis: AxisParameters, noise: float | None) -> float:
+    """Return by which factor the sensor's noise may reach the command."""
+    if noise is not None and not noise > 0.0:
+        raise ConfigurationError(f"--noise {noise:g}: must be a noise in metres above 0")
+    low, high = reachable_displacements(axis)
+    return NOISY_COMMAND * (high - low) / (ASSUMED_NOISE * (high - low) if noise is None else noise)
+
+
+def _feedforward(control: ControllerParameters, request: DesignRequest) -> FeedforwardParameters:
+    if not request.feedforward:
+        return control.feedforward
+    preview = request.preview
+    if preview is None:
+        preview = designed_preview(control.model.dynamics)
+    if preview < 0:
+        raise ConfigurationError(f"--preview {preview}: must be 0 or more samples")
+    return FeedforwardParameters(type="inverse_dynamics", preview=preview)
+
+
+def design_file(configuration: Configuration, result: AxisDesign, namespace: str) -> str:
+    """Return the text of the parameter file of a design, checked: the axis can be built from it.
+
+    Parameters
+    ----------
+    configuration : Configuration
+        What was designed from.
+    result : AxisDesign
+    namespace : str
+        Of the axis.
+
+    Raises
+    ------
+    ParameterError
+        The axis cannot be built.
+    """
+    request = result.request
+    words = [f"--controller {request.controller}"]
+    for name in ("bandwidth", "q", "noise", "criterion", "duration", "preview"):
+        value = getattr(request, name)
+        if value is not None:
+            unit = "m" if name == "noise" else ""
+            words.append(f"--{name} {value:g}{unit}" if isinstance(value, float) else f"--{name} {value}")
+    if request.damping is not None:
+        words.append(f"--damping {request.damping}")
+    if request.feedforward:
+        words.append("--feedforward")
+    if request.robust is not None:
+        words += ["--robust", *_range_words(request.robust)]
+    source = configuration.source.replace("\\", "/").rsplit("/", 1)[-1]
+    reached = (
+        "none below half the sample rate" if np.isinf(result.margins.bandwidth) else _hertz(result.margins.bandwidth)
+    )
+    misses = "".join(f"; MISSES {text}" for text in result.misses())
+    header = (
+        f"Controller designed by `hysteresis design {source} {' '.join(words)}`\n"
+        f"on the model in motion_controller: bandwidth {reached}, M_s {result.margins.sensitivity_peak:.3g}, "
+        f"delay margin {_delay(result.margins)}{misses}."
+    )
+    text = design_text(configuration, result.parameters, namespace, header)
+    text = with_safe_motion(text, "the designed file", namespace)
+    Axis(single_axis(parse_configuration(text, "the designed file"), namespace or None))
+    return text
+
+
+def _hertz(value: float) -> str:
+    return "above half the sample rate" if np.isinf(value) else f"{value:.4g} Hz"
+
+
+def design_lines(result: AxisDesign) -> list[str]:
+    """Return the table that the command prints: gains, margins, bandwidth, poles, doubts.
+
+    Parameters
+    ----------
+    result : AxisDesign
+    """
+    found, own = result.margins, result.parameters.before_damping(result.sample_time)
+    rows = list(own.law.rows(own, result.sample_time))
+    if result.tuned is not None:
+        tuned = result.tuned
+        state = "converged" if tuned.converged else "not converged, the best found"
+        rows.append((f"{tuned.criterion.upper()} before, after", f"{tuned.before:.4g}, {tuned.after:.4g} ({state})"))
+    asked = result.request.bandwidth
+    rows += [
+        ("bandwidth asked", "-" if asked is None else _hertz(asked)),
+        ("bandwidth reached", _hertz(found.bandwidth)),
+        ("gain margin", _decibel(found.gain_margin)),
+        ("gain reduction margin", _decibel(found.gain_reduction_margin)),
+        ("phase margin", "infinite" if np.isinf(found.phase_margin) else f"{found.phase_margin:.1f} deg"),
+        ("delay margin", _delay(found)),
+        ("gain crossover", ", ".join(f"{value:.4g}" for value in found.gain_crossovers) + " Hz"),
+        ("phase crossover", ", ".join(f"{value:.4g}" for value in found.phase_crossovers) + " Hz"),
+        ("sensitivity peak M_s", f"{found.sensitivity_peak:.3f}"),
+        ("complementary peak M_t", f"{found.complementary_peak:.3f}"),
+        ("noise in displacement", f"{found.noise_gain:.3g} of the sensor's"),
+        ("noise in command", f"{found.command_noise_gain:.3g} of the sensor's"),
+        ("requirements", f"NOT MET: {'; '.join(result.misses())}" if result.misses() else f"met ({_required()})"),
+        (
+            "closed-loop poles",
+            ", ".join(_pole(pole) for pole in found.poles if pole.imag >= 0.0 and abs(pole) > AT_ZERO),
+        ),
+    ]
+    least = modes(found.poles.astype(complex), result.sample_time)[:1]
+    rows += [("least damped mode", f"{hertz:.4g} Hz, damping {damping:.2g}") for hertz, damping in least]
+    for further in (result.damped, result.robustness):
+        if further is not None:
+            rows += further.rows()
+    width = max(len(name) for name, _ in rows)
+    lines = [f"{name:<{width}}  {'none' if text == ' Hz' else text}" for name, text in rows]
+    return lines + [f"note: {text}" for text in doubts(result)]
+
+
+def _range_words(given: Uncertainty) -> list[str]:
+    """Return the options by which a command has these plants."""
+    return [f"--{OPTIONS[item.name]} {getattr(given, item.name):g}" for item in fields(given)]
+
+
+def _required() -> str:
+    least = f"gain margin {REQUIRED.gain_margin:g} dB, delay margin {REQUIRED.delay_margin:g} sample"
+    return f"M_s ≤ {REQUIRED.sensitivity_peak:g}, {least}"
+
+
+def _delay(found: Margins) -> str:
+    if np.isinf(found.delay_margin):
+        return "infinite"
+    return f"{found.delay_margin_samples:.3g} samples, {1e3 * found.delay_margin:.4g} ms"
+
+
+def _decibel(value: float) -> str:
+    return "infinite" if np.isinf(value) else f"{value:.1f} dB"
+
+
+def _pole(value: complex) -> str:
+    return f"{value.real:.4f}" if value.imag == 0.0 else f"{value.real:.4f}±{value.imag:.4f}i"
+
+
+def doubts(result: AxisDesign) -> list[str]:
+    """Return sentences about what a user should know of a design.
+
+    Parameters
+    ----------
+    result : AxisDesign
+    """
+    parameters = result.parameters
+    found = list(parameters.warnings())
+    if not parameters.model.dynamics.order:
+        found.append("model.dynamics.A is empty: designed for an axis that answers within a sample; identify its model")
+    misses = result.misses()
+    if misses:
+        found.append(
+            f"marked, a comparison does not rank it: {'; '.join(misses)}; little room for a wrong model or delay, "
+            "ask for another bandwidth or q"
+        )
+    if result.limited is not None:
+        rests = result.limited.assumption(result.sample_time) or "the recording leaves the response open"
+        found.append(
+            f"slowed down to a bandwidth of {_hertz(result.margins.bandwidth)}, to be stable for every plant that the "
+            f"recording allows: {rests}; a recording with content there (hysteresis excite --recipe multisine) may "
+            "allow a faster one"
+        )
+    if result.damped is not None:
+        found += result.damped.doubts()
+    own = parameters.before_damping(result.sample_time)
+    found += own.law.doubts(own, result.sample_time, result.tuned is not None)
+    return found

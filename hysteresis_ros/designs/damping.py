@@ -1,0 +1,521 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Design of a damping from a model, and what it is worth: the filter with which the loop around it may be fastest.
+
+For every filter the zeros of a PID are put on the slowest poles of the damped model, as its own design does, and its
+largest gain g follows in closed form on a grid of frequencies: with X the loop per unit of g, |1 + g X| ≥ 1/M_s at
+one frequency is a quadratic in g. The worst of several plants counts (the model, resonances off to both sides). The
+inner loop alone and the loop cut at the plant, both feedbacks in it, are to have M_s ≤ 2 as well and, where that is
+possible, to bear a sample of delay more. Filters are tried on a grid that is refined around the best one; what is found
+is written in four digits.
+
+References
+----------
+.. [1] Fleming, Aphale & Moheimani, IEEE Trans. Nanotechnology 9 (2010) 438-448 (integral action around the damped
+   plant measures a damping).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import product as combinations
+
+import numpy as np
+
+from hysteresis_ros.control import state_feedback
+from hysteresis_ros.control.controller import ControllerParameters
+from hysteresis_ros.control.damping.inner_loop import (
+    KINDS,
+    NONE,
+    DampingParameters,
+    InnerLoop,
+    closing,
+    inner_loop,
+    modes,
+    require_force,
+)
+from hysteresis_ros.control.damping.kind import COMMAND, FORCE, Mode
+from hysteresis_ros.control.laws.pid import FILTER, PidParameters, pid_state_space, pid_with_zeros, slowest_poles
+from hysteresis_ros.control.linearisation import linear_loop
+from hysteresis_ros.control.margins import REQUIRED, Margins, judge, margins_of
+from hysteresis_ros.control.uncertainty import PossiblePlant, possible_plant
+from hysteresis_ros.errors import ConfigurationError, ParameterError, did_you_mean
+from hysteresis_ros.models.linear import BOUNDARY, LinearParameters, StateSpace
+from hysteresis_ros.models.sensor import ForceParameters
+
+#: M_s that a search aims at, of the loop of the law and of that cut at the plant.
+SENSITIVITY = 1.9
+#: Part by which resonances may be off, where nothing is asked.
+RESONANCE = 0.1
+#: Points of the grid in each direction, by the number of directions, and how often it is refined.
+POINTS = {1: 41, 2: 13, 3: 8}
+REFINED = 3
+#: Frequencies of the grid, evenly in both scales, and around each resonance.
+GRID, AROUND = 120, 41
+#: What an inner loop leaves of any mode: this damping, or so many times that of the plant's.
+WELL, MUCH = 0.02, 5.0
+#: A mode of more damping needs none.
+DAMPED = 0.7
+
+
+def mode_to_damp(dynamics: LinearParameters, sample_time: float, force: ForceParameters | None = None) -> Mode:
+    """Return the resonance of least damping.
+
+    Parameters
+    ----------
+    dynamics : LinearParameters
+        The model.
+    sample_time : float
+        [s]
+    force : ForceParameters, optional
+        What the model has of the force in the stack.
+
+    Raises
+    ------
+    ParameterError
+        ``model.dynamics.A``: there is none to damp.
+    """
+    there = [mode for mode in modes(dynamics.matrices.poles.astype(complex), sample_time) if mode[1] < DAMPED]
+    if not there:
+        allowed = f"has no resonance of less damping than {DAMPED:g}: nothing to damp; design without --damping"
+        state_feedback.refuse("model.dynamics.A", dynamics.A, allowed)
+    gain = dynamics.matrices.dc_gain * dynamics.output_scale / dynamics.resolved_input_scale
+    return Mode(*there[0], gain, 0.0 if force is None else force.whole * gain)
+
+
+def damping_plants(
+    dynamics: LinearParameters, sample_time: float, resonance: float = RESONANCE, *, acting: bool = False
+) -> tuple[PossiblePlant, ...]:
+    """Return the plants on which a damping is judged: the model, and all times shorter and longer.
+
+    Parameters
+    ----------
+    dynamics : LinearParameters
+    sample_time : float
+        [s]
+    resonance : float
+        Part by which resonances may be off.
+    acting : bool
+        With the second output of :func:`~hysteresis_ros.control.margins.with_acting`, for a filter of the force.
+    """
+    slow = (1.0,) if resonance == 0.0 else (1.0, 1.0 - resonance, 1.0 + resonance)
+    return tuple(possible_plant(dynamics, sample_time, 1.0, slowness, acting=acting) for slowness in slow)
+
+
+def design_damping(
+    kind: str,
+    dynamics: LinearParameters,
+    sample_time: float,
+    plants: tuple[PossiblePlant, ...],
+    force: ForceParameters | None = None,
+) -> DampingParameters:
+    """Return the damping of a kind for a model.
+
+    Parameters
+    ----------
+    kind : str
+        Name of the kind.
+    dynamics : LinearParameters
+        The model, with its delay.
+    sample_time : float
+        [s]
+    plants : tuple of PossiblePlant
+        On which it is to work.
+    force : ForceParameters, optional
+        What the model has of the force in the stack.
+
+    Raises
+    ------
+    ParameterError
+        ``model.dynamics.A``: the model has no resonance, or nothing of this kind damps it; or
+        ``model.force.stack_stiffness``: nothing is known of the force that it works on.
+    """
+    mode = mode_to_damp(dynamics, sample_time, force)
+    if KINDS[kind].source == FORCE:
+        require_force(kind, force)
+    search = _Search(kind, mode, dynamics, sample_time, plants, force)
+    # first what bears a sample of delay more; where nothing does, what works as modelled
+    for late in (REQUIRED.delay_margin, 0.0):
+        found = search.best(late)
+        if found is not None:
+            return found
+    found_at = f"{mode.frequency:.4g} Hz"
+    allowed = (
+        f"no {kind} damps the resonance at {found_at} on all plants so that a PID in front of it keeps M_s ≤ 2; take "
+        "another kind, a higher sample rate or less delay"
+    )
+    return state_feedback.refuse("model.dynamics.A", dynamics.A, allowed)
+
+
+class _Search:
+    """The plants on a grid of frequencies, and the search on them."""
+
+    def __init__(self, kind: str, mode: Mode, dynamics: LinearParameters, sample_time: float, plants, force):
+        self.force = force
+        self.kind, self.mode, self.dynamics, self.sample_time = KINDS[kind], mode, dynamics, sample_time
+        self.plants = plants
+        self.z = np.exp(1j * _angles(plants))
+        self.responses = [one.plant.response(self.z)[:, :, 0] for one in plants]
+
+    def damping(self, point) -> DampingParameters:
+        """Return the parameters of a point."""
+        return replace(DampingParameters(), type=self.kind.name, **{self.kind.name: self.kind.chosen(point, self.mode)})
+
+    def speed(self, point, late: float, least: float) -> float:
+        """Return the integral gain [1/s] of the fastest PID in front of a point's filter.
+
+        Parameters
+        ----------
+        point : sequence of float
+        late : float
+            Delay more that both loops together have to bear [samples].
+        least : float
+            Where it is no larger than this, 0 is returned.
+        """
+        try:
+            loop = inner_loop(self.damping(point), self.dynamics, self.sample_time, self.force)
+        except (ParameterError, np.linalg.LinAlgError):
+            return 0.0
+        if not loop.direct > 0.0:
+            return 0.0
+        found = loop.around(self.plants[0].plant)
+        if np.max(np.abs(found.poles)) >= 1.0 - BOUNDARY:
+            return 0.0
+        gains = self._unit_pid(found)
+        outer = pid_state_space(gains, self.sample_time)
+        gain = self._gain(loop, outer.response(self.z)[:, 0, 0])
+        if not gain * gains.Ki > least or not self._holds(loop, outer.scaled(gain), late):
+            return 0.0
+        return gain * gains.Ki
+
+    def _unit_pid(self, plant: StateSpace) -> PidParameters:
+        cut_off = FILTER * 2.0 * np.pi / self.sample_time
+        Kp, Ki, Kd = pid_with_zeros(slowest_poles(plant), 1.0, self.sample_time, cut_off)
+        return PidParameters(Kp=Kp, Ki=Ki, Kd=Kd, derivative_filter=cut_off)
+
+    def _gain(self, loop: InnerLoop, outer) -> float:
+        """Return the largest gain of an outer controller on all plants, less where both loops would be too lively.
+
+        No gain of the outer one makes up for an inner loop whose M_s is too large.
+        """
+        filtered = loop.feedback.response(self.z)[:, 0, 0]
+        forward = outer * (filtered if loop.source == COMMAND else loop.forward)
+        back = 0.0 if loop.source == COMMAND else filtered
+        inner = [1.0 - back * (P * loop.seen[0]).sum(axis=1) for P in self.responses]
+        if max(float(np.max(1.0 / np.abs(left))) for left in inner) > REQUIRED.sensitivity_peak:
+            return 0.0
+        displaced = [P[:, 0] for P in self.responses]
+        gain = min(_largest(forward * P / left) for P, left in zip(displaced, inner, strict=True))
+        whole = max(
+            float(np.max(1.0 / np.minimum(np.abs(left + gain * forward * P), np.abs(left))))
+            for P, left in zip(displaced, inner, strict=True)
+        )
+        return gain * min(1.0, (SENSITIVITY / whole) ** 2)
+
+    def _holds(self, loop: InnerLoop, outer: StateSpace, late: float) -> bool:
+        """Tell whether inner, outer and whole loop are what every design is held to, on all plants."""
+        whole = loop.behind(outer)
+        for one in self.plants:
+            around = loop.around(one.plant)
+            poles = around.poles.astype(complex)
+            if np.max(np.abs(poles)) >= 1.0 - BOUNDARY:
+                return False
+            if loop.source != COMMAND and not self._damps(poles):
+                return False
+            if not judge(outer, around, self.sample_time).sensitivity_peak <= REQUIRED.sensitivity_peak:
+                return False
+            both = judge(whole, one.plant, self.sample_time)
+            if not (both.sensitivity_peak <= REQUIRED.sensitivity_peak and both.delay_margin >= late):
+                return False
+        return True
+
+    def _damps(self, poles) -> bool:
+        """Tell whether every mode of an inner loop is damped well, or much better than the plant's."""
+        left = modes(poles, self.sample_time)
+        return not left or left[0][1] >= min(WELL, MUCH * self.mode.damping)
+
+    def best(self, late: float) -> DampingParameters | None:
+        """Return the best damping that bears so many samples of delay more; None where there is none."""
+        found, point, box = 0.0, None, None
+        for one in self.kind.ranges(self.mode):
+            speed, at = self._best_of(one, late, found)
+            if at is not None:
+                found, point, box = speed, at, one
+        if point is None:
+            return None
+        for _ in range(REFINED):
+            box = _around(box, point)
+            speed, at = self._best_of(box, late, found)
+            if at is not None:
+                found, point = speed, at
+        return self.damping(point)
+
+    def _best_of(self, box, late: float, least: float):
+        best, at = least, None
+        for point in combinations(*(_spread(side, POINTS[len(box)]) for side in box)):
+            speed = self.speed(point, late, best)
+            if speed > best:
+                best, at = speed, point
+        return best, at
+
+
+def _largest(X) -> float:
+    """Return the largest g up to which |1 + g X| ≥ 1/M_s at all points."""
+    square, room = np.abs(X) ** 2, 1.0 - 1.0 / SENSITIVITY**2
+    inside = X.real**2 - room * square
+    hit = (X.real < 0.0) & (inside > 0.0)
+    if not np.any(hit):
+        return 0.0
+    return float(np.min((-X.real[hit] - np.sqrt(inside[hit])) / square[hit]))
+
+
+def _angles(plants) -> np.ndarray:
+    parts = [np.geomspace(1e-4, np.pi, GRID), np.linspace(0.0, np.pi, GRID)[1:]]
+    for one in plants:
+        for pole in one.plant.poles:
+            width = max(1.0 - abs(pole), 1e-6)
+            parts.append(abs(np.angle(pole)) + width * np.sinh(np.linspace(-5.0, 5.0, AROUND)))
+    angles = np.unique(np.concatenate(parts))
+    return angles[(angles >= 1e-4) & (angles <= np.pi)]
+
+
+def _spread(side, count: int) -> np.ndarray:
+    low, high, logarithmic = side
+    if not logarithmic:
+        return np.linspace(low, high, count)
+    return np.sign(low) * np.geomspace(abs(low), abs(high), count)
+
+
+def _around(box, point):
+    """Return the box of a grid's neighbours of a point, within the box that it was found in."""
+    found = []
+    for side, value in zip(box, point, strict=True):
+        grid = _spread(side, POINTS[len(box)])
+        place = int(np.argmin(np.abs(grid - value)))
+        found.append((float(grid[max(place - 1, 0)]), float(grid[min(place + 1, len(grid) - 1)]), side[2]))
+    return tuple(found)
+
+
+#: A damping that makes the loop faster by less than this factor is of little use.
+LITTLE = 1.2
+#: A law that passes the reference on: what is left is the inner loop.
+_PASSED = StateSpace(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((1, 0)), np.array([[1.0, 0.0]]))
+
+
+@dataclass(frozen=True, eq=False)
+class PlantsAround:
+    """Plants on which a damping is judged.
+
+    Parameters
+    ----------
+    plants : tuple of PossiblePlant
+        Without damping, the model first.
+    resonance : float
+        Part by which the resonances of the others are off.
+    """
+
+    plants: tuple[PossiblePlant, ...]
+    resonance: float
+
+    def closed(self, control: ControllerParameters, sample_time: float) -> tuple[PossiblePlant, ...]:
+        """Return them with the damping of a controller around each.
+
+        Parameters
+        ----------
+        control : ControllerParameters
+        sample_time : float
+            [s]
+        """
+        around = closing(control.damping, control.model.dynamics, sample_time, control.model.force)
+        return tuple(one.closed(around) for one in self.plants)
+
+
+@dataclass(frozen=True, eq=False)
+class DampedDesign:
+    """A damping with a controller in front of it, on the model and on plants around it.
+
+    Parameters
+    ----------
+    damping : DampingParameters
+    before : tuple of float
+        Frequency [Hz] and damping of the model's least damped resonance.
+    reached : tuple of float
+        Damping of the least damped mode of the inner loop, on each plant, the model first.
+    inner, outer, whole : tuple of Margins
+        On each plant: of the inner loop alone, of the law on the damped plant, of both cut at the plant.
+    resonance : float
+        Part by which the resonances of these plants are off.
+    undamped : float or None
+        Bandwidth of the same design without damping [Hz]; None where there is none.
+    """
+
+    damping: DampingParameters
+    before: tuple[float, float]
+    reached: tuple[float, ...]
+    inner: tuple[Margins, ...]
+    outer: tuple[Margins, ...]
+    whole: tuple[Margins, ...]
+    resonance: float
+    undamped: float | None
+
+    def misses(self) -> tuple[str, ...]:
+        """Return what is missed by the law's loop or by both loops, on the model or with resonances off."""
+        for found, words in ((self.outer, "of the law's loop"), (self.whole, "of both loops")):
+            for number, margins in enumerate(found):
+                said = margins.misses()
+                if said:
+                    where = "" if not number else f" with resonances off by {100.0 * self.resonance:g} %"
+                    return (f"{said[0].replace('unstable on its own model', 'unstable')} {words}{where}",)
+        return ()
+
+    @property
+    def times(self) -> float:
+        """Bandwidth over that of the same design without damping; infinite where there is none."""
+        return self.outer[0].bandwidth / self.undamped if self.undamped else np.inf
+
+    def doubts(self) -> tuple[str, ...]:
+        """Return that a damping is of little use, where it is."""
+        if self.times >= LITTLE:
+            return ()
+        return (
+            f"{self.damping.type} is of little use here: {self.times:.3g} times the bandwidth without damping; take "
+            "another kind or none; a delay that is not stated (model.dynamics.delay) hides the sign that damps",
+        )
+
+    def rows(self) -> list[tuple[str, str]]:
+        """Return (name, text) of what a design prints of it."""
+        kind = self.damping.type
+        values = getattr(self.damping, kind).to_mapping()
+        given = ", ".join(f"{name} {_numbers(value)}" for name, value in values.items())
+        off = f"resonances ±{100.0 * self.resonance:g} %"
+        frequency, damping = self.before
+        slowest = min(margins.bandwidth for margins in self.outer)
+        worst = max(margins.sensitivity_peak for margins in self.outer)
+        both = max(margins.sensitivity_peak for margins in self.whole)
+        late = min(margins.delay_margin_samples for margins in self.whole)
+        found = [
+            ("damping", f"{kind}: {given}"),
+            ("resonance", f"{frequency:.4g} Hz, damping {damping:.2g}"),
+            ("damping reached", f"{self.reached[0]:.2g}; {off}: {min(self.reached):.2g}"),
+            ("inner loop", _margins(self.inner[0])),
+            ("both loops, at the plant", _margins(self.whole[0])),
+            (off, f"bandwidth {slowest:.4g} Hz, M_s {worst:.3f}, of both {both:.3f}, delay margin {late:.3g} samples"),
+        ]
+        if self.undamped is not None:
+            words = f"{self.undamped:.4g} Hz; with it {self.times:.3g} times that"
+            found.append(("bandwidth without damping", words))
+        return found
+
+
+def around_model(control: ControllerParameters, sample_time: float, request) -> PlantsAround:
+    """Return the model and what it is with resonances off to both sides.
+
+    Parameters
+    ----------
+    control : ControllerParameters
+    sample_time : float
+        [s]
+    request : DesignRequest
+        Its ``robust`` says how far they may be off.
+    """
+    resonance = RESONANCE if request.robust is None else request.robust.resonance
+    kind = control.damping.type if request.damping is None else request.damping
+    acting = kind in KINDS and KINDS[kind].source == FORCE
+    return PlantsAround(damping_plants(control.model.dynamics, sample_time, resonance, acting=acting), resonance)
+
+
+def _require(name: str) -> None:
+    """Refuse a name that no damping has.
+
+    Raises
+    ------
+    ConfigurationError
+    """
+    if name not in (NONE, *KINDS):
+        there = ", ".join((NONE, *KINDS))
+        raise ConfigurationError(
+            f"--damping {name}: there is no such damping; there are {there}{did_you_mean(name, KINDS)}"
+        )
+
+
+def with_damping(
+    control: ControllerParameters, sample_time: float, around: PlantsAround, request
+) -> ControllerParameters:
+    """Return the parameters with the damping that is asked for, designed; without any asked those given.
+
+    Parameters
+    ----------
+    control : ControllerParameters
+    sample_time : float
+        [s]
+    around : PlantsAround
+        On which it is to work.
+    request : DesignRequest
+
+    Raises
+    ------
+    ParameterError
+        The model has no resonance, or nothing of this kind damps it.
+    ConfigurationError
+        There is no such damping.
+    """
+    if request.damping is None:
+        return control
+    _require(request.damping)
+    if request.damping == NONE:
+        return replace(control, damping=DampingParameters())
+    found = design_damping(request.damping, control.model.dynamics, sample_time, around.plants, control.model.force)
+    return replace(control, damping=found)
+
+
+def judge_damping(
+    parameters: ControllerParameters, sample_time: float, plants: PlantsAround, undamped: float | None
+) -> DampedDesign:
+    """Return what a controller with damping is worth.
+
+    Parameters
+    ----------
+    parameters : ControllerParameters
+    sample_time : float
+        [s]
+    plants : PlantsAround
+    undamped : float or None
+        Bandwidth of the same design without damping [Hz].
+    """
+    dynamics = parameters.model.dynamics
+    loop = inner_loop(parameters.damping, dynamics, sample_time, parameters.model.force)
+    controller, _ = linear_loop(parameters, sample_time)
+    bare = [one.plant for one in plants.plants]
+    around = [loop.around(plant) for plant in bare]
+    least = [modes(plant.poles.astype(complex), sample_time) for plant in around]
+    inner, both = loop.behind(_PASSED), loop.behind(controller)
+    before = modes(dynamics.matrices.poles.astype(complex), sample_time)
+    return DampedDesign(
+        parameters.damping,
+        before[0] if before else (0.0, 1.0),
+        tuple(found[0][1] if found else 1.0 for found in least),
+        tuple(margins_of(inner, plant, sample_time) for plant in bare),
+        tuple(margins_of(controller, plant, sample_time) for plant in around),
+        tuple(margins_of(both, plant, sample_time) for plant in bare),
+        plants.resonance,
+        undamped,
+    )
+
+
+def _numbers(value) -> str:
+    return ", ".join(f"{item:.4g}" for item in (value if isinstance(value, tuple) else (value,)))
+
+
+def _margins(found: Margins) -> str:
+    gain = "infinite" if np.isinf(found.gain_margin) else f"{found.gain_margin:.1f} dB"
+    delay = "infinite"
+    if not np.isinf(found.delay_margin):
+        delay = f"{found.delay_margin_samples:.3g} samples, {1e3 * found.delay_margin:.4g} ms"
+    return f"M_s {found.sensitivity_peak:.3f}, gain margin {gain}, delay margin {delay}"

@@ -1,0 +1,467 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Gains of any controller: from its model for a bandwidth, robust against uncertainty, or tuned on a simulation.
+
+Every law declares the designs it has (:mod:`hysteresis_ros.control.law`); here is what they share.
+
+All plants are drawn before the design, so equal seeds give equal gains. The search is made on the model and the corners
+of its uncertainty; the plant on which the result misses the requirements most joins them, until none does.
+
+What is tuned on is never the plant, at which a design may not look: the plant of the simulation is made of what the
+controller side believes, the compensator's hysteresis, creep and limits and the dynamics and preload of the
+controller's model, without noise. With a perfect inverse of that hysteresis little but linear dynamics and limits
+remains, and a criterion alone would drive the gains to the edge of stability: gains that miss the margins
+of every design, and a delay margin of 1.3 samples, count as infinitely bad.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hysteresis_ros.configuration import Parameters
+from hysteresis_ros.control import state_feedback
+from hysteresis_ros.control.controller import LAWS, ControllerParameters, controller_block, design_of
+from hysteresis_ros.control.damping.inner_loop import closing
+from hysteresis_ros.control.damping.kind import FORCE
+from hysteresis_ros.control.law import DesignTask
+from hysteresis_ros.control.linearisation import linear_loop, margins
+from hysteresis_ros.control.margins import AIMED, REQUIRED, Margins, Requirements, judge, margins_of
+from hysteresis_ros.control.uncertainty import CORNERS, PossiblePlant, Uncertainty, drawn_plants
+from hysteresis_ros.errors import ConfigurationError, ParameterError
+from hysteresis_ros.executors import Job, shared
+from hysteresis_ros.identification.restarted_nelder_mead import SimplexSettings, restarted_nelder_mead
+from hysteresis_ros.loop.axis import Axis
+from hysteresis_ros.loop.parameters import AxisParameters, part
+from hysteresis_ros.models.sensor import ForceSensorParameters, SensorParameters
+
+
+@dataclass(frozen=True, eq=False)
+class Designed:
+    """A design: parameters with gains, and what they are worth on the model.
+
+    Parameters
+    ----------
+    parameters : ControllerParameters
+    margins : Margins
+    """
+
+    parameters: object
+    margins: Margins
+
+
+def require_minimal(dynamics) -> None:
+    """Refuse a model with a state that the input does not move or the output does not show.
+
+    Parameters
+    ----------
+    dynamics : LinearParameters
+
+    Raises
+    ------
+    ParameterError
+        ``model.dynamics.B`` (uncontrollable), ``model.dynamics.C`` (unobservable) or ``model.dynamics.A`` (unstable).
+    """
+    problems = [replace(problem, name=f"model.dynamics.{problem.name}") for problem in dynamics.check()]
+    if problems:
+        raise ParameterError(problems)
+    model = dynamics.state_space
+    A, B, C = model.A, model.B, model.C
+    for value in model.poles:
+        text = f"(pole {value:.6g}); identify a model of lower order, or cancel that pole"
+        if not state_feedback.full_rank(np.hstack([A - value * np.eye(len(A)), B]).T):
+            state_feedback.refuse("model.dynamics.B", dynamics.B, f"the model is not controllable {text}")
+        if not state_feedback.full_rank(np.vstack([A - value * np.eye(len(A)), C])):
+            state_feedback.refuse("model.dynamics.C", dynamics.C, f"the model is not observable {text}")
+
+
+def design_gains(
+    parameters,
+    controller: str,
+    sample_time: float,
+    bandwidth: float | None = None,
+    q: float | None = None,
+    *,
+    aimed: Requirements = AIMED,
+    plants: tuple[PossiblePlant, ...] = (),
+) -> Designed:
+    """Return the controller of the given name for the model in ``parameters``, or for the damped plant.
+
+    Parameters
+    ----------
+    parameters : ControllerParameters
+        Its model is used; what the design does not decide is kept.
+    controller : str
+        Name of a design, see :data:`hysteresis_ros.control.controller.DESIGNS`.
+    sample_time : float
+        [s]
+    bandwidth : float, optional
+        Frequency at which the response to the reference, without feedforward, falls by 3 dB [Hz].
+    q : float, optional
+        Variance of the input's noise over that of the measurement in the Kalman filter.
+    aimed : Requirements, optional
+        What a design is to meet, where neither bandwidth nor q leave it no choice.
+    plants : tuple of PossiblePlant, optional
+        On which it is to meet that, the model first, each with the damping around it; by default the model alone.
+
+    Raises
+    ------
+    ConfigurationError
+        There is no design of that name.
+    ParameterError
+        The model is unstable, not observable or not controllable, or the bandwidth cannot be reached.
+    """
+    law, designed = design_of(controller)
+    own = parameters.before_damping(sample_time)
+    dynamics = own.model.dynamics
+    require_minimal(dynamics)
+    dynamics.require_sample_time(sample_time, "model.dynamics.sample_time")
+    if bandwidth is not None and not 0.0 < bandwidth < 0.5 / sample_time:
+        state_feedback.refuse(
+            "bandwidth", bandwidth, f"must be above 0 and below half the sample rate, {0.5 / sample_time:g} Hz"
+        )
+    chosen = replace(own, type=law.name)
+    task = DesignTask(chosen, sample_time, bandwidth, q, lambda one: linear_loop(one, sample_time), aimed, plants)
+    found = replace(designed(task), model=parameters.model, damping=parameters.damping)
+    return Designed(found, margins(found, sample_time))
+
+
+#: Part of M_s that a search aims at, whose grid of frequencies is coarser than that of the margins.
+COARSE = 0.99
+#: How often a plant may join those of the search.
+ROUNDS = 8
+#: Plants of one job, and about what the margins on one take [s].
+TOGETHER, SECONDS = 50, 2e-2
+
+
+@dataclass(frozen=True, eq=False)
+class Robustness:
+    """What a loop is worth on all plants that were drawn.
+
+    Parameters
+    ----------
+    uncertainty : Uncertainty
+    plants : tuple of PossiblePlant
+        The model first.
+    margins : tuple of Margins
+        On each of them; the delay margin counts from the delay of the model.
+    """
+
+    uncertainty: Uncertainty
+    plants: tuple[PossiblePlant, ...]
+    margins: tuple[Margins, ...]
+
+    @property
+    def worst(self) -> int:
+        """Place of the plant with the largest M_s, of an unstable one if there is any."""
+        sizes = [found.sensitivity_peak if found.stable else float("inf") for found in self.margins]
+        return sizes.index(max(sizes))
+
+    def rows(self) -> list[tuple[str, str]]:
+        """Return (name, text) of what a design prints of it."""
+        ranges, found = self.uncertainty, self.margins[self.worst]
+        drawn = (
+            f"{len(self.plants)}: gain ±{100.0 * ranges.gain:g} %, hysteresis ±{100.0 * ranges.hysteresis:g} %, times "
+            f"±{100.0 * ranges.resonance:g} %, up to {ranges.delay:g} samples later, seed {ranges.seed}"
+        )
+        least = min(margins.delay_margin_samples for margins in self.margins)
+        return [
+            ("plants", drawn),
+            ("worst plant", self.plants[self.worst].description),
+            ("M_s there", f"{found.sensitivity_peak:.3f}" if found.stable else "unstable"),
+            ("least gain margin", f"{min(margins.gain_margin for margins in self.margins):.1f} dB"),
+            ("least delay margin", f"{least:.3g} samples"),
+        ]
+
+    def misses(self, required: Requirements = REQUIRED) -> tuple[str, ...]:
+        """Return what is missed on the worst plant of those that miss something, a few words each.
+
+        Parameters
+        ----------
+        required : Requirements
+        """
+        order = [self.worst, *range(len(self.plants))]
+        for i in order:
+            said = self.margins[i].misses(required)
+            if said:
+                text = said[0].replace("unstable on its own model", "unstable")
+                return (f"{text} on a plant with {self.plants[i].description}",)
+        return ()
+
+
+def robustness(parameters, sample_time: float, uncertainty: Uncertainty) -> Robustness:
+    """Return what the loop of a controller is worth on all plants that the uncertainty allows.
+
+    Parameters
+    ----------
+    parameters : ControllerParameters
+    sample_time : float
+        [s]
+    uncertainty : Uncertainty
+
+    Raises
+    ------
+    ParameterError
+        No controller can be built of the parameters.
+    """
+    plants = _plants(parameters, sample_time, uncertainty)
+    return _robustness(parameters, sample_time, uncertainty, plants)
+
+
+def _plants(parameters, sample_time: float, uncertainty: Uncertainty) -> tuple[PossiblePlant, ...]:
+    """Return the plants, with the damping of the parameters around each of them."""
+    dynamics = parameters.model.dynamics
+    around = closing(parameters.damping, dynamics, sample_time, parameters.model.force)
+    drawn = drawn_plants(dynamics, sample_time, uncertainty, acting=parameters.damping.source == FORCE)
+    return tuple(one.closed(around) for one in drawn)
+
+
+def _margins(controller, plants, sample_time: float) -> list[Margins]:
+    return [margins_of(controller, one.plant, sample_time) for one in plants]
+
+
+def _robustness(parameters, sample_time: float, uncertainty: Uncertainty, plants) -> Robustness:
+    controller, _ = linear_loop(parameters, sample_time)
+    pieces = [plants[i : i + TOGETHER] for i in range(0, len(plants), TOGETHER)]
+    jobs = [Job(_margins, (controller, piece, sample_time)) for piece in pieces]
+    found = [margins for piece in shared(jobs, SECONDS * len(plants)) for margins in piece]
+    counted = [
+        replace(margins, delay_margin=margins.delay_margin + one.late * sample_time)
+        for margins, one in zip(found, plants, strict=True)
+    ]
+    return Robustness(uncertainty, plants, tuple(counted))
+
+
+def design_robust(
+    parameters,
+    controller: str,
+    sample_time: float,
+    uncertainty: Uncertainty,
+    q: float | None = None,
+    *,
+    aimed: Requirements = REQUIRED,
+) -> tuple[Designed, Robustness]:
+    """Return gains that meet the requirements on every plant that was drawn, and what they are worth there.
+
+    Parameters
+    ----------
+    parameters : ControllerParameters
+        Its model is used; what the design does not decide is kept.
+    controller : str
+        Name of a design.
+    sample_time : float
+        [s]
+    uncertainty : Uncertainty
+    q : float, optional
+        Variance of the input's noise over that of the measurement in the Kalman filter.
+    aimed : Requirements, optional
+        What every plant has to meet.
+
+    Raises
+    ------
+    ConfigurationError
+        There is no design of that name.
+    ParameterError
+        No design follows from the model.
+    """
+    plants = _plants(parameters, sample_time, uncertainty)
+    active = list(plants[: 1 + CORNERS])
+    sought = replace(aimed, sensitivity_peak=COARSE * aimed.sensitivity_peak)
+    for _ in range(ROUNDS):
+        found = design_gains(parameters, controller, sample_time, q=q, aimed=sought, plants=tuple(active))
+        judged = _robustness(found.parameters, sample_time, uncertainty, plants)
+        missing = [i for i in range(len(plants)) if judged.margins[i].misses(aimed) and plants[i] not in active]
+        if not missing:
+            break
+        active.append(plants[max(missing, key=lambda i: judged.margins[i].sensitivity_peak)])
+    return found, judged
+
+
+#: Criteria: integral of absolute, squared, and time-weighted absolute error; time counts from the start of the run.
+CRITERIA = ("iae", "ise", "itae")
+#: Iterations and tolerance of the search.
+ITERATIONS = 200
+TOLERANCE = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Tuned:
+    """Result of :func:`tune`.
+
+    Parameters
+    ----------
+    gains : Parameters
+        The best found, of the law's group.
+    criterion : str
+        ``iae``, ``ise`` or ``itae``.
+    before, after : float
+        Criterion at the start and at the end [m s, m² s or m s²].
+    history : ndarray, shape (iterations + 1, n + 1)
+        The n gains that the law declares and the criterion after each iteration.
+    converged : bool
+        Without it the iterations ran out, and the gains are still the best found.
+    """
+
+    gains: Parameters
+    criterion: str
+    before: float
+    after: float
+    history: np.ndarray
+    converged: bool
+
+
+def believed_axis(parameters: AxisParameters) -> AxisParameters:
+    """Return the axis whose plant is what compensator and controller believe of it.
+
+    Parameters
+    ----------
+    parameters : AxisParameters
+    """
+    compensator, model = parameters.hysteresis_compensator, parameters.motion_controller.model
+    plant = replace(
+        parameters.plant_simulator,
+        limits=compensator.limits,
+        hysteresis=compensator.hysteresis,
+        creep=compensator.creep,
+        dynamics=model.dynamics,
+        preload=model.preload,
+        sensor=SensorParameters(),
+        force_sensor=ForceSensorParameters(**model.force.to_mapping()),
+        safe_voltage=compensator.safe_voltage,
+    )
+    return replace(parameters, plant_simulator=plant)
+
+
+def criterion_of(name: str, error, sample_time: float) -> float:
+    """Return a criterion of an error.
+
+    Parameters
+    ----------
+    name : str
+        One of :data:`CRITERIA`.
+    error : ndarray, shape (N,)
+        [m]
+    sample_time : float
+        [s]
+    """
+    size = np.abs(error)
+    if name == "ise":
+        size = size * size
+    elif name == "itae":
+        size = size * (sample_time * np.arange(len(error)))
+    return float(np.sum(size) * sample_time)
+
+
+def _setpoints(axis: Axis, parameters: AxisParameters, duration: float | None) -> np.ndarray:
+    """Return the setpoint of every sample of a run [m]."""
+    samples = axis.default_samples() if duration is None else parameters.plant_simulator.samples
+    if samples < 2:
+        raise ConfigurationError("the waveform has no end (samples: 0): say how long to simulate with --duration S")
+    return np.full(samples, parameters.reference_generator.initial_setpoint)
+
+
+def _error(signals: dict, control: ControllerParameters) -> np.ndarray:
+    """Return the reference, as late as its preview, less the true displacement [m]."""
+    preview = control.feedforward.preview
+    wanted = signals["reference"][: len(signals["reference"]) - preview]
+    return wanted - (signals["displacement"][preview:] - control.model.preload.offset)
+
+
+def tune(
+    parameters: AxisParameters,
+    kind: str = "pid",
+    criterion: str = "iae",
+    *,
+    start: Parameters | None = None,
+    duration: float | None = None,
+    iterations: int = ITERATIONS,
+    required: Requirements | None = None,
+) -> Tuned:
+    """Tune the controller of an axis on its own waveform.
+
+    Parameters
+    ----------
+    parameters : AxisParameters
+        The axis; its plant is replaced by :func:`believed_axis`.
+    kind : str
+        Type of the controller, one that declares a :class:`~hysteresis_ros.control.law.Tuning`.
+    criterion : str
+        One of :data:`CRITERIA`, of delayed reference minus true displacement.
+    start : Parameters, optional
+        Initial gains, of the law's own group; by default those with which the law declares to begin.
+    duration : float, optional
+        Length of the run [s]; by default the configuration's own.
+    iterations : int
+        Most iterations.
+    required : Requirements, optional
+        Gains that miss it on the model are refused; by default what the law declares.
+
+    Raises
+    ------
+    ConfigurationError
+        The configuration does not say how long its run is, or the criterion is unknown.
+    ParameterError
+        The initial gains are not stable on the model.
+    """
+    if criterion not in CRITERIA:
+        raise ConfigurationError(f"criterion = {criterion!r}: must be one of {', '.join(CRITERIA)}")
+    control = part(parameters.motion_controller, ControllerParameters)
+    sample_time = 1.0 / parameters.plant_simulator.sample_rate
+    if duration is not None:
+        parameters = parameters.with_duration(duration)
+    tuning = LAWS[kind].tuning
+    required = required or tuning.required
+    first = start or getattr(tuning.start(control.before_damping(sample_time), sample_time), kind)
+
+    def with_gains(all_parameters, gains):
+        return replace(all_parameters, **{"type": kind, kind: gains})
+
+    node = with_gains(parameters.motion_controller, first)
+    axis = Axis(believed_axis(replace(parameters, motion_controller=node)))
+    setpoints = _setpoints(axis, parameters, duration)
+    initial = [getattr(first, name) for name in tuning.gains]
+    tuned = [i for i, gain in enumerate(initial) if gain != 0.0]
+    names = [tuning.gains[i] for i in tuned]
+
+    def gains(values) -> Parameters:
+        return replace(first, **{name: float(value) for name, value in zip(names, values, strict=True)})
+
+    def cost(values) -> float:
+        candidate = with_gains(control, gains(values))
+        own = candidate.before_damping(sample_time)
+        if not judge(*tuning.loop(own, sample_time), sample_time).meets(required):
+            return np.inf
+        try:
+            axis.controller.install(controller_block(candidate, sample_time))
+        except ParameterError:
+            return np.inf
+        axis.reset()
+        return criterion_of(criterion, _error(axis.run(setpoints), control), sample_time)
+
+    begin = np.array([getattr(first, name) for name in names])
+    before = cost(begin)
+    if not np.isfinite(before):
+        controller_block(with_gains(control, first), sample_time)  # names what is wrong with them
+        raise ConfigurationError(
+            f"the initial gains have a sensitivity peak above {required.sensitivity_peak:g} or a delay margin below "
+            f"{required.delay_margin:g} samples; start from lower ones"
+        )
+    result = restarted_nelder_mead(cost, begin, settings=SimplexSettings(iterations=iterations, tolerance=TOLERANCE))
+    history = _history(result.runs[result.best], initial, tuned)
+    return Tuned(gains(result.x), criterion, before, result.cost, history, result.converged)
+
+
+def _history(run, initial, tuned) -> np.ndarray:
+    """Return all gains and the cost of each iteration, shape (iterations, gains + 1), from those that were tuned."""
+    history = np.tile([*initial, 0.0], (len(run.costs), 1))
+    history[:, tuned] = run.trajectory
+    history[:, -1] = run.costs
+    return history

@@ -1,0 +1,439 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Design of the learned correction of an axis: its closed loop, filters that contract on it, and the file with them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, fields, replace
+
+import numpy as np
+
+from hysteresis_ros.configuration import Configuration, parse_configuration
+from hysteresis_ros.control.controller import ControllerParameters
+from hysteresis_ros.control.learning import LearningParameters, period_samples
+from hysteresis_ros.control.linearisation import TINY
+from hysteresis_ros.control.margins import plant_state_space
+from hysteresis_ros.control.uncertainty import ResponseUncertainty, Uncertainty, drawn_plants
+from hysteresis_ros.designs.controller import OPTIONS, learning_text
+from hysteresis_ros.designs.learning_filters import KINDS, Filters, Response, contraction, design_filters
+from hysteresis_ros.errors import ConfigurationError, ParameterError, did_you_mean
+from hysteresis_ros.identification.safe_motion import with_safe_motion
+from hysteresis_ros.loop.axis import Axis
+from hysteresis_ros.loop.controller import ControllerPart, answer
+from hysteresis_ros.loop.parameters import AxisParameters, ControllerNodeParameters, part
+from hysteresis_ros.loop.reach import reachable_displacements, single_axis
+from hysteresis_ros.loop.tick import Laws
+from hysteresis_ros.models.actuator import PreloadParameters
+
+#: Plants that are possible: 5 % off, and 3 % more on all times for what an identification misses of them; the slope of
+#: the hysteresis that the inverse leaves; a part of a sample.
+POSSIBLE = Uncertainty(gain=0.05, hysteresis=0.1, resonance=0.08, delay=0.25, draws=40)
+#: Largest correction, and command not carried out from which nothing is learned, as parts of the stroke.
+MAXIMUM, SHORTFALL = 0.1, 5e-3
+#: Part of what a period shows that is taken, periods after which it falls as 1/n, and how far.
+GAIN, AVERAGING, LEAST_GAIN = 0.7, 4.0, 0.05
+#: Samples of a response to one impulse: it is long enough when this part of it, or less, is left at the end.
+SHORTEST, LONGEST, LEFT = 2**12, 2**17, 1e-6
+#: Most frequencies.
+MOST = 2**13
+#: Part of the answer of the closed loop that is left when it has settled.
+SETTLED = 0.02
+#: Samples before an impulse in which flags and counters of the start go by.
+BEFORE = 4
+#: Directions in which a relative uncertainty of the response is tried.
+DIRECTIONS = np.exp(0.25j * np.pi * np.arange(8))
+
+
+@dataclass(frozen=True)
+class LearningRequest:
+    """What is asked of a design.
+
+    Parameters
+    ----------
+    kind : str
+        ``inversion``, ``norm_optimal`` or ``repetitive``.
+    period : float, optional
+        Of the reference [s]; by default that of the configured waveform.
+    bandwidth : float, optional
+        Of the learning [Hz]; by default the highest that contracts.
+    maximum : float, optional
+        Largest correction [m]; by default :data:`MAXIMUM` of the stroke.
+    possible : Uncertainty
+        Plants on which the filters have to contract.
+    """
+
+    kind: str
+    period: float | None = None
+    bandwidth: float | None = None
+    maximum: float | None = None
+    possible: Uncertainty = field(default=POSSIBLE)
+
+
+#: Options of the command that a design of the learning takes besides those of the ranges, and those that come with it.
+TAKES, OWN = ("learning", "period", "bandwidth", "maximum"), ("learning", "period", "maximum")
+
+
+def asked(options: dict) -> LearningRequest | None:
+    """Return what the options of the command ask of the learning; None where they ask for a controller.
+
+    Parameters
+    ----------
+    options : dict
+        By their names; None or False where nothing is given. Those that are the learning's own are taken out.
+
+    Raises
+    ------
+    ConfigurationError
+        Options exclude each other, or nothing is asked.
+    ParameterError
+        A range is out of bounds; it is named by its option.
+    """
+    given = {name: value for name, value in options.items() if value is not None and value is not False}
+    ranges = {
+        name: given.pop(option.replace("-", "_"))
+        for name, option in OPTIONS.items()
+        if option.replace("-", "_") in given
+    }
+    for name in OWN:
+        options.pop(name)
+    kind = given.get("learning")
+    if kind is None:
+        if "controller" not in given:
+            raise ConfigurationError("what to design is missing: give --controller NAME or --learning NAME")
+        for name in OWN:
+            if name in given:
+                raise ConfigurationError(f"--{name} belongs to --learning; give both")
+        return None
+    for name in given:
+        if name not in TAKES:
+            raise ConfigurationError(
+                f"--{name} and --learning exclude each other: the controller is that of the file; design one first"
+            )
+    if kind not in KINDS:
+        known = ", ".join(sorted(KINDS))
+        raise ConfigurationError(
+            f"--learning {kind}: there is no such design; there are {known}{did_you_mean(kind, KINDS)}"
+        )
+    maximum = given.get("maximum")
+    if maximum is not None and not 0.0 < maximum <= 1.0:
+        raise ConfigurationError(f"--maximum {maximum:g}: must be a correction in metres above 0")
+    possible = {item.name: getattr(POSSIBLE, item.name) for item in fields(POSSIBLE)}
+    try:
+        plants = Uncertainty(**possible | ranges)
+    except ParameterError as error:
+        named = [replace(problem, name=f"--{OPTIONS[problem.name]}") for problem in error.problems]
+        raise ParameterError(named) from None
+    return LearningRequest(kind, given.get("period"), given.get("bandwidth"), maximum, plants)
+
+
+@dataclass(frozen=True, eq=False)
+class LearningDesign:
+    """A designed correction.
+
+    Parameters
+    ----------
+    request : LearningRequest
+    parameters : LearningParameters
+    filters : Filters
+    response : Response
+        The closed loop they are for.
+    sample_time : float
+        [s]
+    """
+
+    request: LearningRequest
+    parameters: LearningParameters
+    filters: Filters
+    response: Response
+    sample_time: float
+
+    def rate(self, possible: np.ndarray) -> float:
+        """Return by how much the worst part of the error falls from one period to the next, at the first gain.
+
+        Parameters
+        ----------
+        possible : ndarray, shape (p, m)
+            Closed loops.
+        """
+        angles = np.linspace(0.0, np.pi, possible.shape[1])
+        low_pass, learning = self.filters.responses(angles)
+        return float(np.max(contraction(low_pass, learning, possible, self.parameters.gain)))
+
+
+@dataclass(frozen=True, eq=False)
+class MeasuredPlant:
+    """What a plant measured to be, over what its model says.
+
+    Parameters
+    ----------
+    frequency : ndarray, shape (F,)
+        [Hz], rising.
+    ratio : ndarray of complex, shape (F,)
+        Response measured over that of the model; beyond the lines the nearest one counts.
+    """
+
+    frequency: np.ndarray
+    ratio: np.ndarray
+
+    def at(self, frequency: np.ndarray) -> np.ndarray:
+        """Return the ratio at any frequencies.
+
+        Parameters
+        ----------
+        frequency : ndarray, shape (m,)
+            [Hz]
+        """
+        parts = (np.interp(frequency, self.frequency, part) for part in (self.ratio.real, self.ratio.imag))
+        real, imaginary = parts
+        return real + 1j * imaginary
+
+
+def closed_loop(
+    node: ControllerNodeParameters, possible: Uncertainty, response: ResponseUncertainty | MeasuredPlant | None = None
+) -> Response:
+    """Return the closed loop from reference to displacement on the model and on plants that are possible.
+
+    Feedforward, law and whatever else stands in the loop answer one impulse of the reference and one of the
+    measurement: u_r and u_d. On another plant P' then T' = P' u_r / (1 − u_d (P' − P)).
+
+    Parameters
+    ----------
+    node : ControllerNodeParameters
+    possible : Uncertainty
+    response : ResponseUncertainty or MeasuredPlant, optional
+        What an identification left open of the plant's response; or what it measured to be, which stands in the place
+        of the model then, with all of ``possible`` around it.
+
+    Raises
+    ------
+    ConfigurationError
+        The loop does not come to rest on its own model.
+    """
+    sample_time, dynamics = 1.0 / node.sample_rate, node.model.dynamics
+    model, observed = plant_state_space(dynamics), plant_state_space(dynamics, acting=True)
+    count = SHORTEST
+    while True:
+        answers = [_impulse(node, observed, count, *one) for one in ((TINY, 0.0), (0.0, TINY))]
+        if all(np.max(np.abs(u[-count // 16 :])) <= LEFT * np.max(np.abs(u)) for u in answers):
+            break
+        count *= 2
+        if count > LONGEST:
+            raise ConfigurationError(
+                "the closed loop does not come to rest on its own model: nothing can be learned over it; design the "
+                "controller first (hysteresis design --controller)"
+            )
+    every = max(count // (2 * MOST), 1)
+    angles = np.linspace(0.0, np.pi, count // 2 + 1)[::every]
+    z = np.exp(1j * np.maximum(angles, 1e-7))
+    asked, disturbed = (np.fft.rfft(u)[::every] for u in answers)
+    own = model.response(z)[:, 0, 0]
+    others = [one.plant.response(z)[:, 0, 0] for one in drawn_plants(dynamics, sample_time, possible)]
+    centre = own
+    if isinstance(response, MeasuredPlant):
+        ratio = response.at(angles / (2.0 * np.pi * sample_time))
+        others, centre = [other * ratio for other in others], own * ratio
+    elif response is not None:
+        unknown = response.at(angles / (2.0 * np.pi * sample_time))
+        others += [own * (1.0 + unknown * direction) for direction in DIRECTIONS]
+    pushed = centre * (1.0 + own * disturbed) / (1.0 - disturbed * (centre - own))
+    model, *found = (other * asked / (1.0 - disturbed * (other - own)) for other in (centre, *others))
+    return Response(model, np.array(found), pushed)
+
+
+def _impulse(node: ControllerNodeParameters, model, count: int, reference: float, measured: float) -> np.ndarray:
+    """Return the commands after one impulse, shape (count,), per unit of it; ``model``: with what acts on it."""
+    control, sample_time = part(node, ControllerParameters), 1.0 / node.sample_rate
+    resting = replace(control, model=replace(control.model, preload=PreloadParameters()), learning=LearningParameters())
+    resting = resting.law.near_rest(resting)
+    loop = ControllerPart(replace(node, **{item.name: getattr(resting, item.name) for item in fields(resting)}))
+    laws, arrays = Laws(*(loop.kernel,) * len(Laws._fields)), loop.arrays
+    for _ in range(BEFORE):
+        answer(laws, arrays, 0.0, 0.0, 0.0)
+    A, B, C, force = model.A, model.B[:, 0], model.C, resting.model.force
+    slow_part, slow = force.slow_part(sample_time), 0.0
+    x, commands = np.zeros(len(A)), np.empty(count)
+    for k in range(count):
+        displacement, acting = C @ x
+        displacement += measured
+        # what moves the mass elsewhere is what the stack bears less, and its sensor loses what is slow of it
+        pressed = force.whole * acting - force.stack_stiffness * displacement - slow
+        slow += slow_part * pressed
+        commands[k] = answer(laws, arrays, displacement, reference, pressed)
+        x = A @ x + B * commands[k]
+        reference = measured = 0.0
+    return commands / TINY
+
+
+def design_learning(
+    axis: AxisParameters, request: LearningRequest, response: ResponseUncertainty | MeasuredPlant | None = None
+) -> LearningDesign:
+    """Design the correction of an axis for its own controller and model.
+
+    Parameters
+    ----------
+    axis : AxisParameters
+    request : LearningRequest
+    response : ResponseUncertainty or MeasuredPlant, optional
+        Of the model's response, as :func:`closed_loop` takes it.
+
+    Raises
+    ------
+    ConfigurationError
+        There is no such design, no period is known, or no filters contract.
+    ParameterError
+        The period is no whole number of samples.
+    """
+    node = axis.motion_controller
+    rate = node.sample_rate
+    period = request.period if request.period is not None else waveform_period(axis)
+    samples = period_samples(period, rate, "--period" if request.period is not None else "waveform.frequency")
+    bandwidth = request.bandwidth
+    if bandwidth is not None and not 0.0 < bandwidth < 0.5 * rate:
+        raise ConfigurationError(
+            f"--bandwidth {bandwidth:g}: must be above 0 and below half the sample rate, {rate / 2:g} Hz"
+        )
+    loop = closed_loop(node, request.possible, response)
+    filters = design_filters(request.kind, loop, samples, None if bandwidth is None else bandwidth / rate, rate)
+    low, high = reachable_displacements(axis)
+    maximum = request.maximum if request.maximum is not None else MAXIMUM * (high - low)
+    parameters = LearningParameters(
+        type=request.kind,
+        period=samples / rate,
+        error_filter=tuple(filters.error.tolist()),
+        lead=filters.lead,
+        robustness_filter=tuple(filters.robustness.tolist()),
+        gain=GAIN,
+        averaging=AVERAGING,
+        least_gain=LEAST_GAIN,
+        maximum=float(f"{maximum:.4g}"),
+        recovery=settling(loop) / rate,
+        late_recovery=min(knocked(loop), settling(loop)) / rate,
+        shortfall=float(f"{SHORTFALL * (high - low):.4g}"),
+    )
+    return LearningDesign(request, parameters.validated("learning."), filters, loop, 1.0 / rate)
+
+
+def settling(loop: Response) -> int:
+    """Return the samples in which the closed loop on the model answers a step but for a part.
+
+    Parameters
+    ----------
+    loop : Response
+    """
+    answer = np.cumsum(np.abs(np.fft.irfft(loop.model)))
+    return int(np.searchsorted(answer, (1.0 - SETTLED) * answer[-1]))
+
+
+def knocked(loop: Response) -> int:
+    """Return the samples in which the closed loop on the model answers one wrong sample of its voltage but for a part.
+
+    The part is one of the largest answer: what is left is small from then on, however long it lasts.
+
+    Parameters
+    ----------
+    loop : Response
+    """
+    assert loop.pushed is not None
+    answer = np.abs(np.fft.irfft(loop.pushed))
+    return int(np.flatnonzero(answer > SETTLED * np.max(answer))[-1]) + 1
+
+
+def waveform_period(axis: AxisParameters) -> float:
+    """Return the period of the configured waveform [s].
+
+    Parameters
+    ----------
+    axis : AxisParameters
+
+    Raises
+    ------
+    ConfigurationError
+        It has none.
+    """
+    waveform = axis.reference_generator.waveform if axis.reference_generator is not None else None
+    if waveform is None or waveform.type not in PERIODIC or not waveform.frequency > 0.0:
+        kind = "a sequencer" if waveform is None else f"waveform.type {waveform.type}"
+        raise ConfigurationError(f"--period is missing: {kind} has no period of its own; give the reference's [s]")
+    return 1.0 / waveform.frequency
+
+
+#: Waveforms that repeat with their ``frequency``.
+PERIODIC = ("sine", "triangle", "square")
+
+
+def learning_lines(result: LearningDesign) -> list[str]:
+    """Return the table that the command prints.
+
+    Parameters
+    ----------
+    result : LearningDesign
+    """
+    filters, given, ranges = result.filters, result.parameters, result.request.possible
+    rate, worst = 1.0 / result.sample_time, result.rate(result.response.possible)
+    nominal = result.rate(result.response.model[np.newaxis])
+    rows = [
+        ("learning", given.type),
+        ("period", f"{given.period:g} s, {round(given.period * rate)} samples"),
+        ("bandwidth of learning", f"{filters.bandwidth * rate:.4g} Hz"),
+        ("taps", f"{len(filters.error)} of the error, {2 * len(filters.robustness) - 1} of Q"),
+        ("looks ahead", f"{filters.lead} samples"),
+        ("contraction", f"{filters.contraction:.3f} at {filters.worst * rate:.4g} Hz (|Q - G T|, at most 0.9)"),
+        ("on the model", f"{filters.nominal:.3f}"),
+        ("plants", f"{len(result.response.possible)}: {_ranges(ranges)}"),
+        ("error falls", f"to {worst:.3f} in a period at least, with gain {given.gain:g}; {nominal:.3f} on the model"),
+        ("periods to a tenth", f"{periods_to(worst)} at most, {periods_to(nominal)} on the model"),
+        ("largest correction", f"{1e6 * given.maximum:.4g} µm"),
+    ]
+    width = max(len(name) for name, _ in rows)
+    return [f"{name:<{width}}  {text}" for name, text in rows]
+
+
+def periods_to(rate: float, part_left: float = 0.1) -> int:
+    """Return the periods after which an error that falls by a factor each has fallen to a part.
+
+    Parameters
+    ----------
+    rate : float
+    part_left : float
+    """
+    return math.ceil(math.log(part_left) / math.log(rate))
+
+
+def _ranges(ranges: Uncertainty) -> str:
+    return (
+        f"gain ±{100.0 * ranges.gain:g} %, hysteresis ±{100.0 * ranges.hysteresis:g} %, times "
+        f"±{100.0 * ranges.resonance:g} %, up to {ranges.delay:g} samples later, seed {ranges.seed}"
+    )
+
+
+def learning_file(configuration: Configuration, result: LearningDesign, namespace: str) -> str:
+    """Return the text of the parameter file with a designed correction, checked: the axis can be built from it.
+
+    Parameters
+    ----------
+    configuration : Configuration
+        What was designed from.
+    result : LearningDesign
+    namespace : str
+        Of the axis.
+    """
+    rate, filters = 1.0 / result.sample_time, result.filters
+    source = configuration.source.replace("\\", "/").rsplit("/", 1)[-1]
+    words = (
+        f"Learning designed by `hysteresis design {source} --learning {filters.kind} --period "
+        f"{result.parameters.period:g}`\n"
+        f"over the controller of this file: bandwidth {filters.bandwidth * rate:.4g} Hz, contraction "
+        f"{filters.contraction:.3f} with {_ranges(result.request.possible)}."
+    )
+    text = learning_text(configuration, result.parameters, namespace, words)
+    text = with_safe_motion(text, "the designed file", namespace)
+    Axis(single_axis(parse_configuration(text, "the designed file"), namespace or None))
+    return text

@@ -1,0 +1,315 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Filters of the learned correction from the closed loop it acts on: three designs, and whether they contract.
+
+T is the closed loop from reference to measured displacement on the model, T_p on plants that are possible besides. From
+period to period the error goes with Q − G T: every design takes the highest bandwidth at which that stays below
+1 − :data:`MARGIN` at all frequencies and on all of the plants, with the filters as they are run.
+
+- *inversion*: G = Q L, where L makes the largest |1 − L T_p| of all plants least at each frequency (Lawson's iteration
+  [1]_); with the model alone it is 1/T.
+- *norm_optimal*: m_(j+1) makes the mean over the plants of |e_(j+1)|² + λ |m_(j+1)|² + μ |m_(j+1) − m_j|² least [2]_:
+  Q = (μ + E|T|²)/(λ + μ + E|T|²), G = E[T*]/(λ + μ + E|T|²). The weight λ on the correction rises with the frequency.
+- *repetitive*: G = k z^n Q, phase lead n and gain k [3]_.
+
+References
+----------
+.. [1] Ellacott & Williams, Linear Chebyshev approximation in the complex plane using Lawson's algorithm, Mathematics
+   of Computation 30 (133), 1976.
+.. [2] Amann, Owens & Rogers, Iterative learning control using optimal feedback and feedforward actions, International
+   Journal of Control 65 (2), 1996; here frequency by frequency.
+.. [3] Longman, Iterative learning control and repetitive control for engineering practice, International Journal of
+   Control 73 (10), 2000.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from hysteresis_ros.errors import ConfigurationError
+from hysteresis_ros.models.linear_algebra import rounded
+
+#: Distance of the contraction from one.
+MARGIN = 0.1
+#: ε: what a recording leaves unknown of the closed loop, as a part of its gain at rest (assumed).
+UNSEEN = 0.15
+#: Taps beside the middle of Q, where the period is long enough; G has as many in all.
+HALF = 64
+#: Bandwidths that are tried, as parts of the sample rate, from the highest on, and the lowest.
+HIGHEST, LOWEST, STEPS = 0.45, 1e-3, 60
+#: Width of the fall of Q, as a part of the bandwidth, and least [parts of the sample rate].
+FALL, LEAST_FALL = 0.15, 0.02
+#: Distance of the contraction from one that dips of Q aim at: filters of so many taps miss some of it.
+DIP = 0.15
+#: Iterations of Lawson.
+ITERATIONS = 60
+#: Norm-optimal: μ, and how steeply λ rises.
+CHANGE, STEEPNESS = 0.2, 16
+#: Repetitive: gains, and the longest phase lead [samples].
+GAINS, LONGEST_LEAD = (0.9, 0.7, 0.5, 0.3), 24
+#: Points on which they are chosen.
+COARSE = 400
+
+
+class Response(NamedTuple):
+    """Closed loop at angles 0 … π that are evenly apart.
+
+    Parameters
+    ----------
+    model : ndarray, shape (m,)
+        T on the model.
+    possible : ndarray, shape (p, m)
+        T_p on all plants that are possible, the model among them.
+    pushed : ndarray, shape (m,), optional
+        From the input of the plant to the displacement, in closed loop, on the model.
+    """
+
+    model: np.ndarray
+    possible: np.ndarray
+    pushed: np.ndarray | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Filters:
+    """Filters and what they are worth.
+
+    Parameters
+    ----------
+    kind : str
+        Design.
+    error : ndarray
+        Taps of G, from the furthest look ahead on.
+    lead : int
+        That of the first one [samples].
+    robustness : ndarray
+        Taps of Q: the middle, then those on both sides.
+    bandwidth : float
+        Where Q has fallen by 3 dB, as a part of the sample rate.
+    contraction : float
+        Largest |Q − G T_p| of all frequencies and plants.
+    nominal : float
+        The same of the model alone.
+    worst : float
+        Where the contraction is worst, as a part of the sample rate.
+    """
+
+    kind: str
+    error: np.ndarray
+    lead: int
+    robustness: np.ndarray
+    bandwidth: float
+    contraction: float
+    nominal: float
+    worst: float
+
+    def responses(self, angles) -> tuple[np.ndarray, np.ndarray]:
+        """Return Q and G at angles, shape (m,) each.
+
+        Parameters
+        ----------
+        angles : array_like, shape (m,)
+            [rad a sample]
+        """
+        return filter_responses(self.error, self.lead, self.robustness, np.asarray(angles))
+
+
+def filter_responses(error, lead: int, robustness, angles) -> tuple[np.ndarray, np.ndarray]:
+    """Return Q and G at angles.
+
+    Parameters
+    ----------
+    error : array_like
+        Taps of G, as the correction has them.
+    lead : int
+        Look ahead of its first tap [samples].
+    robustness : array_like
+        Taps of Q, likewise.
+    angles : ndarray, shape (m,)
+        [rad a sample]
+    """
+    sides = np.cos(np.outer(angles, np.arange(1, len(robustness))))
+    low_pass = robustness[0] + 2.0 * sides @ np.asarray(robustness[1:], dtype=float)
+    ahead = np.exp(1j * np.outer(angles, lead - np.arange(len(error))))
+    return low_pass, ahead @ np.asarray(error, dtype=float)
+
+
+def contraction(low_pass, learning, possible, gain: float = 1.0) -> np.ndarray:
+    """Return |1 − γ + γ (Q − G T_p)| + γ ε |G|, the largest of all plants at each frequency, shape (m,).
+
+    Parameters
+    ----------
+    low_pass, learning : ndarray, shape (m,)
+        Q and G.
+    possible : ndarray, shape (p, m)
+    gain : float
+        γ
+    """
+    sizes = np.max(np.abs(1.0 - gain + gain * (low_pass - learning * possible)), axis=0)
+    return sizes + gain * UNSEEN * np.abs(learning)
+
+
+def design_filters(
+    kind: str, response: Response, period: int, bandwidth: float | None = None, sample_rate: float = 1.0
+) -> Filters:
+    """Return the filters of the highest bandwidth that contract, or those of the bandwidth that is asked.
+
+    Parameters
+    ----------
+    kind : str
+        ``inversion``, ``norm_optimal`` or ``repetitive``.
+    response : Response
+    period : int
+        [samples]
+    bandwidth : float, optional
+        As a part of the sample rate.
+    sample_rate : float
+        [Hz], for messages.
+
+    Raises
+    ------
+    ConfigurationError
+        None contracts; names how far the best one is and where.
+    """
+    wanted = np.geomspace(HIGHEST, max(LOWEST, 0.5 / period), STEPS) if bandwidth is None else [bandwidth]
+    design = KINDS[kind](response, period)
+    for cutoff in wanted:
+        found = design(float(cutoff))
+        if found.contraction <= 1.0 - MARGIN:
+            return found
+    asked = "no bandwidth" if bandwidth is None else f"a bandwidth of {bandwidth * sample_rate:.4g} Hz does not"
+    raise ConfigurationError(
+        f"learning by {kind}: {asked} {'contracts' if bandwidth is None else 'contract'} on all plants that are "
+        f"possible: |Q - G T| reaches {found.contraction:.3g} at {found.worst * sample_rate:.4g} Hz, allowed "
+        f"is {1.0 - MARGIN:g}; ask for a lower --bandwidth, narrow the ranges (--resonance-range, --gain-range), or "
+        "take a controller that damps the resonance"
+    )
+
+
+def _judged(kind: str, response: Response, taps, lead: int, robustness) -> Filters:
+    angles = np.linspace(0.0, np.pi, len(response.model))
+    low_pass, learning = filter_responses(taps, lead, robustness, angles)
+    sizes = contraction(low_pass, learning, response.possible)
+    place = int(np.argmax(sizes))
+    nominal = contraction(low_pass, learning, response.model[np.newaxis])
+    fallen = np.flatnonzero(np.abs(low_pass) < np.sqrt(0.5))
+    bandwidth = 0.5 * fallen[0] / (len(angles) - 1) if len(fallen) else 0.5
+    worst = 0.5 * place / (len(angles) - 1)
+    return Filters(kind, taps, lead, robustness, bandwidth, float(sizes[place]), float(np.max(nominal)), worst)
+
+
+def low_pass(cutoff: float, points: int) -> np.ndarray:
+    """Return a response of zero phase that falls from one to zero around a frequency, shape (points,).
+
+    Parameters
+    ----------
+    cutoff : float
+        As a part of the sample rate.
+    points : int
+        At angles 0 … π.
+    """
+    places = np.linspace(0.0, 0.5, points)
+    width = max(FALL * cutoff, min(LEAST_FALL, cutoff))
+    return 0.5 + 0.5 * np.cos(np.pi * np.clip((places - cutoff + width) / (2.0 * width), 0.0, 1.0))
+
+
+def symmetric_taps(response, half: int) -> np.ndarray:
+    """Return the taps of a real response: the middle, then those on both sides, with a gain of one at rest.
+
+    Parameters
+    ----------
+    response : ndarray, shape (m,)
+    half : int
+        Taps on each side, at most.
+    """
+    taps = np.fft.irfft(response)[: half + 1]
+    return rounded(taps / (taps[0] + 2.0 * np.sum(taps[1:])))
+
+
+def taps_of(response, half: int) -> tuple[np.ndarray, int]:
+    """Return the 2 n + 1 taps of a complex response that hold most of it, and the look ahead of the first.
+
+    Parameters
+    ----------
+    response : ndarray, shape (m,)
+    half : int
+        n, also the longest look ahead [samples].
+    """
+    count, furthest = 2 * half + 1, half
+    whole = np.fft.irfft(response)
+    energy = np.cumsum(np.concatenate([[0.0], np.roll(whole, furthest)[: furthest + count] ** 2]))
+    held = energy[count:] - energy[: len(energy) - count]
+    lead = furthest - int(np.argmax(held))
+    return rounded(np.roll(whole, lead)[:count]), lead
+
+
+def _inversion(response: Response, period: int):
+    possible = response.possible
+    weights = np.ones(possible.shape)
+    for _ in range(ITERATIONS):
+        inverse = np.sum(weights * possible.conj(), axis=0) / np.sum(weights * np.abs(possible) ** 2, axis=0)
+        weights = weights * np.abs(1.0 - inverse * possible)
+        largest = np.max(weights, axis=0)
+        # where the inverse is exact for all plants there is nothing left to weigh
+        weights = np.where(largest > 1e-300, weights / np.maximum(largest, 1e-300), 1.0)
+
+    # where plants differ much Q dips just as far as contraction needs it
+    allowed = np.minimum(1.0, (1.0 - DIP) / contraction(1.0, inverse, possible))
+
+    half = min(HALF, period - 1)
+
+    def design(cutoff: float) -> Filters:
+        wanted = low_pass(cutoff, len(response.model)) * allowed
+        robustness = symmetric_taps(wanted, half)
+        return _judged("inversion", response, *taps_of(wanted * inverse, half), robustness)
+
+    return design
+
+
+def _norm_optimal(response: Response, period: int):
+    mean = np.mean(response.possible, axis=0)
+    square = np.mean(np.abs(response.possible) ** 2, axis=0) + UNSEEN**2
+    places = np.linspace(0.0, 0.5, len(mean))
+    half = min(HALF, period - 1)
+
+    def design(cutoff: float) -> Filters:
+        # λ = E|T|² + μ at the cutoff: the correction is halved there
+        level = np.interp(cutoff, places, square) + CHANGE
+        effort = level * (places / cutoff) ** STEEPNESS
+        whole = effort + CHANGE + square
+        robustness = symmetric_taps((CHANGE + square) / whole, half)
+        return _judged("norm_optimal", response, *taps_of(mean.conj() / whole, half), robustness)
+
+    return design
+
+
+def _repetitive(response: Response, period: int):
+    # lead and filter together look ahead by less than a period
+    half = min(HALF, period // 2)
+    leads = np.arange(min(LONGEST_LEAD, period - 1 - half) + 1)
+    thin = slice(None, None, max(len(response.model) // COARSE, 1))
+    angles, possible = np.linspace(0.0, np.pi, len(response.model))[thin], response.possible[:, thin]
+
+    def design(cutoff: float) -> Filters:
+        robustness = symmetric_taps(low_pass(cutoff, len(response.model)), half)
+        around = filter_responses([0.0], 0, robustness, angles)[0]
+        tried = [(lead, gain, gain * around * np.exp(1j * lead * angles)) for lead in leads for gain in GAINS]
+        lead, gain, _ = min(tried, key=lambda one: np.max(contraction(around, one[2], possible)))
+        taps = gain * np.concatenate([robustness[:0:-1], robustness])
+        return _judged("repetitive", response, taps, int(lead) + half, robustness)
+
+    return design
+
+
+#: Designs by name: ``design(response, period)`` returns a function of the bandwidth.
+KINDS: dict[str, Callable] = {"inversion": _inversion, "norm_optimal": _norm_optimal, "repetitive": _repetitive}

@@ -1,0 +1,177 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""What a step to the farthest setpoint asks of the voltage, as a user gives one: through the approach of the axis."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hysteresis_ros.configuration import parse_configuration
+from hysteresis_ros.errors import ConfigurationError
+from hysteresis_ros.loop.parameters import AxisParameters, part
+from hysteresis_ros.loop.reach import single_axis
+from hysteresis_ros.loop.simulation import simulate
+from hysteresis_ros.models.limits import LimitsParameters
+from hysteresis_ros.references.generator import ReferenceGenerator, ReferenceParameters
+from hysteresis_ros.references.waveforms import WaveformParameters
+from hysteresis_ros.units import readable
+
+#: Samples before the step, and after the arrival of the reference, besides those of the preview.
+BEFORE, AFTER = 20, 400
+#: Longest part of the way after the arrival [s], and most samples of all.
+SETTLING, MOST = 0.2, 400_000
+
+
+@dataclass(frozen=True)
+class SetpointStep:
+    """A step to the farthest setpoint in the simulation.
+
+    Parameters
+    ----------
+    size : float
+        [m]
+    overshoot : float
+        Part of the size by which the displacement passes the setpoint or, after it, where it comes to rest.
+    largest : float
+        Largest change of the voltage in a sample [V].
+    asked : float
+        What it would be without a slew rate [V].
+    allowed : float
+        What the slew rate allows in a sample [V]; inf: the file states none.
+    feedforward : bool
+        Whether the dynamics are inverted.
+    """
+
+    size: float
+    overshoot: float
+    largest: float
+    asked: float
+    allowed: float
+    feedforward: bool
+
+    @property
+    def share(self) -> float:
+        """What is asked as a part of the slew rate; above 1 it is cut."""
+        return self.asked / self.allowed
+
+    def rows(self) -> list[tuple[str, str]]:
+        """Return what a design prints."""
+        share = "the file states no slew rate" if math.isinf(self.allowed) else f"{100.0 * self.share:.3g} %"
+        return [
+            ("setpoint step", f"{readable(self.size, 'm')} through the approach"),
+            ("overshoot of the step", f"{100.0 * self.overshoot:.3g} %"),
+            ("largest voltage step", f"{self.largest:.3g} V in a sample"),
+            ("share of the slew limit", f"{share}{', cut' if self.share > 1.0 else ''}"),
+        ]
+
+
+def setpoint_step(axis: AxisParameters) -> SetpointStep | None:
+    """Return a step of an axis from where it starts to its farthest setpoint; None for one that walks.
+
+    Parameters
+    ----------
+    axis : AxisParameters
+    """
+    if axis.reference_generator is None:
+        return None
+    own = replace(axis.reference_generator, waveform=WaveformParameters())
+    rate = axis.plant_simulator.sample_rate
+    generator = ReferenceGenerator(part(own, ReferenceParameters), 1.0 / rate)
+    start = own.initial_setpoint
+    target = max((own.minimum, own.maximum), key=lambda end: abs(end - start))
+    moving = round(generator.approach.duration(target - start) * rate)
+    after = max(AFTER, round(SETTLING * rate)) + axis.motion_controller.feedforward.preview
+    setpoints = np.full(min(BEFORE + moving + after, MOST), target)
+    setpoints[:BEFORE] = start
+    still = replace(axis, reference_generator=own)
+    found = simulate(still, setpoints=setpoints, describe=False)
+    free = simulate(_unlimited(still), setpoints=setpoints, describe=False)
+    displacement, size = found["displacement"], abs(target - start)
+    toward = np.sign(target - start)
+    goal = toward * float(displacement[-1] - displacement[0])
+    passed = float(np.max(toward * (displacement - displacement[0])))
+    rates = (node.limits.slew_rate for node in (axis.plant_simulator, axis.hysteresis_compensator))
+    allowed = min((one / rate for one in rates if one > 0.0), default=math.inf)
+    return SetpointStep(
+        size=size,
+        overshoot=max(round(passed / goal - 1.0, 9), 0.0) if goal > 0.0 else math.inf,
+        largest=_largest(found["voltage"]),
+        asked=_largest(free["voltage"]),
+        allowed=allowed,
+        feedforward=axis.motion_controller.feedforward.type == "inverse_dynamics",
+    )
+
+
+def step_lines(text: str, namespace: str | None, refuse: bool) -> list[str]:
+    """Return what a design prints of the step of its file.
+
+    Parameters
+    ----------
+    text : str
+        Parameter file.
+    namespace : str, optional
+        Which axis of it.
+    refuse : bool
+        Whether a feedforward was asked for, which :func:`require_gentle` judges.
+
+    Raises
+    ------
+    ConfigurationError
+        See :func:`require_gentle`.
+    """
+    step = setpoint_step(single_axis(parse_configuration(text, "the designed file"), namespace))
+    if step is None:
+        return []
+    if refuse:
+        require_gentle(step)
+    rows = step.rows()
+    width = max(len(name) for name, _ in rows)
+    return [f"{name:<{width}}  {words}" for name, words in rows]
+
+
+def require_gentle(step: SetpointStep | None) -> None:
+    """Refuse a feedforward that a step to a setpoint drives beyond the slew limit.
+
+    Parameters
+    ----------
+    step : SetpointStep or None
+
+    Raises
+    ------
+    ConfigurationError
+        It asks for more than the slew rate allows.
+    """
+    if step is not None and step.feedforward and step.share > 1.0:
+        raise ConfigurationError(
+            f"feedforward inverse_dynamics: a setpoint {readable(step.size, 'm')} away asks for {step.asked:.3g} V in "
+            f"a sample, limits.slew_rate allows {step.allowed:.3g} V; lower approach.maximum_velocity, "
+            "maximum_acceleration and maximum_jerk of reference_generator, or design without --feedforward"
+        )
+
+
+def _largest(voltage: np.ndarray) -> float:
+    return float(np.max(np.abs(np.diff(voltage))))
+
+
+def _unlimited(axis: AxisParameters) -> AxisParameters:
+    """Return the axis without slew rates."""
+
+    def free(limits: LimitsParameters) -> LimitsParameters:
+        return replace(limits, slew_rate=0.0)
+
+    plant, compensator = axis.plant_simulator, axis.hysteresis_compensator
+    return replace(
+        axis,
+        plant_simulator=replace(plant, limits=free(plant.limits)),
+        hysteresis_compensator=replace(compensator, limits=free(compensator.limits)),
+    )

@@ -1,0 +1,480 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Jobs shared by the processes of this machine, or by the workers of a Dask cluster.
+
+Results come as they end, each with the number of its job, so that nothing depends on who did what when. Processes
+end with the one that started them. A worker of a cluster that is lost has its jobs done by another one; where none
+is left, or the scheduler is gone, an error says so.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import logging
+import multiprocessing
+import os
+import signal
+import sys
+import threading
+import time
+import types
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import FIRST_COMPLETED, CancelledError, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from multiprocessing.connection import wait as connection_wait
+from typing import Any, NamedTuple
+
+from hysteresis_ros.errors import HysteresisError
+
+#: Jobs that wait at each process, so that none is idle while a result is looked at.
+AHEAD = 2
+#: How often the executor is looked at while nothing comes [s].
+LOOK = 1.0
+
+
+class Job(NamedTuple):
+    """A function of a module, and what it is called with; all of it can be pickled.
+
+    Parameters
+    ----------
+    function : callable
+    arguments : tuple
+    """
+
+    function: Callable
+    arguments: tuple
+
+    def outcome(self) -> tuple[Any, str]:
+        """Return its result, and what was wrong with its input in words, which every process can hand on."""
+        try:
+            return self.function(*self.arguments), ""
+        except HysteresisError as error:
+            return None, str(error)
+
+
+class Executor(ABC):
+    """Who does jobs.
+
+    Parameters
+    ----------
+    workers : int
+        Jobs that are done at the same time.
+    """
+
+    def __init__(self, workers: int):
+        self.workers = workers
+
+    @abstractmethod
+    def submit(self, job: Job) -> Future:
+        """Begin a job, and return what becomes of it: its outcome.
+
+        Parameters
+        ----------
+        job : Job
+        """
+
+    @abstractmethod
+    def result(self, future: Future) -> tuple[Any, str]:
+        """Return the outcome of a job that has ended.
+
+        Parameters
+        ----------
+        future : Future
+
+        Raises
+        ------
+        HysteresisError
+            Who did it has ended by itself.
+        """
+
+    def require_alive(self) -> None:  # noqa: B027
+        """Refuse to wait for nobody; who is no process of others is always there.
+
+        Raises
+        ------
+        HysteresisError
+            Nobody is left to do the jobs.
+        """
+
+    def results(self, jobs: Iterable[Job]) -> Iterator[tuple[int, Any]]:
+        """Yield number and result of each job as it ends.
+
+        Parameters
+        ----------
+        jobs : iterable of Job
+            Taken one after the other, not more than are done soon.
+
+        Raises
+        ------
+        HysteresisError
+            A job did, in the same words; or a process ended by itself.
+        """
+        numbered = enumerate(jobs)
+        waiting = {self.submit(job): number for number, job in itertools.islice(numbered, AHEAD * self.workers)}
+        while waiting:
+            finished, _ = wait(waiting, LOOK, FIRST_COMPLETED)
+            if not finished:
+                self.require_alive()
+            for future in finished:
+                number = waiting.pop(future)
+                result, error = self.result(future)
+                if error:
+                    raise HysteresisError(error)
+                waiting |= {self.submit(job): after for after, job in itertools.islice(numbered, 1)}
+                yield number, result
+
+
+class InProcess(Executor):
+    """Nobody but this process."""
+
+    def __init__(self):
+        super().__init__(1)
+
+    def submit(self, job: Job) -> Future:
+        """Do a job at once.
+
+        Parameters
+        ----------
+        job : Job
+        """
+        future: Future = Future()
+        future.set_result(job.outcome())
+        return future
+
+    def result(self, future: Future) -> tuple[Any, str]:
+        """Return the outcome of a job.
+
+        Parameters
+        ----------
+        future : Future
+        """
+        return future.result()
+
+    def results(self, jobs: Iterable[Job]) -> Iterator[tuple[int, Any]]:
+        """Yield number and result of each job, one after the other.
+
+        Parameters
+        ----------
+        jobs : iterable of Job
+
+        Raises
+        ------
+        HysteresisError
+            A job did.
+        """
+        for number, job in enumerate(jobs):
+            yield number, job.function(*job.arguments)
+
+
+#: How many threads multiply matrices: processes with several each would be in each other's way.
+THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
+
+
+class Processes(Executor):
+    """A pool of processes.
+
+    Parameters
+    ----------
+    workers : int
+        How many.
+    """
+
+    def __init__(self, workers: int):
+        super().__init__(workers)
+        context = multiprocessing.get_context("spawn")  # a copy of a process with threads may hang
+        self.pool = ProcessPoolExecutor(workers, context, initializer=_begin)
+
+    def submit(self, job: Job) -> Future:
+        """Begin a job, and return what becomes of it.
+
+        Parameters
+        ----------
+        job : Job
+
+        Raises
+        ------
+        HysteresisError
+            A process has ended by itself.
+        """
+        try:
+            return self.pool.submit(job.outcome)
+        except BrokenProcessPool:
+            raise _ended() from None
+
+    def result(self, future: Future) -> tuple[Any, str]:
+        """Return the outcome of a job that has ended.
+
+        Parameters
+        ----------
+        future : Future
+
+        Raises
+        ------
+        HysteresisError
+            A process has ended by itself.
+        """
+        try:
+            return future.result()
+        except BrokenProcessPool:
+            raise _ended() from None
+
+
+@contextlib.contextmanager
+def processes(workers: int) -> Iterator[Processes]:
+    """Have processes as long as the block runs; what they still do at its end is broken off.
+
+    Parameters
+    ----------
+    workers : int
+        How many.
+    """
+    before = set(multiprocessing.active_children())
+    found = Processes(workers)
+    try:
+        with _alone():
+            for _ in range(workers):
+                found.pool.submit(os.getpid)  # each of them starts one
+        yield found
+    finally:
+        for process in set(multiprocessing.active_children()) - before:
+            process.terminate()
+            process.join()
+        # what waits for them has nothing to wait for now; it holds semaphores, which somebody would miss
+        found.pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _ended() -> HysteresisError:
+    return HysteresisError("a process that shares the work has ended by itself; give --workers 1, or free some memory")
+
+
+@contextlib.contextmanager
+def _alone() -> Iterator[None]:
+    """Let processes that are started meanwhile not hear an interrupt, and compute with one thread each.
+
+    They do not run the script of somebody who uses this package either, which need not be written for that.
+    """
+    main = sys.modules["__main__"]
+    mine = threading.current_thread() is threading.main_thread()  # only that one may
+    # an interrupt is for the one that started them
+    before = signal.signal(signal.SIGINT, signal.SIG_IGN) if mine else None
+    given = {name: os.environ.get(name) for name in THREADS}
+    os.environ.update(dict.fromkeys(THREADS, "1"))
+    sys.modules["__main__"] = types.ModuleType("__main__")
+    try:
+        yield
+    finally:
+        sys.modules["__main__"] = main
+        if mine:
+            signal.signal(signal.SIGINT, before)
+        for name, value in given.items():
+            os.environ.pop(name)
+            if value is not None:
+                os.environ[name] = value
+
+
+def _begin() -> None:
+    """Let a process end with the one that started it, however that ends, and leave interrupts to it."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    starter = multiprocessing.parent_process()
+    if starter is not None:
+        threading.Thread(target=_follow, args=(starter.sentinel,), daemon=True).start()
+
+
+def _follow(sentinel: int) -> None:
+    connection_wait([sentinel])
+    os._exit(1)
+
+
+#: How long a scheduler may take to answer [s], and to have a worker again.
+CONNECT, PATIENCE = 10.0, 60.0
+#: Workers that may be lost under one job before it is taken for what ends them.
+LOSSES = 10
+EXTRA = 'needs the extra: pip install "hysteresis_ros[cluster]"'
+
+
+class Cluster(Executor):
+    """The workers of a scheduler.
+
+    Parameters
+    ----------
+    client : distributed.Client
+        Connected.
+    address : str
+        Of the scheduler, for messages.
+    """
+
+    def __init__(self, client, address: str):
+        self.client, self.address = client, address
+        self._seen = time.monotonic()
+        while not self._threads():
+            self.require_alive()
+            time.sleep(0.1)
+        super().__init__(self._threads())
+        self.pool = client.get_executor(pure=False, retries=LOSSES)
+
+    def _threads(self) -> int:
+        """Return how many jobs the cluster does at the same time."""
+        try:
+            return sum(self.client.nthreads().values())
+        except (OSError, TimeoutError):
+            raise self._gone() from None
+
+    def _gone(self) -> HysteresisError:
+        return HysteresisError(f"--scheduler {self.address}: the scheduler is gone; start it again, and repeat")
+
+    def submit(self, job: Job) -> Future:
+        """Begin a job, and return what becomes of it.
+
+        Parameters
+        ----------
+        job : Job
+        """
+        return self.pool.submit(job.outcome)
+
+    def result(self, future: Future) -> tuple[object, str]:
+        """Return the outcome of a job that has ended.
+
+        Parameters
+        ----------
+        future : Future
+
+        Raises
+        ------
+        HysteresisError
+            Its workers have ended by themselves, or cannot do it.
+        """
+        try:
+            return future.result()
+        except CancelledError:
+            raise self._gone() from None
+        except Exception as error:  # whatever the other machine lacks
+            raise HysteresisError(
+                f"--scheduler {self.address}: a worker could not do its work: {type(error).__name__}: {error}; all of "
+                "them need this version of the package"
+            ) from None
+
+    def require_alive(self) -> None:
+        """Refuse to wait for nobody.
+
+        Raises
+        ------
+        HysteresisError
+            The scheduler is gone, or has had no worker for :data:`PATIENCE` seconds.
+        """
+        if self.client.status not in ("running", "connecting"):
+            raise self._gone()
+        if self.client.status == "running" and self._threads():
+            self._seen = time.monotonic()
+        if time.monotonic() - self._seen > PATIENCE:
+            raise HysteresisError(
+                f"--scheduler {self.address}: no worker for {PATIENCE:g} s; start some with `dask worker "
+                f"{self.address} --nthreads 1`, and repeat"
+            )
+
+
+@contextlib.contextmanager
+def cluster(address: str) -> Iterator[Cluster]:
+    """Have the workers of a scheduler, as long as the block runs.
+
+    Parameters
+    ----------
+    address : str
+        ``tcp://host:8786``.
+
+    Raises
+    ------
+    HysteresisError
+        It does not answer, or ``distributed`` is not installed.
+    """
+    try:
+        from distributed import Client
+    except ImportError:
+        raise HysteresisError(f"--scheduler {EXTRA}") from None
+
+    class Connected(Client):
+        """A client that, where nobody has answered, goes without waiting for nobody once more."""
+
+        def __del__(self):
+            pass
+
+    for name in [name for name in logging.root.manager.loggerDict if name.startswith("distributed")]:
+        logging.getLogger(name).setLevel(logging.CRITICAL)  # what is wrong is said in words of our own
+    try:
+        client = Connected(address, timeout=CONNECT, set_as_default=False)
+    except (OSError, ValueError, TypeError) as error:
+        raise HysteresisError(
+            f"--scheduler {address}: no scheduler answers there ({type(error).__name__}); start one with `dask "
+            "scheduler`, and give its address, as tcp://host:8786"
+        ) from None
+    try:
+        yield Cluster(client, address)
+    finally:
+        client.close(timeout=CONNECT)
+
+
+#: Work that takes less than this in one process is not shared: others take a second or two to start [s].
+WORTH = 10.0
+
+
+def shared(jobs: Sequence[Job], seconds: float, workers: int | None = None) -> list[Any]:
+    """Return the results of jobs, in their order.
+
+    Parameters
+    ----------
+    jobs : sequence of Job
+    seconds : float
+        About what they take together in one process.
+    workers : int, optional
+        Processes; by default as many as there are processors where that is worth their start.
+
+    Raises
+    ------
+    HysteresisError
+        A job did, or a process ended by itself.
+    """
+    if workers is None and seconds < WORTH:
+        workers = 1
+    with executor(workers, jobs=len(jobs)) as found:
+        results = dict(found.results(jobs))
+    return [results[number] for number in range(len(jobs))]
+
+
+@contextlib.contextmanager
+def executor(
+    workers: int | None = None, scheduler: str | None = None, *, jobs: int | None = None
+) -> Iterator[Executor]:
+    """Have somebody who does jobs, as long as the block runs.
+
+    Parameters
+    ----------
+    workers : int, optional
+        Processes of this machine; by default as many as it has processors. 1: none but this one.
+    scheduler : str, optional
+        Address of a Dask scheduler, whose workers do the jobs instead.
+    jobs : int, optional
+        How many there are: no more processes than that.
+
+    Raises
+    ------
+    HysteresisError
+        The scheduler does not answer, or what talks to it is not installed.
+    """
+    if scheduler is not None:
+        with cluster(scheduler) as found:
+            yield found
+        return
+    count = min(workers or os.cpu_count() or 1, jobs if jobs is not None else 2**31)
+    if count < 2:
+        yield InProcess()
+        return
+    with processes(count) as found:
+        yield found

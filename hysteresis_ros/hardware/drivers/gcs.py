@@ -1,0 +1,874 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Controllers of Physik Instrumente that speak GCS 2.0 over TCP: E-709, E-727, E-754 and their like.
+
+From the words of the protocol over the link to the driver; the emulated controller uses the same words.
+
+Sources: E-727 Digital Multi-Channel Piezo Controller, user manual E727T0005 (2019), sections "GCS commands", "Data
+recorder" and "Wave generator"; C-863 Mercury Controller, user manual MS249E, section "GCS commands" (answers of
+``DRR?`` and ``HPA?``). A command ends with LF, an answer too; of an answer of several lines all but the last end with a
+space before the LF. Commands of one character need no LF.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import re
+import select
+import socket
+import time
+from collections import deque
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from hysteresis_ros.configuration import Parameters, parameter
+from hysteresis_ros.errors import Problem
+from hysteresis_ros.hardware.driver import (
+    Capabilities,
+    Driver,
+    DriverError,
+    HardwareDriver,
+    Reading,
+    highest_rate,
+    ramp,
+)
+from hysteresis_ros.registry import later
+
+#: Commands of one character: status register, motion status, ready status, status of the wave generator, stop.
+STATUS, MOTION_STATUS, READY_STATUS, GENERATOR_STATUS, STOP = "\x04", "\x05", "\x07", "\x09", "\x18"
+#: Answers to :data:`READY_STATUS`.
+READY, NOT_READY = b"\xb1", b"\xb0"
+
+#: Codes of ``ERR?`` by what they mean.
+NO_ERROR, SYNTAX, UNKNOWN_COMMAND, TOO_LONG = 0, 1, 2, 3
+SERVO_OFF, POSITION_LIMIT, STOPPED, WRONG_AXIS, OUT_OF_RANGE = 5, 7, 10, 15, 17
+WRONG_COUNT, UNKNOWN_PARAMETER, READ_ONLY, SERVO_ON = 24, 54, 64, 79
+NO_TABLE, GENERATOR_RUNS, NO_WAVE, VOLTAGE_LIMIT = 57, 73, 75, 302
+WAVE_TYPE, WAVE_LENGTH, BUSY = 402, 403, 1005
+
+MEANINGS = {
+    NO_ERROR: "no error",
+    SYNTAX: "a parameter is no number",
+    UNKNOWN_COMMAND: "the command is not known",
+    TOO_LONG: "the command is too long",
+    SERVO_OFF: "a move with the servo off, or of an axis that is not referenced",
+    POSITION_LIMIT: "the position is beyond the limits",
+    8: "the velocity is beyond the limits, or the axis is not referenced",
+    STOPPED: "stopped by a command",
+    WRONG_AXIS: "there is no such axis",
+    OUT_OF_RANGE: "a parameter is out of range",
+    WRONG_COUNT: "the number of parameters is wrong",
+    UNKNOWN_PARAMETER: "there is no such parameter",
+    NO_TABLE: "there is no such record table",
+    READ_ONLY: "the parameter is read only",
+    66: "the voltage is beyond the limits",
+    GENERATOR_RUNS: "a move while the wave generator runs",
+    NO_WAVE: "the wave generator has no wave table",
+    SERVO_ON: "an open-loop command with the servo on",
+    215: "the connection between controller and stage may be broken",
+    VOLTAGE_LIMIT: "the voltage is beyond the limits",
+    333: "a fault of the hardware",
+    WAVE_TYPE: "there is no such type of wave",
+    WAVE_LENGTH: "the wave is too long",
+    602: "a fault of the high voltage",
+    603: "the temperature is out of range",
+    BUSY: "busy with a lengthy operation",
+}
+
+#: Metres of a unit, as controllers write it.
+UNITS = {"m": 1.0, "mm": 1.0e-3, "um": 1.0e-6, "µm": 1.0e-6, "nm": 1.0e-9}
+
+#: Parameters by their number.
+RANGE_MINIMUM, RANGE_MAXIMUM, AXIS_UNIT = 0x07000000, 0x07000001, 0x07000601
+VOLTAGE_MINIMUM, VOLTAGE_MAXIMUM = 0x0B000007, 0x0B000008
+SERVO_CYCLE, WAVE_POINTS, RECORD_POINTS, RECORD_TABLES = 0x0E000200, 0x13000004, 0x16000200, 0x16000300
+TOLERANCE, SETTLING = 0x07000900, 0x07000901
+
+#: What a record table holds.
+TARGET, POSITION, POSITION_ERROR, CONTROL_VOLTAGE, OPEN_LOOP, VOLTAGE = 1, 2, 3, 7, 14, 16
+
+
+def meaning(code: int) -> str:
+    """Return what a code of ``ERR?`` means.
+
+    Parameters
+    ----------
+    code : int
+    """
+    return f"error {code}: {MEANINGS.get(code, 'see ERR? in the manual of the controller')}"
+
+
+#: What ends an answer, and what a line ends with after which another one follows.
+END, MORE = b"\n", b" \n"
+#: Most bytes at a time.
+CHUNK = 65536
+#: What no answer is longer than: a controller that says more is none, or out of order.
+LONGEST_LINE, MOST_LINES = 1 << 20, 1 << 20
+#: Most bytes of an answer that a message shows.
+SHOWN = 60
+#: The question for the last error, and what its answer looks like: no other answer in a sample does.
+ERROR, CODE = "ERR?", re.compile(r"-?[0-9]{1,9}")
+
+
+def _names(text: str) -> list[str]:
+    """Return the words before an equals sign, hexadecimal numbers of parameters as decimal ones."""
+    with contextlib.suppress(ValueError):
+        return [str(int(word, 16)) if word[:2].lower() == "0x" else word for word in text.split()]
+    return []
+
+
+class GcsLink:
+    """The connection to a controller: commands out, answers back, errors by what they mean.
+
+    An answer has no number. So nothing may be under way when something is asked, each answer has to look like one to
+    its question, and each exchange has the answer to ``ERR?``, which looks different. What does not fit breaks the
+    link, as a missing answer does: from a line too many on, each answer would be the one before.
+
+    Parameters
+    ----------
+    host : str
+        Name or address.
+    port : int
+    timeout : float
+        Time within which it connects and answers [s].
+
+    Attributes
+    ----------
+    name : str
+        For messages.
+    broken : bool
+        Whether nothing more can be said over it.
+
+    Raises
+    ------
+    DriverError
+        It cannot be reached.
+    """
+
+    def __init__(self, host: str, port: int, timeout: float):
+        self.name = f"controller at {host}:{port}"
+        self.broken = False
+        self._rest = b""
+        self._leads = False
+        try:
+            self._socket = socket.create_connection((host, port), timeout)
+        except OSError as error:
+            remedy = "switch it on, look at address and network, end other programs that use it"
+            raise DriverError(self.name, f"cannot be reached ({error})", remedy) from error
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+
+    def send(self, *commands: str) -> None:
+        """Send commands that are not answered.
+
+        Parameters
+        ----------
+        *commands : str
+            Without line ends.
+
+        Raises
+        ------
+        DriverError
+            The connection is gone, or something came over it that nothing asked for.
+        """
+        self._put("".join(f"{command}\n" for command in commands), commands[0])
+
+    def _put(self, text: str, what: str) -> None:
+        self._require_silence(what)
+        try:
+            self._socket.sendall(text.encode("latin-1"))
+        except OSError as error:
+            raise self._gone(f"does not take {what!r} ({error})") from error
+
+    def _require_silence(self, what: str) -> None:
+        """Refuse what came before it was asked for: each later answer would be taken for that of another question."""
+        said = self._rest
+        if not said and select.select([self._socket], [], [], 0.0)[0]:
+            said = self._receive(what)
+        if said:
+            text = said[:SHOWN].decode("latin-1")
+            raise self._astray(f"says {text!r} before it is asked {what!r}, a line too many")
+
+    def _gone(self, problem: str) -> DriverError:
+        self.broken = True
+        return DriverError(self.name, problem, "look at controller, network and other programs that use it")
+
+    def _astray(self, problem: str) -> DriverError:
+        """Return the error of an answer that is not that of its question; nothing more is believed of the link."""
+        self.broken = True
+        return DriverError(self.name, problem, "give the address of a controller with GCS 2.0, look at its network")
+
+    def _receive(self, asked: str) -> bytes:
+        try:
+            data = self._socket.recv(CHUNK)
+        except OSError as error:
+            raise self._gone(f"does not answer {asked!r} ({error})") from error
+        if not data:
+            raise self._gone(f"has hung up at {asked!r}: it is off, or has another master")
+        return data
+
+    def _line(self, asked: str) -> bytes:
+        while END not in self._rest:
+            if len(self._rest) > LONGEST_LINE:
+                raise self._gone(f"answers {asked!r} with more than {LONGEST_LINE} characters and no end")
+            self._rest += self._receive(asked)
+        line, _, self._rest = self._rest.partition(END)
+        return line + END
+
+    def _lines(self, question: str) -> list[str]:
+        lines = [self._line(question)]
+        while lines[-1].endswith(MORE):
+            if len(lines) > MOST_LINES:
+                raise self._gone(f"answers {question!r} with more than {MOST_LINES} lines")
+            lines.append(self._line(question))
+        return [line.decode("latin-1").rstrip() for line in lines]
+
+    def ask(self, question: str) -> list[str]:
+        """Return the lines of the answer to a question; the one to ``ERR?`` has to come behind it.
+
+        Parameters
+        ----------
+        question : str
+            Without line end.
+
+        Raises
+        ------
+        DriverError
+            There is no answer, or a line is missing or too many.
+        """
+        self.send(question, ERROR)
+        lines = self._lines(question)
+        self._code()
+        return lines
+
+    def ask_single(self, character: str) -> str:
+        """Return the answer to a command of one character.
+
+        Parameters
+        ----------
+        character : str
+
+        Raises
+        ------
+        DriverError
+            There is no answer.
+        """
+        name = f"#{ord(character)}"
+        self._put(character, name)
+        return self._line(name).decode("latin-1").rstrip()
+
+    def find(self, question: str, item: str) -> str | None:
+        """Return what a controller says of an item, ``1=2.5`` being ``2.5`` of the item ``1``; None when it refuses.
+
+        Parameters
+        ----------
+        question : str
+        item : str
+            What stands before the equals sign.
+
+        Raises
+        ------
+        DriverError
+            There is no answer, or not that of the question.
+        """
+        return self._asked(question, item)[0]
+
+    def value(self, question: str, item: str) -> str:
+        """Return what a controller says of an item.
+
+        Parameters
+        ----------
+        question : str
+        item : str
+            What stands before the equals sign.
+
+        Raises
+        ------
+        DriverError
+            It refuses, there is no answer, or not that of the question.
+        """
+        text, code = self._asked(question, item)
+        if text is None:
+            problem = f"does not answer '{question} {item}': {meaning(code)}"
+            raise DriverError(self.name, problem, f"give a controller with GCS 2.0 that has {item}")
+        return text
+
+    def _asked(self, question: str, item: str) -> tuple[str | None, int]:
+        asked = f"{question} {item}"
+        self.send(asked, ERROR)
+        lines = self._lines(asked)
+        if CODE.fullmatch(lines[0]) and int(lines[0]) != NO_ERROR:
+            return None, int(lines[0])  # the question has no answer, so that was the one to ERR?
+        text = self._of_item(asked, item, lines)
+        return text, self._code()
+
+    def _of_item(self, asked: str, item: str, lines: list[str]) -> str:
+        left, mark, right = lines[0].partition("=")
+        if not mark or len(lines) != 1 or _names(left) != _names(item):
+            raise self._astray(f"answers {asked!r} with {lines[0]!r}")
+        return right.strip()
+
+    def number(self, question: str, item: str) -> float:
+        """Return the number that a controller says of an item.
+
+        Parameters
+        ----------
+        question : str
+        item : str
+            What stands before the equals sign.
+
+        Raises
+        ------
+        DriverError
+            There is none.
+        """
+        return self._real(f"{question} {item}", self.value(question, item))
+
+    def _real(self, asked: str, text: str) -> float:
+        try:
+            return float(text)
+        except ValueError:
+            raise self._astray(f"answers {asked!r} with {text!r}, which is no number") from None
+
+    def numbers(self, *questions: tuple[str, str]) -> tuple[list[float], int]:
+        """Return the numbers of items that are asked together, and the code of the last error.
+
+        The answer to ``ERR?``, which has no equals sign, stands behind them at one time and before them at the next,
+        and on both sides of several: a line too many or too few never leaves a number in another one's place, nor
+        does a whole answer that comes again.
+
+        Parameters
+        ----------
+        *questions : tuple of (str, str)
+            Question and item.
+
+        Raises
+        ------
+        DriverError
+            There is no answer, or not that of its question.
+        """
+        several = len(questions) > 1
+        before, behind = several or self._leads, several or not self._leads
+        self._leads = not several and not self._leads
+        asked = [f"{question} {item}" for question, item in questions]
+        self.send(*[ERROR] * before, *asked, *[ERROR] * behind)
+        codes = [self._code()] if before else []
+        texts = [self._of_item(text, item, self._lines(text)) for text, (_, item) in zip(asked, questions, strict=True)]
+        codes += [self._code()] if behind else []
+        values = [self._real(*pair) for pair in zip(asked, texts, strict=True)]
+        return values, next((code for code in codes if code != NO_ERROR), NO_ERROR)
+
+    def table(self, question: str, tables: int) -> tuple[float, np.ndarray]:
+        """Return the sample time [s] and the numbers of an answer that is an array, shape (points, tables).
+
+        Parameters
+        ----------
+        question : str
+        tables : int
+            How many are asked for.
+
+        Raises
+        ------
+        DriverError
+            The answer is none.
+        """
+        lines = self.ask(question)
+        head = dict(line[1:].split("=", 1) for line in lines if line.startswith("#") and "=" in line)
+        head = {name.strip(): text.strip() for name, text in head.items()}
+        try:
+            separator = chr(int(head["SEPARATOR"]))
+            rows = [line.split(separator) for line in lines if not line.startswith("#")]
+            sample_time = float(head["SAMPLE_TIME"])
+            if not (int(head["DIM"]) == tables and 0.0 < sample_time < math.inf):
+                raise ValueError(f"{head['DIM']} tables of {sample_time:g} s")
+            return sample_time, np.array(rows, dtype=float).reshape(int(head["NDATA"]), tables)
+        except (KeyError, ValueError, OverflowError) as error:
+            problem = f"answers {question!r} with no array ({type(error).__name__}: {error})"
+            raise DriverError(self.name, problem, "look at the controller and its firmware") from None
+
+    def error(self) -> int:
+        """Return the code of the last error, which the controller forgets then.
+
+        Raises
+        ------
+        DriverError
+            The answer is no code.
+        """
+        self.send(ERROR)
+        return self._code()
+
+    def _code(self) -> int:
+        """Return the code that the next answer is."""
+        lines = self._lines(ERROR)
+        if len(lines) != 1 or not CODE.fullmatch(lines[0]):
+            raise self._astray(f"answers {ERROR!r} with {lines[0]!r}")
+        return int(lines[0])
+
+    def require(self, code: int, what: str) -> None:
+        """Refuse any code but that of no error.
+
+        Parameters
+        ----------
+        code : int
+        what : str
+            What was done, for the message.
+
+        Raises
+        ------
+        DriverError
+            There is an error.
+        """
+        if code != NO_ERROR:
+            raise DriverError(self.name, f"{what}: {meaning(code)}", "mend the cause at the controller")
+
+    def do(self, *commands: str) -> None:
+        """Send commands and make sure that none was refused.
+
+        Parameters
+        ----------
+        *commands : str
+
+        Raises
+        ------
+        DriverError
+            One was refused.
+        """
+        self.send(*commands)
+        self.require(self.error(), f"refuses {commands[-1][:40]!r}")
+
+    def stop(self) -> None:
+        """Stop all motion; that counts as an error, which is taken.
+
+        Raises
+        ------
+        DriverError
+            It does not answer, or something else is wrong.
+        """
+        self._put(STOP, f"#{ord(STOP)}")
+        code = self.error()
+        if code != STOPPED:
+            self.require(code, "does not stop")
+
+    def close(self) -> None:
+        """Hang up."""
+        with contextlib.suppress(OSError):
+            self._socket.close()
+
+
+#: Voltages that the output may still be at when it is looked at.
+RECENT = 4
+#: Points of a wave that are sent at a time, and how often is looked whether it has been played [s].
+POINTS, PATIENCE = 40, 0.02
+#: How often it is tried to make a controller safe, each time but the first on a new connection.
+ATTEMPTS = 3
+#: Part of a value that a controller may round away when it says what it was commanded.
+ROUNDING = 1.0e-3
+#: Servo cycles are at most so many times as long as what is played by them.
+LONGEST = 1.0e6
+
+
+@dataclass(frozen=True)
+class GcsParameters(Parameters):
+    """Which controller and axis, and what is commanded."""
+
+    host: str = parameter("127.0.0.1", description="name or address of the controller", read_only=True)
+    port: int = parameter(50000, description="its TCP port", low=1, high=65535, read_only=True)
+    identification: str = parameter(
+        "", description="what its answer to *IDN? contains, for instance E-754; '': anything", read_only=True
+    )
+    axis: str = parameter("1", description="name of the axis", read_only=True)
+    channel: str = parameter(
+        "", description="name of its output signal channel, for VOL?; '': that of the axis", read_only=True
+    )
+    mode: str = parameter(
+        "open_loop",
+        choices=("open_loop", "servo"),
+        description="open_loop: SVA, servo off; servo: MOV, servo on, a volt being servo_scale",
+        read_only=True,
+    )
+    open_loop_scale: float = parameter(
+        1.0, description="volts at the output for one unit of SVA", unit="V", low=1e-6, high=1e6, read_only=True
+    )
+    servo_scale: float = parameter(
+        1.0e-6, description="servo: target for a volt", unit="m/V", low=1e-12, high=1.0, read_only=True
+    )
+    position_unit: str = parameter(
+        "",
+        choices=("", *UNITS),
+        description="unit of its positions, which it must have when it says one; '': what it says",
+        read_only=True,
+    )
+    safe_voltage: float = parameter(
+        0.0, description="voltage of the safe state", unit="V", low=-1.0e4, high=1.0e4, read_only=True
+    )
+    safe_time: float = parameter(
+        0.2, description="time in which it goes there by itself", unit="s", low=0.0, high=10.0, read_only=True
+    )
+    voltage_range: tuple[float, ...] = parameter(
+        (),
+        description="open_loop: least and greatest voltage of a controller that does not say them",
+        unit="V",
+        read_only=True,
+    )
+    voltage_tolerance: float = parameter(
+        2.0,
+        description="open_loop: largest difference of VOL? and the voltage",
+        unit="V",
+        low=1e-3,
+        high=1e3,
+        read_only=True,
+    )
+    check_period: float = parameter(
+        0.2,
+        description="how often servo and voltage are looked at",
+        unit="s",
+        low=1e-3,
+        high=60.0,
+        read_only=True,
+    )
+    timeout: float = parameter(
+        0.5, description="time within which it answers", unit="s", low=0.001, high=60.0, read_only=True
+    )
+
+    def check(self):
+        """Yield what does not fit together."""
+        if self.voltage_range and not (len(self.voltage_range) == 2 and self.voltage_range[0] < self.voltage_range[1]):
+            yield Problem("voltage_range", self.voltage_range, "give the least and the greatest voltage, or nothing")
+
+
+class Played(NamedTuple):
+    """What a controller has played and recorded by itself, arrays of shape (N,)."""
+
+    #: [s]
+    time: np.ndarray
+    #: At the output [V].
+    voltage: np.ndarray
+    #: [m]
+    position: np.ndarray
+
+
+class GcsDriver(Driver):
+    """One axis of a controller; one that has failed is taken anew when it is read again."""
+
+    _link: GcsLink | None = None
+    _given: GcsParameters
+    _failed = False
+
+    def __init__(self) -> None:
+        self._recent: deque[float] = deque(maxlen=RECENT)
+
+    def open(self, parameters: GcsParameters, sample_rate: float) -> Capabilities:
+        """Connect, look whether it is the right one, bring it to its safe state and try how fast it is.
+
+        Parameters
+        ----------
+        parameters : GcsParameters
+        sample_rate : float
+            [Hz]
+
+        Raises
+        ------
+        DriverError
+            It cannot be reached, is another one, is in motion, busy or in error, or has other units.
+        """
+        self._given = parameters
+        link = self._taken(first=True)
+        low, high = self._range
+        safe = self._command(parameters.safe_voltage)
+        rate = highest_rate(lambda: link.send(safe), lambda: link.numbers(("POS?", parameters.axis)))
+        return Capabilities(joints=1, voltages=1, minimum=low, maximum=high, highest_rate=rate)
+
+    # -- taking the controller -----------------------------------------------------------------------------------
+
+    def _taken(self, first: bool = False) -> GcsLink:
+        """Return the link to the controller, in its safe state when it had to be taken."""
+        given = self._given
+        if self._link is not None and self._link.broken:
+            self._hang_up()
+        if self._link is None or self._failed:
+            self._failed = True
+            self._link = self._link or GcsLink(given.host, given.port, given.timeout)
+            self._take(self._link, first)
+            self._failed = False
+        return self._link
+
+    def _take(self, link: GcsLink, first: bool) -> None:
+        given = self._given
+        said = link.ask("*IDN?")[0]  # and what went wrong before is over
+        if given.identification.lower() not in said.lower():
+            problem = f"says it is {said!r}, which does not contain gcs.identification = {given.identification!r}"
+            raise DriverError(link.name, problem, "give the address of the right one, or its name")
+        axes = link.ask("SAI?")
+        if given.axis not in axes:
+            problem = f"has no axis {given.axis!r}, it has {', '.join(axes)}"
+            raise DriverError(link.name, problem, "give one of them as gcs.axis")
+        self._commands = {line.split()[0].upper() for line in link.ask("HLP?") if line.split()}
+        if first:
+            self._require_rest(link)
+        self._unit = self._unit_of(link)
+        low, high = self._range = self._range_of(link)
+        if not low <= given.safe_voltage <= high:
+            problem = f"has a range of {low:g} … {high:g} V without gcs.safe_voltage = {given.safe_voltage:g} V"
+            raise DriverError(link.name, problem, "give one within it")
+        self._make_safe(link)
+        self._check(link, *link.numbers(*self._looks))
+
+    def _require_rest(self, link: GcsLink) -> None:
+        """Refuse a controller that is not ready, or moves an axis for somebody else."""
+        if "#7" in self._commands and link.ask_single(READY_STATUS).encode("latin-1")[:1] != READY:
+            raise DriverError(link.name, "is busy with something else", "wait until it is ready, or stop that")
+        for command, character in (("#5", MOTION_STATUS), ("#9", GENERATOR_STATUS)):
+            if command in self._commands and link.ask_single(character).lower().lstrip("0x"):
+                remedy = "end the program that moves it, stop its wave generator"
+                raise DriverError(link.name, f"is in motion ({command})", remedy)
+        if "FRF?" in self._commands and link.number("FRF?", self._given.axis) != 1.0:
+            raise DriverError(link.name, f"has not referenced axis {self._given.axis}", "reference it first (FRF)")
+
+    def _unit_of(self, link: GcsLink) -> float:
+        """Return the metres of a unit of the positions."""
+        given, said = self._given, ""
+        if "PUN?" in self._commands:
+            said = link.value("PUN?", given.axis)
+        else:
+            said = link.find("SPA?", f"{given.axis} {AXIS_UNIT:#x}") or ""
+        unit = said.lower() or given.position_unit
+        if unit not in UNITS:
+            problem = f"measures axis {given.axis} in {said}" if said else f"does not say the unit of axis {given.axis}"
+            raise DriverError(link.name, problem, f"an axis needs one of {', '.join(UNITS)} (gcs.position_unit)")
+        if given.position_unit and UNITS[unit] != UNITS[given.position_unit]:
+            problem = f"measures axis {given.axis} in {said}, gcs.position_unit is {given.position_unit}"
+            raise DriverError(link.name, problem, "make them equal")
+        return UNITS[unit]
+
+    def _range_of(self, link: GcsLink) -> tuple[float, float]:
+        """Return the range of what is commanded [V]."""
+        given = self._given
+        if given.mode == "servo":
+            volts = self._unit / given.servo_scale
+            return link.number("TMN?", given.axis) * volts, link.number("TMX?", given.axis) * volts
+        if {"VMI?", "VMA?"} <= self._commands:
+            return link.number("VMI?", self._channel), link.number("VMA?", self._channel)
+        if given.voltage_range:
+            return given.voltage_range[0], given.voltage_range[1]
+        items = [f"{self._channel} {number:#x}" for number in (VOLTAGE_MINIMUM, VOLTAGE_MAXIMUM)]
+        if any(link.find("SPA?", item) is None for item in items):
+            raise DriverError(link.name, "does not say its voltages", "give gcs.voltage_range")
+        return link.number("SPA?", items[0]), link.number("SPA?", items[1])
+
+    @property
+    def _channel(self) -> str:
+        return self._given.channel or self._given.axis
+
+    # -- samples -------------------------------------------------------------------------------------------------
+
+    def read(self) -> Reading:
+        """Ask for the position and the last error, and now and then for servo and voltage.
+
+        Raises
+        ------
+        DriverError
+            It does not answer what it is asked, has an error, or somebody else has switched its servo or commands its
+            voltage.
+        """
+        link, given = self._taken(), self._given
+        due = time.monotonic() - self._checked >= given.check_period
+        try:
+            (position, *others), code = link.numbers(("POS?", given.axis), *(self._looks if due else ()))
+            if code != NO_ERROR and not due:  # what has been changed says more than what was refused because of it
+                (others, _), due = link.numbers(*self._looks), True
+            if due:
+                self._check(link, others, code)
+            link.require(code, "has an error")
+            return Reading((self._unit * position,))
+        except DriverError:
+            self._failed = True
+            raise
+
+    @property
+    def _looks(self) -> tuple[tuple[str, str], ...]:
+        """What is asked to see whether the controller is as this driver left it."""
+        servo = ("SVO?", self._given.axis)
+        looks = self._given.mode == "open_loop" and "VOL?" in self._commands
+        return (servo, ("VOL?", self._channel)) if looks else (servo,)
+
+    def _check(self, link: GcsLink, answers: list[float], code: int) -> None:
+        """Refuse a controller that is not as this driver left it."""
+        given, (servo, *voltage) = self._given, answers
+        on = given.mode == "servo"
+        if bool(servo) != on:
+            problem = f"has its servo switched {'off' if on else 'on'} by somebody else"
+            raise DriverError(link.name, problem, "end the program that does so")
+        link.require(code, "has an error")
+        if voltage:
+            (there,), tolerance = voltage, given.voltage_tolerance
+            low, high = min(self._recent), max(self._recent)
+            if not low - tolerance <= there <= high + tolerance:
+                problem = f"puts out {there:g} V where {self._recent[-1]:g} V are commanded"
+                remedy = "look at gcs.open_loop_scale, the amplifier, and programs that command it too"
+                raise DriverError(link.name, problem, remedy)
+        self._checked = time.monotonic()
+
+    def write(self, voltages: Sequence[float]) -> None:
+        """Send the voltage, or the target that it stands for.
+
+        Parameters
+        ----------
+        voltages : sequence of float
+            [V]
+
+        Raises
+        ------
+        DriverError
+            The connection is gone.
+        """
+        self._taken().send(self._command(voltages[0]))
+        self._recent.append(voltages[0])
+
+    def _command(self, voltage: float) -> str:
+        name = "MOV" if self._given.mode == "servo" else "SVA"
+        return f"{name} {self._given.axis} {self._value(voltage):.9f}"
+
+    def _value(self, voltage: float) -> float:
+        """Return what the controller is told for a voltage."""
+        given = self._given
+        return voltage * given.servo_scale / self._unit if given.mode == "servo" else voltage / given.open_loop_scale
+
+    # -- without a sample of the package -------------------------------------------------------------------------
+
+    def play(self, voltages: Sequence[float], period: float) -> Played:
+        """Let the wave generator play voltages and the recorder write down what comes of it, at the controller's pace.
+
+        Parameters
+        ----------
+        voltages : sequence of float
+            [V], or what stands for targets of the servo.
+        period : float
+            Time between two of them [s], rounded to samples of the controller.
+
+        Returns
+        -------
+        Played
+
+        Raises
+        ------
+        DriverError
+            They are out of range or too many, or the controller has no generator or recorder.
+        """
+        link, given = self._taken(), self._given
+        missing = {"WAV", "WGO", "DRC", "DRR?"} - self._commands
+        if missing:
+            raise DriverError(link.name, f"does not know {', '.join(sorted(missing))}", "send the voltages one by one")
+        (low, high), item = self._range, f"{given.axis} {SERVO_CYCLE:#x}"
+        longest = int(link.number("SPA?", f"{given.axis} {WAVE_POINTS:#x}"))
+        if not 0 < len(voltages) <= longest or not low <= min(voltages) <= max(voltages) <= high:
+            problem = f"plays up to {longest} voltages within {low:g} … {high:g} V"
+            raise DriverError(link.name, problem, "give fewer or smaller ones")
+        cycle = link.number("SPA?", item)
+        if not 0.0 < cycle < period * LONGEST:
+            raise DriverError(
+                link.name, f"says a servo cycle of {cycle:g} s", "look at the controller and its firmware"
+            )
+        rate = max(round(period / cycle), 1)
+        ramp(lambda voltage: link.do(self._command(voltage)), self._recent[-1], voltages[0], given.safe_time)
+        self._define(link, [self._value(voltage) for voltage in voltages], rate)
+        link.do(f"WGO {given.axis} 1")
+        while link.number("DRL?", "1") < len(voltages) or link.ask_single(GENERATOR_STATUS).lower().lstrip("0x"):
+            time.sleep(PATIENCE)
+        sample, rows = link.table(f"DRR? 1 {len(voltages)}", 2)
+        self._recent.extend(voltages[-RECENT:])
+        return Played(sample * np.arange(len(rows)), rows[:, 0], self._unit * rows[:, 1])
+
+    def _define(self, link: GcsLink, values: list[float], rate: int) -> None:
+        """Write the wave table and say what is recorded."""
+        given = self._given
+        for first in range(0, len(values), POINTS):
+            part = values[first : first + POINTS]
+            points = " ".join(f"{value:.6f}" for value in part)
+            link.do(f"WAV 1 {'&' if first else 'X'} PNT {first + 1} {len(part)} {points}")
+        link.do(f"WSL {given.axis} 1", f"WGC {given.axis} 1", f"WTR 0 {rate} 0", f"RTR {rate}")
+        link.do(f"SPA {given.axis} {RECORD_TABLES} 2", f"DRC 1 {self._channel} {VOLTAGE} 2 {given.axis} {POSITION}")
+
+    # -- end -----------------------------------------------------------------------------------------------------
+
+    def make_safe(self) -> None:
+        """Stop all motion, then go to the safe voltage, or the place that it stands for; on a new link if need be.
+
+        Raises
+        ------
+        DriverError
+            It does not answer, or refuses, each time that it is tried.
+        """
+        for attempt in range(ATTEMPTS):
+            try:
+                if self._link is None or self._link.broken:
+                    self._taken()
+                else:
+                    self._make_safe(self._link)
+                return
+            except DriverError:
+                self._hang_up()
+                if attempt + 1 == ATTEMPTS:
+                    raise
+
+    def _make_safe(self, link: GcsLink) -> None:
+        given = self._given
+        safe = given.safe_voltage
+        link.stop()
+        if given.mode == "servo":
+            link.do(f"SVO {given.axis} 1", self._command(safe))
+            self._require_there(link, "MOV?", safe)
+            self._recent = deque([safe], RECENT)
+            return
+        link.do(f"SVO {given.axis} 0")
+        now = link.number("SVA?", given.axis) * given.open_loop_scale
+        self._recent = deque([now], RECENT)
+
+        def put_out(voltage: float) -> None:
+            self._recent.append(voltage)
+            link.do(self._command(voltage))
+
+        ramp(put_out, now, safe, given.safe_time)
+        self._require_there(link, "SVA?", safe)
+
+    def _require_there(self, link: GcsLink, question: str, safe: float) -> None:
+        """Make sure that the controller was given the safe value, whatever else it has answered."""
+        value = self._value(safe)
+        given = link.number(question, self._given.axis)
+        if not abs(given - value) <= ROUNDING * max(abs(value), abs(given), 1.0):
+            problem = f"says {given:g} to {question!r} where {value:g} was commanded to make it safe"
+            raise DriverError(link.name, problem, "end other programs that command it, look at its limits")
+
+    @property
+    def last_output(self) -> float | None:
+        """Voltage that was commanded last, also on the way to the safe one [V]."""
+        return self._recent[-1] if self._recent else None
+
+    def close(self) -> None:
+        """Hang up."""
+        self._hang_up()
+
+    def _hang_up(self) -> None:
+        if self._link is not None:
+            self._link.close()
+            self._link = None
+            self._failed = True
+
+
+DRIVER = HardwareDriver(
+    name="gcs",
+    title="a piezo controller that speaks GCS 2.0 over TCP (PI E-709, E-727, E-754)",
+    parameters=GcsParameters,
+    driver=GcsDriver,
+    emulator=later("hysteresis_ros.laboratory.emulation.gcs:emulator"),
+    device="hysteresis_ros.laboratory.emulation.gcs:DEVICE",
+)

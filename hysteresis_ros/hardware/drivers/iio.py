@@ -1,0 +1,398 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Converters of the Linux subsystem *industrial I/O*, through sysfs: a DAC to the amplifier, an ADC from the sensor.
+
+Of a channel of voltage ``(raw + offset) · scale`` is the voltage in mV; scale and offset stand in files of the channel
+or of all channels of its direction (kernel documentation, ABI/testing/sysfs-bus-iio).
+"""
+
+from __future__ import annotations
+
+import os
+import pathlib
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from hysteresis_ros.configuration import Parameters, parameter
+from hysteresis_ros.errors import Problem
+from hysteresis_ros.hardware.driver import (
+    Capabilities,
+    Driver,
+    DriverError,
+    HardwareDriver,
+    Reading,
+    claim,
+    highest_rate,
+    ramp,
+)
+from hysteresis_ros.registry import later
+
+#: Volts of a unit of scale.
+MILLIVOLT = 1.0e-3
+#: Largest number of a raw value, scale or offset that is believed, and the smallest one over it.
+LARGEST = 1.0e20
+CHANNEL = re.compile(r"(alt)?voltage\d*")
+
+
+def device_at(directory: pathlib.Path, wanted: str) -> pathlib.Path:
+    """Return the folder of a device.
+
+    Parameters
+    ----------
+    directory : pathlib.Path
+        Where the devices are.
+    wanted : str
+        What its file ``name`` says, or the name of its folder.
+
+    Raises
+    ------
+    DriverError
+        It is not there, or several have the name.
+    """
+    names = {}
+    for folder in sorted(directory.glob("iio:device*")) if directory.is_dir() else ():
+        try:
+            names[folder] = (folder / "name").read_text(encoding="utf-8").strip()
+        except OSError:
+            names[folder] = ""
+    found = [folder for folder, name in names.items() if wanted in (folder.name, name)]
+    if len(found) != 1:
+        there = ", ".join(f"{folder.name} ({name})" for folder, name in names.items()) or "none"
+        what = "is not there" if not found else "is there more than once: give its folder"
+        raise DriverError(
+            f"IIO device {wanted!r} in {directory}", f"{what}; there are {there}", "look at its kernel driver"
+        )
+    return found[0]
+
+
+class Channel:
+    """A channel of voltage of a device.
+
+    Parameters
+    ----------
+    folder : pathlib.Path
+        Of the device.
+    direction : str
+        ``in`` or ``out``.
+    channel : str
+        For instance ``voltage0``.
+
+    Raises
+    ------
+    DriverError
+        It has no such channel, or an attribute that is needed is missing or no number.
+    """
+
+    def __init__(self, folder: pathlib.Path, direction: str, channel: str):
+        self.folder, self.direction, self.channel = folder, direction, channel
+        self.name = f"IIO device {folder.name}"
+        self.raw = folder / f"{direction}_{channel}_raw"
+        if not self.raw.is_file():
+            there = sorted(path.name[len(direction) + 1 : -4] for path in folder.glob(f"{direction}_*_raw"))
+            problem = f"has no channel {direction}_{channel}, it has {', '.join(there) or 'none'}"
+            raise DriverError(self.name, problem, "choose one of them")
+        scale = self.number("scale")
+        if not scale:
+            raise DriverError(self.name, f"does not say a scale of {self.raw.name}", "look at its kernel driver")
+        self.volts, self.offset = scale * MILLIVOLT, self.number("offset") or 0.0
+
+    def attribute(self, name: str) -> str | None:
+        """Return an attribute of the channel, or of all of its direction and kind; None where there is none.
+
+        It is the first line of its file: in a file that is none of sysfs a longer number may be left behind a shorter.
+
+        Parameters
+        ----------
+        name : str
+
+        Raises
+        ------
+        DriverError
+            It is there but cannot be read.
+        """
+        kind = self.channel.rstrip("0123456789")
+        for path in (self.folder / f"{self.direction}_{part}_{name}" for part in dict.fromkeys((self.channel, kind))):
+            try:
+                return path.read_text(encoding="ascii").partition("\n")[0].strip()
+            except FileNotFoundError:
+                continue
+            except (OSError, UnicodeDecodeError) as error:
+                raise self._failed(path, "cannot be read", error) from error
+        return None
+
+    def number(self, name: str) -> float | None:
+        """Return an attribute that is a number.
+
+        Parameters
+        ----------
+        name : str
+
+        Raises
+        ------
+        DriverError
+            It is none.
+        """
+        text = self.attribute(name)
+        try:
+            return None if text is None else _believed(text)
+        except ValueError:
+            problem = f"says {text!r} as {self.direction}_{self.channel}_{name}, which is no number"
+            raise DriverError(self.name, problem, "look at its kernel driver") from None
+
+    def _failed(self, path: pathlib.Path, what: str, error: Exception) -> DriverError:
+        return DriverError(self.name, f"{what} at {path.name} ({error})", "look at the device and its kernel driver")
+
+    def read(self) -> float:
+        """Return the voltage [V].
+
+        Raises
+        ------
+        DriverError
+            It cannot be read.
+        """
+        raw = self.number("raw")
+        if raw is None:
+            raise DriverError(self.name, f"has lost {self.raw.name}", "look whether the device is still there")
+        return (raw + self.offset) * self.volts
+
+    def put_out(self, voltage: float) -> None:
+        """Put out a voltage, rounded to the converter's grid.
+
+        Parameters
+        ----------
+        voltage : float
+            [V]
+
+        Raises
+        ------
+        DriverError
+            It cannot be written.
+        """
+        self.write(self.raw, round(voltage / self.volts - self.offset))
+
+    def write(self, path: pathlib.Path, value: int) -> None:
+        """Write an attribute.
+
+        Parameters
+        ----------
+        path : pathlib.Path
+        value : int
+
+        Raises
+        ------
+        DriverError
+            It cannot be written.
+        """
+        try:
+            file = os.open(path, os.O_WRONLY)
+            try:
+                os.write(file, b"%d\n" % value)
+            finally:
+                os.close(file)
+        except OSError as error:
+            raise self._failed(path, f"does not take {value}", error) from error
+
+    def range(self, given: tuple[float, ...]) -> tuple[float, float]:
+        """Return the least and the greatest voltage [V], as the device or a file says them in raw numbers.
+
+        Parameters
+        ----------
+        given : tuple of float
+            Least and greatest raw number of a device that does not say them.
+
+        Raises
+        ------
+        DriverError
+            Nobody says them.
+        """
+        said = re.fullmatch(r"\[\s*(\S+)\s+(\S+)\s+(\S+)\s*\]", self.attribute("raw_available") or "")
+        try:
+            ends = (_believed(said[1]), _believed(said[3])) if said else given
+        except ValueError:
+            ends = ()
+        if not ends:
+            raise DriverError(self.name, f"does not say the range of {self.raw.name}", "give iio.output_raw_range")
+        low, high = sorted((raw + self.offset) * self.volts for raw in ends)
+        return low, high
+
+    def claim(self) -> int:
+        """Take the channel for this process and return what holds it.
+
+        Raises
+        ------
+        DriverError
+            Another process has it.
+        """
+        return claim(self.raw, self.name)
+
+
+def _believed(text: str) -> float:
+    """Return the number that a text is; ValueError where it is none, or one that no converter has."""
+    value = float(text)
+    if not abs(value) <= LARGEST or 0.0 < abs(value) < 1.0 / LARGEST:
+        raise ValueError(text)
+    return value
+
+
+@dataclass(frozen=True)
+class IioParameters(Parameters):
+    """Which converters; what their volts mean is said by ``calibration``."""
+
+    directory: str = parameter(
+        "/sys/bus/iio/devices", description="where the devices are", read_only=True, place="files"
+    )
+    output_device: str = parameter(
+        "",
+        description="the DAC: what its file name says, or its folder, for instance iio:device0",
+        read_only=True,
+        place="files",
+    )
+    output_channel: str = parameter("voltage0", description="its channel", read_only=True)
+    output_raw_range: tuple[float, ...] = parameter(
+        (), description="least and greatest raw number of a DAC that has no …_raw_available", read_only=True
+    )
+    input_device: str = parameter(
+        "",
+        description="the ADC, likewise",
+        read_only=True,
+        place="files",
+    )
+    input_channel: str = parameter("voltage0", description="its channel", read_only=True)
+    safe_voltage: float = parameter(
+        0.0, description="voltage of the DAC in the safe state", unit="V", low=-1.0e4, high=1.0e4, read_only=True
+    )
+    safe_time: float = parameter(
+        0.2, description="time in which it goes there by itself", unit="s", low=0.0, high=10.0, read_only=True
+    )
+
+    def check(self):
+        """Yield what does not fit together."""
+        for name in ("output_channel", "input_channel"):
+            if not CHANNEL.fullmatch(getattr(self, name)):
+                yield Problem(name, getattr(self, name), "must be a channel of voltage, for instance voltage0")
+        ends = self.output_raw_range
+        if ends and not (len(ends) == 2 and ends[0] < ends[1]):
+            yield Problem("output_raw_range", ends, "give the least and the greatest raw number, or nothing")
+
+
+class IioDriver(Driver):
+    """A DAC and an ADC; when they have failed they are looked for anew as soon as they are read again."""
+
+    _given: IioParameters
+    _claimed: int | None = None
+    _output: Channel | None = None
+
+    def open(self, parameters: IioParameters, sample_rate: float) -> Capabilities:
+        """Find both devices, bring the DAC to its safe voltage and try how fast they are.
+
+        Parameters
+        ----------
+        parameters : IioParameters
+        sample_rate : float
+            [Hz]
+
+        Raises
+        ------
+        DriverError
+            One is not there, is another one, has another master, or does not say its scale or range.
+        """
+        self._given = parameters
+        output = self._taken()
+        low, high = output.range(parameters.output_raw_range)
+        rate = highest_rate(lambda: output.put_out(parameters.safe_voltage), self._input.read)
+        return Capabilities(1, 1, low, high, rate, position_unit="V")
+
+    def _taken(self) -> Channel:
+        """Return the channel of the DAC, which is taken and brought to its safe voltage when it is not held."""
+        if self._output is None:
+            given = self._given
+            directory = pathlib.Path(given.directory)
+            self._input = Channel(device_at(directory, given.input_device), "in", given.input_channel)
+            output = Channel(device_at(directory, given.output_device), "out", given.output_channel)
+            low, high = output.range(given.output_raw_range)
+            if not low <= given.safe_voltage <= high:
+                problem = f"has a range of {low:g} … {high:g} V without iio.safe_voltage = {given.safe_voltage:g} V"
+                raise DriverError(output.name, problem, "give one within it")
+            self._claimed = output.claim()
+            self._output = output
+            self.make_safe()
+            self._input.read()
+        return self._output
+
+    def read(self) -> Reading:
+        """Read the ADC [V].
+
+        Raises
+        ------
+        DriverError
+            It cannot be read.
+        """
+        self._taken()
+        try:
+            return Reading((self._input.read(),))
+        except DriverError:
+            self._let_go()
+            raise
+
+    def write(self, voltages: Sequence[float]) -> None:
+        """Write the DAC.
+
+        Parameters
+        ----------
+        voltages : sequence of float
+            [V]
+
+        Raises
+        ------
+        DriverError
+            It cannot be written.
+        """
+        self._taken().put_out(voltages[0])
+
+    def make_safe(self) -> None:
+        """Take the DAC to its safe voltage, then switch it on if it was off.
+
+        Raises
+        ------
+        DriverError
+            It cannot be written.
+        """
+        if self._output is None:
+            self._taken()
+            return
+        output, given = self._output, self._given
+        try:
+            ramp(output.put_out, output.read(), given.safe_voltage, given.safe_time)
+            if output.number("powerdown"):
+                output.write(output.folder / f"out_{output.channel}_powerdown", 0)
+        except DriverError:
+            self._let_go()
+            raise
+
+    def _let_go(self) -> None:
+        self._output = None
+        if self._claimed is not None:
+            os.close(self._claimed)
+            self._claimed = None
+
+    def close(self) -> None:
+        """Let go of the devices."""
+        self._let_go()
+
+
+DRIVER = HardwareDriver(
+    name="iio",
+    title="a DAC and an ADC of Linux industrial I/O, through sysfs",
+    parameters=IioParameters,
+    driver=IioDriver,
+    emulator=later("hysteresis_ros.laboratory.emulation.iio:emulator"),
+    device="hysteresis_ros.laboratory.emulation.iio:DEVICE",
+)

@@ -1,0 +1,197 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""A camera that takes a rendered frame of a simulated tip at each sample, and delivers it some frames later.
+
+A bright body with a straight edge stands before a dark ground and moves along the rows of the frame. The optics blur
+the edge, the light drifts, the sensor has noise and 8 bits. It is there to try what reads such frames, and to close a
+loop through them without a camera.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass
+
+import numpy as np
+
+from hysteresis_ros.configuration import Parameters, parameter
+from hysteresis_ros.errors import Problem
+
+#: Half the width in which an edge is blurred [standard deviations].
+REACH = 6.0
+LARGEST = 255.0
+
+
+@dataclass(frozen=True)
+class SceneParameters(Parameters):
+    """What a camera sees of a tip."""
+
+    width: int = parameter(640, unit="px", low=32, high=8192, read_only=True, description="columns of a frame")
+    height: int = parameter(480, unit="px", low=16, high=8192, read_only=True, description="rows of a frame")
+    scale: float = parameter(
+        5.0e-7, unit="m/px", low=1.0e-12, high=1.0, read_only=True, description="displacement that moves it one pixel"
+    )
+    zero: float = parameter(
+        320.0, unit="px", low=0.0, high=8192.0, read_only=True, description="column of the edge at displacement 0"
+    )
+    tilt: float = parameter(
+        2.0, unit="°", low=-30.0, high=30.0, read_only=True, description="angle between the edge and the columns"
+    )
+    bright: float = parameter(190.0, low=0.0, high=LARGEST, description="grey level of the body")
+    dark: float = parameter(40.0, low=0.0, high=LARGEST, description="grey level of the ground")
+    texture: float = parameter(
+        0.0, low=0.0, high=0.5, read_only=True, description="grain of the body, standard deviation relative to its grey"
+    )
+    blur: float = parameter(1.2, unit="px", low=0.3, high=50.0, description="standard deviation of the optics' blur")
+    noise: float = parameter(2.0, low=0.0, high=50.0, description="standard deviation of the noise [grey levels]")
+    light_drift: float = parameter(
+        0.1, low=0.0, high=0.9, description="relative amplitude with which the light drifts, and varies over the frame"
+    )
+    light_period: float = parameter(20.0, unit="s", low=1.0e-3, high=1.0e6, description="period of that drift")
+    seed: int = parameter(1, low=0, high=2**31 - 1, read_only=True, description="of noise and grain")
+
+    def check(self):
+        """Yield what is inconsistent."""
+        if not self.zero <= self.width:
+            yield Problem("zero", self.zero, f"must lie within the frame of width = {self.width} px")
+
+
+class Scene:
+    """Renders frames of a tip.
+
+    Parameters
+    ----------
+    parameters : SceneParameters
+    """
+
+    def __init__(self, parameters: SceneParameters):
+        self.parameters = given = parameters.validated()
+        rows = np.arange(given.height) - 0.5 * (given.height - 1)
+        # the column of the edge, row by row, at displacement 0
+        self._edge = given.zero + math.tan(math.radians(given.tilt)) * rows
+        self._columns = np.arange(given.width, dtype=float)
+        self._slope = (self._columns / given.width - 0.5).astype(np.float32)
+        self._grain = self._make_grain()
+
+    def _make_grain(self) -> np.ndarray | None:
+        """Return the grain of the body, seen from its edge: wider than the frame, smooth over two pixels."""
+        given = self.parameters
+        if not given.texture:
+            return None
+        noise = np.random.default_rng([given.seed, 0]).standard_normal((given.height, 3 * given.width))
+        frequencies = np.fft.rfftfreq(noise.shape[1]), np.fft.fftfreq(noise.shape[0])[:, np.newaxis]
+        smooth = np.exp(-0.5 * (2.0 * np.pi * 1.5) ** 2 * (frequencies[0] ** 2 + frequencies[1] ** 2))
+        spectrum = np.fft.rfft2(noise) * smooth
+        grain = np.fft.irfft2(spectrum, noise.shape)
+        self._grain_spectrum = spectrum * (given.texture / grain.std())
+        return grain
+
+    def _body(self, pixels: float) -> np.ndarray | float:
+        """Return the grey level of the body moved by so many pixels, shape (height, width), or one for all."""
+        given = self.parameters
+        if self._grain is None:
+            return given.bright
+        frequencies = np.fft.rfftfreq(self._grain.shape[1])
+        moved = np.fft.irfft2(self._grain_spectrum * np.exp(-2j * np.pi * frequencies * pixels), self._grain.shape)
+        return given.bright * (1.0 + moved[:, given.width : 2 * given.width])
+
+    def frame(self, displacement: float, number: int = 0, time: float = 0.0) -> np.ndarray:
+        """Return a frame of the tip.
+
+        Parameters
+        ----------
+        displacement : float
+            [m]
+        number : int
+            Of the frame: each has a noise of its own.
+        time : float
+            For the drift of the light [s].
+
+        Returns
+        -------
+        ndarray of uint8, shape (height, width)
+        """
+        given = self.parameters
+        pixels = displacement / given.scale
+        covered = np.zeros((given.height, given.width), dtype=np.float32)
+        edge = self._edge + pixels
+        reach = REACH * given.blur + 1.0
+        first = int(np.clip(math.floor(edge.min() - reach), 0, given.width))
+        last = int(np.clip(math.ceil(edge.max() + reach), 0, given.width))
+        covered[:, :first] = 1.0
+        covered[:, first:last] = self._covered(edge[:, np.newaxis] - self._columns[first:last])
+        light = 1.0 + given.light_drift * math.sin(2.0 * math.pi * time / given.light_period) * (1.0 + self._slope)
+        covered *= np.subtract(self._body(pixels), given.dark, dtype=np.float32)
+        covered += np.float32(given.dark)
+        covered *= light
+        if given.noise:
+            generator = np.random.default_rng([given.seed, 1, number])
+            covered += given.noise * generator.standard_normal(covered.shape, dtype=np.float32)
+        np.rint(covered, out=covered)
+        return np.clip(covered, 0.0, LARGEST, out=covered).astype(np.uint8)
+
+    def _covered(self, inside: np.ndarray) -> np.ndarray:
+        """Return which part of a pixel's light comes from the body, ``inside`` its edge by so much [px]."""
+        # a pixel gathers light over its width: the integral of the blurred edge
+        return self._blurred(inside + 0.5) - self._blurred(inside - 0.5)
+
+    def _blurred(self, distance: np.ndarray) -> np.ndarray:
+        """Return the integral of a blurred edge up to a distance from it [px]."""
+        # at first use: only who renders needs it, and every node knows the parameters
+        from scipy.special import erf
+
+        sigma = self.parameters.blur
+        normal = distance / sigma
+        density = np.exp(-0.5 * normal**2) / math.sqrt(2.0 * math.pi)
+        return sigma * (normal * 0.5 * (1.0 + erf(normal / math.sqrt(2.0))) + density)
+
+
+@dataclass(frozen=True)
+class SimulatedCameraParameters(SceneParameters):
+    """What a simulated camera sees, and how late."""
+
+    delay: int = parameter(
+        1, unit="frames", low=0, high=100, read_only=True, description="frames that pass until a frame arrives"
+    )
+
+
+class SimulatedCamera:
+    """Takes frames of a simulated tip.
+
+    Parameters
+    ----------
+    parameters : SimulatedCameraParameters
+    sample_time : float
+        Between two frames [s].
+    """
+
+    def __init__(self, parameters: SimulatedCameraParameters, sample_time: float):
+        self._scene = Scene(parameters)
+        self._sample_time = sample_time
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin again with the first frame."""
+        self._number = 0
+        self._way: deque[float] = deque(maxlen=self._scene.parameters.delay + 1)
+
+    def take(self, displacement: float) -> np.ndarray:
+        """Take a frame of the tip, and return the one that arrives now: before all others that of the first sample.
+
+        Parameters
+        ----------
+        displacement : float
+            Of the tip now [m].
+        """
+        self._way.append(displacement)
+        number = self._number
+        self._number += 1
+        return self._scene.frame(self._way[0], number, number * self._sample_time)

@@ -1,0 +1,530 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Displacement out of images, frame by frame: where the tip is, how certain that is, or why a frame is refused.
+
+Pixels become grey levels; the place of an edge or the motion of a pattern is found to a hundredth of a pixel.
+
+Of each row that crosses the edge, the sum of its normalised grey levels says how many pixels lie on one side of it,
+whatever the blur, as long as it is symmetric. A line through all rows, without outliers, gives place, tilt and how
+certain the place is. How blurred the edge is follows from all pixels over their distance from that line, as in the
+slanted-edge method of ISO 12233.
+
+Of a pattern, after the whole pixels, the phase of the cross-spectrum is a plane whose slopes are the displacement (H.
+S. Stone, M. T. Orchard, E.-C. Chang, S. A. Martucci, A fast direct Fourier-based algorithm for subpixel registration of
+images, IEEE Trans. Geoscience and Remote Sensing 39(10), 2001). It is fitted where there is light, at the lower
+frequencies, which noise and aliasing spare.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy import fft
+
+from hysteresis_ros.configuration import Parameters, group, parameter
+from hysteresis_ros.errors import HysteresisError, Problem
+from hysteresis_ros.models.calibration import SensorCalibration, SensorCalibrationParameters
+
+
+class FrameError(HysteresisError):
+    """An image cannot be read as a frame."""
+
+
+#: Encodings of ``sensor_msgs/Image`` that are read: bytes a channel, channels, place of red, green and blue.
+ENCODINGS: dict[str, tuple[int, int, tuple[int, ...]]] = {
+    "mono8": (1, 1, ()),
+    "8UC1": (1, 1, ()),
+    "mono16": (2, 1, ()),
+    "16UC1": (2, 1, ()),
+    "rgb8": (1, 3, (0, 1, 2)),
+    "bgr8": (1, 3, (2, 1, 0)),
+    "rgba8": (1, 4, (0, 1, 2)),
+    "bgra8": (1, 4, (2, 1, 0)),
+}
+
+#: Most pixels of an image: those of the largest screens, 7680 x 4320, fit in.
+MOST_PIXELS = 2**25
+
+#: Parts of red, green and blue in the luminance of ITU-R BT.601.
+LUMINANCE = (0.299, 0.587, 0.114)
+
+
+def grey_image(data, encoding: str, shape: tuple[int, int], step: int, big_endian: bool = False) -> np.ndarray:
+    """Return the grey levels of an image, 0 to 255.
+
+    Parameters
+    ----------
+    data : bytes-like
+        Rows one after the other.
+    encoding : str
+        One of :data:`ENCODINGS`.
+    shape : tuple of int
+        Rows and columns.
+    step : int
+        Bytes from one row to the next.
+    big_endian : bool
+        Of two bytes the more significant one comes first.
+
+    Returns
+    -------
+    ndarray, shape (rows, columns)
+        Of 8 bits where the image has one channel of 8 bits.
+
+    Raises
+    ------
+    FrameError
+        The encoding is unknown, the data are too few, or the image is too large.
+    """
+    rows, columns = shape
+    if encoding not in ENCODINGS:
+        raise FrameError(f"encoding '{encoding}' is not read; have the camera send one of {', '.join(ENCODINGS)}")
+    size, channels, colours = ENCODINGS[encoding]
+    if rows * columns > MOST_PIXELS:
+        raise FrameError(f"{columns} x {rows} px are more than {MOST_PIXELS}: have the camera send a part of its image")
+    used = columns * channels * size
+    if rows < 1 or columns < 1 or step < used or len(data) < rows * step:
+        text = f"{len(data)} bytes in rows of {step} are no image of {columns} x {rows} px in '{encoding}'"
+        raise FrameError(f"{text}: the camera's driver is at fault")
+    kind = np.dtype(np.uint8 if size == 1 else (">u2" if big_endian else "<u2"))
+    lines = np.frombuffer(data, dtype=np.uint8, count=rows * step).reshape(rows, step)[:, :used]
+    if size == 1 and channels == 1:
+        return lines
+    levels = np.ascontiguousarray(lines).view(kind)
+    if channels == 1:
+        return levels.astype(np.float32) * np.float32(255.0 / 65535.0)
+    weights = np.zeros(channels, dtype=np.float32)
+    weights[list(colours)] = LUMINANCE
+    return levels.reshape(rows, columns, channels).astype(np.float32) @ weights
+
+
+#: Rows that are taken together to look for the edge, and the distance of two columns that are compared there.
+BLOCK, LAG = 16, 4
+#: How far a block may be from the line through all of them [px].
+STRAY = 6.0
+#: Columns at each end of a window whose mean is the grey level of that side.
+PLATEAU = 4
+#: Least part of the rows that has to show the edge.
+LEAST_ROWS = 0.5
+#: Rows further from the line than so many standard deviations are outliers; how often that is looked at.
+OUTLIER, EDGE_LOOKS = 4.0, 3
+#: Bins a pixel of the profile across the edge.
+BINS = 4
+#: Between 16 % and 84 % of a step blurred by a Gaussian lie two standard deviations.
+LOW_PART, HIGH_PART = 0.158655, 0.841345
+
+
+class Place(NamedTuple):
+    """Where something is in a frame, or why it is nowhere."""
+
+    #: Column, from the centre of the first one of the frame [px]; NaN with a reason.
+    pixels: float
+    #: Standard deviation of that from this frame alone [px].
+    uncertainty: float
+    #: Grey levels between both sides of the edge, of 255; of a pattern its correlation with the first frame, of 1.
+    contrast: float
+    #: Standard deviation of the blur [px]; NaN where it is not known.
+    blur: float
+    #: Why there is no place; empty: there is one.
+    refusal: str = ""
+    #: Of an edge: columns that it moves on from one row to the next.
+    slope: float = math.nan
+
+
+def nowhere(refusal: str, contrast: float = math.nan, blur: float = math.nan) -> Place:
+    """Return that a frame shows no place.
+
+    Parameters
+    ----------
+    refusal : str
+        Why.
+    contrast, blur : float
+        What was found.
+    """
+    return Place(math.nan, math.nan, contrast, blur, refusal)
+
+
+def find_edge(grey: np.ndarray, smallest_contrast: float, largest_blur: float) -> Place:
+    """Return the place of the strongest edge across the rows of a frame, at the middle of its rows.
+
+    Parameters
+    ----------
+    grey : ndarray, shape (rows, columns)
+        Grey levels, 0 to 255.
+    smallest_contrast : float
+        Grey levels between both sides of the edge.
+    largest_blur : float
+        Standard deviation of the blur [px].
+    """
+    half = math.ceil(3.0 * largest_blur) + PLATEAU
+    if grey.shape[1] < 2 * half + 2 or grey.shape[0] < 2 * BLOCK:
+        return nowhere(f"{grey.shape[1]} x {grey.shape[0]} px are too few: {2 * half + 2} x {2 * BLOCK} are needed")
+    rows, line = _coarse(grey, smallest_contrast)
+    if line is None:
+        return nowhere(f"no edge: less than half of the rows have {smallest_contrast:g} grey levels of contrast")
+    place = _across(grey, rows, line, half, smallest_contrast)
+    if isinstance(place, Place):
+        return place
+    if not place.blur <= largest_blur:
+        text = f"blurred: a standard deviation of {place.blur:.3g} px, largest_blur is {largest_blur:g}"
+        return nowhere(text, place.contrast, place.blur)
+    # what does not belong to the edge only adds noise, and light that varies over the frame
+    place = _across(grey, rows, place.line, min(math.ceil(3.5 * place.blur) + PLATEAU, half), smallest_contrast)
+    if isinstance(place, Place):
+        return place
+    if place.rows < LEAST_ROWS * len(rows):
+        text = f"only {place.rows / len(rows):.0%} of the rows show one straight edge"
+        return nowhere(text, place.contrast, place.blur)
+    uncertainty = place.scatter / math.sqrt(place.rows)
+    return Place(place.line[0], uncertainty, place.contrast, place.blur, slope=place.line[1])
+
+
+class _Found(NamedTuple):
+    line: tuple[float, float]
+    scatter: float
+    rows: int
+    contrast: float
+    blur: float
+
+
+def _across(grey: np.ndarray, rows: np.ndarray, line, half: int, smallest_contrast: float) -> _Found | Place:
+    """Return what windows of ``2 half + 1`` columns around a line show of the edge, or why nothing."""
+    first = np.rint(line[0] + line[1] * rows).astype(int) - half
+    if first.min() < 0 or first.max() + 2 * half + 1 > grey.shape[1]:
+        return nowhere("the edge is at the border of the frame or region")
+    columns = first[:, np.newaxis] + np.arange(2 * half + 1)
+    window = np.take_along_axis(grey, columns, axis=1).astype(np.float64)
+    left, right = window[:, :PLATEAU].mean(axis=1), window[:, -PLATEAU:].mean(axis=1)
+    step = right - left
+    clear = np.abs(step) >= smallest_contrast
+    contrast = float(np.median(np.abs(step)))
+    if np.count_nonzero(clear) < LEAST_ROWS * len(rows):
+        text = f"no edge: {np.mean(clear):.0%} of the rows have {smallest_contrast:g} grey levels of contrast"
+        return nowhere(text, contrast)
+    part = (right[clear, np.newaxis] - window[clear]) / step[clear, np.newaxis]
+    level, slope, scatter, kept = _line(rows[clear], first[clear] - 0.5 + part.sum(axis=1))
+    distance = columns[clear] - (level + slope * rows[clear])[:, np.newaxis]
+    blur = _blur(distance[kept], part[kept]) if kept.any() else math.inf
+    return _Found((level, slope), scatter, int(np.count_nonzero(kept)), contrast, blur)
+
+
+def _coarse(grey: np.ndarray, smallest_contrast: float) -> tuple[np.ndarray, tuple[float, float] | None]:
+    """Return the rows from their middle, and the line where blocks of them change most: column there, and slope."""
+    rows = np.arange(grey.shape[0]) - 0.5 * (grey.shape[0] - 1)
+    blocks = grey.shape[0] // BLOCK
+    means = grey[: blocks * BLOCK].reshape(blocks, BLOCK, -1).mean(axis=1, dtype=np.float32)
+    change = np.abs(means[:, LAG:] - means[:, :-LAG])
+    column = np.argmax(change, axis=1)
+    # of a blurred edge only part of the step lies between two columns that are compared
+    strong = change[np.arange(blocks), column] >= 0.25 * smallest_contrast
+    if np.count_nonzero(strong) < max(LEAST_ROWS * blocks, 2):
+        return rows, None
+    middle = rows[: blocks * BLOCK].reshape(blocks, BLOCK).mean(axis=1)[strong]
+    place = column[strong] + 0.5 * LAG
+    slope = float(np.median(np.diff(place) / np.diff(middle)))
+    level = float(np.median(place - slope * middle))
+    near = np.abs(place - level - slope * middle) < STRAY
+    if np.count_nonzero(near) < 2:
+        return rows, None
+    slope, level = np.polyfit(middle[near], place[near], 1)
+    return rows, (float(level), float(slope))
+
+
+def _line(rows: np.ndarray, places: np.ndarray) -> tuple[float, float, float, np.ndarray]:
+    """Return a line through places over rows: at row 0, its slope, the scatter around it, and which rows it has."""
+    kept = np.ones(len(rows), dtype=bool)
+    slope = place = scatter = 0.0
+    for _ in range(EDGE_LOOKS):
+        slope, place = np.polyfit(rows[kept], places[kept], 1)
+        distance = places - place - slope * rows
+        scatter = float(np.std(distance[kept]))
+        robust = 1.4826 * float(np.median(np.abs(distance[kept])))
+        kept = np.abs(distance) <= OUTLIER * robust + 1e-9
+        if np.count_nonzero(kept) < 2:
+            break
+    return float(place), float(slope), scatter, kept
+
+
+def _blur(distance: np.ndarray, part: np.ndarray) -> float:
+    """Return the blur [px] from how much of each pixel lies on the left of the edge, over its distance from it."""
+    bins = np.floor((distance - distance.min()) * BINS).astype(int).ravel()
+    count = np.bincount(bins)
+    mean = np.bincount(bins, weights=part.ravel()) / np.maximum(count, 1)
+    centre = distance.min() + (np.arange(len(count)) + 0.5) / BINS
+    mean, centre = mean[count > 0], centre[count > 0]
+    falls = np.minimum.accumulate(mean)
+    if falls[0] < HIGH_PART or falls[-1] > LOW_PART:
+        return math.inf
+    places = [float(np.interp(-level, -falls, centre)) for level in (HIGH_PART, LOW_PART)]
+    return 0.5 * (places[1] - places[0])
+
+
+#: Frequencies that are fitted, and those whose light says how sharp a frame is [1/px].
+HIGHEST, FINE = 0.2, 0.08
+#: Largest rest after the whole pixels [px], and how often these are looked for.
+REST, PATTERN_LOOKS = 0.6, 6
+#: Least part of the fine details of the first frame; less is a blurred frame.
+LEAST_DETAIL = 0.3
+
+LOST = "the pattern of the first frame is not found again"
+
+
+class Pattern:
+    """Finds the pattern of a first frame again.
+
+    Parameters
+    ----------
+    first : ndarray, shape (rows, columns)
+        Grey levels, 0 to 255.
+    region : tuple of int
+        First column and row, width and height of the pattern in it [px].
+    smallest_coherence : float
+        Below this a frame does not show the pattern.
+    """
+
+    def __init__(self, first: np.ndarray, region: tuple[int, int, int, int], smallest_coherence: float):
+        self._column, self._row, self._width, self._height = region
+        self._smallest = smallest_coherence
+        window = np.hanning(self._height)[:, np.newaxis] * np.hanning(self._width)
+        self._window = window.astype(np.float32)
+        u, v = fft.rfftfreq(self._width), fft.fftfreq(self._height)[:, np.newaxis]
+        self._low = (np.abs(u) < HIGHEST) & (np.abs(v) < HIGHEST)
+        shape = self._low.shape
+        self._u, self._v = (np.broadcast_to(given, shape)[self._low] for given in (u, v))
+        self._fine = np.hypot(self._u, self._v) > FINE
+        self._shift = 0
+        self._spectrum = self._spectrum_of(first, 0)
+
+    def _spectrum_of(self, grey: np.ndarray, shift: int) -> np.ndarray:
+        left = self._column + shift
+        part = grey[self._row : self._row + self._height, left : left + self._width].astype(np.float32)
+        return fft.rfft2((part - part.mean()) * self._window)
+
+    @property
+    def has_details(self) -> bool:
+        """Whether the first frame has anything to find again."""
+        return bool(np.sum(np.abs(self._spectrum[self._low][self._fine])) > 0.0)
+
+    def find(self, grey: np.ndarray) -> Place:
+        """Return how far along its rows a frame has moved since the first one.
+
+        Parameters
+        ----------
+        grey : ndarray, shape (rows, columns)
+            As large as the first one.
+        """
+        moved = self._moved(grey, self._shift)
+        if moved is None and self._shift:
+            moved = self._moved(grey, 0)
+        if moved is None:
+            return nowhere(f"{LOST}, or has left the frame")
+        self._shift, cross, spectrum = moved
+        weight, phase = np.abs(cross), np.angle(cross)
+        if not weight.any():
+            return nowhere(f"{LOST}: the frame shows nothing", 0.0)
+        u, v = self._u, self._v
+        uu, uv, vv = np.sum(weight * u * u), np.sum(weight * u * v), np.sum(weight * v * v)
+        ru, rv = -np.sum(weight * u * phase) / (2.0 * np.pi), -np.sum(weight * v * phase) / (2.0 * np.pi)
+        determinant = uu * vv - uv * uv
+        column, row = (ru * vv - rv * uv) / determinant, (rv * uu - ru * uv) / determinant
+        rest = np.angle(cross * np.exp(2j * np.pi * (u * column + v * row)))
+        first = self._spectrum[self._low]
+        coherence = float(np.sum(weight * np.cos(rest)) / np.linalg.norm(first) / np.linalg.norm(spectrum))
+        detail = float(np.linalg.norm(spectrum[self._fine]) / np.linalg.norm(first[self._fine]))
+        if coherence < self._smallest:
+            text = f"{LOST}: coherence {coherence:.2f}, smallest_coherence is {self._smallest:g}"
+            return nowhere(text, coherence)
+        if detail < LEAST_DETAIL:
+            return nowhere(f"blurred: {detail:.0%} of the first frame's fine details are left", coherence)
+        scatter = np.sum((weight * u * rest) ** 2)
+        uncertainty = math.sqrt(scatter) / (2.0 * np.pi * uu)
+        return Place(self._shift + float(column), uncertainty, coherence, math.nan)
+
+    def _moved(self, grey: np.ndarray, shift: int) -> tuple[int, np.ndarray, np.ndarray] | None:
+        """Return the whole pixels, and both spectra at the lower frequencies; None when they are not found."""
+        for _ in range(PATTERN_LOOKS):
+            if not 0 <= self._column + shift <= grey.shape[1] - self._width:
+                return None
+            spectrum = self._spectrum_of(grey, shift)
+            cross = np.conj(self._spectrum) * spectrum
+            peak = np.argmax(fft.irfft2(np.where(self._low, cross, 0.0), self._window.shape))
+            step = int(peak % self._width)
+            step -= self._width if step > self._width // 2 else 0
+            if step == 0:
+                return shift, cross[self._low], spectrum[self._low]
+            shift += step
+        return None
+
+
+@dataclass(frozen=True)
+class TrackingParameters(Parameters):
+    """How the tip is found in a frame."""
+
+    method: str = parameter(
+        "edge",
+        choices=("edge", "pattern"),
+        read_only=True,
+        description="edge: a straight edge across the direction of motion; pattern: whatever the first frame shows",
+    )
+    along: str = parameter(
+        "x", choices=("x", "y"), read_only=True, description="motion along the rows (x) or along the columns (y)"
+    )
+    region: tuple[float, ...] = parameter(
+        (),
+        unit="px",
+        low=0.0,
+        high=65535.0,
+        read_only=True,
+        description="part of the frame that is looked at: first column, first row, width, height; empty: all of it. "
+        "Of a pattern it is the part that is found again, and has to leave room for the motion",
+    )
+    smallest_contrast: float = parameter(
+        20.0, low=0.5, high=255.0, description="edge: grey levels (of 255) between its sides that a frame has to have"
+    )
+    largest_blur: float = parameter(
+        4.0, unit="px", low=0.3, high=50.0, description="edge: largest standard deviation of its blur"
+    )
+    smallest_coherence: float = parameter(
+        0.5, low=0.01, high=1.0, read_only=True, description="pattern: least coherence with the first frame"
+    )
+    largest_uncertainty: float = parameter(
+        0.1, unit="px", low=1.0e-6, high=10.0, description="largest standard deviation of the place"
+    )
+    frozen_frames: int = parameter(
+        5, low=0, high=10**9, description="frames in a row without a single bit that differs: a frozen camera; 0: never"
+    )
+
+    def check(self):
+        """Yield what is inconsistent."""
+        if self.region and (len(self.region) != 4 or not all(number == int(number) for number in self.region)):
+            yield Problem("region", self.region, "give four whole numbers: first column, first row, width, height")
+        elif self.region and not (self.region[2] > 0.0 and self.region[3] > 0.0):
+            yield Problem("region", self.region, "width and height must be above 0")
+
+
+@dataclass(frozen=True)
+class CameraCalibrationParameters(SensorCalibrationParameters):
+    """From pixels to displacements."""
+
+    unit: str = parameter("px", choices=("px",), read_only=True, description="unit of what a camera sees")
+    homing_samples: int = parameter(
+        5, low=1, high=10**6, read_only=True, description="relative: frames whose mean is the place of home"
+    )
+
+
+@dataclass(frozen=True)
+class CameraParameters(Parameters):
+    """What makes displacements of frames."""
+
+    tracking: TrackingParameters = group(TrackingParameters)
+    calibration: CameraCalibrationParameters = group(CameraCalibrationParameters)
+
+
+def fits(grey: np.ndarray, tracking: TrackingParameters) -> bool:
+    """Tell whether the region lies within a frame."""
+    x, y, width, height = tracking.region or (0, 0, 0, 0)
+    return x + width <= grey.shape[1] and y + height <= grey.shape[0]
+
+
+def turned(grey: np.ndarray, tracking: TrackingParameters) -> tuple[np.ndarray, tuple[int, int, int, int]]:
+    """Return a frame with its motion along the rows, and the region in it."""
+    x, y, width, height = map(int, tracking.region or (0, 0, grey.shape[1], grey.shape[0]))
+    return (grey.T, (y, x, height, width)) if tracking.along == "y" else (grey, (x, y, width, height))
+
+
+def looked_at(grey: np.ndarray, tracking: TrackingParameters) -> np.ndarray:
+    """Return the part of a frame that is looked at, its motion along the rows."""
+    frame, (x, y, width, height) = turned(grey, tracking)
+    return frame[y : y + height, x : x + width]
+
+
+class Tracker:
+    """Makes displacements of frames.
+
+    Parameters
+    ----------
+    parameters : CameraParameters
+
+    Attributes
+    ----------
+    calibration : SensorCalibration
+        Pixels to m; it knows where home is.
+    refused : int
+        Frames so far that gave no displacement.
+    """
+
+    def __init__(self, parameters: CameraParameters):
+        self.parameters = parameters.validated()
+        self.calibration = SensorCalibration(parameters.calibration, 1.0)
+        self.reset()
+
+    def reset(self) -> None:
+        """Begin again with the next frame."""
+        self.calibration.reset()
+        self._shape: tuple[int, int] | None = None
+        self._last: np.ndarray | None = None
+        self._same = 0
+        self._pattern: Pattern | None = None
+        self.refused = 0
+
+    def rehearse(self) -> None:
+        """Compile what is called, so that no frame waits for it."""
+        self.calibration.step(math.nan)
+
+    def retune(self, parameters: CameraParameters) -> None:
+        """Take other limits of what is refused."""
+        self.parameters = parameters.validated()
+
+    def see(self, grey: np.ndarray) -> tuple[float, Place]:
+        """Return the displacement [m], NaN when the frame is refused, and the place it is of.
+
+        Parameters
+        ----------
+        grey : ndarray, shape (rows, columns)
+            Grey levels, of 8 bits or from 0 to 255.
+        """
+        place = self._place(grey)
+        if not place.refusal and place.uncertainty > self.parameters.tracking.largest_uncertainty:
+            text = f"uncertain to {place.uncertainty:.3g} px, largest_uncertainty is "
+            place = nowhere(f"{text}{self.parameters.tracking.largest_uncertainty:g}", place.contrast, place.blur)
+        displacement = self.calibration.step(place.pixels)
+        if math.isnan(displacement) and not place.refusal:
+            refusal = self.calibration.complaint.replace("the sensor reads", "the tip is at")
+            place = place._replace(refusal=refusal or "homing")
+        self.refused += math.isnan(displacement)
+        return displacement, place
+
+    def _place(self, grey: np.ndarray) -> Place:
+        tracking = self.parameters.tracking
+        if self._shape is None:
+            self._shape = grey.shape
+        elif grey.shape != self._shape:
+            (rows, columns), (first_rows, first_columns) = grey.shape, self._shape
+            return nowhere(f"the frame has {columns} x {rows} px, the first one had {first_columns} x {first_rows}")
+        self._same = self._same + 1 if self._last is not None and np.array_equal(grey, self._last) else 0
+        self._last = grey
+        if 0 < tracking.frozen_frames <= self._same:
+            return nowhere(f"frozen: {self._same + 1} frames in a row are equal in every bit")
+        if not fits(grey, tracking):
+            return nowhere(f"region = {tracking.region} does not lie within {grey.shape[1]} x {grey.shape[0]} px")
+        if tracking.method == "pattern":
+            return self._seen_again(*turned(grey, tracking))
+        place = find_edge(looked_at(grey, tracking), tracking.smallest_contrast, tracking.largest_blur)
+        return place._replace(pixels=place.pixels + turned(grey, tracking)[1][0])
+
+    def _seen_again(self, grey: np.ndarray, region: tuple[int, int, int, int]) -> Place:
+        if self._pattern is None:
+            pattern = Pattern(grey, region, self.parameters.tracking.smallest_coherence)
+            if not pattern.has_details:
+                return nowhere("the first frame shows nothing that could be found again")
+            self._pattern = pattern
+        return self._pattern.find(grey)

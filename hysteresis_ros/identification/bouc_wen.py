@@ -1,0 +1,536 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Bouc-Wen models from data: the static element by Nelder-Mead, the oscillator by output error.
+
+The static element follows paper B, section 3.2 (B3).
+
+The oscillator of :mod:`hysteresis_ros.models.hysteresis.bouc_wen_mechanical` is simulated by the kernel of the
+nodes, on a grid finer than the samples; Levenberg-Marquardt steps with sensitivities by finite differences lower
+the output error. Of β, γ and δ only the products βγ and βδ are in the equations: β is kept at its initial value.
+Output error has local minima when the initial resonance is far off, so the initial values are improved first:
+trial points around them are judged on a short part of the data, and the best few are followed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from hysteresis_ros.errors import IdentificationError
+from hysteresis_ros.identification.linear_systems import METHODS, find_period, upsample
+from hysteresis_ros.identification.preprocessing import checked_signals, require_both_directions, split_branches
+from hysteresis_ros.identification.restarted_nelder_mead import (
+    SimplexSearch,
+    SimplexSettings,
+    restarted_nelder_mead,
+)
+from hysteresis_ros.models.block import compiled, run_kernel
+from hysteresis_ros.models.hysteresis.bouc_wen import STATES, BoucWenParameters, bouc_wen
+from hysteresis_ros.models.hysteresis.bouc_wen_mechanical import (
+    ALPHA,
+    BETA_DELTA,
+    BETA_GAMMA,
+    DAMPING,
+    INVERSE_MASS,
+    STIFFNESS,
+    BoucWenMechanicalParameters,
+    BoucWenOscillator,
+    bouc_wen_mechanical,
+)
+from hysteresis_ros.models.hysteresis.bouc_wen_mechanical import (
+    STATES as bouc_wen_mechanical_STATES,
+)
+
+STATIC_FREE = ("d_e", "alpha", "beta", "gamma")
+#: The paper's initial guess (table II), SI units.
+PUBLISHED_GUESS = BoucWenParameters(d_e=0.127e-6, alpha=7.20e-2 * 1e-6, beta=1.76e-2, gamma=1.66e-2)
+#: Step of the differences behind the covariance, in parts of a parameter.
+DIFFERENCE = 1e-5
+
+
+@dataclass(frozen=True)
+class BoucWenIdentification:
+    """Result of :func:`identify_bouc_wen_static`.
+
+    Parameters
+    ----------
+    parameters : BoucWenParameters
+        The model: the best point found, converged or not.
+    offset : float
+        Constant part of the displacement [m], 0 unless it was free.
+    covariance : ndarray, shape (4, 4)
+        Of d_e, α, β and γ, for white residuals.
+    rms, maximum : float
+        Residual [m].
+    search : SimplexSearch
+        Trajectories of the parameters, one run for each start.
+    converged : bool
+        The simplex converged.
+    warnings : tuple of str
+        What to doubt.
+    """
+
+    parameters: BoucWenParameters
+    offset: float
+    covariance: np.ndarray
+    rms: float
+    maximum: float
+    search: SimplexSearch
+    converged: bool
+    warnings: tuple[str, ...]
+
+    @property
+    def standard_errors(self) -> dict[str, float]:
+        """Standard errors of the four parameters."""
+        return dict(zip(STATIC_FREE, np.sqrt(np.diag(self.covariance)).tolist(), strict=True))
+
+
+def static_guess(voltage, displacement, exponent: float = 1.0) -> BoucWenParameters:
+    """Return a guess from the ranges alone: α a quarter of d_e, memory fading over half the voltage range."""
+    slope = abs(float(np.ptp(displacement) / np.ptp(voltage)))
+    d_e, alpha = 1.25 * slope, 0.3 * slope
+    rate = 2.0 / float(np.ptp(voltage))
+    if exponent != 1.0:  # the same saturation α/(β + γ) for every exponent
+        rate = alpha / (alpha / rate) ** exponent
+    return BoucWenParameters(d_e=d_e, alpha=alpha, beta=0.6 * rate, gamma=0.4 * rate, exponent=exponent)
+
+
+def identify_bouc_wen_static(
+    voltage,
+    displacement,
+    *,
+    history=(),
+    guess: BoucWenParameters | None = None,
+    exponent: float = 1.0,
+    free_offset: bool = False,
+    settings: SimplexSettings | None = None,
+    progress=None,
+) -> BoucWenIdentification:
+    """Fit d_e, α, β and γ of ``x = d_e V - h`` to slow loops by Nelder-Mead.
+
+    Parameters
+    ----------
+    voltage : array_like, shape (N,)
+        Voltage [V].
+    displacement : array_like, shape (N,)
+        Displacement [m].
+    history : array_like, shape (K,)
+        Voltages [V] the actuator went through before, from rest at 0 V; empty: it is at rest before the first sample.
+    guess : BoucWenParameters, optional
+        First start, :data:`PUBLISHED_GUESS` for instance; without it one is made from the ranges. Its exponent is
+        used.
+    exponent : float
+        n when there is no guess; it is not fitted.
+    free_offset : bool
+        Remove the constant that fits best (a sensor has no zero).
+    settings : SimplexSettings, optional
+        Without a number of starts: 1 with a guess, 4 without.
+    progress : callable, optional
+        See :func:`~hysteresis_ros.identification.restarted_nelder_mead.restarted_nelder_mead`.
+
+    Raises
+    ------
+    IdentificationError
+        Too short, constant, not finite, or a single branch, from which α and β, γ do not follow.
+    """
+    voltage, displacement = checked_signals(voltage, displacement)
+    require_both_directions(split_branches(voltage), "Bouc-Wen fit")
+    correlated = float(np.dot(voltage - voltage.mean(), displacement - displacement.mean()))
+    if correlated <= 0.0:
+        raise IdentificationError(
+            "the displacement falls with rising voltage; change the sign of one column (d_e must be above 0)"
+        )
+    settings = settings or SimplexSettings()
+    settings = replace(settings, starts=settings.starts or (1 if guess is not None else 4), workers=None)
+    guess = guess or static_guess(voltage, displacement, exponent)
+    problem = _Normalised(history, voltage, displacement, exponent=guess.exponent, free_offset=free_offset)
+    units = problem.units
+    start = np.array([getattr(guess, name) for name in STATIC_FREE]) / units
+    scale = np.where(start != 0.0, np.abs(start), 1.0)
+    search = restarted_nelder_mead(problem.cost, start, scale=scale, settings=settings, progress=progress)
+    error = problem.residual(search.x).copy()
+    offset = problem.offset * problem.x_unit
+    covariance = _covariance(problem.residual, search.x, error, free_offset) * np.outer(units, units)
+    parameters = replace(guess, **dict(zip(STATIC_FREE, (search.x * units).tolist(), strict=True)))
+    return BoucWenIdentification(
+        parameters=parameters,
+        offset=offset,
+        covariance=covariance,
+        rms=problem.x_unit * float(np.sqrt(np.mean(error**2))),
+        maximum=problem.x_unit * float(np.max(np.abs(error))),
+        search=_in_units(search, units),
+        converged=search.converged,
+        warnings=_doubts(parameters, search, np.sqrt(np.diag(covariance))),
+    )
+
+
+class _Normalised:
+    """A recording in parts of its ranges, h in that of the displacement, and the element's error on it."""
+
+    def __init__(self, history, voltage, displacement, *, exponent: float, free_offset: bool):
+        n, self.free_offset, self.first = exponent, free_offset, len(history)
+        x_unit, v_unit = float(np.ptp(displacement)), float(np.ptp(voltage))
+        self.x_unit = x_unit
+        # β and γ have the unit m^(1-n)/V
+        bend = x_unit ** (1.0 - n) / v_unit
+        self.units = np.array([x_unit / v_unit, x_unit / v_unit, bend, bend])
+        self.v, self.x = np.concatenate([history, voltage]) / v_unit, displacement / x_unit
+        self.y, self.state, self.p = np.empty_like(self.v), np.zeros(STATES), np.empty(5)
+        self.p[4] = n
+
+    def residual(self, theta):
+        """Return the simulated less the measured displacement, shape (N,)."""
+        self.p[:4], self.state[:] = theta, 0.0
+        compiled(run_kernel)(bouc_wen, self.p, self.state, self.v, self.y)
+        error = self.y[self.first :] - self.x
+        return error - error.mean() if self.free_offset else error
+
+    @property
+    def offset(self) -> float:
+        """The constant of the measurement that the last simulation left, 0 when it is not free."""
+        return -(float(np.mean(self.y[self.first :] - self.x)) if self.free_offset else 0.0)
+
+    def cost(self, theta) -> float:
+        """Return the mean square error."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            error = self.residual(theta)
+            return float(np.dot(error, error)) / self.x.size
+
+
+def _doubts(parameters: BoucWenParameters, search: SimplexSearch, deviations) -> tuple[str, ...]:
+    """Return what to doubt: outside the valid class, a search that was cut off, numbers without support."""
+    warnings = [problem.allowed for problem in parameters.problems()]
+    warnings += parameters.warnings()
+    if not search.converged:
+        warnings.append(f"not converged after {search.runs[search.best].iterations} iterations: the best point so far")
+    for name, deviation in zip(STATIC_FREE, deviations.tolist(), strict=True):
+        value = getattr(parameters, name)
+        if not deviation < 0.5 * abs(value):
+            warnings.append(f"{name} = {value:.4g} ± {deviation:.2g} is hardly determined by this recording")
+    return tuple(warnings)
+
+
+def _covariance(residual, theta, error, free_offset) -> np.ndarray:
+    """Return the Gauss-Newton covariance in normalised units; infinite where nothing is determined."""
+    columns = []
+    for i in range(theta.size):
+        step = np.zeros(theta.size)
+        step[i] = DIFFERENCE * max(abs(theta[i]), 1e-6)
+        ahead = residual(theta + step).copy()
+        columns.append((ahead - residual(theta - step)) / (2.0 * step[i]))
+    jacobian = np.stack(columns, axis=1)
+    variance = float(error @ error) / max(error.size - theta.size - int(free_offset), 1)
+    try:
+        return variance * np.linalg.inv(jacobian.T @ jacobian)
+    except np.linalg.LinAlgError:
+        return np.full((theta.size, theta.size), np.inf)
+
+
+def _in_units(search: SimplexSearch, units) -> SimplexSearch:
+    """Return the search with trajectories in SI units; costs stay normalised by the range of the displacement."""
+    runs = tuple(replace(run, trajectory=run.trajectory * units) for run in search.runs)
+    return replace(search, x=search.x * units, runs=runs)
+
+
+#: Names of what is fitted, in the order of the vectors.
+OSCILLATOR_FREE = ("mass", "damping", "stiffness", "alpha", "beta_gamma", "beta_delta")
+KERNEL_PLACES = (DAMPING, STIFFNESS, ALPHA, BETA_GAMMA, BETA_DELTA)  # of all but the mass in the kernel's parameters
+#: Grid points a sample, for the search and for the result; straight lines between them, one Runge-Kutta step each.
+SEARCH_GRID = 4
+FINE_GRID = 16
+#: Trial points around the initial values, their spread (factors of 2^±SPREAD), and how many are followed at most.
+TRIALS = 64
+SPREAD = 1.0
+FOLLOWED = 12
+#: Samples on which trial points are judged and followed; the best one is then refined on all samples.
+SHORT_PART = 6000
+#: Output errors above this many strokes count as this many: an oscillation that runs away has no gradient.
+LARGEST_ERROR = 10.0
+#: Periods over which a periodic start settles.
+SETTLING = 1
+#: Starts agree when their residuals are within this part of the best; when two of them do, no more are followed.
+AGREEING = 1.01
+MOST_EVALUATIONS = 60
+#: … provided that the residual is below this part of the stroke.
+WELL_DONE = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class BoucWenMechanicalFit:
+    """Result of :func:`fit_bouc_wen_mechanical`.
+
+    Parameters
+    ----------
+    parameters : BoucWenMechanicalParameters
+        β as given, γ and δ from the products.
+    rmse : float
+        RMS output error [m].
+    deviations : dict of str to float
+        Standard deviations, by the names of :data:`FREE` (from the Jacobian and the residual).
+    covariance : ndarray, shape (6, 6)
+        Of :data:`FREE`, in their units.
+    agreeing, starts : int
+        How many of the starts that were followed came to the same residual.
+    intersample, initial : str
+        How the input ran between samples and where the state started.
+    warnings : tuple of str
+    converged : bool
+    """
+
+    parameters: BoucWenMechanicalParameters
+    rmse: float
+    deviations: dict[str, float]
+    covariance: np.ndarray
+    agreeing: int
+    starts: int
+    intersample: str
+    initial: str
+    warnings: tuple[str, ...] = field(default=())
+    converged: bool = True
+
+    def simulate(self, u, sample_time: float, initial: str | None = None) -> np.ndarray:
+        """Return the displacement [m], shape (N,), at the samples of ``u``, see :func:`simulate_oscillator`."""
+        return simulate_oscillator(self.parameters, u, sample_time, self.intersample, initial or self.initial)
+
+
+def simulate_oscillator(
+    parameters: BoucWenMechanicalParameters,
+    u,
+    sample_time: float,
+    intersample: str = "bandlimited",
+    initial: str = "zero",
+    grid: int = FINE_GRID,
+) -> np.ndarray:
+    """Return the displacement of the oscillator at the samples of its input.
+
+    Parameters
+    ----------
+    parameters : BoucWenMechanicalParameters
+        Their own ``intersample`` and ``substeps`` are not used.
+    u : array_like, shape (N,)
+        Input.
+    sample_time : float
+        [s]
+    intersample : str
+        How the input runs between samples: ``zoh``, ``linear``, ``bandlimited``.
+    initial : str
+        ``zero``: at rest; ``periodic``: as if the input had repeated before. A band-limited input is then continued
+        periodically too.
+    grid : int
+        Grid points a sample.
+
+    Returns
+    -------
+    ndarray, shape (N,)
+        [m]
+
+    Raises
+    ------
+    ParameterError
+        The parameters are wrong, or the grid is too coarse for the oscillator's frequency.
+    """
+    settings = replace(parameters, intersample="zoh" if intersample == "zoh" else "linear", substeps=1)
+    block = BoucWenOscillator(settings, sample_time / grid)
+    periodic = initial == "periodic"
+    return _run(block.p, _finer(u, grid, intersample, periodic), grid, intersample, periodic)
+
+
+def _finer(u, grid, intersample, periodic):
+    return upsample(u, grid, intersample, periodic or intersample == "bandlimited" and find_period(u) is not None)
+
+
+def _run(p, finer, grid, intersample, periodic):
+    state, output = np.zeros(bouc_wen_mechanical_STATES), np.empty_like(finer)
+    run = compiled(run_kernel)
+    if periodic:
+        for _ in range(SETTLING):
+            run(bouc_wen_mechanical, p, state, finer, output)
+    if intersample != "zoh":
+        run(bouc_wen_mechanical, p, state, finer, output)
+        return output[::grid]
+    start = state[1]
+    run(bouc_wen_mechanical, p, state, finer, output)  # a held input: the output is that at the end of each step
+    return np.append(start, output[grid - 1 :: grid][:-1])
+
+
+def fit_bouc_wen_mechanical(
+    u,
+    y,
+    sample_time: float,
+    start: BoucWenMechanicalParameters,
+    *,
+    intersample: str = "bandlimited",
+    initial: str = "zero",
+    skip: int = 0,
+    trials: int = TRIALS,
+    seed: int = 0,
+    progress=None,
+) -> BoucWenMechanicalFit:
+    """Fit mass, damping, stiffness and the hysteretic force to input and output.
+
+    Parameters
+    ----------
+    u, y : array_like, shape (N,)
+        Input (N, or V with ``force_per_input``) and displacement [m], uniformly sampled.
+    sample_time : float
+        [s]
+    start : BoucWenMechanicalParameters
+        Initial values; they may be off by a factor of two. β, the exponent and the force per input are kept.
+    intersample, initial : str
+        See :func:`simulate_oscillator`.
+    skip : int
+        First samples left out of the error.
+    trials : int
+        Trial points around the initial values.
+    seed : int
+        Of the trial points.
+    progress : callable, optional
+        Called as ``progress(start, rmse)`` after each start that was followed.
+
+    Raises
+    ------
+    IdentificationError
+        The data or a setting cannot be used, or no start gives a finite output.
+    """
+    u, y = (np.ascontiguousarray(values, dtype=np.float64) for values in (u, y))
+    _check_oscillator(u, y, start, intersample, initial)
+    if not 0 <= skip < u.size - 100:
+        raise IdentificationError(f"skip = {skip}: must leave at least 100 of the {u.size} samples")
+    problem = _OscillatorProblem(u, y, sample_time, start, intersample=intersample, initial=initial, skip=skip)
+    guesses = problem.guesses(trials, seed)
+    results = []
+    agreeing = 0
+    for number, guess in enumerate(guesses):
+        results.append(problem.descend(guess, SEARCH_GRID, SHORT_PART))
+        best = min(results, key=lambda result: result.cost)
+        agreeing = sum(result.cost <= AGREEING**2 * best.cost for result in results)
+        if progress is not None:
+            progress(number, problem.rms(best))
+        if agreeing > 1 and problem.rms(best) < WELL_DONE * problem.stroke:
+            break
+    coarse = problem.descend(best.x, SEARCH_GRID)
+    return problem.result(problem.descend(coarse.x, FINE_GRID), agreeing, len(results))
+
+
+def _check_oscillator(u, y, start, intersample, initial):
+    if u.ndim != 1 or u.shape != y.shape or u.size < 100:
+        raise IdentificationError(f"input {u.shape} and output {y.shape}: must have one shape (N,), N ≥ 100")
+    if not (np.all(np.isfinite(u)) and np.all(np.isfinite(y))):
+        raise IdentificationError("input or output has NaN or infinite values; cut them out or resample")
+    if np.ptp(u) == 0.0 or np.ptp(y) == 0.0:
+        raise IdentificationError("input or output is constant; excite the oscillator")
+    if initial == "estimate":
+        raise IdentificationError(
+            "initial = 'estimate': the state of an oscillator is not fitted, it is forgotten after a few of its turns: "
+            "leave them out (--skip), or use zero or periodic"
+        )
+    if intersample not in METHODS or initial not in ("zero", "periodic"):
+        raise IdentificationError(
+            f"intersample = {intersample!r}, initial = {initial!r}: must be one of {', '.join(METHODS)}; "
+            "zero or periodic"
+        )
+    if start.beta == 0.0 or start.alpha == 0.0:
+        raise IdentificationError("alpha and beta of the initial values must not be 0: they set the scale of z")
+
+
+class _OscillatorProblem:
+    """Output error as a function of the parameters in units of their initial values."""
+
+    def __init__(self, u, y, sample_time, start, *, intersample, initial, skip):
+        self.skip = skip
+        self.u, self.y, self.sample_time, self.start = u, y, sample_time, start
+        self.intersample, self.initial = intersample, initial
+        products = [start.beta * (value or 0.1) for value in (start.gamma, start.delta)]
+        self.scale = np.array([start.mass, start.damping or 1e-3, start.stiffness, start.alpha, *products])
+        self.scale[1] = start.damping or 0.02 * np.sqrt(start.mass * (start.stiffness + start.alpha))
+        self.stroke = float(np.ptp(y))
+        settings = replace(start, intersample="zoh" if intersample == "zoh" else "linear", substeps=1)
+        self.packed = {grid: BoucWenOscillator(settings, sample_time / grid).p for grid in (SEARCH_GRID, FINE_GRID)}
+        self.finer = {grid: _finer(u, grid, intersample, initial == "periodic") for grid in (SEARCH_GRID, FINE_GRID)}
+
+    def residual(self, z, grid, samples=None):
+        """Output error over the stroke, without its mean."""
+        n = len(self.y) if samples is None else min(samples + self.skip, len(self.y))
+        parameters = z * self.scale
+        bad = np.full(n - self.skip, LARGEST_ERROR)
+        if np.any(parameters[[0, 2]] <= 0.0) or np.any(parameters[[1, 3]] < 0.0):
+            return bad
+        packed = self.packed[grid].copy()
+        packed[INVERSE_MASS] = 1.0 / parameters[0]
+        packed[list(KERNEL_PLACES)] = parameters[1:]
+        with np.errstate(all="ignore"):
+            output = _run(packed, self.finer[grid][: n * grid], grid, self.intersample, self.initial == "periodic")
+        if not np.all(np.isfinite(output)):
+            return bad
+        error = (output - self.y[:n])[self.skip :] / self.stroke
+        return np.clip(error - error.mean(), -LARGEST_ERROR, LARGEST_ERROR)
+
+    def guesses(self, trials, seed):
+        """The initial values and the most promising trial points around them."""
+        random = np.random.default_rng(seed)
+        points = 2.0 ** (SPREAD * random.uniform(-1.0, 1.0, (trials, len(OSCILLATOR_FREE))))
+        costs = [np.mean(self.residual(point, SEARCH_GRID, SHORT_PART) ** 2) for point in points]
+        return [np.ones(len(OSCILLATOR_FREE)), *points[np.argsort(costs)[: FOLLOWED - 1]]]
+
+    def descend(self, guess, grid, samples=None):
+        from scipy.optimize import least_squares  # imported here because only fits need it
+
+        return least_squares(
+            lambda z: self.residual(z, grid, samples),
+            guess,
+            x_scale=np.abs(guess),
+            diff_step=1e-5,
+            xtol=1e-9,
+            max_nfev=MOST_EVALUATIONS,
+        )
+
+    def rms(self, result) -> float:
+        return float(np.sqrt(2.0 * result.cost / len(result.fun))) * self.stroke
+
+    def result(self, found, agreeing, starts) -> BoucWenMechanicalFit:
+        values = dict(zip(OSCILLATOR_FREE, (found.x * self.scale).tolist(), strict=True))
+        rmse = self.rms(found)
+        if not rmse < self.stroke:
+            raise IdentificationError(
+                f"no start comes near the data: RMS error {rmse:.3g} m of a stroke of {self.stroke:.3g} m; "
+                "give better initial values"
+            )
+        beta = self.start.beta
+        parameters = replace(
+            self.start,
+            **{name: values[name] for name in OSCILLATOR_FREE[:4]},
+            gamma=values["beta_gamma"] / beta,
+            delta=values["beta_delta"] / beta,
+            intersample=self.intersample if self.intersample != "bandlimited" else "linear",
+        )
+        variance = 2.0 * found.cost / max(len(self.y) - len(OSCILLATOR_FREE), 1)
+        covariance = np.linalg.pinv(found.jac.T @ found.jac) * variance * np.outer(self.scale, self.scale)
+        deviations = dict(zip(OSCILLATOR_FREE, np.sqrt(np.diag(covariance)).tolist(), strict=True))
+        warnings = list(parameters.warnings())
+        if agreeing < 2 <= starts:
+            warnings.append(f"only {agreeing} of {starts} starts came to this residual: there may be a better one")
+        warnings += [
+            f"{name} = {values[name]:.4g} ± {deviations[name]:.2g}: the data does not settle it"
+            for name in OSCILLATOR_FREE
+            if not deviations[name] < 0.5 * abs(values[name])
+        ]
+        return BoucWenMechanicalFit(
+            parameters=parameters,
+            rmse=rmse,
+            deviations=deviations,
+            covariance=covariance,
+            agreeing=agreeing,
+            starts=starts,
+            intersample=self.intersample,
+            initial=self.initial,
+            warnings=tuple(warnings),
+            converged=found.status > 0,
+        )

@@ -1,0 +1,253 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""The identified plant, a chain of blocks that the nodes run; what an identification is asked for, and what it gives.
+
+voltage → hysteresis → creep → linear dynamics → + offset.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hysteresis_ros.identification.hammerstein import HammersteinFit
+from hysteresis_ros.identification.linear_part import LinearPart
+from hysteresis_ros.models.creep import CreepParameters
+from hysteresis_ros.models.hysteresis import HysteresisParameters, hysteresis_block
+from hysteresis_ros.models.inverses import InverseParameters
+from hysteresis_ros.models.linear import LinearParameters
+from hysteresis_ros.units import readable
+
+
+@dataclass(frozen=True)
+class Request:
+    """What is asked for.
+
+    Parameters
+    ----------
+    model : str
+    parts : tuple of str
+        Of ``lag``, ``delay``, ``creep``: what may stand behind the hysteresis.
+    stage : str or None
+        Dynamics of higher order instead.
+    options : dict
+        Of the model.
+    inverse : str
+        Type of the compensator's inverse.
+    skip : int or None
+        First samples left out of the error; None: those before the past is wiped out.
+    intersample : str
+    initial : str or None
+    progress : callable
+        ``progress(number, text)``.
+    separations : dict
+        What :func:`.separation.separated` found in this data before, by what was asked for.
+    """
+
+    model: str
+    parts: tuple[str, ...]
+    stage: str | None
+    options: dict
+    inverse: str
+    skip: int | None
+    intersample: str
+    initial: str | None
+    progress: Callable[[int, str], None]
+    separations: dict = field(default_factory=dict)
+
+    def report_residual(self, number: int, rmse: float) -> None:
+        """Progress of fits that report a residual [m]."""
+        self.progress(number, f"residual {readable(rmse, 'm')}")
+
+
+@dataclass(frozen=True)
+class FittedHysteresis:
+    """A hysteresis as it was fitted.
+
+    Parameters
+    ----------
+    hysteresis : HysteresisParameters
+    fitted : int
+        How many of its numbers were fitted.
+    deviations : dict of str to float
+        Their standard deviations, where known.
+    warnings : tuple of str
+    converged : bool
+    """
+
+    hysteresis: HysteresisParameters
+    fitted: int
+    deviations: dict[str, float] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()
+    converged: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class PlantModel:
+    """A plant as it is predicted: voltage → hysteresis → creep → linear dynamics → + offset.
+
+    Parameters
+    ----------
+    hysteresis : HysteresisParameters
+    creep : CreepParameters
+    dynamics : LinearParameters
+        For ``sample_time``.
+    sample_time : float
+        [s]
+    offset : float
+        Constant part of the displacement [m]; a plant carries it as preload offset.
+    linear_part : LinearPart, optional
+        Creep, lag and delay in continuous time, where the dynamics are nothing else.
+    transfer_function : (tuple of float, tuple of float), optional
+        Numerator and denominator of the dynamics in continuous time, where they were found so.
+    synchronous : bool
+        A displacement belongs to the voltage of its own sample (quasi-static sweeps); on an axis it is read before.
+    initial : str
+        Where the state starts: ``zero``, ``periodic`` or ``estimate``.
+    intersample : str
+        How the input runs between samples: ``zoh``, ``linear`` or ``bandlimited``.
+    voltage_low, voltage_high : float
+        Range of the recording [V].
+    inverse : InverseParameters
+        Inverse that the compensator uses.
+    """
+
+    hysteresis: HysteresisParameters
+    creep: CreepParameters
+    dynamics: LinearParameters
+    sample_time: float
+    offset: float = 0.0
+    linear_part: LinearPart | None = None
+    transfer_function: tuple[tuple[float, ...], tuple[float, ...]] | None = None
+    synchronous: bool = False
+    initial: str = "zero"
+    intersample: str = "zoh"
+    voltage_low: float = 0.0
+    voltage_high: float = 0.0
+    inverse: InverseParameters = field(default_factory=lambda: InverseParameters(type="general"))
+
+    @property
+    def invertible(self) -> bool:
+        """Whether the hysteresis is invertible; otherwise dynamics are inside of it."""
+        return self.hysteresis.model.block.invertible
+
+    @property
+    def continuous(self) -> LinearPart:
+        """Creep, lag and delay; other dynamics are stood for by a lag of their group delay at low frequencies."""
+        if self.linear_part is not None:
+            return self.linear_part
+        # half of the sample time is the converter's, which the voltage of a recording does not know
+        delay = group_delay(self.dynamics) * self.sample_time - 0.5 * self.sample_time
+        return LinearPart(lag=max(delay, 0.0))
+
+    def as_hammerstein(self, rmse: float = 0.0, stroke: float = 1.0) -> HammersteinFit:
+        """Return the chain as the result of a Hammerstein fit, without its offset."""
+        return HammersteinFit(
+            hysteresis=self.hysteresis,
+            creep=self.creep,
+            dynamics=self.dynamics,
+            linear_part=self.continuous,
+            sample_time=self.sample_time,
+            rmse=rmse,
+            stroke=stroke,
+            voltage_low=self.voltage_low,
+            voltage_high=self.voltage_high,
+            synchronous=self.synchronous,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Identification:
+    """Result of any identification.
+
+    Parameters
+    ----------
+    model : str
+        Name of the model in the registry.
+    linear : str
+        What stands behind the hysteresis, in words.
+    chain : PlantModel
+        The model; its hysteresis gives zero at rest at 0 V, or what the past had left there when the recording began.
+    fitted : int
+        How many numbers were fitted.
+    numbers : dict of str to float
+        Figures of the fit besides the parameters, names with units (``lag_s``).
+    deviations : dict of str to float
+        Standard deviations, by parameter.
+    assumptions, warnings : tuple of str
+    converged : bool
+        False: the best point found.
+    skipped : int, optional
+        First samples left out of the fit; None: those before the memory is wiped out.
+    start : str
+        How the recording was taken to begin, in a sentence.
+    drift : float
+        What grew in the recording beside all that the voltage moves [m/s]; no part of the model.
+    trajectory : (tuple of str, ndarray of shape (K, n)), optional
+        Names and values of the parameters after each iteration of the best run.
+    """
+
+    model: str
+    linear: str
+    chain: PlantModel
+    fitted: int
+    numbers: dict[str, float] = field(default_factory=dict)
+    deviations: dict[str, float] = field(default_factory=dict)
+    assumptions: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+    converged: bool = True
+    skipped: int | None = None
+    start: str = ""
+    drift: float = 0.0
+    trajectory: tuple[tuple[str, ...], np.ndarray] | None = None
+
+
+def group_delay(dynamics: LinearParameters) -> float:
+    """Return the group delay at zero frequency [samples]; 0 without dynamics.
+
+    Parameters
+    ----------
+    dynamics : LinearParameters
+    """
+    if not dynamics.order:
+        return 0.0
+    model = dynamics.state_space
+    rest = np.linalg.inv(np.eye(dynamics.order) - model.A)
+    return float(model.C[0] @ rest @ rest @ model.B[:, 0]) / model.dc_gain
+
+
+def at_rest(hysteresis: HysteresisParameters, sample_time: float) -> float:
+    """Return the displacement [m] of a hysteresis that never saw another voltage than 0 V.
+
+    Parameters
+    ----------
+    hysteresis : HysteresisParameters
+    sample_time : float
+        [s]
+    """
+    return float(hysteresis_block(hysteresis, sample_time).step(0.0))
+
+
+def grounded(hysteresis: HysteresisParameters, sample_time: float) -> tuple[HysteresisParameters, float]:
+    """Return the hysteresis shifted such that it is at zero at rest at 0 V, and the constant [m] taken out.
+
+    A constant of the sensor is no part of a stroke: kept out of the hysteresis, references count from rest.
+
+    Parameters
+    ----------
+    hysteresis : HysteresisParameters
+    sample_time : float
+        [s]
+    """
+    rest = at_rest(hysteresis, sample_time)
+    moved = hysteresis.shifted(-rest)
+    return (moved, rest) if moved is not hysteresis else (hysteresis, 0.0)

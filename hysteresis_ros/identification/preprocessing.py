@@ -1,0 +1,750 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Preprocessing of data for fits: resampling, reduction, outliers and drift, block averages, branches.
+
+Resampling puts samples on a uniform grid and bridges gaps. Reduction takes of a long recording the stretch that
+shows most of the loops, and averages neighbours as far as neither signal holds anything above its noise. Outliers
+and drift are found in what a fit leaves and taken out before it is repeated. A fit of hysteresis sees block
+averages, as coarse as the loops allow, from the sample on at which the past is known (:class:`Condensed`), or the
+branches between the turning points of the input.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+import scipy
+
+from hysteresis_ros.errors import IdentificationError
+from hysteresis_ros.identification.data import GRID_TOLERANCE, DataError, IdentificationData
+from hysteresis_ros.identification.weights import plays
+from hysteresis_ros.recordings.loops import REVERSAL, turning_points
+from hysteresis_ros.units import readable
+
+#: Samples are taken as uniform when that makes the signals this much smoother than their stamps do.
+SMOOTHER = 0.7
+#: Distances above this many medians are gaps.
+GAP_DISTANCE = 1.5
+#: Gaps of so many samples are bridged without being asked for; of longer ones the longest part without one is taken, if
+#: it holds this part of the samples.
+SHORT_GAP, LONG_ENOUGH = 3, 0.3
+
+
+def steadied(data: IdentificationData) -> IdentificationData:
+    """Return the data on a uniform grid where the signals say that only their stamps jitter.
+
+    A computer often stamps late what a converter took in time. Each sample is predicted from the two before and the two
+    after it by the cubic through them, once with the stamps and once with equal distances: whichever is right predicts
+    better.
+
+    Parameters
+    ----------
+    data : IdentificationData
+        Without gaps; otherwise it is returned as it is.
+    """
+    if len(data) < 20:
+        return data
+    distances = np.diff(data.time)
+    median = float(np.median(distances))
+    index = np.arange(len(data)) - 0.5 * (len(data) - 1)
+    # the straight line through all: the ends jitter as the others do
+    grid = data.time.mean() + index * (np.dot(index, data.time - data.time.mean()) / np.dot(index, index))
+    beside = float(np.max(np.abs(data.time - grid)))
+    if beside <= GRID_TOLERANCE * median or distances.max() > 2.5 * median or beside > 5.0 * median:
+        return data
+    finite = np.isfinite(data.input) & np.isfinite(data.output)
+    signals = [data.input[finite], data.output[finite]]
+    roughness = [
+        math.prod(_roughness(instants[finite], values) for values in signals) for instants in (data.time, grid)
+    ]
+    if not roughness[1] < SMOOTHER**2 * roughness[0]:
+        return data
+    smoother = math.sqrt(roughness[0] / roughness[1]) if roughness[1] else math.inf
+    warning = (
+        f"stamps jitter by up to {readable(beside, 's')} beside a grid of {readable(grid[1] - grid[0], 's')}, the "
+        f"signals do not (with equal distances they are {smoother:.2g} times smoother): taken as uniform"
+    )
+    return replace(data, time=grid, warnings=(*data.warnings, warning))
+
+
+def uninterrupted(data: IdentificationData) -> IdentificationData:
+    """Return data of a uniform grid without its gaps: short ones bridged, else the longest part without one.
+
+    What happens in a longer gap is unknown, and so is the memory of a hysteresis after it. Samples whose input or
+    output is missing are gaps too. Where no part is long enough, or the samples jitter, the data is returned as it is.
+
+    Parameters
+    ----------
+    data : IdentificationData
+    """
+    finite = np.flatnonzero(np.isfinite(data.input) & np.isfinite(data.output))
+    if finite.size < 50:
+        return data
+    distances = np.diff(data.time[finite])
+    median = float(np.median(distances))
+    steps = np.rint(distances / median)
+    if not median > 0.0 or np.max(steps) < 2 or np.max(np.abs(distances - steps * median)) > GRID_TOLERANCE * median:
+        return data
+    if np.max(steps) <= SHORT_GAP + 1:
+        return resample(data, median)
+    edges = np.flatnonzero(np.r_[True, steps > 1, True])
+    widest = int(np.argmax(np.diff(edges)))
+    first, last = int(finite[edges[widest]]), int(finite[edges[widest + 1] - 1]) + 1
+    part = (last - first) / finite.size
+    if part < LONG_ENOUGH:
+        return data
+    longest = int(np.argmax(steps))
+    warning = (
+        f"{np.count_nonzero(steps > 1)} gaps, the longest {distances[longest]:.4g} s at "
+        f"{data.time[finite][longest]:.6g} s: the longest part without one is taken, samples {data.first + first} to "
+        f"{data.first + last - 1} ({100.0 * part:.0f} %); another part with --range, all with --resample auto, which "
+        "bridges the gaps by straight lines"
+    )
+    return replace(data.part(first, last), warnings=(*data.warnings, warning))
+
+
+def _roughness(time, values) -> float:
+    """Return the RMS error of predicting each sample from four neighbours, in parts of the range."""
+    t = [time[k : len(time) - 4 + k] - time[2:-2] for k in range(5)]
+    predicted = 0.0
+    for k in (0, 1, 3, 4):
+        weight = 1.0
+        for j in (0, 1, 3, 4):
+            if j != k:
+                weight = weight * t[j] / (t[j] - t[k])
+        predicted = predicted + weight * values[k : len(time) - 4 + k]
+    return float(np.sqrt(np.mean((values[2:-2] - predicted) ** 2)) / (np.ptp(values) or 1.0))
+
+
+def resample(data: IdentificationData, sample_time: float | None = None) -> IdentificationData:
+    """Return the data on a uniform grid: linear between the samples there are, low-passed where it becomes coarser.
+
+    Parameters
+    ----------
+    data : IdentificationData
+        Missing values are bridged; a warning says how many, and how long the longest gap is.
+    sample_time : float, optional
+        [s]; the median distance of the data by default.
+
+    Raises
+    ------
+    DataError
+        Fewer than two samples are there, or the sample time is not positive or longer than the data.
+    """
+    finite = np.isfinite(data.input) & np.isfinite(data.output)
+    if np.count_nonzero(finite) < 2:
+        raise DataError("short", f"{np.count_nonzero(finite)} samples are there; resampling needs two")
+    time = data.time[finite]
+    distances = np.diff(time)
+    median = float(np.median(distances))
+    if np.ptp(distances) > GRID_TOLERANCE * median:
+        # jitter moves the median, but not the mean
+        median = float(np.mean(distances[~_gaps(distances, median)]))
+    target = median if sample_time is None else float(sample_time)
+    if not 0.0 < target < time[-1] - time[0]:
+        raise DataError("resample", f"sample time {target:g} s: must be in 0 … {time[-1] - time[0]:g} s")
+    factor = max(1, math.ceil(target / median - 1e-6)) if target > 1.5 * median else 1
+    grid = time[0] + np.arange(int((time[-1] - time[0]) / (target / factor) + 1e-6) + 1) * (target / factor)
+    columns = [np.interp(grid, time, values[finite]) for values in (data.input, data.output)]
+    if factor > 1:
+        columns = [_decimated(values, factor) for values in columns]
+    note = f"resampled from {readable(median, 's')} to {readable(target, 's')}"
+    grid = grid[::factor]
+    rows = data.first + np.flatnonzero(finite)
+    warnings = (*data.warnings, *_bridged(time, median, rows), *_jittering(time, median))
+    notes = (*data.notes, note)
+    return replace(data, time=grid, input=columns[0], output=columns[1], first=0, notes=notes, warnings=warnings)
+
+
+def _gaps(distances, median):
+    """Return which distances are gaps: jitter alone, three of its standard deviations, makes none."""
+    jitter = 1.5 * float(np.median(np.abs(distances - median)))
+    return distances > max(GAP_DISTANCE * median, median + 3.0 * jitter)
+
+
+def _bridged(time, median, rows):
+    """Yield a warning about the gaps that straight lines bridge."""
+    distances = np.diff(time)
+    gaps = _gaps(distances, median)
+    if not gaps.any():
+        return
+    longest = int(np.argmax(distances))
+    lost = int(np.sum(np.rint(distances[gaps] / median) - 1.0))
+    stretches = np.flatnonzero(np.r_[True, gaps, True])
+    widest = int(np.argmax(np.diff(stretches)))
+    first, last = rows[stretches[widest]], rows[stretches[widest + 1] - 1] + 1
+    yield (
+        f"{np.count_nonzero(gaps)} gaps ({lost} samples) bridged by straight lines, the longest "
+        f"{distances[longest]:.4g} s at {time[longest]:.6g} s; what happened in them is unknown (longest part without "
+        f"one: --range {first}:{last})"
+    )
+
+
+def _jittering(time, median):
+    """Yield a warning about samples beside their places, gaps apart."""
+    distances = np.diff(time)
+    whole = np.maximum(np.rint(distances / median), 1.0)
+    beside = float(np.quantile(np.abs(distances - whole * median), 0.99))
+    if beside > GRID_TOLERANCE * median:
+        yield (
+            f"samples jitter by {readable(beside, 's')} (99 % of the distances) at {readable(median, 's')}: lags "
+            "shorter than that are not known"
+        )
+
+
+def _decimated(values, factor):
+    taps = scipy.signal.firwin(20 * factor + 1, 0.8 / factor, window=("kaiser", 8.0))
+    half = 10 * factor
+    # mirrored about the ends, so that a level or a slope there stays what it is
+    head, tail = 2 * values[0] - values[half:0:-1], 2 * values[-1] - values[-2 : -half - 2 : -1]
+    if len(head) < half or len(tail) < half:
+        raise DataError("resample", f"{len(values)} samples are too few to be made {factor} times coarser")
+    return np.convolve(np.concatenate([head, values, tail]), taps, mode="valid")[::factor]
+
+
+#: Recordings of more samples than this are condensed, and have no more afterwards but for sweeps …
+MOST_SAMPLES = 100_000
+#: … nor fewer than these, where its signals would allow it.
+FEWEST_REDUCED = 6000
+#: Full strokes, to and fro counted one by one, and samples that are tried one after the other until they show as much
+#: as all: enough for a fit, for one of many different loops, and for sweeps, of which every part says something else.
+STRETCHES = ((40.0, MOST_SAMPLES), (100.0, MOST_SAMPLES), (math.inf, 4 * MOST_SAMPLES))
+#: A stretch that shows this part of the loops that another shows is as good.
+AS_GOOD = 0.9
+#: Beginnings of a stretch among which is chosen.
+TRIED = 20
+#: Levels at which turning points count as different.
+LEVELS = 20
+#: What is lost above the new band must be below this part of the signal …
+LOST = 3e-4
+#: … and the new rate so many times the highest frequency that is kept.
+OVERSAMPLING = 8.0
+#: Samples over which turning points are looked for, and of a segment of the spectrum; fewest and most segments.
+OVERVIEW = 500_000
+SEGMENT = 1 << 14
+SEGMENTS = 24
+MOST_SEGMENTS = 256
+#: Power above this many noise floors is signal.
+ABOVE_FLOOR = 3.0
+
+
+def reduced(data: IdentificationData, whole: bool = False) -> IdentificationData:
+    """Return a stretch of long data, with neighbouring samples averaged, and a note about both; short data as it is.
+
+    Each sample stands for the middle of those that were averaged; :attr:`IdentificationData.factor` says how many.
+
+    Parameters
+    ----------
+    data : IdentificationData
+        Uniform, without missing samples.
+    whole : bool
+        Average only: all of the data is to be judged.
+    """
+    if len(data) <= MOST_SAMPLES:
+        return data
+    size, rate = len(data), 1.0 / data.sample_time
+    highest = max(_highest_frequency(values, data.sample_time) for values in (data.input, data.output))
+    allowed = max(1, int(rate / (OVERSAMPLING * highest))) if highest > 0.0 else size
+    first, last, strokes = (0, size, 0.0) if whole else _telling_stretch(data.input, allowed)
+    factor = min(allowed, max(1, (last - first) // FEWEST_REDUCED))
+    count = (last - first) // factor
+    last = first + count * factor
+    if (count, factor) == (size, 1):
+        return data
+    columns = {
+        name: getattr(data, name)[first:last].reshape(count, factor).mean(axis=1)
+        for name in ("time", "input", "output")
+    }
+    words = [f"{size} samples condensed to {count}"]
+    if last - first < size - factor:
+        begin, end = data.time[first] - data.time[0], data.time[last - 1] - data.time[0]
+        words.append(f"the stretch from {begin:.4g} to {end:.4g} s shows the loops ({strokes:.0f} full strokes in all)")
+    if factor > 1:
+        held = f"above {readable(highest, 'Hz')} is noise only" if highest > 0.0 else "what is fast is noise only"
+        words.append(f"{factor} averaged in one, {rate:.4g} Hz to {rate / factor:.4g} Hz ({held})")
+    note = f"{'; '.join(words)}; --all-samples takes every one"
+    return replace(data, **columns, first=data.first + first, factor=factor, notes=(*data.notes, note))
+
+
+def _telling_stretch(voltage, averaged: int):
+    """Return first and last sample of the stretch that shows most, of which so many become one, and all strokes."""
+    block = math.ceil(voltage.size / OVERVIEW)
+    coarse = voltage[: voltage.size // block * block].reshape(-1, block).mean(axis=1)
+    turns = turning_points(coarse)
+    span = np.ptp(coarse)
+    strokes = np.append(0.0, np.cumsum(np.abs(np.diff(coarse[turns])))) / span
+    levels = np.rint((coarse[turns] - coarse.min()) / span * LEVELS).astype(int)
+    speeds = np.rint(2.0 * np.log2(np.maximum(np.diff(turns), 1))).astype(int)
+    everything = _shown(levels, speeds)
+    start, end = 0, len(turns) - 1
+    for most, samples in STRETCHES:
+        longest = samples * averaged
+        if strokes[-1] <= most and voltage.size <= longest:
+            return 0, voltage.size, strokes[-1]
+        latest = max(
+            int(np.searchsorted(strokes, max(strokes[-1] - most, 0.0))),
+            int(np.searchsorted(turns, max(coarse.size - longest // block, 0))),
+        )
+        found = []
+        for first in np.unique(np.linspace(0, latest, TRIED).astype(int)):
+            last = (
+                min(
+                    int(np.searchsorted(strokes, strokes[first] + most, side="right")),
+                    int(np.searchsorted(turns, turns[first] + longest // block, side="right")),
+                )
+                - 1
+            )
+            found.append((_shown(levels[first : last + 1], speeds[first:last]), first, last))
+        best = max(found)[0]
+        # of those that show about as much the earliest: it is nearest to rest, and shows how creep begins
+        shown, start, end = next(item for item in found if item[0] >= AS_GOOD * best)
+        if shown >= AS_GOOD * everything:
+            break
+    begin = int(turns[start]) * block if start else 0
+    # creep between two turning points may be longer than what is wanted
+    return begin, min((int(turns[end]) + 1) * block if end > start else voltage.size, begin + longest), strokes[-1]
+
+
+def _shown(levels, speeds) -> float:
+    """Return how much turning points at these levels show: different loops and speeds, most of all to both ends."""
+    loops = {*zip(levels[:-1].tolist(), levels[1:].tolist(), speeds.tolist(), strict=True)}
+    reach = np.ptp(levels) / LEVELS if levels.size else 0.0
+    return reach**4 * len(loops)
+
+
+def _highest_frequency(values, sample_time: float) -> float:
+    """Return the frequency [Hz] above which there is nothing but noise; 0 where all is."""
+    size = min(SEGMENT, values.size // SEGMENTS)
+    # segments from all over: more of them tell nothing new about the band
+    starts = np.linspace(0, values.size - size, min(MOST_SEGMENTS, values.size // size)).astype(int)
+    values = np.concatenate([values[start : start + size] for start in starts])
+    frequencies, power = scipy.signal.welch(values, 1.0 / sample_time, nperseg=size, noverlap=0, detrend="linear")
+    floor = float(np.quantile(power, 0.1))
+    signal = np.where(power > ABOVE_FLOOR * floor, power, 0.0)
+    above = np.cumsum(signal[::-1])[::-1] * frequencies[1]
+    there = np.flatnonzero(above > LOST**2 * np.var(values))
+    return float(frequencies[there[-1]]) if there.size else 0.0
+
+
+#: Outliers are further off than this many standard deviations (of the bulk, from the median) …
+OUTLYING = 5.0
+#: … and are at most this part of the samples; a model that misses more of them is the wrong model.
+MOST_OUTLIERS = 0.1
+#: They are left out, and the fit is repeated, where they make up this part of the squared error.
+MATTERING = 0.01
+#: A stretch of samples of which most are far off are no outliers.
+STRETCH = 11
+#: A drift must lower the error on blocks held out by this part: it is no part of the model, and the shape of loops may
+#: look like a little of it. Number of the blocks.
+DRIFTING, BLOCKS = 0.2, 5
+#: How often a model without terms of its own for these is fitted at most.
+ROUNDS = 3
+
+
+class Cleaned(NamedTuple):
+    """A recording without what does not belong to the movement.
+
+    Parameters
+    ----------
+    data : IdentificationData
+    drift : float
+        What was taken out [m/s].
+    outliers : int
+        How many samples were moved to where they were expected.
+    """
+
+    data: IdentificationData
+    drift: float
+    outliers: int
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """What was kept out of the model, in sentences."""
+        return cleaning_notes(self.drift, self.outliers)
+
+    @property
+    def numbers(self) -> dict[str, float]:
+        """The figures, where there is something."""
+        drift = {"drift_m_per_s": self.drift} if self.drift else {}
+        return drift | ({"outliers": float(self.outliers)} if self.outliers else {})
+
+
+def cleaning_notes(drift: float, outliers: int) -> tuple[str, ...]:
+    """Return in sentences what was kept out of a model.
+
+    Parameters
+    ----------
+    drift : float
+        [m/s]
+    outliers : int
+    """
+    found = []
+    if drift:
+        found.append(f"the output drifts by {1e6 * drift:.3g} µm/s beside creep: fitted too, but no part of the model")
+    if outliers:
+        found.append(f"{outliers} outliers left out of the fit")
+    return tuple(found)
+
+
+def inliers(error, first: int) -> np.ndarray:
+    """Return which samples are no outliers, shape (N,) of bool; those before ``first`` are none.
+
+    Far off are single samples and short stretches: what is far off for long is what a fit has no shape for.
+
+    Parameters
+    ----------
+    error : ndarray, shape (N,)
+    first : int
+        First sample that counts.
+    """
+    # what is far off for long is what the fit has no shape for
+    alone = error - scipy.ndimage.median_filter(error, STRETCH, mode="nearest")
+    return _within(error, first) | _within(alone, first)
+
+
+def _within(error, first: int) -> np.ndarray:
+    size = np.abs(error - np.median(error[first:]))
+    good = size <= OUTLYING * 1.4826 * float(np.median(size[first:]))
+    good[:first] = True
+    return good
+
+
+def outliers_matter(error, added, used) -> bool:
+    """Tell whether samples far off make up a notable part of the squared error.
+
+    Parameters
+    ----------
+    error : ndarray, shape (N,)
+        Without its median.
+    added, used : ndarray of bool or int
+        Those far off, and all that the fit used.
+    """
+    share = float(np.sum(error[added] ** 2)) / max(float(np.sum(error[used] ** 2)), 1e-300)
+    return share >= MATTERING
+
+
+def drift_of(error, kept) -> float:
+    """Return by how much an error, shape (N,), grows from sample to sample; 0 where that predicts no blocks held out.
+
+    Parameters
+    ----------
+    error : ndarray, shape (N,)
+    kept : ndarray of int
+        Places of the samples that count.
+    """
+    place = kept / len(error)
+    line = np.column_stack([np.ones(len(kept)), place])
+    left = {1: 0.0, 2: 0.0}
+    for block in np.array_split(np.arange(len(kept)), BLOCKS):
+        others = np.delete(np.arange(len(kept)), block)
+        for columns in left:
+            found = np.linalg.lstsq(line[others, :columns], error[kept][others], rcond=None)[0]
+            left[columns] += float(np.sum((error[kept][block] - line[block, :columns] @ found) ** 2))
+    if not left[2] < (1.0 - DRIFTING) ** 2 * left[1]:
+        return 0.0
+    return float(np.linalg.lstsq(line, error[kept], rcond=None)[0][1]) / len(error)
+
+
+def cleaned(data: IdentificationData, predicted, first: int = 0, drift: float | None = None) -> Cleaned:
+    """Return a recording without outliers and drift, as a prediction of it shows them.
+
+    Parameters
+    ----------
+    data : IdentificationData
+    predicted : ndarray, shape (N,)
+        Without a drift [m].
+    first : int
+        First sample that counts.
+    drift : float, optional
+        [m/s], where it is known; else what the error shows.
+    """
+    error = data.output - predicted
+    places = np.arange(len(data))
+    if drift is None:
+        kept = np.flatnonzero(inliers(error, first)[first:]) + first
+        drift = drift_of(error, kept) / data.sample_time
+    slope = drift * data.sample_time * places
+    error = error - slope
+    good = inliers(error, first)
+    count = int(np.count_nonzero(~good))
+    centred = error - np.median(error[first:])
+    if count > MOST_OUTLIERS * (len(data) - first) or not outliers_matter(centred, ~good, places >= first):
+        return Cleaned(replace(data, output=data.output - slope) if drift else data, drift, 0)
+    error = np.interp(places, places[good], error[good])
+    return Cleaned(replace(data, output=predicted + error), drift, count)
+
+
+#: Data is made coarser until the voltage moves by this part of its range in one sample …
+LARGEST_STEP = 0.02
+#: … and no further than needed to come down to this many samples.
+ENOUGH_SAMPLES = 6000
+#: The fit starts where the input has come within this part of its range of both ends: the past is wiped out there.
+WIPED_OUT = 0.05
+
+#: Swings above this part of the range are all of one size.
+ONE_SIZE = 0.8
+#: What comes after must rise and fall by this part of the range.
+LEAST_SWING = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Condensed:
+    """Data as a fit uses it: uniform, as coarse as the loops allow, centred on block averages.
+
+    Parameters
+    ----------
+    voltage, displacement : ndarray, shape (N,)
+        [V], [m].
+    sample_time : float
+        [s]
+    first : int
+        First sample whose residual counts.
+    factor : int
+        How many samples of the recording make one.
+    kept : ndarray of bool, shape (N - first,)
+        Which of the samples that count are no outliers.
+    remembers : bool
+        The past before the recording matters to the samples that count.
+    drifts : bool
+        Beside a constant the displacement may hold one that grows with time.
+    history : tuple of float
+        Voltages [V] that the hysteresis went through, from rest at 0 V, before the first sample.
+    """
+
+    voltage: np.ndarray
+    displacement: np.ndarray
+    sample_time: float
+    first: int
+    factor: int
+    kept: np.ndarray
+    remembers: bool = False
+    drifts: bool = False
+    history: tuple[float, ...] = ()
+
+    def counted(self, values) -> np.ndarray:
+        """Return of values, shape (N, ...), those whose residual counts."""
+        return values[self.first :][self.kept]
+
+    @property
+    def constants(self) -> np.ndarray:
+        """What is not moved by the voltage, shape (N, 1 or 2): a constant, and a drift that is 1 at the end."""
+        places = np.arange(len(self.voltage)) / len(self.voltage)
+        return np.column_stack([np.ones(len(places)), places] if self.drifts else [np.ones(len(places))])
+
+    @property
+    def reach(self) -> float:
+        """Radius [V] from which on no play moves: half the range, from rest the largest voltage."""
+        half = 0.5 * self.voltage_range
+        return max(half, float(np.max(np.abs([*self.voltage, *self.history])))) if self.remembers else half
+
+    def plays(self, play_radii) -> np.ndarray:
+        """Return the outputs, shape (N, m), of plays that went through the history before the first sample."""
+        before = plays(np.array([0.0, *self.history]), play_radii)[-1]
+        return plays(self.voltage, play_radii, before)
+
+    @property
+    def voltage_range(self) -> float:
+        """Peak-to-peak voltage [V]."""
+        return float(np.ptp(self.voltage))
+
+    @property
+    def stroke(self) -> float:
+        """Peak-to-peak displacement [m] of the samples that count."""
+        return float(np.ptp(self.counted(self.displacement)))
+
+
+def condense(
+    voltage,
+    displacement,
+    sample_time: float,
+    skip: int | None = None,
+    *,
+    kept=None,
+    history: tuple[float, ...] = (),
+    enough: int = ENOUGH_SAMPLES,
+) -> Condensed:
+    """Average blocks of samples, so that a long or finely sampled recording is fitted in seconds.
+
+    Parameters
+    ----------
+    voltage, displacement : array_like, shape (N,)
+        [V] and [m], uniformly sampled, without gaps.
+    sample_time : float
+        [s]
+    skip : int, optional
+        Samples left out of the fit at the start (the models see their voltage all the same); by default those until
+        the past is wiped out, if a whole cycle comes after them (:func:`wiped_out`).
+    kept : array_like of bool, shape (N,), optional
+        False for outliers; they are left out of the averages.
+    history : tuple of float
+        See :class:`Condensed`.
+    enough : int
+        The data is made no coarser than to this many samples.
+
+    Raises
+    ------
+    IdentificationError
+        Shapes differ, values are not finite or constant, or too few samples are left.
+    """
+    v, y = (np.ascontiguousarray(values, dtype=np.float64) for values in (voltage, displacement))
+    if v.ndim != 1 or v.shape != y.shape or v.size < 50:
+        raise IdentificationError(f"voltage {v.shape} and displacement {y.shape}: must have one shape (N,), N ≥ 50")
+    if not np.all(np.isfinite(v)) or not np.all(np.isfinite(y)):
+        raise IdentificationError("voltage or displacement has NaN or infinite values; cut them out or resample")
+    if np.ptp(v) == 0.0 or np.ptp(y) == 0.0:
+        raise IdentificationError("voltage or displacement is constant; record a moving input")
+    if len(turning_points(v)) < 3:
+        raise IdentificationError("the voltage never turns: a loop model needs a rising and a falling branch")
+    wiped = wiped_out(v)
+    first = wiped or 0 if skip is None else skip
+    if not 0 <= first < v.size - 50:
+        raise IdentificationError(f"skip = {skip}: must leave at least 50 of the {v.size} samples")
+    # the steepest steps of all may be jumps at the start, which no sampling resolves
+    step = float(np.quantile(np.abs(np.diff(v)), 0.98)) / float(np.ptp(v))
+    coarsest = max(1, int(LARGEST_STEP / step)) if step > 0.0 else 1
+    factor = max(1, min(coarsest, v.size // enough))
+    blocks = v.size // factor
+    used = np.ones(v.size) if kept is None else np.asarray(kept, dtype=float)
+    v, used, y = (
+        values[: blocks * factor].reshape(blocks, factor).sum(axis=1) for values in (v / factor, used, used * y)
+    )
+    remembers = wiped is None or first < wiped
+    first = math.ceil(first / factor)
+    y = y / np.maximum(used, 1.0)
+    return Condensed(v, y, factor * sample_time, first, factor, used[first:] > 0.0, remembers, history=history)
+
+
+def wiped_out(voltage) -> int | None:
+    """Return the sample from which the past no longer matters, if a cycle comes after it; else None.
+
+    A voltage that has been at both ends of its range has moved every play operator that the recording moves. It has to
+    fall and to rise afterwards, by half of the range each: less would show one branch alone.
+
+    Parameters
+    ----------
+    voltage : ndarray, shape (N,)
+        [V]
+    """
+    span = np.ptp(voltage)
+    top = np.flatnonzero(voltage >= voltage.max() - WIPED_OUT * span)[0]
+    bottom = np.flatnonzero(voltage <= voltage.min() + WIPED_OUT * span)[0]
+    first = int(max(top, bottom))
+    swings = np.diff(voltage[first:][turning_points(voltage[first:])])
+    large = swings[np.abs(swings) >= LEAST_SWING * span]
+    return first if np.any(large > 0.0) and np.any(large < 0.0) else None
+
+
+def simple_loops(data: Condensed) -> bool:
+    """Return whether all loops that count are of one size: nothing is seen of what happens inside of them.
+
+    Parameters
+    ----------
+    data : Condensed
+    """
+    voltage = data.voltage[data.first :]
+    swings = np.abs(np.diff(voltage[turning_points(voltage)]))[1:-1]  # the ends may be cut
+    return not data.remembers and bool(np.all(swings > ONE_SIZE * data.voltage_range))
+
+
+#: Fewest samples of a recording, and of one branch that is fitted.
+FEWEST_SAMPLES = 20
+FEWEST_BRANCH_SAMPLES = 5
+
+
+@dataclass(frozen=True)
+class Branch:
+    """A stretch of a recording along which the input moves one way.
+
+    Parameters
+    ----------
+    start, stop : int
+        Indices of its two turning points; both belong to it.
+    low, high : float
+        Its smallest and its largest input.
+    rising : bool
+        The input rises.
+    """
+
+    start: int
+    stop: int
+    low: float
+    high: float
+    rising: bool
+
+    @property
+    def samples(self) -> slice:
+        """All of its samples, both turning points included."""
+        return slice(self.start, self.stop + 1)
+
+    def __len__(self) -> int:
+        return self.stop - self.start + 1
+
+
+def checked_signals(input_, output, names=("voltage", "displacement"), fewest: int = FEWEST_SAMPLES):
+    """Return both signals as float arrays of one length, shape (N,).
+
+    Parameters
+    ----------
+    input_, output : array_like, shape (N,)
+        Signals of one recording.
+    names : tuple of str
+        What they are called in errors.
+    fewest : int
+        Smallest N.
+
+    Raises
+    ------
+    IdentificationError
+        Lengths differ, there are too few samples, some are not finite, or a signal is constant.
+    """
+    signals = []
+    for name, values in zip(names, (input_, output), strict=True):
+        values = np.asarray(values, dtype=np.float64)
+        if values.ndim != 1:
+            raise IdentificationError(f"{name} has {values.ndim} dimensions; give one column of numbers")
+        if values.size < fewest:
+            raise IdentificationError(f"{name} has {values.size} samples, too short; at least {fewest} are needed")
+        bad = np.flatnonzero(~np.isfinite(values))
+        if bad.size:
+            raise IdentificationError(
+                f"{name} is not finite at {bad.size} samples, the first is number {bad[0]}; cut or mend the recording"
+            )
+        if np.ptp(values) == 0.0:
+            raise IdentificationError(f"{name} is constant at {values[0]:g}; record a motion")
+        signals.append(np.ascontiguousarray(values))
+    if signals[0].size != signals[1].size:
+        raise IdentificationError(
+            f"{names[0]} has {signals[0].size} samples and {names[1]} {signals[1].size}; they must belong together"
+        )
+    return signals[0], signals[1]
+
+
+def split_branches(input_, reversal: float = REVERSAL) -> tuple[Branch, ...]:
+    """Return the branches of ``input_``, shape (N,), in order; reversals below ``reversal`` of its range are noise."""
+    points = turning_points(input_, reversal)
+    branches = []
+    for start, stop in zip(points[:-1].tolist(), points[1:].tolist(), strict=True):
+        a, b = float(input_[start]), float(input_[stop])
+        if a != b:
+            branches.append(Branch(start, stop, min(a, b), max(a, b), b > a))
+    return tuple(branches)
+
+
+def require_both_directions(branches, model: str) -> None:
+    """Raise IdentificationError unless there are rising and falling branches, without which there is no loop."""
+    rising = sum(branch.rising for branch in branches)
+    if rising == 0 or rising == len(branches):
+        found = f"{len(branches)} {'rising' if rising else 'falling'} branch(es) only" if branches else "no branch"
+        raise IdentificationError(
+            f"the recording has {found}; a {model} needs rising and falling branches: record at least one whole loop"
+        )

@@ -1,0 +1,463 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""The fault cases of a campaign, by their names in the catalogue: processes, machine, measurement, people."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+
+from lifecycle_msgs.msg import Transition
+from rcl_interfaces.msg import ParameterType
+from rcl_interfaces.srv import GetParameters, ListParameters, SetParametersAtomically
+from rclpy.parameter import Parameter
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64
+
+from hysteresis_ros.configuration import NODE_NAMES
+from hysteresis_ros.laboratory.campaign.judging import SLACK, Bounds
+from hysteresis_ros.laboratory.campaign.mishaps import FUSED, Mishap
+from hysteresis_ros.laboratory.campaign.rig import AXIS, RECORDER, ROOM, START, Clock, Device, Group, Rig
+from hysteresis_ros.loop.parameters import AxisParameters
+from hysteresis_ros.nodes.launcher import node_environment, started
+from hysteresis_ros.recordings.align import read_recording
+
+#: Part of the stroke by which an axis that nobody asks may creep.
+UNASKED = 0.03
+#: Whose end is that of the plant.
+WITH_PLANT = ("plant_simulator", AXIS)
+#: All processes of an axis.
+ALL = "all"
+
+
+def kill(rig: Rig, mishap: Mishap, amount: float) -> None:
+    """Kill processes hard, and start them again.
+
+    Parameters
+    ----------
+    rig : Rig
+    mishap : Mishap
+        Its victim is a process, or :data:`ALL`.
+    amount : float
+        Seconds between; 0: until the voltage has had the time to become safe.
+    """
+    victims = rig.group.names if mishap.victim == ALL else (mishap.victim,)
+    for victim in victims:
+        rig.group.send(victim, signal.SIGKILL)
+    time.sleep(amount or rig.bounds.timeouts[mishap.safe] + SLACK)
+    place = rig.witness.displacement
+    _again(rig, victims)
+    if mishap.victim == "reference_generator":
+        time.sleep(SLACK)
+        moved = rig.witness.displacement - place
+        if abs(moved) > UNASKED * rig.bounds.stroke and not rig.witness.tripped:
+            rig.broken.append(f"started again, it sends the axis by {1e6 * moved:.2g} µm unasked")
+
+
+def stop(rig: Rig, mishap: Mishap, amount: float) -> None:
+    """Stop processes for some time (SIGSTOP, SIGCONT).
+
+    Parameters
+    ----------
+    rig : Rig
+    mishap : Mishap
+        Its victim is a process, or :data:`ALL`.
+    amount : float
+        [s]
+    """
+    victims = rig.group.names if mishap.victim == ALL else (mishap.victim,)
+    for victim in victims:
+        rig.group.send(victim, signal.SIGSTOP)
+    time.sleep(amount)
+    for victim in victims:
+        rig.group.send(victim, signal.SIGCONT)
+
+
+def _again(rig: Rig, victims) -> None:
+    """Start processes that have ended, and wait until they are at work."""
+    if any(victim in WITH_PLANT for victim in victims):
+        rig.witness.life += 1
+    begun, rows = time.monotonic(), len(rig.witness.rows)
+    for victim in victims:
+        rig.group.start(victim)
+    seen = rig.witness.until(lambda: len(rig.witness.rows) > rows, START)
+    if not seen or not rig.runs(None if AXIS in victims else victims):
+        rig.broken.append(f"not at work {START:g} s after it was started again")
+    rig.notes.append(f"started again, at work after {time.monotonic() - begun:.1f} s")
+
+
+#: Keeps a core busy.
+BURN = "while True: sum(range(100000))"
+#: Part of a small disk that is taken when nothing further fits, and seconds that are looked at then.
+FILLED, AFTERWARDS = 0.75, 3.0
+#: Seconds in which a small disk is full.
+FULL = 60.0
+#: A recording that is cut off may lack so much of its end [s], and how long it is before.
+LOST, RECORDED = 1.5, 2.0
+#: The time of day jumps to so far from what it is, and stays there [s].
+OFFSETS, APART = (3600, -3600, 0), 1.5
+
+
+@contextlib.contextmanager
+def busy() -> Iterator[None]:
+    """Keep all cores busy as long as the block runs."""
+    environment = node_environment()
+    command = [sys.executable, "-c", BURN]
+    burning = [started(command, environment, stderr=subprocess.DEVNULL) for _ in range(os.cpu_count() or 1)]
+    try:
+        yield
+    finally:
+        for process in burning:
+            process.kill()
+            process.wait()
+
+
+def load(rig: Rig, mishap: Mishap, amount: float) -> None:
+    """Keep all cores busy while the axis moves to and fro.
+
+    Parameters
+    ----------
+    rig : Rig
+    mishap : Mishap
+    amount : float
+        [s]
+    """
+    until = time.monotonic() + amount
+    with busy():
+        while time.monotonic() < until:
+            rig.ask(rig.anywhere())
+            time.sleep(0.25)
+
+
+def fill(rig: Rig, mishap: Mishap, amount: float) -> None:
+    """Wait until the disk of a fused axis, which records all of its samples, is full.
+
+    Parameters
+    ----------
+    rig : Rig
+    mishap : Mishap
+    amount : float
+    """
+
+    def is_full() -> bool:
+        sizes = [path.stat().st_size for path in rig.group.bags[-1].glob("*.mcap")]
+        return sum(sizes) > FILLED * ROOM * 1024 or bool(rig.group.died())
+
+    if not rig.witness.until(is_full, FULL):
+        rig.broken.append(f"the disk is not full after {FULL:g} s")
+    time.sleep(AFTERWARDS)
+
+
+def cut_recording(rig: Rig, mishap: Mishap, amount: float) -> None:
+    """Kill a process that records, read what it has left, and start it again.
+
+    Parameters
+    ----------
+    rig : Rig
+    mishap : Mishap
+    amount : float
+    """
+    if rig.way != FUSED:
+        rig.group.start(RECORDER)
+        rig.witness.until(lambda: rig.witness.is_active(RECORDER), START)
+        time.sleep(RECORDED)
+    bag = rig.group.bags[-1]
+    killed = time.time()
+    kill(rig, replace(mishap, victim=AXIS if rig.way == FUSED else RECORDER), amount)
+    run = read_recording(bag, rig.axis.namespace, further=True)
+    lost = killed - (run.time[-1] + 1e-9 * run.metadata["start_time_ns"])
+    rig.notes.append(f"the recording lacks its last {lost:.2f} s")
+    missing = run.metadata["missing_samples"] if rig.way == FUSED else 0  # messages of a busy machine may come late
+    if lost > LOST or missing:
+        rig.broken.append(f"the recording lacks {lost:.2f} s, and {missing} samples amid the rest")
+
+
+def set_clock(rig: Rig, mishap: Mishap, amount: float) -> None:
+    """Let the time of day jump, while the axis moves.
+
+    Parameters
+    ----------
+    rig : Rig
+    mishap : Mishap
+    amount : float
+    """
+    assert isinstance(rig.beside, Clock)
+    for offset in OFFSETS:
+        rig.beside.set(offset)
+        rig.ask(rig.anywhere())
+        time.sleep(APART)
+
+
+def misbehave(rig: Rig, mishap: Mishap, amount: float) -> None:
+    """Let a device go wrong, and wait until it does not any more.
+
+    Parameters
+    ----------
+    rig : Rig
+    mishap : Mishap
+        Its victim is the fault.
+    amount : float
+        [s]
+    """
+    assert isinstance(rig.beside, Device)
+    rig.beside.go_wrong(mishap.victim, amount)
+    time.sleep(amount + 0.5)
+
+
+#: Seconds of the axis after which the faults of a fused loop begin: it has started and moved by then.
+SCHEDULE = 12.0
+#: Seconds for which something is done to the measurement, and after its time-out.
+LASTING, FURTHER = 3.0, 0.5
+
+
+def _lasts(mishap: Mishap, bounds: Bounds) -> float:
+    """Return for how long it is done [s]: until the voltage has had the time to become safe, where it must."""
+    return bounds.timeouts[mishap.safe] + FURTHER if mishap.safe else LASTING
+
+
+def scheduled(axis: AxisParameters, mishap: Mishap, amount: float, bounds: Bounds) -> AxisParameters:
+    """Return a fused axis to whose measurement it is done by itself.
+
+    Parameters
+    ----------
+    axis : AxisParameters
+    mishap : Mishap
+    amount : float
+    bounds : Bounds
+    """
+    rate = axis.plant_simulator.sample_rate
+    value = {"late": max(round(amount * rate), 1), "spike": amount * bounds.stroke, "drop": amount}.get(mishap.fault)
+    end = "" if value is None else f":{value:.9g}"
+    return axis.with_faults((f"{mishap.fault}:{SCHEDULE:g}:{_lasts(mishap, bounds):g}{end}",))
+
+
+def measure(rig: Rig, mishap: Mishap, amount: float) -> None:
+    """Let the measurement go wrong for some time.
+
+    Parameters
+    ----------
+    rig : Rig
+    mishap : Mishap
+        Its victim is what a relay does, its fault what the loop does.
+    amount : float
+    """
+    lasts = _lasts(mishap, rig.bounds)
+    if rig.relay is not None:
+        rig.relay.set(mishap.victim, amount)
+        _move(rig, mishap, lasts)
+        rig.relay.set("")
+        return
+    rate = rig.axis.plant_simulator.sample_rate
+    if not rig.witness.until(lambda: rig.witness.sample(rate) >= SCHEDULE * rate, SCHEDULE + LASTING):
+        rig.broken.append("the time of the axis stands still")
+    rig.begun = time.time()
+    _move(rig, mishap, lasts)
+
+
+def _move(rig: Rig, mishap: Mishap, lasts: float) -> None:
+    """Let the axis move while it lasts, unless the voltage has to become safe."""
+    until = time.monotonic() + lasts
+    while (left := until - time.monotonic()) > 0.0:
+        if not mishap.safe:
+            rig.ask(rig.anywhere())
+        time.sleep(min(left, 0.5))
+
+
+#: Seconds for which something is done again and again, and the distance of two turns of it.
+LONG, TURN = 3.0, 1e-3
+#: The axis is sent elsewhere once in so many turns.
+STEADY = 50
+#: A second sender's commands are within so many strokes.
+COMMANDED = 3.0
+#: Exit code and words of nodes that find others of their names at work.
+REFUSED, ONE_MASTER = 2, "one axis has one master"
+#: Values that no parameter may have.
+NONSENSE = (math.nan, -1e300, math.inf)
+#: Transitions of the lifecycle that are asked for: all but the end, and some that there are not.
+TRANSITIONS = (0, 1, 2, 3, 4, 8, 60, 99, 255)
+#: Setpoints that are none; one in so many is such a one.
+GARBAGE, GARBAGE_EVERY = (math.nan, math.inf, -math.inf, 1e300, -1.0), 7
+
+
+def flood(rig: Rig, mishap: Mishap, amount: float) -> None:
+    """Publish setpoints as fast as that, garbage among them, while all cores are busy.
+
+    Parameters
+    ----------
+    rig : Rig
+    mishap : Mishap
+    amount : float
+        Setpoints per second.
+    """
+    rig.asked += [rig.bounds.low, rig.bounds.high]
+    message, sent, begun = Float64(), 0, time.monotonic()
+    with busy():
+        while (passed := time.monotonic() - begun) < LONG:
+            while sent < passed * amount:
+                sent += 1
+                message.data = rig.anywhere() if sent % GARBAGE_EVERY else GARBAGE[sent % len(GARBAGE)]
+                rig.witness.setpoints.publish(message)
+            time.sleep(TURN)
+    rig.notes.append(f"{sent / LONG:.0f} a second")
+
+
+def second_sender(rig: Rig, mishap: Mishap, amount: float) -> None:
+    """Publish anything on a topic of the axis, as another graph or a tool would.
+
+    Parameters
+    ----------
+    rig : Rig
+    mishap : Mishap
+        Its victim is the topic.
+    amount : float
+        Messages per second.
+    """
+    kind = JointState if mishap.victim == "joint_states" else Float64
+    publisher = rig.witness.node.create_publisher(kind, mishap.victim, 10)
+    until, count = time.monotonic() + LONG, 0
+    while time.monotonic() < until:
+        count += 1
+        if count % STEADY == 0:
+            rig.ask(rig.anywhere())
+        publisher.publish(_other(rig, mishap.victim))
+        time.sleep(1.0 / amount)
+    rig.witness.node.destroy_publisher(publisher)
+
+
+def _other(rig: Rig, topic: str):
+    """Return a message of somebody else, within what the axis can do."""
+    bounds, random = rig.bounds, rig.random
+    if topic == "voltage":
+        return Float64(data=float(random.uniform(bounds.minimum, bounds.maximum)))
+    if topic == "command":
+        return Float64(data=float(random.uniform(-1.0, 1.0) * COMMANDED * bounds.stroke))
+    message = JointState(name=[rig.axis.plant_simulator.joint], position=[rig.anywhere()])
+    message.header.stamp = rig.witness.node.get_clock().now().to_msg()
+    return message
+
+
+def second_graph(rig: Rig, mishap: Mishap, amount: float) -> None:
+    """Start the same axis again beside the one that runs.
+
+    Parameters
+    ----------
+    rig : Rig
+    mishap : Mishap
+    amount : float
+    """
+    folder = rig.group.log.parent / f"second{len(list(rig.group.log.parent.glob('second*')))}"
+    folder.mkdir()
+    second = Group(rig.axis, rig.way, folder)
+    try:
+        rig.witness.until(lambda: None not in second.codes(), START)
+        refused, said = second.codes(), second.printed()
+    finally:
+        second.close()
+    if set(refused) != {REFUSED} or said.count(ONE_MASTER) != len(refused):
+        rig.broken.append(f"a second graph ended with {refused}: {' '.join(said.split())[-200:]}")
+
+
+def storm(rig: Rig, mishap: Mishap, amount: float) -> None:
+    """Change parameters while the axis moves: numbers a little, and to nonsense; all as they were in the end.
+
+    Parameters
+    ----------
+    rig : Rig
+    mishap : Mishap
+    amount : float
+        How often.
+    """
+    nodes = ("motion_controller", "hysteresis_compensator", "plant_simulator")
+    before = {node: _numbers(rig, node) for node in nodes}
+    refused = unanswered = 0
+    for count in range(int(amount)):
+        if count % STEADY == 0:
+            rig.ask(rig.anywhere())
+        node = str(rig.random.choice(nodes))
+        name = str(rig.random.choice(list(before[node])))
+        nonsense = NONSENSE[count % len(NONSENSE)] if count % 3 == 0 else None
+        value = before[node][name] * rig.random.uniform(0.98, 1.02) if nonsense is None else nonsense
+        answer = _set(rig, node, {name: value})
+        unanswered += answer is None
+        refused += answer is False
+    unanswered += sum(_set(rig, node, values) is None for node, values in before.items())
+    rig.notes.append(f"{int(amount)} changes, {refused} refused")
+    if unanswered:
+        rig.broken.append(f"{unanswered} changes of parameters were not answered")
+
+
+def _numbers(rig: Rig, node: str) -> dict[str, float]:
+    """Return the numbers among the parameters of a node that may change."""
+    listed = rig.witness.call(ListParameters, f"{node}/list_parameters")
+    names = list(listed.result.names) if listed is not None else []
+    values = rig.witness.call(GetParameters, f"{node}/get_parameters", GetParameters.Request(names=names))
+    found = {}
+    for name, value in zip(names, values.values if values is not None else [], strict=False):
+        if value.type == ParameterType.PARAMETER_DOUBLE and value.double_value:
+            found[name] = value.double_value
+    return {name: value for name, value in found.items() if _set(rig, node, {name: value})}
+
+
+def _set(rig: Rig, node: str, values: dict[str, float]) -> bool | None:
+    """Set parameters together; tell whether they were taken, None without an answer."""
+    request = SetParametersAtomically.Request()
+    request.parameters = [Parameter(name, value=value).to_parameter_msg() for name, value in values.items()]
+    answer = rig.witness.call(SetParametersAtomically, f"{node}/set_parameters_atomically", request)
+    return None if answer is None else answer.result.successful
+
+
+def anything(rig: Rig, mishap: Mishap, amount: float) -> None:
+    """Ask nodes for transitions and services in any order; in the end all are active and started.
+
+    Parameters
+    ----------
+    rig : Rig
+    mishap : Mishap
+    amount : float
+        How often.
+    """
+    unanswered = 0
+    for _ in range(int(amount)):
+        node = str(rig.random.choice(NODE_NAMES[:4]))
+        if rig.random.random() < 0.5:
+            unanswered += not rig.witness.trigger(node, str(rig.random.choice(("start", "stop", "reset"))))
+        else:
+            unanswered += not rig.witness.transition(node, int(rig.random.choice(TRANSITIONS)))
+    for wanted in (Transition.TRANSITION_CONFIGURE, Transition.TRANSITION_ACTIVATE):
+        for node in NODE_NAMES[:4]:
+            unanswered += not rig.witness.transition(node, wanted)
+    unanswered += sum(not rig.witness.trigger(node, "start") for node in NODE_NAMES[:4])
+    if unanswered:
+        rig.broken.append(f"{unanswered} of {int(amount)} calls were not answered")
+
+
+#: Each is called with the rig, the mishap and the amount.
+ACTIONS = {
+    "kill": kill,
+    "stop": stop,
+    "flood": flood,
+    "second sender": second_sender,
+    "storm": storm,
+    "anything": anything,
+    "measure": measure,
+    "load": load,
+    "fill": fill,
+    "misbehave": misbehave,
+    "cut recording": cut_recording,
+    "set clock": set_clock,
+    "second graph": second_graph,
+}

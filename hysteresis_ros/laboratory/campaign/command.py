@@ -1,0 +1,71 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""``hysteresis faults``: do to an axis of its own what goes wrong on a bench, and say what held."""
+
+from __future__ import annotations
+
+import pathlib
+
+import click
+
+from hysteresis_ros.cli.options import ConfigurationName
+
+
+@click.command(short_help="Kill, stop, flood and starve an axis of its own; say what held.")
+@click.argument("config", type=ConfigurationName(), default="picma_stage")
+@click.option("--ways", default="fused,composed,processes", show_default=True, help="How the nodes run.")
+@click.option("--only", multiple=True, metavar="NAME", help="Only this mishap, or this group; may be repeated.")
+@click.option("--rounds", type=click.IntRange(1), default=1, show_default=True, help="How often, at other moments.")
+@click.option("--seed", type=int, default=1, show_default=True, help="Of the moments.")
+@click.option(
+    "--rate",
+    type=click.FloatRange(1.0, 1e5),
+    default=None,
+    metavar="HZ",
+    help="Sample rate in the place of the file's; losses of nodes are the same at 10, 200 and 3000.",
+)
+@click.option("--list", "listed", is_flag=True, help="Print what would be done, and do nothing.")
+@click.option("-o", "output", type=click.Path(path_type=pathlib.Path), help="Page (Markdown) for it all.")
+@click.option("--json", "figures", type=click.Path(path_type=pathlib.Path), help="JSON file for the figures.")
+@click.option(
+    "--add", multiple=True, type=click.Path(path_type=pathlib.Path), help="Figures of before for the page, too."
+)
+def faults(config, ways, only, rounds, seed, rate, listed, output, figures, add):
+    """Start the axis of CONFIG with a simulated plant, in a ROS domain of its own, and let everything go wrong.
+
+    Nodes are killed and stopped, messages lost and forged, cores and disks taken; for each it is judged whether the
+    voltage kept its limits and became safe in time, and whether the axis recovers. Ends with exit code 0 when all
+    held, 4 when something did not, 2 for wrong input.
+    """
+    from hysteresis_ros.laboratory.campaign.mishaps import chosen, chosen_ways
+    from hysteresis_ros.laboratory.campaign.results import load_results
+
+    wanted, mishaps = chosen_ways(ways), chosen(only)
+    if listed:
+        for mishap in mishaps:
+            click.echo(f"{mishap.name} [{', '.join(mishap.ways)}]: {mishap.done}")
+        return
+    for option, path in (("-o", output), ("--json", figures)):
+        if path is not None and not path.absolute().parent.is_dir():
+            raise click.UsageError(f"{option} {path}: there is no such folder; choose another place")
+    for path in add:
+        load_results(path)
+    from hysteresis_ros.configuration import load_configuration
+    from hysteresis_ros.laboratory.campaign.judging import at_rate, prepared
+    from hysteresis_ros.nodes.launcher import run_apart
+
+    configuration = at_rate(load_configuration(config), rate or 0.0)
+    for way in wanted:
+        prepared(configuration, way, "/faults")
+    request = {"config": config, "ways": wanted, "only": [mishap.name for mishap in mishaps]}
+    request |= {"rounds": rounds, "seed": seed, "rate": rate or 0.0, "add": [str(path.absolute()) for path in add]}
+    files = {"output": output, "json": figures}
+    request |= {name: str(path.absolute()) if path else "" for name, path in files.items()}
+    raise SystemExit(run_apart("hysteresis_ros.laboratory.campaign", request))

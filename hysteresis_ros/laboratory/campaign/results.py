@@ -1,0 +1,255 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""What a campaign came to: the conditions, the figures in a file, and the page it writes."""
+
+from __future__ import annotations
+
+import datetime
+import importlib.metadata
+import json
+import math
+import os
+import pathlib
+import platform
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import asdict, dataclass, replace
+
+import hysteresis_ros
+from hysteresis_ros.errors import ConfigurationError
+from hysteresis_ros.laboratory.campaign.judging import Figures, Samples, Trace, Verdict, worst
+from hysteresis_ros.laboratory.campaign.mishaps import ALWAYS, Mishap
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What a reader of figures must know.
+
+    Parameters
+    ----------
+    date : str
+    machine : str
+        System, processors, versions.
+    load : float
+        Processes that want to run, mean of a minute.
+    transports : str
+        Of DDS, as the environment says.
+    """
+
+    date: str
+    machine: str
+    load: float
+    transports: str
+
+
+def conditions() -> Conditions:
+    """Return the conditions of now."""
+    words = [
+        f"{platform.system()} {platform.release()}",
+        f"{os.cpu_count()} cores",
+        f"Python {platform.python_version()}",
+        f"hysteresis_ros {hysteresis_ros.__version__}",
+    ]
+    for name in ("numba", "ros-jazzy-rclpy"):
+        try:
+            words.append(f"{name} {importlib.metadata.version(name)}")
+        except importlib.metadata.PackageNotFoundError:
+            continue
+    now = datetime.datetime.now(datetime.UTC)
+    transports = os.environ.get("FASTDDS_BUILTIN_TRANSPORTS", "the default ones")
+    return Conditions(f"{now:%Y-%m-%d %H:%M} UTC", ", ".join(words), os.getloadavg()[0], transports)
+
+
+@dataclass(frozen=True)
+class Results:
+    """What campaigns came to.
+
+    Parameters
+    ----------
+    config : str
+        Which axis.
+    verdicts : tuple of Verdict
+    before, after : Conditions
+        At the beginning and the end.
+    """
+
+    config: str
+    verdicts: tuple[Verdict, ...]
+    before: Conditions
+    after: Conditions
+
+    def and_of(self, other: Results) -> Results:
+        """Return these and those of another campaign.
+
+        Parameters
+        ----------
+        other : Results
+
+        Raises
+        ------
+        ConfigurationError
+            It was of another axis.
+        """
+        if other.config != self.config:
+            raise ConfigurationError(f"figures of {other.config} do not belong beside those of {self.config}")
+        first = min((self.before, other.before), key=lambda when: when.date)
+        last = max((self.after, other.after), key=lambda when: when.date)
+        return Results(self.config, other.verdicts + self.verdicts, first, last)
+
+    def save(self, path: pathlib.Path) -> None:
+        """Write them as JSON; of the samples only what they came to.
+
+        Parameters
+        ----------
+        path : pathlib.Path
+            The file.
+        """
+        rows = [
+            {"figures": asdict(one.figures), "failures": one.failures, "trace": _without_samples(one.trace)}
+            for one in self.verdicts
+        ]
+        table = {"config": self.config, "before": asdict(self.before), "after": asdict(self.after), "verdicts": rows}
+        path.write_text(json.dumps(table, indent=1, ensure_ascii=False) + "\n", encoding="utf-8")
+
+
+def _without_samples(trace: Trace) -> dict:
+    return {name: value for name, value in vars(trace).items() if name != "samples"}
+
+
+def load_results(path: pathlib.Path) -> Results:
+    """Read what :meth:`Results.save` has written.
+
+    Parameters
+    ----------
+    path : pathlib.Path
+
+    Raises
+    ------
+    ConfigurationError
+        It cannot be read, or holds something else.
+    """
+    try:
+        table = json.loads(path.read_text(encoding="utf-8"))
+        verdicts = tuple(
+            Verdict(_trace(row["trace"]), Figures(**row["figures"]), tuple(row["failures"]))
+            for row in table["verdicts"]
+        )
+        return Results(table["config"], verdicts, Conditions(**table["before"]), Conditions(**table["after"]))
+    except OSError as error:
+        raise ConfigurationError(f"{path}: cannot be read: {error.strerror}") from None
+    except (ValueError, KeyError, TypeError) as error:
+        raise ConfigurationError(f"{path}: no figures of hysteresis faults --json: {error}") from None
+
+
+def _trace(values: dict) -> Trace:
+    made = Trace(samples=Samples.of(()), **values)
+    low, high = made.asked
+    return replace(made, asked=(low, high), broken=tuple(made.broken), notes=tuple(made.notes))
+
+
+HEAD = """# What goes wrong, and what happens then
+
+Written by `hysteresis faults`: real nodes in a ROS domain of their own, to which everything below was done, and what
+was seen of them. The same on your machine, with your axis, whose plant is simulated then:
+`hysteresis faults my_axis.yaml -o reliability.md`.
+
+In each of them {always}.
+
+A cell says whether all of that, and what stands in the second column, held in that way of running, and the worst
+figures: the voltages that the plant put out; the largest step of the voltage between two samples as a part of what the
+slew rate allows; how far the displacement went beyond the places between rest and what was asked for, as a part of the
+stroke, from 5 % on (allowed is a tenth, and what the slew rate makes of it while voltages are late and the plant does
+not trip yet); where the voltage must become safe, after which time it was; and how long after the end of the mishap the
+axis was where a new setpoint sends it, the time of that move included. Fused every sample is judged, from the
+recording; composed and as processes all that the plant published.
+"""
+
+
+#: So many letters of what a node says of itself stand in the table.
+QUOTED = 90
+#: Part of the stroke from which on it is said how far the displacement went beyond what was asked for.
+REMARKABLE = 0.05
+
+
+def _time(seconds: float) -> str:
+    return "never" if math.isinf(seconds) else f"{seconds:.2g} s" if seconds < 9.95 else f"{seconds:.0f} s"
+
+
+def _figures(figures: Figures) -> str:
+    words = [f"{figures.lowest:.3g} … {figures.highest:.3g} V, step {figures.step:.2f}"]
+    if figures.beyond >= REMARKABLE:
+        words.append(f"{100.0 * figures.beyond:.2g} % beyond")
+    if not math.isnan(figures.safe):
+        words.append(f"safe after {_time(figures.safe)}")
+    words.append(f"back after {_time(figures.recovery)}")
+    return ", ".join(words)
+
+
+def line(verdict: Verdict) -> str:
+    """Return in a line what a mishap came to.
+
+    Parameters
+    ----------
+    verdict : Verdict
+    """
+    trace = verdict.trace
+    name = f"{trace.way}, {trace.mishap}{f' ({trace.amount:g})' if trace.amount else ''}"
+    said = f"; said: {trace.said}" if trace.said else ""
+    notes = "".join(f"; {note}" for note in trace.notes)
+    held = f"NOT HELD: {'; '.join(verdict.failures)}; " if verdict.failures else "held: "
+    return f"{name}: {held}{_figures(verdict.figures)}{notes}{said} (load {trace.load:.1f})"
+
+
+def _cell(mishap: Mishap, way: str, verdicts: list[Verdict]) -> str:
+    """Return what stands in the table for a mishap in a way of running."""
+    if way not in mishap.ways:
+        return f"does not apply: {mishap.elsewhere}"
+    if not verdicts:
+        return "not tried"
+    failed = [verdict for verdict in verdicts if verdict.failures]
+    words = _figures(worst(verdicts))
+    said = next((verdict.trace.said for verdict in verdicts if verdict.trace.said), "")
+    notes = {re.sub(r"[\d.]+", "", note): note for verdict in verdicts for note in verdict.trace.notes}
+    words += "".join(f"; {note}" for note in notes.values())
+    words += f"; “{said.split(';')[0][:QUOTED]}”" if said else ""
+    if not failed:
+        return f"held: {words}"
+    reasons = "; ".join(dict.fromkeys(reason for verdict in failed for reason in verdict.failures))
+    return f"**not held, {len(failed)} of {len(verdicts)}**: {reasons}; {words}"
+
+
+def page(mishaps: Iterable[Mishap], ways: Sequence[str], results: Results) -> str:
+    """Return the page of a campaign.
+
+    Parameters
+    ----------
+    mishaps : iterable of Mishap
+        Those that were done.
+    ways : sequence of str
+    results : Results
+    """
+    verdicts, before, after = results.verdicts, results.before, results.after
+    lines = [HEAD.format(always=ALWAYS)]
+    loads = [verdict.trace.load for verdict in verdicts] or [before.load]
+    lines.append(
+        f"{before.date} … {after.date}; axis `{results.config}`; {before.machine}; "
+        f"load {min(loads):.1f} … {max(loads):.1f}; DDS transports: {before.transports}."
+    )
+    heading = None
+    for mishap in mishaps:
+        if mishap.group != heading:
+            heading = mishap.group
+            columns = ["what is done", "what must happen", *ways]
+            lines += [f"\n## {heading}\n", f"| {' | '.join(columns)} |", f"|{'---|' * len(columns)}"]
+        mine = [verdict for verdict in verdicts if verdict.trace.mishap == mishap.name]
+        cells = [f"**{mishap.name}**: {mishap.done}", mishap.claim or "what is said above"]
+        cells += [_cell(mishap, way, [one for one in mine if one.trace.way == way]) for way in ways]
+        lines.append("| " + " | ".join(cell.replace("|", "/") for cell in cells) + " |")
+    return "\n".join(lines) + "\n"

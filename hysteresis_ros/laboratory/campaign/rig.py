@@ -1,0 +1,493 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""The fixture of a campaign: an axis as processes of its own, its surroundings, and what is observed of it.
+
+Each process can be killed, stopped and started by itself. The surroundings are an emulated device with faults, a disk
+that is nearly full, and a time of day that can be set.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import pathlib
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import time
+from dataclasses import replace
+
+import numpy as np
+
+from hysteresis_ros.configuration import NODE_NAMES
+from hysteresis_ros.errors import HysteresisError
+from hysteresis_ros.laboratory.campaign.judging import REACHED, Samples, Trace, bounds_of
+from hysteresis_ros.laboratory.campaign.mishaps import FUSED, PROCESSES, Mishap
+from hysteresis_ros.laboratory.campaign.witness import REMAP, Relay, Witness
+from hysteresis_ros.loop.parameters import AxisParameters
+from hysteresis_ros.nodes.axis import WITH_RECORDER
+from hysteresis_ros.nodes.launcher import PATIENCE, STOP_ORDER, node_command, node_environment, started
+from hysteresis_ros.recordings.align import read_recording
+
+#: The process that holds all nodes, and the one that records beside those of messages.
+AXIS, RECORDER = "hysteresis_axis", "recorder"
+
+#: So many words of what was printed last say why somebody left.
+LAST_WORDS = 30
+
+
+class Group:
+    """The processes of one axis.
+
+    Parameters
+    ----------
+    axis : AxisParameters
+    way : str
+        Of :data:`hysteresis_ros.laboratory.campaign.mishaps.WAYS`.
+    folder : pathlib.Path
+        For parameter files, recordings and what the processes print.
+    remap : tuple of str
+        Remappings ``node:topic:=other``.
+    prefix : tuple of str
+        Before the command line of each process.
+    environment : dict of str to str, optional
+        Variables of the processes beside those of this one.
+    """
+
+    def __init__(
+        self,
+        axis: AxisParameters,
+        way: str,
+        folder: pathlib.Path,
+        remap: tuple[str, ...] = (),
+        prefix: tuple[str, ...] = (),
+        environment: dict[str, str] | None = None,
+    ):
+        self.names = NODE_NAMES[:4] if way == PROCESSES else (AXIS,)
+        self.log = folder / "log.txt"
+        self.bags: list[pathlib.Path] = []
+        self._axis, self._way, self._folder = axis, way, folder
+        self._more = [word for rule in remap for word in ("-r", rule)]
+        self._prefix = list(prefix)
+        self._environment = {**node_environment(), **(environment or {}), "PYTHONUNBUFFERED": "1"}
+        self._processes: dict[str, subprocess.Popen] = {}
+        self._ended: set[str] = set()
+        for name in self.names:
+            self.start(name)
+
+    def start(self, name: str) -> None:
+        """Start a process; one that was ended is started anew.
+
+        Parameters
+        ----------
+        name : str
+            Of :attr:`names`, or :data:`RECORDER`.
+        """
+        axis, more = self._axis, []
+        if self._way == FUSED or name == RECORDER:
+            self.bags.append(self._folder / f"bag{len(self.bags)}")
+            axis, more = axis.with_recorder(str(self.bags[-1])), [] if name == RECORDER else [WITH_RECORDER]
+        path = self._folder / f"{name}.yaml"
+        path.write_text(axis.configuration_text(), encoding="utf-8")
+        command = [*self._prefix, *node_command(name, axis.namespace, path, *more, log_level="info"), *self._more]
+        self._ended.discard(name)
+        with open(self.log, "a", encoding="utf-8") as log:
+            self._processes[name] = started(command, self._environment, stdout=log, stderr=subprocess.STDOUT)
+
+    def send(self, name: str, number: signal.Signals) -> None:
+        """Send a signal to a process; ``SIGKILL`` is waited for.
+
+        Parameters
+        ----------
+        name : str
+        number : signal.Signals
+        """
+        if number == signal.SIGKILL:
+            self._ended.add(name)
+        self._processes[name].send_signal(number)
+        if number == signal.SIGKILL:
+            self._processes[name].wait()
+
+    def identifier(self, name: str) -> int:
+        """Return the number of a process."""
+        return self._processes[name].pid
+
+    def end(self, name: str) -> int | None:
+        """End a process as Ctrl-C does; return its exit code, None when it had to be killed."""
+        self._ended.add(name)
+        process = self._processes[name]
+        process.send_signal(signal.SIGCONT)
+        process.send_signal(signal.SIGTERM)
+        try:
+            return process.wait(PATIENCE)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+            return None
+
+    def codes(self) -> list[int | None]:
+        """Return the exit codes of the processes, None of those that run."""
+        return [process.poll() for process in self._processes.values()]
+
+    def died(self) -> list[str]:
+        """Return who ended without having been asked to, in words."""
+        found = []
+        for name, process in self._processes.items():
+            code = process.poll()
+            if code is not None and name not in self._ended:
+                found.append(f"{name} ended by itself with exit code {code}")
+        return found
+
+    def printed(self, since: int = 0) -> str:
+        """Return what the processes have printed.
+
+        Parameters
+        ----------
+        since : int
+            Bytes that are left out.
+        """
+        with open(self.log, "rb") as log:
+            log.seek(since)
+            return log.read().decode("utf-8", "replace")
+
+    def close(self) -> list[str]:
+        """End all processes; return in words what went wrong with that."""
+        found = []
+        begun = time.monotonic()
+        for name in sorted(self._processes, key=STOP_ORDER.index):
+            if self._processes[name].poll() is not None:
+                continue
+            code = self.end(name)
+            if code and not (code == 1 and self._prefix):  # what has no room ends with a recording that is too short
+                last = " ".join(self.printed().split()[-LAST_WORDS:])
+                found.append(f"{name} left with exit code {code}: {last}")
+            elif code is None:
+                found.append(f"{name} had to be killed after {time.monotonic() - begun:.0f} s")
+        return found
+
+
+#: Largest file of a process on a small disk [KiB].
+ROOM = 1024
+#: Seconds in which an emulated device is there, and between two looks.
+DEVICE_START, DEVICE_LOOK = 60.0, 0.05
+#: What Python runs first in a process whose time of day can be set.
+TIME_OF_DAY = """import os, struct, time
+_time, _time_ns, _file = time.time, time.time_ns, os.open({path!r}, os.O_RDONLY)
+def _offset():
+    return struct.unpack("q", os.pread(_file, 8, 0))[0]
+time.time = lambda: _time() + _offset()
+time.time_ns = lambda: _time_ns() + 1_000_000_000 * _offset()
+"""
+
+
+def small_disk() -> tuple[str, ...]:
+    """Return what stands before a command whose disk is nearly full: a limit on files is that to whoever writes."""
+    return "bash", "-c", f'ulimit -f {ROOM}; exec "$@"', "bash"
+
+
+class Clock:
+    """A time of day that processes see in the place of the machine's; steady clocks and DDS go on with the machine's.
+
+    Libraries that are put before the C library's clocks (libfaketime 0.9.10) let every sleep of Python 3.11 fail, and
+    the clock of the machine is everybody's: so it is Python's own that is replaced, before anything else is imported.
+
+    Parameters
+    ----------
+    folder : pathlib.Path
+        For the files from which they know it.
+    """
+
+    def __init__(self, folder: pathlib.Path):
+        self._folder, self._file = folder, folder / "time_of_day"
+        self.set(0)
+        (folder / "sitecustomize.py").write_text(TIME_OF_DAY.format(path=str(self._file)), encoding="utf-8")
+
+    @property
+    def environment(self) -> dict[str, str]:
+        """Environment variables of the processes."""
+        paths = (str(self._folder), node_environment().get("PYTHONPATH", ""))
+        return {"PYTHONPATH": os.pathsep.join(path for path in paths if path)}
+
+    def set(self, offset: int) -> None:
+        """Let the time of day be off by so much from now on.
+
+        Parameters
+        ----------
+        offset : int
+            [s]
+        """
+        with open(self._file, "r+b" if self._file.exists() else "wb") as file:
+            file.write(struct.pack("q", offset))
+
+    def close(self) -> None:
+        """Nothing is left of it."""
+
+
+class Device:
+    """An emulated controller in the simulated plant's place, with a plant inside.
+
+    Parameters
+    ----------
+    config : str
+        Whose plant it has.
+
+    Raises
+    ------
+    HysteresisError
+        It does not start.
+    """
+
+    def __init__(self, config: str):
+        with socket.socket() as probe:
+            probe.bind(("127.0.0.1", 0))
+            self._port = probe.getsockname()[1]
+        words = ["emulate", "gcs", "--port", str(self._port), "--plant", config]
+        command = [sys.executable, "-m", "hysteresis_ros.cli.main", *words]
+        pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.DEVNULL, "text": True}
+        self._process = started(command, node_environment(), **pipes)
+        patience = time.monotonic() + DEVICE_START
+        while not self._answers():
+            if self._process.poll() is not None or time.monotonic() > patience:
+                self.close()
+                raise HysteresisError(f"the emulated controller does not start: hysteresis {' '.join(words)}")
+            time.sleep(DEVICE_LOOK)
+
+    def _answers(self) -> bool:
+        with socket.socket() as probe:
+            probe.settimeout(DEVICE_LOOK)
+            return probe.connect_ex(("127.0.0.1", self._port)) == 0
+
+    def driven(self, axis: AxisParameters) -> AxisParameters:
+        """Return an axis that drives it.
+
+        Parameters
+        ----------
+        axis : AxisParameters
+        """
+        plant = axis.plant_simulator
+        back = (plant.limits.maximum - plant.limits.minimum) / plant.safe_slew_rate
+        gcs = replace(plant.gcs, port=self._port, safe_time=back)
+        return replace(axis, plant_simulator=replace(plant, driver="gcs", gcs=gcs))
+
+    def go_wrong(self, fault: str, seconds: float) -> None:
+        """Let something go wrong from now on.
+
+        Parameters
+        ----------
+        fault : str
+            Of ``hysteresis emulate --help``.
+        seconds : float
+        """
+        assert self._process.stdin is not None
+        self._process.stdin.write(f"{fault}:0:{seconds:g}\n")
+        self._process.stdin.flush()
+
+    def close(self) -> None:
+        """End it."""
+        self._process.kill()
+        self._process.wait()
+
+
+#: Seconds that an axis gets to start: at first it may be compiled, on a machine that is busy; and to start again, and
+#: to follow a setpoint again.
+FIRST_START, START, RECOVERY = 300.0, 60.0, 40.0
+#: How often an axis is sent somewhere before it counts as one that does not run.
+TRIES = 3
+#: Seconds after which a setpoint is sent again: whoever was not there has not heard it.
+AGAIN = 1.0
+#: Seconds for which a place must be kept to be reached, and within which a mishap begins after a move has.
+KEPT, MOVING = 0.1, 0.4
+#: What nobody may print.
+TRACEBACK = "Traceback (most recent call last)"
+
+
+class Rig:
+    """An axis that runs, and a witness.
+
+    Parameters
+    ----------
+    axis : AxisParameters
+        Prepared, see :func:`hysteresis_ros.laboratory.campaign.judging.prepared`.
+    way : str
+        Of :data:`hysteresis_ros.laboratory.campaign.mishaps.WAYS`.
+    folder : pathlib.Path
+    random : numpy.random.Generator
+    relayed : bool
+        Whether a relay stands between the plant and the others.
+    beside : Device or Clock, optional
+        That ends with it.
+    **options
+        Of :class:`~hysteresis_ros.laboratory.campaign.rig.Group`.
+
+    Raises
+    ------
+    HysteresisError
+        The axis does not start.
+    """
+
+    def __init__(
+        self,
+        axis: AxisParameters,
+        way: str,
+        folder: pathlib.Path,
+        random: np.random.Generator,
+        relayed: bool = False,
+        beside: Device | Clock | None = None,
+        **options,
+    ):
+        self.beside = beside
+        self.axis, self.way, self.random = axis, way, random
+        self.bounds = bounds_of(axis)
+        self.broken: list[str] = []
+        self.notes: list[str] = []
+        self.asked: list[float] = []
+        self.starts = 0
+        self.begun = math.nan
+        self.group = Group(axis, way, folder, remap=REMAP if relayed else (), **options)
+        self.witness = Witness(axis.namespace)
+        self.relay = Relay(self.witness, self.bounds.stroke, random) if relayed else None
+        self.witness.until(lambda: len(self.witness.rows) > 5 or self.group.died(), FIRST_START)
+        if not self.witness.rows:
+            self._give_up("does not start")
+        self.rest = self.witness.displacement
+        # four processes that start at once on a busy machine may be late at first
+        if not any(self.follows() for _ in range(TRIES)):
+            self._give_up("does not follow setpoints")
+
+    def _give_up(self, what: str) -> None:
+        """Say what is wrong with an axis to which nothing has been done yet."""
+        printed = self.group.printed().strip().splitlines()[-3:]
+        self.close()
+        raise HysteresisError(f"the axis {what}, {self.way}, before anything was done to it: {' / '.join(printed)}")
+
+    def _go_on(self) -> None:
+        """Let an axis go on that has tripped; only somebody who has looked at it may."""
+        if self.witness.tripped and self.witness.trigger("plant_simulator", "start"):
+            self.starts += 1
+
+    # -- moving ----------------------------------------------------------------------------------------------------
+
+    def ask(self, setpoint: float) -> None:
+        """Publish a setpoint, and remember that it was asked for.
+
+        Parameters
+        ----------
+        setpoint : float
+            [m]
+        """
+        self.asked.append(setpoint)
+        self.witness.ask(setpoint)
+
+    def anywhere(self) -> float:
+        """Return some place of the axis [m]."""
+        return float(self.random.uniform(self.bounds.low, self.bounds.high))
+
+    def follows(self, seconds: float = RECOVERY) -> bool:
+        """Send the axis to the farther end, and tell whether it gets there and stays.
+
+        Parameters
+        ----------
+        seconds : float
+            At most.
+        """
+        low, high = self.bounds.low, self.bounds.high
+        target = low if self.witness.displacement > 0.5 * (low + high) else high
+        since = math.inf
+        asked = 0.0
+
+        def there() -> bool:
+            nonlocal since, asked
+            now = time.monotonic()
+            if now - asked > AGAIN:
+                self._go_on()
+                self.ask(target)
+                asked = now
+            if not abs(self.witness.displacement - target) <= REACHED * self.bounds.stroke:  # it may be NaN
+                since = math.inf
+            else:
+                since = min(since, now)
+            return now - since > KEPT
+
+        return self.witness.until(there, seconds)
+
+    def runs(self, nodes=None) -> bool:
+        """Wait until nodes are active; tell whether they are.
+
+        Parameters
+        ----------
+        nodes : iterable of str, optional
+            All of the axis by default.
+        """
+        names = nodes or ("plant_simulator", "reference_generator", "motion_controller", "hysteresis_compensator")
+        return all(self.witness.until(lambda node=node: self.witness.is_active(node), START) for node in names)
+
+    # -- mishaps ---------------------------------------------------------------------------------------------------
+
+    def endure(self, mishap: Mishap, amount: float, action) -> Trace:
+        """Let something happen amid a move, and return what was seen.
+
+        Parameters
+        ----------
+        mishap : Mishap
+        amount : float
+        action : callable
+            ``action(rig, mishap, amount)`` does it.
+        """
+        self.broken, self.notes, self.asked, self.starts = [], [], [self.rest, self.witness.displacement], 0
+        witness, printed = self.witness, self.group.log.stat().st_size
+        witness.rows.clear()
+        self.ask(self.anywhere())
+        time.sleep(self.random.uniform(0.0, MOVING))
+        self.begun = time.time()
+        action(self, mishap, amount)
+        begun, ended = self.begun, time.time()
+        recovered = time.time() if self.follows() else math.nan
+        if self.starts:
+            self.notes.append("it trips, and goes on with ~/start")
+        self.broken += self.group.died()
+        if TRACEBACK in self.group.printed(printed):
+            self.broken.append("a traceback is printed")
+        return Trace(
+            mishap.name,
+            self.way,
+            amount,
+            os.getloadavg()[0],
+            begun,
+            ended,
+            recovered,
+            (float(np.nanmin(self.asked)), float(np.nanmax(self.asked))),
+            Samples.of(witness.rows).between(begun, math.inf),
+            tuple(self.broken),
+            witness.gravest(begun),
+            tuple(self.notes),
+        )
+
+    def close(self) -> list[str]:
+        """End the axis; return in words what went wrong with that."""
+        found = self.group.close()
+        for other in (self.relay, self.beside):
+            if other is not None:
+                other.close()
+        self.witness.close()
+        return found
+
+    def recorded(self) -> Samples:
+        """Return all samples that the recordings of a fused axis hold, one after the other."""
+        if self.way != FUSED:
+            return Samples.of(())
+        found = []
+        for life, bag in enumerate(self.group.bags):
+            run = read_recording(bag, self.axis.namespace, further=True)
+            time_ = run.time + 1e-9 * run.metadata["start_time_ns"]
+            columns = (time_, run.time, run["plant_voltage"], run["displacement"], np.full(len(run), life))
+            found.append(np.vstack(columns).T)
+        return Samples.of(np.vstack(found) if found else ())

@@ -1,0 +1,151 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Runs a campaign: way by way, mishap by mishap."""
+
+from __future__ import annotations
+
+import math
+import os
+import pathlib
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+
+from hysteresis_ros.configuration import load_configuration
+from hysteresis_ros.errors import HysteresisError
+from hysteresis_ros.laboratory.campaign.actions import ACTIONS, scheduled
+from hysteresis_ros.laboratory.campaign.judging import Samples, Trace, Verdict, at_rate, bounds_of, judged, prepared
+from hysteresis_ros.laboratory.campaign.mishaps import CLOCK, DEVICE, FUSED, RELAY, SMALL_DISK, Mishap
+from hysteresis_ros.laboratory.campaign.rig import Clock, Device, Rig, small_disk
+
+
+@dataclass(frozen=True)
+class Campaign:
+    """What is to be done, to which axis.
+
+    Parameters
+    ----------
+    config : str
+        Path or name of the configuration.
+    mishaps : tuple of Mishap
+    ways : tuple of str
+    rounds : int
+        How often each is done, at other moments.
+    seed : int
+        Of the moments.
+    folder : pathlib.Path
+        For files that are not kept.
+    rate : float
+        Sample rate [Hz]; 0: that of the configuration.
+    """
+
+    config: str
+    mishaps: tuple[Mishap, ...]
+    ways: tuple[str, ...]
+    rounds: int
+    seed: int
+    folder: pathlib.Path
+    rate: float = 0.0
+
+    def run(self, tell: Callable[[Verdict], None]) -> list[Verdict]:
+        """Do it all; return what came of it.
+
+        Parameters
+        ----------
+        tell : callable
+            Gets each verdict as soon as it is known; of a fused axis that is when its recording is complete.
+
+        Raises
+        ------
+        ConfigurationError, ParameterError
+            The configuration cannot be run so.
+        HysteresisError
+            An axis does not start.
+        """
+        found: list[Verdict] = []
+        for way in self.ways:
+            configuration = at_rate(load_configuration(self.config), self.rate)
+            axis = prepared(configuration, way, f"/faults_{os.getpid()}_{way}")
+            mishaps = [mishap for mishap in self.mishaps if way in mishap.ways]
+            series = _Series(axis, way, self.config, self.folder, np.random.default_rng(self.seed))
+            for verdict in series.of(mishaps, self.rounds):
+                tell(verdict)
+                found.append(verdict)
+        return found
+
+
+class _Series:
+    """Mishaps in one way of running: those of one graph on one axis, until it does not recover."""
+
+    def __init__(self, axis, way: str, config: str, folder: pathlib.Path, random: np.random.Generator):
+        self._axis, self._way, self._config, self._folder, self._random = axis, way, config, folder, random
+        self._bounds = bounds_of(axis)
+        self._rigs = 0
+
+    def of(self, mishaps: Iterable[Mishap], rounds: int) -> Iterable[Verdict]:
+        """Do them; yield what came of each."""
+        todo = [(mishap, amount) for mishap in mishaps for amount in mishap.amounts for _ in range(rounds)]
+        while todo:
+            try:
+                rig = self._rig(*todo[0])
+            except HysteresisError as error:
+                yield self._not_begun(*todo.pop(0), str(error))
+                continue
+            seen: list[tuple[Mishap, Trace]] = []
+            try:
+                while not seen or (todo and self._goes_on(seen[-1], todo[0][0])):
+                    mishap, amount = todo.pop(0)
+                    seen.append((mishap, rig.endure(mishap, amount, ACTIONS[mishap.action])))
+                    if self._way != FUSED:
+                        yield judged(seen[-1][1], mishap, self._bounds)
+            finally:
+                left = rig.close()
+            if self._way == FUSED:
+                samples = rig.recorded()
+                for mishap, trace in seen:
+                    yield judged(trace.with_samples(samples), mishap, self._bounds)
+            if left:
+                raise HysteresisError(f"{self._way}, at the end: {'; '.join(left)}")
+
+    def _not_begun(self, mishap: Mishap, amount: float, reason: str) -> Verdict:
+        """Return what came of a mishap whose axis does not run."""
+        now = time.time()
+        none = Samples.of(())
+        trace = Trace(
+            mishap.name, self._way, amount, os.getloadavg()[0], now, now, math.nan, (0.0, 0.0), none, (reason,)
+        )
+        return judged(trace, mishap, self._bounds)
+
+    def _goes_on(self, last: tuple[Mishap, Trace], following: Mishap) -> bool:
+        """Tell whether the axis serves for another mishap."""
+        mishap, trace = last
+        alone = self._way == FUSED and (mishap.fault or following.fault)
+        return bool(np.isfinite(trace.recovered)) and mishap.graph == following.graph and not alone
+
+    def _rig(self, mishap: Mishap, amount: float) -> Rig:
+        """Start an axis with what a mishap needs."""
+        self._rigs += 1
+        folder, axis, options = self._folder / f"{self._way}{self._rigs}", self._axis, {}
+        folder.mkdir()
+        if mishap.fault and self._way == FUSED:
+            axis = scheduled(axis, mishap, amount, self._bounds)
+        elif mishap.graph == RELAY:
+            options["relayed"] = True
+        elif mishap.graph == SMALL_DISK:
+            options["prefix"] = small_disk()
+        elif mishap.graph == DEVICE:
+            device = options["beside"] = Device(self._config)
+            axis = device.driven(axis)
+        elif mishap.graph == CLOCK:
+            clock = options["beside"] = Clock(folder)
+            options["environment"] = clock.environment
+        return Rig(axis, self._way, folder, self._random, **options)

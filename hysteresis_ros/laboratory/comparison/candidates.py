@@ -1,0 +1,426 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""The controllers and compensators that are compared, each designed on what is known of an axis: its models alone.
+
+Designs take :class:`Known`. It is made of a configuration, of which the plant's section is left out, and no plant that
+was drawn (:mod:`hysteresis_ros.laboratory.comparison.plants`) fits into it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from hysteresis_ros.configuration import Configuration, parse_configuration
+from hysteresis_ros.control.controller import ControllerParameters
+from hysteresis_ros.control.damping.inner_loop import modes
+from hysteresis_ros.control.feedforward import FeedforwardParameters, designed_preview
+from hysteresis_ros.control.law import UNFED
+from hysteresis_ros.control.linearisation import margins
+from hysteresis_ros.control.margins import Margins, Requirements
+from hysteresis_ros.control.uncertainty import LARGEST, Uncertainty
+from hysteresis_ros.designs.controller import DesignRequest, design_axis
+from hysteresis_ros.designs.damping import DAMPED
+from hysteresis_ros.designs.gains import believed_axis, robustness, tune
+from hysteresis_ros.designs.learning import LearningRequest, design_learning
+from hysteresis_ros.errors import ConfigurationError, HysteresisError, ParameterError
+from hysteresis_ros.laboratory.comparison.laws import ROWS
+from hysteresis_ros.laboratory.comparison.tasks import Conditions, Task
+from hysteresis_ros.loop.parameters import AxisParameters, part
+from hysteresis_ros.loop.reach import single_axis
+
+#: Kinds of damping that are tried, the simplest first, and the one where a force is measured.
+KINDS = ("irc", "ppf")
+BY_FORCE = ("iff",)
+
+
+def has_resonance(axis: AxisParameters) -> bool:
+    """Tell whether the controller's model has a resonance to damp.
+
+    Parameters
+    ----------
+    axis : AxisParameters
+    """
+    node = axis.motion_controller
+    poles = node.model.dynamics.matrices.poles.astype(complex)
+    return any(damping < DAMPED for _, damping in modes(poles, 1.0 / node.sample_rate))
+
+
+def has_force(axis: AxisParameters) -> bool:
+    """Tell whether the controller of an axis knows of a force in the stack.
+
+    Parameters
+    ----------
+    axis : AxisParameters
+    """
+    return axis.motion_controller.model.force.there
+
+
+def damped_pid(given) -> dict:
+    """Return a PID in front of the first kind of damping whose loops are what every design is held to.
+
+    Parameters
+    ----------
+    given : comparison.candidates.Given
+
+    Raises
+    ------
+    ConfigurationError
+        No kind is.
+    """
+    return _kept(given, KINDS)
+
+
+def forced_pid(given) -> dict:
+    """Return a PID in front of a damping by the measured force.
+
+    Parameters
+    ----------
+    given : comparison.candidates.Given
+
+    Raises
+    ------
+    ConfigurationError
+        Its loops are not what every design is held to.
+    """
+    return _kept(given, BY_FORCE)
+
+
+def _kept(given, kinds: tuple[str, ...]) -> dict:
+    key = ("pid", *kinds)
+    if key not in given.gains:
+        given.gains[key] = _designed(given.axis, kinds)
+    return given.gains[key]
+
+
+def _designed(axis: AxisParameters, kinds: tuple[str, ...]) -> dict:
+    plain = replace(axis, motion_controller=replace(axis.motion_controller, feedforward=FeedforwardParameters()))
+    reasons = []
+    for kind in kinds:
+        try:
+            found = design_axis(plain, DesignRequest("pid", damping=kind))
+        except ParameterError as error:
+            reasons.append(f"{kind}: {error}")
+            continue
+        if not found.misses():
+            gains, damping = found.parameters.pid.to_mapping(), found.parameters.damping.to_mapping()
+            named = {f"pid.{name}": value for name, value in gains.items()}
+            named |= {f"damping.{name}": value for name, value in damping.items() if _is_of(name, kind)}
+            return {"type": "pid", **UNFED, **named}
+        reasons.append(f"{kind}: {found.misses()[0]}")
+    raise ConfigurationError("; ".join(reasons))
+
+
+def _is_of(name: str, kind: str) -> bool:
+    return name == "type" or name.startswith(f"{kind}.")
+
+
+#: Least measurement noise a design reckons with, as a part of the stroke: a filter needs some.
+LEAST_NOISE = 1e-6
+#: Periods of the reference on which a PID is tuned.
+TUNING_PERIODS = 8
+#: What learns from period to period over which controller, and by which design.
+LEARNERS = (("PID", "inversion"), ("offset-free", "inversion"), ("offset-free", "norm_optimal"))
+#: Least mismatch that a design reckons with.
+LEAST_MISMATCH = 1e-3
+#: What a loop has to bear when gain and times are off by the mismatch: what designs bear of an unmodelled sample.
+MISMATCHED = Requirements(sensitivity_peak=3.0, gain_margin=0.0, delay_margin=0.0)
+
+
+@dataclass(frozen=True)
+class Known:
+    """What is known of an axis: a configuration whose plant is what compensator and controller believe of it.
+
+    Parameters
+    ----------
+    configuration : Configuration
+        One axis.
+    """
+
+    configuration: Configuration
+
+    @property
+    def axis(self) -> AxisParameters:
+        """The axis with its own models as plant."""
+        return single_axis(self.configuration)
+
+    def designed(self, candidate: Candidate, task: Task | None = None) -> AxisParameters:
+        """Return the axis with a candidate's parameters.
+
+        Parameters
+        ----------
+        candidate : Candidate
+        task : Task, optional
+            The reference.
+
+        Raises
+        ------
+        ParameterError
+            The axis cannot be built.
+        ConfigurationError
+            Nothing that learns the reference contracts.
+        """
+        found = self.configuration.override("motion_controller", **candidate.motion_controller)
+        found = found.override("hysteresis_compensator", **candidate.hysteresis_compensator)
+        if task is None:
+            return single_axis(found)
+        found = found.override("reference_generator", **task.overrides())
+        if not candidate.learning:
+            return single_axis(found)
+        request = LearningRequest(candidate.learning, 1.0 / task.frequency)
+        learned = design_learning(single_axis(found), request).parameters.to_mapping()
+        return single_axis(found.override("motion_controller", **{f"learning.{k}": v for k, v in learned.items()}))
+
+
+def known(configuration: Configuration, bits: int) -> Known:
+    """Return what is known of the axis of a configuration, whatever its plant is.
+
+    Parameters
+    ----------
+    configuration : Configuration
+        One axis.
+    bits : int
+        Of the converters; 0: unlimited.
+
+    Raises
+    ------
+    ParameterError
+        A parameter is wrong.
+    """
+    limited = configuration.override("hysteresis_compensator", limits__bits=bits)
+    text = believed_axis(single_axis(limited)).configuration_text()
+    return Known(parse_configuration(text, configuration.source))
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One combination of controller and compensator.
+
+    Parameters
+    ----------
+    controller, compensator : str
+        Names in the table.
+    motion_controller, hysteresis_compensator : dict
+        Parameters that differ from the configuration's.
+    refused : str
+        Why it cannot be designed; empty when it can.
+    margins : Margins or None
+        Of its loop on its own model.
+    marked : str
+        Which of the margins that every design is held to its loop misses, or what it does not bear when gain and times
+        of its model are off by the mismatch; empty when nothing.
+    learning : str
+        By which design each reference is learned from period to period; empty: it is not.
+    """
+
+    controller: str
+    compensator: str
+    motion_controller: dict = field(default_factory=dict)
+    hysteresis_compensator: dict = field(default_factory=dict)
+    refused: str = ""
+    margins: Margins | None = None
+    marked: str = ""
+    learning: str = ""
+
+
+def names(axis: AxisParameters) -> list[tuple[str, str]]:
+    """Return the names of all combinations for an axis, (controller, compensator).
+
+    Parameters
+    ----------
+    axis : AxisParameters
+    """
+    return [(controller, compensator) for compensator in compensators(axis) for controller in controllers(axis)]
+
+
+def candidates(given: Known, conditions: Conditions, tasks, only=None) -> list[Candidate]:
+    """Return every combination, designed or refused by name.
+
+    Parameters
+    ----------
+    given : Known
+    conditions : Conditions
+        The noise and the mismatch that the designs reckon with.
+    tasks : sequence of Task
+        The references, for the tuning and for how fast disturbances change.
+    only : collection of (str, str), optional
+        Names of the combinations (controller, compensator) to design; all by default.
+
+    Raises
+    ------
+    ParameterError
+        The configuration is wrong.
+    """
+    axis, found, gains = given.axis, [], {}
+    learners = {learner(*one): one[1] for one in LEARNERS}
+    for compensator, changed in compensators(axis).items():
+        for controller, design in controllers(axis).items():
+            if only is not None and (controller, compensator) not in only:
+                continue
+            try:
+                values = design(Given(given.configuration, axis, conditions, tasks, changed, gains))
+                candidate = Candidate(controller, compensator, values, changed, learning=learners.get(controller, ""))
+                found.append(_with_margins(given, candidate, conditions.mismatch))
+            except HysteresisError as error:
+                found.append(Candidate(controller, compensator, refused=" ".join(str(error).split())))
+    return found
+
+
+def _with_margins(given: Known, candidate: Candidate, mismatch: float) -> Candidate:
+    node = given.designed(candidate).motion_controller
+    parameters, sample_time = part(node, ControllerParameters), 1.0 / node.sample_rate
+    found = margins(parameters, sample_time)
+    misses = found.misses()
+    if not misses and mismatch and node.law.feedback:
+        off = min(mismatch, LARGEST)
+        ends = Uncertainty(gain=off, hysteresis=0.0, resonance=off, delay=0.0, draws=0)
+        misses = robustness(parameters, sample_time, ends).misses(MISMATCHED)
+    return replace(candidate, margins=found, marked="; ".join(misses))
+
+
+def compensators(axis: AxisParameters) -> dict[str, dict]:
+    """Return the compensators of an axis: none, the best inverse of its model, and that with its creep."""
+    given = axis.hysteresis_compensator
+    block = given.hysteresis.model.block
+    found = {"none": {"inverse.type": "none"}}
+    if not block.invertible:
+        return found
+    kind = given.inverse.type
+    if kind == "none":
+        kind = "exact" if block.inverse is not None else "general"
+    name = f"{kind} inverse"
+    found[name] = {"inverse.type": kind, "creep.type": "none"}
+    if given.creep.type != "none":
+        found[f"{name} with creep"] = {"inverse.type": kind}
+    return found
+
+
+@dataclass(frozen=True)
+class Given:
+    """What a design may know.
+
+    Parameters
+    ----------
+    configuration : Configuration
+        One axis.
+    axis : AxisParameters
+    conditions : Conditions
+    tasks : tuple of Task
+        The references.
+    compensator : dict
+        Parameters of the compensator that differ from the configuration's.
+    gains : dict
+        Gains that were tuned already, by law and compensator.
+    """
+
+    configuration: Configuration
+    axis: AxisParameters
+    conditions: Conditions
+    tasks: tuple[Task, ...]
+    compensator: dict
+    gains: dict
+
+    @property
+    def dynamics(self):
+        """The linear model that the controller believes; behind a damping, the damped plant."""
+        node = self.axis.motion_controller
+        return part(node, ControllerParameters).before_damping(1.0 / node.sample_rate).model.dynamics
+
+    def preview(self) -> dict:
+        """Return the feedforward with the shortest preview that inverts the model well.
+
+        Raises
+        ------
+        ParameterError
+            As :func:`.inversion.designed_preview`.
+        """
+        return {"feedforward.type": "inverse_dynamics", "feedforward.preview": designed_preview(self.dynamics)}
+
+    def change(self) -> float:
+        """Return how far the mismatch moves the command's disturbance in a sample [model units]."""
+        moved = max((task.high - task.low) * np.pi * task.frequency for task in self.tasks)
+        moved /= self.axis.plant_simulator.sample_rate * self.dynamics.resolved_input_scale
+        return float(max(self.conditions.mismatch, LEAST_MISMATCH) * moved)
+
+    def kalman(self, disturbance: str = "none") -> dict:
+        """Return a filter for the noise, and for disturbances as fast as the mismatch makes them.
+
+        Parameters
+        ----------
+        disturbance : str
+            Model of the disturbance that it estimates.
+        """
+        stroke = max(task.high - task.low for task in self.tasks)
+        noise = max(self.conditions.noise, LEAST_NOISE * stroke) / self.dynamics.output_scale
+        change = self.change()
+        return {
+            "kalman.form": "current",
+            "kalman.gain": "riccati",
+            "kalman.r": float(noise**2),
+            # a filter without a disturbance has to believe the measurement, or nothing of the mismatch is seen
+            "kalman.q": ((10.0 if disturbance == "none" else 0.1) * change) ** 2,
+            "kalman.Q": (),
+            "kalman.disturbance": disturbance,
+            "kalman.q_disturbance": change**2 if disturbance != "ramp" else (0.1 * change) ** 2,
+            "kalman.q_disturbance_rate": (0.3 * change) ** 2,
+        }
+
+    def tuned(self, kind: str) -> dict:
+        """Return gains for the fastest reference, tuned on what compensator and controller believe.
+
+        Without feedforward, also for a controller beside one: with all that is believed true the feedforward leaves it
+        nothing to do, and no gain would be worse than another.
+
+        Parameters
+        ----------
+        kind : str
+            Type of the controller.
+        """
+        key = (kind, *self.compensator.items())
+        if key not in self.gains:
+            task = max(self.tasks, key=lambda task: task.frequency)
+            configuration = self.configuration.override("motion_controller", type="open_loop", **UNFED)
+            configuration = configuration.override("hysteresis_compensator", **self.compensator)
+            axis = single_axis(configuration.override("reference_generator", **task.overrides()))
+            gains = tune(axis, kind, "iae", duration=TUNING_PERIODS / task.frequency).gains
+            self.gains[key] = {f"{kind}.{name}": value for name, value in gains.to_mapping().items()}
+        return self.gains[key]
+
+
+def controllers(axis: AxisParameters) -> dict:
+    """Return the controllers of the table, name → design: the configured one, those of the laws, who learns, who damps.
+
+    A design takes :class:`Given` and returns the parameters of the motion controller that differ from the
+    configuration's.
+
+    Parameters
+    ----------
+    axis : AxisParameters
+        Dampings are tried where its model has a resonance to damp.
+    """
+    declared = {name: design for name, (_, design) in ROWS.items()}
+    learning = {learner(*one): declared[one[0]] for one in LEARNERS}
+    damping = {"PID + damping": damped_pid} if has_resonance(axis) else {}
+    if damping and has_force(axis):
+        damping["PID + force feedback"] = forced_pid
+    return {"as configured": lambda given: {}, **declared, **learning, **damping}
+
+
+def learner(controller: str, kind: str) -> str:
+    """Return what a controller is called over which something learns.
+
+    Parameters
+    ----------
+    controller : str
+    kind : str
+        Design of the learning.
+    """
+    return f"{controller} + learning by {kind.replace('_', '-')}"

@@ -1,0 +1,450 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""All controllers and compensators under the same honest conditions: which one to choose for an axis.
+
+Two tables: plants drawn around the configured one, on which every candidate is designed on the models in the
+configuration; and plants of other classes than any model, on each of which every candidate is designed on what the
+default identification makes of a recording of it. The runs have sensor noise, converters and limits, and are judged on
+the true displacement between the samples.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from hysteresis_ros.configuration import Configuration, parse_configuration
+from hysteresis_ros.errors import ConfigurationError, did_you_mean
+from hysteresis_ros.executors import Job, executor
+from hysteresis_ros.laboratory.comparison.candidates import known, names
+from hysteresis_ros.laboratory.comparison.rows import (
+    DRAWS,
+    Row,
+    Trial,
+    around,
+    compared_with,
+    conditions_bench,
+    drawn,
+    identified,
+    joined,
+    recorded,
+    yardstick,
+)
+from hysteresis_ros.laboratory.comparison.tasks import (
+    ALLOWED_DELAY,
+    LEARNING_PERIODS,
+    Conditions,
+    ModelledPlant,
+    make_tasks,
+)
+from hysteresis_ros.loop.parameters import AxisParameters
+from hysteresis_ros.loop.reach import single_axis
+from hysteresis_ros.loop.simulation import mismatched
+
+#: How a compensator with creep is called beside the one without.
+WITH_CREEP = " with creep"
+
+
+@dataclass(frozen=True)
+class Table:
+    """Candidates on one set of plants.
+
+    Parameters
+    ----------
+    title : str
+    summary : str
+        Of stroke and plants, in a line.
+    tasks : tuple of str
+        Names of the references.
+    rows : tuple of Row
+        Best first; then those without a rank, refused ones last.
+    yardstick : Row
+        What they are compared with.
+    assumptions : tuple of str
+        What the table rests on, in sentences.
+    """
+
+    title: str
+    summary: str
+    tasks: tuple[str, ...]
+    rows: tuple[Row, ...]
+    yardstick: Row
+    assumptions: tuple[str, ...]
+
+    def row(self, controller: str, compensator: str) -> Row:
+        """Return the row of a combination.
+
+        Raises
+        ------
+        ConfigurationError
+            There is none.
+        """
+        for row in self.rows:
+            if row.name == (controller, compensator):
+                return row
+        raise ConfigurationError(f"no row '{controller}' with '{compensator}' in the comparison")
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Both tables.
+
+    Parameters
+    ----------
+    conditions : Conditions
+    around, others : Table or None
+        Of plants around the configured one, and of plants of other classes; None where none were drawn.
+    configuration : Configuration
+        What the first is about.
+    """
+
+    conditions: Conditions
+    around: Table | None
+    others: Table | None
+    configuration: Configuration
+
+    @property
+    def tables(self) -> tuple[Table, ...]:
+        """The tables there are."""
+        return tuple(table for table in (self.around, self.others) if table is not None)
+
+    @property
+    def best(self) -> Row:
+        """The first row around the configured plant that has a rank on the plants of other classes too.
+
+        One that learns is none: what learns is designed for the period of one reference.
+
+        Raises
+        ------
+        ConfigurationError
+            There is none.
+        """
+        for row in self.around.rows if self.around is not None else ():
+            learns = row.candidate is not None and row.candidate.learning  # for each reference something else
+            if row.ranked and not learns and (self.others is None or _ranked_in(self.others, row)):
+                return row
+        raise ConfigurationError(
+            f"{self.configuration.source}: no combination has a rank on all plants; look at the table for what each "
+            "misses, and draw around the configured plant (--draws 1 or more)"
+        )
+
+
+def _ranked_in(table: Table, row: Row) -> bool:
+    """Tell whether a combination has a rank in another table; what is not in it is of this configuration alone."""
+    return all(other.ranked for other in table.rows if other.controller == row.controller and other.results)
+
+
+class Tried(NamedTuple):
+    """What was tried on one plant of another class and what is around it.
+
+    Parameters
+    ----------
+    seed : int
+        Of the plant.
+    kind : str
+        Class of its hysteresis.
+    stroke : float
+        What errors are parts of [m].
+    rows : list of Row
+    yardstick : Row
+    """
+
+    seed: int
+    kind: str
+    stroke: float
+    rows: list[Row]
+    yardstick: Row
+
+
+def table_around(
+    axis: AxisParameters, conditions: Conditions, trial: Trial, rows: Sequence[Row], yardstick: Row
+) -> Table:
+    """Return the table of the plants around the configured one.
+
+    Parameters
+    ----------
+    axis : AxisParameters
+        The configured one.
+    conditions : Conditions
+    trial : Trial
+    rows : sequence of Row
+        In any order.
+    yardstick : Row
+    """
+    limits, per_cent = axis.hysteresis_compensator.limits, 100.0 * conditions.mismatch
+    task = trial.tasks[0]
+    middle = 0.5 * (task.low + task.high)
+    low, high = middle - 0.5 * trial.stroke, middle + 0.5 * trial.stroke
+    assumptions = (
+        f"{conditions.draws} plants around the configured one, seeds {conditions.seed} … "
+        f"{conditions.seed + conditions.draws - 1}: gain, opening of the hysteresis and each of its weights, times of "
+        f"the dynamics and rate of the creep each off by up to ±{per_cent:g} %, uniform and independent",
+        f"{_seen(conditions)}, limits {limits.minimum:g} … {limits.maximum:g} V",
+        "every candidate was designed on the models in the configuration, knowing the size of noise and mismatch",
+    )
+    return Table(
+        "Plants around the configured one",
+        f"stroke {trial.stroke * 1e6:.4g} µm: every plant reaches {low * 1e6:.4g} … {high * 1e6:.4g} µm",
+        tuple(task.name for task in trial.tasks),
+        tuple(sorted(compared_with(rows, yardstick), key=lambda row: row.order)),
+        yardstick,
+        assumptions,
+    )
+
+
+def table_of_others(conditions: Conditions, tried: Sequence[Tried]) -> Table:
+    """Return the table of the plants of other classes.
+
+    Parameters
+    ----------
+    conditions : Conditions
+    tried : sequence of Tried
+        In any order.
+    """
+    tried = sorted(tried)
+    plants = [f"plant {one.seed}" for one in tried]
+    by_name = [{row.name: row for row in one.rows} for one in tried]
+    rows = []
+    for name in dict.fromkeys(name for found in by_name for name in found):
+        # where no creep was found, the compensator with it is the one without
+        plain = name[0], name[1].removesuffix(WITH_CREEP)
+        each = [found.get(name, found.get(plain)) for found in by_name]
+        if None not in each:
+            rows.append(joined(each, plants, name))
+    yardstick = joined([one.yardstick for one in tried], plants, tried[0].yardstick.name)
+    around = 8 + DRAWS
+    assumptions = (
+        f"{len(tried)} plants of other classes, seeds {tried[0].seed} … {tried[-1].seed}, each also with gain, "
+        f"opening, times and creep off by up to ±{100.0 * conditions.mismatch:g} % after it was recorded: {around} "
+        "plants around it, of which 8 are corners",
+        f"{_seen(conditions)}, 2 kHz, 0 … 100 V",
+        "every candidate was designed on what the default identification made of one recording of the plant",
+    )
+    strokes = ", ".join(f"{one.seed}: {one.kind} {one.stroke * 1e6:.3g} µm" for one in tried)
+    return Table(
+        "Plants of other classes than the model, which was identified from a recording",
+        f"strokes of the plants: {strokes}",
+        tuple(tried[0].yardstick.results),
+        tuple(sorted(rows, key=lambda row: row.order)),
+        yardstick,
+        assumptions,
+    )
+
+
+def judgement(conditions: Conditions) -> tuple[str, ...]:
+    """Return how every row is judged, in sentences.
+
+    Parameters
+    ----------
+    conditions : Conditions
+    """
+    return (
+        "errors are those of the true displacement at ten instants a sample, in % of the stroke",
+        "RMS and worst: against the reference delayed by the row's own constant delay, one for both references and all "
+        f"plants of a design, at most {1e3 * conditions.longest_delay:g} ms ({ALLOWED_DELAY:g} periods of the faster "
+        "reference); undelayed: against the reference itself, on the worst plant",
+        f"who learns from period to period is judged from period {LEARNING_PERIODS + 1} on, each reference learned "
+        "with filters for its own period; all others after 2 s",
+        "× PI: how many times as large the error of a PI with static feedforward is, whose gains were tuned on the "
+        "very plant by what the table ranks; with the same margins and delay allowed, on the worst plant",
+        "marked rows miss the margins that every design is held to, on their own model, or M_s 3 where gain and times "
+        "of it are off by the mismatch; they and rows that were unstable on a plant have no rank",
+    )
+
+
+def _seen(conditions: Conditions) -> str:
+    converters = f"converters of {conditions.bits} bits" if conditions.bits else "converters without steps"
+    return f"sensor noise {conditions.noise * 1e9:g} nm rms, {converters}"
+
+
+#: The plant rests this long at each end of the voltage when its reach is measured [s].
+REST = 2.0
+
+
+def reachable(plants: Sequence[ModelledPlant], source: str) -> tuple[float, float]:
+    """Return the ends [m] of the range that every plant reaches within its limits, preload offset left out.
+
+    Each plant rests :data:`REST` seconds at its highest, then at its lowest voltage.
+
+    Parameters
+    ----------
+    plants : sequence of ModelledPlant
+    source : str
+        Of the configuration, for the message.
+
+    Raises
+    ------
+    ConfigurationError
+        There is no such range.
+    """
+    lows, highs = [], []
+    for plant in plants:
+        limits, samples = plant.parameters.limits, round(REST * plant.sample_rate)
+        displacement = plant.between([limits.maximum] * samples + [limits.minimum] * samples)[:, -1]
+        highs.append(displacement[samples - 1])
+        lows.append(displacement[-1])
+    low, high = float(max(lows)), float(min(highs))
+    if not low < high:
+        raise ConfigurationError(
+            f"{source}: the plants have no displacement in common between "
+            f"{low * 1e6:.4g} and {high * 1e6:.4g} µm: lower the mismatch or widen limits.minimum … limits.maximum"
+        )
+    return low, high
+
+
+def drawn_around(configuration: Configuration, conditions: Conditions) -> list[ModelledPlant]:
+    """Return plants around the configured one, each with noise of its own, behind converters.
+
+    Parameters
+    ----------
+    configuration : Configuration
+        One axis.
+    conditions : Conditions
+    """
+    found = []
+    for seed in range(conditions.seed, conditions.seed + conditions.draws):
+        plant = mismatched(configuration, conditions.mismatch, seed).override(
+            "plant_simulator", limits__bits=conditions.bits, sensor__noise=conditions.noise, sensor__seed=seed
+        )
+        found.append(ModelledPlant(single_axis(plant).plant_simulator))
+    return found
+
+
+def trial_around(configuration: Configuration, conditions: Conditions) -> Trial:
+    """Return the trial on plants around the configured one.
+
+    Parameters
+    ----------
+    configuration : Configuration
+        One axis.
+    conditions : Conditions
+    """
+    plants = drawn_around(configuration, conditions)
+    low, high = reachable(plants, configuration.source)
+    given, tasks = known(configuration, conditions.bits), make_tasks(conditions, (low, high))
+    return Trial(given, conditions, tasks, high - low, tuple(plants))
+
+
+def trial_on_other(seed: int, conditions: Conditions) -> Trial:
+    """Return the trial on a plant of another class, and on what may have become of it since it was recorded.
+
+    All but the plants follows from the recording: the references too, within what the model reaches less the mismatch.
+
+    Parameters
+    ----------
+    seed : int
+        Of the plant and of the noise in its recording.
+    conditions : Conditions
+    """
+    bench = conditions_bench(conditions)
+    plant = drawn(seed, bench)
+    given = identified(recorded(plant, bench, seed), bench)
+    low, high = reachable([ModelledPlant(given.axis.plant_simulator)], "the identified model")
+    reach = low * (1.0 + conditions.mismatch), high * (1.0 - conditions.mismatch)
+    tasks = make_tasks(conditions, reach)
+    return Trial(given, conditions, tasks, reach[1] - reach[0], tuple(around(plant, conditions.mismatch, seed)))
+
+
+# -- work for processes ------------------------------------------------------------------------------------------------
+
+
+def _rows_around(trial: Trial, compensator: str, only) -> tuple[str, list[Row]]:
+    return f"with {compensator}", trial.rows([name for name in only if name[1] == compensator])
+
+
+def _yardstick_around(trial: Trial) -> tuple[str, Row]:
+    return "yardstick", yardstick(trial)
+
+
+def _rows_on_other(seed: int, conditions: Conditions, only) -> tuple[str, Tried]:
+    trial = trial_on_other(seed, conditions)
+    measure, kind = yardstick(trial), trial.plants[0].actuator.hysteresis
+    rows = compared_with(trial.rows(only), measure)
+    return f"plant {seed} of another class ({kind})", Tried(seed, kind, trial.stroke, rows, measure)
+
+
+def _require_known(only, possible: Sequence[tuple[str, str]]) -> None:
+    """Refuse combinations that the axis does not have: they would be missing from the tables without a word."""
+    for position, kind in enumerate(("controller", "compensator")):
+        known_names = list(dict.fromkeys(name[position] for name in possible))
+        for name in (combination[position] for combination in only):
+            if name not in known_names:
+                raise ConfigurationError(
+                    f"there is no {kind} {name!r} to compare{did_you_mean(name, known_names)} "
+                    f"(there are: {', '.join(known_names)})"
+                )
+
+
+def compare(
+    configuration: Configuration,
+    conditions: Conditions | None = None,
+    *,
+    namespace: str | None = None,
+    only=None,
+    workers: int | None = None,
+    progress: Callable[[str], None] = lambda text: None,
+) -> Comparison:
+    """Run every candidate on every plant and rank them.
+
+    Parameters
+    ----------
+    configuration : Configuration
+        One axis: the plant around which plants are drawn, and the models that compensator and controller know.
+    conditions : Conditions, optional
+        The usual ones by default.
+    namespace : str, optional
+        Which axis of several.
+    only : collection of (str, str), optional
+        Names of the combinations (controller, compensator) to run; all by default.
+    workers : int, optional
+        Processes that share the work; by default as many as there are processors.
+    progress : callable
+        Called with what is finished, in words.
+
+    Raises
+    ------
+    ConfigurationError
+        The configuration holds several axes, or that of an inchworm, or the plants reach no common range; or
+        ``only`` asks for a combination that the axis does not have.
+    ParameterError
+        A parameter is wrong, or a reference is too fast for the sample rate.
+    """
+    conditions = conditions or Conditions()
+    axis = single_axis(configuration, namespace)
+    if axis.reference_generator is None:
+        raise ConfigurationError(
+            f"{configuration.source}: an inchworm's sequencer stands in the place of the reference generator, whose "
+            "references are compared; give the configuration of a single actuator"
+        )
+    if namespace is not None:
+        configuration = parse_configuration(axis.configuration_text(), configuration.source)
+    conditions.require_slow(axis.plant_simulator.sample_rate)
+    if only is not None and conditions.draws:
+        _require_known(only, names(axis))
+    # what takes longest first
+    jobs = [Job(_rows_on_other, (conditions.seed + i, conditions, only)) for i in range(conditions.others)]
+    if conditions.draws:
+        trial = trial_around(configuration, conditions)
+        chosen = only if only is not None else names(trial.given.axis)
+        compensators = dict.fromkeys(compensator for _, compensator in names(trial.given.axis))
+        jobs += [Job(_rows_around, (trial, compensator, chosen)) for compensator in compensators]
+        jobs.append(Job(_yardstick_around, (trial,)))
+    found: dict[str, list] = {job.function.__name__: [] for job in jobs}
+    with executor(workers, jobs=len(jobs)) as shared:
+        for number, (words, result) in shared.results(jobs):
+            progress(words)
+            found[jobs[number].function.__name__].append(result)
+    first = second = None
+    if conditions.draws:
+        first = table_around(axis, conditions, trial, sum(found["_rows_around"], []), found["_yardstick_around"][0])
+    if conditions.others:
+        second = table_of_others(conditions, found["_rows_on_other"])
+    return Comparison(conditions, first, second, configuration)

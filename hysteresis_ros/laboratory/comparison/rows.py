@@ -1,0 +1,510 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""A candidate on a set of plants: designed on what is known, run on each, judged beside a yardstick tuned on the plant.
+
+On plants of other classes the way is that of a user: :func:`recorded` drives the plant and measures through its sensor;
+:func:`identified` is given nothing but that recording and the data sheet of the bench, and runs the default
+identification.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from hysteresis_ros.configuration import parse_configuration
+from hysteresis_ros.control.feedforward import FeedforwardParameters
+from hysteresis_ros.control.law import UNFED
+from hysteresis_ros.control.laws.pid import PidParameters
+from hysteresis_ros.errors import ConfigurationError, ParameterError
+from hysteresis_ros.identification.restarted_nelder_mead import SimplexSettings, restarted_nelder_mead
+from hysteresis_ros.identification.workflow import identify
+from hysteresis_ros.laboratory.between_samples import INSTANTS
+from hysteresis_ros.laboratory.comparison.candidates import Candidate, Known, candidates, known
+from hysteresis_ros.laboratory.comparison.tasks import (
+    LEARNING_PERIODS,
+    SETTLING_PERIODS,
+    Conditions,
+    DrawnPlant,
+    Followed,
+    ForeignPlant,
+    Result,
+    Task,
+    best_delay,
+    followed,
+    judged,
+    merged,
+)
+from hysteresis_ros.laboratory.foreign import HYSTERESES, ForeignParameters
+from hysteresis_ros.loop.axis import Axis
+from hysteresis_ros.loop.parameters import AxisParameters, PlantNodeParameters
+from hysteresis_ros.models.inverses import InverseParameters
+from hysteresis_ros.models.limits import Limits
+from hysteresis_ros.models.linear import LinearParameters
+from hysteresis_ros.models.sensor import Sensor
+from hysteresis_ros.recordings.dataset import Recording
+from hysteresis_ros.references.recipes import recipe
+from hysteresis_ros.references.waveforms import Waveform, WaveformParameters
+
+
+@dataclass(frozen=True)
+class Row:
+    """One candidate: its results, or why it was refused.
+
+    Parameters
+    ----------
+    controller, compensator : str
+        Names in the table.
+    results : dict of str to Result
+        By name of the task; empty for a refused candidate.
+    delays : tuple of float
+        The constant delay that it is judged with [s], one for each design.
+    refused : str
+        Why there are no results.
+    marked : str
+        What its own margins miss: it is run and shown, not ranked.
+    better : dict of str to float
+        By name of the task: how many times as large the yardstick's error is, on the plants where that is least.
+    errors : dict of str to (array, array)
+        Time [s] and error [part of the stroke] on the plant on which the candidate did worst, by name of the task.
+    candidate : Candidate or None
+        Its parameters, where there is one design.
+    """
+
+    controller: str
+    compensator: str
+    results: dict[str, Result] = field(default_factory=dict)
+    delays: tuple[float, ...] = ()
+    refused: str = ""
+    marked: str = ""
+    better: dict[str, float] = field(default_factory=dict)
+    errors: dict[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
+    candidate: Candidate | None = None
+
+    @property
+    def name(self) -> tuple[str, str]:
+        """Names of controller and compensator."""
+        return self.controller, self.compensator
+
+    @property
+    def unstable(self) -> int:
+        """Plants that it made unstable on one of the references."""
+        return max((result.unstable for result in self.results.values()), default=0)
+
+    @property
+    def ranked(self) -> bool:
+        """Whether it has a rank: it has the margins that every design is held to, and was stable on all plants."""
+        return bool(self.results) and not (self.refused or self.marked or self.unstable)
+
+    @property
+    def score(self) -> float:
+        """Geometric mean over the tasks of the RMS error on the worst plant; the ranking goes by it."""
+        if not self.results:
+            return float("inf")
+        worst = [result.worst for result in self.results.values()]
+        return float(np.exp(np.mean(np.log(worst)))) if np.all(np.isfinite(worst)) else float("inf")
+
+    @property
+    def order(self) -> tuple[bool, bool, float]:
+        """What rows are sorted by: ranked ones first, refused ones last."""
+        return bool(self.refused), not self.ranked, self.score
+
+
+@dataclass(frozen=True)
+class Trial:
+    """What a set of candidates is tried on.
+
+    Parameters
+    ----------
+    given : Known
+        All that their designs get, with conditions and tasks.
+    conditions : Conditions
+    tasks : tuple of Task
+    stroke : float
+        What errors are parts of [m].
+    plants : tuple of DrawnPlant
+        What they run on.
+    """
+
+    given: Known
+    conditions: Conditions
+    tasks: tuple[Task, ...]
+    stroke: float
+    plants: tuple[DrawnPlant, ...]
+
+    def rows(self, only=None) -> list[Row]:
+        """Return a row for each candidate, in the order of their design.
+
+        Parameters
+        ----------
+        only : collection of (str, str), optional
+            Names of the combinations to try; all by default.
+        """
+        return [self.row(candidate) for candidate in candidates(self.given, self.conditions, self.tasks, only)]
+
+    def row(self, candidate: Candidate) -> Row:
+        """Return what a candidate is worth.
+
+        Parameters
+        ----------
+        candidate : Candidate
+        """
+        row = Row(candidate.controller, candidate.compensator, candidate=candidate, marked=candidate.marked)
+        if candidate.refused:
+            return replace(row, refused=candidate.refused)
+        try:
+            periods = LEARNING_PERIODS if candidate.learning else SETTLING_PERIODS
+            tasks = [replace(task, periods=periods) for task in self.tasks]
+            axes = {task: self.given.designed(candidate, task) for task in tasks}
+        except (ConfigurationError, ParameterError) as error:
+            return replace(row, refused=" ".join(str(error).split()))
+        return self.judged(
+            row, {task: [run(axis, plant, task) for plant in self.plants] for task, axis in axes.items()}
+        )
+
+    def judged(self, row: Row, runs: dict[Task, list[Followed]]) -> Row:
+        """Return a row with what its runs are worth.
+
+        Parameters
+        ----------
+        row : Row
+        runs : dict of Task to list of Followed
+            On each of the plants.
+        """
+        delay = best_delay(runs, self.conditions.longest_delay)
+        results, errors = judged(runs, delay, self.stroke), {}
+        for task, found in runs.items():
+            worst = found[int(np.argmax(results[task.name].rms))]
+            shown = worst.time <= task.settling + 2.0 / task.frequency
+            errors[task.name] = worst.time[shown], worst.error(task, delay)[shown] / self.stroke
+        return replace(row, results=results, delays=(delay,), errors=errors)
+
+
+def run(axis: AxisParameters, plant: DrawnPlant, task: Task) -> Followed:
+    """Return how an axis follows a reference on a plant.
+
+    Parameters
+    ----------
+    axis : AxisParameters
+        With the task's reference; nothing of its own plant is used but the sample rate.
+    plant : DrawnPlant
+    task : Task
+    """
+    loop = Axis(axis, plant.in_loop())
+    return followed(loop.run(loop.default_setpoints(round(task.duration * plant.sample_rate))), plant, task)
+
+
+def compared_with(rows: Sequence[Row], yardstick: Row) -> list[Row]:
+    """Return the rows with how much better they are than the yardstick on the worst plant of each.
+
+    Parameters
+    ----------
+    rows : sequence of Row
+    yardstick : Row
+        Of the same plants.
+    """
+    return [
+        replace(
+            row, better={name: yardstick.results[name].worst / result.worst for name, result in row.results.items()}
+        )
+        for row in rows
+    ]
+
+
+def joined(rows: Sequence[Row], plants: Sequence[str], name: tuple[str, str]) -> Row:
+    """Return the rows of one combination, each designed on one plant's recording, as one.
+
+    Parameters
+    ----------
+    rows : sequence of Row
+    plants : sequence of str
+        What the plants are called.
+    name : (str, str)
+        What controller and compensator are called.
+    """
+    pairs = list(zip(rows, plants, strict=True))
+    refused = "; ".join(f"{plant}: {row.refused}" for row, plant in pairs if row.refused)
+    if refused:
+        return Row(*name, refused=refused)
+    scores = [row.score for row in rows]
+    return Row(
+        *name,
+        merged([row.results for row in rows]),
+        tuple(row.delays[0] for row in rows),
+        marked="; ".join(f"{plant}: {row.marked}" for row, plant in pairs if row.marked),
+        better={task: min(row.better[task] for row in rows) for task in rows[0].better},
+        errors=rows[int(np.argmax(scores))].errors,
+    )
+
+
+#: Its names in the tables.
+CONTROLLER, COMPENSATOR = "PI + static feedforward, tuned on the plant", "none"
+#: Crossovers [Hz] and proportional gains with which the search begins, its iterations and the tolerance of its simplex.
+CROSSOVERS, PROPORTIONAL = (1.0, 3.0, 10.0, 30.0, 100.0), (0.0, 0.5, 2.0)
+ITERATIONS, TOLERANCE = 30, 1e-2
+#: What counts as a large change of the logarithm of Ki, and of Kp.
+SCALES = (3.0, 1.0)
+#: A controller refuses gains that its own model does not bear. Here the plant itself judges: none are refused.
+SLOW = LinearParameters(A=(0.9,), B=(0.1,), C=(1.0,))
+#: The factor by which gains may grow: 6 dB.
+GAIN_MARGIN = 2.0
+
+
+def yardstick(trial: Trial) -> Row:
+    """Return the row of the yardstick: tuned on the first of the plants by what the table ranks, run on all of them.
+
+    Parameters
+    ----------
+    trial : Trial
+    """
+    gains = _tuned(trial)
+    found = Candidate(CONTROLLER, COMPENSATOR, {f"pid.{name}": value for name, value in gains.to_mapping().items()})
+    runs = {}
+    for task in trial.tasks:
+        axis = _axis(trial, gains, task)
+        runs[task] = [run(axis, plant, task) for plant in trial.plants]
+    return trial.judged(Row(CONTROLLER, COMPENSATOR, candidate=found), runs)
+
+
+def _axis(trial: Trial, gains: PidParameters, task: Task) -> AxisParameters:
+    """Return the axis with a PI and static feedforward, V = command / gain."""
+    plain = trial.given.designed(Candidate("", "", dict(UNFED)), task)
+    fed, model = FeedforwardParameters(type="static"), replace(plain.motion_controller.model, dynamics=SLOW)
+    node = replace(plain.motion_controller, type="pid", pid=gains, model=model, feedforward=fed)
+    compensator = replace(plain.hysteresis_compensator, inverse=InverseParameters(type="none"))
+    return replace(plain, motion_controller=node, hysteresis_compensator=compensator)
+
+
+def _tuned(trial: Trial) -> PidParameters:
+    """Return the gains with the least score on the first plant among those with the margins of a candidate there.
+
+    They may grow by 6 dB, and bear one sample of delay more.
+    """
+    plant, axes = trial.plants[0], {task: _axis(trial, PidParameters(), task) for task in trial.tasks}
+    late, fastest = plant.later(), max(trial.tasks, key=lambda task: task.frequency)
+
+    def followed(gains: PidParameters, plant: DrawnPlant = plant, task: Task = fastest) -> Followed:
+        node = replace(axes[task].motion_controller, pid=gains)
+        return run(replace(axes[task], motion_controller=node), plant, task)
+
+    def gains(values, factor: float = 1.0) -> PidParameters:
+        return PidParameters(Kp=factor * float(values[1]), Ki=factor * float(np.exp(values[0])))
+
+    def cost(values) -> float:
+        if values[1] < 0.0:
+            return np.inf
+        try:
+            if followed(gains(values, GAIN_MARGIN)).unstable or followed(gains(values), late).unstable:
+                return np.inf
+            runs = {task: [followed(gains(values), task=task)] for task in trial.tasks}
+        except ParameterError:  # beyond what a PI does on any plant
+            return np.inf
+        results = judged(runs, best_delay(runs, trial.conditions.longest_delay), trial.stroke)
+        return float(np.mean([np.log(result.worst) for result in results.values()]))
+
+    starts = [np.array([np.log(2.0 * np.pi * f), Kp]) for f, Kp in itertools.product(CROSSOVERS, PROPORTIONAL)]
+    settings = SimplexSettings(iterations=ITERATIONS, tolerance=TOLERANCE)
+    return gains(restarted_nelder_mead(cost, min(starts, key=cost), scale=SCALES, settings=settings).x)
+
+
+#: Plants that are drawn around each one, besides itself and its worst corners.
+DRAWS = 3
+#: Factors that a plant may deviate by, and what of :class:`ForeignParameters` each is on.
+GAIN, OPENING, TIMES, CREEP = range(4)
+
+
+@dataclass(frozen=True)
+class Bench:
+    """What the data sheets of amplifier, converters and sensor say.
+
+    Parameters
+    ----------
+    sample_rate : float
+        [Hz]
+    voltage : float
+        Highest voltage of the amplifier [V]; the lowest is 0.
+    bits : int
+        Of the converter; 0: unlimited.
+    noise, resolution : float
+        Of the sensor [m].
+    """
+
+    sample_rate: float = 2000.0
+    voltage: float = 100.0
+    bits: int = 16
+    noise: float = 5e-9
+    resolution: float = 1e-9
+
+    def node(self, seed: int) -> PlantNodeParameters:
+        """Return limits and sensor as the parameters of a plant.
+
+        Parameters
+        ----------
+        seed : int
+            Of the noise.
+        """
+        return PlantNodeParameters.from_mapping(
+            {
+                "sample_rate": self.sample_rate,
+                "limits.minimum": 0.0,
+                "limits.maximum": self.voltage,
+                "limits.bits": self.bits,
+                "sensor.noise": self.noise,
+                "sensor.resolution": self.resolution,
+                "sensor.seed": seed,
+                "hysteresis.type": "proportional",
+                "hysteresis.proportional.gain": 1e-7,
+            }
+        )
+
+
+def drawn(seed: int, bench: Bench) -> ForeignPlant:
+    """Return a plant of another class; the class of its hysteresis goes round with the seed.
+
+    Parameters
+    ----------
+    seed : int
+        Equal seeds give equal plants.
+    bench : Bench
+    """
+    random = np.random.default_rng((seed, 1))
+    sample_time = 1.0 / bench.sample_rate
+
+    def between(low, high):
+        return float(low * (high / low) ** random.uniform())
+
+    actuator = ForeignParameters(
+        hysteresis=HYSTERESES[seed % len(HYSTERESES)],
+        stroke=between(15e-6, 60e-6),
+        voltage=bench.voltage,
+        opening=between(0.1, 0.16),
+        asymmetry=between(0.1, 0.2),
+        rate=between(0.2, 0.6),
+        creep=between(0.02, 0.05),
+        exponent=between(0.12, 0.3),
+        lag=between(0.5e-3, 2e-3),
+        lag_before=bool(random.integers(2)),
+        delay=between(1.0, 1.8) * sample_time,
+        frequencies=(between(180.0, 450.0), between(1100.0, 1900.0)),
+        dampings=(between(0.02, 0.04), between(0.01, 0.03)),
+        share=between(0.03, 0.12),
+        steps=INSTANTS,
+    )
+    return ForeignPlant(bench.node(seed), actuator)
+
+
+def around(plant: ForeignPlant, mismatch: float, seed: int) -> list[ForeignPlant]:
+    """Return the plant, then what may have become of it since it was recorded: its worst corners, and a few draws.
+
+    Gain, opening of the hysteresis, all times of lag, delay and modes, and the creep deviate each by up to the
+    mismatch; a corner is where the first three do so fully, and the creep with the gain.
+
+    Parameters
+    ----------
+    plant : ForeignPlant
+    mismatch : float
+    seed : int
+        Of the draws.
+    """
+    random = np.random.default_rng((seed, 2))
+    signs = [(*corner, corner[0]) for corner in itertools.product((-1.0, 1.0), repeat=3)]
+    signs += list(random.uniform(-1.0, 1.0, (DRAWS, 4)))
+    found = [plant]
+    for number, factors in enumerate(1.0 + mismatch * np.array(signs), 1):
+        sensor = replace(plant.parameters.sensor, seed=seed + 1000 * number)
+        parameters = replace(plant.parameters, sensor=sensor)
+        found.append(replace(plant, parameters=parameters, actuator=_deviated(plant.actuator, factors)))
+    return found
+
+
+def _deviated(actuator: ForeignParameters, factors) -> ForeignParameters:
+    return replace(
+        actuator,
+        stroke=actuator.stroke * factors[GAIN],
+        opening=actuator.opening * factors[OPENING],
+        lag=actuator.lag * factors[TIMES],
+        delay=actuator.delay * factors[TIMES],
+        frequencies=tuple(frequency / factors[TIMES] for frequency in actuator.frequencies),
+        creep=actuator.creep * factors[CREEP],
+    )
+
+
+def excitation(bench: Bench) -> np.ndarray:
+    """Return the voltages [V] that a user would record with: minor loops, then many frequencies, then steps.
+
+    Parameters
+    ----------
+    bench : Bench
+    """
+    rate = bench.sample_rate
+    sample_time, parts = 1.0 / rate, []
+    for name, changes in (
+        ("decaying", {"frequency": 6.0}),
+        ("multisine", {"frequency": 1.0, "duration": 2.0}),
+        ("steps", {"duration": 1.5}),
+    ):
+        made = recipe(name, 0.0, bench.voltage, rate, **changes)
+        if made.samples is None:
+            waveform = Waveform(WaveformParameters.from_mapping(made.waveform), sample_time)
+            parts.append(waveform.simulate(np.zeros(round(made.duration * rate))))
+        else:
+            parts.append(made.samples)
+    return np.concatenate(parts)
+
+
+def recorded(plant: ForeignPlant, bench: Bench, seed: int) -> Recording:
+    """Return what converter and sensor see of a plant under the excitation.
+
+    Parameters
+    ----------
+    plant : ForeignPlant
+    bench : Bench
+    seed : int
+        Of the noise.
+    """
+    sample_time, node = 1.0 / bench.sample_rate, bench.node(seed)
+    voltage = Limits(node.limits, sample_time).simulate(excitation(bench))
+    # what is measured at a sample follows from the voltages before it
+    displacement = np.concatenate([[0.0], plant.between(voltage)[:-1, -1]])
+    measured = Sensor(node.sensor, sample_time).simulate(displacement)
+    units = {"voltage": "V", "measured": "m"}
+    return Recording(np.arange(len(voltage)) * sample_time, {"voltage": voltage, "measured": measured}, units, {})
+
+
+def identified(recording: Recording, bench: Bench) -> Known:
+    """Return what is known of a plant from a recording of it, by the default identification.
+
+    Parameters
+    ----------
+    recording : Recording
+    bench : Bench
+
+    Raises
+    ------
+    IdentificationError
+        The recording cannot be used.
+    """
+    found = identify(recording)
+    configuration = parse_configuration(found.text, "the identified model")
+    limits = {"limits__minimum": 0.0, "limits__maximum": bench.voltage}
+    return known(configuration.override("hysteresis_compensator", **limits), bench.bits)
+
+
+def conditions_bench(conditions: Conditions) -> Bench:
+    """Return the usual bench under these conditions.
+
+    Parameters
+    ----------
+    conditions : Conditions
+    """
+    return Bench(bits=conditions.bits, noise=conditions.noise)

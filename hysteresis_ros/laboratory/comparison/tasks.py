@@ -1,0 +1,522 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""What is asked of every candidate, on which plants, and what its runs are worth: conditions, references, judging.
+
+No candidate gets one of the plants, see :mod:`hysteresis_ros.laboratory.comparison.candidates`.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+
+from hysteresis_ros.analysis.metrics import chattering_figures
+from hysteresis_ros.errors import ParameterError, Problem
+from hysteresis_ros.laboratory.between_samples import INSTANTS, displacement_between
+from hysteresis_ros.laboratory.foreign import Foreign, ForeignParameters
+from hysteresis_ros.loop.parameters import PlantNodeParameters, part
+from hysteresis_ros.loop.plant import ActuatorPlant
+from hysteresis_ros.models.actuator import Actuator, ActuatorParameters
+from hysteresis_ros.models.creep import CreepParameters
+from hysteresis_ros.models.linear import LinearParameters
+
+#: Time before the first judged sample: creep and history of the start have died away then [s], and least periods.
+SETTLING = 2.0
+SETTLING_PERIODS = 2
+#: Least periods before the first judged sample of who learns from one to the next.
+LEARNING_PERIODS = 10
+#: Time judged [s], and least periods.
+JUDGED = 4.0
+JUDGED_PERIODS = 4
+#: The longest constant delay of the displacement that is forgiven, as a part of the fastest reference's period.
+ALLOWED_DELAY = 0.1
+
+
+@dataclass(frozen=True)
+class Conditions:
+    """What every candidate has to live with.
+
+    Parameters
+    ----------
+    mismatch : float
+        Largest relative deviation of each parameter of the plants.
+    noise : float
+        Sensor noise [m rms].
+    bits : int
+        Resolution of the converter; 0: unlimited.
+    draws : int
+        Number of plants around the configured one.
+    others : int
+        Number of plants of other classes.
+    seed : int
+        Seed of the first plant; the others follow.
+    robust : bool
+        Whether sliding modes are designed for the worst of plants as far from the model as the mismatch, and a sample
+        later.
+    sine_frequency, triangle_frequency : float
+        Frequencies of the two references [Hz].
+    sine_stroke, triangle_stroke : float
+        Their peak-to-peak parts of the stroke.
+
+    Raises
+    ------
+    ParameterError
+        A value is out of range.
+    """
+
+    mismatch: float = 0.05
+    noise: float = 5e-9
+    bits: int = 16
+    draws: int = 20
+    others: int = 4
+    seed: int = 1
+    robust: bool = False
+    sine_frequency: float = 1.0
+    triangle_frequency: float = 10.0
+    sine_stroke: float = 0.9
+    triangle_stroke: float = 0.2
+
+    def __post_init__(self):
+        """Refuse conditions that describe no experiment."""
+        allowed = {
+            "mismatch": (0.0 <= self.mismatch <= 0.5, "must be within 0 … 0.5"),
+            "noise": (0.0 <= self.noise < 1.0, "must be a noise in metres, 0 or more"),
+            "bits": (0 <= self.bits <= 32, "must be within 0 … 32 (0: unlimited)"),
+            "draws": (0 <= self.draws <= 10000, "must be within 0 … 10000 (0: none)"),
+            "others": (0 <= self.others <= 1000, "must be within 0 … 1000 (0: none)"),
+            "seed": (self.seed >= 0, "must be 0 or more"),
+            "sine": (0.0 < self.sine_frequency < np.inf, "must be a frequency in Hz above 0"),
+            "triangle": (0.0 < self.triangle_frequency < np.inf, "must be a frequency in Hz above 0"),
+        }
+        values = {"sine": self.sine_frequency, "triangle": self.triangle_frequency}
+        problems = [
+            Problem(name, values.get(name, getattr(self, name, None)), text)
+            for name, (good, text) in allowed.items()
+            if not good
+        ]
+        if problems:
+            raise ParameterError(problems)
+
+    @property
+    def longest_delay(self) -> float:
+        """The longest constant delay that a row is judged with [s]."""
+        return ALLOWED_DELAY / max(self.sine_frequency, self.triangle_frequency)
+
+    def require_slow(self, sample_rate: float) -> None:
+        """Refuse references that are too fast for the samples.
+
+        Parameters
+        ----------
+        sample_rate : float
+            [Hz]
+
+        Raises
+        ------
+        ParameterError
+            A frequency is above a tenth of the sample rate.
+        """
+        for name in ("sine", "triangle"):
+            frequency = getattr(self, f"{name}_frequency")
+            if frequency > 0.1 * sample_rate:
+                allowed = f"must be at most a tenth of the sample rate, {0.1 * sample_rate:g} Hz"
+                raise ParameterError([Problem(name, frequency, allowed)])
+
+
+@dataclass(frozen=True)
+class Task:
+    """A reference that the candidates follow.
+
+    Parameters
+    ----------
+    name : str
+        In words.
+    waveform : str
+        ``sine`` or ``triangle``.
+    frequency : float
+        [Hz]
+    low, high : float
+        Ends [m].
+    periods : int
+        Least number of them before the first judged sample.
+    """
+
+    name: str
+    waveform: str
+    frequency: float
+    low: float
+    high: float
+    periods: int = SETTLING_PERIODS
+
+    @property
+    def settling(self) -> float:
+        """Time before judging [s], whole periods."""
+        return np.ceil(max(SETTLING * self.frequency, self.periods)) / self.frequency
+
+    @property
+    def duration(self) -> float:
+        """Length of a run [s], whole periods."""
+        return self.settling + np.ceil(max(JUDGED * self.frequency, JUDGED_PERIODS)) / self.frequency
+
+    def overrides(self) -> dict:
+        """Return the parameters of the reference generator; both begin at their lower end, which is its setpoint."""
+        half = 0.5 * (self.high - self.low)
+        values = {
+            "minimum": min(self.low, 0.0) - half,
+            "maximum": self.high + half,
+            "initial_setpoint": self.low,
+            "waveform.type": self.waveform,
+            "waveform.frequency": self.frequency,
+            "waveform.cycles": 0,
+        }
+        if self.waveform == "sine":
+            return {**values, "waveform.amplitude": half, "waveform.offset": half, "waveform.phase": -0.5 * np.pi}
+        return {**values, "waveform.amplitude": 2.0 * half, "waveform.offset": 0.0}
+
+    def reference(self, time) -> np.ndarray:
+        """Return the reference [m] at any instants, also between the samples.
+
+        Parameters
+        ----------
+        time : array_like
+            [s] since the start.
+        """
+        turns = self.frequency * np.asarray(time)
+        middle, half = 0.5 * (self.low + self.high), 0.5 * (self.high - self.low)
+        if self.waveform == "sine":
+            return middle - half * np.cos(2.0 * np.pi * turns)
+        return self.high - 2.0 * half * np.abs(1.0 - 2.0 * (turns - np.floor(turns)))
+
+
+def make_tasks(conditions: Conditions, reach: tuple[float, float]) -> tuple[Task, ...]:
+    """Return the two references within a range of displacements.
+
+    Parameters
+    ----------
+    conditions : Conditions
+    reach : (float, float)
+        Ends [m].
+    """
+    low, high = reach
+    middle, stroke = 0.5 * (low + high), high - low
+
+    def task(words, waveform, frequency, fraction):
+        half = 0.5 * fraction * stroke
+        name = f"{frequency:g} Hz {words}, {100.0 * fraction:g} % of stroke"
+        return Task(name, waveform, frequency, middle - half, middle + half)
+
+    return (
+        task("sine", "sine", conditions.sine_frequency, conditions.sine_stroke),
+        task("triangle", "triangle", conditions.triangle_frequency, conditions.triangle_stroke),
+    )
+
+
+class DrawnPlant(ABC):
+    """A plant that was drawn."""
+
+    @property
+    @abstractmethod
+    def sample_rate(self) -> float:
+        """Samples per second [Hz]."""
+
+    @abstractmethod
+    def in_loop(self) -> ActuatorPlant:
+        """Return the plant at rest, for an axis."""
+
+    @abstractmethod
+    def later(self) -> DrawnPlant:
+        """Return the plant with one sample of delay more."""
+
+    @abstractmethod
+    def between(self, voltage) -> np.ndarray:
+        """Return the displacement [m] from rest, shape (N, INSTANTS).
+
+        Parameters
+        ----------
+        voltage : array, shape (N,)
+            What its amplifier put out from each sample to the next [V]; row k holds what follows the k-th.
+        """
+
+
+@dataclass(frozen=True)
+class ModelledPlant(DrawnPlant):
+    """A plant of the classes that parameter files know.
+
+    Parameters
+    ----------
+    parameters : PlantNodeParameters
+        Of type actuator.
+    """
+
+    parameters: PlantNodeParameters
+
+    @property
+    def sample_rate(self) -> float:
+        """Samples per second [Hz]."""
+        return self.parameters.sample_rate
+
+    def in_loop(self) -> ActuatorPlant:
+        """Return the plant at rest, for an axis."""
+        return ActuatorPlant(self.parameters)
+
+    def later(self) -> ModelledPlant:
+        """Return the plant with one sample of delay more."""
+        sample_time, dynamics = 1.0 / self.sample_rate, self.parameters.dynamics
+        dynamics = replace(dynamics, delay=dynamics.delay + sample_time, sample_time=sample_time)
+        return ModelledPlant(replace(self.parameters, dynamics=dynamics))
+
+    def between(self, voltage) -> np.ndarray:
+        """Return the displacement [m] from rest without the preload offset, shape (N, INSTANTS)."""
+        return displacement_between(
+            Actuator(part(self.parameters, ActuatorParameters), 1.0 / self.sample_rate), voltage
+        )
+
+
+@dataclass(frozen=True)
+class ForeignPlant(DrawnPlant):
+    """A plant of another class than any model, behind the limits and the sensor of a modelled one.
+
+    Parameters
+    ----------
+    parameters : PlantNodeParameters
+        Limits, sensor and sample rate; nothing else of it is used.
+    actuator : ForeignParameters
+    """
+
+    parameters: PlantNodeParameters
+    actuator: ForeignParameters
+
+    @property
+    def sample_rate(self) -> float:
+        """Samples per second [Hz]."""
+        return self.parameters.sample_rate
+
+    def in_loop(self) -> ActuatorPlant:
+        """Return the plant at rest, for an axis."""
+        return _ForeignInLoop(replace(self.parameters, overtravel=-1.0), self.actuator)
+
+    def later(self) -> ForeignPlant:
+        """Return the plant with one sample of delay more."""
+        return replace(self, actuator=replace(self.actuator, delay=self.actuator.delay + 1.0 / self.sample_rate))
+
+    def between(self, voltage) -> np.ndarray:
+        """Return the displacement [m] from rest, shape (N, INSTANTS)."""
+        return Foreign(replace(self.actuator, steps=INSTANTS), 1.0 / self.sample_rate).between(voltage)
+
+
+class _ForeignInLoop(ActuatorPlant):
+    """An actuator whose hysteresis, creep and dynamics are those of another class, all in one block."""
+
+    def __init__(self, parameters: PlantNodeParameters, actuator: ForeignParameters):
+        # what the file has for creep and dynamics is a model of these
+        super().__init__(replace(parameters, creep=CreepParameters(), dynamics=LinearParameters()))
+        block, chain = Foreign(actuator, 1.0 / parameters.sample_rate), self.actuator
+        chain.hysteresis, chain.hysteresis_kernel = block, block.kernel
+        chain.ps, chain.xs = chain.ps._replace(hysteresis=block.p), chain.xs._replace(hysteresis=block.x)
+        chain.reset()
+        self.arrays = self.arrays._replace(p=chain.ps, x=chain.xs)
+
+
+#: Delays that are tried, 0 … the longest one; between them a parabola finds the best.
+DELAYS = 41
+#: A loop that is stable settles into the period of its reference. What differs from one period to the next may be this
+#: part of the reference, as RMS; the noise of a stable loop is far below.
+LOST = 0.1
+#: A limit cycle may lock to that period; then the limits hold it for so large a part of the time at least.
+AT_LIMITS = 0.25
+#: Instants at which they are tried first.
+THIN = 4000
+
+
+class Followed(NamedTuple):
+    """A run of one task on one plant.
+
+    Parameters
+    ----------
+    time : array, shape (N,)
+        Judged instants [s].
+    displacement : array, shape (N,)
+        True one there [m].
+    effort : float
+        RMS rate of the voltage [V/s], as in :func:`hysteresis_ros.analysis.metrics.compute_metrics`.
+    chattering : float
+        ``chattering_m`` of the command [m rms], as there.
+    saturated : float
+        Part of the judged samples at a limit.
+    unstable : bool
+        Whether the plant tripped, did not do in one period what it did in the one before, or went from limit to limit.
+    """
+
+    time: np.ndarray
+    displacement: np.ndarray
+    effort: float
+    chattering: float
+    saturated: float
+    unstable: bool
+
+    def error(self, task: Task, delay: float) -> np.ndarray:
+        """Return the error [m] against the reference, which is delayed by ``delay`` [s], shape (N,)."""
+        return task.reference(self.time - delay) - self.displacement
+
+    def mean_squares(self, task: Task, delays) -> np.ndarray:
+        """Return the mean square of the error [m²] for each of the delays [s]."""
+        return np.array([np.mean(self.error(task, delay) ** 2) for delay in delays])
+
+    @property
+    def thin(self) -> Followed:
+        """The same run at fewer instants."""
+        stride = max(len(self.time) // THIN, 1) | 1  # odd: all places within a sample
+        return self._replace(time=self.time[::stride], displacement=self.displacement[::stride])
+
+
+def followed(signals: dict[str, np.ndarray], plant: DrawnPlant, task: Task) -> Followed:
+    """Look at a run between its samples.
+
+    Parameters
+    ----------
+    signals : dict of str to array
+        Of an :class:`~hysteresis_ros.loop.axis.Axis` that followed the task on this plant from rest.
+    plant : DrawnPlant
+    task : Task
+    """
+    sample_time = 1.0 / plant.sample_rate
+    judged = signals["time"] >= task.settling - 0.5 * sample_time
+    starts = signals["time"][judged][:, np.newaxis]
+    time = starts + sample_time * np.arange(1, INSTANTS + 1) / INSTANTS
+    displacement = plant.between(signals["plant_voltage"])[judged]
+    sampled = signals["time"][judged], signals["reference"][judged], signals["command"][judged]
+    smooth = chattering_figures(*sampled, signals["voltage"][judged])
+    time, displacement = time.ravel(), displacement.ravel()
+    later = time[time > time[0] + 1.0 / task.frequency]
+    repeated = np.interp(later, time, displacement) - np.interp(later - 1.0 / task.frequency, time, displacement)
+    lost = not np.std(repeated) < LOST * np.std(task.reference(time)) or signals["tripped"].any()
+    saturated = float(np.mean(signals["saturated"][judged]))
+    return Followed(
+        time,
+        displacement,
+        smooth["voltage_rate_v_s"],
+        smooth.get("chattering_m", 0.0),
+        saturated,
+        bool(lost or saturated > AT_LIMITS),
+    )
+
+
+@dataclass(frozen=True)
+class Result:
+    """One candidate on one task, over all plants.
+
+    Parameters
+    ----------
+    rms, maximum : array, shape (plants,)
+        RMS and largest error against the reference delayed by the row's own constant delay, as parts of the stroke.
+    undelayed : array, shape (plants,)
+        RMS error against the reference itself, as parts of the stroke.
+    effort : array, shape (plants,)
+        RMS rate of the voltage [V/s].
+    chattering : array, shape (plants,)
+        Of the command [m rms].
+    saturated : float
+        Part of the judged samples at a limit, the largest of the plants.
+    unstable : int
+        Plants that it made unstable.
+    """
+
+    rms: np.ndarray
+    maximum: np.ndarray
+    undelayed: np.ndarray
+    effort: np.ndarray
+    chattering: np.ndarray
+    saturated: float
+    unstable: int
+
+    @property
+    def worst(self) -> float:
+        """RMS error on the worst plant, as a part of the stroke."""
+        return float(np.max(self.rms))
+
+
+def best_delay(runs: dict[Task, Sequence[Followed]], longest: float) -> float:
+    """Return the constant delay [s] with which the score of the runs is least: one for all references and plants.
+
+    Parameters
+    ----------
+    runs : dict of Task to sequence of Followed
+        Of one candidate, on each of the plants.
+    longest : float
+        The longest one allowed [s].
+    """
+    delays = np.linspace(0.0, longest, DELAYS)
+    coarse = {task: np.array([run.thin.mean_squares(task, delays) for run in found]) for task, found in runs.items()}
+    best = min(max(int(np.argmin(_scores(coarse))), 1), DELAYS - 2)
+    # the mean square of one run is a parabola close by; the largest of several, and its logarithm, are not
+    around, fine = delays[best - 1 : best + 2], np.linspace(delays[best - 1], delays[best + 1], DELAYS)
+    close = {
+        task: np.array([_parabola(around, run.mean_squares(task, around), fine) for run in found])
+        for task, found in runs.items()
+    }
+    return float(fine[np.argmin(_scores(close))])
+
+
+def _scores(mean_squares: dict[Task, np.ndarray]) -> np.ndarray:
+    """Return the logarithm of the score at each delay: that of the worst plant, summed over the references."""
+    smallest = np.finfo(float).tiny
+    return np.sum([np.log(np.maximum(np.max(values, axis=0), smallest)) for values in mean_squares.values()], axis=0)
+
+
+def _parabola(places, values, fine) -> np.ndarray:
+    """Return the parabola through three points at the places ``fine``."""
+    middle = places[1]
+    return np.polyval(np.polyfit(places - middle, values, 2), fine - middle)
+
+
+def judged(runs: dict[Task, Sequence[Followed]], delay: float, stroke: float) -> dict[str, Result]:
+    """Return the results of the runs of one candidate, by name of the task.
+
+    Parameters
+    ----------
+    runs : dict of Task to sequence of Followed
+        On each of the plants.
+    delay : float
+        The row's constant delay [s].
+    stroke : float
+        What errors are parts of [m].
+    """
+    found = {}
+    for task, followed_ in runs.items():
+        errors = [run.error(task, delay) / stroke for run in followed_]
+        found[task.name] = Result(
+            np.array([np.sqrt(np.mean(error**2)) for error in errors]),
+            np.array([np.max(np.abs(error)) for error in errors]),
+            np.array([np.sqrt(run.mean_squares(task, [0.0])[0]) / stroke for run in followed_]),
+            np.array([run.effort for run in followed_]),
+            np.array([run.chattering for run in followed_]),
+            max(run.saturated for run in followed_),
+            sum(run.unstable for run in followed_),
+        )
+    return found
+
+
+def merged(results: Sequence[dict[str, Result]]) -> dict[str, Result]:
+    """Return the results of one combination on several plants, each with what is around it, as those on all of them.
+
+    Parameters
+    ----------
+    results : sequence of dict of str to Result
+    """
+    arrays = ("rms", "maximum", "undelayed", "effort", "chattering")
+    found = {}
+    for task in results[0]:
+        each = [result[task] for result in results]
+        joined = [np.concatenate([getattr(result, name) for result in each]) for name in arrays]
+        found[task] = Result(*joined, max(one.saturated for one in each), sum(one.unstable for one in each))
+    return found

@@ -1,0 +1,197 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""An emulated device behind TCP or a serial port: its clock goes on, masters connect, and its link may fail."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import select
+import socket
+import socketserver
+import threading
+import time
+import tty
+from collections.abc import Callable, Iterator
+from typing import Protocol
+
+from hysteresis_ros.errors import ConfigurationError
+from hysteresis_ros.laboratory.emulation.bench import DeviceFaults, Garbler
+
+#: How often the plant of a device that nobody asks is advanced, and a link is looked at [s].
+TICK = 0.02
+#: Who hangs up takes a moment until the place is free [s].
+HANGING_UP = 0.3
+
+
+class Session(Protocol):
+    """What a device says to one master."""
+
+    def feed(self, data: bytes) -> bytes:
+        """Return the answers to bytes that came."""
+        ...
+
+
+class DeviceServer(socketserver.ThreadingTCPServer):
+    """The link of an emulated device.
+
+    Parameters
+    ----------
+    address : tuple of (str, int)
+        Name or address, and port; 0: a free one.
+    session : callable
+        Returns what answers a new master.
+    tick : callable
+        Lets the device's time go on.
+    faults : DeviceFaults
+    masters : int
+        So many may be connected; others are hung up on at once.
+    """
+
+    allow_reuse_address = True
+    daemon_threads = True
+
+    def __init__(
+        self,
+        address: tuple[str, int],
+        session: Callable[[], Session],
+        tick: Callable[[], None],
+        faults: DeviceFaults,
+        masters: int = 1,
+    ):
+        super().__init__(address, _Connection)
+        self.session, self.faults = session, faults
+        self._tick, self.free = tick, threading.Semaphore(masters)
+        self.lock, self.gone = threading.Lock(), threading.Event()
+
+    @property
+    def port(self) -> int:
+        """Port at which it listens."""
+        return self.server_address[1]
+
+    def service_actions(self) -> None:
+        """Let the device's time go on, also while nobody asks."""
+        with self.lock:
+            self._tick()
+
+    def verify_request(self, request, client_address) -> bool:
+        """Tell whether somebody may connect: the link is there, and there is a place."""
+        return "cut" not in self.faults and self.free.acquire(timeout=HANGING_UP)
+
+
+class _Connection(socketserver.BaseRequestHandler):
+    """Answers one master until that hangs up, or the link is cut."""
+
+    server: DeviceServer
+
+    def handle(self) -> None:
+        """Answer."""
+        self.request.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        session, self._garbler = self.server.session(), Garbler(self.server.faults)
+        try:
+            with contextlib.suppress(OSError):
+                while not self.server.gone.is_set() and "cut" not in self.server.faults:
+                    if select.select([self.request], [], [], TICK)[0] and not self._answer(session):
+                        return
+        finally:
+            self.server.free.release()
+
+    def _answer(self, session: Session) -> bool:
+        data = self.request.recv(65536)
+        if not data:
+            return False
+        with self.server.lock:
+            answer = session.feed(data)
+        late = self.server.faults.value("slow")
+        if late is not None and answer:
+            time.sleep(late)
+        if answer and "silent" not in self.server.faults:
+            self.request.sendall(self._garbler.garble(answer))
+        return not self._garbler.closed
+
+
+@contextlib.contextmanager
+def serving(
+    address: tuple[str, int],
+    session: Callable[[], Session],
+    tick: Callable[[], None],
+    faults: DeviceFaults,
+    masters: int = 1,
+) -> Iterator[DeviceServer]:
+    """Serve an emulated device from a thread of its own, as long as the context lasts.
+
+    Parameters
+    ----------
+    address : tuple of (str, int)
+    session, tick : callable
+    faults : DeviceFaults
+    masters : int
+        All as of :class:`DeviceServer`.
+
+    Raises
+    ------
+    ConfigurationError
+        Nobody may listen at the address.
+    """
+    try:
+        server = DeviceServer(address, session, tick, faults, masters)
+    except (OSError, OverflowError) as error:
+        where = f"{address[0]}:{address[1]}"
+        raise ConfigurationError(f"{where}: cannot be listened at ({error}); choose another port or host") from None
+    with server:
+        thread = threading.Thread(target=server.serve_forever, args=(TICK,), daemon=True)
+        thread.start()
+        try:
+            yield server
+        finally:
+            server.gone.set()
+            server.shutdown()
+            thread.join()
+
+
+@contextlib.contextmanager
+def serving_serial(session: Session, tick: Callable[[], None], faults: DeviceFaults) -> Iterator[str]:
+    """Serve an emulated device from a thread of its own, as long as the context lasts; give the path of its port.
+
+    Parameters
+    ----------
+    session : Session
+        What is said to whoever opens the port.
+    tick : callable
+        Lets the device's time go on.
+    faults : DeviceFaults
+    """
+    ours, theirs = os.openpty()
+    tty.setraw(theirs)
+    leaving, garbler = threading.Event(), Garbler(faults)
+
+    def serve() -> None:
+        while not leaving.is_set():
+            tick()
+            if not select.select([ours], [], [], TICK)[0]:
+                continue
+            data = os.read(ours, 65536)
+            if "cut" in faults:
+                continue
+            answer, late = session.feed(data), faults.value("slow")
+            if late is not None and answer:
+                time.sleep(late)
+            if answer and "silent" not in faults:
+                os.write(ours, garbler.garble(answer))  # a port has no link that could be closed
+
+    thread = threading.Thread(target=serve, daemon=True)
+    thread.start()
+    try:
+        yield os.ttyname(theirs)
+    finally:
+        leaving.set()
+        thread.join()
+        os.close(ours)
+        os.close(theirs)

@@ -1,0 +1,459 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""The motor record of an axis: its settings, its fields, and what writing them does; no ROS, no Channel Access."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import NamedTuple, Protocol
+
+from hysteresis_ros import signals
+from hysteresis_ros.errors import ConfigurationError
+from hysteresis_ros.loop.parameters import AxisParameters
+from hysteresis_ros.loop.source import GeneratorSource
+from hysteresis_ros.references.approach import HIGH, LOW, effective_limits
+from hysteresis_ros.references.moves import Arrival
+from hysteresis_ros.units import UNITS
+
+#: Part of the range that counts as arrived for an axis that does not say so.
+NEAR = 0.01
+#: How long an inchworm's slider has to stay near its setpoint [s].
+DWELL = 0.1
+
+
+@dataclass(frozen=True)
+class MotorSettings:
+    """A motor record and the axis behind it.
+
+    Parameters
+    ----------
+    name : str
+        Of the record, with its prefix.
+    namespace, source, joint : str
+        Where the axis is, which node takes its setpoints, and the joint that is moved.
+    low, high : float
+        Range of setpoints [m].
+    velocity, acceleration : float
+        Largest ones of the approach [m/s], [m/s²]; 0: unlimited.
+    tolerance, dwell : float
+        A move has arrived when it is so near [m] for so long [s].
+    timeout : float
+        Time for a move beyond what its speed takes [s].
+    unit : str
+        Engineering unit, one of length.
+    precision : int
+        Digits behind the point.
+    """
+
+    name: str
+    namespace: str
+    source: str
+    joint: str
+    low: float
+    high: float
+    velocity: float
+    acceleration: float
+    tolerance: float
+    dwell: float
+    timeout: float
+    unit: str
+    precision: int
+
+    @property
+    def metres(self) -> float:
+        """Metres in an engineering unit."""
+        return 1.0 / UNITS[self.unit][1]
+
+
+@dataclass(frozen=True)
+class RecordOptions:
+    """What a person wants of motor records.
+
+    Parameters
+    ----------
+    prefix : str
+        Of their names.
+    unit : str
+        Engineering unit.
+    precision : int
+        Digits behind the point.
+    timeout : float
+        Time for a move beyond what its speed takes [s].
+    tolerance : float, optional
+        A move has arrived when it is so near, in engineering units; by default what the axis says.
+
+    Raises
+    ------
+    ConfigurationError
+        The unit is none of length, or a number is no sensible one.
+    """
+
+    prefix: str
+    unit: str
+    precision: int
+    timeout: float
+    tolerance: float | None = None
+
+    def __post_init__(self) -> None:
+        if UNITS.get(self.unit, ("",))[0] != "m":
+            known = ", ".join(name for name, (base, _) in UNITS.items() if base == "m" and name.isascii())
+            raise ConfigurationError(f"--egu {self.unit}: no unit of length; allowed: {known}")
+        if not 0 <= self.precision <= 15:
+            raise ConfigurationError(f"--precision {self.precision}: allowed: 0 … 15 digits")
+        for name, value in (("timeout", self.timeout), ("tolerance", self.tolerance)):
+            if value is not None and not 0.0 < value < math.inf:
+                raise ConfigurationError(f"--{name} {value:g}: must be a positive number")
+
+    def name(self, axis: AxisParameters) -> str:
+        """Return the name of an axis' record: prefix and namespace, ``m1`` for an axis without."""
+        return self.prefix + (axis.namespace.strip("/").replace("/", ":") or "m1")
+
+
+def at_rest(axis: AxisParameters) -> AxisParameters:
+    """Return the axis so that it follows setpoints only: without a waveform."""
+    own = axis.reference_generator
+    if own is None:
+        return axis
+    waveform = replace(own.waveform, type="hold", offset=0.0, phase=0.0)
+    return replace(axis, reference_generator=replace(own, waveform=waveform))
+
+
+def motor_settings(axis: AxisParameters, options: RecordOptions) -> MotorSettings:
+    """Return the settings of an axis' motor record."""
+    common = {
+        "name": options.name(axis),
+        "namespace": axis.namespace,
+        "joint": axis.plant_simulator.joint,
+        "timeout": options.timeout,
+        "unit": options.unit,
+        "precision": options.precision,
+    }
+    given = None if options.tolerance is None else options.tolerance / UNITS[options.unit][1]
+    motor = axis.inchworm_sequencer
+    if motor is not None:
+        return MotorSettings(
+            source=signals.MOTOR_SOURCE,
+            low=motor.minimum,
+            high=motor.maximum,
+            velocity=0.0,
+            acceleration=0.0,
+            tolerance=given or motor.fine.tolerance,
+            dwell=DWELL,
+            **common,
+        )
+    own = axis.reference_generator
+    approach = GeneratorSource(own).generator.approach.p
+    stroke = own.maximum - own.minimum
+    velocity, acceleration, _ = effective_limits(own.approach, stroke)
+    return MotorSettings(
+        source=signals.SOURCE,
+        low=float(approach[LOW]),
+        high=float(approach[HIGH]),
+        velocity=velocity if math.isfinite(velocity) else 0.0,
+        acceleration=acceleration if math.isfinite(acceleration) else 0.0,
+        tolerance=given or own.trajectory.goal_tolerance or NEAR * stroke,
+        dwell=own.trajectory.dwell,
+        **common,
+    )
+
+
+#: Time in which the axis has to take a setpoint [s].
+TAKEN = 2.0
+
+#: Bits of MSTA.
+PLUS, DONE, PROBLEM, MOVING, COMMUNICATION = 1 << 0, 1 << 1, 1 << 9, 1 << 10, 1 << 12
+
+#: Fields that may be written but are what the axis says.
+FIXED = ("VELO", "ACCL", "VMAX", "VBAS", "EGU", "HOMF", "HOMR", "JOGF", "JOGR", "MRES", "ERES", "RVAL", "RDBD")
+
+
+class Alarm(NamedTuple):
+    """Status and severity, in the words of EPICS."""
+
+    status: str = "NO_ALARM"
+    severity: str = "NO_ALARM"
+
+
+#: Alarms of what may be wrong.
+SILENT, STOPPED, UNMEASURED = Alarm("COMM", "INVALID"), Alarm("STATE", "MAJOR"), Alarm("READ", "INVALID")
+MISSED, TOO_HIGH, TOO_LOW = Alarm("STATE", "MAJOR"), Alarm("HIGH", "MAJOR"), Alarm("LOW", "MAJOR")
+
+
+class Seen(NamedTuple):
+    """What is known of an axis: measurement and setpoint in force [m], NaN: unknown; what is wrong with it."""
+
+    position: float
+    setpoint: float
+    alarm: Alarm
+
+
+class Axis(Protocol):
+    """What a record asks of an axis."""
+
+    def look(self, now: float) -> Seen:
+        """Return what is known of the axis at a time [s]."""
+
+    def move(self, setpoint: float) -> None:
+        """Give a setpoint [m]."""
+
+    def stop(self) -> None:
+        """Let whatever moves come to rest."""
+
+
+class MotorRecord:
+    """A motor record.
+
+    Parameters
+    ----------
+    settings : MotorSettings
+    axis : Axis
+
+    Attributes
+    ----------
+    fields : dict
+        Values of the fields that change, by their names.
+    alarm : Alarm
+        Of the record.
+    """
+
+    def __init__(self, settings: MotorSettings, axis: Axis):
+        self.settings, self._axis = settings, axis
+        self._arrival = Arrival(settings.tolerance, settings.dwell)
+        self._target = math.nan
+        self._stopping = self._taken = self._refused = False
+        self._begun = self._allowed = 0.0
+        self._pending: float | None = None
+        self._violated = self._missed = Alarm()
+        self._seen = Seen(math.nan, math.nan, SILENT)
+        self.alarm = SILENT
+        low, high, unit = settings.low / settings.metres, settings.high / settings.metres, settings.metres
+        tweak = float(f"{0.01 * (high - low):.1g}")
+        speed = settings.velocity
+        self.fields = {
+            **dict.fromkeys(("VAL", "DVAL", "RBV", "DRBV", "OFF", "RLV", "DIFF"), 0.0),
+            **dict.fromkeys(("STOP", "TWF", "TWR", "SSET", "SUSE", "SYNC", "LVIO", "HLS", "LLS", "MOVN", "MISS"), 0),
+            **{"DHLM": high, "DLLM": low, "HLM": high, "LLM": low, "TWV": tweak, "RDBD": settings.tolerance / unit},
+            **{"DIR": "Pos", "SET": "Use", "FOFF": "Variable", "SPMG": "Go", "DMOV": 1, "TDIR": 0, "MSTA": DONE},
+            **{"VELO": speed / unit, "VMAX": speed / unit},
+            "ACCL": speed / settings.acceleration if settings.acceleration else 0.0,
+        }
+
+    # -- positions -----------------------------------------------------------------------------------------------
+
+    @property
+    def _sign(self) -> float:
+        return -1.0 if self.fields["DIR"] == "Neg" else 1.0
+
+    def _user(self, dial: float) -> float:
+        return self._sign * dial + self.fields["OFF"]
+
+    def _dial(self, user: float) -> float:
+        return self._sign * (user - self.fields["OFF"])
+
+    def _rescale(self) -> None:
+        """Bring all user positions in line with dial positions, direction and offset."""
+        fields = self.fields
+        fields["VAL"], fields["RBV"] = self._user(fields["DVAL"]), self._user(fields["DRBV"])
+        ends = self._user(fields["DLLM"]), self._user(fields["DHLM"])
+        fields["LLM"], fields["HLM"] = min(ends), max(ends)
+
+    # -- what is written -----------------------------------------------------------------------------------------
+
+    def put(self, field: str, value, now: float):
+        """Write a field, and return the value it has then.
+
+        Parameters
+        ----------
+        field : str
+            Its name.
+        value : float, int or str
+            Of a menu: the word.
+        now : float
+            [s]
+        """
+        if field not in FIXED:
+            write = getattr(self, f"_put_{field.lower()}", None)
+            if write is not None:
+                write(value, now)
+            elif isinstance(value, str) or math.isfinite(value):
+                self.fields[field] = value
+        return self.fields.get(field, 0)
+
+    def _put_val(self, user: float, now: float) -> None:
+        if self.fields["SET"] == "Set":
+            if self.fields["FOFF"] == "Variable" and math.isfinite(user):
+                self._put_off(user - self._sign * self.fields["DVAL"], now)
+            return
+        self._go(user, now)
+
+    def _put_dval(self, dial: float, now: float) -> None:
+        if self.fields["SET"] == "Use":  # the axis' own zero is not the record's
+            self._go(self._user(dial), now)
+
+    def _put_rlv(self, distance: float, now: float) -> None:
+        self._put_val(self.fields["VAL"] + distance, now)
+
+    def _put_twf(self, pressed: int, now: float) -> None:
+        if pressed:
+            self._put_val(self.fields["VAL"] + self.fields["TWV"], now)
+
+    def _put_twr(self, pressed: int, now: float) -> None:
+        if pressed:
+            self._put_val(self.fields["VAL"] - self.fields["TWV"], now)
+
+    def _put_off(self, offset: float, now: float) -> None:
+        if math.isfinite(offset):
+            self.fields["OFF"] = offset
+            self._rescale()
+
+    def _put_dir(self, direction: str, now: float) -> None:
+        self.fields["DIR"] = direction
+        self._rescale()
+
+    def _put_sset(self, pressed: int, now: float) -> None:
+        self.fields["SET"] = "Set"
+
+    def _put_suse(self, pressed: int, now: float) -> None:
+        self.fields["SET"] = "Use"
+
+    def _put_hlm(self, user: float, now: float) -> None:
+        self._limit("DHLM" if self._sign > 0.0 else "DLLM", self._dial(user))
+
+    def _put_llm(self, user: float, now: float) -> None:
+        self._limit("DLLM" if self._sign > 0.0 else "DHLM", self._dial(user))
+
+    def _put_dhlm(self, dial: float, now: float) -> None:
+        self._limit("DHLM", dial)
+
+    def _put_dllm(self, dial: float, now: float) -> None:
+        self._limit("DLLM", dial)
+
+    def _limit(self, field: str, dial: float) -> None:
+        """Move a limit, at most to the end of the axis' range."""
+        own = self.settings
+        if math.isfinite(dial):
+            self.fields[field] = min(max(dial, own.low / own.metres), own.high / own.metres)
+            self._rescale()
+
+    def _put_sync(self, pressed: int, now: float) -> None:
+        """VAL stands where the axis is."""
+        self.fields["DVAL"] = self.fields["DRBV"]
+        self._rescale()
+
+    def _put_stop(self, pressed: int, now: float) -> None:
+        if pressed:
+            self._pending = None
+            self._halt(now)
+
+    def _put_spmg(self, word: str, now: float) -> None:
+        self.fields["SPMG"] = word
+        if word in ("Stop", "Pause"):
+            moving = not math.isnan(self._target) and not self._stopping
+            self._pending = self.fields["VAL"] if word == "Pause" and moving else None
+            if not self.fields["DMOV"]:
+                self._halt(now)
+        elif self._pending is not None:
+            wanted, self._pending = self._pending, None
+            self._go(wanted, now)
+
+    # -- moves ---------------------------------------------------------------------------------------------------
+
+    def _go(self, user: float, now: float) -> None:
+        """Begin a move to a user position, or refuse it."""
+        fields, own = self.fields, self.settings
+        if fields["SPMG"] in ("Stop", "Pause"):
+            self._pending = fields["VAL"] = user
+            return
+        violated = Alarm()
+        if not user <= fields["HLM"]:
+            violated = TOO_HIGH
+        elif not user >= fields["LLM"]:
+            violated = TOO_LOW
+        self._violated, self._missed = violated, Alarm()
+        fields["LVIO"], fields["MISS"] = int(violated != Alarm()), 0
+        self._seen = self._axis.look(now)
+        self._refused = violated != Alarm() or self._seen.alarm != Alarm()
+        if not self._refused:
+            dial = self._dial(user)
+            fields["DVAL"], fields["VAL"] = dial, user
+            self._target = min(max(dial * own.metres, own.low), own.high)
+            fields["TDIR"] = int(self._target > self._seen.position)
+            distance = abs(self._target - self._seen.position)
+            self._begin(now, distance / own.velocity if own.velocity else 0.0)
+            self._axis.move(self._target)
+        fields["DMOV"] = 0  # one that is refused ends at once, with the alarm
+        self._sum_up()
+
+    def _begin(self, now: float, takes: float) -> None:
+        self._arrival.restart()
+        self._begun, self._allowed = now, takes + self.settings.timeout + self.settings.dwell
+        self._taken = self._stopping = False
+        self.fields["DMOV"], self.fields["MOVN"] = 0, 1
+
+    def _halt(self, now: float) -> None:
+        """Let the axis come to rest; the move ends where it does."""
+        self._axis.stop()
+        self._begin(now, 0.0)
+        self._stopping, self._target = True, math.nan
+
+    def tick(self, now: float) -> None:
+        """Look at the axis at a time [s], and go on with what moves."""
+        fields, seen = self.fields, self._axis.look(now)
+        self._seen = seen
+        if math.isfinite(seen.position):
+            fields["DRBV"] = seen.position / self.settings.metres
+        if self._refused:
+            self._refused = False
+            self._end(Alarm())
+        elif not fields["DMOV"]:
+            self._watch(now, seen)
+        else:
+            self._follow()
+        fields["RBV"] = self._user(fields["DRBV"])
+        if fields["DMOV"] and self._pending is None:
+            fields["VAL"] = self._user(fields["DVAL"])
+        fields["DIFF"] = fields["DVAL"] - fields["DRBV"]
+        self._sum_up()
+
+    def _watch(self, now: float, seen: Seen) -> None:
+        """Look whether a move has arrived, or cannot any more."""
+        target = seen.setpoint if self._stopping else self._target
+        if seen.setpoint == target:
+            self._taken = True
+        elif self._taken or now - self._begun > TAKEN:
+            self._end(MISSED)  # something else was asked of the axis, or it does not take this
+            return
+        if seen.alarm != Alarm() or now - self._begun > self._allowed:
+            self._end(MISSED)
+        elif self._arrival.take(now, seen.position - target if self._taken else math.nan):
+            self._end(Alarm())
+
+    def _end(self, missed: Alarm) -> None:
+        self._missed, self._target, self._stopping = missed, math.nan, False
+        fields = self.fields
+        self._follow()
+        fields["DMOV"], fields["MOVN"], fields["MISS"] = 1, 0, int(missed != Alarm())
+        if fields["SPMG"] == "Move":
+            fields["SPMG"] = "Pause"
+
+    def _follow(self) -> None:
+        """Show the setpoint in force, whoever gave it, unless another one waits."""
+        if math.isfinite(self._seen.setpoint) and self._pending is None:
+            self.fields["DVAL"] = self._seen.setpoint / self.settings.metres
+
+    def _sum_up(self) -> None:
+        """Say in alarm and status what is wrong."""
+        fields = self.fields
+        wrong = (self._seen.alarm, self._violated, self._missed)
+        self.alarm = next((alarm for alarm in wrong if alarm != Alarm()), Alarm())
+        status = (PLUS if fields["TDIR"] else 0) | (DONE if fields["DMOV"] else 0) | (MOVING if fields["MOVN"] else 0)
+        status |= PROBLEM if self.alarm.severity != "NO_ALARM" else 0
+        fields["MSTA"] = status | (COMMUNICATION if self._seen.alarm == SILENT else 0)

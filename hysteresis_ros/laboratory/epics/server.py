@@ -1,0 +1,224 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Channel Access: motor records by caproto (extra ``[epics]``)."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import time
+from collections.abc import Callable, Iterable
+
+import caproto
+from caproto.asyncio.server import Context
+from caproto.server import PVGroup, PvpropertyDouble, pvproperty
+
+from hysteresis_ros.laboratory.epics.record import Alarm, Axis, MotorRecord, MotorSettings
+
+#: How often records look at their axes and tell what has changed [s].
+PERIOD = 0.02
+
+#: What is told goes out so much later than an answer [s], which is to find it told.
+BEHIND = 0.05
+
+#: Fields that clients write: name in caproto → name of the field.
+WRITTEN = {
+    "dial_desired_value": "DVAL",
+    "relative_value": "RLV",
+    "tweak_motor_forward": "TWF",
+    "tweak_motor_reverse": "TWR",
+    "tweak_step_size": "TWV",
+    "stop": "STOP",
+    "stop_pause_move_go": "SPMG",
+    "set_use_switch": "SET",
+    "set_set_mode": "SSET",
+    "set_use_mode": "SUSE",
+    "offset_freeze_switch": "FOFF",
+    "user_offset": "OFF",
+    "user_direction": "DIR",
+    "user_high_limit": "HLM",
+    "user_low_limit": "LLM",
+    "dial_high_limit": "DHLM",
+    "dial_low_limit": "DLLM",
+    "sync_position": "SYNC",
+    "velocity": "VELO",
+    "seconds_to_velocity": "ACCL",
+    "max_velocity": "VMAX",
+    "retry_deadband": "RDBD",
+    "home_forward": "HOMF",
+    "home_reverse": "HOMR",
+    "jog_motor_forward": "JOGF",
+    "jog_motor_reverse": "JOGR",
+}
+#: Fields after whose writing a client that waits is answered when the move is over.
+MOVING = ("VAL", "DVAL", "RLV", "TWF", "TWR")
+
+
+def _writer(field: str):
+    """Return what caproto calls when a client writes a field of a record."""
+
+    async def write(fields, instance, value):
+        return await fields.parent.group.write(field, value)
+
+    return write
+
+
+async def _write_value(group, instance, value):
+    """Take what a client writes to the record itself."""
+    return await group.write("VAL", value)
+
+
+class Position(PvpropertyDouble):
+    """A position that the record itself refuses, with its alarm, where caproto would refuse it with an exception."""
+
+    async def verify_value(self, value):
+        """Give what a client writes to the record."""
+        return await self.putter(self, float(value[0] if isinstance(value, Iterable) else value))
+
+
+class Motor(PVGroup):
+    """A motor record on Channel Access.
+
+    Parameters
+    ----------
+    settings : MotorSettings
+    axis : Axis
+    """
+
+    motor = pvproperty(value=0.0, name="", dtype=Position, record="motor", put=_write_value)
+
+    def __init__(self, settings: MotorSettings, axis: Axis):
+        super().__init__(prefix=settings.name)
+        self.settings = settings
+        self.record = MotorRecord(settings, axis)
+        found = self.motor.field_inst
+        self._places = {prop.pvspec.name: getattr(found, name) for name, prop in type(found)._pvs_.items()}
+        self._places["VAL"] = self.motor
+        self._shown: dict[str, object] = {}
+        self._alarm: Alarm | None = None
+        self._telling = asyncio.Lock()
+
+    async def write(self, field: str, value):
+        """Write a field as a client does; who waits for a move waits until it is over.
+
+        Raises
+        ------
+        SkipWrite
+            The record has said itself what the field is now: said twice, ophyd takes the second for news of old limits.
+        """
+        taken = self.record.put(field, value, time.monotonic())
+        await self.tell()
+        if field in MOVING:
+            while not self.record.fields["DMOV"]:
+                await asyncio.sleep(PERIOD)
+            await self.tell()
+        await asyncio.sleep(BEHIND)
+        if field in self.record.fields:
+            raise caproto.SkipWrite
+        return taken
+
+    async def begin(self) -> None:
+        """Say once what does not change."""
+        unit, digits = self.settings.unit, self.settings.precision
+        for place in (self.motor, *self._places.values()):
+            if isinstance(place, caproto.ChannelDouble):
+                await place.write_metadata(units=unit, precision=digits)
+        await self._places["EGU"].write(unit, verify_value=False)
+        await self._places["DESC"].write(f"hysteresis {self.settings.namespace or 'axis'}"[:40], verify_value=False)
+        await self._places["UDF"].write(b"\0", verify_value=False)
+
+    async def tell(self) -> None:
+        """Tell clients what has changed.
+
+        The alarm comes first, and last of all that a move is over: who waits for that finds everything else said.
+        """
+        async with self._telling:
+            record = self.record
+            if record.alarm != self._alarm:
+                await self._tell_alarm(record.alarm)
+            changed = {name: value for name, value in record.fields.items() if self._shown.get(name) != value}
+            if {"HLM", "LLM"} & changed.keys():
+                await self._tell_limits()
+            for name in sorted(changed, key=lambda name: name == "DMOV"):
+                self._shown[name] = changed[name]
+                await self._places[name].write(changed[name], verify_value=False)
+
+    async def _tell_alarm(self, alarm: Alarm) -> None:
+        self._alarm = alarm
+        status = caproto.AlarmStatus[alarm.status]
+        severity = getattr(caproto.AlarmSeverity, f"{alarm.severity}_ALARM".replace("NO_ALARM_ALARM", "NO_ALARM"))
+        for name in ("VAL", "RBV"):  # the fields share one
+            await self._places[name].alarm.write(status=status, severity=severity)
+        await self._places["STAT"].write(alarm.status, verify_value=False)
+        await self._places["SEVR"].write(alarm.severity, verify_value=False)
+
+    async def _tell_limits(self) -> None:
+        low, high = self.record.fields["LLM"], self.record.fields["HLM"]
+        for name in ("VAL", "RBV"):
+            await self._places[name].write_metadata(
+                lower_ctrl_limit=low, upper_ctrl_limit=high, lower_disp_limit=low, upper_disp_limit=high
+            )
+
+    async def look(self) -> None:
+        """Look at the axis, and tell what has changed."""
+        self.record.tick(time.monotonic())
+        await self.tell()
+
+
+for _name, _field in WRITTEN.items():
+    getattr(Motor.motor.fields, _name).putter(_writer(_field))
+
+
+class RefusedWrites(logging.Filter):
+    """Says in a line why a write was refused, which the client is told as well; caproto logs the place in its code."""
+
+    def filter(self, record) -> bool:
+        """Take the traceback out of the record of a write that was refused."""
+        if record.exc_info and str(record.msg).startswith("Invalid write request"):
+            user, host, *_ = (*record.args, "", "")
+            error = record.exc_info[1]
+            record.msg, record.args = "write of %s on %s refused: %s: %s", (user, host, type(error).__name__, error)
+            record.exc_info = record.exc_text = None
+        return True
+
+
+async def serve(motors: list[Motor], interfaces: list[str], over: Callable[[], bool], ready: Callable[[], object]):
+    """Serve records until it is over.
+
+    Parameters
+    ----------
+    motors : list of Motor
+    interfaces : list of str
+        Addresses on which it listens.
+    over : callable
+        Tells whether to leave.
+    ready : callable
+        Called once clients are answered.
+    """
+    logging.getLogger("caproto").setLevel(logging.ERROR)  # a busy moment is no news
+    logging.getLogger("caproto.circ").addFilter(RefusedWrites())
+    records = {name: channel for motor in motors for name, channel in motor.pvdb.items()}
+
+    async def started(library) -> None:
+        for motor in motors:
+            await motor.begin()
+            await motor.look()
+        ready()
+
+    context = Context(records, interfaces)
+    server = asyncio.create_task(context.run(log_pv_names=False, startup_hook=started))
+    try:
+        while not over() and not server.done():
+            await asyncio.sleep(PERIOD)
+            for motor in motors:
+                await motor.look()
+    finally:
+        server.cancel()
+        await asyncio.gather(server, return_exceptions=True)

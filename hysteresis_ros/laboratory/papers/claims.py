@@ -1,0 +1,471 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Claims of a paper beside what was found here: one row a claim, as a table, as JSON, and as a page with its plots."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hysteresis_ros.analysis.metrics import judged_reference
+from hysteresis_ros.analysis.page import render_page, write_page
+from hysteresis_ros.analysis.plots import data_uri, envelope, new_figure
+from hysteresis_ros.errors import ParameterError, Problem
+from hysteresis_ros.recordings.dataset import Recording
+from hysteresis_ros.recordings.loops import loop_opening
+
+_MICRO = 1e6
+_REFERENCE = "#222222"
+#: Colours of the runs in order: the first one, usually the worst, stays in the background.
+_COLOURS = ("#b8b8b8", "#d1495b", "#1f6fb2", "#2a9d8f", "#e09f3e")
+
+
+def traces_comparison(runs: dict[str, Recording], window: tuple[float, float]):
+    """Return the figure of the displacements of several runs of one reference [µm, s]: whole, and a part of it.
+
+    Parameters
+    ----------
+    runs : dict of str to Recording
+        Label and run; the reference is that of the first one, delayed by its preview.
+    window : (float, float)
+        Beginning and end of the part shown larger [s].
+    """
+    figure, axes = new_figure(3.8, 2)
+    first = next(iter(runs.values()))
+    for axis, (start, stop) in zip(axes, ((first.time[0], first.time[-1]), window), strict=True):
+        for (label, run), colour in zip(runs.items(), _COLOURS, strict=False):
+            shown = (run.time >= start) & (run.time <= stop)
+            time, values = envelope(run.time[shown], run["displacement"][shown] * _MICRO)
+            axis.plot(time, values, color=colour, linewidth=1.3, label=label)
+        shown = (first.time >= start) & (first.time <= stop)
+        line = dict(color=_REFERENCE, linewidth=1.0, linestyle=(0, (4, 3)), label="reference", drawstyle="steps-post")
+        axis.plot(first.time[shown], judged_reference(first)[shown] * _MICRO, **line)
+        axis.set(xlabel="time [s]", ylabel="displacement [µm]", xlim=(start, stop))
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper left", ncols=4, frameon=False, fontsize=9)
+    return figure
+
+
+def loops_comparison(loops: dict[str, tuple[np.ndarray, np.ndarray]]):
+    """Return the figure of loops beside each other [µm]; each title says how far its loop is open.
+
+    Parameters
+    ----------
+    loops : dict of str to (array, array)
+        Label; reference and displacement, shape (N,) each [m].
+    """
+    figure, axes = new_figure(4.4, len(loops))
+    for axis, (label, (reference, displacement)), colour in zip(axes, loops.items(), _COLOURS[1:], strict=False):
+        low, high = np.min(reference) * _MICRO, np.max(reference) * _MICRO
+        axis.plot([low, high], [low, high], color=_REFERENCE, linewidth=0.8, linestyle=(0, (4, 3)))
+        axis.plot(reference * _MICRO, displacement * _MICRO, color=colour, linewidth=1.2)
+        opening = loop_opening(reference, displacement)
+        width = "no loop" if opening is None else f"{100.0 * opening / np.ptp(reference):.3g} % of stroke"
+        axis.set_title(f"{label}: {width}", fontsize=11)
+        axis.set(xlabel="reference [µm]", ylabel="displacement [µm]")
+    return figure
+
+
+def loops_overlay(panels: dict[str, dict[str, tuple[np.ndarray, np.ndarray]]]):
+    """Return the figure of loops on top of each other [V, µm], one panel beside the other.
+
+    Parameters
+    ----------
+    panels : dict of str to dict of str to (array, array)
+        Title of a panel → label → voltage [V] and displacement [m], shape (N,) each.
+    """
+    figure, axes = new_figure(4.4, len(panels))
+    for axis, (title, loops) in zip(axes, panels.items(), strict=True):
+        for number, ((label, (voltage, displacement)), colour) in enumerate(
+            zip(loops.items(), _COLOURS[1:], strict=False)
+        ):
+            style = dict(linewidth=2.2 - 1.2 * bool(number), linestyle="--" if number else "-")
+            axis.plot(voltage, displacement * _MICRO, color=colour, label=label, **style)
+        axis.set_title(title, fontsize=11)
+        axis.set(xlabel="voltage [V]", ylabel="displacement [µm]")
+        axis.legend(frameon=False, fontsize=9)
+    return figure
+
+
+def prediction_figure(run: Recording):
+    """Return the figure of a model beside the truth over time, and of its error [µm, s].
+
+    Parameters
+    ----------
+    run : Recording
+        ``displacement`` is the truth, ``estimated`` the model's.
+    """
+    figure, (whole, error) = new_figure(3.6, 2)
+    for name, colour, width in (("displacement", _COLOURS[0], 2.4), ("estimated", _COLOURS[2], 1.0)):
+        label = "truth" if name == "displacement" else "model"
+        whole.plot(*envelope(run.time, run[name] * _MICRO), color=colour, linewidth=width, label=label)
+    left = (run["estimated"] - run["displacement"]) * _MICRO
+    error.plot(*envelope(run.time, left), color=_COLOURS[1], linewidth=0.9)
+    whole.set(xlabel="time [s]", ylabel="displacement [µm]")
+    whole.legend(frameon=False, fontsize=9)
+    error.set(xlabel="time [s]", ylabel="error [µm]")
+    return figure
+
+
+def response_figure(frequency, measured, fitted):
+    """Return the Bode plot of a measured frequency response and a fit [Hz, dB, degrees].
+
+    Parameters
+    ----------
+    frequency : array, shape (F,)
+        [Hz]
+    measured, fitted : complex array, shape (F,)
+        No unit.
+    """
+    figure, (gain, phase) = new_figure(3.6, 2)
+    for label, values, colour, width in (
+        ("measured", measured, _COLOURS[0], 2.4),
+        ("fit", fitted, _COLOURS[1], 1.0),
+    ):
+        gain.plot(frequency, 20.0 * np.log10(np.abs(values)), color=colour, linewidth=width, label=label)
+        angle = np.degrees(np.unwrap(np.angle(values)))
+        phase.plot(frequency, angle, color=colour, linewidth=width)
+    gain.set(xlabel="frequency [Hz]", ylabel="gain [dB]")
+    phase.set(xlabel="frequency [Hz]", ylabel="phase [°]")
+    gain.legend(frameon=False, fontsize=9)
+    return figure
+
+
+def errors_comparison(errors: dict[str, tuple[np.ndarray, np.ndarray]], smaller: tuple[str, ...] = ()):
+    """Return the figure of errors over time [µm, s], all of them and once more without the large ones.
+
+    Parameters
+    ----------
+    errors : dict of str to (array, array)
+        Label; time [s] and error [m], shape (N,) each.
+    smaller : tuple of str
+        Labels of the panel at the right; empty: there is none.
+    """
+    figure, axes = new_figure(3.6, 2 if smaller else 1)
+    for axis, chosen in zip(axes, (tuple(errors), smaller), strict=False):
+        axis.axhline(0.0, color=_REFERENCE, linewidth=0.8)
+        for (label, (time, error)), colour in zip(errors.items(), _COLOURS, strict=False):
+            if label in chosen:
+                axis.plot(*envelope(time, error * _MICRO), color=colour, linewidth=1.2, label=label)
+        axis.set(xlabel="time [s]", ylabel="error [µm]")
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside upper left", ncols=4, frameon=False, fontsize=9)
+    return figure
+
+
+def responses_comparison(frequency, responses: dict[str, np.ndarray]):
+    """Return the Bode plot of several frequency responses on a logarithmic axis [Hz, dB, degrees].
+
+    Parameters
+    ----------
+    frequency : array, shape (F,)
+        [Hz], above 0.
+    responses : dict of str to complex array, shape (F,)
+        Label and response.
+    """
+    figure, (gain, phase) = new_figure(3.6, 2)
+    for number, ((label, values), colour) in enumerate(zip(responses.items(), _COLOURS, strict=False)):
+        style = dict(color=colour, linewidth=1.2 if number else 3.0)
+        gain.semilogx(frequency, 20.0 * np.log10(np.abs(values)), label=label, **style)
+        phase.semilogx(frequency, np.degrees(np.unwrap(np.angle(values))), **style)
+    gain.set(xlabel="frequency [Hz]", ylabel="gain [dB]")
+    phase.set(xlabel="frequency [Hz]", ylabel="phase [°]")
+    gain.legend(frameon=False, fontsize=9)
+    return figure
+
+
+def history_figure(histories: dict[str, np.ndarray]):
+    """Return the figure of errors over the evaluations of trainings, on a logarithmic axis.
+
+    Parameters
+    ----------
+    histories : dict of str to array, shape (K,)
+        Label; rms error of ±1 at each evaluation.
+    """
+    figure, (axis,) = new_figure(3.0)
+    for (label, values), colour in zip(histories.items(), _COLOURS[1:], strict=False):
+        axis.semilogy(np.arange(1, len(values) + 1), values, color=colour, linewidth=1.3, label=label)
+    axis.set(xlabel="evaluation", ylabel="rms error of ±1")
+    axis.legend(frameon=False, fontsize=9)
+    return figure
+
+
+@dataclass(frozen=True)
+class ClaimsPage:
+    """What stands on a page of claims.
+
+    Parameters
+    ----------
+    title, summary : str
+        Heading, and the result in one line.
+    headings : sequence of str
+        Heads of the columns.
+    groups : dict of str to list of (sequence of str, bool or None)
+        Heading of a group → the cells of its rows, and whether the claim of each row holds.
+    remarks, assumptions : sequence of str
+        Shown below; assumptions are numbered from 1.
+    configuration : str
+        Text of the configuration, shown at the end.
+    """
+
+    title: str
+    summary: str
+    headings: Sequence[str]
+    groups: dict[str, list[tuple[Sequence[str], bool | None]]]
+    remarks: Sequence[str]
+    assumptions: Sequence[str]
+    configuration: str = ""
+
+
+def write_claims_page(path, page: ClaimsPage, plots) -> None:
+    """Write a page with a table of claims, plots, remarks and assumptions that needs nothing beside it.
+
+    Parameters
+    ----------
+    path : path-like
+        HTML file.
+    page : ClaimsPage
+    plots : sequence of (str, figure)
+        Captions and figures.
+
+    Raises
+    ------
+    MissingExtraError
+        Matplotlib or Jinja2 is not installed.
+    RecordingError
+        The file cannot be written.
+    """
+    sources = [dict(caption=caption, source=data_uri(figure)) for caption, figure in plots]
+    write_page(path, render_page("claims.html.j2", **vars(page), plots=sources))
+
+
+#: What people read instead of an SI unit: factor, unit, decimals.
+SHOWN = {
+    "m": (1e6, "µm", 4),
+    "s": (1.0, "s", 4),
+    "%": (1.0, "%", 4),
+    "Hz": (1.0, "Hz", 1),
+    "m/V": (1e6, "µm/V", 4),
+    "m*s": (1e6, "µm·s", 4),
+    "V": (1.0, "V", 2),
+    "1/V": (1.0, "1/V", 5),
+    "m^2": (1e12, "µm²", 6),
+    "N": (1.0, "N", 4),
+    "N/m": (1e-6, "N/µm", 4),
+    "rad/s": (1.0, "rad/s", 4),
+    "1": (1.0, "", 6),
+}
+HEADINGS = ("row", "quantity", "paper", "here", "unit", "tolerance", "holds", "assumes")
+
+
+@dataclass(frozen=True)
+class Claim:
+    """One claim and what was found; SI units (``%`` stays per cent).
+
+    Parameters
+    ----------
+    id : str
+        Name of the row, unique in an experiment.
+    group : str
+        Heading under which the row stands.
+    quantity : str
+        What is measured, under which conditions.
+    measured : float
+        What was found.
+    unit : str
+        One of :data:`SHOWN`.
+    paper : float, str or None
+        The paper's value, in words where it gives no number; None where it says nothing.
+    low, high : float or None
+        Inclusive range in which the claim holds; both None: a row for information.
+    derived : bool
+        The value beside ``paper`` was worked out for the assumed plant; the paper itself does not print it.
+    assumptions : tuple of str
+        What the paper leaves open and was assumed, in sentences.
+    reason : str
+        Why the row comes out as it does, where that needs saying.
+    details : dict of str to float
+        The cases of which ``measured`` is the worst, where there are several.
+
+    Raises
+    ------
+    ParameterError
+        ``measured`` is not finite or the unit is unknown.
+    """
+
+    id: str
+    group: str
+    quantity: str
+    measured: float
+    unit: str
+    paper: float | str | None = None
+    low: float | None = None
+    high: float | None = None
+    derived: bool = False
+    assumptions: tuple[str, ...] = ()
+    reason: str = ""
+    details: dict[str, float] = field(default_factory=dict)
+
+    def __post_init__(self):
+        """Refuse what no table and no JSON can hold."""
+        if self.unit not in SHOWN:
+            raise ParameterError([Problem(f"{self.id}: unit", self.unit, f"must be one of {', '.join(SHOWN)}")])
+        if not math.isfinite(self.measured):
+            raise ParameterError([Problem(f"{self.id}: measured", self.measured, "must be finite")])
+
+    @property
+    def holds(self) -> bool | None:
+        """Whether ``measured`` is within the tolerance; None without one."""
+        if self.low is None and self.high is None:
+            return None
+        above = self.low is None or self.measured >= self.low
+        below = self.high is None or self.measured <= self.high
+        return above and below
+
+    @property
+    def tolerance(self) -> str:
+        """The tolerance in words, in the unit shown; empty for a row for information."""
+        if self.low is None and self.high is None:
+            return ""
+        if self.low is None:
+            return f"≤ {self._bound(self.high)}"
+        if self.high is None:
+            return f"≥ {self._bound(self.low)}"
+        return f"{self._bound(self.low)} … {self._bound(self.high)}"
+
+    def _bound(self, value: float) -> str:
+        return f"{value * SHOWN[self.unit][0]:.5g}"
+
+    def to_json(self) -> dict:
+        """Return everything JSON can hold; numbers in SI units, ``tolerance`` in words and as ``low`` and ``high``."""
+        return {
+            "id": self.id,
+            "group": self.group,
+            "quantity": self.quantity,
+            "paper": self.paper,
+            "derived": self.derived,
+            "measured": self.measured,
+            "unit": self.unit,
+            "tolerance": f"{self.tolerance} {SHOWN[self.unit][1]}".strip(),
+            "low": self.low,
+            "high": self.high,
+            "holds": self.holds,
+            "assumptions": list(self.assumptions),
+            "reason": self.reason,
+            "details": dict(self.details),
+        }
+
+    def cells(self) -> tuple[str, ...]:
+        """Return the cells of the row up to ``holds``, in units for people."""
+        factor, unit, decimals = SHOWN[self.unit]
+        paper = "–"
+        if isinstance(self.paper, str):
+            paper = self.paper
+        elif self.paper is not None:
+            paper = self._bound(self.paper)
+        holds = {True: "yes", False: "NO", None: "–"}[self.holds]
+        # adding zero turns −0.0 into 0.0
+        here = f"{round(self.measured * factor, decimals) + 0.0:.{decimals}f}"
+        return self.id, self.quantity, paper + ("*" if self.derived else ""), here, unit, self.tolerance or "–", holds
+
+
+@dataclass(frozen=True)
+class Reproduction:
+    """A repeated experiment.
+
+    Parameters
+    ----------
+    name : str
+        Name of the experiment on the command line.
+    title : str
+        The paper.
+    claims : tuple of Claim
+        All rows, in order; rows of one group follow each other.
+    runs : dict of str to Recording
+        Runs that the plots show.
+    configuration : str
+        Text of the configuration the runs rest on.
+    """
+
+    name: str
+    title: str
+    claims: tuple[Claim, ...]
+    runs: dict[str, Recording]
+    configuration: str = ""
+
+    def __str__(self) -> str:
+        return format_claims(self)
+
+    @property
+    def assumptions(self) -> tuple[str, ...]:
+        """All assumptions in order of first use; the table numbers them from 1."""
+        return tuple(dict.fromkeys(text for claim in self.claims for text in claim.assumptions))
+
+    def groups(self) -> dict[str, list[Claim]]:
+        """Return the rows under their headings."""
+        found: dict[str, list[Claim]] = {}
+        for claim in self.claims:
+            found.setdefault(claim.group, []).append(claim)
+        return found
+
+    def cells(self, claim: Claim) -> tuple[str, ...]:
+        """Return one cell for each of :data:`HEADINGS`."""
+        numbers = [str(self.assumptions.index(text) + 1) for text in claim.assumptions]
+        return (*claim.cells(), " ".join(numbers))
+
+    def remarks(self) -> list[str]:
+        """Return the reasons of rows, rows of the same reason together."""
+        found: dict[str, list[str]] = {}
+        for claim in self.claims:
+            if claim.reason:
+                found.setdefault(claim.reason, []).append(claim.id)
+        return [f"{', '.join(rows)}: {reason}" for reason, rows in found.items()]
+
+    def summary(self) -> str:
+        """Return in one line how many claims hold."""
+        judged = [claim for claim in self.claims if claim.holds is not None]
+        failed = [claim.id for claim in judged if not claim.holds]
+        text = f"{len(judged) - len(failed)} of {len(judged)} rows hold"
+        return f"{text}; not: {', '.join(failed)}" if failed else text
+
+    def to_json(self) -> dict:
+        """Return the whole as JSON holds it; the rows are the list under ``claims``."""
+        return {"experiment": self.name, "title": self.title, "claims": [claim.to_json() for claim in self.claims]}
+
+    def page(self) -> ClaimsPage:
+        """Return what stands on the HTML page, but for the plots."""
+        groups = {
+            name: [(self.cells(claim), claim.holds) for claim in claims] for name, claims in self.groups().items()
+        }
+        return ClaimsPage(
+            self.title, self.summary(), HEADINGS, groups, self.remarks(), self.assumptions, self.configuration
+        )
+
+
+def format_claims(reproduction: Reproduction) -> str:
+    """Return the table for a terminal: rows under their headings, then remarks and assumptions."""
+    rows = {claim.id: reproduction.cells(claim) for claim in reproduction.claims}
+    widths = [max(map(len, column)) for column in zip(HEADINGS, *rows.values(), strict=True)]
+
+    def line(cells):
+        padded = [cell.ljust(width) for cell, width in zip(cells, widths, strict=True)]
+        padded[3] = cells[3].rjust(widths[3])
+        return "  ".join(padded).rstrip()
+
+    lines = [reproduction.title, "", line(HEADINGS), line(["-" * width for width in widths])]
+    for heading, claims in reproduction.groups().items():
+        lines += [heading, *(line(rows[claim.id]) for claim in claims), ""]
+    lines.append(reproduction.summary())
+    if any(claim.derived for claim in reproduction.claims):
+        lines.append("* worked out for the assumed plant; the paper itself prints no such number")
+    lines += ["", "Remarks", *(f"- {remark}" for remark in reproduction.remarks())]
+    lines += ["", "Assumptions", *(f"{i}  {text}" for i, text in enumerate(reproduction.assumptions, 1))]
+    return "\n".join(lines)

@@ -1,0 +1,353 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Figures of the inchworm axis: moves there and back, spread of the step length, speed, and random sequences.
+
+``python -m hysteresis_ros.laboratory.papers.kim2009.inchworm`` prints them all; ``--moves``, ``--plants`` and
+``--sequences`` say how many.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from dataclasses import dataclass
+
+import numpy as np
+
+from hysteresis_ros.configuration import Configuration, load_configuration
+from hysteresis_ros.loop.axis import Axis
+from hysteresis_ros.loop.reach import single_axis
+from hysteresis_ros.loop.simulation import mismatched
+from hysteresis_ros.references import inchworm_layout as at
+
+#: The load and the clamps of the harder case: 2 N and 20 % less normal force.
+LOADED = {
+    "inchworm__slider__external_force": -2.0,
+    "inchworm__front_clamp__wear": 0.8,
+    "inchworm__rear_clamp__wear": 0.8,
+}
+
+#: Honest conditions: each parameter of the extender up to 5 % off, and it creeps by 1.5 % a decade.
+MISMATCH = 0.05
+CREEP = {"creep__type": "logarithmic", "creep__logarithmic__rate": 0.015}
+
+#: Fastest continuous walking in the random sequences [m/s].
+FASTEST = 3.0e-4
+
+
+def inchworm(configuration: Configuration | None = None, plant=None, sequencer=None, controller=None, compensator=None):
+    """Return the axis of ``config/inchworm_travel.yaml``, or of ``configuration``, with some parameters changed.
+
+    Parameters
+    ----------
+    configuration : Configuration, optional
+    plant, sequencer, controller, compensator : dict, optional
+        Parameters of the nodes, with double underscores for dots.
+    """
+    configuration = configuration or load_configuration("inchworm_travel")
+    for node, values in (
+        ("plant_simulator", plant),
+        ("inchworm_sequencer", sequencer),
+        ("motion_controller", controller),
+        ("hysteresis_compensator", compensator),
+    ):
+        if values:
+            configuration = configuration.override(node, **values)
+    return Axis(single_axis(configuration))
+
+
+@dataclass(frozen=True)
+class Move:
+    """What came of one setpoint.
+
+    Parameters
+    ----------
+    setpoint : float
+        [m].
+    error : float
+        RMS of displacement less setpoint over the last part of the move [m].
+    overshoot : float
+        Largest displacement beyond the setpoint in the direction of the move [m].
+    duration : float
+        Time until the sequencer says it has arrived, to the next eighth of a second [s].
+    steps : int
+        Steps made.
+    arrived : bool
+        False when it did not arrive in time, or with an error.
+    """
+
+    setpoint: float
+    error: float
+    overshoot: float
+    duration: float
+    steps: int
+    arrived: bool
+
+
+def move(axis: Axis, setpoint: float, hold: float = 0.25, longest: float = 60.0) -> Move:
+    """Go to ``setpoint`` [m] and stay there for ``hold`` [s] after a wait of as long."""
+    rate, x = axis.sample_rate, axis.source.sequencer.x
+    way = np.sign(setpoint - axis.plant.motor.displacement)
+    steps, beyond, elapsed, arrived = x[at.TOTAL_STEPS], 0.0, 0.0, False
+    while elapsed < longest and not arrived and not x[at.ERROR]:
+        table = axis.run(np.full(round(rate / 8), setpoint))
+        elapsed += 0.125
+        beyond = max(beyond, float(np.max(way * (table["displacement"] - setpoint))))
+        arrived = bool(np.all(table["arrived"][-round(rate / 20) :]))
+    axis.run(np.full(round(hold * rate), setpoint))
+    table = axis.run(np.full(round(hold * rate), setpoint))
+    error = float(np.sqrt(np.mean((table["displacement"] - setpoint) ** 2)))
+    return Move(setpoint, error, beyond, elapsed, int(x[at.TOTAL_STEPS] - steps), arrived)
+
+
+def honest_moves(seed: int, plant=None, setpoints=(5e-3, 0.0)) -> list[Move]:
+    """Move an extender that is not what the models say; errors are of 50 ms, from 50 ms after the arrival on.
+
+    Parameters
+    ----------
+    seed : int
+        Of the plant, drawn around the configured one (see :mod:`hysteresis_ros.loop.simulation`).
+    plant : dict, optional
+        Changed parameters of the plant.
+    setpoints : sequence of float
+        [m], one after the other.
+    """
+    creeping = load_configuration("inchworm_travel").override("plant_simulator", **CREEP)
+    axis = inchworm(mismatched(creeping, MISMATCH, seed), plant=plant)
+    axis.run(np.zeros(round(0.1 * axis.sample_rate)))
+    return [move(axis, setpoint, hold=0.05, longest=120.0) for setpoint in setpoints]
+
+
+def speed(axis: Axis, samples: int = 20000) -> float:
+    """Return the mean speed [m/s] of walking to a far setpoint."""
+    far = axis.parameters.inchworm_sequencer.maximum
+    axis.run(np.full(2000, far))
+    before = axis.plant.motor.displacement
+    period = int(axis.source.sequencer.p[at.CYCLE_SAMPLES])
+    samples -= samples % period
+    axis.run(np.full(samples, far))
+    return (axis.plant.motor.displacement - before) * axis.sample_rate / samples
+
+
+def step_errors(inverse: str, steps: int = 200, seed: int = 1, learning: bool = True, plant=None) -> np.ndarray:
+    """Return commanded less achieved lengths [m] of open-loop steps of 10 … 100 % of the stroke in both directions.
+
+    Parameters
+    ----------
+    inverse : str
+        Inverse of the hysteresis compensator, ``none`` for no compensation.
+    steps : int
+        Number of steps.
+    seed : int
+        Seed of the lengths.
+    learning : bool
+        Learn the step length meanwhile.
+    plant : dict, optional
+        Changed parameters of the plant.
+    """
+    sequencer = {"fine__enabled": False, "fine__tolerance": 0.4e-6, "learning__enabled": learning}
+    axis = inchworm(
+        plant=plant, sequencer=sequencer, controller={"type": "open_loop"}, compensator={"inverse__type": inverse}
+    )
+    random = np.random.default_rng(seed)
+    stroke = axis.source.sequencer.parameters.gait.stroke
+    wait = round(0.06 * axis.sample_rate)
+    axis.run(np.zeros(1000))
+    errors = []
+    while len(errors) < steps:
+        x = axis.source.sequencer.x
+        if x[at.MODE] == at.FAILED:
+            raise RuntimeError(
+                f"the motor stopped with the error {axis.source.sequencer.error} after {len(errors)} steps"
+            )
+        before = x[at.TOTAL_STEPS]
+        start = axis.plant.motor.displacement
+        way = random.choice([-1.0, 1.0]) if abs(start) < 1e-4 else -np.sign(start)
+        setpoint = start + way * stroke * random.uniform(0.1, 0.99)
+        table = axis.run(np.full(wait, setpoint))
+        made = np.flatnonzero(table["total_steps"] > before)
+        if made.size:
+            first = made[0]
+            errors.append(table["step_commanded"][first] - (table["displacement"][first] - start))
+        axis.run(np.full(4 * wait, setpoint))  # further steps that it may take
+    return np.array(errors)
+
+
+@dataclass(frozen=True)
+class Sequences:
+    """What came of random sequences.
+
+    Parameters
+    ----------
+    count : int
+        How many.
+    both_open : int
+        Samples at which both clamps were commanded below the threshold voltage.
+    least_force : float
+        Least over all samples of the larger normal force of the two clamps [N].
+    beyond_limits : int
+        Samples at which a voltage was outside of its limits.
+    farthest : float
+        Largest motion beyond what a sequence asked for: start, targets, and the distance of its walking [m].
+    unsafe_stops : int
+        Stops after which the two clamps did not both close within the longest phase.
+    slowest_stop : float
+        Longest time from a stop to both clamps above the threshold voltage [s].
+    errors : int
+        Sequences that ended with an error of the sequencer.
+    """
+
+    count: int
+    both_open: int
+    least_force: float
+    beyond_limits: int
+    farthest: float
+    unsafe_stops: int
+    slowest_stop: float
+    errors: int
+
+
+def random_inputs(random, samples: int, rate: float):
+    """Return setpoints [m], requests and walking speeds [m/s], shape (samples,) each, and faults of one sequence."""
+    setpoints, requests = np.zeros(samples), np.zeros(samples)
+    speeds, faults = np.full(samples, np.nan), []
+    for k in random.integers(0, samples, random.integers(1, 8)):
+        setpoints[k:] = random.choice([random.uniform(-1e-4, 1e-4), random.uniform(-5e-6, 5e-6), 2.0e-2])
+    codes = (at.START_REQUEST, at.STOP_REQUEST, at.HOME_REQUEST, at.RELEASE_REQUEST)
+    for k in random.integers(0, samples, random.integers(0, 6)):
+        requests[k] = random.choice(codes)
+        if random.uniform() < 0.7:
+            requests[min(k + random.integers(1, round(0.05 * rate)), samples - 1)] = at.START_REQUEST
+    for k in random.integers(0, samples, random.integers(0, 3)):
+        speeds[k] = random.choice([0.0, random.uniform(-FASTEST, FASTEST)])
+    for k in random.integers(0, samples, random.integers(0, 4)):
+        faults.append(f"stale:{float(k / rate)!r}:{float(random.integers(1, round(0.03 * rate)) / rate)!r}")
+    return setpoints, requests, speeds, tuple(faults)
+
+
+def walking_distance(speeds, before: float, rate: float) -> tuple[float, float]:
+    """Return how far continuous walking may lead backward and forward [m], as two distances.
+
+    Parameters
+    ----------
+    speeds : array, shape (N,)
+        Speed asked for at each sample [m/s]; NaN leaves it as it is.
+    before : float
+        Speed in force before [m/s].
+    rate : float
+        Samples per second [Hz].
+    """
+    given = np.concatenate([[before], speeds])
+    last = np.maximum.accumulate(np.where(np.isnan(given), 0, np.arange(len(given))))
+    in_force = given[last[1:]]
+    return float(-in_force[in_force < 0.0].sum() / rate), float(in_force[in_force > 0.0].sum() / rate)
+
+
+def sequences(count: int, seconds: float = 0.4, seed: int = 1, plant=None) -> Sequences:
+    """Run ``count`` random sequences of setpoints, stops, faults and reversals and look for what must never happen.
+
+    Every sequence goes on from where the one before left the motor; every tenth starts from rest.
+    """
+    axis = inchworm(plant=plant)
+    gait = axis.source.sequencer.parameters.gait
+    rate, threshold = axis.sample_rate, gait.threshold_voltage
+    limits = axis.parameters.plant_simulator.limits
+    home = axis.source.sequencer.parameters.home_position
+    longest = round(max(gait.extend, gait.contract) * rate) + round(gait.grip * rate)
+    random = np.random.default_rng(seed)
+    both_open = beyond = unsafe = errors = slowest = 0
+    least, farthest = np.inf, 0.0
+    for number in range(count):
+        if number % 10 == 0:
+            axis.reset()
+        setpoints, requests, speeds, faults = random_inputs(random, round(seconds * rate), rate)
+        if number % 10:
+            requests[0] = at.START_REQUEST
+        start, target = axis.plant.motor.displacement, axis.source.sequencer.x[at.TARGET]
+        walked = walking_distance(speeds, axis.source.sequencer.x[at.SPEED], rate)
+        axis.inject(faults)
+        table = axis.run(setpoints, requests, speeds)
+        front, rear = table["front_voltage"], table["rear_voltage"]
+        both_open += int(np.count_nonzero(np.maximum(front, rear) < threshold))
+        least = min(least, float(np.min(np.maximum(table["front_force"], table["rear_force"]))))
+        for name, lower, upper in (
+            ("front_voltage", gait.release_voltage, gait.grip_voltage),
+            ("rear_voltage", gait.release_voltage, gait.grip_voltage),
+            ("plant_voltage", limits.minimum, limits.maximum),
+        ):
+            beyond += int(np.count_nonzero((table[name] < lower) | (table[name] > upper)))
+        good = setpoints[np.abs(setpoints) < 9e-3]
+        asked = np.concatenate([good, [start, target, home]])
+        low, high = asked.min() - walked[0], asked.max() + walked[1]
+        above, below = np.max(table["displacement"]) - high, low - np.min(table["displacement"])
+        farthest = max(farthest, float(above), float(below))
+        closed = np.minimum(front, rear) >= threshold
+        for k in np.flatnonzero(requests == at.STOP_REQUEST):
+            after = np.flatnonzero(closed[k:])
+            again = np.flatnonzero(requests[k + 1 :]) + 1
+            wait = int(after[0]) if after.size else len(closed)
+            if again.size and again[0] <= wait:
+                continue  # another request came before
+            if k + wait < len(closed):
+                slowest = max(slowest, wait)
+            unsafe += int(wait > longest and k + longest < len(closed))
+        errors += int(table["error"][-1] not in (at.NO_ERROR, at.SENSOR_ERROR))
+    return Sequences(count, both_open, least, beyond, farthest, unsafe, slowest / rate, errors)
+
+
+def main(arguments=None) -> int:
+    """Print the figures; returns the exit code."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--moves", type=int, default=10, help="moves of 5 mm, there and back")
+    parser.add_argument("--plants", type=int, default=10, help="extenders that are not what the models say")
+    parser.add_argument("--sequences", type=int, default=10000, help="random sequences")
+    chosen = parser.parse_args(arguments)
+    for title, plant in (("no load", None), ("2 N against, clamps 20 % weaker", LOADED)):
+        axis = inchworm(plant=plant)
+        axis.run(np.zeros(10))
+        axis.reset()
+        began = time.process_time()
+        moves = [move(axis, 5e-3 * (number % 2 == 0) - 0.0) for number in range(chosen.moves)]
+        real_time = axis.sample / axis.sample_rate / (time.process_time() - began) if moves else float("nan")
+        print(f"{title}: {len(moves)} moves of 5 mm, {sum(one.arrived for one in moves)} arrived")
+        if moves:
+            print(f"  error {max(one.error for one in moves) * 1e9:.2f} nm RMS at worst")
+            print(f"  overshoot {max(one.overshoot for one in moves) * 1e6:.3f} um at worst")
+            print(f"  {np.mean([one.duration for one in moves]):.1f} s and {moves[-1].steps} steps a move")
+            print(f"  {real_time:.0f} simulated seconds a second of processor time")
+            print(
+                "  learned:", ", ".join(f"{name} {value:.4g}" for name, value in axis.source.sequencer.learned.items())
+            )
+    for title, plant in (("no load", None), ("2 N against, clamps 20 % weaker", LOADED)):
+        moves = [one for seed in range(1, chosen.plants + 1) for one in honest_moves(seed, plant)]
+        print(
+            f"{title}, {chosen.plants} extenders up to 5 % off that creep: {sum(one.arrived for one in moves)} arrived"
+        )
+        if moves:
+            print(f"  error {max(one.error for one in moves) * 1e9:.2f} nm RMS at worst")
+            print(f"  overshoot {max(one.overshoot for one in moves) * 1e6:.3f} um at worst")
+            print(f"  {min(one.steps for one in moves)} to {max(one.steps for one in moves)} steps a move")
+    axis = inchworm()
+    gait = axis.source.sequencer.parameters.gait
+    reached = speed(axis)
+    print(f"speed {reached * 1e3:.4f} mm/s, {reached / gait.speed:.4f} of stroke times frequency")
+    for name, plant in (("equal model", None), ("plant 3 % off", {"hysteresis__polynomial__scale": 1.03})):
+        for learning in (True, False):
+            spread = {kind: float(np.std(step_errors(kind, 200, 1, learning, plant))) for kind in ("none", "exact")}
+            print(f"1 sigma of the step length, {name}, {'with' if learning else 'without'} learning:")
+            values = f"{spread['none'] * 1e9:.1f} nm without compensation, {spread['exact'] * 1e9:.1f} nm with it"
+            print(f"  {values}, ratio {spread['none'] / spread['exact']:.1f}")
+    for title, plant in (("no load", None), ("2 N, clamps 20 % weaker", LOADED)):
+        print(f"random sequences, {title}:", sequences(chosen.sequences // 2, plant=plant))
+    return 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

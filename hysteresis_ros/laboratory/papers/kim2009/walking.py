@@ -1,0 +1,223 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Figures of continuous walking over the phase: how far from its path the slider is, before and after learning.
+
+``python -m hysteresis_ros.laboratory.papers.kim2009.walking`` prints them. The motor is not what the models say: its
+extender is drawn around the configured one, its voltages come a sample late, and it is simulated at four times the
+sample rate and judged by the true displacement there. What is learned at one speed is used at others.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass, fields
+
+import numpy as np
+import scipy
+
+from hysteresis_ros.configuration import load_configuration
+from hysteresis_ros.control.law import APPLIED, COMMAND, FEEDFORWARD
+from hysteresis_ros.laboratory.papers.kim2009.inchworm import CREEP, MISMATCH
+from hysteresis_ros.loop.axis import Axis
+from hysteresis_ros.loop.reach import single_axis
+from hysteresis_ros.loop.simulation import mismatched
+from hysteresis_ros.models.inchworm import Inchworm, InchwormPlantParameters
+from hysteresis_ros.models.linear import LinearParameters
+from hysteresis_ros.references import inchworm_layout as at
+from hysteresis_ros.references.inchworm_walk import carried
+
+#: Instants at which the motor is simulated within a sample.
+INSTANTS = 4
+#: Speed of learning [m/s], and at which parts of it the motor walks.
+SPEED = 5.0e-5
+PARTS = (0.2, 0.5, 1.0, 2.0, 3.0)
+#: Cycles of which is learned, those before a judged part, and those that are judged.
+LEARNED, SETTLED, JUDGED = 15, 1, 2
+#: The slider swings on the extender at 456 Hz; the extender itself lags by 2 ζ/ω.
+WALK = {"walk__continuous": True, "walk__swing": 456.0, "walk__learning_speed": SPEED}
+LAG = 1.5e-5
+
+
+def contacts(kick: float) -> dict[str, float]:
+    """Return the plant's parameters of contacts that give way by 20 nm/N and kick by ``kick`` [m/N]; 0: rigid ones."""
+    if not kick:
+        return {}
+    found = {"inchworm__slider__damping": 0.03, "inchworm__slider__substeps": 0}
+    for clamp in ("front_clamp", "rear_clamp"):
+        found |= {f"inchworm__{clamp}__compliance": 2.0e-8, f"inchworm__{clamp}__kick": kick}
+    return found
+
+
+def _finer(plant) -> InchwormPlantParameters:
+    """Return the plant's parameters for the shorter sample time: what is linear is continued between the samples."""
+    A = np.reshape(plant.dynamics.A, (2, 2))
+    part = np.real(scipy.linalg.fractional_matrix_power(A, 1.0 / INSTANTS))
+    B = (np.eye(2) - part) @ np.linalg.solve(np.eye(2) - A, np.asarray(plant.dynamics.B))
+    values = {item.name: getattr(plant, item.name) for item in fields(InchwormPlantParameters)}
+    values["dynamics"] = LinearParameters(A=tuple(part.ravel()), B=tuple(B), C=plant.dynamics.C)
+    return InchwormPlantParameters(**values)
+
+
+@dataclass(frozen=True)
+class Deviation:
+    """How far the slider is from a constant speed while it is carried, and from standing while the extender returns.
+
+    Parameters
+    ----------
+    off_path : float
+        RMS of path less slider over whole cycles [m]; the path has the speed that was asked for, and begins in each
+        cycle where the slider stands.
+    ripple : float
+        The same with the mean speed and place of the slider: what is left repeats with the cycle [m].
+    speed_error : float
+        Mean speed less that asked for, as a part of it.
+    """
+
+    off_path: float
+    ripple: float
+    speed_error: float
+
+
+class Walker:
+    """An inchworm motor that walks over the phase, simulated between the samples, with voltages a sample late.
+
+    Parameters
+    ----------
+    seed : int
+        Of the plant, drawn around the configured one; 0: the configured one.
+    kick : float
+        See :func:`contacts`.
+    told : bool
+        Whether the sequencer knows of the sample of delay.
+    inverse : bool
+        Whether the compensator inverts hysteresis and creep.
+    """
+
+    def __init__(self, seed: int = 1, kick: float = 0.0, told: bool = True, inverse: bool = True):
+        configuration = load_configuration("inchworm_travel").override("plant_simulator", **CREEP)
+        configuration = configuration.override("hysteresis_compensator", **CREEP)
+        delay = 1.0e-4 if told else 0.0
+        configuration = configuration.override("inchworm_sequencer", **WALK, walk__lead=LAG + delay)
+        if seed:
+            configuration = mismatched(configuration, MISMATCH, seed)
+        if not inverse:
+            configuration = configuration.override("hysteresis_compensator", inverse__type="none", creep__type="none")
+        self.axis = Axis(single_axis(configuration.override("plant_simulator", **contacts(kick))))
+        parameters = self.axis.parameters.plant_simulator
+        self.motor = Inchworm(_finer(parameters), 1.0 / parameters.sample_rate / INSTANTS)
+        self.sequencer = self.axis.source.sequencer
+        self._late = (0.0, 100.0, 100.0)
+
+    def sample(self) -> np.ndarray:
+        """Make a sample; returns the true displacement at its instants [m]."""
+        part, compensator = self.axis.controller, self.axis.compensator.compensator
+        slider, extender = self.motor.measure()[:2]
+        reference = self.sequencer.step(0.0, slider, extender)
+        delayed = part.feedforward.step(reference)
+        state = part.controller.x
+        state[FEEDFORWARD] = part.feedforward.command
+        command = part.handover.step(part.controller.step(delayed, slider - self.sequencer.origin))
+        voltage = compensator.step(command)
+        state[COMMAND], state[APPLIED] = command, compensator.applied
+        now, self._late = self._late, (voltage, self.sequencer.front_voltage, self.sequencer.rear_voltage)
+        found = np.empty(INSTANTS)
+        for i in range(INSTANTS):
+            found[i] = self.motor.displacement
+            self.motor.advance(*now)
+        return found
+
+    def walk(self, speed: float, cycles: float) -> tuple[np.ndarray, np.ndarray]:
+        """Walk at ``speed`` [m/s] for some cycles; returns phase and displacement [m] at all instants."""
+        self.sequencer.walk(speed)
+        step = self.sequencer.parameters.walk.step
+        samples = round(cycles * step / abs(speed) * self.axis.sample_rate)
+        phases, found = np.empty(samples + 1), np.empty((samples, INSTANTS))
+        for k in range(samples):
+            found[k] = self.sample()
+            phases[k] = self.sequencer.x[at.CYCLE_PHASE]
+        phases[samples] = phases[samples - 1] + self.sequencer.x[at.CYCLE_RATE]
+        whole = np.unwrap(phases, period=1.0)
+        between = np.interp(np.arange(samples * INSTANTS) / INSTANTS, np.arange(samples + 1), whole)
+        return between, found.ravel()
+
+    def judge(self, speed: float) -> Deviation:
+        """Walk at ``speed`` [m/s] and judge some cycles."""
+        self.walk(speed, SETTLED + 1)
+        phase, slider = self.walk(speed, JUDGED + 2)
+        p, walk = self.sequencer.p, self.sequencer.parameters.walk
+        bounds = p[at.FORWARD_BOUNDS : at.FORWARD_BOUNDS + 8]
+        cycle = np.floor(phase)
+        part = (phase - cycle - bounds[at.CARRY]) / (bounds[at.CARRIED] - bounds[at.CARRY])
+        path = walk.step * (cycle + np.array([carried(walk.blend, value) for value in part]))
+        off, stands = [], phase - cycle < bounds[at.CLOSE_FRONT]
+        first = cycle[0] + 1
+        for number in range(JUDGED):
+            now = cycle == first + number
+            off.append((path - slider)[now] - np.mean((path - slider)[now & stands]))
+        judged = (cycle >= first) & (cycle < first + JUDGED)
+        line = np.polyfit(path[judged], slider[judged], 1)
+        ripple = slider[judged] - np.polyval(line, path[judged])
+        return Deviation(float(np.sqrt(np.mean(np.concatenate(off) ** 2))), float(np.std(ripple)), float(line[0] - 1.0))
+
+    def learn(self, cycles: float = LEARNED) -> None:
+        """Learn at the speed of learning, and freeze."""
+        self.walk(SPEED, 1.0)
+        self.sequencer.request(at.LEARN_REQUEST)
+        self.walk(SPEED, cycles)
+        self.sequencer.request(at.FREEZE_REQUEST)
+        self.sample()
+
+
+def compared(seed: int, parts=PARTS, cycles: float = LEARNED, **motor) -> dict[float, tuple[Deviation, Deviation]]:
+    """Return what a motor does before and after learning for some cycles, at parts of the speed of learning."""
+    walker = Walker(seed, **motor)
+    for _ in range(100):
+        walker.sample()
+    before = {part: walker.judge(part * SPEED) for part in parts}
+    walker.learn(cycles)
+    return {part: (before[part], walker.judge(part * SPEED)) for part in parts}
+
+
+#: The motors whose figures are printed.
+CASES = {
+    "rigid contacts": {},
+    "kick of 1 nm/N": {"kick": 1.0e-9},
+    "kick of 2 nm/N": {"kick": 2.0e-9},
+    "rigid, the sample of delay not told": {"told": False},
+    "kick of 1 nm/N, no inverse of hysteresis and creep": {"kick": 1.0e-9, "inverse": False},
+}
+
+
+def main(arguments=None) -> None:
+    """Print the figures: at each speed of the motor that gains least and of the one that gains most."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--plants", type=int, default=5, help="how many motors are drawn")
+    parser.add_argument("--case", choices=CASES, help="only this one")
+    options = parser.parse_args(arguments)
+    for name in [options.case] if options.case else CASES:
+        print(name)
+        runs = [compared(seed, **CASES[name]) for seed in range(1, options.plants + 1)]
+        for part in PARTS:
+            pairs = [run[part] for run in runs]
+            least, most = (best(pairs, key=lambda pair: pair[0].off_path / pair[1].off_path) for best in (min, max))
+            before, after = (1e9 * max(pair[i].ripple for pair in pairs) for i in (0, 1))
+            gains = " … ".join(
+                f"{1e9 * one.off_path:.1f} -> {1e9 * other.off_path:.1f} nm ({one.off_path / other.off_path:.1f} x)"
+                for one, other in (least, most)
+            )
+            print(
+                f"  {part * SPEED * 1e6:5.0f} um/s: off the path {gains}, ripple {before:.1f} -> {after:.1f} nm, "
+                f"speed off by {100 * max(abs(pair[1].speed_error) for pair in pairs):.3f} %",
+                flush=True,
+            )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,186 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Runs of the experiments: who runs their axes, the triangles they identify from, and the figures they judge."""
+
+from __future__ import annotations
+
+import contextlib
+import contextvars
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from hysteresis_ros.analysis.metrics import axis_settings, judged_reference
+from hysteresis_ros.analysis.parts import find_holds, step_responses
+from hysteresis_ros.configuration import Configuration
+from hysteresis_ros.errors import RecordingError
+from hysteresis_ros.loop.parameters import AxisParameters
+from hysteresis_ros.loop.reach import single_axis
+from hysteresis_ros.loop.simulation import simulate
+from hysteresis_ros.models.hysteresis.polynomial import PolynomialParameters
+from hysteresis_ros.recordings.dataset import Recording
+from hysteresis_ros.recordings.loops import loop_opening
+
+SAMPLE_TIME = 1e-3  # of the simulated recordings [s]; the models are rate independent
+
+
+def triangles(peaks, samples: int = 250) -> np.ndarray:
+    """Return triangles from 0 to each of ``peaks`` and back, ``samples`` samples a branch (2 Hz: 250 at 1 kHz)."""
+    rise = np.arange(1, samples + 1) / samples
+    return np.concatenate([[0.0], *(peak * np.concatenate([rise, 1.0 - rise]) for peak in peaks)])
+
+
+#: Runs an axis, whose parameters say how long, from rest to a recording.
+Runner = Callable[[AxisParameters], Recording]
+
+_runner: contextvars.ContextVar[Runner] = contextvars.ContextVar("runner", default=simulate)
+
+
+@contextlib.contextmanager
+def through(runner: Runner):
+    """Let ``runner`` run every axis of the experiments called inside."""
+    token = _runner.set(runner)
+    try:
+        yield
+    finally:
+        _runner.reset(token)
+
+
+class Noting:
+    """A runner that simulates, and notes the axes it was asked for in :attr:`axes`."""
+
+    def __init__(self):
+        self.axes: list[AxisParameters] = []
+
+    def __call__(self, axis: AxisParameters) -> Recording:
+        """Simulate an axis."""
+        self.axes.append(axis)
+        return simulate(axis)
+
+
+def run(configuration: Configuration, duration: float) -> Recording:
+    """Return the run of the only axis of ``configuration``, ``duration`` seconds from rest.
+
+    Raises
+    ------
+    ConfigurationError
+        The configuration holds several axes, or the duration is not positive.
+    ParameterError
+        A parameter is wrong.
+    """
+    return _runner.get()(single_axis(configuration).with_duration(duration))
+
+
+@dataclass(frozen=True)
+class StepFigures:
+    """What a run of steps between 0 and one level shows; the worst of its steps.
+
+    Parameters
+    ----------
+    settling : float
+        2 % settling time [s], around the value finally reached; the length of the hold where a step does not settle.
+    peak : float
+        Largest displacement [m].
+    residual : float
+        Largest magnitude finally reached at zero reference after a motion [m].
+    level_error : float
+        Largest magnitude of the error finally left at the upper level [m].
+    late_vibration : float
+        Farthest displacement from the value finally reached, from half the hold on [m].
+    """
+
+    settling: float
+    peak: float
+    residual: float
+    level_error: float
+    late_vibration: float
+
+
+def step_figures(run: Recording) -> StepFigures:
+    """Judge a run of steps by its true displacement less the preload's offset.
+
+    Raises
+    ------
+    RecordingError
+        The reference does not step up and back to zero.
+    """
+    displacement = run["displacement"] - axis_settings(run).offset
+    reference = judged_reference(run)
+    responses = step_responses(run.time, reference, displacement)
+    holds = find_holds(reference)[1:]
+    back = [abs(answer.final) for answer in responses if answer.size < 0.0]
+    up = [abs(answer.steady_state_error) for answer in responses if answer.size > 0.0]
+    if not back or not up:
+        raise RecordingError("the reference of the run does not step up and back to zero: nothing to judge")
+    times, vibrations = [], []
+    for hold, answer in zip(holds, responses, strict=True):
+        length = (hold.stop - hold.start) * run.sample_time
+        times.append(length if answer.settling_time is None else answer.settling_time)
+        late = displacement[(hold.start + hold.stop) // 2 : hold.stop]
+        vibrations.append(float(np.max(np.abs(late - answer.final))))
+    return StepFigures(max(times), float(np.max(displacement)), max(back), max(up), max(vibrations))
+
+
+def loop_width(run: Recording) -> float:
+    """Return the largest opening of the loop displacement over reference, in % of the stroke of the reference.
+
+    A reference of sample k first shows in the displacement of sample k + 1; the two are compared. With a preview the
+    delayed reference is, at the same sample.
+
+    Raises
+    ------
+    RecordingError
+        The reference does not go to and fro.
+    """
+    late = 0 if axis_settings(run).preview else 1
+    reference, displacement = judged_reference(run)[: len(run) - late], run["displacement"][late:]
+    opening = loop_opening(reference, displacement)
+    if opening is None:
+        raise RecordingError("the reference of the run does not go to and fro: it has no loop")
+    return 100.0 * opening / float(np.ptp(reference))
+
+
+def picard_width(stack: PolynomialParameters, v_max: float, stroke: float, steps: int, rate_times_gain: float) -> float:
+    """Return the opening between the branches of one loop after Picard steps (eq. 16) that know nothing of the past.
+
+    Parameters
+    ----------
+    stack : PolynomialParameters
+        The branches, plant and model alike.
+    v_max : float
+        Peak of the loop [V].
+    stroke : float
+        Displacement from 0 to which is wanted [m]; the nominal gain is ``stroke / v_max``.
+    steps : int
+        Number of steps; 0: the voltage is displacement / gain.
+    rate_times_gain : float
+        R g of the steps.
+
+    Returns
+    -------
+    float
+        Largest opening at equal wanted displacement, in % of the stroke.
+    """
+    wanted = np.linspace(0.0, stroke, 1001)
+    reached = []
+    for branch in ("rising", "falling"):
+        coefficients = [np.polyval(getattr(stack, f"{branch}_{name}")[::-1], v_max) for name in ("C2", "C1", "D")]
+        voltage = wanted * (v_max / stroke)
+        for _ in range(steps):
+            output = np.polyval(coefficients, voltage)
+            voltage = voltage + (wanted - rate_times_gain * output) * (v_max / stroke)
+        reached.append(np.polyval(coefficients, voltage))
+    return 100.0 * float(np.max(np.abs(reached[0] - reached[1]))) / stroke
+
+
+def worst(values: list[float]) -> float:
+    """Return the value of largest magnitude."""
+    return max(values, key=abs)

@@ -1,0 +1,347 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""One run of a sweep and what it is worth, and several of them as a job for any process."""
+
+from __future__ import annotations
+
+import functools
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+import hysteresis_ros
+from hysteresis_ros.analysis.inchworm import COMMON_FIGURES, MOVE_FIGURES, RUN_FIGURES, figures_of, inchworm_run
+from hysteresis_ros.analysis.metrics import (
+    FIGURES,
+    TIMELINESS,
+    AxisSettings,
+    absolute_integral,
+    compute_metrics,
+    delayed,
+    error_figures,
+)
+from hysteresis_ros.analysis.parts import JUMP, scan_start
+from hysteresis_ros.errors import ConfigurationError, HysteresisError, did_you_mean
+from hysteresis_ros.laboratory.between_samples import INSTANTS, PLACES, displacement_between
+from hysteresis_ros.laboratory.sweeps.plan import PLANT, Variation, varied
+from hysteresis_ros.loop.axis import Axis
+from hysteresis_ros.loop.parameters import AxisParameters
+from hysteresis_ros.loop.plant import ActuatorPlant
+from hysteresis_ros.loop.reach import check_reach
+from hysteresis_ros.loop.source import SequencerSource
+from hysteresis_ros.models.actuator import Actuator
+from hysteresis_ros.recordings.dataset import Recording
+from hysteresis_ros.references.inchworm_parameters import InchwormSequencerParameters
+
+#: Moves to a place that did not come to it.
+NOT_ARRIVED = "not_arrived"
+#: Figures of moves, which one of all moves counts, and how that one is called.
+_WORST: dict[str, tuple[Callable, str]] = {
+    "final_error_rms_m": (max, "Final error, worst move"),
+    "final_error_max_m": (max, "Final error, largest, worst move"),
+    "time_s": (max, "Time, longest move"),
+    "overshoot_m": (max, "Overshoot, worst move"),
+    "walking_speed_m_s": (min, "Speed of walking, slowest move"),
+}
+#: Of these a motor that does not arrive has none.
+_OF_ARRIVALS = ("final_error_rms_m", "final_error_max_m", "time_s")
+#: What is the configuration's own, and what is of clocks, says nothing of a run.
+_OF_GAITS = ("gait_speed_m_s", "stroke_m", "period_s", "clamp_threshold_v")
+_OF_RUNS = tuple(row for row in RUN_FIGURES if row[0] not in _OF_GAITS)
+_COMMON = tuple(row for row in COMMON_FIGURES if row[0].startswith(("chattering", "command", "voltage")))
+
+#: What may be asked of a run of a motor: name → label, unit for people, factor from SI; the first one by default.
+MOTOR_METRICS: dict[str, tuple[str, str, float]] = {
+    **{
+        name: (label, unit, factor)
+        for name, (_, label) in _WORST.items()
+        for row, _, unit, factor in MOVE_FIGURES
+        if row == name
+    },
+    NOT_ARRIVED: ("Moves that did not arrive", "", 1.0),
+    **{name: (label, unit, factor) for name, label, unit, factor in (*_OF_RUNS, *_COMMON)},
+}
+
+
+def judged_motor(
+    signals: dict[str, np.ndarray], settings: InchwormSequencerParameters, names: Sequence[str]
+) -> list[float]:
+    """Return metrics of a run of an inchworm motor; NaN where one has no meaning.
+
+    All are those of :func:`~hysteresis_ros.analysis.inchworm.inchworm_figures`; of the moves to a place the worst one
+    counts, and a run in which one did not arrive has neither time nor final error.
+
+    Parameters
+    ----------
+    signals : dict of str to array
+        What the axis has done.
+    settings : InchwormSequencerParameters
+        Of its sequencer.
+    names : sequence of str
+        Of :data:`MOTOR_METRICS`.
+    """
+    recording = Recording(signals["time"], {name: signals[name] for name in signals if name != "time"}, {}, {})
+    found = figures_of(inchworm_run(recording, settings), recording)
+    moves = [move for move in found["moves"] if move["setpoint_m"] is not None]
+    missed = sum(move["outcome"] != "arrived" for move in moves)
+    figures = {**found, **found["run"], NOT_ARRIVED: missed}
+    for name, (worst, _) in _WORST.items():
+        known = [move[name] for move in moves if move[name] is not None]
+        figures[name] = None if not known or missed and name in _OF_ARRIVALS else worst(known)
+    values = (figures[name] for name in names)
+    return [float("nan") if value is None else float(value) for value in values]
+
+
+#: Figures of clocks, which a simulated run has not.
+_OF_CLOCKS = {"rate_hz", "jitter_p99_s", "missing_samples", *(name for name, *_ in TIMELINESS)}
+#: What may be asked of a run of an actuator: name → label, unit for people, factor from SI; the first one by default.
+ACTUATOR_METRICS: dict[str, tuple[str, str, float]] = {
+    name: (label, unit, factor) for name, label, unit, factor in FIGURES if name not in _OF_CLOCKS
+}
+#: The same of any axis.
+METRICS = MOTOR_METRICS | ACTUATOR_METRICS
+#: Judged between the samples, at :data:`INSTANTS` instants of each.
+BETWEEN = (
+    *("rms_error_m", "max_error_m", "iae_m_s", "rms_error_percent_of_stroke", "max_error_percent_of_stroke"),
+    "stroke_m",
+)
+
+
+def require_metrics(names: Sequence[str], axis: AxisParameters | None = None) -> tuple[str, ...]:
+    """Return the names of metrics, each once.
+
+    Parameters
+    ----------
+    names : sequence of str
+        None at all: the metric that an axis is judged by otherwise.
+    axis : AxisParameters, optional
+        Whose metrics they are to be.
+
+    Raises
+    ------
+    ConfigurationError
+        There is no such metric, or the axis has none.
+    """
+    known, whose = METRICS, ""
+    if axis is not None and axis.inchworm_sequencer is not None:
+        known, whose = MOTOR_METRICS, " of an inchworm motor"
+    elif axis is not None:
+        known, whose = ACTUATOR_METRICS, " of an actuator"
+    for name in names:
+        if name not in known:
+            near = did_you_mean(name, known)
+            text = f"there is no such metric{whose}; there are {', '.join(known)}{near}"
+            raise ConfigurationError(f"--metric {name}: {text}")
+    return tuple(dict.fromkeys(names or [next(iter(known))]))
+
+
+def judged(axis: Axis, signals: dict[str, np.ndarray], names: Sequence[str]) -> list[float]:
+    """Return metrics of a run that has just been made; NaN where one has no meaning.
+
+    Errors are those of the true displacement between the samples, less the preload of the controller's model, against
+    the reference as late as its preview. That goes in straight lines from sample to sample, but where it jumps.
+    All else is defined at the samples (:func:`~hysteresis_ros.analysis.metrics.compute_metrics`), as are the errors of
+    a plant that is seen by a camera, and whatever is asked of an inchworm motor
+    (:func:`~hysteresis_ros.laboratory.sweeps.study.judged_motor`).
+
+    Parameters
+    ----------
+    axis : Axis
+        Its plant is put to rest again.
+    signals : dict of str to array
+        What it has done.
+    names : sequence of str
+        Of its kind of axis.
+    """
+    if isinstance(axis.source, SequencerSource):
+        return judged_motor(signals, axis.source.sequencer.parameters, names)
+    control = axis.parameters.motion_controller
+    settings = AxisSettings(offset=control.model.preload.offset, preview=control.feedforward.preview)
+    figures: dict = {}
+    dense = type(axis.plant) is ActuatorPlant and len(signals["time"]) > 1
+    if isinstance(axis.plant, ActuatorPlant) and dense:
+        figures |= _between_samples(axis.plant.actuator, signals, settings, "iae_m_s" in names)
+    if not dense or any(name not in BETWEEN for name in names):
+        run = Recording(signals["time"], {name: signals[name] for name in signals if name != "time"}, {}, {})
+        figures = {**compute_metrics(run, settings, parts=False), **figures}
+    values = (figures.get(name) for name in names)
+    return [float("nan") if value is None else float(value) for value in values]
+
+
+def _between_samples(
+    actuator: Actuator, signals: dict[str, np.ndarray], settings: AxisSettings, integral: bool
+) -> dict[str, float]:
+    """Return the figures of the error at :data:`INSTANTS` instants of each sample but the last one.
+
+    Its integral, which takes a good part of the time of a short run, is made only where it is asked for.
+    """
+    reference = delayed(signals["reference"], settings.preview)
+    sample_time = actuator.dynamics.sample_time
+    stroke, step = float(np.ptp(reference)), np.diff(reference)
+    first = scan_start(reference, signals["displacement"] - settings.offset)
+    actuator.reset()
+    displacement = displacement_between(actuator, signals["plant_voltage"])[first:-1]
+    offset = actuator.parameters.preload.offset - settings.offset
+    wanted = reference[first:-1, np.newaxis] + _unless_it_jumps(step, stroke)[first:, np.newaxis] * PLACES
+    wanted[:, -1] = reference[first + 1 :]
+    wanted -= displacement
+    error = wanted.ravel() - offset
+    figures = {**error_figures(error, stroke), "stroke_m": stroke}
+    if integral:
+        figures["iae_m_s"] = absolute_integral(sample_time / INSTANTS * np.arange(error.size), error)
+    return figures
+
+
+def _unless_it_jumps(step: np.ndarray, stroke: float) -> np.ndarray:
+    """Return how far the reference goes within each sample: as far as to the next, but nowhere before a jump."""
+    around = np.concatenate([[0.0], np.abs(step), [0.0]])
+    before, size, after = around[:-2], around[1:-1], around[2:]
+    return np.where(size - np.maximum(before, after) > JUMP * stroke, 0.0, step)
+
+
+#: Kernels are compiled, and Python runs, in one thread at a time: the others of a worker wait.
+_ONE_AT_A_TIME = threading.Lock()
+#: A block of so many bytes is had and given back before the runs: from then on the C library of Linux keeps what the
+#: runs give back. Otherwise the system hands out every page of their tables anew, 440 pages a run.
+KEPT = 31 * 2**20
+
+
+class Runs(NamedTuple):
+    """What became of some runs that follow each other.
+
+    Parameters
+    ----------
+    first : int
+        Number of the first of them.
+    rows : list of list of float
+        Metrics of each, and whether its axis tripped.
+    refused : dict of int to str
+        Number of each run whose axis cannot be built, and why.
+    """
+
+    first: int
+    rows: list[list[float]]
+    refused: dict[int, str]
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """What each run of a sweep is.
+
+    Parameters
+    ----------
+    axis : AxisParameters
+        As configured.
+    variations : tuple of Variation
+    metrics : tuple of str
+    version : str
+        Of the package whose code is to make the runs.
+    """
+
+    axis: AxisParameters
+    variations: tuple[Variation, ...]
+    metrics: tuple[str, ...]
+    version: str = hysteresis_ros.__version__
+
+    @property
+    def samples(self) -> int:
+        """Samples of a run as configured; 0 when it has no end."""
+        return Axis(self.axis).default_samples()
+
+    @functools.cached_property
+    def _of_plant(self) -> bool:
+        """Whether only the plant varies, which what an axis believes that it can reach does not know."""
+        return all(one.node == PLANT for one in self.variations)
+
+    def runs(self, first: int, points: np.ndarray) -> Runs:
+        """Make some runs, each of an axis at rest.
+
+        Parameters
+        ----------
+        first : int
+            Number of the first of them.
+        points : ndarray, shape (runs, variations)
+
+        Raises
+        ------
+        ConfigurationError
+            This package is of another version than the one that asks.
+        """
+        if self.version != hysteresis_ros.__version__:
+            raise ConfigurationError(
+                f"version {hysteresis_ros.__version__} of the package is installed where this should run, "
+                f"{self.version} asks: install the same one"
+            )
+        np.empty(KEPT, dtype=np.uint8)
+        found = Runs(first, [], {})
+        build = self._builder()
+        for number, point in enumerate(points, first):
+            row, why = self._run(point, build)
+            found.rows.append(row)
+            if why:
+                found.refused[number] = why
+        return found
+
+    def _builder(self) -> Callable[[AxisParameters], Axis]:
+        """Return what builds the axis of a run at rest; where only the plant varies, all else is made but once."""
+        if not self._of_plant or self.axis.displacement_camera is not None:
+            return Axis
+        kept = Axis(self.axis)
+        arrays = list(_leaves((kept.source.arrays, kept.controller.arrays, kept.compensator.arrays)))
+        beginning = [array.copy() for array in arrays]
+
+        def build(parameters: AxisParameters) -> Axis:
+            for array, begun in zip(arrays, beginning, strict=True):
+                array[:] = begun
+            return kept.with_plant(parameters)
+
+        return build
+
+    def _run(self, point: np.ndarray, build: Callable[[AxisParameters], Axis]) -> tuple[list[float], str]:
+        """Return the metrics of a run and whether it tripped; or why it cannot be made."""
+        try:
+            parameters = varied(self.axis, self.variations, point)
+            if not self._of_plant:
+                check_reach(parameters)
+            axis = build(parameters)
+            samples = axis.default_samples()
+            if samples < 1:
+                raise ConfigurationError("the run has no end (samples: 0, endless waveform)")
+        except HysteresisError as error:
+            return [float("nan")] * (len(self.metrics) + 1), str(error)
+        with np.errstate(all="ignore"):  # an unstable loop has no bounds
+            signals = axis.run(axis.default_setpoints(samples))
+            return [*judged(axis, signals, self.metrics), float(np.any(signals["tripped"] != 0.0))], ""
+
+
+def _leaves(arrays: tuple | np.ndarray) -> Iterator[np.ndarray]:
+    """Yield every array of nested tuples of arrays."""
+    if isinstance(arrays, tuple):
+        for part in arrays:
+            yield from _leaves(part)
+    else:
+        yield arrays
+
+
+def make_runs(study: Study, first: int, points: np.ndarray) -> Runs:
+    """Make some runs of a study, one after the other, in whatever thread of whatever process.
+
+    Parameters
+    ----------
+    study : Study
+    first : int
+        Number of the first of them.
+    points : ndarray, shape (runs, variations)
+    """
+    with _ONE_AT_A_TIME:
+        return study.runs(first, points)

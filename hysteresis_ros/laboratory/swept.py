@@ -1,0 +1,116 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""A sweep as scripts ask for it: ``hr.sweep``; what ``hysteresis sweep`` does."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+
+from hysteresis_ros.api import Source, configuration_of
+from hysteresis_ros.laboratory.sweeps.plan import RANDOM, make_plan, parse_variations
+from hysteresis_ros.laboratory.sweeps.study import Study, require_metrics
+from hysteresis_ros.laboratory.sweeps.summary import Summary, lines, parse_bound, require_library
+from hysteresis_ros.laboratory.sweeps.sweep import sweep as make_runs
+from hysteresis_ros.loop.reach import single_axis
+
+__all__ = ["Swept", "sweep"]
+
+
+class Swept(Summary):  # numpydoc ignore=PR01
+    """What became of a sweep; ``print`` shows the lines of ``hysteresis sweep``.
+
+    ``results.parameters`` and ``results.metrics`` are arrays by name, one value a run [SI]; ``yield_`` is the share of
+    runs that meet all bounds, ``met`` which of them do; ``sensitivities`` are there where they were asked for.
+    """
+
+    def __str__(self) -> str:
+        return "\n".join(lines(self))
+
+
+def sweep(
+    config: Source,
+    vary: Sequence[str],
+    path: str | os.PathLike[str] | None = None,
+    *,
+    runs: int | None = None,
+    metrics: Sequence[str] = (),
+    bounds: Sequence[str] = (),
+    sensitivity: str | None = None,
+    duration: float | None = None,
+    seed: int = 1,
+    workers: int | None = None,
+    scheduler: str | None = None,
+    progress: Callable[[int], None] | None = None,
+    namespace: str | None = None,
+) -> Swept:
+    """Run an axis offline many times, with other parameters each.
+
+    Parameters
+    ----------
+    config : path-like, Configuration, Identified, Design or Recording
+        The axis, see :func:`.simulate`.
+    vary : sequence of str
+        What varies: ``"plant_simulator=±5%"``, ``"motion_controller.pid.Kp=0.1:2:log20"`` (``docs/sweeps.md``).
+    path : path-like, optional
+        Where the results go, ``.parquet`` or ``.npz``; the same sweep goes on there when it was left.
+    runs : int, optional
+        Number of all runs; levels alone need none.
+    metrics : sequence of str
+        Figures of a report that are kept; by default ``rms_error_m``, of an inchworm ``final_error_rms_m``.
+    bounds : sequence of str
+        What a run is to meet: ``"rms_error_m=10nm"``.
+    sensitivity : str, optional
+        ``sobol`` or ``morris``: plan the runs for it (needs ``pip install "hysteresis_ros[sweep]"``).
+    duration : float, optional
+        Length of each run [s].
+    seed : int
+        Equal seeds give equal runs.
+    workers : int, optional
+        Processes; by default as many as there are processors.
+    scheduler : str, optional
+        Address of a Dask scheduler whose workers make the runs instead.
+    progress : callable, optional
+        Called with how many runs are made.
+    namespace : str, optional
+        Which axis of a configuration with several.
+
+    Returns
+    -------
+    Swept
+        With ``results``, ``yield_`` and ``worst(metric)``; ``print`` shows a summary.
+
+    Raises
+    ------
+    ConfigurationError
+        What varies, a metric or a bound does not exist, or the file holds another sweep.
+    ParameterError
+        A range is out of bounds.
+
+    Examples
+    --------
+    >>> import hysteresis_ros as hr
+    >>> noise = "plant_simulator.sensor.noise=1nm,2nm"
+    >>> found = hr.sweep("kim2009", [noise], duration=0.02, workers=1)
+    >>> found.results.metrics["rms_error_m"].shape
+    (2,)
+    """
+    if sensitivity:
+        require_library()
+    allowed = tuple(map(parse_bound, bounds))
+    axis = single_axis(configuration_of(config), namespace)
+    names = require_metrics([*metrics, *(bound.metric for bound in allowed)], axis)
+    if duration is not None:
+        axis = axis.with_duration(duration)
+    variations = parse_variations(list(vary), axis)
+    plan = make_plan(variations, runs, seed, sensitivity or RANDOM)
+    study, told = Study(axis, variations, names), progress or (lambda done: None)
+    found = make_runs(study, plan, path, workers=workers, scheduler=scheduler, progress=told)
+    return Swept(found, plan, allowed)

@@ -1,0 +1,574 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""The node behind the page: it listens to an axis, calls its services, and records it on request."""
+
+from __future__ import annotations
+
+import math
+import os
+import pathlib
+import queue
+import threading
+import time
+from collections.abc import Callable
+from concurrent.futures import Future
+from dataclasses import replace
+from typing import Any
+
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray
+from rcl_interfaces.msg import ParameterEvent
+from rcl_interfaces.srv import GetParameters, ListParameters, SetParametersAtomically
+from rclpy.context import Context
+from rclpy.qos import qos_profile_parameter_events
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Bool, Float64, Float64MultiArray, String
+from std_srvs.srv import Trigger
+
+from hysteresis_ros import signals
+from hysteresis_ros.configuration import node_names
+from hysteresis_ros.errors import HysteresisError, RecordingError
+from hysteresis_ros.laboratory.watch.access import SERVICES
+from hysteresis_ros.laboratory.watch.memory import Collector, Memory, motor_facts
+from hysteresis_ros.laboratory.watch.views import axis_of, limits_of, table_of
+from hysteresis_ros.loop.parameters import AxisParameters
+from hysteresis_ros.nodes.qos import diagnostics_qos, loop_qos, sensor_qos, setpoint_qos
+from hysteresis_ros.nodes.remote.client import AbsentError, Client, axis_nodes
+from hysteresis_ros.nodes.remote.commands import change, plain_value, values_of
+from hysteresis_ros.nodes.samples import TOPIC, Block, block_of, samples_qos
+from hysteresis_ros.nodes.security.policy import PAGE, Profile
+from hysteresis_ros.nodes.spin import make_executor
+from hysteresis_ros.recordings.bag_writer import BagWriter, GuardedBag, require_space
+from hysteresis_ros.recordings.provenance import RECORD, provenance
+from hysteresis_ros.recordings.run_bag import AxisTopics, SampleWriter
+
+#: Topic of markers.
+MARKER = "marker"
+#: Seconds after which what was recorded is handed to the operating system.
+FLUSH = 0.25
+
+
+class PageRecording:
+    """One bag, from the press of a button to the next.
+
+    Parameters
+    ----------
+    folder : pathlib.Path
+        In which the bag is made, named by the time.
+    axis : AxisParameters
+        What is written as its configuration.
+    joints : tuple of str
+        Names in ``joint_states``.
+
+    Raises
+    ------
+    RecordingError
+        There is no room, or the folder cannot be written.
+    """
+
+    def __init__(self, folder: pathlib.Path, axis: AxisParameters, joints: tuple[str, ...]):
+        plant, prefix = axis.plant_simulator, axis.namespace
+        path = _unused(folder / time.strftime("watch_%Y%m%d_%H%M%S"))
+        require_space(path, axis.recorder.min_space)
+        bag = BagWriter(path)
+        bag.describe(RECORD, provenance())
+        self._bag = GuardedBag(bag, FLUSH)
+        self._space = axis.recorder.min_space
+        for topic in ("configuration", "changes", MARKER):
+            bag.add_topic(f"{prefix}/{topic}", "std_msgs/msg/String", "transient_local")
+        bag.write_string(f"{prefix}/configuration", axis.configuration_text(), time.time_ns())
+        motor = axis.inchworm_sequencer is not None
+        force = 0.0 if motor else plant.preload.force
+        topics = AxisTopics(prefix, joints, plant.sample_rate, motor, force, not plant.driver)
+        self._samples = SampleWriter(bag, topics, chunk_time=FLUSH)
+        self._prefix = prefix
+
+    @property
+    def path(self) -> pathlib.Path:
+        """The bag."""
+        return self._bag.path
+
+    @property
+    def stopped(self) -> str:
+        """Why nothing is recorded any more; empty while all is well."""
+        return self._bag.stopped
+
+    @property
+    def samples(self) -> int:
+        """Samples so far."""
+        return self._samples.sample_count
+
+    def write(self, block: Block) -> None:
+        """Write samples.
+
+        Parameters
+        ----------
+        block : Block
+        """
+        self._bag.attempt(lambda bag: self._samples.write(block.stamps, block.table, joints=block.joints))
+        self._bag.tend(self._space)
+
+    def say(self, topic: str, text: str) -> None:
+        """Write a text.
+
+        Parameters
+        ----------
+        topic : str
+            ``changes`` or ``marker``.
+        text : str
+        """
+        self._bag.attempt(lambda bag: bag.write_string(f"{self._prefix}/{topic}", text, time.time_ns()))
+
+    def finish(self) -> None:
+        """End the bag in order; what goes wrong stands in :attr:`stopped`."""
+        try:
+            self._bag.finish()
+        except RecordingError as error:
+            self._bag.stopped = str(error)
+
+
+def _unused(path: pathlib.Path) -> pathlib.Path:
+    """Return a path at which there is nothing yet."""
+    found, number = path, 1
+    while found.exists():
+        number += 1
+        found = path.with_name(f"{path.name}_{number}")
+    return found
+
+
+#: Seconds between two looks at who is there, and that an answer may take.
+LOOK, ANSWER = 1.0, 5.0
+#: Words of the levels of diagnostics.
+LEVELS = ("ok", "warning", "error", "stale")
+#: Nodes that are asked to start, in this order; those that stop all that moves where no plant of ours hears a stop.
+STARTED = (signals.PLANT, signals.COMPENSATOR, signals.CONTROLLER, signals.SOURCE, signals.MOTOR_SOURCE)
+STOPPED = (signals.COMPENSATOR, signals.CONTROLLER, signals.SOURCE, signals.MOTOR_SOURCE)
+#: Seconds in which the nodes hear that the plant has started, and between two questions whether they have.
+HEARS, AGAIN = 3.0, 0.05
+#: Services of parameters that are asked for.
+PARAMETER_SERVICES = {
+    "list_parameters": ListParameters,
+    "get_parameters": GetParameters,
+    "set_parameters_atomically": SetParametersAtomically,
+}
+#: Depth of the topics with one message a sample.
+DEPTH = 1000
+
+
+class AxisLink:
+    """Hears and asks in a thread of its own, :meth:`run`; the other methods may be called from any thread.
+
+    Parameters
+    ----------
+    namespace : str
+        Of the axis.
+    folder : pathlib.Path
+        Where recordings go.
+    context : rclpy.context.Context, optional
+        The default one by default.
+
+    Raises
+    ------
+    HysteresisError
+        The namespace is none.
+    """
+
+    def __init__(self, namespace: str, folder: pathlib.Path, context: Context | None = None):
+        self.namespace, self.folder = namespace, folder
+        self.memory = Memory()
+        self.values: dict[str, dict] = {}
+        self.health: dict[str, dict] = {}
+        self.refusals: list[str] = []
+        self.recording: PageRecording | None = None
+        #: Namespaces of other axes.
+        self.elsewhere: list[str] = []
+        #: Grows whenever parameters, or who is there, have changed.
+        self.version = 0
+        self._axis: AxisParameters | None = None
+        self._collector: Collector | None = None
+        self._states: list = []
+        self._changes: list[str] = []
+        self._jobs: queue.SimpleQueue[tuple[Callable[[], Any], Future]] = queue.SimpleQueue()
+        executor = make_executor if context is None else None
+        self._client = Client(namespace, ANSWER, context or rclpy.get_default_context(), executor)
+        self._client.__enter__()
+        self._connect()
+
+    # -- the thread ------------------------------------------------------------------------------------------------
+
+    def run(self, over: threading.Event) -> None:
+        """Hear and do what was asked for, until it is over; the main function of a thread.
+
+        Parameters
+        ----------
+        over : threading.Event
+        """
+        try:
+            looked = -math.inf
+            while not over.is_set():
+                self._client.hear()
+                if self._collector is not None:
+                    self._take(self._collector.take())
+                while not self._jobs.empty():
+                    self._do(*self._jobs.get())
+                if time.monotonic() - looked > LOOK:
+                    self._look()
+                    looked = time.monotonic()
+        finally:
+            if self.recording is not None:
+                self.recording.finish()
+            self.close()
+
+    @property
+    def node(self):
+        """The node that hears and asks."""
+        return self._client.node
+
+    def close(self) -> None:
+        """Leave the graph; :meth:`run` does so itself."""
+        self._client.__exit__()
+
+    def _connect(self) -> None:
+        node, name = self._client.node, self._client.full_name
+        self._setpoints = node.create_publisher(Float64, name("setpoint"), setpoint_qos())
+        self._speeds = node.create_publisher(Float64, name("speed"), setpoint_qos())
+        self._stops = node.create_publisher(Bool, name("estop"), setpoint_qos())
+        self._markers = node.create_publisher(String, name(MARKER), setpoint_qos())
+        self._triggers = {kind: self._client.make_client(Trigger, name(f"{kind}/stop")) for kind in STOPPED}
+        hear = node.create_subscription
+        hear(Float64MultiArray, name(f"{signals.PLANT}/{TOPIC}"), self._on_block, samples_qos())
+        hear(DiagnosticArray, "/diagnostics", self._on_health, diagnostics_qos())
+        hear(ParameterEvent, "/parameter_events", self._on_parameters, qos_profile_parameter_events)
+        hear(String, name("changes"), self._on_change, loop_qos(True, DEPTH))
+        for source in (signals.SOURCE, signals.MOTOR_SOURCE):
+            hear(String, name(f"{source}/refused"), lambda message: self._refused(message.data), setpoint_qos())
+
+    @staticmethod
+    def _do(job: Callable[[], Any], answer: Future) -> None:
+        """Do something for a page, unless that has gone meanwhile; what goes wrong is its answer."""
+        if not answer.set_running_or_notify_cancel():
+            return
+        try:
+            answer.set_result(job())
+        except HysteresisError as error:
+            answer.set_exception(error)
+        except Exception as error:  # one request must not end the page for everybody
+            answer.set_exception(HysteresisError(f"{type(error).__name__}: {error}"))
+
+    def ask(self, job: Callable[[], Any]) -> Future:
+        """Let the thread do something; return the future of what it returns or raises.
+
+        Parameters
+        ----------
+        job : callable
+        """
+        answer: Future = Future()
+        self._jobs.put((job, answer))
+        return answer
+
+    # -- who is there ----------------------------------------------------------------------------------------------
+
+    def _look(self) -> None:
+        """See who has come and gone; whoever is new is asked for its parameters."""
+        found = axis_nodes(self._client.nodes())
+        there = found.pop(self.namespace, [])
+        self.elsewhere = sorted(found)
+        for node in [node for node in self.values if node not in there]:
+            del self.values[node]
+            self.health.pop(node, None)
+            self._axis, self.version = None, self.version + 1
+        for node in [node for node in there if node not in self.values and node in STARTED]:
+            try:
+                self.values[node] = values_of(self._client, self._client.full_name(node))
+            except AbsentError:
+                return  # it is only coming, or just going: the next look tells
+            self.version += 1
+        if self._axis is None and len(self.values) >= len(node_names(signals.MOTOR_SOURCE in self.values)):
+            self._introduce()
+
+    def _introduce(self) -> None:
+        """All nodes are there: learn what the axis is, and how its samples come."""
+        try:
+            self._axis = axis_of(self.namespace, self.values)
+        except HysteresisError as error:
+            self._refused(f"the parameters of the nodes do not fit together: {error}")
+            return
+        self._begin_anew()
+        self.connect_to(self._axis)
+
+    def connect_to(self, axis: AxisParameters) -> None:
+        """Make all topics and services that are needed of an axis.
+
+        Parameters
+        ----------
+        axis : AxisParameters
+        """
+        motor = axis.inchworm_sequencer is not None
+        nodes = node_names(motor)
+        for subscription in self._states:
+            self.node.destroy_subscription(subscription)
+        self._states, self._collector = [], None
+        if axis.plant_simulator.time_mode != "fused":
+            self._collector = Collector(nodes, motor)
+            self._states = [self._hear_state(node) for node in nodes]
+        for full in map(self._client.full_name, nodes):
+            for kind, service in PARAMETER_SERVICES.items():
+                self._client.make_client(service, f"{full}/{kind}")
+            self._client.make_client(Trigger, f"{full}/start")
+        for service in SERVICES if motor else ():
+            self._client.make_client(Trigger, self._client.full_name(f"{signals.MOTOR_SOURCE}/{service}"))
+
+    def _hear_state(self, node: str):
+        def take(message: JointState) -> None:
+            if self._collector is not None:
+                self._collector.add(node, message)
+
+        return self._client.node.create_subscription(JointState, self._client.full_name(f"{node}/state"), take, DEPTH)
+
+    def _begin_anew(self) -> None:
+        axis = self._axis
+        if axis is not None:
+            preview = axis.motion_controller.feedforward.preview
+            motor = axis.inchworm_sequencer is not None
+            self.memory.restart(axis.plant_simulator.sample_rate, preview, motor)
+
+    # -- what is heard ---------------------------------------------------------------------------------------------
+
+    def _on_block(self, message: Float64MultiArray) -> None:
+        try:
+            self._take(block_of(message))
+        except HysteresisError as error:
+            self._refused(str(error))
+
+    def _take(self, block: Block) -> None:
+        if self._axis is None or not block.numbers.size:
+            return
+        if not self.memory.add(block):  # the axis has begun anew: its parameters may be others
+            self.values.clear()
+            self._axis, self.version = None, self.version + 1
+            return
+        if self.recording is not None:
+            self.recording.write(block)
+
+    def _on_health(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            space, _, node = status.name.partition(":")[0].rpartition("/")
+            if space == self.namespace:
+                values = {pair.key: pair.value for pair in status.values}
+                level = LEVELS[min(ord(status.level), 3)]
+                self.health[node] = {
+                    "level": level,
+                    "message": status.message,
+                    "values": values,
+                    "at": time.monotonic(),
+                }
+
+    def _on_parameters(self, message: ParameterEvent) -> None:
+        space, _, node = message.node.rpartition("/")
+        if space == self.namespace and node in self.values:
+            new = {one.name: plain_value(one.value) for one in message.changed_parameters}
+            self.values[node] = {**self.values[node], **new}
+            self.version += 1
+
+    def _on_change(self, message: String) -> None:
+        self._write("changes", message.data)
+
+    def _write(self, topic: str, text: str) -> None:
+        if self.recording is not None:
+            self.recording.say(topic, text)
+
+    def _refused(self, text: str) -> None:
+        self.refusals = [*self.refusals[-20:], text]
+
+    # -- what is told ----------------------------------------------------------------------------------------------
+
+    def tables(self) -> dict:
+        """Return what a page shows of the axis beside its signals: parameters with units and ranges, and limits."""
+        values = dict(self.values)
+        axis = self._axis
+        return {
+            "namespace": self.namespace or "/",
+            "nodes": {node: table_of(node, values[node]) for node in STARTED if node in values},
+            "limits": limits_of(values),
+            "mode": axis.plant_simulator.time_mode if axis else "",
+            "rate": axis.plant_simulator.sample_rate if axis else None,
+            "motor": motor_facts(axis) if axis else None,
+        }
+
+    def state(self) -> dict[str, float]:
+        """Return of the source of references what says whether it moves, in the words of its ``~/state``."""
+        places = {"mode": signals.SOURCE_MODE, "error": signals.ERROR, "phase": signals.PHASE}
+        known = {name: self.memory.value(place) for name, place in places.items()}
+        return {name: value for name, value in known.items() if not math.isnan(value)}
+
+    @property
+    def source(self) -> str:
+        """Full name of the node that takes setpoints."""
+        motor = signals.MOTOR_SOURCE in self.values
+        return self._client.full_name(signals.MOTOR_SOURCE if motor else signals.SOURCE)
+
+    # -- what is asked for, in the thread ----------------------------------------------------------------------------
+
+    def change(self, node: str, values: dict[str, str]) -> str:
+        """Set parameters of a node, all or none; return what to say.
+
+        Parameters
+        ----------
+        node : str
+            Its kind.
+        values : dict of str to str
+
+        Raises
+        ------
+        HysteresisError
+            There is no such node or parameter, or the node refuses; with its reason.
+        """
+        known = self.values.get(node)
+        if known is None:
+            raise AbsentError(f"no node {node}; there are {', '.join(self.values) or 'none'}")
+        for name in values:
+            if name not in known:
+                raise HysteresisError(f"{node} has no parameter {name}")
+        change(self._client, self._client.full_name(node), values)
+        return f"{', '.join(f'{name} = {value}' for name, value in values.items())}"
+
+    def start(self) -> str:
+        """Let everything go on that stands, and the waveform begin; return what to say."""
+        said: list[str] = []
+        deadline = time.monotonic() + HEARS
+        for node in [node for node in STARTED if node in self.values]:
+            answer = self._client.ask(Trigger, self._client.full_name(f"{node}/start"))
+            # the plant has started: the others hear of it with their next sample
+            while not answer.success and said and time.monotonic() < deadline:
+                time.sleep(AGAIN)
+                answer = self._client.ask(Trigger, self._client.full_name(f"{node}/start"))
+            if not answer.success:
+                raise HysteresisError(f"{node} refuses to start: {answer.message}")
+            said.append(node)
+        if not said:
+            raise AbsentError("there is no axis that could be started")
+        return "started"
+
+    def hold(self) -> str:
+        """Let the reference stand where it is; return what to say."""
+        self.call("stop")
+        return "the reference holds; start lets it go on"
+
+    def call(self, service: str) -> str:
+        """Ask the source of references for one of its services; return what it says.
+
+        Parameters
+        ----------
+        service : str
+        """
+        answer = self._client.ask(Trigger, f"{self.source}/{service}")
+        if not answer.success:
+            raise HysteresisError(f"{self.source} refuses to {service}: {answer.message}")
+        return answer.message
+
+    def record(self, on: bool) -> str:
+        """Begin or end a recording; return what to say.
+
+        Parameters
+        ----------
+        on : bool
+        """
+        if not on:
+            if self.recording is None:
+                return "nothing is being recorded"
+            done, self.recording = self.recording, None
+            done.finish()
+            return f"recorded: {done.path}, {done.samples} samples{'; ' if done.stopped else ''}{done.stopped}"
+        if self.recording is not None and not self.recording.stopped:
+            return f"recording into {self.recording.path} already"
+        if self._axis is None:
+            raise AbsentError("there is no whole axis that could be recorded")
+        axis = axis_of(self.namespace, self.values)
+        motor = axis.inchworm_sequencer is not None
+        if motor and self._collector is not None:
+            raise HysteresisError("of a motor only a fused axis is recorded here; begin it with `up --record`")
+        self.recording = PageRecording(self.folder, axis, self._joints())
+        return f"recording into {self.recording.path}"
+
+    # -- what is asked for, at once ----------------------------------------------------------------------------------
+
+    def move(self, metres: float) -> None:
+        """Publish a setpoint [m].
+
+        Parameters
+        ----------
+        metres : float
+        """
+        self._setpoints.publish(Float64(data=metres))
+
+    def walk(self, speed: float) -> None:
+        """Publish the speed at which a motor is to walk.
+
+        Parameters
+        ----------
+        speed : float
+            [m/s]
+        """
+        self._speeds.publish(Float64(data=speed))
+
+    def mark(self, text: str) -> None:
+        """Publish a marker, and write it into the recording; in the thread.
+
+        Parameters
+        ----------
+        text : str
+        """
+        self._markers.publish(String(data=text))
+        self._write(MARKER, text)
+
+    def stop(self) -> None:
+        """Say that everything is to stop: to the plant, and where there is none of ours to all the others."""
+        self._stops.publish(Bool(data=True))
+        if signals.PLANT not in self.values:
+            for client in self._triggers.values():
+                if client.service_is_ready():
+                    client.call_async(Trigger.Request())
+
+    def _joints(self) -> tuple[str, ...]:
+        """Return the names in ``joint_states``, as they come."""
+        heard: list[JointState] = []
+        topic = self._client.full_name("joint_states")
+        subscription = self._client.node.create_subscription(JointState, topic, heard.append, sensor_qos())
+        try:
+            if not self._client.until(lambda: heard):
+                raise AbsentError(f"nothing comes on {topic}: there is nothing to record")
+            return tuple(heard[0].name)
+        finally:
+            self._client.node.destroy_subscription(subscription)
+
+
+def profile(axes: list[AxisParameters], context: Context, used_by: Callable[[Any], Profile]) -> Profile:
+    """Return what the page of an axis uses, whatever the number of its process.
+
+    Parameters
+    ----------
+    axes : list of AxisParameters
+        The one axis of the page.
+    context : rclpy.context.Context
+    used_by : callable
+        ``used_by(node)`` returns what a node uses.
+    """
+    (axis,) = axes
+    link = AxisLink(axis.namespace, pathlib.Path(), context)
+    try:
+        link.connect_to(axis)
+        own = used_by(link.node)
+    finally:
+        link.close()
+    numbered = f"_hysteresis_{os.getpid()}"
+    serves = tuple(sorted(name.replace(numbered, "_hysteresis_*") for name in own.serves))
+    # heard only as long as a recording begins
+    hears = tuple(sorted({*own.hears, f"{axis.namespace}/joint_states"}))
+    return replace(own, node=PAGE, serves=serves, hears=hears)

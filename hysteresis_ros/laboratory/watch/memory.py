@@ -1,0 +1,301 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""What is known of a watched axis: the samples of the last minute, figures of them, and the state of a motor.
+
+Samples of an axis whose nodes exchange messages are assembled from the ``~/state`` of each node.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+
+import numpy as np
+from sensor_msgs.msg import JointState
+
+from hysteresis_ros import signals
+from hysteresis_ros.laboratory.watch.live import History, amplitude_density
+from hysteresis_ros.laboratory.watch.views import MEMORY, MOTOR_SHOWN, SHOWN, View
+from hysteresis_ros.loop.parameters import AxisParameters
+from hysteresis_ros.nodes.samples import SECOND, Block
+from hysteresis_ros.references.inchworm_layout import ERROR_NAMES, PHASE_NAMES
+
+#: A sample that lacks a node's part is shown without it when another one is younger by so much [ns].
+PART_PATIENCE = 300_000_000
+#: Samples that wait for their parts at most.
+MOST_PENDING = 20_000
+
+
+class Collector:
+    """Rows of samples out of the ``~/state`` of the nodes, which belong together by their stamps.
+
+    Parameters
+    ----------
+    nodes : sequence of str
+        Who says something of a sample.
+    motor : bool
+        An inchworm motor.
+    """
+
+    def __init__(self, nodes, motor: bool):
+        self._row = len(signals.row_signals(motor))
+        self._bits = {node: 1 << index for index, node in enumerate(nodes)}
+        self._names = {node: signals.state_signals(node, motor) for node in nodes}
+        self._places: dict[tuple, list] = {}
+        self._pending: dict[int, tuple[np.ndarray, int]] = {}
+        self._done, self._count = -1, 0
+
+    def add(self, node: str, message: JointState) -> None:
+        """Take what a node says of a sample.
+
+        Parameters
+        ----------
+        node : str
+        message : JointState
+            Of its ``~/state``.
+        """
+        stamp = message.header.stamp.sec * SECOND + message.header.stamp.nanosec
+        if stamp <= self._done:
+            if self._done - stamp < PART_PATIENCE:
+                return
+            self._pending.clear()  # time has begun anew
+            self._done, self._count = -1, 0
+        places = self._places_of(node, tuple(message.name))
+        row, seen = self._pending.get(stamp) or (np.full(self._row, np.nan), 0)
+        for index, place in places:
+            row[place] = message.position[index]
+        self._pending[stamp] = (row, seen | self._bits[node])
+
+    def _places_of(self, node: str, names: tuple) -> list:
+        key = (node, names)
+        if key not in self._places:
+            known = self._names[node]
+            self._places[key] = [(i, signals.place(known[name])) for i, name in enumerate(names) if name in known]
+        return self._places[key]
+
+    def take(self) -> Block:
+        """Return the samples that are whole, and those before them that will not be."""
+        whole = sum(self._bits.values())
+        newest = max(self._pending, default=0)
+        ready = [stamp for stamp, (_, seen) in self._pending.items() if seen == whole or stamp < newest - PART_PATIENCE]
+        until = max(ready, default=-1)
+        if len(self._pending) > MOST_PENDING:
+            until = newest
+        stamps = np.array(sorted(stamp for stamp in self._pending if stamp <= until), np.int64)
+        rows = [self._pending.pop(int(stamp))[0] for stamp in stamps]
+        self._done = max(self._done, until)
+        table = np.array(rows).T.reshape(self._row, len(rows))
+        # counted: a plant that is late moves its schedule, so that stamps do not tell the number
+        self._count += len(rows)
+        return Block(stamps, np.arange(self._count - len(rows), self._count), table, None)
+
+
+#: Seconds over which figures and the spectrum are taken, and within which a rate is counted.
+FIGURES, SPECTRUM, COUNTED = 2.0, 8.0, 2.0
+#: Seconds without samples after which an axis is called silent.
+SILENT = 1.5
+
+
+class Memory:
+    """The last samples; filled by one thread, read by another.
+
+    Parameters
+    ----------
+    rate : float
+        Samples per second [Hz].
+    preview : int
+        Samples by which the controller's feedforward gets the reference before it is followed.
+    """
+
+    def __init__(self, rate: float = 1000.0, preview: int = 0):
+        self.lock = threading.Lock()
+        self.epoch = -1
+        self.restart(rate, preview)
+
+    def restart(self, rate: float, preview: int = 0, motor: bool = False) -> None:
+        """Forget everything: another run begins.
+
+        Parameters
+        ----------
+        rate : float
+        preview : int
+        motor : bool
+            Of an inchworm motor.
+        """
+        with self.lock:
+            self.epoch += 1
+            self.rate, self.motor = rate, motor
+            self._names = MOTOR_SHOWN if motor else SHOWN
+            self.history = History(len(self._names), max(round(MEMORY * rate), 2))
+            self.lost = self.skipped = 0
+            self.row: np.ndarray | None = None
+            self._coming = np.full(preview, np.nan)
+            self._next = -1
+            self._arrivals: list[tuple[float, int]] = []
+
+    def add(self, block: Block) -> bool:
+        """Put samples in; tell whether they follow the last ones. Where not, nothing is done: begin anew.
+
+        Parameters
+        ----------
+        block : Block
+        """
+        count = block.numbers.size
+        if not count:
+            return True
+        first = int(block.numbers[0])
+        with self.lock:
+            if self._next >= 0 and first < self._next:
+                return False
+            missing = first - self._next if self._next >= 0 else 0
+            self.lost += missing
+            if missing:
+                gap = min(missing, round(MEMORY * self.rate))
+                self.history.append(np.full((len(self._names), gap), np.nan))
+            self._next = int(block.numbers[-1]) + 1
+            self.history.append(self._shown(block.table))
+            self.skipped += int(np.nansum(block.table[signals.SKIPPED]))
+            self.row = block.table[:, -1].copy()
+            now = time.monotonic()
+            self._arrivals = [*((t, n) for t, n in self._arrivals if now - t < COUNTED), (now, count)]
+        return True
+
+    def _shown(self, table: np.ndarray) -> np.ndarray:
+        published = np.concatenate([self._coming, table[signals.REFERENCE]])
+        reference, self._coming = published[: table.shape[1]], published[table.shape[1] :]
+        # what a motor's controller follows is the slider less an origin, which is the extender while it walks
+        origin = table[signals.ORIGIN] if self.motor else 0.0
+        own = {"reference": reference, "error": table[signals.MEASURED] - origin - reference}
+        return np.array([own[name] if name in own else table[signals.place(name)] for name in self._names])
+
+    @property
+    def age(self) -> float:
+        """Seconds since the last samples came; infinite before the first."""
+        return time.monotonic() - self._arrivals[-1][0] if self._arrivals else np.inf
+
+    @property
+    def is_live(self) -> bool:
+        """Whether samples come."""
+        return self.age < SILENT
+
+    def value(self, place: int) -> float:
+        """Return a signal of the last sample, NaN before the first."""
+        row = self.row
+        return float("nan") if row is None or place >= row.size else float(row[place])
+
+    def rate_seen(self) -> float:
+        """Return how many samples come in a second of the wall clock [Hz]."""
+        arrivals = self._arrivals
+        if len(arrivals) < 2 or not self.is_live:
+            return 0.0
+        return sum(count for _, count in arrivals[1:]) / max(arrivals[-1][0] - arrivals[0][0], 1e-9)
+
+    def last(self, name: str, seconds: float) -> np.ndarray:
+        """Return the last values of a signal.
+
+        Parameters
+        ----------
+        name : str
+            Of :data:`hysteresis_ros.laboratory.watch.views.SHOWN`.
+        seconds : float
+        """
+        with self.lock:
+            begin = max(self.history.begin, self.history.end - round(seconds * self.rate))
+            return self.history.part(begin, self.history.end)[self._names.index(name)].copy()
+
+    def frame(self, view: View) -> bytes | None:
+        """Return the next frame of a page.
+
+        Parameters
+        ----------
+        view : View
+        """
+        with self.lock:
+            return view.frame(self.history)
+
+    def view(self, window: float, columns: int) -> View:
+        """Return a new view.
+
+        Parameters
+        ----------
+        window : float
+            [s]
+        columns : int
+        """
+        return View(window, columns, self.rate, self.epoch, self.motor)
+
+    def figures(self) -> dict[str, float | None]:
+        """Return the error of the last seconds [m]: root of its mean square, its largest, and the last values."""
+        error = self.last("error", FIGURES)
+        known = error[np.isfinite(error)]
+        values = {"rms": float("nan"), "largest": float("nan")}
+        if known.size:
+            values = {"rms": float(np.sqrt(np.mean(known**2))), "largest": float(np.abs(known).max())}
+        places = {"setpoint": signals.SETPOINT, "measured": signals.MEASURED, "voltage": signals.VOLTAGE}
+        values |= {name: self.value(place) for name, place in places.items()}
+        return {name: value if np.isfinite(value) else None for name, value in values.items()}
+
+    def spectrum(self) -> dict:
+        """Return the amplitude density of the error [m/√Hz] over the frequency [Hz]."""
+        frequency, density = amplitude_density(self.last("error", SPECTRUM), self.rate)
+        return {"frequency": frequency.tolist(), "density": density.tolist()}
+
+
+#: Signals whose last values are told in figures.
+MOTOR_VALUES = (
+    "phase",
+    "direction",
+    "speed",
+    "arrived",
+    "error",
+    "steps",
+    "total_steps",
+    "missed",
+    "step_commanded",
+    "step_achieved",
+    "slip",
+    "load_deflection",
+    "forward_gain",
+    "backward_gain",
+)
+
+
+def motor_facts(axis: AxisParameters) -> dict | None:
+    """Return what of a motor stays as it is, None where the axis is none.
+
+    Parameters
+    ----------
+    axis : AxisParameters
+    """
+    sequencer = axis.inchworm_sequencer
+    if sequencer is None:
+        return None
+    gait, walk = sequencer.gait, sequencer.walk
+    fastest = max(gait.speed, walk.fastest(gait)) if walk.continuous else gait.speed
+    return {
+        "phases": [name.replace("_", " ") for name in PHASE_NAMES],
+        "errors": [name.replace("_", " ") for name in ERROR_NAMES],
+        "fastest": fastest,
+        "learns": walk.continuous,
+    }
+
+
+def motor_values(memory: Memory) -> dict[str, float | None] | None:
+    """Return the last values of :data:`TOLD`, SI, None for what nobody knows; None where the axis is no motor.
+
+    Parameters
+    ----------
+    memory : Memory
+    """
+    if not memory.motor:
+        return None
+    values = {name: memory.value(signals.place(name)) for name in MOTOR_VALUES}
+    return {name: value if math.isfinite(value) else None for name, value in values.items()}

@@ -1,0 +1,137 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Starts the process of a page for each axis; imports no ROS itself."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import pathlib
+import socket
+import subprocess
+import sys
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
+
+from hysteresis_ros.errors import HysteresisError
+from hysteresis_ros.laboratory.watch.access import is_loopback
+from hysteresis_ros.nodes.launcher import die_with_parent, node_environment, require_ros
+
+#: Port of the first page where none is asked for and it is free.
+PORT = 8642
+#: Address of this machine that nobody else reaches.
+LOOPBACK = "127.0.0.1"
+#: Seconds that a page gets to leave.
+PATIENCE = 5.0
+
+
+@dataclass(frozen=True)
+class PageOptions:
+    """Where pages are served, and where they record.
+
+    Parameters
+    ----------
+    port : int or None
+        Of the first axis, the next ones follow; None: :data:`PORT`, or any that is free.
+    bind : str
+        Address to listen on.
+    folder : str
+        For recordings.
+    """
+
+    port: int | None = None
+    bind: str = LOOPBACK
+    folder: str = "."
+
+
+def require_aiohttp() -> None:
+    """Raise HysteresisError when aiohttp is not installed; does not import it."""
+    if importlib.util.find_spec("aiohttp") is None:
+        raise HysteresisError('aiohttp is not installed: pip install "hysteresis_ros[watch]"')
+
+
+class Pages:
+    """The processes that serve the pages of axes, in a ``with`` statement.
+
+    Parameters
+    ----------
+    namespaces : sequence of str
+        Of the axes.
+    options : PageOptions
+
+    Raises
+    ------
+    HysteresisError
+        aiohttp or ROS is missing, the address is none of this machine, a port is in use, or the folder is none.
+    """
+
+    def __init__(self, namespaces: Sequence[str], options: PageOptions):
+        if namespaces:
+            require_ros()
+            require_aiohttp()
+        folder = pathlib.Path(options.folder).absolute()
+        if not folder.is_dir():
+            raise HysteresisError(f"{options.folder}: is no folder for recordings; make it first")
+        self._requests = []
+        for number, namespace in enumerate(namespaces):
+            port = _free_port(options, number)
+            given = {**asdict(options), "folder": str(folder), "port": port, "namespace": namespace}
+            self._requests.append(json.dumps(given))
+        self._processes: list[subprocess.Popen] = []
+
+    def __enter__(self) -> Pages:
+        guard = partial(die_with_parent, os.getpid())
+        for request in self._requests:
+            # a process of its own: the pip wheels of ROS restart the interpreter on import
+            command = [sys.executable, "-m", "hysteresis_ros.laboratory.watch", request]
+            options = {"env": node_environment(), "start_new_session": True, "preexec_fn": guard}
+            self._processes.append(subprocess.Popen(command, **options))
+        return self
+
+    def __exit__(self, *exception) -> None:
+        for process in self._processes:
+            if process.poll() is None:
+                process.terminate()
+        for process in self._processes:
+            try:
+                process.wait(PATIENCE)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                process.wait()
+
+    def over(self) -> bool:
+        """Tell whether a page has ended."""
+        return any(process.poll() is not None for process in self._processes)
+
+    def exit_code(self) -> int:
+        """Return the exit code of a page that has ended by itself, 0 where none has."""
+        return max((process.returncode or 0 for process in self._processes), default=0)
+
+
+def _free_port(options: PageOptions, number: int) -> int:
+    """Return the port of an axis' page."""
+    if options.port == 0:
+        return 0
+    port = (options.port or PORT) + number
+    if port > 65535:
+        raise HysteresisError(f"--port {options.port}: there is no port {port} for the page of axis {number + 1}")
+    family = socket.AF_INET6 if ":" in options.bind else socket.AF_INET
+    with socket.socket(family, socket.SOCK_STREAM) as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((options.bind, port))
+        except (OSError, OverflowError) as error:
+            words = getattr(error, "strerror", None) or error
+            if options.port is None and is_loopback(options.bind) and getattr(error, "errno", 0) == 98:
+                return 0
+            raise HysteresisError(f"{options.bind}:{port}: cannot be listened on: {words}") from None
+    return port

@@ -1,0 +1,258 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""What a page shows: frames of the samples, and a table of the parameters in use; no ROS, no web server.
+
+A frame is a header in JSON, preceded by its length (4 bytes) and padded with spaces to a multiple of 4, followed by
+numbers, float32, little-endian: for each signal in the header and each column of the screen the minimum and the maximum
+in the order in which they came, then the points of the loops. Numbers are SI.
+"""
+
+from __future__ import annotations
+
+import json
+import struct
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, fields
+
+import numpy as np
+
+from hysteresis_ros.configuration import Parameters
+from hysteresis_ros.control.controller import LAWS
+from hysteresis_ros.errors import HysteresisError
+from hysteresis_ros.laboratory.watch.live import History, extremes, outline
+from hysteresis_ros.loop.parameters import NODE_PARAMETERS, AxisParameters, NodeParameters, RecorderNodeParameters
+from hysteresis_ros.references.waveforms import Waveform
+from hysteresis_ros.signals import CONTROLLER, MOTOR_SOURCE
+
+#: Signals over time, of a row or made here, and those of the loops: displacement over voltage and over the command.
+SHOWN = ("reference", "measured", "error", "command", "voltage", "estimated", "saturated", "skipped")
+LOOP = ("voltage", "command", "measured")
+#: The same of an inchworm motor, whose command and voltage are its extender's.
+MOTOR_SHOWN = (*SHOWN, "setpoint", "extender", "front_voltage", "rear_voltage", "phase")
+MOTOR_LOOP = ("voltage", "command", "extender")
+#: Seconds of the loops at most, and columns that they are cut into.
+LOOP_TIME, LOOP_COLUMNS = 4.0, 1000
+#: Seconds that are kept.
+MEMORY = 60.0
+
+
+@dataclass
+class Part:
+    """How far a page has got, in whole bins of samples.
+
+    Parameters
+    ----------
+    length : int
+        Samples of a bin.
+    bins : int
+        How many the page shows.
+    next : int
+        Bin that it has to get next; -1: it has none.
+    """
+
+    length: int
+    bins: int
+    next: int = -1
+
+    def due(self, history: History) -> tuple[bool, int, np.ndarray]:
+        """Return whether the page begins anew, the first bin that is due, and the samples of all that are due.
+
+        Parameters
+        ----------
+        history : History
+        """
+        end = history.end // self.length
+        begin = max(-(-history.begin // self.length), end - self.bins)
+        fresh = not begin <= self.next <= end
+        first = begin if fresh else self.next
+        self.next = end
+        return fresh, first, history.part(first * self.length, end * self.length)
+
+
+class View:
+    """What one page looks at.
+
+    Parameters
+    ----------
+    window : float
+        Seconds over time.
+    columns : int
+        Of the screen.
+    rate : float
+        Samples per second [Hz].
+    epoch : int
+        Of the history.
+    motor : bool
+        Of an inchworm motor.
+    """
+
+    def __init__(self, window: float, columns: int, rate: float, epoch: int, motor: bool = False):
+        self.window, self.columns, self.rate, self.epoch = window, columns, rate, epoch
+        self._shown, loop = (MOTOR_SHOWN, MOTOR_LOOP) if motor else (SHOWN, LOOP)
+        self._loop_rows = [self._shown.index(name) for name in loop]
+        samples = max(round(window * rate), 1)
+        length = max(-(-samples // columns), 1)
+        self._time = Part(length, -(-samples // length))
+        samples = max(round(min(window, LOOP_TIME) * rate), 1)
+        length = max(-(-samples // LOOP_COLUMNS), 1)
+        self._loop = Part(length, -(-samples // length))
+
+    def frame(self, history: History) -> bytes | None:
+        """Return the next frame, None when there is nothing new.
+
+        Parameters
+        ----------
+        history : History
+            With the rows :data:`SHOWN`, or :data:`MOTOR_SHOWN`.
+        """
+        fresh, first, table = self._time.due(history)
+        loop_fresh, _, loop = self._loop.due(history)
+        if not table.shape[1] and not loop.shape[1] and not fresh:
+            return None
+        bins = extremes(table, self._time.length)
+        points = outline(loop[self._loop_rows], self._loop.length)
+        header = {
+            "shown": self._shown,
+            "rate": self.rate,
+            "epoch": self.epoch,
+            "end": history.end,
+            "first": first,
+            "length": self._time.length,
+            "columns": self._time.bins,
+            "bins": bins.shape[1],
+            "fresh": fresh,
+            "points": points.shape[1],
+            "loop": round(min(self.window, LOOP_TIME) * self.rate),
+            "kept": self._loop.bins * min(self._loop.length, 2 * len(LOOP)),
+            "loop_fresh": loop_fresh,
+        }
+        text = json.dumps(header).encode()
+        text += b" " * (-len(text) % 4)
+        numbers = np.concatenate([bins.ravel(), points.ravel()]).astype("<f4")
+        return struct.pack("<I", len(text)) + text + numbers.tobytes()
+
+
+def names_in_use(cls: type[Parameters], values: Mapping, prefix: str = "") -> Iterator[str]:
+    """Yield the names of the parameters that something hangs on: of several models and laws only those of the chosen.
+
+    Parameters
+    ----------
+    cls : type of Parameters
+    values : mapping
+        Flat dotted names to values.
+    prefix : str
+        Before the names.
+    """
+    for item in fields(cls):
+        nested, chooser = item.metadata.get("group"), item.metadata.get("variant_of")
+        if nested is None:
+            yield prefix + item.name
+        elif chooser is None or values.get(prefix + chooser) == item.name:
+            yield from names_in_use(nested, values, f"{prefix}{item.name}.")
+
+
+def _hangs_on_nothing(node: str, name: str, values: Mapping) -> bool:
+    """Tell whether a parameter belongs to another law than the chosen one, or to something that is not there."""
+    group, _, own = name.partition(".")
+    if own and own != "type" and values.get(f"{group}.type") == "none":
+        return True
+    of_laws = {group for law in LAWS.values() for group in law.groups} if node == CONTROLLER else set()
+    return group in of_laws and group not in LAWS[values["type"]].groups
+
+
+def table_of(node: str, values: Mapping) -> list[dict]:
+    """Return what a page shows of the parameters of a node that may change while it runs.
+
+    Parameters
+    ----------
+    node : str
+        Its kind.
+    values : mapping
+        Flat dotted names to values.
+    """
+    shared = {row.name for row in NodeParameters.table()}
+    used = {
+        name
+        for name in names_in_use(NODE_PARAMETERS[node], values)
+        if name not in shared and not _hangs_on_nothing(node, name, values)
+    }
+    return [
+        {
+            "name": row.name,
+            "value": list(values[row.name]) if isinstance(values[row.name], (list, tuple)) else values[row.name],
+            "type": row.type_name,
+            "unit": row.unit,
+            "low": row.low,
+            "high": row.high,
+            "choices": row.choices,
+            "allowed": row.allowed(),
+            "about": row.description,
+        }
+        for row in NODE_PARAMETERS[node].table()
+        if row.name in used and row.name in values and not row.read_only
+    ]
+
+
+def axis_of(namespace: str, values: Mapping[str, Mapping]) -> AxisParameters:
+    """Return the parameters of an axis out of those of its nodes.
+
+    Parameters
+    ----------
+    namespace : str
+    values : mapping of str to mapping
+        Of each node.
+
+    Raises
+    ------
+    ParameterError
+        They are not those of this version.
+    """
+    typed = {
+        node: NODE_PARAMETERS[node].from_mapping({name: value for name, value in own.items() if _is_ours(node, name)})
+        for node, own in values.items()
+    }
+    return AxisParameters.of_nodes(namespace, {**typed, "recorder": RecorderNodeParameters()})
+
+
+def _is_ours(node: str, name: str) -> bool:
+    return name in {row.name for row in NODE_PARAMETERS[node].table()}
+
+
+def limits_of(values: Mapping[str, Mapping]) -> dict[str, list[float]]:
+    """Return the ranges that a page draws, of the reference [m] and of the voltage [V], and that of setpoints [m].
+
+    A setpoint leaves room for the waveform around it, as the source of references does.
+
+    Parameters
+    ----------
+    values : mapping of str to mapping
+        Of each node.
+    """
+    source = values.get(MOTOR_SOURCE) or values.get("reference_generator", {})
+    compensator = values.get("hysteresis_compensator", {})
+    found = {
+        "setpoint": [source.get("minimum"), source.get("maximum")],
+        "voltage": [compensator.get("limits.minimum"), compensator.get("limits.maximum")],
+    }
+    found["slider"] = _setpoints(values.get("reference_generator", {}), *found["setpoint"])
+    return {name: pair for name, pair in found.items() if None not in pair}
+
+
+def _setpoints(source: Mapping, low: float | None, high: float | None) -> list[float | None]:
+    """Return the range of setpoints that are not refused; the whole one where the waveform is not known."""
+    if None in (low, high) or not source.get("sample_rate"):
+        return [low, high]
+    own = {name: value for name, value in source.items() if _is_ours("reference_generator", name)}
+    try:
+        parameters = NODE_PARAMETERS["reference_generator"].from_mapping(own)
+        waveform = Waveform(parameters.waveform, 1.0 / source["sample_rate"])
+    except HysteresisError:
+        return [low, high]
+    return [low - waveform.lowest, high - waveform.highest]

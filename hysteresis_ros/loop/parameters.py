@@ -1,0 +1,891 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Parameters of an axis: those of each of its nodes, read out of a configuration and checked against each other.
+
+They live here and not with the nodes because the offline twin reads the same files.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+
+from hysteresis_ros.configuration import (
+    Configuration,
+    Parameters,
+    dump_configuration,
+    group,
+    node_names,
+    normalised_namespace,
+    parameter,
+    variants,
+)
+from hysteresis_ros.control.controller import ControllerParameters
+from hysteresis_ros.control.damping.kind import FORCE
+from hysteresis_ros.errors import ConfigurationError, ParameterError, Problem
+from hysteresis_ros.hardware.driver import Driver, DriverError
+from hysteresis_ros.hardware.registry import DRIVERS, driver_of, options_of
+from hysteresis_ros.hardware.simulated_camera import SimulatedCameraParameters
+from hysteresis_ros.hardware.tracker import CameraParameters
+from hysteresis_ros.loop.faults import parse_fault
+from hysteresis_ros.loop.inchworm_checks import inchworm_problems
+from hysteresis_ros.loop.watch import samples_of
+from hysteresis_ros.models.actuator import ActuatorParameters
+from hysteresis_ros.models.adaptation import AdaptationParameters
+from hysteresis_ros.models.block import COMPILED
+from hysteresis_ros.models.calibration import AmplifierCalibration, CalibrationParameters
+from hysteresis_ros.models.compensator import CompensatorParameters, commandable, resting_displacements
+from hysteresis_ros.models.inchworm import JOINT_NAMES, InchwormParameters, seed_problems
+from hysteresis_ros.references.generator import ReferenceParameters
+from hysteresis_ros.references.inchworm_parameters import InchwormSequencerParameters
+from hysteresis_ros.references.moves import SettlingParameters
+
+
+@dataclass(frozen=True)
+class NodeParameters(Parameters):
+    """What every node of an axis needs; normally given once, under ``/**``."""
+
+    sample_rate: float = parameter(
+        1000.0, unit="Hz", low=1.0e-3, high=1.0e6, read_only=True, description="samples per second of the axis"
+    )
+    time_mode: str = parameter(
+        "realtime",
+        choices=("realtime", "lockstep", "fused"),
+        read_only=True,
+        description="realtime: the plant keeps the time; lockstep: each sample waits for its answer, as fast as it "
+        "can; fused: all nodes in one process, one compiled thread makes the samples in real time",
+    )
+    joint: str = parameter("extender", read_only=True, description="name of the joint in joint_states")
+    force_joint: str = parameter(
+        "force", read_only=True, description="joint in joint_states whose effort is the measured force in the stack"
+    )
+    autostart: bool = parameter(True, read_only=True, description="configure and activate by itself at start")
+    use_sim_time: bool = parameter(
+        False, description="take the time of log lines and diagnostics from /clock; samples have their own stamps"
+    )
+    exit_at_end: bool = parameter(
+        False, read_only=True, description="leave when the plant has published the end of the run"
+    )
+    partner_timeout: float = parameter(
+        10.0,
+        unit="s",
+        low=0.1,
+        high=3600.0,
+        description="lockstep: silence of a partner that ends the run; DDS may take 3 s to repeat what was lost",
+    )
+    faults: tuple[str, ...] = parameter(
+        (),
+        read_only=True,
+        description="faults on purpose, each 'NAME:START:DURATION[:VALUE]', times in seconds of the axis' own time; "
+        "for all nodes, under '/**'",
+    )
+    queue_depth: int = parameter(
+        1000, low=1, high=100000, read_only=True, description="lockstep: messages each topic keeps for a slow recorder"
+    )
+    external_plant: bool = parameter(
+        False,
+        read_only=True,
+        description="realtime: a node of your own publishes joint_states in plant_simulator's place; the source of "
+        "references begins and ends the run; for all nodes, under '/**'",
+    )
+
+    measurement_reliability: str = parameter(
+        "reliable",
+        choices=("reliable", "best_effort"),
+        read_only=True,
+        description="how joint_states are subscribed: best_effort where a driver of your own publishes them so; "
+        "realtime only",
+    )
+
+    setpoint_reliability: str = parameter(
+        "reliable",
+        choices=("reliable", "best_effort"),
+        read_only=True,
+        description="how setpoint is subscribed: best_effort matches every publisher, and a setpoint may be lost",
+    )
+
+    def check(self):
+        """Yield what does not fit together."""
+        yield from super().check()
+        if self.measurement_reliability != "reliable" and self.time_mode == "lockstep":
+            allowed = "must be reliable in lockstep, where each sample is answered: give time_mode: realtime"
+            yield Problem("measurement_reliability", self.measurement_reliability, allowed)
+        if self.external_plant and self.time_mode != "realtime":
+            allowed = "a plant of your own does not wait for anybody: give time_mode: realtime"
+            yield Problem("external_plant", self.external_plant, allowed)
+
+
+def part(parameters: Parameters, cls):
+    """Return the block's own parameters, out of the parameters of its node; always the same instance of ``cls``."""
+    kept = parameters.__dict__.setdefault("_parts", {})
+    if cls not in kept:
+        kept[cls] = cls(**{item.name: getattr(parameters, item.name) for item in fields(cls)})
+    return kept[cls]
+
+
+#: Late voltages that are allowed by default: part of the samples of a second, and the least number.
+LATE_PART, LEAST_LATE = 0.05, 20
+
+
+@dataclass(frozen=True)
+class RealtimeParameters(Parameters):
+    """How the thread of the fused loop is scheduled."""
+
+    priority: int = parameter(
+        80,
+        low=0,
+        high=99,
+        read_only=True,
+        description="fused: priority of the loop's thread, SCHED_FIFO, where that is permitted; 0: a normal one",
+    )
+    cpu: int = parameter(
+        -1, low=-1, high=4095, read_only=True, description="fused: processor core of the loop's thread; -1: any"
+    )
+    lock_memory: bool = parameter(
+        False, read_only=True, description="fused: keep the process in RAM, so that no sample waits for the disk"
+    )
+    force: bool = parameter(
+        False, read_only=True, description="fused: run at a rate that this machine does not hold, too"
+    )
+
+
+#: Drivers that have parameters of their own, and their class.
+_OWN = {name: item.parameters for name, item in DRIVERS.items() if item.parameters is not ActuatorParameters}
+
+
+@dataclass(frozen=True)
+@variants("driver", _OWN)
+class PlantNodeParameters(NodeParameters, ActuatorParameters):
+    """Parameters of ``plant_simulator``; an inchworm's extender is the actuator."""
+
+    type: str = parameter(
+        "actuator",
+        choices=("actuator", "inchworm", "camera"),
+        read_only=True,
+        description="one actuator; an inchworm motor; or an actuator that a camera sees: the plant publishes images, "
+        "of which displacement_camera makes joint_states",
+    )
+    camera: SimulatedCameraParameters = group(SimulatedCameraParameters, variant_of="type")
+    inchworm: InchwormParameters = group(InchwormParameters, variant_of="type")
+    driver: str = parameter(
+        "",
+        choices=("", *DRIVERS),
+        paths=True,
+        read_only=True,
+        description="realtime: driver of the device that stands in the simulated plant's place, by its name or as the "
+        "path of a Python file that declares DRIVER or of a shared library; '': none",
+        place="start",
+    )
+    driver_options: tuple[str, ...] = parameter(
+        (),
+        read_only=True,
+        description="what a driver that is given by its path is opened with, 'NAME=VALUE' each",
+        place="start",
+    )
+    calibration: CalibrationParameters = group(CalibrationParameters)
+    real_time_factor: float = parameter(
+        1.0, low=1.0e-6, high=1.0e3, read_only=True, description="realtime: simulated seconds per second of wall clock"
+    )
+    publish_rate: float = parameter(
+        100.0,
+        unit="Hz",
+        low=0.1,
+        high=1000.0,
+        read_only=True,
+        description="fused: how often topics and states show the last sample; a recorder gets all samples",
+    )
+    samples: int = parameter(
+        0, low=0, high=10**12, read_only=True, description="length of a run in samples; 0 = without end"
+    )
+    safe_voltage: float = parameter(
+        0.0, unit="V", low=-1.0e4, high=1.0e4, description="voltage the plant goes to when commands stop"
+    )
+    safe_slew_rate: float = parameter(
+        1000.0, unit="V/s", low=1.0e-3, high=1.0e9, description="how fast it goes to the safe voltage"
+    )
+    voltage_timeout: float = parameter(
+        0.5, unit="s", low=1.0e-3, high=3600.0, description="realtime: silence of voltage that starts the watchdog"
+    )
+    late_limit: int = parameter(
+        0,
+        low=-1,
+        high=10**9,
+        description="late voltages in a row, or together within a second, above which the axis goes to safe until "
+        "~/start; 0: a twentieth of the samples of a second, at least 20; -1: any number, and those that answer an "
+        "earlier sample are put out",
+    )
+    overtravel: float = parameter(
+        0.0,
+        unit="m",
+        low=-1.0,
+        high=1.0,
+        description="actuator: measured so far beyond where it can rest, the axis goes to safe until ~/start; "
+        "0: one stroke; below 0: any",
+    )
+    realtime: RealtimeParameters = group(RealtimeParameters)
+    publish_clock: bool = parameter(False, read_only=True, description="publish the simulated time on /clock")
+    wait_for_recorder: bool = parameter(
+        False, read_only=True, description="begin when a recorder is there; lockstep: run at most `lead` ahead of it"
+    )
+    lead: int = parameter(
+        100, low=32, high=900, read_only=True, description="lockstep: samples the plant may be ahead of the recorder"
+    )
+
+    @property
+    def allowed_late(self) -> int:
+        """Late voltages that are allowed in a row or within a second; 0: any number."""
+        if self.late_limit == 0:
+            return max(round(LATE_PART * self.sample_rate), LEAST_LATE)
+        return max(self.late_limit, 0)
+
+    @property
+    def allowed_travel(self) -> tuple[float, float]:
+        """Between which measurements [m] an actuator may go on: where its model can rest, and ``overtravel`` beyond."""
+        if self.overtravel < 0.0:
+            return -math.inf, math.inf
+        low, high = resting_displacements(part(self, ActuatorParameters), 1.0 / self.sample_rate)
+        # a step of the whole range makes an undamped stage swing one stroke too far
+        beyond = self.overtravel or high - low
+        return low - beyond, high + beyond
+
+    @property
+    def driver_parameters(self) -> Parameters:
+        """What the driver is opened with."""
+        if self.driver in _OWN:
+            return getattr(self, self.driver)
+        if self.driver in DRIVERS:
+            return part(self, ActuatorParameters)
+        return options_of(driver_of(self.driver), self.driver_options)
+
+    @property
+    def driver_is_compiled(self) -> bool:
+        """Whether machine code reads and writes the device."""
+        try:
+            return driver_of(self.driver).driver.compiled is not Driver.compiled
+        except DriverError:
+            return True  # there is none: said elsewhere
+
+    def _driver_problems(self):
+        if self.driver in DRIVERS and self.driver_options:
+            allowed = f"belong to a driver that is given by its path; {self.driver} has parameters of its own"
+            yield Problem("driver_options", self.driver_options, allowed)
+        try:
+            self.driver_parameters.validated()
+        except DriverError as error:
+            yield Problem("driver", self.driver, str(error))
+        except ParameterError as error:
+            # those of the registry stand in the table and have been looked at
+            yield from error.problems if self.driver not in DRIVERS else ()
+
+    def _amplifier_problems(self):
+        try:
+            amplifier = AmplifierCalibration(self.calibration.amplifier)
+            amplifier.require_range(self.limits.minimum, self.limits.maximum, "calibration.amplifier.")
+        except ParameterError as error:
+            yield from error.problems
+
+    def _unfit_for_a_driver(self):
+        if self.external_plant:
+            yield Problem("driver", self.driver, "the plant is external already: give driver: ''")
+        if self.time_mode == "lockstep":
+            allowed = (
+                "a device does not wait for anybody: give time_mode: realtime, or driver: '' for the simulated plant"
+            )
+            yield Problem("driver", self.driver, allowed)
+        if self.time_mode == "fused" and not self.driver_is_compiled:
+            allowed = (
+                "is written in Python, which would wait for its lock in each sample: give time_mode: realtime, or a "
+                "driver with a compiled form (docs/hardware.md)"
+            )
+            yield Problem("driver", self.driver, allowed)
+        if self.real_time_factor != 1.0:
+            yield Problem(
+                "real_time_factor", self.real_time_factor, "must be 1 with a driver: a device has its own time"
+            )
+        if self.type != "actuator":
+            allowed = (
+                "drives one actuator (type: actuator); an inchworm motor needs a node of its own, see docs/hardware.md"
+            )
+            yield Problem("driver", self.driver, allowed)
+
+    def check(self):
+        """Yield what does not fit together."""
+        yield from super().check()
+        if not self.limits.minimum <= self.safe_voltage <= self.limits.maximum:
+            allowed = (
+                f"must lie within limits.minimum … limits.maximum = {self.limits.minimum:g} … {self.limits.maximum:g} V"
+            )
+            yield Problem("safe_voltage", self.safe_voltage, allowed)
+        if self.driver:
+            yield from self._driver_problems()
+            yield from self._amplifier_problems()
+            yield from self._unfit_for_a_driver()
+        elif self.driver_options:
+            yield Problem("driver_options", self.driver_options, "belong to a driver: give its path as driver")
+        if self.type == "camera" and self.time_mode == "fused":
+            allowed = "the thread of a fused loop has no time to look at frames: give time_mode: realtime or lockstep"
+            yield Problem("time_mode", self.time_mode, allowed)
+        if self.force_sensor.there and self.type != "actuator":
+            allowed = f"a force sensor belongs to the stack of type actuator; give 0 with type {self.type}"
+            yield Problem("force_sensor.stack_stiffness", self.force_sensor.stack_stiffness, allowed)
+        if self.joint == self.force_joint:
+            yield Problem("force_joint", self.force_joint, "must be another name than joint")
+        if self.type == "inchworm":
+            yield from seed_problems(self)
+            others = JOINT_NAMES[1:]
+            if self.joint in others:
+                allowed = f"must be the slider's name, other than {', '.join(others)}; write joint: slider under '/**'"
+                yield Problem("joint", self.joint, allowed)
+
+
+@dataclass(frozen=True)
+class CommandRangeParameters(Parameters):
+    """Least and largest command that is sent."""
+
+    command_minimum: float = parameter(
+        0.0,
+        unit="m",
+        low=-1.0,
+        high=1.0,
+        description="least command that is sent, whatever the law wants; this and command_maximum 0: a stroke of the "
+        "compensator's model beyond its ends, where the whole axis is known, else any",
+    )
+    command_maximum: float = parameter(0.0, unit="m", low=-1.0, high=1.0, description="largest command that is sent")
+
+    @property
+    def command_range(self) -> tuple[float, float]:
+        """Least and largest command that is sent [m]."""
+        if self.command_minimum == self.command_maximum == 0.0:
+            return -math.inf, math.inf
+        return self.command_minimum, self.command_maximum
+
+    def check(self):
+        """Yield a Problem when the range is empty."""
+        yield from super().check()
+        low, high = self.command_range
+        if not low < high:
+            yield Problem("command_maximum", high, f"must be above command_minimum = {low:g} m")
+
+
+@dataclass(frozen=True)
+class ReferenceNodeParameters(NodeParameters, ReferenceParameters):
+    """Parameters of ``reference_generator``."""
+
+    settled: SettlingParameters = group(SettlingParameters)
+    publish_description: bool = parameter(
+        True, read_only=True, description="publish the joint and its limits as a URDF on robot_description"
+    )
+    samples: int = parameter(
+        0, low=0, high=10**12, read_only=True, description="external_plant: length of the run in samples; 0: no end"
+    )
+    wait_for_recorder: bool = parameter(
+        False, read_only=True, description="external_plant: begin when a recorder is there"
+    )
+
+
+@dataclass(frozen=True)
+class InchwormSequencerNodeParameters(NodeParameters, InchwormSequencerParameters):
+    """Parameters of ``inchworm_sequencer``, which takes the place of ``reference_generator``."""
+
+    publish_description: bool = parameter(
+        True, read_only=True, description="publish the joint and its limits as a URDF on robot_description"
+    )
+    extender_joint: str = parameter(
+        "extender", read_only=True, description="name of the extender in joint_states; joint is the slider's"
+    )
+    measurement_timeout: float = parameter(
+        0.2, unit="s", low=1.0e-3, high=3600.0, description="realtime: silence of joint_states that closes both clamps"
+    )
+
+
+@dataclass(frozen=True)
+class ControllerNodeParameters(NodeParameters, ControllerParameters, CommandRangeParameters):
+    """Parameters of ``motion_controller``."""
+
+    use_origin: bool = parameter(
+        False, read_only=True, description="inchworm: subtract the sequencer's origin from the measurement"
+    )
+
+    measurement_timeout: float = parameter(
+        0.2, unit="s", low=1.0e-3, high=3600.0, description="realtime: silence of joint_states that makes it go safe"
+    )
+    spike_limit: float = parameter(
+        0.0, unit="m", low=0.0, high=1.0, description="largest believable change of the measurement a sample; 0: any"
+    )
+    spike_samples: int = parameter(
+        3, low=2, high=10**6, description="samples in a row after which a larger change is believed"
+    )
+    frozen_samples: int = parameter(
+        0, low=0, high=10**9, description="equal measurements in a row that count as a frozen sensor; 0: never"
+    )
+    safe_command: float = parameter(
+        0.0, unit="m", low=-1.0, high=1.0, description="command while the measurement is stale"
+    )
+    safe_slew_rate: float = parameter(
+        1.0e-4, unit="m/s", low=1.0e-12, high=1.0e3, description="how fast the command goes to safe_command"
+    )
+    controller_state_rate: float = parameter(
+        50.0,
+        unit="Hz",
+        low=0.0,
+        high=1.0e6,
+        read_only=True,
+        description="how often ~/controller_state and ~/pid_state are published where control_msgs is installed; "
+        "0: never",
+    )
+
+    def check(self):
+        """Yield what does not fit together."""
+        yield from super().check()
+        low, high = self.command_range
+        if low < high and not low <= self.safe_command <= high:
+            allowed = f"must lie within command_minimum … command_maximum = {low:g} … {high:g} m"
+            yield Problem("safe_command", self.safe_command, allowed)
+
+
+@dataclass(frozen=True)
+class CompensatorNodeParameters(NodeParameters, CompensatorParameters):
+    """Parameters of ``hysteresis_compensator``."""
+
+    adaptation: AdaptationParameters = group(AdaptationParameters)
+    command_timeout: float = parameter(
+        0.4, unit="s", low=1.0e-3, high=3600.0, description="realtime: silence of command that starts the watchdog"
+    )
+    safe_slew_rate: float = parameter(
+        1000.0, unit="V/s", low=1.0e-3, high=1.0e9, description="how fast the voltage goes to safe_voltage"
+    )
+
+    def check(self):
+        """Yield what does not fit together."""
+        yield from super().check()
+        yield from self.adaptation.fits(self.hysteresis, self.inverse.type)
+
+
+@dataclass(frozen=True)
+class DisplacementCameraNodeParameters(NodeParameters, CameraParameters):
+    """Parameters of ``displacement_camera``."""
+
+    image_timeout: float = parameter(
+        1.0, unit="s", low=1.0e-3, high=3600.0, description="realtime: silence of image after which it says so"
+    )
+
+
+@dataclass(frozen=True)
+class RecorderNodeParameters(NodeParameters):
+    """Parameters of ``recorder``."""
+
+    path: str = parameter(
+        "recording",
+        read_only=True,
+        description="folder of the bag, made anew",
+        place="files",
+    )
+    configuration: str = parameter(
+        "", read_only=True, description="parameter file whose text goes into the bag", place="files"
+    )
+    inchworm: bool = parameter(
+        False,
+        read_only=True,
+        description="record an inchworm's topics; a configuration with an inchworm_sequencer says so by itself",
+    )
+    topics: tuple[str, ...] = parameter(
+        (),
+        read_only=True,
+        description="further topics to record (relative or absolute), each as 'name:package/msg/Type'",
+    )
+    chunk_time: float = parameter(
+        0.25,
+        unit="s",
+        low=0.01,
+        high=0.5,
+        read_only=True,
+        description="what was recorded is handed to the operating system at least this often",
+    )
+    max_bag_size: int = parameter(
+        0,
+        unit="B",
+        low=0,
+        high=10**15,
+        read_only=True,
+        description="size of a file of the bag after which the next one begins; 0: any",
+    )
+    max_bag_duration: float = parameter(
+        0.0,
+        unit="s",
+        low=0.0,
+        high=1.0e9,
+        read_only=True,
+        description="length of a file of the bag after which the next one begins; 0: any",
+    )
+    warn_space: int = parameter(
+        2 * 10**9,
+        unit="B",
+        low=0,
+        high=10**15,
+        description="free space on the disk below which the recorder warns",
+    )
+    min_space: int = parameter(
+        2 * 10**8,
+        unit="B",
+        low=0,
+        high=10**15,
+        description="free space on the disk below which it ends the recording, never the axis",
+    )
+
+
+#: Parameter class of each node, by node name.
+NODE_PARAMETERS: dict[str, type[NodeParameters]] = {
+    "plant_simulator": PlantNodeParameters,
+    "reference_generator": ReferenceNodeParameters,
+    "motion_controller": ControllerNodeParameters,
+    "hysteresis_compensator": CompensatorNodeParameters,
+    "recorder": RecorderNodeParameters,
+    "inchworm_sequencer": InchwormSequencerNodeParameters,
+    "displacement_camera": DisplacementCameraNodeParameters,
+}
+
+
+#: Samples per second of the wall clock up to which nodes that exchange messages answer in time nearly always (0.25 % of
+#: the voltages late, docs/real_time.md), and beyond which such a loop is refused (at 1 kHz 3 to 12 % are late).
+MESSAGE_RATE, HIGHEST_MESSAGE_RATE = 300.0, 1000.0
+#: Samples that a run may have at most: beyond this a counter in double precision skips numbers.
+COUNTABLE = 2.0**53
+
+
+def require_message_rate(sample_rate: float, where: str) -> None:
+    """Refuse a real-time loop whose samples [Hz] come faster than messages between nodes can carry them.
+
+    Raises
+    ------
+    ConfigurationError
+        The message begins with ``where`` and names the rate that would do.
+    """
+    if sample_rate > HIGHEST_MESSAGE_RATE:
+        raise ConfigurationError(
+            f"{where}: {sample_rate:g} samples/s are too many for messages between nodes, which hold "
+            f"{MESSAGE_RATE:g} Hz well and never more than {HIGHEST_MESSAGE_RATE:g} Hz; take a sample rate of "
+            f"{MESSAGE_RATE:g} Hz, or a driver (--driver), which runs in one process with the loop"
+        )
+
+
+def _inchworm_mismatches(plant, parts) -> list[Problem]:
+    """Return what does not fit between the plant's type, the sequencer and the controller."""
+    sequencer = parts["inchworm_sequencer"]
+    if (plant.type == "inchworm") != (sequencer is not None):
+        allowed = "an inchworm needs a section inchworm_sequencer, and only an inchworm may have one"
+        return [Problem("plant_simulator: type", plant.type, allowed)]
+    problems = []
+    if parts["motion_controller"].use_origin != (sequencer is not None):
+        allowed = "must be true with an inchworm_sequencer and false without one"
+        problems.append(Problem("motion_controller: use_origin", not sequencer, allowed))
+    return problems + list(inchworm_problems(plant, parts) if sequencer else ())
+
+
+def _camera_mismatches(plant, camera) -> list[Problem]:
+    """Return what does not fit between the plant's type and who looks at its images."""
+    if plant.type == "camera" and not plant.external_plant and camera is None:
+        allowed = "publishes images: a section displacement_camera has to say how the tip is found in them"
+        return [Problem("plant_simulator: type", plant.type, allowed)]
+    if camera is not None and plant.type != "camera" and not plant.external_plant:
+        allowed = "publishes joint_states itself: leave displacement_camera out, or give type: camera"
+        return [Problem("plant_simulator: type", plant.type, allowed)]
+    return []
+
+
+def _adaptation_problems(controller, compensator):
+    """Yield a Problem where the inverse would take what the controller knows of the dynamics for hysteresis."""
+    adaptation = compensator.adaptation
+    if adaptation.type != "none" and controller.model.dynamics.order and not adaptation.dynamics.order:
+        allowed = "a lag or a delay would be learned as hysteresis: give motion_controller's model.dynamics here too"
+        yield Problem("hysteresis_compensator: adaptation.dynamics.A", adaptation.dynamics.A, allowed)
+    zero = controller.model.preload.offset
+    if adaptation.type != "none" and adaptation.offset == "measured" and adaptation.zero != zero:
+        allowed = f"must be what motion_controller's model.preload takes off the measurement, {zero:.9g} m"
+        yield Problem("hysteresis_compensator: adaptation.zero", adaptation.zero, allowed)
+
+
+def _force_problems(plant, controller):
+    """Yield a Problem where a damping needs a force that this axis does not measure."""
+    simulated = not plant.driver and not plant.external_plant
+    if controller.damping.source == FORCE and simulated and not plant.force_sensor.there:
+        allowed = (
+            f"missing force joint '{plant.force_joint}': nothing measures the force in the stack; give plant_simulator "
+            "a force_sensor (stack_stiffness, flexure_stiffness), or a driver that has one, or take irc or ppf"
+        )
+        yield Problem("motion_controller: damping.type", controller.damping.type, allowed)
+
+
+#: Time-outs of the nodes, what happens after them, and where the output then goes.
+TIMEOUTS = {
+    ("motion_controller", "measurement_timeout"): "no usable measurement: command to safe_command",
+    ("inchworm_sequencer", "measurement_timeout"): "no joint_states: both clamps close",
+    ("hysteresis_compensator", "command_timeout"): "no command: voltage to safe_voltage",
+    ("plant_simulator", "voltage_timeout"): "no voltage: voltage to safe_voltage",
+}
+
+
+def _short_timeouts(parts):
+    """Yield a Problem for each time-out that is shorter than a sample."""
+    for name, timeout in TIMEOUTS:
+        node = parts[name]
+        if node is not None and getattr(node, timeout) * node.sample_rate < 1.0:
+            least = f"shorter than a sample of {1.0 / node.sample_rate:g} s: give at least that"
+            yield Problem(f"{name}: {timeout}", getattr(node, timeout), least)
+
+
+def _fault_problems(plant, inchworm: bool):
+    """Yield a Problem for each fault that there is not, or that this axis cannot have."""
+    for text in plant.faults:
+        try:
+            parse_fault(text, plant.sample_rate, inchworm)
+        except ConfigurationError as error:
+            yield Problem("faults", text, str(error).partition(": ")[2])
+
+
+def _with_range(controller, compensator, plant) -> ControllerNodeParameters:
+    """Return the parameters of a controller whose commands end a stroke beyond what the compensator's model reaches."""
+    if controller.command_minimum != controller.command_maximum:
+        return controller
+    amplifiers = () if plant.external_plant else (plant.limits,)
+    given = part(compensator, CompensatorParameters)
+    low, high = commandable(given, 1.0 / compensator.sample_rate, *amplifiers)
+    low, high = min(low, controller.safe_command), max(high, controller.safe_command)
+    return replace(controller, command_minimum=low, command_maximum=high)
+
+
+@dataclass(frozen=True)
+class AxisParameters:
+    """Parameters of all nodes of one axis.
+
+    Parameters
+    ----------
+    namespace : str
+        Namespace with a leading slash; empty for the root.
+    plant_simulator, motion_controller, hysteresis_compensator, recorder : NodeParameters
+        Typed parameters of each node.
+    reference_generator, inchworm_sequencer : NodeParameters or None
+        One of the two: an axis with a section ``inchworm_sequencer`` has no reference generator.
+    displacement_camera : NodeParameters or None
+        Who makes joint_states of images.
+    """
+
+    namespace: str
+    plant_simulator: PlantNodeParameters
+    reference_generator: ReferenceNodeParameters | None
+    motion_controller: ControllerNodeParameters
+    hysteresis_compensator: CompensatorNodeParameters
+    recorder: RecorderNodeParameters
+    inchworm_sequencer: InchwormSequencerNodeParameters | None = None
+    displacement_camera: DisplacementCameraNodeParameters | None = None
+
+    @classmethod
+    def from_configuration(cls, configuration: Configuration, namespace: str = "") -> AxisParameters:
+        """Read one axis out of a configuration.
+
+        Raises
+        ------
+        ParameterError
+            Names every wrong parameter of every node, rates or modes in which the nodes differ, and linear dynamics
+            for another sample time.
+        """
+        namespace = normalised_namespace(namespace)
+        inchworm = configuration.describes("inchworm_sequencer", namespace)
+        if inchworm and configuration.describes("reference_generator", namespace):
+            raise ConfigurationError(
+                f"{configuration.source}: two sources of the reference: reference_generator and inchworm_sequencer; "
+                "keep the sequencer for an inchworm motor, the generator for anything else"
+            )
+        absent = {"reference_generator" if inchworm else "inchworm_sequencer"}
+        if not configuration.describes("displacement_camera", namespace):
+            absent.add("displacement_camera")
+        parts, problems = dict.fromkeys(absent), []
+        for name, parameters_class in NODE_PARAMETERS.items():
+            if name in absent:
+                continue
+            try:
+                values = configuration.node(name, namespace)
+                parts[name] = parameters_class.from_mapping(values, prefix=f"{name}: ")
+            except ParameterError as error:
+                problems += error.problems
+        if problems:
+            raise ParameterError(problems)
+        return cls.of_nodes(namespace, parts)
+
+    @classmethod
+    def of_nodes(cls, namespace: str, parts: Mapping[str, NodeParameters | None]) -> AxisParameters:
+        """Put the parameters of nodes together.
+
+        Parameters
+        ----------
+        namespace : str
+        parts : mapping of str to NodeParameters or None
+            By the names of the nodes; of the two sources one is missing or None.
+
+        Raises
+        ------
+        ParameterError
+            Names rates or modes in which the nodes differ, and what does not fit together.
+        """
+        parts = {"inchworm_sequencer": None, "reference_generator": None, "displacement_camera": None, **parts}
+        problems = []
+        inchworm = parts["inchworm_sequencer"] is not None
+        plant = parts["plant_simulator"]
+        camera = parts["displacement_camera"]
+        for name in (*node_names(inchworm), *(["displacement_camera"] if camera is not None else [])):
+            for shared in ("sample_rate", "time_mode", "joint", "force_joint", "faults", "external_plant"):
+                value, awaited = getattr(parts[name], shared), getattr(plant, shared)
+                if value != awaited:
+                    allowed = f"must equal the plant_simulator's {awaited!r}; give it once, under '/**'"
+                    problems.append(Problem(f"{name}: {shared}", value, allowed))
+        sample_time = 1.0 / plant.sample_rate
+        for name, dynamics, place in (
+            ("plant_simulator", plant.dynamics, "dynamics"),
+            ("motion_controller", parts["motion_controller"].model.dynamics, "model.dynamics"),
+            ("hysteresis_compensator", parts["hysteresis_compensator"].adaptation.dynamics, "adaptation.dynamics"),
+        ):
+            try:
+                dynamics.require_sample_time(sample_time, f"{name}: {place}.sample_time")
+            except ParameterError as error:
+                problems += error.problems
+        problems += _fault_problems(plant, inchworm)
+        problems += _short_timeouts(parts)
+        problems += _inchworm_mismatches(plant, parts)
+        problems += _camera_mismatches(plant, camera)
+        problems += _force_problems(plant, parts["motion_controller"])
+        problems += _adaptation_problems(parts["motion_controller"], parts["hysteresis_compensator"])
+        if problems:
+            raise ParameterError(problems)
+        parts["motion_controller"] = _with_range(parts["motion_controller"], parts["hysteresis_compensator"], plant)
+        return cls(namespace=namespace, **parts)
+
+    def with_duration(self, duration: float) -> AxisParameters:
+        """Return the same axis with a run of ``duration`` seconds of its own time.
+
+        Raises
+        ------
+        ConfigurationError
+            The duration is not a positive number.
+        """
+        if not 0.0 < duration < float("inf"):
+            raise ConfigurationError(f"duration = {duration:g} s: must be a positive number of seconds")
+        if duration * self.plant_simulator.sample_rate >= COUNTABLE:
+            raise ConfigurationError(f"duration = {duration:g} s: more samples than can be counted; ask for less")
+        samples = max(round(duration * self.plant_simulator.sample_rate), 1)
+        changed = replace(self, plant_simulator=replace(self.plant_simulator, samples=samples))
+        if not self.plant_simulator.external_plant:
+            return changed
+        if self.reference_generator is None:
+            raise ConfigurationError(
+                "duration: only plant_simulator ends the run of an inchworm motor; leave it out and end with Ctrl-C"
+            )
+        return replace(changed, reference_generator=replace(self.reference_generator, samples=samples))
+
+    def with_recorder(self, path: str) -> AxisParameters:
+        """Return the same axis, which begins when its recorder is there.
+
+        Parameters
+        ----------
+        path : str
+            Folder of the bag.
+        """
+        plant, source = self.plant_simulator, self.reference_generator
+        return replace(
+            self,
+            plant_simulator=replace(plant, wait_for_recorder=True),
+            reference_generator=replace(source, wait_for_recorder=plant.external_plant) if source else None,
+            recorder=replace(self.recorder, path=path),
+        )
+
+    def with_time_mode(self, mode: str) -> AxisParameters:
+        """Return the same axis in another ``time_mode``.
+
+        Raises
+        ------
+        ParameterError
+            The axis cannot run so.
+        """
+        nodes = {name: getattr(self, name) for name in NODE_PARAMETERS if getattr(self, name) is not None}
+        return replace(self, **{name: replace(node, time_mode=mode) for name, node in nodes.items()})
+
+    def timeouts(self) -> list[str]:
+        """Return a line for each time-out: what it is called, how long in samples and seconds, what follows."""
+        rate, external = self.plant_simulator.sample_rate, self.plant_simulator.external_plant
+        lines = []
+        for (name, timeout), what in TIMEOUTS.items():
+            node = getattr(self, name)
+            if node is not None and not (name == "plant_simulator" and external):
+                seconds = getattr(node, timeout)
+                samples = samples_of(seconds, rate)
+                lines.append(f"{name} {timeout} = {seconds:g} s = {samples:.0f} samples: {what}")
+        limit = self.plant_simulator.allowed_late
+        if limit and not external:
+            many = f"more than {limit} late voltages in a row or within {rate:g} samples (1 s)"
+            lines.append(f"plant_simulator late_limit = {limit}: {many}: axis to safe until ~/start")
+        watched = self.plant_simulator.type == "actuator" and self.plant_simulator.overtravel >= 0.0
+        if watched and not external:
+            low, high = self.plant_simulator.allowed_travel
+            text = f"plant_simulator overtravel: measured beyond {1e6 * low:.4g} … {1e6 * high:.4g} µm: axis to safe"
+            lines.append(f"{text} until ~/start")
+        return lines
+
+    def with_faults(self, faults: tuple[str, ...]) -> AxisParameters:
+        """Return the same axis with these faults, each ``NAME:START:DURATION[:VALUE]``.
+
+        Raises
+        ------
+        ConfigurationError
+            A fault is unknown, a number wrong, or this axis cannot have it.
+        """
+        for text in faults:
+            parse_fault(text, self.plant_simulator.sample_rate, self.inchworm_sequencer is not None)
+        nodes = {name: getattr(self, name) for name in NODE_PARAMETERS if getattr(self, name) is not None}
+        return replace(self, **{name: replace(node, faults=tuple(faults)) for name, node in nodes.items()})
+
+    def configuration_text(self) -> str:
+        """Return the parameter file of exactly this axis, every parameter written out under its full node name."""
+        nodes = {}
+        for name in NODE_PARAMETERS:
+            if getattr(self, name) is None:
+                continue
+            values = getattr(self, name).to_mapping()
+            # ROS has no type for an empty array; every array is empty by default where it may be
+            nodes[f"{self.namespace}/{name}"] = {key: value for key, value in values.items() if value != ()}
+        return dump_configuration(nodes)
+
+
+def require_carried(axis: AxisParameters) -> None:
+    """Refuse an axis with a plant of the user's own whose samples come faster than messages can carry them.
+
+    Raises
+    ------
+    ConfigurationError
+        With the rate that would do.
+    """
+    plant = axis.plant_simulator
+    if plant.external_plant and plant.time_mode == "realtime":
+        require_message_rate(
+            plant.sample_rate * plant.real_time_factor, f"{axis.namespace}/plant_simulator: external_plant"
+        )
+
+
+def in_time(axis: AxisParameters) -> AxisParameters:
+    """Return the axis fused when messages between its nodes are too slow for its rate in real time.
+
+    Parameters
+    ----------
+    axis : AxisParameters
+    """
+    plant = axis.plant_simulator
+    if plant.time_mode != "realtime" or plant.external_plant or not COMPILED:
+        return axis
+    if plant.driver and not plant.driver_is_compiled:
+        return axis
+    return axis.with_time_mode("fused") if plant.sample_rate * plant.real_time_factor > MESSAGE_RATE else axis

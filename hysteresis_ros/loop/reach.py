@@ -1,0 +1,241 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""The axes that a configuration describes, and what each can reach: references beyond stroke or bandwidth are refused.
+
+Judged by what the axis itself believes, the compensator's model and the controller's: the plant is not known to it.
+
+*Stroke*: all that the compensator's hysteresis model ever reaches within its limits, swept in both directions from rest
+and without creep, times the DC gain of the controller's model. With inverse ``none`` the nominal gain times the limits.
+Steps may need more than that for a moment, to be quick; that is not refused.
+
+*Bandwidth*, for controllers but ``open_loop`` and waveforms with one fundamental f; open loop, chirp, multisine and
+files are experiments:
+
+- The command that gives the fundamental through the controller's dynamics, amplitude / |G(f)|, must fit into the
+  stroke. The limit is the stroke and not the -3 dB point: feedback and inverse dynamics do work beyond it, as long as
+  there is stroke left. Waveforms with jumps (square) are steps and left out.
+- An answer d samples late, d the relative degree, is wrong by 2 sin(π f d Ts) of the amplitude. From f = 1/(6 d Ts) on
+  standing still would be better. Only ``inverse_dynamics`` with its preview has no such delay.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+from dataclasses import fields
+
+from hysteresis_ros.configuration import Configuration, Parameters
+from hysteresis_ros.control.feedforward import relative_degree
+from hysteresis_ros.errors import ConfigurationError, ParameterError, Problem
+from hysteresis_ros.loop.inchworm_checks import inchworm_warnings
+from hysteresis_ros.loop.parameters import AxisParameters, part
+from hysteresis_ros.models.compensator import reachable_commands
+from hysteresis_ros.models.linear import LinearParameters
+from hysteresis_ros.references.generator import ReferenceGenerator, ReferenceParameters
+
+#: Part of the stroke by which a reference may lie beyond it: rounding, and sweeps that are integrated.
+TOLERANCE = 1e-4
+#: Part of the stroke by which the command of a fundamental may lie beyond it: the peaks of the waveform are cut then.
+CUT_PEAKS = 0.1
+
+
+def reachable_displacements(axis: AxisParameters) -> tuple[float, float]:
+    """Return the smallest and largest displacement [m] at rest, without preload, as the axis' own models have it.
+
+    Parameters
+    ----------
+    axis : AxisParameters
+    """
+    gain = _gain(axis.motion_controller.model.dynamics)
+    low, high = reachable_commands(axis.hysteresis_compensator, 1.0 / axis.plant_simulator.sample_rate)
+    return min(low * gain, high * gain), max(low * gain, high * gain)
+
+
+def _gain(dynamics: LinearParameters, turns: float = 0.0) -> float:
+    """Return |G| in SI at ``turns`` cycles a sample; with its sign at 0."""
+    model = dynamics.state_space
+    scale = dynamics.output_scale / dynamics.resolved_input_scale
+    if turns == 0.0:
+        return model.dc_gain * scale
+    return float(abs(model.held().response([cmath.exp(2j * math.pi * turns)]).item())) * scale
+
+
+def check_reach(axis: AxisParameters) -> None:
+    """Refuse a reference that the axis cannot follow.
+
+    Parameters
+    ----------
+    axis : AxisParameters
+
+    Raises
+    ------
+    ParameterError
+        The reference generator cannot be built, or waveform or initial setpoint lie beyond stroke or bandwidth.
+    """
+    if axis.plant_simulator.type != "actuator":
+        return  # the reference of a motor that walks is its sequencer's
+    given = part(axis.reference_generator, ReferenceParameters)
+    try:
+        generator = ReferenceGenerator(given, 1.0 / axis.plant_simulator.sample_rate)
+    except ParameterError as error:
+        named = [Problem(f"reference_generator: {p.name}", p.value, p.allowed) for p in error.problems]
+        raise ParameterError(named) from None
+    problems = [*_bare_steps(axis, given), *_beyond_stroke(axis, given, generator)]
+    if not problems and axis.motion_controller.law.feedback and given.waveform.shape.periodic:
+        problems = [*_too_late(axis, given), *_too_fast(axis, given, generator, CUT_PEAKS)]
+    if problems:
+        raise ParameterError(problems)
+
+
+def reach_warnings(axis: AxisParameters) -> tuple[str, ...]:
+    """Return a sentence for each doubt about an axis: those of its nodes' parameters, and what it reaches only partly.
+
+    Parameters
+    ----------
+    axis : AxisParameters
+    """
+    parts = {item.name: getattr(axis, item.name) for item in fields(axis)}
+    found = [
+        text for name, node in parts.items() if isinstance(node, Parameters) for text in node.warnings(f"{name}: ")
+    ]
+    if axis.inchworm_sequencer is not None:
+        return (*found, *inchworm_warnings(axis.plant_simulator, axis.inchworm_sequencer))
+    given = part(axis.reference_generator, ReferenceParameters)
+    low, high = reachable_displacements(axis)
+    slack = TOLERANCE * (high - low)
+    for name, beyond in (("minimum", given.minimum < low - slack), ("maximum", given.maximum > high + slack)):
+        if beyond:
+            found.append(
+                f"reference_generator: {name} = {_micro(getattr(given, name))} lies beyond what the compensator's "
+                f"model reaches, {_range(low, high)}: setpoints out there saturate"
+            )
+    if axis.motion_controller.law.feedback and given.waveform.shape.periodic:
+        generator = ReferenceGenerator(given, 1.0 / axis.plant_simulator.sample_rate)
+        found += [f"{p.name} = {p.value}: {p.allowed}" for p in _too_fast(axis, given, generator, TOLERANCE)]
+    return tuple(found)
+
+
+def _bare_steps(axis, given: ReferenceParameters):
+    inverts = axis.motion_controller.feedforward.type == "inverse_dynamics"
+    approach = given.approach
+    if not inverts or not given.waveform.shape.jumps or (approach.steps and not approach.unlimited):
+        return
+    add = "give approach.maximum_velocity, maximum_acceleration and maximum_jerk, and " if approach.unlimited else ""
+    allowed = (
+        "jumps, and feedforward.type inverse_dynamics answers a jump with as much voltage as it can: "
+        f"{add}set approach.steps: true, so that the steps keep the limits of the approach, or take "
+        "feedforward.type static or none"
+    )
+    yield Problem("reference_generator: waveform.type", given.waveform.type, allowed)
+
+
+def _beyond_stroke(axis, given: ReferenceParameters, generator: ReferenceGenerator):
+    low, high = reachable_displacements(axis)
+    slack = TOLERANCE * (high - low)
+    limits, around = axis.hysteresis_compensator.limits, given.initial_setpoint
+    reached = f"{_range(low, high)} within limits.minimum … maximum = {limits.minimum:g} … {limits.maximum:g} V"
+    if not low - slack <= around <= high + slack:
+        allowed = f"{_micro(around)} is out of reach: the compensator's model reaches {reached}"
+        yield Problem("reference_generator: initial_setpoint", around, allowed)
+        return
+    waveform = generator.waveform
+    for value in (around + waveform.lowest, around + waveform.highest):
+        if not low - slack <= value <= high + slack:
+            name = given.waveform.shape.extent
+            allowed = (
+                f"the waveform {given.waveform.type} around the setpoint {_micro(around)} goes to {_micro(value)}, out "
+                f"of reach: the compensator's model reaches {reached}; change the waveform or widen the limits"
+            )
+            yield Problem(f"reference_generator: waveform.{name}", given.waveform.to_mapping()[name], allowed)
+            return
+
+
+def _too_late(axis, given: ReferenceParameters):
+    control, rate = axis.motion_controller, axis.plant_simulator.sample_rate
+    if control.feedforward.type == "inverse_dynamics" and control.feedforward.preview:
+        return
+    degree = relative_degree(control.model.dynamics)
+    highest = rate / (6.0 * degree)
+    if given.waveform.frequency > highest:
+        late = "a sample" if degree == 1 else f"{degree} samples"
+        allowed = (
+            f"must be ≤ {highest:.6g} Hz: the model answers {late} late, and beyond that the error is larger than the "
+            "waveform; lower it, raise sample_rate, or give feedforward.type: inverse_dynamics with preview"
+        )
+        yield Problem("reference_generator: waveform.frequency", given.waveform.frequency, allowed)
+
+
+def _too_fast(axis, given: ReferenceParameters, generator: ReferenceGenerator, margin: float):
+    waveform, dynamics = given.waveform, axis.motion_controller.model.dynamics
+    if waveform.shape.fundamental is None:
+        return
+    passed = _gain(dynamics, waveform.frequency / axis.plant_simulator.sample_rate)
+    low, high = reachable_commands(axis.hysteresis_compensator, 1.0 / axis.plant_simulator.sample_rate)
+    lowest, highest = generator.waveform.lowest, generator.waveform.highest
+    middle = (given.initial_setpoint + 0.5 * (lowest + highest)) / _gain(dynamics)
+    half = waveform.shape.fundamental(waveform) * 0.5 * (highest - lowest)
+    slack = margin * (high - low)
+    room = min(middle - low, high - middle) + slack
+    if half > passed * room:
+        needed = _range(middle - half / passed, middle + half / passed) if passed > 0.0 else "any size"
+        allowed = (
+            f"the dynamics of motion_controller's model pass {100.0 * passed:.3g} % there: the {waveform.type} needs "
+            f"commands of {needed}, reachable are {_range(low, high)}; lower frequency or amplitude"
+        )
+        yield Problem("reference_generator: waveform.frequency", waveform.frequency, allowed)
+
+
+def _micro(value: float) -> str:
+    return f"{value * 1e6:.6g} µm"
+
+
+def _range(low: float, high: float) -> str:
+    return f"{low * 1e6:.6g} … {high * 1e6:.6g} µm"
+
+
+def axes(configuration: Configuration, namespace: str | None = None) -> list[AxisParameters]:
+    """Return every axis of a configuration, or the one in ``namespace``.
+
+    Raises
+    ------
+    ConfigurationError
+        Two of the axes would publish ``/clock``: time may have one source only.
+    ParameterError
+        A parameter is wrong, or a reference lies beyond what its axis can follow.
+    """
+    spaces = configuration.namespaces() if namespace is None else (namespace,)
+    found = [AxisParameters.from_configuration(configuration, space) for space in spaces]
+    for axis in found:
+        if axis.inchworm_sequencer is None:
+            check_reach(axis)
+    clocks = [axis.namespace or "/" for axis in found if axis.plant_simulator.publish_clock]
+    if len(clocks) > 1:
+        raise ConfigurationError(
+            f"{configuration.source}: {' and '.join(clocks)} both set publish_clock; /clock may have one source, "
+            "set publish_clock: true for one plant_simulator only"
+        )
+    return found
+
+
+def single_axis(configuration: Configuration, namespace: str | None = None) -> AxisParameters:
+    """Return the only axis of a configuration, or the one in ``namespace``.
+
+    Raises
+    ------
+    ConfigurationError
+        There are several and none was chosen.
+    ParameterError
+        A parameter is wrong.
+    """
+    found = axes(configuration, namespace)
+    if len(found) > 1:
+        names = ", ".join(axis.namespace for axis in found)
+        raise ConfigurationError(f"{configuration.source}: holds several axes ({names}); choose one with --namespace")
+    return found[0]

@@ -1,0 +1,93 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""A recorded run again: the files that an axis names, and the axis with what they held then."""
+
+from __future__ import annotations
+
+import contextlib
+import pathlib
+import tempfile
+from collections.abc import Iterator
+
+from hysteresis_ros.configuration import parse_configuration
+from hysteresis_ros.errors import RecordingError
+from hysteresis_ros.loop.parameters import NODE_PARAMETERS, AxisParameters
+from hysteresis_ros.loop.reach import single_axis
+from hysteresis_ros.recordings.dataset import Recording
+from hysteresis_ros.recordings.provenance import configured, in_force, note_on_disk, require_same, whole
+
+#: The end of names of parameters of files that are written.
+WRITTEN = "save_file"
+
+
+def file_parameters(text: str, namespace: str = "") -> Iterator[tuple[str, str, pathlib.Path]]:
+    """Yield node, name and path of each parameter that names a file to be read; arguments as of :func:`named_files`."""
+    for node, kind in NODE_PARAMETERS.items():
+        values = configured(text, node, namespace) if node != "recorder" else {}
+        for row in kind.table():
+            if row.place == "files" and not row.name.endswith(WRITTEN) and values.get(row.name):
+                yield node, row.name, pathlib.Path(str(values[row.name])).expanduser()
+
+
+def named_files(text: str, namespace: str = "") -> list[pathlib.Path]:
+    """Return the files that a configuration names for its nodes to read, as far as they are there.
+
+    Parameters
+    ----------
+    text : str
+        YAML of the axis; whatever else it is, it names none.
+    namespace : str, optional
+        Of the axis.
+    """
+    return sorted({path for *_, path in file_parameters(text, namespace) if path.is_file()})
+
+
+@contextlib.contextmanager
+def recorded_axis(recorded: Recording, name: str) -> Iterator[tuple[AxisParameters, list[str]]]:
+    """Give the axis of a recording, and in lines what of this disk is not used for it.
+
+    Its files are there as long as the context lasts.
+
+    Parameters
+    ----------
+    recorded : Recording
+        Of one axis.
+    name : str
+        Of the recording.
+
+    Raises
+    ------
+    RecordingError
+        Nobody knows what it is a run of, or a file that it needs is neither in it nor on this disk.
+    ParameterError
+        A parameter in it is wrong.
+    """
+    text = in_force(recorded)
+    if not text:
+        raise RecordingError(
+            f"{name}: holds no configuration, so nobody knows what it is a run of; verify the bag that "
+            "'up --record' writes, or the .npz of 'simulate -o'"
+        )
+    configuration, notes = parse_configuration(text, name), []
+    words = recorded.metadata.get("files", {})
+    contents = whole(words)
+    namespace = recorded.metadata.get("namespace")
+    with tempfile.TemporaryDirectory(prefix="hysteresis_") as folder:
+        for index, (node, parameter, path) in enumerate(file_parameters(text, namespace or "")):
+            if str(path) in contents:
+                content = contents[str(path)]
+                notes += filter(None, [note_on_disk(str(path), content)])
+                # readers tell a table by the end of its name
+                copy = pathlib.Path(folder) / f"{index}{path.suffix.lower()[:8]}"
+                copy.write_bytes(content)
+                configuration = configuration.override(node, **{parameter: str(copy)})
+            elif str(path) in words:
+                require_same(str(path), words[str(path)])
+        yield single_axis(configuration, namespace), notes

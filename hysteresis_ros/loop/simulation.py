@@ -1,0 +1,339 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Offline simulation: a whole run as a recording; plants that differ from their models, or drift, and what parts did.
+
+Each draw multiplies by independent factors 1 + m u, u uniform in ±1: the gain, the opening of the hysteresis (how, and
+by which factors besides, each model declares), the time scale of the linear dynamics and the rate of the creep. The
+compensator's and the controller's models stay as they are.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from hysteresis_ros.configuration import Configuration
+from hysteresis_ros.control.uncertainty import slowed
+from hysteresis_ros.errors import ConfigurationError, ParameterError, Problem, RecordingError
+from hysteresis_ros.loop.axis import STEPS, Axis, Change
+from hysteresis_ros.loop.device import fused_plant_of
+from hysteresis_ros.loop.parameters import AxisParameters, PlantNodeParameters
+from hysteresis_ros.loop.reach import single_axis
+from hysteresis_ros.loop.tick import BEFORE
+from hysteresis_ros.loop.watch import MODE_NAMES, RUNNING
+from hysteresis_ros.models.declaration import Deviation
+from hysteresis_ros.recordings.dataset import Recording, note_output, output_tolerance, requests_per_sample
+
+#: Largest mismatch that leaves every drawn parameter its sign with a margin.
+LARGEST = 0.5
+
+
+def mismatched(configuration: Configuration, mismatch: float, seed: int) -> Configuration:
+    """Return the configuration with a plant drawn around the configured one.
+
+    Parameters
+    ----------
+    configuration : Configuration
+        One axis.
+    mismatch : float
+        m, largest relative deviation of each factor, 0 … 0.5.
+    seed : int
+        Seed of the draw; equal seeds give equal plants.
+
+    Raises
+    ------
+    ParameterError
+        The mismatch is out of range, or the configuration is wrong.
+    """
+    if not 0.0 <= mismatch <= LARGEST:
+        raise ParameterError([Problem("mismatch", mismatch, f"must be within 0 … {LARGEST:g}")])
+    plant = single_axis(configuration).plant_simulator
+    random = np.random.default_rng(seed)
+
+    def factor(count=None):
+        return 1.0 + mismatch * random.uniform(-1.0, 1.0, count)
+
+    # always in this order, so that a seed means the same factors for every model
+    gain, opening, slowness, creeping = factor(), factor(), factor(), factor()
+    changed = deviating(plant, Deviation(gain, opening, factor), slowness, creeping)
+    return configuration.override("plant_simulator", **changed)
+
+
+def deviating(
+    plant: PlantNodeParameters, deviation: Deviation, slowness: float = 1.0, creeping: float = 1.0
+) -> dict[str, Any]:
+    """Return the parameters of a plant that deviates from a given one, as far as they differ.
+
+    Parameters
+    ----------
+    plant : PlantNodeParameters
+    deviation : Deviation
+        Of its hysteresis.
+    slowness, creeping : float
+        Factors on all times of the linear dynamics, and on the rate of the creep.
+
+    Returns
+    -------
+    dict
+        By dotted names.
+    """
+    model, configured = plant.hysteresis.model, plant.hysteresis.chosen.to_mapping()
+    drawn = model.deviated(plant.hysteresis.chosen, deviation).to_mapping()
+    changed = {
+        f"hysteresis.{model.name}.{name}": value for name, value in drawn.items() if value != configured.get(name)
+    }
+    if slowness != 1.0:
+        changed |= {f"dynamics.{name}": value for name, value in slowed(plant.dynamics, slowness).items()}
+    if plant.creep.type == "logarithmic":
+        changed["creep.logarithmic.rate"] = plant.creep.logarithmic.rate * creeping
+    elif plant.creep.type == "operators":
+        changed["creep.operators.weights"] = (np.array(plant.creep.operators.weights) * creeping).tolist()
+    return changed
+
+
+#: Largest change of a factor in one step.
+STEP = 1e-3
+
+
+def drifting(parameters: AxisParameters, samples: int, gain: float = 0.0, opening: float = 0.0) -> list[Change]:
+    """Return the changes that let the plant of an axis drift evenly over a run.
+
+    The displacement does not jump at a step, so a drift of the gain turns about where the axis is just then.
+
+    Parameters
+    ----------
+    parameters : AxisParameters
+        Of an actuator.
+    samples : int
+        Length of the run.
+    gain, opening : float
+        By which part gain and opening have changed at the end, -0.5 ... 0.5.
+
+    Raises
+    ------
+    ParameterError
+        A drift is out of range, or the plant is none that can drift so.
+    """
+    plant = parameters.plant_simulator
+    for name, value in (("gain", gain), ("opening", opening)):
+        if not abs(value) <= LARGEST:
+            raise ParameterError([Problem(f"drift {name}", value, f"must be within -{LARGEST:g} ... {LARGEST:g}")])
+    if plant.type == "inchworm" or plant.driver:
+        what = "a device" if plant.driver else "an inchworm motor"
+        raise ParameterError([Problem("drift", what, "is for a simulated actuator")])
+    model, chosen = plant.hysteresis.model, plant.hysteresis.chosen
+    steps = math.ceil(round(max(abs(gain), abs(opening)) / STEP, 9))
+    changes = []
+    for number in range(1, steps + 1):
+        share = number / steps
+        deviation = Deviation(1.0 + share * gain, 1.0 + share * opening, lambda count=None: np.ones(count or ()))
+        drifted = model.deviated(chosen, deviation).to_mapping()
+        changed = {
+            f"hysteresis.{model.name}.{name}": value
+            for name, value in drifted.items()
+            if value != getattr(chosen, name, value)
+        }
+        changes.append(Change(round(share * samples) - 1, "plant_simulator", "retune", changed))
+    return changes
+
+
+def simulate(
+    parameters: AxisParameters,
+    *,
+    duration: float | None = None,
+    setpoints=None,
+    requests=None,
+    speeds=None,
+    changes: Sequence[Change] = (),
+    drift: tuple[float, float] = (0.0, 0.0),
+    skipped=None,
+    answers: dict | None = None,
+    describe: bool = True,
+    finished: Callable[[Axis], None] | None = None,
+) -> Recording:
+    """Run an axis offline from rest.
+
+    Parameters
+    ----------
+    parameters : AxisParameters
+        The axis.
+    duration : float, optional
+        Length [s]; by default that of ``setpoints``, the parameter ``samples`` or the waveform.
+    setpoints : array_like, shape (N,), optional
+        Setpoint in force at each sample [m]; the last one holds. ``initial_setpoint`` by default.
+    requests, speeds : array_like, shape (N,), optional
+        What was asked of an inchworm at each sample, see :meth:`Axis.run`; nothing after the last one.
+    changes : sequence of Change, optional
+        What changes while the axis runs.
+    drift : (float, float), optional
+        By which part gain and opening of the plant's hysteresis change over the run besides.
+    skipped : array_like, shape (N,), optional
+        1 at each sample whose time was missed, see :meth:`Axis.run`; none after the last one.
+    answers : dict of str to array_like, shape (N,), optional
+        What a device measured in the simulated plant's place, see :meth:`Axis.run`; nothing after the last sample.
+    describe : bool
+        Put the text of the configuration into the metadata; writing it takes longer than a short run.
+    finished : callable, optional
+        Called with the axis after its last sample.
+
+    Raises
+    ------
+    ConfigurationError
+        Neither the configuration nor the arguments say how long the run is.
+    ParameterError
+        The plant cannot drift so.
+    """
+    if duration is not None:
+        parameters = parameters.with_duration(duration)
+    plant = fused_plant_of(parameters.plant_simulator, linked=False) if answers else None
+    axis = Axis(parameters, plant)
+    if duration is not None:
+        samples = parameters.plant_simulator.samples
+    else:
+        samples = len(setpoints) if setpoints is not None else axis.default_samples()
+    if samples < 1:
+        raise ConfigurationError("the configuration has no end (samples: 0, endless waveform): give --duration S")
+    setpoints = axis.default_setpoints(samples) if setpoints is None else _padded(setpoints, samples, setpoints[-1])
+    asked = {"requests": (requests, 0.0), "speeds": (speeds, np.nan), "skipped": (skipped, 0.0)}
+    given = {name: _padded(values, samples, rest) for name, (values, rest) in asked.items() if values is not None}
+    if answers:
+        given["answers"] = {name: _padded(values, samples, np.nan) for name, values in answers.items()}
+    if any(drift):
+        changes = [*changes, *drifting(parameters, samples, *drift)]
+    signals = axis.run(setpoints, changes=changes, **given)
+    if finished is not None:
+        finished(axis)
+    nodes = (parameters.plant_simulator, parameters.hysteresis_compensator)
+    tolerance = output_tolerance(*(node.to_mapping() for node in nodes))
+    note_output(signals, signals["plant_voltage"], signals["plant_mode"], tolerance)
+    metadata = {
+        "configuration": parameters.configuration_text() if describe else "",
+        "namespace": parameters.namespace,
+        "source": "offline simulation",
+        "joint": parameters.plant_simulator.joint,
+    }
+    return Recording(signals.pop("time"), signals, {}, metadata)
+
+
+def _padded(values, samples: int, rest: float) -> np.ndarray:
+    """Return the first values, followed by ``rest`` up to the number of samples."""
+    values = np.asarray(values, dtype=float)[:samples]
+    return np.concatenate([values, np.full(samples - len(values), rest)])
+
+
+#: What the log of a run may say of each node.
+LOGGED = {
+    "plant_simulator": ("start", "halt", "reset", "retune", "home"),
+    "reference_generator": ("start", "stop", "hold", "follow", "begin_at", "reset", "retune"),
+    "inchworm_sequencer": ("reset", "retune"),
+    "motion_controller": ("start", "stop", "reset", "retune", "learn", "freeze", "forget"),
+    "hysteresis_compensator": ("start", "stop", "reset", "retune", "freeze", "resume", "forget"),
+    "displacement_camera": ("reset", "retune"),
+}
+
+
+def changes_of(recorded: Recording) -> list[Change]:
+    """Return what people changed while a recorded run was made.
+
+    Parameters
+    ----------
+    recorded : Recording
+        Of any axis.
+
+    Raises
+    ------
+    RecordingError
+        An entry of the log is not one of a change.
+    """
+    found = []
+    for entry in recorded.metadata.get("changes", ()):
+        try:
+            changed = {name: _value(value) for name, value in entry["parameters"].items()}
+            after = entry.get("after", BEFORE)
+            found.append(Change(int(entry["sample"]), entry["node"], entry["action"], changed, after))
+            if after not in STEPS or entry["action"] not in LOGGED.get(entry["node"], ()):
+                raise ValueError(entry)
+        except (AttributeError, KeyError, TypeError, ValueError):
+            raise RecordingError(f"changes: {entry!r} is no entry of a log of changes") from None
+    return found
+
+
+def _value(value):
+    return tuple(value) if isinstance(value, list) else value
+
+
+def differences(recorded: Recording, parameters: AxisParameters) -> dict[str, int]:
+    """Compare a recorded run, in lockstep or fused, with its offline twin, bit for bit.
+
+    What a device measured is not computed again, but everything that followed from it.
+
+    Returns
+    -------
+    dict of str to int
+        Number of differing samples of each signal that differs; empty when all agree.
+    """
+    given = requests_per_sample(recorded) | {"skipped": recorded.signals.get("skipped")}
+    if parameters.plant_simulator.driver:
+        nothing = {"measured": 0.0, "tripped": 0.0, "force": np.nan}
+        absent = {name: np.full(len(recorded), value) for name, value in nothing.items()}
+        given["answers"] = {name: recorded.signals.get(name, values) for name, values in absent.items()}
+    twin = simulate(parameters, setpoints=recorded.signals["setpoint"], changes=changes_of(recorded), **given)
+    columns = {"time": (recorded.time, twin.time)}
+    # nobody knows where a device really is
+    unknown = {"displacement"} if parameters.plant_simulator.driver else set()
+    if parameters.displacement_camera is not None:
+        unknown = {"measured"}  # the plant's; what the controller took stands in for it in a recording
+    known = {name: values for name, values in recorded.signals.items() if name in twin and name not in unknown}
+    columns |= {name: (values, twin.signals[name]) for name, values in known.items()}
+    found = {}
+    for name, (ours, theirs) in columns.items():
+        count = int(np.count_nonzero(np.asarray(ours).view(np.int64) != np.asarray(theirs).view(np.int64)))
+        if count:
+            found[name] = count
+    return found
+
+
+#: Columns of modes, and what the parts are called.
+PARTS = {
+    "source_mode": "source",
+    "controller_mode": "controller",
+    "compensator_mode": "compensator",
+    "plant_mode": "plant",
+}
+#: Longest list of one part; a fault by chance makes thousands of short entries.
+MOST_LINES = 8
+
+
+def mode_lines(recording: Recording) -> list[str]:
+    """Return a line for each stretch of time in which a part did not run as it should.
+
+    Parameters
+    ----------
+    recording : Recording
+        With the modes of the parts.
+    """
+    lines = []
+    for column, part in PARTS.items():
+        if column not in recording:
+            continue
+        modes = recording[column]
+        cuts = np.flatnonzero(np.diff(modes) != 0.0) + 1
+        stretches = [s for s in np.split(np.arange(len(modes)), cuts) if len(s) and modes[s[0]] != RUNNING]
+        for stretch in stretches[:MOST_LINES]:
+            first, last = recording.time[stretch[0]], recording.time[stretch[-1]]
+            name = MODE_NAMES[int(modes[stretch[0]])]
+            lines.append(f"{part}: {name} from {first:.6g} to {last:.6g} s ({len(stretch)} samples)")
+        if len(stretches) > MOST_LINES:
+            counted = int(np.sum(modes != RUNNING))
+            lines.append(f"{part}: … {len(stretches)} such stretches, {counted} samples in all")
+    return lines or ["nothing of it made a part do anything else than usual"]

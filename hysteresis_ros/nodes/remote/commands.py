@@ -1,0 +1,753 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""The commands ``hysteresis status|get|set|call|echo|setpoint``, as a node of the graph does them."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import math
+import sys
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import yaml
+from diagnostic_msgs.msg import DiagnosticArray
+from lifecycle_msgs.srv import ChangeState, GetAvailableTransitions, GetState
+from rcl_interfaces.msg import Log
+from rcl_interfaces.srv import GetParameters, ListParameters, SetParametersAtomically
+from rclpy.parameter import Parameter, parameter_value_to_python
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from sensor_msgs.msg import JointState
+from std_srvs.srv import Trigger
+
+from hysteresis_ros import signals
+from hysteresis_ros.configuration import ARRAY_TYPES, NODE_NAMES, ParameterRow, node_names, parse_value
+from hysteresis_ros.errors import HysteresisError, ParameterError, Problem, did_you_mean
+from hysteresis_ros.nodes.domain import named
+from hysteresis_ros.nodes.qos import diagnostics_qos
+from hysteresis_ros.nodes.remote.client import AbsentError, Client, axis_nodes
+from hysteresis_ros.nodes.timing import LIMITED
+from hysteresis_ros.signals import MOTOR_SOURCE, PLANT
+from hysteresis_ros.units import quantity_in, readable
+
+#: Transitions that a person asks for.
+TRANSITIONS = ("configure", "activate", "deactivate", "cleanup", "shutdown")
+#: Seconds in which the node's log says why it refuses.
+WORDS = 0.5
+
+
+def call(client: Client, node: str, action: str) -> None:
+    """Ask a node for a service or a transition of its lifecycle, and print what it answers.
+
+    Parameters
+    ----------
+    client : Client
+    node, action : str
+
+    Raises
+    ------
+    HysteresisError
+        It has no such service, or refuses; its reason.
+    """
+    full = client.find(node)
+    if action in TRANSITIONS:
+        _change(client, full, action)
+        return
+    offered = client.until(lambda: _triggers(client, full))
+    if action not in offered:
+        known = (*offered, *TRANSITIONS)
+        raise HysteresisError(
+            f"{full} has no service '{action}'; it has {', '.join(offered) or 'none'}, and the transitions "
+            f"{', '.join(TRANSITIONS)}{did_you_mean(action, known)}"
+        )
+    answer = client.ask(Trigger, f"{full}/{action}")
+    if not answer.success:
+        raise HysteresisError(f"{full} refuses to {action}: {answer.message}")
+    print(f"{full}: {answer.message or 'done'}", flush=True)
+
+
+def lifecycle_states(client: Client, names: list[str]) -> dict[str, str]:
+    """Return the state of each node's lifecycle, all asked at once; of one that does not answer ``silent``.
+
+    Parameters
+    ----------
+    client : Client
+    names : list of str
+        Full names of nodes.
+    """
+    asked = {name: client.node.create_client(GetState, f"{name}/get_state") for name in names}
+    client.until(lambda: all(one.service_is_ready() for one in asked.values()))
+    ready = {name: one for name, one in asked.items() if one.service_is_ready()}
+    futures = {name: one.call_async(GetState.Request()) for name, one in ready.items()}
+    client.until(lambda: all(future.done() for future in futures.values()))
+    answers = {name: future.result().current_state.label for name, future in futures.items() if future.done()}
+    return {name: answers.get(name, "silent") for name in names}
+
+
+def _triggers(client: Client, full: str) -> list[str]:
+    """Return the services without arguments that a node has, by their short names."""
+    namespace, _, name = full.rpartition("/")
+    found = client.node.get_service_names_and_types_by_node(name, namespace or "/")
+    own = [(service.removeprefix(f"{full}/"), kinds) for service, kinds in found]
+    return sorted(service for service, kinds in own if kinds == ["std_srvs/srv/Trigger"])
+
+
+def _change(client: Client, full: str, action: str) -> None:
+    before = lifecycle_states(client, [full])[full]
+    answer = client.ask(GetAvailableTransitions, f"{full}/get_available_transitions")
+    possible = [described.transition.label for described in answer.available_transitions]
+    if action not in possible:
+        raise HysteresisError(f"{full} is {before}: {action} is not possible, {' and '.join(possible)} are")
+    said: list[str] = []
+
+    def listen(message: Log) -> None:
+        if message.name == full.strip("/").replace("/", ".") and message.level >= 30:
+            said.append(message.msg)
+
+    ear = client.node.create_subscription(Log, "/rosout", listen, 100)
+    request = ChangeState.Request()
+    request.transition.label = action
+    try:
+        done = client.ask(ChangeState, f"{full}/change_state", request).success
+        if not done:
+            client.until(lambda: said, WORDS)
+            why = "; ".join(said) or "its log says why"
+            raise HysteresisError(f"{full} is {before} and refuses to {action}: {why}")
+    finally:
+        client.node.destroy_subscription(ear)
+    # a node that shuts down may leave before it can be asked
+    after = "finalized" if action == "shutdown" else lifecycle_states(client, [full])[full]
+    print(f"{full}: {before} → {after}", flush=True)
+
+
+#: Words of the levels of diagnostics.
+LEVELS = ("ok", "warning", "error", "stale")
+#: Where the last values are heard: node whose ``~/state`` says them, name there, unit.
+LAST = (
+    ("reference_generator", "setpoint", "m"),
+    ("inchworm_sequencer", "setpoint", "m"),
+    ("reference_generator", "reference", "m"),
+    ("inchworm_sequencer", "reference", "m"),
+    ("hysteresis_compensator", "voltage", "V"),
+)
+#: Where nodes say how they are.
+DIAGNOSTICS = "/diagnostics"
+#: What is wrong with a node that is not known to be well.
+MISSING = {"absent": "not found", "silent": "found, but did not answer"}
+#: Seconds in which every node says something of itself, and more.
+REPORTED = 1.6
+
+
+@dataclass
+class NodeStatus:
+    """What is known of one node.
+
+    Parameters
+    ----------
+    name : str
+        Full name.
+    state : str
+        Of its lifecycle; ``absent`` where there is no such node, ``silent`` where it does not answer.
+    level, message : str
+        Its health, empty where it has said nothing.
+    rate : float or None
+        Samples per second [Hz].
+    """
+
+    name: str
+    state: str
+    level: str = ""
+    message: str = ""
+    rate: float | None = None
+
+    @property
+    def is_well(self) -> bool:
+        """Whether it is active and says nothing bad of itself."""
+        return self.state == "active" and self.level in ("ok", "")
+
+
+@dataclass
+class AxisStatus:
+    """What is known of one axis.
+
+    Parameters
+    ----------
+    namespace : str
+    nodes : list of NodeStatus
+    plant : str
+        Who publishes ``joint_states`` in the place of ``plant_simulator``; empty where that is there.
+    last : dict of str to float
+        Last values in SI.
+    """
+
+    namespace: str
+    nodes: list[NodeStatus]
+    plant: str = ""
+    last: dict[str, float] = field(default_factory=dict)
+
+
+def survey(client: Client) -> list[AxisStatus]:
+    """Return what is known of the axes that are there, of all namespaces or of the client's.
+
+    Parameters
+    ----------
+    client : Client
+
+    Raises
+    ------
+    AbsentError
+        There is none.
+    """
+    reports: dict[str, tuple] = {}
+
+    def hear(message: DiagnosticArray) -> None:
+        for status in message.status:
+            values = {pair.key: pair.value for pair in status.values}
+            reports[status.name.removesuffix(": axis")] = (ord(status.level), status.message, values)
+
+    # the last reports of our nodes come at once, those of others when they are made
+    for keeps in (True, False):
+        client.node.create_subscription(DiagnosticArray, DIAGNOSTICS, hear, diagnostics_qos(keeps))
+
+    def there() -> dict[str, list[str]]:
+        """Return the nodes of each axis: those that discovery has named, and those of which messages have come."""
+        named_or_heard = sorted({*client.nodes(), *reports})
+        return {
+            space: names
+            for space, names in axis_nodes(named_or_heard).items()
+            if (not client.namespace or space == client.namespace) and {*names} & {*NODE_NAMES, MOTOR_SOURCE}
+        }
+
+    found = _complete(client, there)
+    if not found:
+        where = f" in {client.namespace}" if client.namespace else ""
+        raise AbsentError(f"no axis{where} within {client.timeout:g} s; {client.who_is_there()}")
+    last = {space: _listen(client, space, names) for space, names in sorted(found.items())}
+    states = lifecycle_states(client, [f"{space}/{name}" for space, names in found.items() for name in names])
+    active = {name for name, state in states.items() if state == "active"}
+
+    def reported() -> bool:
+        # the last report of a node that has just been activated is one from before
+        told = {name for name, (_, _, values) in reports.items() if "rate_hz" in values}
+        places = [(space, node, signal) for space in found for node, signal, _ in LAST if f"{space}/{node}" in active]
+        return active <= told and all(signal in last[space] for space, _, signal in places)
+
+    client.until(reported, REPORTED)
+    return [_axis(client, space, names, states, reports, last[space]) for space, names in sorted(found.items())]
+
+
+def _complete(client: Client, there: Callable[[], dict[str, list[str]]]) -> dict[str, list[str]]:
+    """Return the nodes of each axis as soon as none is missing and no other one comes; later only what is there.
+
+    Parameters
+    ----------
+    client : Client
+    there : callable
+        Returns the nodes that are there now.
+    """
+    known: dict[str, list[str]] = {}
+    since = time.monotonic()
+
+    def lacks(space: str, names: list[str]) -> bool:
+        lacking = {*node_names(MOTOR_SOURCE in names)} - {*names}
+        if lacking == {PLANT}:  # of somebody else
+            return not client.node.count_publishers(f"{space}/joint_states")
+        return bool(lacking)
+
+    def complete() -> bool:
+        nonlocal known, since
+        found = there()
+        if found != known:
+            known, since = found, time.monotonic()
+        settled = time.monotonic() - since >= client.settles
+        return bool(found) and settled and not any(lacks(space, names) for space, names in found.items())
+
+    client.until(complete)
+    return known
+
+
+def _axis(client: Client, space: str, names: list[str], states: dict, reports: dict, last: dict) -> AxisStatus:
+    nodes = []
+    plant = ""
+    for name in [*node_names("inchworm_sequencer" in names), *(["recorder"] if "recorder" in names else [])]:
+        full = f"{space}/{name}"
+        level, message, values = reports.get(full, (None, "", {}))
+        word = "" if level is None else LEVELS[min(level, 3)]
+        rate = float(values["rate_hz"]) if "rate_hz" in values else None
+        if name == "plant_simulator" and name not in names:
+            publishers = client.node.get_publishers_info_by_topic(f"{space}/joint_states")
+            plant = ", ".join(map(named, publishers))
+            if plant:
+                continue
+        state = states.get(full, "absent")
+        if not message and state in MISSING:
+            message = f"{MISSING[state]} within {client.timeout:g} s"
+        nodes.append(NodeStatus(full, state, word, message, rate))
+    return AxisStatus(space, nodes, plant, last)
+
+
+def _listen(client: Client, space: str, names: list[str]) -> dict[str, float]:
+    """Return a table that is filled with the last values as they come."""
+    last: dict[str, float] = {}
+    newest = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
+
+    def of_joints(message: JointState) -> None:
+        if message.position:
+            last["displacement"] = message.position[0]
+
+    client.node.create_subscription(JointState, f"{space}/joint_states", of_joints, newest)
+    for name in {node for node, _, _ in LAST} & set(names):
+        wanted = [signal for node, signal, _ in LAST if node == name]
+
+        def of_state(message: JointState, wanted=wanted) -> None:
+            said = dict(zip(message.name, message.position, strict=False))
+            last.update({signal: said[signal] for signal in wanted if signal in said})
+
+        client.node.create_subscription(JointState, f"{space}/{name}/state", of_state, newest)
+    return last
+
+
+def status(client: Client, as_json: bool) -> int:
+    """Print what is known of each axis; return 0 when all is well, 1 when something is not.
+
+    Parameters
+    ----------
+    client : Client
+    as_json : bool
+        As JSON, in SI.
+    """
+    found = survey(client)
+    if as_json:
+        table = {axis.namespace or "/": _figures(axis) for axis in found}
+        print(json.dumps(table, indent=2, ensure_ascii=False), flush=True)
+    else:
+        print("\n\n".join("\n".join(_lines(axis)) for axis in found), flush=True)
+    return 0 if all(node.is_well for axis in found for node in axis.nodes) else 1
+
+
+def _figures(axis: AxisStatus) -> dict:
+    nodes = {
+        node.name: {"state": node.state, "level": node.level, "message": node.message, "rate_hz": node.rate}
+        for node in axis.nodes
+    }
+    return {"nodes": nodes, "plant": axis.plant, "last": axis.last}
+
+
+def _lines(axis: AxisStatus):
+    """Yield what is known of an axis, for people."""
+    yield axis.namespace or "/"
+    for node in axis.nodes:
+        if node.message.startswith(LIMITED):
+            yield f"  {node.message} of {node.name.rsplit('/', 1)[-1]}"
+    if axis.plant:
+        yield f"  {axis.plant} publishes joint_states in the place of plant_simulator"
+    width = max(len(node.name.rsplit("/", 1)[-1]) for node in axis.nodes)
+    for node in axis.nodes:
+        rate = "" if node.rate is None else f"{node.rate:.1f} Hz"
+        message = "output limited, see above" if node.message.startswith(LIMITED) else node.message
+        health = message if node.level in ("", "ok") else f"{node.level}: {message}"
+        yield f"  {node.name.rsplit('/', 1)[-1]:{width}}  {node.state:12} {rate:>11}  {health}".rstrip()
+    units = {signal: unit for _, signal, unit in LAST} | {"displacement": "m"}
+    order = ("setpoint", "reference", "displacement", "voltage")
+    values = [f"{name} {readable(axis.last[name], units[name])}" for name in order if name in axis.last]
+    yield f"  {', '.join(values) or 'nothing was said of where it is'}"
+
+
+def get(client: Client, node: str, names: list[str]) -> None:
+    """Print parameters of a node as YAML, all of them when none is named.
+
+    Parameters
+    ----------
+    client : Client
+    node : str
+    names : list of str
+    """
+    full = client.find(node)
+    known = _names(client, full)
+    _refuse_unknown(full, names, known)
+    asked = names or known
+    for name, plain in values_of(client, full, asked).items():
+        text = yaml.safe_dump(plain, default_flow_style=True, allow_unicode=True, width=10**6)
+        print(f"{name}: {text.removesuffix(chr(10) + '...' + chr(10)).strip()}", flush=True)
+
+
+def values_of(client: Client, full: str, names: list[str] | None = None) -> dict:
+    """Return parameters of a node, as plain values.
+
+    Parameters
+    ----------
+    client : Client
+    full : str
+        Full name of a node that is there.
+    names : list of str, optional
+        All that have a value by default.
+    """
+    asked = _names(client, full) if names is None else names
+    answer = client.ask(GetParameters, f"{full}/get_parameters", GetParameters.Request(names=asked))
+    found = [plain_value(value) for value in answer.values]
+    return dict(zip(asked, found, strict=True))
+
+
+def plain_value(value):
+    """Return a parameter's value as plain Python: arrays are lists.
+
+    Parameters
+    ----------
+    value : rcl_interfaces.msg.ParameterValue
+    """
+    plain = parameter_value_to_python(value)
+    return plain if plain is None or isinstance(plain, (str, bool, int, float)) else list(plain)
+
+
+def set_(client: Client, node: str, values: dict[str, str]) -> None:
+    """Set parameters of a node, all of them or, when one is refused, none; and say so.
+
+    Parameters
+    ----------
+    client : Client
+    node : str
+    values : dict of str to str
+        As people write them: YAML, or a number with its unit.
+    """
+    full = client.find(node)
+    _refuse_unknown(full, list(values), _names(client, full))
+    change(client, full, values)
+    print(f"{full}: {', '.join(values)} set", flush=True)
+
+
+def change(client: Client, full: str, values: dict[str, str]) -> None:
+    """Set parameters of a node, all of them or, when one is refused, none.
+
+    Parameters
+    ----------
+    client : Client
+    full : str
+        Full name of a node that is there.
+    values : dict of str to str
+        As people write them: YAML, or a number with its unit.
+
+    Raises
+    ------
+    HysteresisError
+        The node refuses; its reason.
+    """
+    from hysteresis_ros.loop.parameters import NODE_PARAMETERS  # half a second, which no other command needs
+
+    table = NODE_PARAMETERS.get(full.rsplit("/", 1)[-1])
+    rows = {row.name: row for row in table.table()} if table else {}
+    request = SetParametersAtomically.Request()
+    for name, text in values.items():
+        value = _value(rows.get(name), name, text)
+        request.parameters.append(Parameter(name, value=value).to_parameter_msg())
+    result = client.ask(SetParametersAtomically, f"{full}/set_parameters_atomically", request).result
+    if not result.successful:
+        raise HysteresisError(f"{full} refuses: {result.reason}; nothing was changed")
+
+
+def _names(client: Client, full: str) -> list[str]:
+    request = ListParameters.Request(depth=ListParameters.Request.DEPTH_RECURSIVE)
+    return sorted(client.ask(ListParameters, f"{full}/list_parameters", request).result.names)
+
+
+def _refuse_unknown(full: str, names: list[str], known: list[str]) -> None:
+    for name in names:
+        if name not in known:
+            below = [other for other in known if other.startswith(f"{name}.")]
+            hint = f"; below it there are {', '.join(below)}" if below else did_you_mean(name, known)
+            raise HysteresisError(f"{full} has no parameter '{name}'{hint or f'; `hysteresis get {full}` lists them'}")
+
+
+def _value(row: ParameterRow | None, name: str, text: str):
+    """Return the value of a parameter from its text, in the parameter's type where that is known."""
+    value = parse_value(text)
+    if row is None:
+        return value
+    if row.type is str:
+        value = text
+    if row.type is float and (isinstance(value, str) or row.unit == "m"):
+        try:
+            value = quantity_in(text, row.unit)
+        except ValueError as error:
+            raise ParameterError([Problem(name, text, f"{error}; allowed: {row.allowed()}")]) from None
+    value = row.convert(value)
+    return list(value) if row.type in ARRAY_TYPES else value
+
+
+def echo(client: Client, topic: str, count: int | None) -> None:
+    """Print the messages of a topic, one a line where they are short.
+
+    Parameters
+    ----------
+    client : Client
+    topic : str
+        Relative names are looked for in the namespace.
+    count : int or None
+        Messages after which to end; None: goes on until nobody publishes any more.
+
+    Raises
+    ------
+    AbsentError
+        Nobody publishes it, nothing comes, or who published has left before as many messages came as were asked for.
+    """
+    name = client.full_name(topic)
+    publishers = client.until(lambda: client.node.get_publishers_info_by_topic(name))
+    if not publishers:
+        raise AbsentError(_nobody(client, name))
+    heard: deque = deque()
+    kind = _message_type(publishers[0].topic_type)
+    client.node.create_subscription(kind, name, lambda message: heard.append(message), _matching(publishers))
+    said, quiet = 0, time.monotonic()
+    while count is None or said < count:
+        if client.until(lambda: heard, 0.5):
+            print(formatted(heard.popleft()), flush=True)
+            said, quiet = said + 1, time.monotonic()
+        elif not client.node.count_publishers(name):
+            if count is None:
+                print(f"hysteresis: nobody publishes {name} any more", flush=True)
+                return
+            raise AbsentError(f"{said} of {count} messages came on {name}, then its publisher left")
+        elif time.monotonic() - quiet > client.timeout and (count is not None or not said):
+            who = ", ".join(map(named, publishers))
+            raise AbsentError(f"nothing came on {name} for {client.timeout:g} s; its publisher is {who}")
+
+
+def _nobody(client: Client, name: str) -> str:
+    """Say that nobody publishes a topic, and what is published."""
+    topics = [topic for topic, _ in client.node.get_topic_names_and_types() if client.node.count_publishers(topic)]
+    topics = [topic for topic in topics if topic not in ("/rosout", "/parameter_events")]
+    there = f"there are {', '.join(topics)}{did_you_mean(name, topics)}" if topics else client.who_is_there()
+    return f"nobody publishes {name} within {client.timeout:g} s; {there}"
+
+
+def _message_type(name: str):
+    """Return the class of a message type ``package/msg/Type``.
+
+    Raises
+    ------
+    HysteresisError
+        It is not installed here.
+    """
+    package, _, kind = name.partition("/msg/")
+    try:
+        return getattr(importlib.import_module(f"{package}.msg"), kind)
+    except (ImportError, AttributeError):
+        raise HysteresisError(f"messages of type {name} are not installed here") from None
+
+
+def _matching(publishers) -> QoSProfile:
+    """Return a quality of service that every one of the publishers meets."""
+    offered = [info.qos_profile for info in publishers]
+    reliable = all(qos.reliability == ReliabilityPolicy.RELIABLE for qos in offered)
+    latched = all(qos.durability == DurabilityPolicy.TRANSIENT_LOCAL for qos in offered)
+    return QoSProfile(
+        depth=1000,
+        reliability=ReliabilityPolicy.RELIABLE if reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if latched else DurabilityPolicy.VOLATILE,
+    )
+
+
+def formatted(message) -> str:
+    """Return a message as people read it.
+
+    Parameters
+    ----------
+    message : object
+        Of any type.
+    """
+    if isinstance(message, JointState):
+        return _joints(message)
+    if isinstance(message, DiagnosticArray):
+        return "\n".join(
+            f"{status.name}: {status.message}; {', '.join(f'{pair.key} {pair.value}' for pair in status.values)}"
+            for status in message.status
+        )
+    plain = _plain(message)
+    if isinstance(plain, dict) and list(plain) == ["data"]:
+        return str(plain["data"])
+    return "---\n" + yaml.safe_dump(plain, sort_keys=False, allow_unicode=True).rstrip()
+
+
+def _joints(message: JointState) -> str:
+    """Return the time of a sample, and what each joint or signal is in SI."""
+    stamp = message.header.stamp
+    parts = [f"{stamp.sec}.{stamp.nanosec:09d} s"]
+    units = ((message.velocity, "m/s"), (message.effort, "N"))
+    for index, name in enumerate(message.name):
+        words = [f"{name} {message.position[index]:.9g}"] if index < len(message.position) else [name]
+        words += [f"{values[index]:.6g} {unit}" for values, unit in units if index < len(values)]
+        parts.append(" ".join(words))
+    return "  ".join([*parts, *filter(None, [message.header.frame_id])])
+
+
+def _plain(value):
+    """Return a message as dictionaries and lists."""
+    if hasattr(value, "get_fields_and_field_types"):
+        return {name: _plain(getattr(value, name)) for name in value.get_fields_and_field_types()}
+    if isinstance(value, bytes):
+        return int.from_bytes(value, "big")
+    if isinstance(value, (str, bool, int, float)):
+        return value
+    return [_plain(item) for item in value]
+
+
+#: Nodes that take setpoints and answer, on ``~/set_setpoint``.
+SOURCES = (signals.SOURCE, signals.MOTOR_SOURCE)
+#: Seconds after which a person wants to know what is waited for.
+PATIENCE = 2.0
+#: Seconds in which a sample is made.
+ANSWER = 5.0
+
+
+def setpoint(client: Client, value: float) -> None:
+    """Give a setpoint to the reference source, and say whether it has been taken.
+
+    The source answers: a setpoint cannot get lost without a word, as it can on a topic.
+
+    Parameters
+    ----------
+    client : Client
+    value : float
+        [m]
+
+    Raises
+    ------
+    HysteresisError
+        It was refused, or the axis cannot move; the sentence says which.
+    AbsentError
+        The source is not there or does not answer: the setpoint is not known to be taken.
+    """
+    source = _source(client)
+    state: dict[str, float] = {}
+    client.node.create_subscription(
+        JointState,
+        f"{source}/state",
+        lambda message: state.update(zip(message.name, message.position, strict=False)),
+        10,
+    )
+    _require_active(client, source)
+    argument = Parameter("setpoint", Parameter.Type.DOUBLE, value).to_parameter_msg()
+    request = SetParametersAtomically.Request(parameters=[argument])
+    result = client.ask(SetParametersAtomically, f"{source}/set_setpoint", request).result
+    if not result.successful:
+        raise HysteresisError(f"{source}: {result.reason}")
+    _require_moving(client, source, value, state)
+    print(f"setpoint {readable(value, 'm')} taken by {source}", flush=True)
+
+
+def _source(client: Client) -> str:
+    """Return the node that takes the setpoints of an axis: by its name, whoever else subscribes to the topic.
+
+    Raises
+    ------
+    AbsentError
+        It is not there; names who subscribes to the topic.
+    """
+    wanted = [client.full_name(name) for name in SOURCES]
+
+    def there() -> list[str]:
+        return [name for name in client.nodes() if name in wanted]
+
+    if client.timeout > PATIENCE and not client.until(there, PATIENCE):
+        print(f"waiting for {' or '.join(wanted)} …", file=sys.stderr, flush=True)
+    found = client.until(there)
+    if found:
+        return found[0]
+    topic = client.full_name("setpoint")
+    others = sorted({named(one) for one in client.node.get_subscriptions_info_by_topic(topic)})
+    heard = f"; {', '.join(others)} on {topic} does not answer setpoints" if others else ""
+    raise AbsentError(f"no {' or '.join(wanted)} within {client.timeout:g} s{heard}; {client.who_is_there()}")
+
+
+def _require_active(client: Client, source: str) -> None:
+    """Refuse an axis that cannot move because one of its nodes is not active."""
+    space = source.rpartition("/")[0]
+    names = [f"{space}/{name}" for name in axis_nodes(client.nodes())[space] if name != "recorder"]
+    for name, state in lifecycle_states(client, names).items():
+        if state == "silent":
+            raise AbsentError(f"{name} did not answer within {client.timeout:g} s, and nothing was sent")
+        if state != "active":
+            to_do = {"unconfigured": "configure", "inactive": "activate"}.get(state)
+            hint = f": `hysteresis call {name} {to_do}`" if to_do else ""
+            raise HysteresisError(f"{name} is {state}, the axis would not move{hint}")
+
+
+def stands(source: str, state: dict[str, float]) -> str:
+    """Return why a source does not move although it has the setpoint, and what to do; empty when it does.
+
+    Parameters
+    ----------
+    source : str
+        Full name of the node.
+    state : dict of str to float
+        Its ``~/state``.
+    """
+    from hysteresis_ros.loop.watch import STOPPED, TRIPPED
+    from hysteresis_ros.references import inchworm_layout as at
+
+    mode, error = round(state.get("mode", 0.0)), round(state.get("error", 0.0))
+    start = f"`hysteresis call {source} start`"
+    if mode == TRIPPED:
+        plant = f"{source.rpartition('/')[0]}/plant_simulator"
+        return f"stands still, because the plant has stopped the axis: `hysteresis call {plant} start` lets it go on"
+    if mode == STOPPED:
+        return f"is stopped: {start}"
+    if error > at.SENSOR_ERROR:  # that one heals itself
+        return f"stands with the error {at.ERROR_NAMES[error]}: {start} after repair"
+    if round(state.get("phase", 0.0)) == at.RELEASED:
+        return f"has let the slider go: {start}"
+    return ""
+
+
+def _require_moving(client: Client, source: str, value: float, state: dict[str, float]) -> None:
+    """Wait for a sample that was made with the setpoint, and refuse an axis that does not move.
+
+    Raises
+    ------
+    HysteresisError
+        It stands still; why.
+    """
+
+    state.clear()
+
+    def made() -> bool:
+        # a motor asked for the same setpoint again takes it with the last digit changed
+        return math.isclose(state.get("setpoint", math.nan), value, rel_tol=1e-12, abs_tol=1e-15)
+
+    if not client.until(made, min(ANSWER, client.timeout)):
+        if state:
+            now = readable(state.get("setpoint", math.nan), "m")
+            raise AbsentError(f"{source} took it, but {now} is in force: another one came after it")
+        joints = f"{source.rsplit('/', 1)[0]}/joint_states"
+        why = f"nobody publishes {joints}" if not client.node.count_publishers(joints) else "time stands still"
+        raise AbsentError(f"{source} has the setpoint but has made no sample with it: {why}; see `hysteresis status`")
+    if any(round(state.get(name, 0.0)) for name in ("mode", "error", "phase")):
+        why = stands(source, state)
+        if why:
+            raise HysteresisError(f"{source} has the setpoint but {why}{_cause(client, source, state)}")
+
+
+def _cause(client: Client, source: str, state: dict[str, float]) -> str:
+    """Return what the plant says of why it has stopped the axis, after a semicolon; empty where it has not."""
+    from hysteresis_ros.loop.watch import TRIPPED
+
+    if round(state.get("mode", 0.0)) != TRIPPED:
+        return ""
+    plant = f"{source.rpartition('/')[0]}/{signals.PLANT}"
+    said: dict[str, str] = {}
+
+    def hear(message: DiagnosticArray) -> None:
+        said.update({status.name.removesuffix(": axis"): status.message for status in message.status})
+
+    client.node.create_subscription(DiagnosticArray, "/diagnostics", hear, diagnostics_qos(keeps=True))
+    client.until(lambda: "stopped" in said.get(plant, ""), ANSWER)
+    return f"; {said[plant]}" if plant in said else ""

@@ -1,0 +1,883 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Tables of any origin (text, MATLAB, NumPy): columns of any name, chosen with their units and brought to SI.
+
+The layout of a text table is found from the first lines: encoding, lines before the table, names and units of the
+columns, delimiter, decimal comma. The numbers are read by NumPy's own reader, block by block, so that only the columns
+that are wanted stand in memory; a block with cells that are no numbers is read again cell by cell.
+
+SciPy's reader of MATLAB files takes types, sizes and dimensions as they stand there; of a damaged file it reads memory
+that is none and ends the process. Source: The MathWorks, MAT-File Format, "Level 5 MAT-Files", tables 1-1 and 1-3.
+
+:mod:`hysteresis_ros.recordings.files` reads and writes the package's own tables, where every header names a unit.
+Recordings from elsewhere name their columns ``control_V`` or ``y``; what is missing there, the user gives.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import itertools
+import math
+import pathlib
+import re
+import struct
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from hysteresis_ros.errors import RecordingError
+from hysteresis_ros.files import ArchiveError, read_arrays, read_heads
+from hysteresis_ros.recordings.dataset import Recording
+from hysteresis_ros.signals import UNITS as SIGNAL_UNITS
+from hysteresis_ros.units import UNITS, conversion, readable
+
+_BRACKETS = re.compile(r"^(?P<name>.*?)\s*[\[({<](?P<unit>[^\[\](){}<>]+)[\])}>]$")
+_AFTER = re.compile(r"^(?P<name>.+?)(?:\s*/\s*|\s+in\s+|\s*:\s*|,\s*|\s+)(?P<unit>\S+)$")
+
+
+def named_column(cell: str) -> tuple[str, str | None]:
+    """Split a cell of a header into the column's name and the unit it declares, None where nothing tells it.
+
+    Parameters
+    ----------
+    cell : str
+        ``time [s]``, ``Spannung / V``, ``ai0:10um/V``, ``control_V`` …
+    """
+    cell = cell.strip()
+    for pattern in (_BRACKETS, _AFTER):
+        found = pattern.match(cell)
+        if found and (pattern is _BRACKETS or conversion(found["unit"])):
+            return found["name"].strip(), column_unit(found["name"].strip(), found["unit"].strip())
+    return cell, column_unit(cell)
+
+
+def column_unit(name: str, header_unit: str | None = None) -> str | None:
+    """Return the unit a column declares: in its header, by a known signal name, or as suffix (``control_V``).
+
+    Parameters
+    ----------
+    name : str
+        Name of the column.
+    header_unit : str, optional
+        What stood beside the name.
+
+    Returns
+    -------
+    str or None
+        A unit that :func:`conversion` knows, or whatever stood in the header; None where nothing tells the unit.
+    """
+    suffix = name.rsplit("_", 1)[-1] if "_" in name else ""
+    return header_unit or SIGNAL_UNITS.get(name) or (suffix if suffix[:1].isalpha() and conversion(suffix) else None)
+
+
+def si_unit(unit: str | None) -> str | None:
+    """Return the SI unit of a declared unit; what is unknown stays what it is.
+
+    Parameters
+    ----------
+    unit : str or None
+    """
+    return None if unit is None else (conversion(unit) or (unit,))[0]
+
+
+def split_choice(choice: str) -> tuple[str, str | None]:
+    """Split ``name:unit`` into name and unit; the unit is None when there is no colon.
+
+    Raises
+    ------
+    RecordingError
+        The unit is unknown; the message lists the known ones.
+    """
+    name, colon, unit = choice.rpartition(":")
+    if not colon:
+        return choice, None
+    known_conversion(name, unit)
+    return name, unit
+
+
+def known_conversion(name: str, unit: str) -> tuple[str, float]:
+    """Return what :func:`conversion` does, or refuse.
+
+    Parameters
+    ----------
+    name : str
+        The column, for the message.
+    unit : str
+
+    Raises
+    ------
+    RecordingError
+        The unit is unknown; the message lists the known ones.
+    """
+    found = conversion(unit)
+    if found is None:
+        raise RecordingError(f"column '{name}': unknown unit '{unit}'; known are {', '.join(UNITS)}, and 10um/V")
+    return found
+
+
+#: Instants may lie this many roundings beside a uniform grid.
+ROUNDED = 1.01
+#: A larger part of the samples shares the instant of the one before when instants are rounded; where all of those
+#: repeat the values too, rows were written twice, unless it is so many of them.
+SHARED = 0.05
+#: Time that goes back is taken for jitter while no instant lies farther beside a uniform grid than this part of all.
+DISORDERED = 0.005
+WRITTEN_TWICE = 0.4
+
+
+@dataclass(frozen=True, eq=False)
+class Clock:
+    """A time axis.
+
+    Parameters
+    ----------
+    time : ndarray, shape (N,)
+        [s], finite and strictly increasing.
+    kept : ndarray of bool, shape (M,), optional
+        Which rows of the table are samples; all where it is None.
+    notes, warnings : tuple of str
+        What was done to the instants.
+    """
+
+    time: np.ndarray
+    kept: np.ndarray | None = None
+    notes: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+
+
+def mend_clock(time: np.ndarray, signals) -> Clock:
+    """Return the time axis that a column of instants means.
+
+    Rows without an instant are left out. Instants that were rounded until several rows share one are put on the uniform
+    grid between them; a row that repeats the one before is left out, and so is one with its instant but other values.
+
+    Parameters
+    ----------
+    time : ndarray, shape (M,)
+        [s]
+    signals : list of ndarray, shape (M,)
+        The other columns, which tell a row that was written twice.
+
+    Raises
+    ------
+    RecordingError
+        Time goes back as no jitter makes it, with the row where it does; or it stands still.
+    """
+    warnings = []
+    finite = np.isfinite(time)
+    kept = None if finite.all() else finite
+    if kept is not None:
+        count = int(np.count_nonzero(~finite))
+        warnings.append(f"{count} rows without an instant left out, the first is row {int(np.argmin(finite))}")
+    instants = time if kept is None else time[kept]
+    distances = np.diff(instants)
+    if np.all(distances > 0.0):
+        return Clock(instants, kept, (), tuple(warnings))
+    if np.any(distances < 0.0):
+        grid = np.linspace(instants[0], instants[-1], len(instants))
+        beside = float(np.max(np.abs(instants - grid)))
+        if not beside <= DISORDERED * (grid[-1] - grid[0]):
+            k = int(np.argmax(distances < 0.0))
+            raise RecordingError(
+                f"time goes back from {instants[k]:.9g} s to {instants[k + 1]:.9g} s after row {k}; give a range of "
+                "one run"
+            )
+        warnings.append(
+            f"time goes back {np.count_nonzero(distances < 0.0)} times, by up to {readable(-distances.min(), 's')}: "
+            f"the rows are taken as uniform, {readable(grid[1] - grid[0], 's')} apart (instants lie up to "
+            f"{readable(beside, 's')} beside); lags shorter than that are not known"
+        )
+        return Clock(grid, kept, (), tuple(warnings))
+    if len(instants) < 2 or instants[-1] == instants[0]:
+        raise RecordingError(f"all {len(instants)} instants are {instants[0]:.9g} s; give the sample time instead")
+    again = np.append(False, distances == 0.0)
+    columns = [values if kept is None else values[kept] for values in signals]
+    same = again.copy()
+    for values in columns:
+        same[1:] &= (values[1:] == values[:-1]) | (np.isnan(values[1:]) & np.isnan(values[:-1]))
+    rounding = float(np.min(distances[distances > 0.0]))
+    grid = np.linspace(instants[0], instants[-1], len(instants))
+    beside = np.max(np.abs(instants - grid))
+    if beside <= ROUNDED * rounding and np.mean(again) > (WRITTEN_TWICE if np.all(same == again) else SHARED):
+        share = len(instants) / np.count_nonzero(~again)
+        note = f"time is rounded to {readable(rounding, 's')}, {share:.3g} samples share an instant: taken as uniform, "
+        return Clock(grid, kept, (note + f"{readable(grid[1] - grid[0], 's')} apart",), tuple(warnings))
+    twice, other = int(np.count_nonzero(same)), int(np.count_nonzero(again & ~same))
+    at = int(np.argmax(again))
+    words = [f"{twice} rows that repeat the one before"] if twice else []
+    words += [f"{other} rows with the instant of the one before and other values"] if other else []
+    warnings.append(f"{' and '.join(words)} left out, the first at {instants[at]:.9g} s (row {at})")
+    if kept is None:
+        kept = ~again
+    else:
+        kept[np.flatnonzero(kept)[again]] = False
+    return Clock(instants[~again], kept, (), tuple(warnings))
+
+
+#: The layout is found from this many bytes.
+HEAD = 1 << 18
+#: Lines read at a time.
+BLOCK = 100_000
+#: Rows at the end of the head that tell delimiter and width.
+TELLING = 200
+#: A table of which a larger part of the rows is damaged is none.
+DAMAGED = 0.01
+_COMMENTS = ("#", "%", "//")
+_DELIMITERS = (";", "\t", ",", None)
+
+
+@dataclass(frozen=True)
+class Layout:
+    """How a text table is written.
+
+    Parameters
+    ----------
+    encoding : str
+    delimiter : str or None
+        None: blanks.
+    comma : bool
+        Decimal commas.
+    first : int
+        Lines before the first row.
+    names : tuple of str
+        Of the columns, ``1``, ``2`` … where nothing names them.
+    units : dict of str to (str or None)
+    notes : tuple of str
+        What a reader of the table should know.
+    """
+
+    encoding: str
+    delimiter: str | None
+    comma: bool
+    first: int
+    names: tuple[str, ...]
+    units: dict[str, str | None]
+    notes: tuple[str, ...]
+
+
+def find_layout(path: pathlib.Path) -> Layout:
+    """Return how a text table is written.
+
+    Parameters
+    ----------
+    path : Path
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be read, holds no rows of numbers, or two of its columns have one name.
+    """
+    encoding, lines = _head(path)
+    kept = [line for line in lines if _cells_of(line)]
+    if not kept:
+        raise RecordingError(f"{path}: holds no samples")
+    delimiter, comma, width = _how_written(path, kept[-TELLING:])
+    rows = [_split(line, delimiter) if _cells_of(line) else [] for line in lines]
+    first = next(k for k, row in enumerate(rows) if len(row) == width and _is_row(row, comma))
+    names, units, used = _names(lines[:first], delimiter, width)
+    repeated = sorted({name for name in names if names.count(name) > 1})
+    if repeated:
+        raise RecordingError(f"{path}: column {', '.join(repeated)} appears more than once")
+    notes = []
+    before = sum(bool(line.strip()) and not line.lstrip().startswith(_COMMENTS) for line in lines[:first]) - used
+    if before > 0:
+        notes.append(f"{before} lines before the table passed over")
+    if comma:
+        notes.append("decimal commas")
+    if encoding == "latin-1":
+        notes.append("not UTF-8: read as Latin-1")
+    return Layout(encoding, delimiter, comma, first, tuple(names), units, tuple(notes))
+
+
+def read_columns(
+    path: pathlib.Path, layout: Layout, names, progress: Callable[[float], None] | None = None
+) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
+    """Read the named columns of a text table; cells that are no numbers become NaN.
+
+    Parameters
+    ----------
+    path : Path
+    layout : Layout
+        From :func:`find_layout`.
+    names : sequence of str
+    progress : callable, optional
+        Called with the part of the file that was read.
+
+    Returns
+    -------
+    columns : dict of str to ndarray, shape (N,)
+        In the file's own units.
+    warnings : tuple of str
+        Damaged rows, with how many there are and where the first is.
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be read, or too many of its rows have another number of cells.
+    """
+    wanted = [layout.names.index(name) for name in names]
+    damaged: list[tuple[int, int]] = []
+    blocks, rows, done = [], 0, 0
+    size = max(path.stat().st_size, 1)
+    try:
+        with path.open(encoding=layout.encoding, errors="replace", newline=None) as stream:
+            line_number = layout.first
+            done += sum(map(len, itertools.islice(stream, layout.first)))
+            while lines := list(itertools.islice(stream, BLOCK)):
+                done += sum(map(len, lines))
+                blocks.append(_numbers(lines, layout, wanted, line_number, damaged))
+                line_number += len(lines)
+                rows += len(blocks[-1])
+                if progress is not None:
+                    progress(min(done / size, 1.0))
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read: {error.strerror or error}") from None
+    if len(damaged) > max(DAMAGED * rows, 1):
+        line, cells = damaged[0]
+        raise RecordingError(
+            f"{path}: {len(damaged)} of {rows} rows have another number of cells than the {len(layout.names)} columns "
+            f"(line {line}: {cells}); is the delimiter '{layout.delimiter or ' '}' right?"
+        )
+    columns = {}
+    for k, name in enumerate(names):
+        columns[name] = np.concatenate([block[:, k] for block in blocks]) if blocks else np.empty(0)
+    warnings: tuple[str, ...] = ()
+    if damaged:
+        line, cells = damaged[0]
+        warnings = (f"{len(damaged)} damaged rows, the first in line {line} ({cells} cells): taken as missing",)
+    return columns, warnings
+
+
+def _head(path):
+    """Return encoding and first lines of a file."""
+    try:
+        with path.open("rb") as stream:
+            head = stream.read(HEAD)
+    except OSError as error:
+        raise RecordingError(f"{path}: cannot be read: {error.strerror or error}") from None
+    encoding = "utf-8-sig"
+    if head[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        encoding = "utf-16"
+    elif b"\0" in head:
+        raise RecordingError(f"{path}: not a text table: it holds zero bytes; give CSV, TXT, NPZ or MAT")
+    whole = len(head) < HEAD
+    cut = head if whole else head[: head.rfind(b"\n") + 1] or head
+    try:
+        text = cut.decode(encoding, "strict" if encoding != "utf-16" else "ignore")
+    except UnicodeDecodeError:
+        encoding, text = "latin-1", cut.decode("latin-1")
+    return encoding, text.splitlines()
+
+
+def _how_written(path, lines):
+    """Return delimiter, decimal comma and width of the rows: what makes most of the lines rows of numbers."""
+    best, found = 0, None
+    for delimiter, comma in itertools.product(_DELIMITERS, (False, True)):
+        if delimiter == "," and comma:
+            continue
+        rows = [row for row in (_split(line, delimiter) for line in lines) if _is_row(row, comma, strict=True)]
+        several = [len(row) for row in rows if len(row) > 1]
+        if len(several) > best:
+            best, found = len(several), (delimiter, comma, max(set(several), key=several.count))
+    if found is None:
+        found = _with_text(lines)
+    if found is None and all(_number(line, False) is not None for line in lines[1:] or lines):
+        found = None, False, 1
+    if found is None:
+        raise RecordingError(f"{path}: not a table of numbers: no delimiter makes columns of its last lines")
+    return found
+
+
+def _with_text(lines):
+    """Return delimiter, decimal comma and width of rows that hold texts beside numbers, None where there are none."""
+    best, found = 0, None
+    for delimiter, comma in itertools.product(_DELIMITERS, (False, True)):
+        rows = [row for row in (_split(line, delimiter) for line in lines) if len(row) > 1 and _is_row(row, comma)]
+        if not (delimiter == "," and comma) and len(rows) > best:
+            widths = [len(row) for row in rows]
+            best, found = len(rows), (delimiter, comma, max(set(widths), key=widths.count))
+    return found
+
+
+def _is_row(row, comma, strict=False) -> bool:
+    """Tell whether the cells are those of a row of numbers; strict: none of them is text."""
+    filled = [cell for cell in row if cell]
+    numbers = sum(_number(cell, comma) is not None for cell in filled)
+    return bool(numbers) and (numbers == len(filled) or (not strict and 2 * numbers >= len(filled) and len(row) > 2))
+
+
+def _names(before, delimiter, width):
+    """Return names and units of the columns, and how many lines gave them, from the lines above the first row."""
+    above = [line for line in before if line.strip()]
+    units_row: list[str] = []
+    for used, line in enumerate(reversed(above[-3:])):
+        commented = line.lstrip().startswith(_COMMENTS)
+        text = line.lstrip().lstrip("#%/ ") if commented else line
+        row = _fitting(text, delimiter, width)
+        if row is None:
+            continue
+        if not units_row and used == 0 and all(not cell or conversion(cell.strip("[](){} ")) for cell in row):
+            units_row = [cell.strip("[](){} ") for cell in row]
+            continue
+        row = [cell or str(k + 1) for k, cell in enumerate(row)]
+        parts = [named_column(cell) for cell in row]
+        units = dict(parts)
+        if units_row:
+            units |= {name: unit for (name, _), unit in zip(parts, units_row, strict=True) if unit}
+        return [name for name, _ in parts], units, (0 if commented else 1) + bool(units_row)
+    names = [str(k + 1) for k in range(width)]
+    units = {name: column_unit(name, unit or None) for name, unit in zip(names, units_row or width * [""], strict=True)}
+    return names, units, bool(units_row)
+
+
+def _fitting(text, delimiter, width):
+    """Return the cells of a header, None where no delimiter makes as many as there are columns."""
+    for mark in (*([] if delimiter is None else [delimiter]), ",", ";", "\t", None):
+        row = _split(text, mark)
+        if mark == delimiter and width > 1:
+            # the rows lack a last column (a comment), or end with a delimiter that the header lacks
+            row = (
+                row[:width] if len(row) == width + 1 else [*row, ""] if len(row) == width - 1 > 1 and all(row) else row
+            )
+        if len(row) == width and any(cell and _number(cell, False) is None for cell in row):
+            return row
+    return None
+
+
+def _cells_of(line) -> bool:
+    return bool(line.strip()) and not line.lstrip().startswith(_COMMENTS)
+
+
+def _split(line, delimiter):
+    if delimiter is None:
+        return line.replace('"', "").split()
+    return [cell.strip() for cell in next(csv.reader([line.strip("\r\n")], delimiter=delimiter), [])]
+
+
+def _number(cell, comma):
+    """Return the number in a cell, None where there is none."""
+    try:
+        return float(cell.replace(",", ".") if comma else cell)
+    except ValueError:
+        return None
+
+
+def _numbers(lines, layout, wanted, line_number, damaged):
+    """Return the wanted columns of a block of lines, shape (n, m)."""
+    text = [line.replace(",", ".") for line in lines] if layout.comma else lines
+    try:
+        return np.loadtxt(
+            text, delimiter=layout.delimiter, usecols=wanted, ndmin=2, dtype=np.float64, comments="#", quotechar='"'
+        )
+    except ValueError:
+        pass  # some cell is empty or text: cell by cell, which is slower but can say where
+    table = np.full((len(lines), len(wanted)), np.nan)
+    width, k = len(layout.names), 0
+    for number, line in enumerate(lines, line_number + 1):
+        if not _cells_of(line):
+            continue
+        cells = _split(line, layout.delimiter) if '"' in line else line.rstrip("\r\n").split(layout.delimiter)
+        if len(cells) == width:
+            for column, place in enumerate(wanted):
+                value = _number(cells[place], layout.comma)
+                if value is not None:
+                    table[k, column] = value
+        else:
+            damaged.append((number, len(cells)))
+        k += 1
+    return table[:k]
+
+
+#: Bytes before the first element; the last four are version and order of bytes.
+HEADER = 128
+#: Version and order of bytes by how they stand there; of HDF5, since MATLAB 7.3.
+ORDERS, HDF5 = {b"\0\1IM": "<", b"\1\0MI": ">"}, (b"\0\2IM", b"\2\0MI")
+#: Types of elements.
+INT32, UINT32, MATRIX, COMPRESSED, TYPES = 5, 6, 14, 15, (*range(1, 8), 9, *range(12, 19))
+#: Classes of arrays: of cells, structures, objects, texts, sparse, functions, opaque ones; the others are of numbers.
+CELL, STRUCT, OBJECT, CHAR, SPARSE, FUNCTION, OPAQUE = 1, 2, 3, 4, 5, 16, 17
+#: Elements within each other, what an element may unpack to in any case [bytes], and else in parts of its own size.
+DEEPEST, SMALL, RATIO = 20, 1 << 26, 100
+
+
+def is_hdf5(content: bytes) -> bool:
+    """Tell whether this is HDF5 with the header of MATLAB, as since 7.3."""
+    return 0 not in content[:4] and content[HEADER - 4 : HEADER] in HDF5
+
+
+def require_sound(content: bytes) -> None:
+    """Refuse a file of level 5 whose elements do not fit into each other; level 4 is let through.
+
+    Parameters
+    ----------
+    content : bytes
+
+    Raises
+    ------
+    ValueError
+        It is damaged; the message says what is.
+    """
+    mark = content[HEADER - 4 : HEADER]
+    if 0 in content[:4]:
+        return
+    if mark not in ORDERS:
+        raise ValueError("no header of a MATLAB file")
+    order = ORDERS[mark]
+    for kind, data in _elements(content[HEADER:], order, padded=False):
+        if kind == COMPRESSED:
+            unpacker = zlib.decompressobj()
+            data = unpacker.decompress(data, max(SMALL, RATIO * len(data)))
+            if unpacker.unconsumed_tail:
+                raise ValueError("an element unpacks to more than measurements do")
+            inner = list(_elements(data, order, padded=False))
+            kind, data = inner[0] if len(inner) == 1 else (0, b"")
+        if kind != MATRIX:
+            raise ValueError("holds something else than arrays")
+        _require_array(data, order, 0)
+
+
+def _elements(data: bytes, order: str, padded: bool = True):
+    """Yield type and content of the elements that lie one behind the other."""
+    place = 0
+    while place < len(data):
+        (first,) = struct.unpack_from(order + "I", data, place)
+        small = first >> 16
+        size = small or struct.unpack_from(order + "I", data, place + 4)[0]
+        kind, begin = first & 0xFFFF, place + (4 if small else 8)
+        if kind not in TYPES or size > (4 if small else len(data) - begin):
+            raise ValueError(f"an element of type {kind} and {size} bytes at byte {place} of {len(data)}")
+        yield kind, data[begin : begin + size]
+        place = begin + (4 if small else size + (-size % 8 if padded else 0))
+
+
+def _require_array(data: bytes, order: str, depth: int) -> None:
+    """Refuse an array whose class and dimensions do not fit its elements."""
+    parts = list(_elements(data, order))
+    if not parts and depth:
+        return  # an empty cell
+    (flags_kind, flags), (dimensions_kind, dimensions) = parts[:2] if len(parts) > 2 else ((0, b""), (0, b""))
+    if flags_kind != UINT32 or len(flags) != 8 or depth > DEEPEST:
+        raise ValueError("an array without class, or too deep")
+    array_class, is_complex = flags[0 if order == "<" else 3], flags[1 if order == "<" else 2] & 8
+    if not 1 <= array_class <= OPAQUE:
+        raise ValueError(f"an array of class {array_class}, which there is not")
+    if array_class == OPAQUE:  # three names stand in the place of dimensions
+        _require_content(CELL, 1, parts[4:], False, (order, depth))
+        return
+    if dimensions_kind != INT32 or not dimensions or len(dimensions) % 4 or len(dimensions) > 4 * 32:
+        raise ValueError("an array without dimensions")
+    shape = struct.unpack(f"{order}{len(dimensions) // 4}i", dimensions)
+    if min(shape) < 0:
+        raise ValueError(f"an array of dimensions {shape}")
+    _require_content(array_class, math.prod(shape), parts[3:], bool(is_complex), (order, depth))
+
+
+def _require_content(array_class: int, count: int, parts: list, is_complex: bool, where: tuple[str, int]) -> None:
+    """Refuse content that is not that of so many elements of an array."""
+    order, depth = where
+    if array_class in (CELL, STRUCT, OBJECT, FUNCTION):
+        if array_class == FUNCTION:
+            count = 1
+        elif array_class != CELL:
+            count, parts = _fields(count, parts[array_class == OBJECT :], order)
+        if len(parts) != count or any(kind != MATRIX for kind, _ in parts):
+            raise ValueError(f"{len(parts)} arrays where {count} should be")
+        for _, inner in parts:
+            _require_array(inner, order, depth + 1)
+        return
+    if not count:
+        return
+    numbers = (3 if array_class == SPARSE else 1) + is_complex
+    if len(parts) != numbers or any(kind in (MATRIX, COMPRESSED) for kind, _ in parts):
+        raise ValueError(f"{len(parts)} parts of an array that has {numbers}")
+    if array_class != SPARSE and any(len(content) < count for _, content in parts):
+        raise ValueError(f"{count} elements in fewer bytes")
+
+
+def _fields(count: int, parts: list, order: str) -> tuple[int, list]:
+    """Return of so many structures how many arrays they have, and the parts that should be these."""
+    if len(parts) < 2 or parts[0][0] != INT32 or len(parts[0][1]) != 4:
+        raise ValueError("a structure without names")
+    (length,) = struct.unpack(order + "i", parts[0][1])
+    if not 0 < length <= len(parts[1][1]) or len(parts[1][1]) % length:
+        raise ValueError(f"names of {length} characters in {len(parts[1][1])}")
+    return count * (len(parts[1][1]) // length), parts[2:]
+
+
+def read_matlab(path: pathlib.Path) -> dict[str, np.ndarray]:
+    """Return the vectors of a ``.mat`` file of the most frequent length.
+
+    Parameters
+    ----------
+    path : Path
+        Level 4 or 5; since 7.3 MATLAB writes HDF5, which is refused.
+
+    Returns
+    -------
+    dict of str to ndarray, shape (N,)
+        ``name``, ``structure.field``, or ``name_1``, ``name_2`` … for the columns of a matrix.
+
+    Raises
+    ------
+    RecordingError
+        The file cannot be read, or holds no vectors.
+    """
+    import scipy.io  # a tenth of a second, which only those pay who open such a file
+
+    try:
+        data = path.read_bytes()
+        if is_hdf5(data):
+            raise RecordingError(f"{path}: a MATLAB file of version 7.3; save it with save(…, '-v7')")
+        require_sound(data)
+        content = scipy.io.loadmat(io.BytesIO(data), simplify_cells=True)
+    except RecordingError:
+        raise
+    except Exception as error:  # SciPy raises whatever damaged bytes lead to
+        raise RecordingError(f"{path}: not a readable MATLAB file: {error or type(error).__name__}") from None
+    vectors = dict(_vectors("", {name: value for name, value in content.items() if not name.startswith("__")}))
+    sizes = [values.size for values in vectors.values()]
+    if not sizes:
+        raise RecordingError(f"{path}: holds no vectors of numbers")
+    size = max(set(sizes), key=lambda length: (sizes.count(length), length))
+    return {name: values for name, values in vectors.items() if values.size == size}
+
+
+def _vectors(name, value):
+    """Yield name and values of every vector within ``value``."""
+    if isinstance(value, dict):
+        for key, part in value.items():
+            yield from _vectors(f"{name}.{key}" if name else key, part)
+        return
+    array = np.asarray(value)
+    if array.dtype.kind not in "fiu" or array.size < 2 or array.ndim > 2:
+        return
+    array = np.squeeze(array).astype(float)
+    if array.ndim == 1:
+        yield name, array
+        return
+    table = array if array.shape[0] >= array.shape[1] else array.T
+    for k in range(table.shape[1]):
+        yield f"{name}_{k + 1}", np.ascontiguousarray(table[:, k])
+
+
+#: Kinds of files that are read as tables: text, NPZ and MATLAB.
+TABLE_SUFFIXES = (".csv", ".txt", ".dat", ".tsv", ".asc", ".lvm", ".npz", ".mat")
+
+_TIME_NAMES = ("time", "t", "timestamp", "time_s", "t_s", "time_ms", "t_ms", "time_us", "t_us", "zeit", "x_value")
+
+
+@dataclass(frozen=True, eq=False)
+class Table:
+    """A table that was opened: its columns' names and units; the numbers are read when they are asked for.
+
+    Parameters
+    ----------
+    path : Path
+    units : dict of str to (str or None)
+        Of each column what it declares (:func:`~hysteresis_ros.recordings.foreign_tables.column_unit`).
+    load : callable
+        ``load(names, progress)`` returns the columns, in the file's own units, and warnings.
+    notes : tuple of str
+        How the table is written.
+    """
+
+    path: pathlib.Path
+    units: dict[str, str | None]
+    load: Callable
+    notes: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Selection:
+    """What is taken of a table.
+
+    Parameters
+    ----------
+    choices : tuple of str
+        Columns as ``name`` or ``name:unit``; the unit may be left out where the column declares it.
+    time : str, optional
+        The time column, likewise; by default the one called ``time``, ``t``, ``time_s`` … or the only one in seconds.
+    sample_time : float, optional
+        Distance of two samples [s] for tables without a time column.
+    rows : (int, int or None)
+        First row and the one after the last; None: all from there, negative: from the end.
+    """
+
+    choices: tuple[str, ...]
+    time: str | None = None
+    sample_time: float | None = None
+    rows: tuple[int, int | None] = (0, None)
+
+
+def open_table(path) -> Table:
+    """Open a text table, an NPZ or a MATLAB file.
+
+    Text: comma, semicolon, tab or blanks between the columns, decimal points or commas, ``#`` starts a comment; lines
+    before the table are passed over, the last of them may name the columns (``name`` or ``name [unit]``); without names
+    they are called ``1``, ``2`` … Cells that are no numbers become NaN.
+
+    Parameters
+    ----------
+    path : path-like
+        ``.csv``, ``.txt``, ``.dat``, ``.tsv``, ``.asc``, ``.lvm``, ``.npz`` or ``.mat``.
+
+    Raises
+    ------
+    RecordingError
+        The file is missing or unreadable, or two columns have one name.
+    """
+    path = pathlib.Path(path)
+    if not path.is_file():
+        raise RecordingError(f"{path}: no such file; give the path of a recording")
+    if path.suffix.lower() == ".npz":
+        return _open_arrays(path)
+    if path.suffix.lower() == ".mat":
+        arrays = read_matlab(path)
+        return Table(path, _declared(arrays), lambda names, progress: ({name: arrays[name] for name in names}, ()))
+    layout = find_layout(path)
+    return Table(path, layout.units, lambda names, progress: read_columns(path, layout, names, progress), layout.notes)
+
+
+def find_time(units: dict[str, str | None]) -> str | None:
+    """Return the name of the time column among ``units`` (names → declared units), or None.
+
+    Parameters
+    ----------
+    units : dict of str to (str or None)
+        Those of a :class:`Table`.
+    """
+    known = [name for telling in _TIME_NAMES for name in units if name.lower() == telling]
+    seconds = [name for name, unit in units.items() if si_unit(unit) == "s"]
+    return known[0] if known else (seconds[0] if len(seconds) == 1 else None)
+
+
+def choose_columns(table: Table, selection: Selection, progress=None) -> Recording:
+    """Read chosen columns of a table into a recording in SI units.
+
+    Parameters
+    ----------
+    table : Table
+    selection : Selection
+    progress : callable, optional
+        Called with the part of the file that was read.
+
+    Returns
+    -------
+    Recording
+        Its metadata hold ``notes`` and ``warnings``: what was found odd and what was done about it.
+
+    Raises
+    ------
+    RecordingError
+        A column is missing, has no unit or an unknown one, or there is no time.
+    """
+    # a column called time or t without a unit is in seconds, as everywhere in this package
+    declared = {name: unit or ("s" if name.lower() in _TIME_NAMES else None) for name, unit in table.units.items()}
+    chosen = {name: (divisor, unit) for name, divisor, unit in (_chosen(table, c, declared) for c in selection.choices)}
+    time = selection.time
+    if time is None and selection.sample_time is None:
+        time = find_time(declared)
+        if time is None:
+            there = ", ".join(declared)
+            raise RecordingError(
+                f"{table.path}: no time among {there}; name it like 'time_s:s' or give the sample time"
+            )
+    clock_name, divisor = None, 1.0
+    if time is not None:
+        clock_name, divisor, unit = _chosen(table, time, declared)
+        if unit != "s":
+            raise RecordingError(
+                f"{table.path}: time column '{clock_name}' is in '{unit}'; it must be in s, ms, us or min"
+            )
+    wanted = list(dict.fromkeys([*chosen, *([clock_name] if clock_name is not None else [])]))
+    columns, warnings = table.load(wanted, progress)
+    columns = _rows(columns, selection.rows)
+    if clock_name is None:
+        size = len(next(iter(columns.values())))
+        clock = Clock(np.arange(size) * float(selection.sample_time or 0.0))
+    else:
+        seconds = columns[clock_name] / divisor
+        clock = mend_clock(seconds, [values for name, values in columns.items() if name != clock_name])
+    signals = {}
+    for name, (scale, _) in chosen.items():
+        values = columns.pop(name)
+        values = values if clock.kept is None else values[clock.kept]
+        signals[name] = values if scale == 1.0 else values / scale
+    metadata = {
+        "source": table.path.name,
+        "notes": [*table.notes, *clock.notes],
+        "warnings": [*warnings, *clock.warnings],
+    }
+    try:
+        return Recording(clock.time, signals, {name: unit for name, (_, unit) in chosen.items()}, metadata)
+    except RecordingError as error:
+        raise RecordingError(f"{table.path}: {error}") from None
+
+
+def _rows(columns, rows):
+    """Return the rows that are wanted of all columns."""
+    size = len(next(iter(columns.values())))
+    start, stop, _ = slice(*rows).indices(size)
+    if rows == (0, None):
+        return columns
+    if rows[0] < 0 or stop <= start or (rows[1] is not None and rows[1] > size):
+        last = "" if rows[1] is None else rows[1]
+        raise RecordingError(f"samples {rows[0]}:{last} of {size}: choose a range inside the recording")
+    return {name: values[start:stop] for name, values in columns.items()}
+
+
+def _chosen(table, choice, declared):
+    """Return name, divisor and SI unit of one choice."""
+    name, unit = (choice, None) if choice in declared else split_choice(choice)
+    if name not in declared:
+        raise RecordingError(f"{table.path}: no column '{name}'; the columns are {', '.join(declared)}")
+    other = declared[name]
+    unit = unit or other
+    if unit is None:
+        raise RecordingError(f"{table.path}: column '{name}' has no unit; give it as '{name}:um' or whatever it is in")
+    si, divisor = known_conversion(name, unit)
+    stands = conversion(other) if other is not None and other != unit else None
+    if stands is not None and stands[0] == "V" and "/" in unit:
+        divisor *= stands[1]  # a sensor's sensitivity beside what its converter read
+    elif stands not in (None, (si, divisor)):
+        raise RecordingError(
+            f"{table.path}: column '{name}' is in '{other}' by its header and '{unit}' was asked; which?"
+        )
+    return name, divisor, si
+
+
+def _declared(names) -> dict[str, str | None]:
+    """Return the units that names tell, also those of fields of structures."""
+    return {name: column_unit(name) or column_unit(name.rpartition(".")[2]) for name in names}
+
+
+def _open_arrays(path) -> Table:
+    try:
+        heads = read_heads(path)
+    except (OSError, ArchiveError) as error:
+        raise RecordingError(f"{path}: not a readable NPZ file: {error}") from None
+    sizes = {name: head.length for name, head in heads.items() if head.length is not None}
+    lengths = list(sizes.values())
+    size = max(lengths, key=lambda length: (lengths.count(length), length), default=0)
+    if lengths.count(size) < min(2, max(len(lengths), 1)):
+        raise RecordingError(f"{path}: needs one-dimensional arrays of one length; it has lengths {sorted(lengths)}")
+    declared = _declared(name for name, length in sizes.items() if length == size)
+
+    def load(names, progress):
+        try:
+            arrays = read_arrays(path, names.__contains__)
+        except (OSError, ArchiveError) as error:
+            raise RecordingError(f"{path}: not a readable NPZ file: {error}") from None
+        return {name: np.asarray(arrays[name], dtype=float) for name in names}, ()
+
+    return Table(path, declared, load)

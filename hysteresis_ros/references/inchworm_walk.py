@@ -1,0 +1,350 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Continuous walking of an inchworm motor as kernels: extender and clamps as functions of the phase of the cycle.
+
+A cycle is the gait's six processes; its phase goes from 0 to 1 from the middle of one return to the middle of the next.
+The path of the slider is a straight line over the phase while it is carried and stands while the extender returns. To
+the extender's motion a correction is added that is learned over the phase (:mod:`hysteresis_ros.references.walk`): what
+depends on where the motor is in its cycle repeats there at any speed.
+"""
+
+from __future__ import annotations
+
+import math
+
+from hysteresis_ros.models import elementary
+from hysteresis_ros.models.block import called, kernel
+from hysteresis_ros.references import inchworm_layout as at
+from hysteresis_ros.references.inchworm_parameters import cycloid, ramp
+from hysteresis_ros.references.inchworm_steps import (
+    EQUAL,
+    account,
+    drive_front,
+    enter,
+    fail,
+    hold,
+    let_go,
+    must_stop,
+    pretension,
+    stop_here,
+    turn,
+)
+
+#: Part of the rest of the extender before the front clamp closes in which a new correction takes the old one's place.
+GLIDE_PART = 0.8
+#: Wanted rates this much above the highest count as too fast.
+TOO_FAST = 1.05
+#: Speeds that differ by no more than this part are the same for learning.
+SAME_SPEED = 0.02
+#: A count at which a clamp's ramp is over.
+AT_ONCE = 1.0e9
+
+
+@kernel
+def bounds_of(x):
+    """Place of the ends of the processes in the present direction."""
+    return at.FORWARD_BOUNDS if x[at.DIRECTION] > 0.0 else at.BACKWARD_BOUNDS
+
+
+@called
+def carried(blend, part):
+    """Return the profile of the carrying motion: straight between two smooth ends of length ``blend``."""
+    part = min(max(part, 0.0), 1.0)
+    near = min(part, 1.0 - part)
+    speed = 1.0 / (1.0 - blend)
+    if near < blend:
+        s = near / blend
+        way = speed * blend * (0.5 * s * s + (elementary.cos(2.0 * math.pi * s) - 1.0) / (4.0 * math.pi * math.pi))
+    else:
+        way = speed * (near - 0.5 * blend)
+    return way if part <= 0.5 else 1.0 - way
+
+
+@kernel
+def bend(blend, part):
+    """Return the second derivative of the profile of the carrying motion."""
+    near = min(part, 1.0 - part)
+    if near <= 0.0 or near >= blend:
+        return 0.0
+    value = (1.0 - elementary.cos(2.0 * math.pi * near / blend)) / (blend * (1.0 - blend))
+    return value if part <= 0.5 else -value
+
+
+@kernel
+def wrapped(phase):
+    """Return the phase within 0 … 1."""
+    return phase - math.floor(phase)
+
+
+@kernel
+def spline(x, first, n, phase):
+    """Periodic cubic spline with the B-spline coefficients ``x[first:first + n]`` at ``phase``."""
+    s = phase * n
+    i = int(s)
+    u = s - i
+    v = 1.0 - u
+    value = v * v * v * x[first + (i - 1) % n]
+    value += (3.0 * u * u * u - 6.0 * u * u + 4.0) * x[first + i % n]
+    value += (3.0 * v * v * v - 6.0 * v * v + 4.0) * x[first + (i + 1) % n]
+    value += u * u * u * x[first + (i + 2) % n]
+    return value / 6.0
+
+
+@kernel
+def coefficients(p, x):
+    """Place of the present direction's coefficients: the new ones, and behind them those they take the place of."""
+    return at.WALK + (0 if x[at.DIRECTION] > 0.0 else 2 * int(p[at.SPLINES]))
+
+
+@kernel
+def path(p, x, phase):
+    """How far the slider is to be along its step at ``phase``, as a part of it."""
+    b = bounds_of(x)
+    return carried(p[at.BLEND], (phase - p[b + at.CARRY]) / (p[b + at.CARRIED] - p[b + at.CARRY]))
+
+
+@called
+def extension(p, x, phase):
+    """Extension [m] at ``phase``, with the correction, which is left in ``x``."""
+    b = bounds_of(x)
+    half = p[b + at.RETURNED]
+    if phase < half or phase >= p[b + at.RETURN]:
+        way = 1.0 - cycloid(0.5 + 0.5 * (phase if phase < half else phase - 1.0) / half)
+    else:
+        way = path(p, x, phase)
+        # what swings needs more of the extender while it speeds up
+        pace = x[at.CYCLE_RATE] / (p[b + at.CARRIED] - p[b + at.CARRY])
+        part = (phase - p[b + at.CARRY]) / (p[b + at.CARRIED] - p[b + at.CARRY])
+        way += p[at.INERTIA] * pace * pace * bend(p[at.BLEND], part)
+    n, first = int(p[at.SPLINES]), coefficients(p, x)
+    new, old = spline(x, first, n, phase), spline(x, first + n, n, phase)
+    glide = cycloid(x[at.CYCLE_PHASE] / (GLIDE_PART * p[b + at.CLOSE_FRONT]))
+    x[at.CORRECTION] = old + glide * (new - old)
+    middle = 0.5 * (p[at.LOWEST] + p[at.HIGHEST])
+    return middle + x[at.DIRECTION] * p[at.WALKING_STEP] * (way - 0.5) + x[at.CORRECTION]
+
+
+@kernel
+def clamp_voltage(p, closed):
+    """Voltage [V] of a clamp that is closed by this part."""
+    return p[at.RELEASE_VOLTAGE] + (p[at.GRIP_VOLTAGE] - p[at.RELEASE_VOLTAGE]) * closed
+
+
+@called
+def passed(p, phase, first, last):
+    """Part of a clamp's ramp between two phases that has passed at ``phase``."""
+    return ramp(p[at.LINEAR_RAMP], (phase - first) / (last - first))
+
+
+@kernel
+def set_clamps(p, x, phase):
+    """Put both clamps where the phase has them."""
+    b = bounds_of(x)
+    closed = passed(p, phase, p[b + at.CLOSE_FRONT], p[b + at.OPEN_REAR])
+    opened = passed(p, phase, p[b + at.OPEN_FRONT], p[b + at.RETURN])
+    x[at.FRONT_VOLTAGE] = x[at.FRONT_TO] = clamp_voltage(p, closed - opened)
+    opened = passed(p, phase, p[b + at.OPEN_REAR], p[b + at.CARRY])
+    closed = passed(p, phase, p[b + at.CLOSE_REAR], p[b + at.OPEN_FRONT])
+    x[at.REAR_VOLTAGE] = x[at.REAR_TO] = clamp_voltage(p, 1.0 - opened + closed)
+    x[at.FRONT_COUNT] = x[at.REAR_COUNT] = AT_ONCE
+
+
+@kernel
+def process(p, x, phase):
+    """The process of the gait at ``phase``."""
+    b = bounds_of(x)
+    if phase < p[b + at.CLOSE_FRONT] or phase >= p[b + at.RETURN]:
+        return at.RETURNING
+    if phase < p[b + at.OPEN_REAR]:
+        return at.GRIPPING_FRONT
+    if phase < p[b + at.CARRY]:
+        return at.RELEASING_REAR
+    if phase < p[b + at.CLOSE_REAR]:
+        return at.CARRYING
+    return at.GRIPPING_REAR if phase < p[b + at.OPEN_FRONT] else at.RELEASING_FRONT
+
+
+@kernel
+def forget(p, x):
+    """Take every correction away; the one in use glides to nothing."""
+    n, own = int(p[at.SPLINES]), coefficients(p, x)
+    for i in range(4 * n):
+        if at.WALK + i < own + n or at.WALK + i >= own + 2 * n:
+            x[at.WALK + i] = 0.0
+    x[at.FORGETS] = 0.0
+
+
+@called
+def correct(p, x):
+    """Correct the correction by the errors of the last cycle."""
+    n, m = int(p[at.SPLINES]), int(p[at.BINS])
+    matrix = at.LEARNING_MATRICES + (0 if x[at.DIRECTION] > 0.0 else n * m)
+    sums, counts, first = at.WALK + 4 * n, at.WALK + 4 * n + m, coefficients(p, x)
+    for j in range(m):
+        if x[counts + j] > 0.0:
+            x[sums + j] /= x[counts + j]
+        elif j > 0:
+            x[sums + j] = x[sums + j - 1]
+    for i in range(n):
+        change = 0.0
+        for j in range(m):
+            change += p[matrix + i * m + j] * x[sums + j]
+        wanted = x[first + i] + p[at.LEARNING_GAIN] * change
+        x[first + i] = min(max(wanted, -p[at.BOUND]), p[at.BOUND])
+    x[at.LEARNED_CYCLES] += 1.0
+
+
+@kernel
+def begin_cycle(p, x):
+    """Nothing of the coming cycle has been seen yet."""
+    n, m = int(p[at.SPLINES]), int(p[at.BINS])
+    for i in range(2 * m):
+        x[at.WALK + 4 * n + i] = 0.0
+    x[at.STAND_SUM] = x[at.STAND_COUNT] = 0.0
+    x[at.SQUARES] = x[at.SQUARE_COUNT] = 0.0
+
+
+@kernel
+def end_cycle(p, x):
+    """The middle of the return: learn from the cycle that ends, and begin the next one."""
+    n, first = int(p[at.SPLINES]), coefficients(p, x)
+    for i in range(n):
+        x[first + n + i] = x[first + i]
+    if x[at.SQUARE_COUNT] > 0.0:
+        x[at.RIPPLE] = math.sqrt(x[at.SQUARES] / x[at.SQUARE_COUNT])
+    if x[at.FORGETS] != 0.0:
+        forget(p, x)
+    elif x[at.LEARNS] != 0.0 and x[at.WHOLE] != 0.0:
+        correct(p, x)
+    begin_cycle(p, x)
+    x[at.WHOLE] = 1.0
+    x[at.PATH] += x[at.DIRECTION] * p[at.WALKING_STEP]
+
+
+@kernel
+def observe(p, x):
+    """Compare the slider with its path, which begins where the slider stands before the front clamp closes."""
+    phase = x[at.CYCLE_PHASE]
+    stands = phase < p[bounds_of(x) + at.CLOSE_FRONT]
+    if stands:
+        x[at.STAND_SUM] += x[at.SLIDER]
+        x[at.STAND_COUNT] += 1.0
+    elif x[at.STAND_COUNT] > 0.0:
+        x[at.PATH] = x[at.STAND_SUM] / x[at.STAND_COUNT]
+        x[at.STAND_COUNT] = 0.0
+    error = x[at.PATH] + x[at.DIRECTION] * p[at.WALKING_STEP] * path(p, x, phase) - x[at.SLIDER]
+    x[at.PATH_ERROR] = error
+    if not stands:
+        n, m = int(p[at.SPLINES]), int(p[at.BINS])
+        place = at.WALK + 4 * n + min(int(phase * m), m - 1)
+        x[place] += error
+        x[place + m] += 1.0
+        x[at.SQUARES] += error * error
+        x[at.SQUARE_COUNT] += 1.0
+
+
+@called
+def begin_walk(p, x):
+    """Begin to walk over the phase; the extender first goes to where a cycle has it when both clamps hold."""
+    turn(x, x[at.SPEED])
+    aim = x[at.SLIDER] + x[at.DIRECTION] * p[at.WALKING_STEP]
+    if aim > p[at.MAXIMUM] or aim < p[at.MINIMUM]:
+        x[at.DIRECTION] = 0.0
+        return
+    if x[at.RETURNS] > p[at.STILL_STEPS]:
+        fail(x, at.NO_MOTION_ERROR)
+        return
+    if x[at.FORGETS] != 0.0:
+        forget(p, x)
+    phase = p[bounds_of(x) + at.OPEN_REAR]
+    x[at.CYCLE_PHASE] = phase
+    start = extension(p, x, phase)
+    x[at.ANCHOR] = x[at.SLIDER]
+    if abs(start - x[at.TIP]) <= EQUAL and x[at.PRETENSION] == 0.0:
+        begin_cycle(p, x)
+        x[at.CYCLE] = 1.0
+        x[at.CYCLE_RATE] = x[at.WHOLE] = 0.0
+        x[at.PATH] = x[at.SLIDER]
+        x[at.STEP_FROM] = x[at.SLIDER]
+        x[at.MOVE_FROM] = x[at.TIP]
+        enter(x, at.RELEASING_REAR)
+    else:
+        let_go(x)
+        x[at.MOVE_TO] = start
+        pretension(p, x, 0.0)
+        drive_front(x, p[at.RELEASE_VOLTAGE])
+        enter(x, at.RELEASING_FRONT)
+
+
+@called
+def advance(p, x):
+    """Advance the phase by a sample; returns that of the outputs, which are ahead of the path."""
+    x[at.CYCLE_PHASE] += x[at.CYCLE_RATE]
+    if x[at.CYCLE_PHASE] >= 1.0:
+        x[at.CYCLE_PHASE] -= 1.0
+        end_cycle(p, x)
+    return wrapped(x[at.CYCLE_PHASE] + p[at.LEAD] * x[at.CYCLE_RATE])
+
+
+@called
+def go_on(p, x, phase):
+    """Enter the process of the gait at ``phase``, judge the step when both clamps hold, and end at the travel's end."""
+    now = process(p, x, phase)
+    if now == x[at.PHASE]:
+        return
+    enter(x, now)
+    if now == at.RELEASING_REAR:
+        aim = x[at.SLIDER] + x[at.DIRECTION] * p[at.WALKING_STEP]
+        if aim > p[at.MAXIMUM] or aim < p[at.MINIMUM]:
+            x[at.CYCLE] = x[at.DIRECTION] = 0.0
+            hold(x)
+            return
+        x[at.STEP_FROM] = x[at.ANCHOR] = x[at.SLIDER]
+        x[at.MOVE_FROM] = x[at.TIP]
+    elif now == at.RELEASING_FRONT:
+        x[at.STEP_LENGTH] = p[at.WALKING_STEP]
+        x[at.EXTENSION] = abs(x[at.TIP] - x[at.MOVE_FROM]) / (p[at.HIGHEST] - p[at.LOWEST])
+        missed = x[at.MISSED]
+        account(p, x)
+        if x[at.MISSED] != missed:
+            x[at.WHOLE] = 0.0
+
+
+@called
+def stride(p, x):
+    """One sample of continuous walking; leaves it when the motor shall stop, turn, go to a setpoint or let go."""
+    turns = x[at.SPEED] * x[at.DIRECTION] <= 0.0
+    if must_stop(p, x) or x[at.MODE] == at.LET_GO or turns:
+        x[at.BRAKING] = 2.0 * x[at.CYCLE_RATE] / p[at.GRIP_SAMPLES]
+        stop_here(p, x)
+        return
+    fastest = 1.0 / p[at.CYCLE_SAMPLES]
+    wanted = abs(x[at.SPEED]) * p[at.SAMPLE_TIME] / p[at.WALKING_STEP]
+    x[at.LIMITED_SPEED] = 1.0 if wanted > TOO_FAST * fastest else 0.0
+    wanted = min(wanted, fastest)
+    change = wanted - x[at.CYCLE_RATE]
+    most = fastest / p[at.CYCLE_SAMPLES]
+    x[at.CYCLE_RATE] = wanted if abs(change) <= most else x[at.CYCLE_RATE] + math.copysign(most, change)
+    phase = advance(p, x)
+    if change != 0.0 or abs(wanted - p[at.LEARNING_RATE]) > SAME_SPEED * wanted or x[at.BAD] > 0.0:
+        x[at.WHOLE] = 0.0
+    observe(p, x)
+    go_on(p, x, phase)
+    if x[at.CYCLE] != 0.0:
+        x[at.TIP] = extension(p, x, phase)
+        set_clamps(p, x, phase)
+
+
+@kernel
+def coast(p, x):
+    """Go on over the phase with a rate that falls, while what is open closes."""
+    x[at.WHOLE] = 0.0
+    x[at.CYCLE_RATE] = max(x[at.CYCLE_RATE] - x[at.BRAKING], 0.0)
+    x[at.TIP] = extension(p, x, advance(p, x))
