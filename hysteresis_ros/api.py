@@ -11,7 +11,7 @@
 
 ``hr.load``, ``hr.simulate``, ``hr.identify``, ``hr.validate`` and ``hr.report`` are what the commands of the same names
 do; ``docs/api.md`` shows them at work. What takes more than one run, and designs, stand in
-:mod:`hysteresis_ros.studies`.
+:mod:`hysteresis_ros.laboratory.studies`.
 """
 
 from __future__ import annotations
@@ -187,35 +187,16 @@ class Run(Recording):  # numpydoc ignore=PR02
 
 @dataclass(frozen=True, eq=False)
 class DesignedFile:  # numpydoc ignore=PR02
-    """What was designed, and the parameter file that holds it.
+    """What was designed, and the parameter file that holds it."""
 
-    Parameters
-    ----------
-    lines : tuple of str
-        The table that ``hysteresis design`` prints.
-    text : str
-        The parameter file: that of the design's source with what was designed.
-    """
-
-    lines: tuple[str, ...]
-    text: str
+    lines: tuple[str, ...]  #: The table that ``hysteresis design`` prints.
+    text: str  #: The parameter file: that of the design's source with what was designed.
 
     def __str__(self) -> str:
         return "\n".join(self.lines)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the parameter file whole or not at all.
-
-        Parameters
-        ----------
-        path : path-like
-            A ``.yaml`` file.
-
-        Raises
-        ------
-        HysteresisError
-            It cannot be written.
-        """
+        """Write the parameter file whole or not at all."""
         write_file(path, self.text)
 
 
@@ -669,23 +650,7 @@ def plot(source: str | os.PathLike[str] | Recording, kind: str = "traces", *, na
 
 
 def configuration_of(source: Source) -> Configuration:
-    """Return the configuration that describes an axis.
-
-    Parameters
-    ----------
-    source : path-like, Configuration, Identified, Design, DesignedLearning or Recording
-        See :func:`simulate`.
-
-    Returns
-    -------
-    Configuration
-        With one axis or several.
-
-    Raises
-    ------
-    ConfigurationError
-        The file cannot be read, or the recording does not hold one.
-    """
+    """Return the configuration that describes an axis."""
     if isinstance(source, Configuration):
         return source
     if isinstance(source, (Identified, DesignedFile)):

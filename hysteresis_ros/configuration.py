@@ -147,26 +147,7 @@ def parameter(
     paths: bool = False,
     place: str = "",
 ) -> Any:
-    """Declare one parameter of a block.
-
-    Parameters
-    ----------
-    default : float, int, bool, str or tuple, optional
-        Value when YAML does not give one. Without it the parameter is required wherever its group is in use.
-    description, unit : str
-        Shown by ``ros2 param describe`` and in the documentation.
-    low, high : float, optional
-        Inclusive range, of each element for arrays.
-    choices : tuple of str, optional
-        Allowed strings.
-    read_only : bool
-        True for structure (sizes, rates, types); such parameters cannot change while a node is configured.
-    paths : bool
-        Beside the choices, a path is allowed: whatever contains a slash.
-    place : str
-        Where from it may be given a path: ``files``, over the graph only one in stated folders; ``start``, not over the
-        graph at all.
-    """
+    """Declare one parameter of a block."""
     required = default is MISSING
     metadata = dict(description=description, unit=unit, low=low, high=high, choices=choices, paths=paths)
     metadata |= dict(read_only=read_only, required=required, place=place)
@@ -186,13 +167,6 @@ def variants(chooser: str, choices: dict[str, type]):
     """Return a class decorator that nests one group for each name that the parameter ``chooser`` may have.
 
     It stands under ``@dataclass(frozen=True)``. So the groups of a class can come from a registry.
-
-    Parameters
-    ----------
-    chooser : str
-        Name of the parameter that chooses.
-    choices : dict of str to type
-        Name of each group → its dataclass.
     """
 
     def add(cls):
@@ -237,13 +211,7 @@ class Parameters:
 
     @classmethod
     def from_mapping(cls, mapping, prefix: str = ""):
-        """Build and check the parameters from a flat mapping of dotted names to values.
-
-        Raises
-        ------
-        ParameterError
-            Names every unknown, missing, mistyped or out-of-range entry together.
-        """
+        """Build and check the parameters from a flat mapping of dotted names to values."""
         rows = {row.name: row for row in cls.table()}
         problems, values = [], {}
         for name, value in mapping.items():
@@ -281,18 +249,6 @@ class Parameters:
         """Return the parameters with some values changed, as :meth:`from_mapping` builds and checks them.
 
         What is not changed is not converted once more, which makes this ten times as quick.
-
-        Parameters
-        ----------
-        values : mapping of str to object
-            By dotted names, each of its row's type (:meth:`ParameterRow.convert`).
-        prefix : str
-            Put before the names in messages.
-
-        Raises
-        ------
-        ParameterError
-            They do not fit together.
         """
         result = self._changed(values)
         problems = result.problems(prefix)
@@ -334,13 +290,7 @@ class Parameters:
         return ()
 
     def warnings(self, prefix: str = "") -> tuple[str, ...]:
-        """Return a sentence for each doubt about parameters that are allowed, of the groups in use too.
-
-        Parameters
-        ----------
-        prefix : str
-            Put before the names of the parameters.
-        """
+        """Return a sentence for each doubt about parameters that are allowed, of the groups in use too."""
         found = []
         for item in fields(self):
             chooser = item.metadata.get("variant_of")
@@ -522,12 +472,7 @@ def matches(pattern: str, full_name: str) -> bool:
 
 
 def parse_value(text: str):
-    """Return a value of a parameter from its text, read as in a file; what is no YAML stays a text.
-
-    Parameters
-    ----------
-    text : str
-    """
+    """Return a value of a parameter from its text, read as in a file; what is no YAML stays a text."""
     try:
         return read_yaml(text, _Loader)
     except (BoundsError, _RepeatedKeyError):
@@ -535,13 +480,7 @@ def parse_value(text: str):
 
 
 def parse_configuration(text: str, source: str) -> Configuration:
-    """Read a ROS 2 parameter file from its text.
-
-    Raises
-    ------
-    ConfigurationError
-        It is not YAML or not a ROS 2 parameter file; the message names the line or the entry.
-    """
+    """Read a ROS 2 parameter file from its text."""
     try:
         document = read_yaml(text, _Loader)
     except BoundsError as error:
@@ -614,13 +553,7 @@ def shipped_configurations() -> dict[str, pathlib.Path]:
 
 
 def config_path(name: str) -> pathlib.Path:
-    """Return the parameter file of that name, such as ``kim2009``, which comes with the package.
-
-    Raises
-    ------
-    ConfigurationError
-        There is none of that name; the message lists what there is.
-    """
+    """Return the parameter file of that name, such as ``kim2009``, which comes with the package."""
     found = shipped_configurations()
     if name not in found:
         near = did_you_mean(name, found)
@@ -634,11 +567,6 @@ def load_configuration(path) -> Configuration:
     """Read a ROS 2 parameter file: a path, or the bare name of a file that comes with the package (``kim2009``).
 
     A ``driver`` that is a relative path may lead from the folder of the file; nodes get it as a whole path.
-
-    Raises
-    ------
-    ConfigurationError
-        The file is missing or unreadable, or see :func:`parse_configuration`.
     """
     path = pathlib.Path(path)
     if not path.exists() and path.name == path.stem == str(path):
@@ -682,14 +610,7 @@ _Dumper.add_representer(
 
 
 def dump_configuration(nodes: dict[str, dict]) -> str:
-    """Return the text of a parameter file.
-
-    Parameters
-    ----------
-    nodes : dict of str to dict
-        Full node name or pattern → flat dotted parameters (values exactly representable: floats are written by
-        ``repr`` and come back bit for bit).
-    """
+    """Return the text of a parameter file."""
     document = {}
     for name, flat in nodes.items():
         tree: dict = {}

@@ -36,33 +36,18 @@ class HysteresisError(ValueError):
 
 @dataclass(frozen=True)
 class Problem:
-    """One thing wrong with one parameter.
+    """One thing wrong with one parameter."""
 
-    Parameters
-    ----------
-    name : str
-        Full dotted name of the parameter, e.g. ``hysteresis.polynomial.preload_force``.
-    value : object
-        What was given.
-    allowed : str
-        What is allowed, and what to do.
-    """
-
-    name: str
-    value: object
-    allowed: str
+    name: str  #: Full dotted name of the parameter, e.g. ``hysteresis.polynomial.preload_force``.
+    value: object  #: What was given.
+    allowed: str  #: What is allowed, and what to do.
 
     def __str__(self) -> str:
         return f"{self.name} = {shortened(self.value)}: {self.allowed}"
 
 
 def shortened(value: object) -> str:
-    """Return how a value is written, in its middle left out what no message has room for.
-
-    Parameters
-    ----------
-    value : object
-    """
+    """Return how a value is written, in its middle left out what no message has room for."""
     try:
         text = repr(value)
     except ValueError:  # Python writes no whole number of more than some thousand digits
@@ -72,13 +57,7 @@ def shortened(value: object) -> str:
 
 
 class ParameterError(HysteresisError):
-    """One or more parameters are unknown, missing, mistyped or out of range.
-
-    Parameters
-    ----------
-    problems : iterable of Problem
-        Everything that was found, so that a user mends a file in one go.
-    """
+    """One or more parameters are unknown, missing, mistyped or out of range."""
 
     def __init__(self, problems: Iterable[Problem]):
         self.problems = tuple(problems)
@@ -102,14 +81,6 @@ class LoopError(HysteresisError):
 
 
 def did_you_mean(name: object, known: Iterable[str]) -> str:
-    """Return the end of a message, ``; did you mean …?`` with the nearest of the known names; empty when none is near.
-
-    Parameters
-    ----------
-    name : object
-        What was given.
-    known : iterable of str
-        What there is.
-    """
+    """Return the end of a message, ``; did you mean …?`` with the nearest of the known names; empty when none is near."""
     close = difflib.get_close_matches(str(name), list(known), n=1)
     return f"; did you mean {close[0]}?" if close else ""

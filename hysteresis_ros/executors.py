@@ -42,13 +42,7 @@ LOOK = 1.0
 
 
 class Job(NamedTuple):
-    """A function of a module, and what it is called with; all of it can be pickled.
-
-    Parameters
-    ----------
-    function : callable
-    arguments : tuple
-    """
+    """A function of a module, and what it is called with; all of it can be pickled."""
 
     function: Callable
     arguments: tuple
@@ -62,62 +56,24 @@ class Job(NamedTuple):
 
 
 class Executor(ABC):
-    """Who does jobs.
-
-    Parameters
-    ----------
-    workers : int
-        Jobs that are done at the same time.
-    """
+    """Who does jobs."""
 
     def __init__(self, workers: int):
         self.workers = workers
 
     @abstractmethod
     def submit(self, job: Job) -> Future:
-        """Begin a job, and return what becomes of it: its outcome.
-
-        Parameters
-        ----------
-        job : Job
-        """
+        """Begin a job, and return what becomes of it: its outcome."""
 
     @abstractmethod
     def result(self, future: Future) -> tuple[Any, str]:
-        """Return the outcome of a job that has ended.
-
-        Parameters
-        ----------
-        future : Future
-
-        Raises
-        ------
-        HysteresisError
-            Who did it has ended by itself.
-        """
+        """Return the outcome of a job that has ended."""
 
     def require_alive(self) -> None:  # noqa: B027
-        """Refuse to wait for nobody; who is no process of others is always there.
-
-        Raises
-        ------
-        HysteresisError
-            Nobody is left to do the jobs.
-        """
+        """Refuse to wait for nobody; who is no process of others is always there."""
 
     def results(self, jobs: Iterable[Job]) -> Iterator[tuple[int, Any]]:
-        """Yield number and result of each job as it ends.
-
-        Parameters
-        ----------
-        jobs : iterable of Job
-            Taken one after the other, not more than are done soon.
-
-        Raises
-        ------
-        HysteresisError
-            A job did, in the same words; or a process ended by itself.
-        """
+        """Yield number and result of each job as it ends."""
         numbered = enumerate(jobs)
         waiting = {self.submit(job): number for number, job in itertools.islice(numbered, AHEAD * self.workers)}
         while waiting:
@@ -140,37 +96,17 @@ class InProcess(Executor):
         super().__init__(1)
 
     def submit(self, job: Job) -> Future:
-        """Do a job at once.
-
-        Parameters
-        ----------
-        job : Job
-        """
+        """Do a job at once."""
         future: Future = Future()
         future.set_result(job.outcome())
         return future
 
     def result(self, future: Future) -> tuple[Any, str]:
-        """Return the outcome of a job.
-
-        Parameters
-        ----------
-        future : Future
-        """
+        """Return the outcome of a job."""
         return future.result()
 
     def results(self, jobs: Iterable[Job]) -> Iterator[tuple[int, Any]]:
-        """Yield number and result of each job, one after the other.
-
-        Parameters
-        ----------
-        jobs : iterable of Job
-
-        Raises
-        ------
-        HysteresisError
-            A job did.
-        """
+        """Yield number and result of each job, one after the other."""
         for number, job in enumerate(jobs):
             yield number, job.function(*job.arguments)
 
@@ -180,13 +116,7 @@ THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 
 class Processes(Executor):
-    """A pool of processes.
-
-    Parameters
-    ----------
-    workers : int
-        How many.
-    """
+    """A pool of processes."""
 
     def __init__(self, workers: int):
         super().__init__(workers)
@@ -194,34 +124,14 @@ class Processes(Executor):
         self.pool = ProcessPoolExecutor(workers, context, initializer=_begin)
 
     def submit(self, job: Job) -> Future:
-        """Begin a job, and return what becomes of it.
-
-        Parameters
-        ----------
-        job : Job
-
-        Raises
-        ------
-        HysteresisError
-            A process has ended by itself.
-        """
+        """Begin a job, and return what becomes of it."""
         try:
             return self.pool.submit(job.outcome)
         except BrokenProcessPool:
             raise _ended() from None
 
     def result(self, future: Future) -> tuple[Any, str]:
-        """Return the outcome of a job that has ended.
-
-        Parameters
-        ----------
-        future : Future
-
-        Raises
-        ------
-        HysteresisError
-            A process has ended by itself.
-        """
+        """Return the outcome of a job that has ended."""
         try:
             return future.result()
         except BrokenProcessPool:
@@ -230,13 +140,7 @@ class Processes(Executor):
 
 @contextlib.contextmanager
 def processes(workers: int) -> Iterator[Processes]:
-    """Have processes as long as the block runs; what they still do at its end is broken off.
-
-    Parameters
-    ----------
-    workers : int
-        How many.
-    """
+    """Have processes as long as the block runs; what they still do at its end is broken off."""
     before = set(multiprocessing.active_children())
     found = Processes(workers)
     try:
@@ -302,15 +206,7 @@ EXTRA = 'needs the extra: pip install "hysteresis_ros[cluster]"'
 
 
 class Cluster(Executor):
-    """The workers of a scheduler.
-
-    Parameters
-    ----------
-    client : distributed.Client
-        Connected.
-    address : str
-        Of the scheduler, for messages.
-    """
+    """The workers of a scheduler."""
 
     def __init__(self, client, address: str):
         self.client, self.address = client, address
@@ -332,26 +228,11 @@ class Cluster(Executor):
         return HysteresisError(f"--scheduler {self.address}: the scheduler is gone; start it again, and repeat")
 
     def submit(self, job: Job) -> Future:
-        """Begin a job, and return what becomes of it.
-
-        Parameters
-        ----------
-        job : Job
-        """
+        """Begin a job, and return what becomes of it."""
         return self.pool.submit(job.outcome)
 
     def result(self, future: Future) -> tuple[object, str]:
-        """Return the outcome of a job that has ended.
-
-        Parameters
-        ----------
-        future : Future
-
-        Raises
-        ------
-        HysteresisError
-            Its workers have ended by themselves, or cannot do it.
-        """
+        """Return the outcome of a job that has ended."""
         try:
             return future.result()
         except CancelledError:
@@ -363,13 +244,7 @@ class Cluster(Executor):
             ) from None
 
     def require_alive(self) -> None:
-        """Refuse to wait for nobody.
-
-        Raises
-        ------
-        HysteresisError
-            The scheduler is gone, or has had no worker for :data:`PATIENCE` seconds.
-        """
+        """Refuse to wait for nobody."""
         if self.client.status not in ("running", "connecting"):
             raise self._gone()
         if self.client.status == "running" and self._threads():
@@ -383,18 +258,7 @@ class Cluster(Executor):
 
 @contextlib.contextmanager
 def cluster(address: str) -> Iterator[Cluster]:
-    """Have the workers of a scheduler, as long as the block runs.
-
-    Parameters
-    ----------
-    address : str
-        ``tcp://host:8786``.
-
-    Raises
-    ------
-    HysteresisError
-        It does not answer, or ``distributed`` is not installed.
-    """
+    """Have the workers of a scheduler, as long as the block runs."""
     try:
         from distributed import Client
     except ImportError:
@@ -426,21 +290,7 @@ WORTH = 10.0
 
 
 def shared(jobs: Sequence[Job], seconds: float, workers: int | None = None) -> list[Any]:
-    """Return the results of jobs, in their order.
-
-    Parameters
-    ----------
-    jobs : sequence of Job
-    seconds : float
-        About what they take together in one process.
-    workers : int, optional
-        Processes; by default as many as there are processors where that is worth their start.
-
-    Raises
-    ------
-    HysteresisError
-        A job did, or a process ended by itself.
-    """
+    """Return the results of jobs, in their order."""
     if workers is None and seconds < WORTH:
         workers = 1
     with executor(workers, jobs=len(jobs)) as found:
@@ -452,22 +302,7 @@ def shared(jobs: Sequence[Job], seconds: float, workers: int | None = None) -> l
 def executor(
     workers: int | None = None, scheduler: str | None = None, *, jobs: int | None = None
 ) -> Iterator[Executor]:
-    """Have somebody who does jobs, as long as the block runs.
-
-    Parameters
-    ----------
-    workers : int, optional
-        Processes of this machine; by default as many as it has processors. 1: none but this one.
-    scheduler : str, optional
-        Address of a Dask scheduler, whose workers do the jobs instead.
-    jobs : int, optional
-        How many there are: no more processes than that.
-
-    Raises
-    ------
-    HysteresisError
-        The scheduler does not answer, or what talks to it is not installed.
-    """
+    """Have somebody who does jobs, as long as the block runs."""
     if scheduler is not None:
         with cluster(scheduler) as found:
             yield found

@@ -38,22 +38,7 @@ REMEDY = "choose another place"
 
 @contextlib.contextmanager
 def replacing(path, error: type[HysteresisError], remedy: str = REMEDY) -> Iterator[pathlib.Path]:
-    """Yield the name of a file beside another one, whose place it takes when the block has ended without an error.
-
-    Parameters
-    ----------
-    path : path-like
-        The file that is to be there in the end; it is replaced as a whole.
-    error : type of HysteresisError
-        What is raised.
-    remedy : str
-        What to do when it cannot be written.
-
-    Raises
-    ------
-    HysteresisError
-        As ``error``: the file cannot be written. What stood in its place is untouched, and nothing is left beside it.
-    """
+    """Yield the name of a file beside another one, whose place it takes when the block has ended without an error."""
     path = pathlib.Path(path)
     beside = path.with_name(f".{path.name}.partial")
     try:
@@ -68,20 +53,7 @@ def replacing(path, error: type[HysteresisError], remedy: str = REMEDY) -> Itera
 
 
 def write_text(path, text: str, error: type[HysteresisError]) -> None:
-    """Write a text in UTF-8, whole or not at all.
-
-    Parameters
-    ----------
-    path : path-like
-    text : str
-    error : type of HysteresisError
-        What is raised.
-
-    Raises
-    ------
-    HysteresisError
-        As ``error``: the file cannot be written.
-    """
+    """Write a text in UTF-8, whole or not at all."""
     with replacing(path, error) as beside:
         beside.write_text(text, encoding="utf-8")
 
@@ -97,13 +69,7 @@ class ArchiveError(ValueError):
 
 
 class Head:
-    """What an array says of itself: its shape and type.
-
-    Parameters
-    ----------
-    stream : file
-        Of an NPY; what follows is the content.
-    """
+    """What an array says of itself: its shape and type."""
 
     def __init__(self, stream: IO[bytes]):
         version = np.lib.format.read_magic(stream)
@@ -116,17 +82,7 @@ class Head:
         return self.shape[0] if len(self.shape) == 1 and self.dtype.kind in "fiu" else None
 
     def require(self, size: int) -> None:
-        """Refuse what is not within a content of ``size`` bytes, or no plain numbers or texts.
-
-        Parameters
-        ----------
-        size : int
-
-        Raises
-        ------
-        ArchiveError
-            It is so.
-        """
+        """Refuse what is not within a content of ``size`` bytes, or no plain numbers or texts."""
         if self.dtype.kind not in KINDS:
             raise ArchiveError(f"holds an array of {self.dtype}, which is not read: neither numbers nor texts")
         count = math.prod(self.shape)
@@ -135,21 +91,7 @@ class Head:
 
 
 def read_arrays(path, wanted: Callable[[str], bool] = lambda name: True) -> dict[str, np.ndarray]:
-    """Return the arrays of an NPZ file by their names.
-
-    Parameters
-    ----------
-    path : path-like
-    wanted : callable
-        Which of them.
-
-    Raises
-    ------
-    ArchiveError
-        It is none, or holds something else.
-    OSError
-        It cannot be read.
-    """
+    """Return the arrays of an NPZ file by their names."""
     with _opened(path) as (file, members):
         found = {}
         for name, member in members.items():
@@ -162,19 +104,7 @@ def read_arrays(path, wanted: Callable[[str], bool] = lambda name: True) -> dict
 
 
 def read_heads(path) -> dict[str, Head]:
-    """Return the heads of the arrays of an NPZ file by their names; nothing else of them is read.
-
-    Parameters
-    ----------
-    path : path-like
-
-    Raises
-    ------
-    ArchiveError
-        It is none, or holds something else.
-    OSError
-        It cannot be read.
-    """
+    """Return the heads of the arrays of an NPZ file by their names; nothing else of them is read."""
     with _opened(path) as (file, members):
         found = {}
         for name, member in members.items():
@@ -184,19 +114,7 @@ def read_heads(path) -> dict[str, Head]:
 
 
 def read_array(path) -> np.ndarray:
-    """Return the array of an NPY file.
-
-    Parameters
-    ----------
-    path : path-like
-
-    Raises
-    ------
-    ArchiveError
-        It is none, or holds something else.
-    OSError
-        It cannot be read.
-    """
+    """Return the array of an NPY file."""
     with _named(), pathlib.Path(path).open("rb") as stream:
         Head(stream).require(pathlib.Path(path).stat().st_size)
         stream.seek(0)
@@ -252,20 +170,7 @@ class BoundsError(HysteresisError):
 
 
 def read_text(path) -> str:
-    """Return the text of a file in UTF-8.
-
-    Parameters
-    ----------
-    path : path-like
-        ``~`` stands for the home folder.
-
-    Raises
-    ------
-    BoundsError
-        It is larger than :data:`LARGEST`.
-    OSError, UnicodeDecodeError
-        It cannot be read.
-    """
+    """Return the text of a file in UTF-8."""
     with pathlib.Path(path).expanduser().open("rb") as stream:
         content = stream.read(LARGEST + 1)
     if len(content) > LARGEST:
@@ -274,21 +179,7 @@ def read_text(path) -> str:
 
 
 def read_yaml(text: str, loader: Any = FAST_LOADER, most: int = MOST_VALUES):
-    """Return what a YAML text holds, as plain values.
-
-    Parameters
-    ----------
-    text : str
-    loader : type
-        A safe loader.
-    most : int
-        Most values, mappings, lists and keys included.
-
-    Raises
-    ------
-    BoundsError
-        It is no YAML, has aliases, or is too large, too deep or too much.
-    """
+    """Return what a YAML text holds, as plain values."""
     if len(text) > LARGEST:
         raise BoundsError(f"is larger than {LARGEST // 2**20} MiB: no file of this kind is")
     try:
@@ -301,17 +192,7 @@ def read_yaml(text: str, loader: Any = FAST_LOADER, most: int = MOST_VALUES):
 
 
 def read_json(text: str):
-    """Return what a JSON text holds, as plain values.
-
-    Parameters
-    ----------
-    text : str
-
-    Raises
-    ------
-    BoundsError
-        It is no JSON, or too deep.
-    """
+    """Return what a JSON text holds, as plain values."""
     try:
         return json.loads(text)
     except (ValueError, RecursionError) as error:

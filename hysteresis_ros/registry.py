@@ -51,26 +51,7 @@ Declaration = TypeVar("Declaration", bound=Named)
 
 
 def discover(package: str, attribute: str, kind: type[Declaration], group: str) -> dict[str, Declaration]:
-    """Return what the modules of a package and the entry points of a group declare, by name, in alphabetical order.
-
-    Parameters
-    ----------
-    package : str
-        Dotted name of the package whose modules declare; it has begun to be imported. Modules whose names begin with
-        an underscore are passed over.
-    attribute : str
-        Name under which each module has its declaration.
-    kind : type
-        Class of the declarations; each has a ``name``.
-    group : str
-        Group of entry points, each naming a declaration: ``dahl = my_package.dahl:MODEL``. One that cannot be loaded,
-        declares something else or has a name that is taken is left out with a warning.
-
-    Raises
-    ------
-    TypeError
-        A module of the package has no such declaration, or two have the same name.
-    """
+    """Return what the modules of a package and the entry points of a group declare, by name, in alphabetical order."""
     found: dict[str, Declaration] = {}
     for item in pkgutil.iter_modules(sys.modules[package].__path__):
         if not item.name.startswith("_"):
@@ -80,15 +61,7 @@ def discover(package: str, attribute: str, kind: type[Declaration], group: str) 
 
 
 def added(found: dict[str, Declaration], kind: type[Declaration], group: str) -> dict[str, Declaration]:
-    """Return what is found and what the entry points of a group declare, by name, in alphabetical order.
-
-    Parameters
-    ----------
-    found : dict
-        What the package itself declares, by name.
-    kind, group
-        As for :func:`discover`, which also says what is left out.
-    """
+    """Return what is found and what the entry points of a group declare, by name, in alphabetical order."""
     found = dict(found)
     for entry in _entry_points(tuple(sys.path)).select(group=group):
         try:
@@ -142,26 +115,12 @@ class KeywordError(HysteresisError):
 
 
 def class_name(name: str) -> str:
-    """Return the name of the class for a name in a registry: ``bouc_wen`` → ``BoucWen``.
-
-    Parameters
-    ----------
-    name : str
-        Words with underscores between them.
-    """
+    """Return the name of the class for a name in a registry: ``bouc_wen`` → ``BoucWen``."""
     return "".join(word[:1].upper() + word[1:] for word in name.split("_"))
 
 
 def keywords_of(rows: Iterable[ParameterRow], own: tuple[str, ...] = ()) -> dict[str, ParameterRow]:
-    """Return the keyword of each parameter: the shortest end of its dotted name that no other one has.
-
-    Parameters
-    ----------
-    rows : iterable of ParameterRow
-        What can be given.
-    own : tuple of str
-        Groups whose parameters go without the group's name, also where another group has one of that name.
-    """
+    """Return the keyword of each parameter: the shortest end of its dotted name that no other one has."""
     rows = list(rows)
     found = {}
     for row in rows:
@@ -179,12 +138,7 @@ def keywords_of(rows: Iterable[ParameterRow], own: tuple[str, ...] = ()) -> dict
 
 
 def plain(value: Any) -> Any:
-    """Return a value as parameters hold it: arrays row by row as tuples, numbers of NumPy as those of Python.
-
-    Parameters
-    ----------
-    value : object
-    """
+    """Return a value as parameters hold it: arrays row by row as tuples, numbers of NumPy as those of Python."""
     if isinstance(value, (str, bytes)):
         return value
     if isinstance(value, np.generic):
@@ -201,28 +155,7 @@ def from_keywords(
     keywords: Mapping[str, ParameterRow],
     values: Mapping[str, Any],
 ) -> Parameters:
-    """Return checked parameters from keywords.
-
-    Parameters
-    ----------
-    owner : str
-        Name of what is built, for messages.
-    parameters : type
-        Dataclass of the parameters.
-    fixed : dict of str to object
-        Dotted names with values that no keyword gives.
-    keywords : dict of str to ParameterRow
-        From :func:`keywords_of`.
-    values : dict of str to object
-        Keyword → value.
-
-    Raises
-    ------
-    KeywordError
-        A keyword is unknown; the message names the nearest one.
-    ParameterError
-        A value is missing, mistyped or out of range.
-    """
+    """Return checked parameters from keywords."""
     flat = dict(fixed)
     whole = {row.name.replace(".", "__"): row for row in keywords.values()}
     for keyword, value in values.items():
@@ -235,19 +168,7 @@ def from_keywords(
 
 
 def samples(name: str, values: Any) -> np.ndarray:
-    """Return samples as float64, shape (N,).
-
-    Parameters
-    ----------
-    name : str
-        What they are, for messages.
-    values : array_like, shape (N,)
-
-    Raises
-    ------
-    HysteresisError
-        They are no numbers, or not one-dimensional.
-    """
+    """Return samples as float64, shape (N,)."""
     try:
         array = np.ascontiguousarray(values, dtype=np.float64)
     except (TypeError, ValueError):
@@ -258,15 +179,7 @@ def samples(name: str, values: Any) -> np.ndarray:
 
 
 def missing(parameters: type[Parameters], fixed: Mapping[str, Any]) -> frozenset[str]:
-    """Return the dotted names of the parameters that must be given; those of a choice not made need not.
-
-    Parameters
-    ----------
-    parameters : type
-        Dataclass of the parameters.
-    fixed : dict of str to object
-        Dotted names with values that are there already.
-    """
+    """Return the dotted names of the parameters that must be given; those of a choice not made need not."""
     try:
         parameters.from_mapping(fixed)
     except ParameterError as error:
@@ -275,15 +188,7 @@ def missing(parameters: type[Parameters], fixed: Mapping[str, Any]) -> frozenset
 
 
 def described(rows: Mapping[str, ParameterRow], required: frozenset[str]) -> str:
-    """Return the entries of a numpydoc section for parameters.
-
-    Parameters
-    ----------
-    rows : dict of str to ParameterRow
-        By keyword.
-    required : set of str
-        Dotted names of those that must be given.
-    """
+    """Return the entries of a numpydoc section for parameters."""
     entries = []
     for keyword, row in rows.items():
         kind = _PYTHON_NAMES[row.type_name]
@@ -309,17 +214,7 @@ _INDENT: dict[str, Any] = {"initial_indent": "    ", "subsequent_indent": "    "
 def signature_of(
     rows: Mapping[str, ParameterRow], required: frozenset[str], *before: inspect.Parameter
 ) -> inspect.Signature:
-    """Return the signature of a constructor with these keywords.
-
-    Parameters
-    ----------
-    rows : dict of str to ParameterRow
-        By keyword.
-    required : set of str
-        Dotted names of those that must be given: they have no default.
-    *before : inspect.Parameter
-        What stands in front.
-    """
+    """Return the signature of a constructor with these keywords."""
     keywords = [
         inspect.Parameter(
             keyword,
@@ -335,13 +230,7 @@ def signature_of(
 
 
 def law_of(block: type) -> str:
-    """Return the law of a block, for the docstring of a class: what the module says in which it is defined.
-
-    Parameters
-    ----------
-    block : type
-        Its module begins with a line on what it is, then come equations, and sections such as ``References``.
-    """
+    """Return the law of a block, for the docstring of a class: what the module says in which it is defined."""
     _, _, text = inspect.cleandoc(sys.modules[block.__module__].__doc__ or "").partition("\n\n")
     return f"\nNotes\n-----\n{text.strip()}\n" if text.strip() else ""
 
@@ -358,29 +247,7 @@ def block_class(
     hidden: Callable[[str], bool] = lambda name: False,
     law: type | None = None,
 ) -> type:
-    """Return a class whose constructor takes the parameters of a block as keywords.
-
-    Parameters
-    ----------
-    name : str
-        Name of the class.
-    bases : tuple of type
-        What is added, and the block.
-    parameters : type
-        Dataclass of the parameters.
-    module : str
-        Where users find the class.
-    summary : str
-        One line.
-    fixed : dict of str to object, optional
-        Dotted names with values that the class decides.
-    own : tuple of str
-        Groups whose parameters need no group's name.
-    hidden : callable
-        ``hidden(name)`` tells of a dotted name that it does not concern the class.
-    law : type, optional
-        Block whose module says what the law is.
-    """
+    """Return a class whose constructor takes the parameters of a block as keywords."""
     decided = dict(fixed or {})
     rows = keywords_of((row for row in parameters.table() if row.name not in decided and not hidden(row.name)), own)
     required = missing(parameters, decided)
@@ -419,20 +286,7 @@ KeywordError
 
 
 def find(classes: Mapping[str, type], name: str, module: str) -> type:
-    """Return a class by its name, for a module's ``__getattr__``.
-
-    Parameters
-    ----------
-    classes : dict of str to type
-    name : str
-    module : str
-        Of whose attributes this is one.
-
-    Raises
-    ------
-    AttributeError
-        There is none; the message names the nearest one.
-    """
+    """Return a class by its name, for a module's ``__getattr__``."""
     if name.startswith("_") or name not in classes:
         near = did_you_mean(name, classes)
         raise AttributeError(f"module {module!r} has no attribute {name!r}{near}")

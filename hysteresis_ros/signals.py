@@ -26,34 +26,17 @@ USER = "user"
 
 @dataclass(frozen=True)
 class Signal:
-    """One signal of an axis.
+    """One signal of an axis."""
 
-    Parameters
-    ----------
-    name : str
-        Column of recordings.
-    unit : str
-        SI unit; ``1`` for counts, codes and what is in a model's own units.
-    writer : str
-        Node whose part of the loop writes it, or ``user``. What ``reference_generator`` writes, the
-        ``inchworm_sequencer`` of a motor writes instead.
-    description : str
-        What it is.
-    state : tuple of (str, str)
-        Nodes in whose ``~/state`` it stands, and its name there.
-    topic : str
-        Float64 topic that carries it, if any.
-    motor : bool
-        Only an inchworm motor has it.
-    """
-
-    name: str
-    unit: str
+    name: str  #: Column of recordings.
+    unit: str  #: SI unit; ``1`` for counts, codes and what is in a model's own units.
+    #: Node whose part of the loop writes it, or ``user``. What ``reference_generator`` writes, the
+    #: ``inchworm_sequencer`` of a motor writes instead.
     writer: str
-    description: str
-    state: tuple[tuple[str, str], ...] = ()
-    topic: str = ""
-    motor: bool = False
+    description: str  #: What it is.
+    state: tuple[tuple[str, str], ...] = ()  #: Nodes in whose ``~/state`` it stands, and its name there.
+    topic: str = ""  #: Float64 topic that carries it, if any.
+    motor: bool = False  #: Only an inchworm motor has it.
 
 
 def _at(*nodes: str, name: str):
@@ -263,13 +246,7 @@ def row_signals(motor: bool) -> tuple[Signal, ...]:
 
 
 def place(name: str) -> int:
-    """Return the place of a signal in a row.
-
-    Raises
-    ------
-    KeyError
-        There is no such signal.
-    """
+    """Return the place of a signal in a row."""
     return _PLACES[name]
 
 

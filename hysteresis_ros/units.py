@@ -89,11 +89,6 @@ def conversion(unit: str) -> tuple[str, float] | None:
     """Return SI unit of a unit and the number of them in one SI unit; None where the unit is unknown.
 
     ``10um/V`` is a sensitivity: what stands in the column is in V, and 1 V is 10 µm.
-
-    Parameters
-    ----------
-    unit : str
-        A key of :data:`UNITS`, a word for one, or a sensitivity.
     """
     unit = unit.strip()
     unit = WORDS.get(unit.lower(), unit)
@@ -110,18 +105,7 @@ def conversion(unit: str) -> tuple[str, float] | None:
 
 
 def quantity(text: str) -> tuple[float, str]:
-    """Return a number with its unit, as people write it, in SI, and the SI unit; the unit is empty where none stands.
-
-    Parameters
-    ----------
-    text : str
-        ``70um``, ``5 Hz``, ``-1e-6``.
-
-    Raises
-    ------
-    ValueError
-        It is no finite number, or the unit is unknown; the text says which.
-    """
+    """Return a number with its unit, as people write it, in SI, and the SI unit; the unit is empty where none stands."""
     parts = _QUANTITY.match(text)
     value = float(parts["number"]) if parts else math.nan
     if parts is None or not math.isfinite(value):
@@ -139,18 +123,6 @@ def quantity_in(text: str, unit: str) -> float:
 
     A length needs its unit, because 60 may be 60 µm or 60 nm to the person who writes it and would be 60 m here. Other
     numbers without a unit are in SI.
-
-    Parameters
-    ----------
-    text : str
-        ``70um``, ``2 kHz``, ``0``.
-    unit : str
-        SI unit; empty where there is none.
-
-    Raises
-    ------
-    ValueError
-        The text is no finite number, has another unit, or is a length without one; the message says which.
     """
     value, given = quantity(text)
     if not given and unit == "m" and value != 0.0:
@@ -164,15 +136,7 @@ def quantity_in(text: str, unit: str) -> float:
 
 
 def readable(value: float, unit: str) -> str:
-    """Return a number for people: four digits and the part of the unit that leaves few zeros, as ``0.2148 µm``.
-
-    Parameters
-    ----------
-    value : float
-        In SI.
-    unit : str
-        SI unit; lengths from a tenth of a micrometre to a millimetre are in µm, below in nm.
-    """
+    """Return a number for people: four digits and the part of the unit that leaves few zeros, as ``0.2148 µm``."""
     if unit == "m":
         size = abs(value)
         if 0.0 < size < FINE * 1e-6:

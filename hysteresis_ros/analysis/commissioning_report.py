@@ -29,13 +29,7 @@ COLOURS = ("#1f3b73", "#d1495b", "#2a9d8f", "#6a4c93")
 
 @dataclass(frozen=True)
 class Line:
-    """A line of a picture.
-
-    Parameters
-    ----------
-    label : str
-    x, y : list of float
-    """
+    """A line of a picture."""
 
     label: str
     x: list[float]
@@ -44,35 +38,18 @@ class Line:
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture of lines.
+    """A picture of lines."""
 
-    Parameters
-    ----------
-    caption, across, up : str
-        Its caption and the labels of its axes, with units.
-    lines : list of Line
-    logarithmic : str
-        Which axes are logarithmic: ``x``, ``y``, both or none of them.
-    equal : bool
-        Whether both axes have one scale.
-    """
-
-    caption: str
+    caption: str  #: caption, across, up: Its caption and the labels of its axes, with units.
     across: str
     up: str
     lines: list[Line]
-    logarithmic: str = ""
-    equal: bool = False
+    logarithmic: str = ""  #: Which axes are logarithmic: ``x``, ``y``, both or none of them.
+    equal: bool = False  #: Whether both axes have one scale.
 
 
 def line(label: str, x, y) -> Line:
-    """Return a line for a picture, thinned to :data:`POINTS`.
-
-    Parameters
-    ----------
-    label : str
-    x, y : array_like, shape (N,)
-    """
+    """Return a line for a picture, thinned to :data:`POINTS`."""
     x, y = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
     finite = np.isfinite(x) & np.isfinite(y)
     x, y = x[finite], y[finite]
@@ -83,12 +60,7 @@ def line(label: str, x, y) -> Line:
 
 
 def picture_figure(picture: Picture):
-    """Return the figure of a picture.
-
-    Parameters
-    ----------
-    picture : Picture
-    """
+    """Return the figure of a picture."""
     figure, (axis,) = new_figure(5.0 if picture.equal else 3.4)
     for number, one in enumerate(picture.lines):
         width = 1.8 if number == 0 and len(picture.lines) > 1 else 1.0
@@ -113,26 +85,7 @@ class Found(Protocol):
 
 
 def write_commissioning_report(path, source: str, found: Mapping[str, Found], titles: Mapping[str, str]) -> None:
-    """Write the page: one HTML file that needs nothing beside it.
-
-    Parameters
-    ----------
-    path : path-like
-        HTML file.
-    source : str
-        The parameter file that was commissioned.
-    found : mapping of str to Found
-        By the names of the stages, in their order.
-    titles : mapping of str to str
-        A few words for each stage.
-
-    Raises
-    ------
-    MissingExtraError
-        Matplotlib or Jinja2 is not installed.
-    RecordingError
-        The file cannot be written.
-    """
+    """Write the page: one HTML file that needs nothing beside it."""
     stages = [
         dict(
             name=name,

@@ -31,11 +31,7 @@ def opening_of_stroke(run: Recording) -> float:
 def moved_part(run: Recording, before: float, after: float) -> Recording:
     """Return the part of a run in which setpoints came; its time begins at zero.
 
-    Parameters
-    ----------
-    run : Recording
-    before, after : float
-        How much of it is kept before the first setpoint and after the last one [s]; nothing after somebody stopped it.
+    Units: ``before`` [s], ``after`` [s].
     """
     starts = np.flatnonzero(np.diff(run["setpoint"])) + 1
     begin = max(int(starts[0]) - round(before / run.sample_time), 0)
@@ -46,18 +42,7 @@ def moved_part(run: Recording, before: float, after: float) -> Recording:
 
 
 def message(here, alone, skipped, live: bool) -> list[str]:
-    """Return what the demonstration shows, in sentences: what the method leaves, then what this machine made of it.
-
-    Parameters
-    ----------
-    here, alone : (float, float)
-        Opening of the loop without and with the inverse, as parts of the stroke: as recorded, and of the offline twin
-        that misses no deadline.
-    skipped : (float, float)
-        Samples that this machine skipped in both runs, in % of all.
-    live : bool
-        The runs were in real time.
-    """
+    """Return what the demonstration shows, in sentences: what the method leaves, then what this machine made of it."""
     without, inverse = (f"{100.0 * part:.2g} %" for part in alone)
     said = [
         f"The loop is open by {without} of the stroke without the inverse of the hysteresis, by {inverse} with it: "
@@ -78,18 +63,6 @@ def inverse_figure(without: Recording, with_inverse: Recording, *here: Recording
     """Return the figure of displacement over reference, and of the error over reference, of both runs [µm].
 
     The first branch is left out: it starts at rest and belongs to no loop.
-
-    Parameters
-    ----------
-    without, with_inverse : Recording
-        Open-loop runs of one triangle, with two of its cycles or more, without a missed deadline.
-    *here : Recording
-        The same two as this machine made them: each sample that it skipped is marked.
-
-    Raises
-    ------
-    MissingExtraError
-        Matplotlib is not installed.
     """
     figure, (loop, error) = new_figure(4.4, 2)
     marked = False

@@ -47,21 +47,7 @@ ROWS = (
 
 
 def write_identification_report(path, found: Identified) -> None:
-    """Write the page of an identification: one HTML file that needs nothing beside it.
-
-    Parameters
-    ----------
-    path : path-like
-        HTML file.
-    found : Identified
-
-    Raises
-    ------
-    MissingExtraError
-        Matplotlib or Jinja2 is not installed.
-    RecordingError
-        The file cannot be written.
-    """
+    """Write the page of an identification: one HTML file that needs nothing beside it."""
     plots, result = _plots(found), found.identification
     if result.trajectory is not None:
         plots.append(("Parameters of the best run, each over its final value", trajectory_figure(*result.trajectory)))
@@ -70,15 +56,7 @@ def write_identification_report(path, found: Identified) -> None:
 
 
 def write_validation_report(path, found: Compared) -> None:
-    """Write the page of a validation, like :func:`write_identification_report`.
-
-    Raises
-    ------
-    MissingExtraError
-        Matplotlib or Jinja2 is not installed.
-    RecordingError
-        The file cannot be written.
-    """
+    """Write the page of a validation, like :func:`write_identification_report`."""
     title = f"{found.plant.hysteresis.type} validated on {found.data.source or 'a recording'}"
     _write(path, title, found, _plots(found), ())
 
@@ -192,13 +170,7 @@ def inverse_figure(data: IdentificationData, inverse: InverseValidation):
 
 
 def trajectory_figure(names, values):
-    """Return the figure of the parameters over the iterations, each divided by its final value.
-
-    Parameters
-    ----------
-    names : tuple of str
-    values : ndarray, shape (K, n)
-    """
+    """Return the figure of the parameters over the iterations, each divided by its final value."""
     figure, (axis,) = new_figure(3.0)
     values = np.asarray(values)
     for name, column in zip(names, values.T, strict=True):

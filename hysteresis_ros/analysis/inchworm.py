@@ -38,31 +38,16 @@ TOLERANCE = 10.0e-9
 
 @dataclass(frozen=True)
 class Steps:
-    """The steps of a run, in their order.
+    """The steps of a run, in their order."""
 
-    Parameters
-    ----------
-    index : array of int, shape (S,)
-        Sample at which each was judged.
-    time : array, shape (S,)
-        Its time [s].
-    direction : array, shape (S,)
-        +1 forward, -1 backward.
-    commanded, achieved : array, shape (S,)
-        Lengths [m], negative backward; ``achieved`` by the measured slider.
-    slip : array, shape (S,)
-        Extension less movement of the slider along it [m].
-    missed : array of bool, shape (S,)
-        Whether the sequencer counted it as missed.
-    """
-
-    index: np.ndarray
-    time: np.ndarray
-    direction: np.ndarray
+    index: np.ndarray  #: shape (S,); Sample at which each was judged.
+    time: np.ndarray  #: shape (S,); Its time [s].
+    direction: np.ndarray  #: shape (S,); +1 forward, -1 backward.
+    #: commanded, achieved: shape (S,); Lengths [m], negative backward; ``achieved`` by the measured slider.
     commanded: np.ndarray
     achieved: np.ndarray
-    slip: np.ndarray
-    missed: np.ndarray
+    slip: np.ndarray  #: shape (S,); Extension less movement of the slider along it [m].
+    missed: np.ndarray  #: shape (S,); Whether the sequencer counted it as missed.
 
     @property
     def extension(self) -> np.ndarray:
@@ -77,56 +62,31 @@ class Steps:
 
 @dataclass(frozen=True)
 class Move:
-    """Stretch of a run in which one thing was asked for.
+    """Stretch of a run in which one thing was asked for."""
 
-    Parameters
-    ----------
-    first, last : int
-        Samples ``first`` ≤ k < ``last``.
-    kind : str
-        ``move`` to a goal, ``walk`` (continuously), ``stop``, ``release`` or ``hold`` (after walking).
-    goal : float or None
-        Where to [m]; None where nobody asked for a place.
-    arrival : int or None
-        Sample from which on the sequencer says that it has arrived, to the end; None when it does not.
-    """
-
-    first: int
+    first: int  #: first, last: Samples ``first`` ≤ k < ``last``.
     last: int
-    kind: str
-    goal: float | None
+    kind: str  #: ``move`` to a goal, ``walk`` (continuously), ``stop``, ``release`` or ``hold`` (after walking).
+    goal: float | None  #: Where to [m]; None where nobody asked for a place.
+    #: Sample from which on the sequencer says that it has arrived, to the end; None when it does not.
     arrival: int | None
 
 
 @dataclass(frozen=True)
 class InchwormRun:
-    """An inchworm's run made ready: samples that lack a signal are left out.
+    """An inchworm's run made ready: samples that lack a signal are left out."""
 
-    Parameters
-    ----------
-    time, setpoint, slider : array, shape (N,)
-        [s], [m], and the true displacement of the slider, or the measured one where nobody knows the true one [m].
-    signals : dict of str to array, shape (N,)
-        All signals.
-    steps : Steps
-    moves : tuple of Move
-    gait : GaitParameters or None
-        Of the configuration.
-    tolerance : float
-        Distance at which the motor has arrived [m].
-    notes : tuple of str
-        What a reader must know.
-    """
-
+    #: time, setpoint, slider: shape (N,) [s], [m], and the true displacement of the slider, or the measured one where
+    #: nobody knows the true one [m].
     time: np.ndarray
     setpoint: np.ndarray
     slider: np.ndarray
-    signals: dict
+    signals: dict  #: shape (N,); All signals.
     steps: Steps
     moves: tuple
-    gait: object
-    tolerance: float
-    notes: tuple
+    gait: object  #: Of the configuration.
+    tolerance: float  #: Distance at which the motor has arrived [m].
+    notes: tuple  #: What a reader must know.
 
 
 def is_inchworm(recording: Recording) -> bool:
@@ -137,19 +97,7 @@ def is_inchworm(recording: Recording) -> bool:
 
 
 def inchworm_run(recording: Recording, settings: InchwormSequencerParameters | None = None) -> InchwormRun:
-    """Find steps and moves in a recording.
-
-    Parameters
-    ----------
-    recording : Recording
-    settings : InchwormSequencerParameters, optional
-        What its configuration says, for who knows it already.
-
-    Raises
-    ------
-    RecordingError
-        Signals are missing; the message names them.
-    """
+    """Find steps and moves in a recording."""
     actual = "displacement" if recording.has("displacement") else "measured"
     absent = [name for name in ("setpoint", actual, *REQUIRED) if not recording.has(name)]
     if absent:
@@ -191,16 +139,7 @@ def find_moves(signals, slider, tolerance: float, home: float | None = None) -> 
 
     The beginning of a run, before anything was asked for, is a move when the slider is not at the setpoint already.
 
-    Parameters
-    ----------
-    signals : dict of str to array, shape (N,)
-        ``setpoint`` and ``arrived``; ``request`` and ``speed`` where they were recorded.
-    slider : array, shape (N,)
-        Displacement [m].
-    tolerance : float
-        Distance from the setpoint at which the slider is there [m].
-    home : float, optional
-        Where a request for home goes [m]; the setpoint by default.
+    Units: ``slider`` [m], ``tolerance`` [m], ``home`` [m].
     """
     setpoint, size = signals["setpoint"], len(slider)
     request = np.nan_to_num(signals.get("request", np.zeros(size)))
@@ -331,34 +270,12 @@ def inchworm_figures(recording: Recording) -> dict:
     lowest: never below ``clamp_threshold_v``), ``clamp_force_n`` (the same with the normal forces), and
     ``gait_speed_m_s``, ``stroke_m``, ``period_s`` of the configuration. The rest is as in
     :func:`hysteresis_ros.analysis.metrics.compute_metrics`; its ``reference`` is the extender's.
-
-    Parameters
-    ----------
-    recording : Recording
-        See :data:`hysteresis_ros.analysis.inchworm.REQUIRED`.
-
-    Returns
-    -------
-    dict
-        ``moves`` (list of dict), ``run`` (dict), the figures of :data:`COMMON`, and ``notes``; what JSON can hold.
-
-    Raises
-    ------
-    RecordingError
-        Signals are missing; the message names them.
     """
     return figures_of(inchworm_run(recording), recording)
 
 
 def figures_of(run: InchwormRun, recording: Recording) -> dict:
-    """Return what :func:`inchworm_figures` does of a run whose moves are found already.
-
-    Parameters
-    ----------
-    run : InchwormRun
-    recording : Recording
-        In which they were found.
-    """
+    """Return what :func:`inchworm_figures` does of a run whose moves are found already."""
     notes: dict = {"recording": list(run.notes)}
     common = dict.fromkeys(COMMON)
     reference = run.signals.get("reference", run.setpoint)

@@ -227,12 +227,7 @@ INCHWORM_PLOTS = (
 
 
 def inchworm_charts(run: InchwormRun) -> list[Chart]:
-    """Return the charts over time into which one can look: position, final error, voltages.
-
-    Parameters
-    ----------
-    run : InchwormRun
-    """
+    """Return the charts over time into which one can look: position, final error, voltages."""
     captions = {name: caption for name, caption, _ in IN_THE_PLACE}
     away = np.full(len(run.time), np.nan)
     for move in run.moves:
@@ -333,22 +328,7 @@ def _span(values) -> tuple[float, float]:
 
 
 def render_inchworm_report(recording: Recording, title: str, figures: dict | None = None) -> str:
-    """Return the report as HTML: a table of moves, figures of the run, plots, notes and configuration.
-
-    Parameters
-    ----------
-    recording : Recording
-        The run.
-    title : str
-        Heading, such as the name of the bag.
-    figures : dict, optional
-        What :func:`hysteresis_ros.analysis.inchworm.inchworm_figures` gave, when it is known already.
-
-    Raises
-    ------
-    HysteresisError
-        Matplotlib or Jinja2 is missing, or the recording lacks signals; the message says which.
-    """
+    """Return the report as HTML: a table of moves, figures of the run, plots, notes and configuration."""
     figures = figures or inchworm_figures(recording)
     run = inchworm_run(recording)
     begin, end = float(run.time[0]), float(run.time[-1])
@@ -384,11 +364,5 @@ def render_inchworm_report(recording: Recording, title: str, figures: dict | Non
 
 
 def write_inchworm_report(recording: Recording, path, title: str, figures: dict | None = None) -> None:
-    """Write the report; see :func:`render_inchworm_report`.
-
-    Raises
-    ------
-    RecordingError
-        The file cannot be written.
-    """
+    """Write the report; see :func:`render_inchworm_report`."""
     write_page(path, render_inchworm_report(recording, title, figures))

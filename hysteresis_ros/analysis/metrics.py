@@ -39,22 +39,13 @@ from hysteresis_ros.signals import MODE_STALE, MODE_TRIPPED
 
 @dataclass(frozen=True)
 class AxisSettings:
-    """Settings that matter for judging a run.
+    """Settings that matter for judging a run."""
 
-    Parameters
-    ----------
-    voltage_minimum, voltage_maximum : float or None
-        Limits of the compensator, or of the plant where those are not given [V].
-    offset : float
-        Preload offset W of the controller's model, which is not part of the reference [m].
-    preview : int
-        Samples that the recorded reference is ahead of what the controller follows.
-    """
-
+    #: voltage_minimum, voltage_maximum: Limits of the compensator, or of the plant where those are not given [V].
     voltage_minimum: float | None = None
     voltage_maximum: float | None = None
-    offset: float = 0.0
-    preview: int = 0
+    offset: float = 0.0  #: Preload offset W of the controller's model, which is not part of the reference [m].
+    preview: int = 0  #: Samples that the recorded reference is ahead of what the controller follows.
 
 
 def axis_settings(recording: Recording) -> AxisSettings:
@@ -79,13 +70,6 @@ def judged_reference(recording: Recording, preview: int | None = None) -> np.nda
 
     With a preview of P samples that is the recorded one P samples later. What came before the recording is taken to
     be its first reference; where the sample to look back to is missing, or left out of an excerpt, NaN.
-
-    Parameters
-    ----------
-    recording : Recording
-        Needs ``reference``.
-    preview : int, optional
-        What its configuration says, for who knows it already.
     """
     reference, preview = recording["reference"], axis_settings(recording).preview if preview is None else preview
     if not preview or len(reference) < 2:
@@ -101,12 +85,7 @@ def judged_reference(recording: Recording, preview: int | None = None) -> np.nda
 def delayed(reference, preview: int) -> np.ndarray:
     """Return the reference to be followed at each sample when the one received is ``preview`` samples ahead.
 
-    Parameters
-    ----------
-    reference : array, shape (N,)
-        As received [m], no sample missing; before it, its first value.
-    preview : int
-        Samples.
+    Units: ``reference`` [m].
     """
     if preview == 0:
         return reference
@@ -234,25 +213,6 @@ def compute_metrics(recording: Recording, settings: AxisSettings | None = None, 
                                             its reference repeats ``periods`` and ``period_s``
     ``notes``                               dict: figure → why it is None or how to read it; ``recording`` → list
     ======================================= ==========================================================================
-
-    Parameters
-    ----------
-    recording : Recording
-        Needs ``displacement`` (or ``measured``).
-    settings : AxisSettings, optional
-        What its configuration says, where that is known already.
-    parts : bool
-        Judge the parts of the run one by one too.
-
-    Returns
-    -------
-    dict
-        float, int or None for each figure, ``parts`` and ``notes``; everything JSON can hold.
-
-    Raises
-    ------
-    RecordingError
-        The displacement is missing altogether, or never there together with the reference.
     """
     notes: dict = {"recording": recording.notes}
     actual = actual_name(recording)
@@ -330,17 +290,7 @@ def _judge(figures, parts, time, reference, displacement, judged, recording, not
 
 
 def actual_name(recording: Recording) -> str:
-    """Return the signal by which a run is judged: the true displacement, or the measured one without a true one.
-
-    Parameters
-    ----------
-    recording : Recording
-
-    Raises
-    ------
-    RecordingError
-        There is neither.
-    """
+    """Return the signal by which a run is judged: the true displacement, or the measured one without a true one."""
     if recording.has("displacement"):
         return "displacement"
     if recording.has("measured"):
@@ -388,12 +338,7 @@ def _error_figures(time, reference, displacement, start, stroke, notes) -> dict:
 def error_figures(error, stroke: float) -> dict[str, float]:
     """Return rms and largest error as :func:`compute_metrics` defines them; those of no stroke are left out.
 
-    Parameters
-    ----------
-    error : array, shape (N,)
-        [m].
-    stroke : float
-        Of the reference [m].
+    Units: ``error`` [m], ``stroke`` [m].
     """
     size = np.abs(error)
     figures = {"rms_error_m": float(np.sqrt(np.mean(size**2))), "max_error_m": float(np.max(size))}
@@ -406,10 +351,7 @@ def error_figures(error, stroke: float) -> dict[str, float]:
 def absolute_integral(time, error) -> float:
     """Return the integral of the absolute error [m s], by trapezoids.
 
-    Parameters
-    ----------
-    time, error : array, shape (N,)
-        [s], [m].
+    Units: ``time`` [s], ``error`` [s].
     """
     size = np.abs(error)
     return float(np.sum(0.5 * np.diff(time) * (size[1:] + size[:-1])))
@@ -456,18 +398,7 @@ def _signals(recording, good):
 def chattering_figures(time, reference, command, voltage, notes: dict | None = None) -> dict:
     """Return chattering of the command and effort of the voltage as :func:`compute_metrics` defines them.
 
-    Parameters
-    ----------
-    time, reference : array, shape (N,)
-        [s], [m].
-    command, voltage : array, shape (N,), or None
-        [m], [V]; samples that are not finite are left out.
-    notes : dict, optional
-        Receives figure → why it is missing.
-
-    Returns
-    -------
-    dict of str to float
+    Units: ``time`` [s], ``reference`` [s], ``command`` [m], ``voltage`` [m].
     """
     figures: dict = {}
     missing = {} if notes is None else notes
@@ -516,18 +447,7 @@ def _saturated(recording: Recording, notes: dict) -> float | None:
 
 
 def sampling_figures(recording: Recording, notes: dict) -> dict:
-    """Return samples, duration, rate and jitter as :func:`compute_metrics` defines them.
-
-    Parameters
-    ----------
-    recording : Recording
-    notes : dict
-        Receives figure → why it is missing or how to read it.
-
-    Returns
-    -------
-    dict
-    """
+    """Return samples, duration, rate and jitter as :func:`compute_metrics` defines them."""
     figures: dict = {
         "samples": len(recording),
         "missing_samples": int(recording.metadata.get("missing_samples", 0)),
@@ -568,12 +488,7 @@ MOMENT, SHARE = 0.1, 0.01
 
 
 def limited_text(recording: Recording) -> str:
-    """Return for which part of a run the output was limited, and by what; empty: for no more than a moment.
-
-    Parameters
-    ----------
-    recording : Recording
-    """
+    """Return for which part of a run the output was limited, and by what; empty: for no more than a moment."""
     if not recording.has("saturated") or len(recording) < 2:
         return ""
     cut = recording["saturated"] > 0.0

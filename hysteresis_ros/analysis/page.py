@@ -31,13 +31,7 @@ PAGES = (".html", ".htm")
 
 
 def render_page(template: str, **values) -> str:
-    """Return the page that a template of this package gives with ``values``.
-
-    Raises
-    ------
-    MissingExtraError
-        Jinja2 is not installed.
-    """
+    """Return the page that a template of this package gives with ``values``."""
     try:
         import jinja2
     except ImportError:
@@ -52,13 +46,7 @@ def render_page(template: str, **values) -> str:
 
 
 def asset(name: str) -> str:
-    """Return the text of a file that pages carry in themselves.
-
-    Parameters
-    ----------
-    name : str
-        In ``analysis/assets``.
-    """
+    """Return the text of a file that pages carry in themselves."""
     return (resources.files("hysteresis_ros.analysis") / "assets" / name).read_text(encoding="utf-8")
 
 
@@ -68,12 +56,7 @@ def _date(seconds: float) -> str:
 
 
 def origin(recording: Recording) -> str:
-    """Return where a run comes from: its axis, what it is stored in, and when it was recorded.
-
-    Parameters
-    ----------
-    recording : Recording
-    """
+    """Return where a run comes from: its axis, what it is stored in, and when it was recorded."""
     said = [
         f"Axis in namespace {recording.metadata.get('namespace') or '/'}",
         str(recording.metadata.get("source", "")),
@@ -93,20 +76,7 @@ def require_page(path) -> None:
 
 
 def write_page(path, html: str) -> None:
-    """Write a page whole or not at all.
-
-    Parameters
-    ----------
-    path : path-like
-        HTML file.
-    html : str
-        What :func:`render_page` gave.
-
-    Raises
-    ------
-    RecordingError
-        The file cannot be written, or its name is not that of a page.
-    """
+    """Write a page whole or not at all."""
     require_page(path)
     write_text(path, html, RecordingError)
 
@@ -116,32 +86,12 @@ TIME_POINTS, LINE_POINTS = 12000, 4000
 
 
 def packed(values, kind: str = "<f4") -> str:
-    """Return an array as text, base64 of little-endian floats.
-
-    Parameters
-    ----------
-    values : array_like, shape (N,)
-    kind : str
-        ``<f4``: 7 digits, or ``<f8``.
-    """
+    """Return an array as text, base64 of little-endian floats."""
     return base64.b64encode(np.ascontiguousarray(values, dtype=kind).tobytes()).decode("ascii")
 
 
 def chart_payload(charts: Sequence[Chart], points: int = TIME_POINTS) -> dict:
-    """Return charts for the page: those over time on one thinned time axis, each other line with its own x.
-
-    Parameters
-    ----------
-    charts : sequence of Chart
-        Those of kind ``time`` are over the same instants.
-    points : int
-        Of the time axis; other lines have a third.
-
-    Returns
-    -------
-    dict
-        ``time`` (text, ``<f8``), ``samples`` (of a block; 1: all of them) and ``charts``; what JSON can hold.
-    """
+    """Return charts for the page: those over time on one thinned time axis, each other line with its own x."""
     over_time = [line for chart in charts if chart.kind == "time" for line in chart.lines]
     # nobody sees more than 7 digits of a value, but instants may be far from 0
     time, columns, size = thin(over_time[0].x, [line.y for line in over_time], points) if over_time else ([], [], 1)
@@ -182,11 +132,6 @@ def _chart(chart: Chart, columns, points: int) -> dict:
 
 
 def script_text(payload: dict) -> str:
-    """Return JSON that may stand in a script element: nothing in it can end the element.
-
-    Parameters
-    ----------
-    payload : dict
-    """
+    """Return JSON that may stand in a script element: nothing in it can end the element."""
     text = json.dumps(payload, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
     return text.replace("<", "\\u003c").replace("\u2028", "\\u2028").replace("\u2029", "\\u2029")

@@ -56,31 +56,17 @@ class Hold:
 
 @dataclass(frozen=True)
 class StepResponse:
-    """The answer to one step.
+    """The answer to one step."""
 
-    Parameters
-    ----------
-    start : float
-        Time at which the reference began to move [s].
-    size : float
-        Height of the step in the reference, signed [m].
-    final : float
-        Value finally reached: mean displacement over the last tenth of the hold [m].
-    overshoot : float
-        Farthest displacement beyond ``final`` in the direction of the step, as a part of ``|size|``; at least 0.
-    settling_time : float or None
-        Time from ``start`` until the displacement stays within 2 % of ``|size|`` around ``final``; None when it
-        has not settled before the last tenth of the hold.
-    steady_state_error : float
-        ``reference - final`` [m].
-    """
-
-    start: float
-    size: float
-    final: float
+    start: float  #: Time at which the reference began to move [s].
+    size: float  #: Height of the step in the reference, signed [m].
+    final: float  #: Value finally reached: mean displacement over the last tenth of the hold [m].
+    #: Farthest displacement beyond ``final`` in the direction of the step, as a part of ``|size|``; at least 0.
     overshoot: float
+    #: Time from ``start`` until the displacement stays within 2 % of ``|size|`` around ``final``; None when it has not
+    #: settled before the last tenth of the hold.
     settling_time: float | None
-    steady_state_error: float
+    steady_state_error: float  #: ``reference - final`` [m].
 
 
 def find_holds(reference) -> list[Hold]:
@@ -101,10 +87,7 @@ def scan_start(reference, displacement) -> int:
     the scan is followed. It is a jump when the error then is larger than any after the first reversal. Steps from hold
     to hold are what is judged there: all of them count.
 
-    Parameters
-    ----------
-    reference, displacement : array, shape (N,)
-        [m], finite.
+    Units: ``reference`` [m], ``displacement`` [m].
     """
     points = turning_points(reference, REVERSAL)
     if len(points) < 3 or len(find_holds(reference)) > 1:
@@ -121,10 +104,7 @@ def step_responses(time, reference, displacement) -> list[StepResponse]:
 
     A step may be a jump or a limited move; its time counts from the last sample of the hold before.
 
-    Parameters
-    ----------
-    time, reference, displacement : array, shape (N,)
-        [s], [m], [m].
+    Units: ``time`` [s], ``reference`` [s], ``displacement`` [s].
     """
     holds = [hold for hold in find_holds(reference) if np.isfinite(hold.level)]
     responses = []
@@ -252,14 +232,7 @@ def _stopped_by_changes(recording: Recording) -> np.ndarray:
 def find_parts(reference, displacement=None, off=None) -> list[Part]:
     """Return the parts of a run in their order; together they are all of it.
 
-    Parameters
-    ----------
-    reference : array, shape (N,)
-        What the axis is judged by [m], finite.
-    displacement : array, shape (N,), optional
-        [m], finite; with it a jump into a scan is an approach.
-    off : array of bool, shape (N,), optional
-        Where the axis is stopped, see :func:`stopped`.
+    Units: ``reference`` [m], ``displacement`` [m].
     """
     reference = np.asarray(reference, dtype=np.float64)
     off = np.zeros(reference.size, dtype=bool) if off is None else off
@@ -448,20 +421,7 @@ def step_figures(time, reference, displacement) -> dict:
 
 
 def seconds(text: str, option: str) -> float:
-    """Return an instant of the run [s].
-
-    Parameters
-    ----------
-    text : str
-        A number in seconds, or with its unit.
-    option : str
-        Where it stands, for the message.
-
-    Raises
-    ------
-    RecordingError
-        It is none.
-    """
+    """Return an instant of the run [s]."""
     try:
         value, unit = quantity(text)
         if unit not in ("", "s") or value < 0.0:
@@ -474,16 +434,7 @@ def seconds(text: str, option: str) -> float:
 def within(recording: Recording, first: float, last: float) -> Recording:
     """Return the samples from one instant to another.
 
-    Parameters
-    ----------
-    recording : Recording
-    first, last : float
-        [s] since the first sample; both belong to it.
-
-    Raises
-    ------
-    RecordingError
-        There are fewer than two samples.
+    Units: ``first`` [s], ``last`` [s].
     """
     time = recording.time - recording.time[0]
     chosen = (time >= first - 1e-9) & (time <= last + 1e-9)
@@ -505,10 +456,6 @@ def period_ends(recording: Recording) -> np.ndarray:
     """Return the instants at which whole periods of the reference end, the last first, shape (P + 1,) [s].
 
     They are those of the longest part of the run that repeats, since the first sample. Empty when nothing does.
-
-    Parameters
-    ----------
-    recording : Recording
     """
     time, reference = recording.time - recording.time[0], recording["reference"]
     finite = np.flatnonzero(np.isfinite(reference))
@@ -518,19 +465,7 @@ def period_ends(recording: Recording) -> np.ndarray:
 
 
 def last_periods(recording: Recording, count: int) -> Recording:
-    """Return the last periods of a reference that repeats, up to its last reversal and no rest after it.
-
-    Parameters
-    ----------
-    recording : Recording
-    count : int
-        Number of periods.
-
-    Raises
-    ------
-    RecordingError
-        The reference does not repeat, or not so often.
-    """
+    """Return the last periods of a reference that repeats, up to its last reversal and no rest after it."""
     ends = period_ends(recording)
     if not ends.size:
         raise RecordingError("--last-periods: the reference does not repeat; choose a part with --range or --skip")

@@ -39,13 +39,7 @@ class MissingExtraError(HysteresisError):
 
 
 def new_figure(height: float, columns: int = 1, rows: int = 1):
-    """Return a figure of ``height`` inches without a display, and its axes row by row, shape (rows · columns,).
-
-    Raises
-    ------
-    MissingExtraError
-        Matplotlib is not installed.
-    """
+    """Return a figure of ``height`` inches without a display, and its axes row by row, shape (rows · columns,)."""
     try:
         from matplotlib.backends.backend_agg import FigureCanvasAgg
         from matplotlib.figure import Figure
@@ -62,19 +56,7 @@ def new_figure(height: float, columns: int = 1, rows: int = 1):
 
 
 def envelope(time, values, points: int = LINE_POINTS):
-    """Return ``time`` and ``values`` thinned so that no peak is lost: minimum and maximum of each interval.
-
-    Parameters
-    ----------
-    time, values : array, shape (N,)
-        A signal; NaN breaks the line where a whole interval is NaN.
-    points : int
-        About as many points are returned; shorter signals come back unchanged.
-
-    Returns
-    -------
-    time, values : array, shape (M,)
-    """
+    """Return ``time`` and ``values`` thinned so that no peak is lost: minimum and maximum of each interval."""
     intervals = points // 2
     size = values.size // intervals
     if size < 2:
@@ -96,10 +78,7 @@ def envelope(time, values, points: int = LINE_POINTS):
 def length_unit(largest: float) -> tuple[str, float]:
     """Return in which unit lengths are drawn, and how many of it are in a metre: nm where all of them are small.
 
-    Parameters
-    ----------
-    largest : float
-        [m]
+    Units: ``largest`` [m].
     """
     return ("nm", 1e9) if 0.0 < largest * _MICRO < FINE else ("µm", _MICRO)
 
@@ -141,78 +120,39 @@ PATH_POINTS = 20000
 
 @dataclass(frozen=True)
 class Line:
-    """A line of a chart.
-
-    Parameters
-    ----------
-    label : str
-    colour : str
-        Of :data:`COLOURS`.
-    x, y : array, shape (N,)
-        In the units of the chart; NaN breaks the line.
-    width : float
-        [points]
-    dash : tuple of float
-        Lengths of strokes and gaps; empty: none.
-    key : array, shape (N,), optional
-        Of a path: time of each point [s], by which the page shows a part of it.
-    """
+    """A line of a chart."""
 
     label: str
-    colour: str
-    x: np.ndarray
+    colour: str  #: Of :data:`COLOURS`.
+    x: np.ndarray  #: x, y: shape (N,); In the units of the chart; NaN breaks the line.
     y: np.ndarray
-    width: float = 1.2
-    dash: tuple[float, ...] = ()
+    width: float = 1.2  #: [points]
+    dash: tuple[float, ...] = ()  #: Lengths of strokes and gaps; empty: none.
+    #: shape (N,); Of a path: time of each point [s], by which the page shows a part of it.
     key: np.ndarray | None = None
 
 
 @dataclass(frozen=True)
 class Chart:
-    """A chart.
+    """A chart."""
 
-    Parameters
-    ----------
-    name : str
-        Of the chart among those of a page.
-    caption, across, up : str
-        Its caption and the labels of its axes, with units.
-    lines : sequence of Line
-    kind : str
-        ``time``: x is the time of the run [s], shared by all such charts; ``overlay``: the same of lines that have
-        instants of their own; ``graph``: x increases along each line;
-        ``path``: x goes to and fro; ``steps``: x are the left edges of bars.
-    logarithmic : str
-        Which axes are logarithmic: ``x``, ``y``, both or none of them.
-    levels : sequence of float
-        Horizontal lines, such as limits.
-    level_label : str
-        What these are.
-    shaded : tuple of float, optional
-        From where to where the chart is grey, and :attr:`shaded_label` why.
-    shaded_label : str
-    limits : tuple of float, optional
-        Ends of the vertical axis; by default those of the lines.
-    note : str
-        A sentence below the chart.
-    height : float
-        Of the picture [inches].
-    """
-
-    name: str
-    caption: str
+    name: str  #: Of the chart among those of a page.
+    caption: str  #: caption, across, up: Its caption and the labels of its axes, with units.
     across: str
     up: str
     lines: Sequence[Line]
+    #: ``time``: x is the time of the run [s], shared by all such charts; ``overlay``: the same of lines that have
+    #: instants of their own; ``graph``: x increases along each line; ``path``: x goes to and fro; ``steps``: x are the
+    #: left edges of bars.
     kind: str = "time"
-    logarithmic: str = ""
-    levels: Sequence[float] = ()
-    level_label: str = ""
-    shaded: tuple[float, float] | None = None
+    logarithmic: str = ""  #: Which axes are logarithmic: ``x``, ``y``, both or none of them.
+    levels: Sequence[float] = ()  #: Horizontal lines, such as limits.
+    level_label: str = ""  #: What these are.
+    shaded: tuple[float, float] | None = None  #: From where to where the chart is grey, and :attr:`shaded_label` why.
     shaded_label: str = ""
-    limits: tuple[float, float] | None = None
-    note: str = ""
-    height: float = 2.8
+    limits: tuple[float, float] | None = None  #: Ends of the vertical axis; by default those of the lines.
+    note: str = ""  #: A sentence below the chart.
+    height: float = 2.8  #: Of the picture [inches].
 
 
 def thin(time, columns: Sequence[np.ndarray], points: int) -> tuple[np.ndarray, list[np.ndarray], int]:
@@ -221,21 +161,7 @@ def thin(time, columns: Sequence[np.ndarray], points: int) -> tuple[np.ndarray, 
     In each block a column has its lowest and its highest value, in the order in which they came; the two instants are
     those of the block's first and middle sample, so that a peak stands at most a block from its true place.
 
-    Parameters
-    ----------
-    time : array, shape (N,)
-        [s]
-    columns : sequence of array, shape (N,)
-        NaN where a block has no value.
-    points : int
-        Most points that are returned; shorter columns come back unchanged.
-
-    Returns
-    -------
-    time : array, shape (M,)
-    columns : list of array, shape (M,)
-    size : int
-        Samples of a block; 1: every sample is there.
+    Units: ``time`` [s].
     """
     if time.size <= points:
         return time, list(columns), 1
@@ -260,14 +186,7 @@ def thin(time, columns: Sequence[np.ndarray], points: int) -> tuple[np.ndarray, 
 
 
 def thin_path(line: Line, points: int) -> Line:
-    """Return a path with the extremes in both directions of each block of its points, and the block's first point.
-
-    Parameters
-    ----------
-    line : Line
-    points : int
-        Most points that are returned.
-    """
+    """Return a path with the extremes in both directions of each block of its points, and the block's first point."""
     there = np.flatnonzero(np.isfinite(line.x) & np.isfinite(line.y))
     if there.size > points:
         blocks = max(1, points // 5)
@@ -285,12 +204,7 @@ def thin_path(line: Line, points: int) -> Line:
 
 
 def chart_figure(chart: Chart):
-    """Return the picture of a chart (Matplotlib).
-
-    Parameters
-    ----------
-    chart : Chart
-    """
+    """Return the picture of a chart (Matplotlib)."""
     figure, (axis,) = new_figure(chart.height)
     if chart.shaded is not None:
         axis.axvspan(*chart.shaded, color=COLOURS["setpoint"][0], alpha=0.25, label=chart.shaded_label, linewidth=0)

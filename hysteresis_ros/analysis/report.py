@@ -66,19 +66,7 @@ ADDED = (
 
 
 def columns_of(recording: Recording, figures: dict) -> list[tuple[str, float, float, dict]]:
-    """Return the spans whose figures stand in the page's table: the whole run, its longest parts, and last periods.
-
-    Parameters
-    ----------
-    recording : Recording
-    figures : dict
-        Of the whole run.
-
-    Returns
-    -------
-    list of (str, float, float, dict)
-        Name, first and last instant [s] and figures of each span.
-    """
+    """Return the spans whose figures stand in the page's table: the whole run, its longest parts, and last periods."""
     time = recording.time
     found = [("whole run", float(time[0]), float(time[-1]), figures)]
     # a part that is all of the run has its column
@@ -118,17 +106,6 @@ def block_sums(run: Judged, blocks: int = BLOCKS) -> dict[str, np.ndarray]:
     ``flags``, ``cut``     samples that say whether limits cut them, and those that were cut
     ``late``, ``skipped``  latest beginning [s], skipped samples
     ====================== ================================================================================
-
-    Parameters
-    ----------
-    run : Judged
-    blocks : int
-        Most blocks.
-
-    Returns
-    -------
-    dict of str to array, shape (B,)
-        Those that the recording allows.
     """
     recording, time = run.recording, run.recording.time
     size = -(-time.size // blocks)
@@ -199,22 +176,12 @@ LARGEST = 2_000_000
 
 
 def charts_of(run: Judged) -> list[Chart]:
-    """Return the charts that there are of a run.
-
-    Parameters
-    ----------
-    run : Judged
-    """
+    """Return the charts that there are of a run."""
     return [chart for make in CHARTS if (chart := make(run)) is not None]
 
 
 def sampling_text(recording: Recording) -> str:
-    """Return at which instants a run is judged, in a sentence.
-
-    Parameters
-    ----------
-    recording : Recording
-    """
+    """Return at which instants a run is judged, in a sentence."""
     if len(recording) < 2:
         return "Judged at a single sample."
     limited = limited_text(recording)
@@ -235,14 +202,7 @@ def _samples_per_voltage(recording: Recording) -> int:
 
 
 def drawn(charts: Sequence[Chart], figures: dict) -> list[dict]:
-    """Return the charts as a template shows them where no script runs: name, caption, picture and note.
-
-    Parameters
-    ----------
-    charts : sequence of Chart
-    figures : dict
-        Name of a chart → the figure that is its picture, where it is not drawn from the chart.
-    """
+    """Return the charts as a template shows them where no script runs: name, caption, picture and note."""
     return [
         dict(
             name=chart.name,
@@ -257,19 +217,7 @@ def drawn(charts: Sequence[Chart], figures: dict) -> list[dict]:
 def render_interactive(
     template: str, charts: Sequence[Chart], about: dict, figures: dict | None = None, **values
 ) -> str:
-    """Return a page with charts, no larger than :data:`LARGEST` where that can be had by coarser charts.
-
-    Parameters
-    ----------
-    template : str
-    charts : sequence of Chart
-    about : dict
-        What the page's script needs beside the charts; what JSON can hold.
-    figures : dict, optional
-        See :func:`drawn`.
-    **values
-        For the template.
-    """
+    """Return a page with charts, no larger than :data:`LARGEST` where that can be had by coarser charts."""
     pictures = drawn(charts, figures or {})
     points, html = TIME_POINTS, ""
     while not html or (len(html.encode("utf-8")) > LARGEST and points > TIME_POINTS // 32):
@@ -290,24 +238,7 @@ def render_interactive(
 def render_report(
     recording: Recording, title: str, figures: dict | None = None, first: Sequence[tuple[str, str]] = ()
 ) -> str:
-    """Return the report as HTML: table of figures, charts, notes and configuration.
-
-    Parameters
-    ----------
-    recording : Recording
-        The run.
-    title : str
-        Heading, such as the name of the bag.
-    figures : dict, optional
-        What :func:`hysteresis_ros.analysis.metrics.compute_metrics` gave, when it is known already.
-    first : sequence of (str, str)
-        Further pictures before those of the run: caption, and :func:`hysteresis_ros.analysis.plots.data_uri`.
-
-    Raises
-    ------
-    HysteresisError
-        Matplotlib or Jinja2 is missing (the message says how to install them), or there is nothing to judge.
-    """
+    """Return the report as HTML: table of figures, charts, notes and configuration."""
     figures = figures or compute_metrics(recording)
     run = judged(recording)
     spans = columns_of(recording, figures)
@@ -337,38 +268,14 @@ def render_report(
 
 
 def packed_sums(run: Judged, blocks: int = BLOCKS) -> dict[str, str]:
-    """Return the sums over blocks of a run as a page holds them.
-
-    Parameters
-    ----------
-    run : Judged
-    blocks : int
-        Most blocks.
-    """
+    """Return the sums over blocks of a run as a page holds them."""
     return {name: packed(values, "<f8") for name, values in block_sums(run, blocks).items()}
 
 
 def write_report(
     recording: Recording, path, title: str, figures: dict | None = None, first: Sequence[tuple[str, str]] = ()
 ) -> None:
-    """Write the report; the other parameters are those of :func:`render_report`.
-
-    Parameters
-    ----------
-    recording : Recording
-    path : path-like
-        HTML file.
-    title : str
-    figures : dict, optional
-    first : sequence of (str, str)
-
-    Raises
-    ------
-    MissingExtraError
-        Jinja2 is not installed.
-    RecordingError
-        There is nothing to judge, or the file cannot be written.
-    """
+    """Write the report; the other parameters are those of :func:`render_report`."""
     # before a second of drawing
     require_page(path)
     write_page(path, render_report(recording, title, figures, first))

@@ -42,17 +42,7 @@ class Shown(Protocol):
 
 
 def response_figures(found: Shown) -> list[tuple[str, object]]:
-    """Return captions and figures: Bode of the plant, and of a loop sensitivities and Nyquist.
-
-    Parameters
-    ----------
-    found : Shown
-
-    Raises
-    ------
-    MissingExtraError
-        Matplotlib is not installed.
-    """
+    """Return captions and figures: Bode of the plant, and of a loop sensitivities and Nyquist."""
     figure, axes = new_figure(6.4 if found.plant.response.coherence is None else 8.0, rows=_rows(found))
     _bode(axes, found)
     figures = [("Frequency response", figure)]
@@ -67,17 +57,7 @@ def response_figures(found: Shown) -> list[tuple[str, object]]:
 
 
 def require_picture(path) -> None:
-    """Refuse a name that is not that of a picture, or whose folder is not there.
-
-    Parameters
-    ----------
-    path : path-like
-
-    Raises
-    ------
-    RecordingError
-        It is none.
-    """
+    """Refuse a name that is not that of a picture, or whose folder is not there."""
     path = pathlib.Path(path)
     if path.suffix.lower() != ".png":
         raise RecordingError(f"{path}: unknown kind of picture '{path.suffix}'; give the name of a .png file")
@@ -86,19 +66,7 @@ def require_picture(path) -> None:
 
 
 def write_response_picture(path, found: Shown) -> None:
-    """Write all plots as one picture.
-
-    Parameters
-    ----------
-    path : path-like
-        ``.png``.
-    found : Shown
-
-    Raises
-    ------
-    RecordingError
-        The file cannot be written, or its name is not that of a picture.
-    """
+    """Write all plots as one picture."""
     require_picture(path)
     rows = _rows(found)
     looped = found.loop is not None
@@ -113,20 +81,7 @@ def write_response_picture(path, found: Shown) -> None:
 
 
 def write_response_report(path, title: str, found: Shown) -> None:
-    """Write the page: one HTML file that needs nothing beside it.
-
-    Parameters
-    ----------
-    path : path-like
-        ``.html``.
-    title : str
-    found : Shown
-
-    Raises
-    ------
-    RecordingError
-        The file cannot be written, or its name is not that of a page.
-    """
+    """Write the page: one HTML file that needs nothing beside it."""
     plots = [dict(caption=caption, source=data_uri(figure)) for caption, figure in response_figures(found)]
     write_page(path, render_page("response.html.j2", title=title, lines=found.lines(), plots=plots))
 

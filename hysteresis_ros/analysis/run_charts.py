@@ -36,10 +36,6 @@ def period_errors(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
 
     Both are empty where nothing was learned, or fewer than three periods long. Without a true displacement the measured
     one counts.
-
-    Parameters
-    ----------
-    recording : Recording
     """
     given = configured(recording.configuration, "motion_controller", recording.metadata.get("namespace") or "")
     nothing = np.zeros(0), np.zeros(0)
@@ -60,30 +56,17 @@ _MICRO = 1e6
 
 @dataclass(frozen=True)
 class Judged:
-    """A run as it is judged.
-
-    Parameters
-    ----------
-    recording : Recording
-    settings : AxisSettings
-    displacement : array, shape (N,)
-        True, or measured, less the preload offset [m].
-    reference, error : array, shape (N,), or None
-        What the displacement is judged by, and reference - displacement [m], NaN where the axis is stopped; None: the
-        recording has no reference.
-    start : int
-        First sample whose error counts.
-    unit : tuple of (str, float)
-        Unit in which errors are drawn, and how many of it are in a metre.
-    """
+    """A run as it is judged."""
 
     recording: Recording
     settings: AxisSettings
-    displacement: np.ndarray
+    displacement: np.ndarray  #: shape (N,); True, or measured, less the preload offset [m].
+    #: reference, error: shape (N,); What the displacement is judged by, and reference - displacement [m], NaN where
+    #: the axis is stopped; None: the recording has no reference.
     reference: np.ndarray | None
     error: np.ndarray | None
-    start: int
-    unit: tuple[str, float] = ("µm", _MICRO)
+    start: int  #: First sample whose error counts.
+    unit: tuple[str, float] = ("µm", _MICRO)  #: Unit in which errors are drawn, and how many of it are in a metre.
 
     @property
     def counted(self) -> np.ndarray:
@@ -92,17 +75,7 @@ class Judged:
 
 
 def judged(recording: Recording) -> Judged:
-    """Return a run as it is judged.
-
-    Parameters
-    ----------
-    recording : Recording
-
-    Raises
-    ------
-    RecordingError
-        There is neither a displacement nor a measurement.
-    """
+    """Return a run as it is judged."""
     settings = axis_settings(recording)
     displacement = recording[actual_name(recording)] - settings.offset
     if not recording.has("reference"):
@@ -118,22 +91,12 @@ def judged(recording: Recording) -> Judged:
 
 
 def largest_error(run: Judged) -> float:
-    """Return the largest error that counts [m]; 0 where there is none.
-
-    Parameters
-    ----------
-    run : Judged
-    """
+    """Return the largest error that counts [m]; 0 where there is none."""
     return 0.0 if run.error is None else float(np.max(np.abs(run.error[run.counted]), initial=0.0))
 
 
 def traces_chart(run: Judged) -> Chart:
-    """Return the chart of setpoint, reference (as late as judged), displacement and estimate over time [µm, s].
-
-    Parameters
-    ----------
-    run : Judged
-    """
+    """Return the chart of setpoint, reference (as late as judged), displacement and estimate over time [µm, s]."""
     recording, preview = run.recording, run.settings.preview
     styles = {
         "setpoint": dict(dash=(4.0, 3.0), width=1.1),
@@ -155,12 +118,7 @@ def traces_chart(run: Judged) -> Chart:
 
 
 def error_chart(run: Judged) -> Chart | None:
-    """Return the chart of reference - displacement over time [µm or nm, s]; None without a reference.
-
-    Parameters
-    ----------
-    run : Judged
-    """
+    """Return the chart of reference - displacement over time [µm or nm, s]; None without a reference."""
     if run.error is None or not np.any(run.counted):
         return None
     (unit, factor), time = run.unit, run.recording.time
@@ -179,10 +137,6 @@ def loops_chart(run: Judged) -> Chart | None:
     """Return the chart of the loop before compensation (over voltage) on top of that after it (over reference) [µm, %].
 
     A voltage that does not go to and fro has no loop and is not drawn; None when nothing does.
-
-    Parameters
-    ----------
-    run : Judged
     """
     recording, voltage = run.recording, run.recording.run_columns()["voltage"]
     inputs = [("before compensation, over the voltage", "voltage", voltage, "V", 1.0)]
@@ -209,12 +163,7 @@ def loops_chart(run: Judged) -> Chart | None:
 
 
 def voltage_chart(run: Judged) -> Chart | None:
-    """Return the chart of the voltage over time with the limits of the configuration [V, s]; None without a voltage.
-
-    Parameters
-    ----------
-    run : Judged
-    """
+    """Return the chart of the voltage over time with the limits of the configuration [V, s]; None without a voltage."""
     if not run.recording.has("voltage"):
         return None
     line = Line("voltage", "voltage", run.recording.time, run.recording["voltage"], 1.0)
@@ -226,12 +175,7 @@ def voltage_chart(run: Judged) -> Chart | None:
 
 
 def adaptation_chart(run: Judged) -> Chart | None:
-    """Return the chart of the gain of an inverse that adapts over time; None: it does not.
-
-    Parameters
-    ----------
-    run : Judged
-    """
+    """Return the chart of the gain of an inverse that adapts over time; None: it does not."""
     recording = run.recording
     if not recording.has("adaptation") or not np.any(np.nan_to_num(recording["adaptation"])):
         return None
@@ -245,12 +189,7 @@ def adaptation_chart(run: Judged) -> Chart | None:
 
 
 def learned_chart(run: Judged) -> Chart | None:
-    """Return the chart of the error of each period [µm or nm] over time [s]; None where nothing was learned.
-
-    Parameters
-    ----------
-    run : Judged
-    """
+    """Return the chart of the error of each period [µm or nm] over time [s]; None where nothing was learned."""
     ends, errors = period_errors(run.recording)
     if not ends.size:
         return None
@@ -261,12 +200,7 @@ def learned_chart(run: Judged) -> Chart | None:
 
 
 def lateness_chart(run: Judged) -> Chart | None:
-    """Return the chart of how late each sample began over time [µs, s]; None where nobody noted it.
-
-    Parameters
-    ----------
-    run : Judged
-    """
+    """Return the chart of how late each sample began over time [µs, s]; None where nobody noted it."""
     if not run.recording.has("lateness"):
         return None
     line = Line("lateness", "late", run.recording.time, run.recording["lateness"] * _MICRO, 0.9)
@@ -274,12 +208,7 @@ def lateness_chart(run: Judged) -> Chart | None:
 
 
 def late_samples_chart(run: Judged) -> Chart | None:
-    """Return the chart of the part of the samples that began later than so much [µs]; None where nobody noted it.
-
-    Parameters
-    ----------
-    run : Judged
-    """
+    """Return the chart of the part of the samples that began later than so much [µs]; None where nobody noted it."""
     if not run.recording.has("lateness"):
         return None
     late = np.sort(_finite(run.recording["lateness"]))[::-1] * _MICRO
@@ -315,21 +244,7 @@ def amplitude_spectrum(time, values, sample_time: float) -> tuple[np.ndarray, np
     The mean of each segment is left out; the density is one-sided: its square summed over all lines times their
     distance is the variance. Missing samples are replaced by a straight line between their neighbours.
 
-    Parameters
-    ----------
-    time : array, shape (N,)
-        [s]
-    values : array, shape (N,)
-        Finite [m].
-    sample_time : float
-        [s]
-
-    Returns
-    -------
-    frequency : array, shape (F,)
-        [Hz], above 0.
-    density : array, shape (F,)
-        [m/√Hz]
+    Units: ``time`` [s], ``values`` [m], ``sample_time`` [s].
     """
     grid = np.arange(round((time[-1] - time[0]) / sample_time) + 1) * sample_time + time[0]
     even = values if grid.size == values.size else np.interp(grid, time, values)
@@ -339,12 +254,7 @@ def amplitude_spectrum(time, values, sample_time: float) -> tuple[np.ndarray, np
 
 
 def spectrum_chart(run: Judged) -> Chart | None:
-    """Return the chart of the spectrum of the error [nm/√Hz, Hz]; None without an error, or with too few samples.
-
-    Parameters
-    ----------
-    run : Judged
-    """
+    """Return the chart of the spectrum of the error [nm/√Hz, Hz]; None without an error, or with too few samples."""
     if run.error is None or np.count_nonzero(run.counted) < LEAST_SAMPLES:
         return None
     error = run.error[run.counted]
@@ -371,12 +281,7 @@ def spectrum_chart(run: Judged) -> Chart | None:
 
 
 def histogram_chart(run: Judged) -> Chart | None:
-    """Return the chart of the histogram of the error beside a normal distribution [%, nm or µm].
-
-    Parameters
-    ----------
-    run : Judged
-    """
+    """Return the chart of the histogram of the error beside a normal distribution [%, nm or µm]."""
     if run.error is None or not np.any(run.counted):
         return None
     unit, factor = run.unit
@@ -406,12 +311,7 @@ def histogram_chart(run: Judged) -> Chart | None:
 
 
 def last_periods_chart(run: Judged) -> Chart | None:
-    """Return the chart of the error in the last periods on top of each other [nm]; None where nothing repeats.
-
-    Parameters
-    ----------
-    run : Judged
-    """
+    """Return the chart of the error in the last periods on top of each other [nm]; None where nothing repeats."""
     if run.error is None:
         return None
     time = run.recording.time - run.recording.time[0]
@@ -439,11 +339,7 @@ def last_periods_chart(run: Judged) -> Chart | None:
 def last_branches(recording: Recording, reference) -> tuple[slice, slice] | None:
     """Return the samples of the last two branches of a reference; None when it does not go to and fro.
 
-    Parameters
-    ----------
-    recording : Recording
-    reference : array, shape (N,)
-        [m]; NaN where it is missing.
+    Units: ``reference`` [m].
     """
     finite = np.flatnonzero(np.isfinite(reference))
     points = finite[turning_points(reference[finite], REVERSAL)] if finite.size else finite
@@ -457,12 +353,7 @@ def last_branches(recording: Recording, reference) -> tuple[slice, slice] | None
 
 
 def trace_retrace_chart(run: Judged) -> Chart | None:
-    """Return the chart of the error of trace and retrace over the reference [nm, µm]; None where there are none.
-
-    Parameters
-    ----------
-    run : Judged
-    """
+    """Return the chart of the error of trace and retrace over the reference [nm, µm]; None where there are none."""
     branches = None if run.error is None else last_branches(run.recording, run.reference)
     if branches is None:
         return None

@@ -47,37 +47,13 @@ OVERLAID = {
 
 
 def compare_runs(runs: dict[str, Recording]) -> dict[str, dict]:
-    """Return the figures of merit of each run.
-
-    Parameters
-    ----------
-    runs : dict of str to Recording
-        Label and run.
-
-    Raises
-    ------
-    RecordingError
-        A run cannot be judged (the message begins with its label), or they have nothing in common.
-    """
+    """Return the figures of merit of each run."""
     require_common({name: _there(run) for name, run in runs.items()})
     return figures_of_each(runs, compute_metrics)
 
 
 def figures_of_each(runs: dict[str, Recording], figures: Callable[[Recording], dict]) -> dict[str, dict]:
-    """Return the figures of each run.
-
-    Parameters
-    ----------
-    runs : dict of str to Recording
-        Label and run.
-    figures : callable
-        ``figures(run)``
-
-    Raises
-    ------
-    RecordingError
-        A run cannot be judged; the message begins with its label.
-    """
+    """Return the figures of each run."""
     found = {}
     for name, run in runs.items():
         try:
@@ -93,18 +69,7 @@ def _there(run: Recording) -> set[str]:
 
 
 def require_common(signals: dict[str, set[str]]) -> set[str]:
-    """Return the signals that all runs have.
-
-    Parameters
-    ----------
-    signals : dict of str to set of str
-        Name of each run and what it has.
-
-    Raises
-    ------
-    RecordingError
-        There is none; the message says what each run has.
-    """
+    """Return the signals that all runs have."""
     common = set.intersection(*signals.values())
     if not common:
         said = "; ".join(f"{name} has {', '.join(sorted(there)) or 'nothing'}" for name, there in signals.items())
@@ -113,41 +78,21 @@ def require_common(signals: dict[str, set[str]]) -> set[str]:
 
 
 def format_runs(figures: dict[str, dict]) -> str:
-    """Return the figures of several runs as aligned lines for a terminal.
-
-    Parameters
-    ----------
-    figures : dict of str to dict
-        Label and figures of each run.
-    """
+    """Return the figures of several runs as aligned lines for a terminal."""
     parts = [line for name, one in figures.items() for line in format_parts(one, name)]
     columns = list(figures.values())
     return "\n".join([*parts, format_rows(figures, table_of(columns, leading(columns)))])
 
 
 def format_rows(figures: dict[str, dict], rows: list[dict]) -> str:
-    """Return a table of several runs as aligned lines for a terminal, and what is noted of each run.
-
-    Parameters
-    ----------
-    figures : dict of str to dict
-        Label and figures of each run.
-    rows : list of dict
-        Of :func:`hysteresis_ros.analysis.tables.table_of`.
-    """
+    """Return a table of several runs as aligned lines for a terminal, and what is noted of each run."""
     lines = [("Run", list(figures), ""), *((row["label"], row["cells"], row["shown_unit"]) for row in rows)]
     notes = [f"note: {name}: {note}" for name, one in figures.items() for note in one["notes"]["recording"]]
     return "\n".join([*aligned(lines), *notes])
 
 
 def overlaid(runs: dict[str, Judged]) -> list[Chart]:
-    """Return the charts of several runs laid over each other, each from its first sample on.
-
-    Parameters
-    ----------
-    runs : dict of str to Judged
-        Label and run.
-    """
+    """Return the charts of several runs laid over each other, each from its first sample on."""
     unit = length_unit(max(largest_error(run) for run in runs.values()))
     charts: dict[str, list[tuple[str, str, Chart]]] = {}
     for number, (label, run) in enumerate(runs.items()):
@@ -196,12 +141,7 @@ def _alike(line: Line, other: Line) -> bool:
 
 
 def configurations(runs: dict[str, Recording]) -> list[tuple[str, str]]:
-    """Return headings and texts: the configuration of the first run, and in what those of the others differ.
-
-    Parameters
-    ----------
-    runs : dict of str to Recording
-    """
+    """Return headings and texts: the configuration of the first run, and in what those of the others differ."""
     (first, base), *others = [(name, run.configuration) for name, run in runs.items()]
     texts = [(f"Configuration of {first}", base)] if base else []
     for name, text in others:
@@ -214,22 +154,7 @@ def configurations(runs: dict[str, Recording]) -> list[tuple[str, str]]:
 
 
 def render_side_by_side(runs: dict[str, Recording], title: str, figures: dict[str, dict] | None = None) -> str:
-    """Return the page of several runs: table of figures, charts laid over each other, configurations.
-
-    Parameters
-    ----------
-    runs : dict of str to Recording
-        Label and run.
-    title : str
-        Heading.
-    figures : dict of str to dict, optional
-        What :func:`compare_runs` gave, when it is known already.
-
-    Raises
-    ------
-    HysteresisError
-        Matplotlib or Jinja2 is missing, or see :func:`compare_runs`.
-    """
+    """Return the page of several runs: table of figures, charts laid over each other, configurations."""
     figures = figures or compare_runs(runs)
     # each from its first sample on
     since = {name: judged(replace(run, time=run.time - run.time[0])) for name, run in runs.items()}
@@ -248,23 +173,7 @@ def render_laid_over(
     rows: list[dict],
     sums: Sequence[dict] = (),
 ) -> str:
-    """Return a page of several runs from its charts and its table.
-
-    Parameters
-    ----------
-    runs : dict of str to Recording
-        Label and run.
-    title : str
-        Heading.
-    figures : dict of str to dict
-        Label and figures of each run.
-    charts : list of Chart
-        From the first sample of each run on.
-    rows : list of dict
-        Of :func:`hysteresis_ros.analysis.tables.table_of`.
-    sums : sequence of dict
-        Sums of each run for the figures of the span shown, where there are any.
-    """
+    """Return a page of several runs from its charts and its table."""
     longest = max(float(run.time[-1] - run.time[0]) for run in runs.values())
     about = {"whole": [0.0, longest], "first": 0.0, "spans": [["all", 0.0, longest]], "runs": list(sums)}
     return render_interactive(
@@ -302,13 +211,7 @@ OVERLAID_OF_MOTORS = {"travel": "slider", "final_error": "slider − setpoint"}
 
 
 def summary(moves: list[dict]) -> dict:
-    """Return what moves come to, by the names of :data:`SUMMARY`; None where none has such a figure.
-
-    Parameters
-    ----------
-    moves : list of dict
-        Of :func:`hysteresis_ros.analysis.inchworm.inchworm_figures`.
-    """
+    """Return what moves come to, by the names of :data:`SUMMARY`; None where none has such a figure."""
 
     def of(name: str) -> list[float]:
         return [move[name] for move in moves if move[name] is not None]
@@ -326,18 +229,7 @@ def summary(moves: list[dict]) -> dict:
 
 
 def compare_motors(runs: dict[str, Recording]) -> dict[str, dict]:
-    """Return the figures of each run, and under ``summary`` what its moves come to.
-
-    Parameters
-    ----------
-    runs : dict of str to Recording
-        Label and run.
-
-    Raises
-    ------
-    RecordingError
-        A run cannot be judged; the message begins with its label.
-    """
+    """Return the figures of each run, and under ``summary`` what its moves come to."""
     found = figures_of_each(runs, inchworm_figures)
     return {name: {"summary": summary(figures["moves"]), **figures} for name, figures in found.items()}
 
@@ -353,24 +245,12 @@ def _rows(figures: dict[str, dict]) -> list[dict]:
 
 
 def format_motors(figures: dict[str, dict]) -> str:
-    """Return the figures of several runs as aligned lines for a terminal.
-
-    Parameters
-    ----------
-    figures : dict of str to dict
-        Of :func:`compare_motors`.
-    """
+    """Return the figures of several runs as aligned lines for a terminal."""
     return format_rows(figures, _rows(figures))
 
 
 def laid_over(runs: dict[str, Recording]) -> list[Chart]:
-    """Return position and final error of several runs over each other, each from its first sample on.
-
-    Parameters
-    ----------
-    runs : dict of str to Recording
-        Label and run.
-    """
+    """Return position and final error of several runs over each other, each from its first sample on."""
     found: dict[str, Chart] = {}
     for number, (label, run) in enumerate(runs.items()):
         colour = SIDE_BY_SIDE[number % len(SIDE_BY_SIDE)]
@@ -383,56 +263,21 @@ def laid_over(runs: dict[str, Recording]) -> list[Chart]:
 
 
 def render_motors(runs: dict[str, Recording], title: str, figures: dict[str, dict] | None = None) -> str:
-    """Return the page of several runs: table of figures, charts laid over each other, configurations.
-
-    Parameters
-    ----------
-    runs : dict of str to Recording
-        Label and run.
-    title : str
-        Heading.
-    figures : dict of str to dict, optional
-        What :func:`compare_motors` gave, when it is known already.
-
-    Raises
-    ------
-    HysteresisError
-        Matplotlib or Jinja2 is missing, or see :func:`compare_motors`.
-    """
+    """Return the page of several runs: table of figures, charts laid over each other, configurations."""
     figures = figures or compare_motors(runs)
     return render_laid_over(runs, title, figures, laid_over(runs), _rows(figures))
 
 
 class Kind(NamedTuple):
-    """How runs of a kind are judged together.
+    """How runs of a kind are judged together."""
 
-    Parameters
-    ----------
-    judge : callable
-        ``judge(runs)`` returns the figures of each.
-    table : callable
-        ``table(figures)`` returns lines for a terminal.
-    render : callable
-        ``render(runs, title, figures)`` returns a page.
-    """
-
-    judge: Callable[..., dict[str, dict]]
-    table: Callable[..., str]
-    render: Callable[..., str]
+    judge: Callable[..., dict[str, dict]]  #: ``judge(runs)`` returns the figures of each.
+    table: Callable[..., str]  #: ``table(figures)`` returns lines for a terminal.
+    render: Callable[..., str]  #: ``render(runs, title, figures)`` returns a page.
 
 
 def labels_of(paths: Sequence[str | os.PathLike[str]]) -> dict[str, pathlib.Path]:
-    """Return a name for each recording: that of its file, or as much of its path as tells it from the others.
-
-    Parameters
-    ----------
-    paths : sequence of path-like
-
-    Raises
-    ------
-    RecordingError
-        One is given twice.
-    """
+    """Return a name for each recording: that of its file, or as much of its path as tells it from the others."""
     whole = [pathlib.Path(path).resolve() for path in paths]
     if len(set(whole)) < len(whole):
         again = next(path for path, full in zip(paths, whole, strict=True) if whole.count(full) > 1)
@@ -445,18 +290,7 @@ def labels_of(paths: Sequence[str | os.PathLike[str]]) -> dict[str, pathlib.Path
 
 
 def kind_of(runs: dict[str, Recording]) -> Kind:
-    """Return how runs are judged together.
-
-    Parameters
-    ----------
-    runs : dict of str to Recording
-        Label and run.
-
-    Raises
-    ------
-    RecordingError
-        Some are runs of an inchworm, which is judged by its moves, and others are not.
-    """
+    """Return how runs are judged together."""
     motors = [name for name, run in runs.items() if is_inchworm(run)]
     others = [name for name in runs if name not in motors]
     if motors and others:
@@ -470,22 +304,7 @@ def kind_of(runs: dict[str, Recording]) -> Kind:
 
 
 def report_several(runs: dict[str, Recording], path=None, title: str | None = None) -> tuple[dict[str, dict], str]:
-    """Judge runs side by side, and write a page of them; return the figures of each, and lines for a terminal.
-
-    Parameters
-    ----------
-    runs : dict of str to Recording
-        Label and run.
-    path : path-like, optional
-        HTML file.
-    title : str, optional
-        Heading; by default the labels.
-
-    Raises
-    ------
-    HysteresisError
-        There are no runs, one cannot be judged, or the page not be written.
-    """
+    """Judge runs side by side, and write a page of them; return the figures of each, and lines for a terminal."""
     if not runs:
         raise RecordingError("there is no run to report: give at least one")
     kind = kind_of(runs)

@@ -22,33 +22,14 @@ FINER = {"µm": "nm", "µm s": "nm s", "µm/s": "nm/s", "ms": "µs", "V": "mV"}
 
 
 def shown(value, unit: str, factor: float) -> tuple[str, str]:
-    """Return a figure for people and its unit: small ones in the finer unit, 12.3 nm and not 0.0123 µm.
-
-    Parameters
-    ----------
-    value : float, int or None
-        In SI.
-    unit : str
-        Of the table of figures.
-    factor : float
-        Number of them in one SI unit.
-    """
+    """Return a figure for people and its unit: small ones in the finer unit, 12.3 nm and not 0.0123 µm."""
     if value and unit in FINER and abs(value) * factor < FINE:
         return format_value(value, 1e3 * factor), FINER[unit]
     return format_value(value, factor), unit
 
 
 def shown_row(label: str, value, unit: str, factor: float) -> dict:
-    """Return a row of a page's table: label, value and unit for people, see :func:`shown`.
-
-    Parameters
-    ----------
-    label : str
-    value : float, int or None
-        In SI.
-    unit : str
-    factor : float
-    """
+    """Return a row of a page's table: label, value and unit for people, see :func:`shown`."""
     text, finer = shown(value, unit, factor)
     return dict(label=label, value=text, unit=finer)
 
@@ -140,17 +121,7 @@ def format_value(value, factor: float = 1.0) -> str:
 
 
 def beside(values: Sequence, unit: str, factor: float) -> tuple[list[str], str]:
-    """Return figures for people and their unit: the finer one where even the largest is small.
-
-    Parameters
-    ----------
-    values : sequence of (float, int or None)
-        In SI.
-    unit : str
-        Of the table of figures.
-    factor : float
-        Number of them in one SI unit.
-    """
+    """Return figures for people and their unit: the finer one where even the largest is small."""
     largest = max((abs(value) for value in values if value is not None), default=0.0)
     if unit in FINER and 0.0 < largest * factor < FINE:
         unit, factor = FINER[unit], 1e3 * factor
@@ -158,15 +129,7 @@ def beside(values: Sequence, unit: str, factor: float) -> tuple[list[str], str]:
 
 
 def table_of(columns: Sequence[dict], names: Sequence[tuple] = FIGURES) -> list[dict]:
-    """Return the rows of a page's table of figures: label, cells, units, and why a cell has no value.
-
-    Parameters
-    ----------
-    columns : sequence of dict
-        Figures of each span or run; their ``notes``, where they have any, say why a figure is missing.
-    names : sequence of (str, str, str, float)
-        As :data:`hysteresis_ros.analysis.metrics.FIGURES`.
-    """
+    """Return the rows of a page's table of figures: label, cells, units, and why a cell has no value."""
     rows = []
     for name, label, unit, factor in names:
         cells, finer = beside([figures[name] for figures in columns], unit, factor)
@@ -177,12 +140,7 @@ def table_of(columns: Sequence[dict], names: Sequence[tuple] = FIGURES) -> list[
 
 
 def aligned(rows: Sequence[tuple[str, Sequence[str], str]]) -> list[str]:
-    """Return rows as lines for a terminal: label, cells and unit below each other.
-
-    Parameters
-    ----------
-    rows : sequence of (str, sequence of str, str)
-    """
+    """Return rows as lines for a terminal: label, cells and unit below each other."""
     width = max(len(label) for label, *_ in rows)
     cells = [max(len(row[1][i]) for row in rows) for i in range(len(rows[0][1]))]
     return [

@@ -166,25 +166,13 @@ def _situation(file, directory, resumed, plant, offline, choices):
 
 
 class Terminal:
-    """Who is asked and told: the person at the terminal. Without one nothing moves that nobody allowed.
-
-    Parameters
-    ----------
-    yes : bool
-        Everything is allowed.
-    progress : Progress
-    """
+    """Who is asked and told: the person at the terminal. Without one nothing moves that nobody allowed."""
 
     def __init__(self, yes: bool, progress: Progress):
         self._yes, self._progress = yes, progress
 
     def may_move(self, stage: str, words: str) -> bool:
-        """Say what is about to move, and ask.
-
-        Parameters
-        ----------
-        stage, words : str
-        """
+        """Say what is about to move, and ask."""
         from hysteresis_ros.errors import ConfigurationError
 
         self._progress.say(f"{stage}: {words}")
@@ -196,14 +184,7 @@ class Terminal:
             return click.confirm("  may it move?", default=False)
 
     def told(self, stage: str, outcome, done_before: bool) -> None:
-        """Print what was found.
-
-        Parameters
-        ----------
-        stage : str
-        outcome : Outcome
-        done_before : bool
-        """
+        """Print what was found."""
         if done_before:
             self._progress.say(f"{stage}: done before")
             return

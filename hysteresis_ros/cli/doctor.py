@@ -127,15 +127,7 @@ def kernel_cache() -> dict:
 
 
 def advice(found: dict, permitted: bool) -> list[str]:
-    """Return a line for each thing that is missing: what it is for, and what to do.
-
-    Parameters
-    ----------
-    found : dict
-        With ``libraries``, ``system`` and ``middleware``.
-    permitted : bool
-        Whether a thread got its priority.
-    """
+    """Return a line for each thing that is missing: what it is for, and what to do."""
     lines, system_ = [], found["system"]
     extras: dict[str, list[str]] = {}
     for name, version in found["libraries"].items():

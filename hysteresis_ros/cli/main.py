@@ -173,22 +173,7 @@ class LazyGroup(click.Group):
             leave_interrupted()
 
     def main(self, args: Sequence[str] | None = None, prog_name: str | None = None, **extra: Any) -> NoReturn:
-        """Run the command line and leave: wrong input, Ctrl-C and SIGTERM end in one line at most, with no traceback.
-
-        Parameters
-        ----------
-        args : sequence of str, optional
-            The words; those of the process by default.
-        prog_name : str, optional
-            Name of the command in its help.
-        **extra
-            Further arguments of :meth:`click.Command.main`.
-
-        Raises
-        ------
-        SystemExit
-            Always: 0 at a good end, 2 for wrong input, 130 after Ctrl-C, and what else a subcommand says.
-        """
+        """Run the command line and leave: wrong input, Ctrl-C and SIGTERM end in one line at most, with no traceback."""
         extra["standalone_mode"] = False
         gc.set_threshold(COLLECT_AFTER, *gc.get_threshold()[1:])
         try:

@@ -107,16 +107,7 @@ def split_options(command):
 
 
 def splitting(configuration, max_bag_size: int | None, max_bag_duration: float | None):
-    """Return the configuration whose recorder splits as the options say.
-
-    Parameters
-    ----------
-    configuration : Configuration
-    max_bag_size : int or None
-        Bytes of a file.
-    max_bag_duration : float or None
-        Seconds of a file.
-    """
+    """Return the configuration whose recorder splits as the options say."""
     given = {"max_bag_size": max_bag_size, "max_bag_duration": max_bag_duration}
     given = {name: value for name, value in given.items() if value is not None}
     return configuration.override("recorder", **given) if given else configuration
@@ -133,19 +124,7 @@ params_file_option = click.option(
 
 
 def laid_under(config: str, laid_over: tuple[str, ...]):
-    """Return a configuration with the parameter files that are laid over it.
-
-    Parameters
-    ----------
-    config : str
-    laid_over : tuple of str
-        The later one wins.
-
-    Raises
-    ------
-    ConfigurationError
-        One of them cannot be read.
-    """
+    """Return a configuration with the parameter files that are laid over it."""
     from hysteresis_ros.configuration import load_configuration
 
     return load_configuration(config).under(*map(load_configuration, laid_over))
@@ -194,13 +173,7 @@ def data_options(command):
 
 
 def read(path, *, input_, output_, time, sample_time, namespace, range_, resample, negate, all_samples, whole=False):
-    """Return the checked data of a command; say on stderr how far it is, what was guessed and what was done.
-
-    Raises
-    ------
-    HysteresisError
-        The file or a choice cannot be used; the message says what is allowed.
-    """
+    """Return the checked data of a command; say on stderr how far it is, what was guessed and what was done."""
     from hysteresis_ros.identification.reading import Columns, read_data
 
     columns = Columns(
@@ -251,13 +224,7 @@ def _seconds(text: str):
 
 
 def write_json(figures: dict, path: str | None, table: str) -> None:
-    """Print the table, or the figures as JSON for ``-``; write them to a file besides where one is named.
-
-    Raises
-    ------
-    RecordingError
-        The file cannot be written.
-    """
+    """Print the table, or the figures as JSON for ``-``; write them to a file besides where one is named."""
     import json
 
     from hysteresis_ros.errors import RecordingError
@@ -323,26 +290,15 @@ HELP = {
 
 @dataclass(frozen=True)
 class AskedReference:
-    """What the options say; nothing where ``kind`` is None.
+    """What the options say; nothing where ``kind`` is None."""
 
-    Parameters
-    ----------
-    kind : str or None
-        Name of the waveform.
-    given : dict of str to str
-        Text of each parameter of it.
-    """
-
-    kind: str | None
-    given: dict[str, str]
+    kind: str | None  #: Name of the waveform.
+    given: dict[str, str]  #: Text of each parameter of it.
 
     def values(self, gain: float | None = None) -> dict:
         """Return the parameters of the waveform, see :func:`~hysteresis_ros.references.recipes.asked_waveform`.
 
-        Parameters
-        ----------
-        gain : float, optional
-            Of an axis in open loop without inverse [m/V]: lengths may be voltages.
+        Units: ``gain`` [m/V].
         """
         from hysteresis_ros.references.recipes import asked_waveform
 
@@ -350,17 +306,7 @@ class AskedReference:
             return asked_waveform(str(self.kind), self.given, gain)
 
     def put_into(self, configuration):
-        """Return a configuration whose axes follow the waveform; the same one where none was asked for.
-
-        Parameters
-        ----------
-        configuration : Configuration
-
-        Raises
-        ------
-        HysteresisError
-            A value is wrong, or an inchworm has no such waveform.
-        """
+        """Return a configuration whose axes follow the waveform; the same one where none was asked for."""
         from hysteresis_ros.errors import ConfigurationError
 
         if self.kind is None:
@@ -375,18 +321,7 @@ class AskedReference:
         return configuration.override("reference_generator", **values)
 
     def refuse_others(self, taken: tuple[str, ...] = ()) -> None:
-        """Refuse words about a waveform where none was asked for.
-
-        Parameters
-        ----------
-        taken : tuple of str
-            Parameters that mean something without one.
-
-        Raises
-        ------
-        click.UsageError
-            Names the option that has nothing to belong to.
-        """
+        """Refuse words about a waveform where none was asked for."""
         for name in self.given:
             if name not in taken:
                 raise click.UsageError(f"{_option(name)} belongs to a waveform: give --reference, e.g. triangle")
@@ -423,12 +358,7 @@ def _option(name: str) -> str:
 
 
 def reference_options(command):
-    """Add the options to a command, which gets them as ``reference``, an :class:`AskedReference`.
-
-    Parameters
-    ----------
-    command : callable
-    """
+    """Add the options to a command, which gets them as ``reference``, an :class:`AskedReference`."""
 
     @functools.wraps(command)
     def with_reference(reference, further, **words):

@@ -44,29 +44,12 @@ def _bar(err: bool) -> Any:
 
 
 def shown(what: str) -> contextlib.AbstractContextManager[None]:
-    """Show a bar, on terminals only, while something lasts that is short in most cases; print results after it.
-
-    Parameters
-    ----------
-    what : str
-    """
+    """Show a bar, on terminals only, while something lasts that is short in most cases; print results after it."""
     return Progress(err=True, bars_only=True).during(what)
 
 
 class Progress:
-    """Says what is going on, and that it still does, on terminals, in files and through pipes alike.
-
-    Parameters
-    ----------
-    err : bool
-        Say it on stderr: stdout is for results.
-    silence : float
-        First silence [s] where there is no bar; from line to line it doubles, to :data:`LONGEST_SILENCE`.
-    bars_only : bool
-        Say nothing where there is no bar: for what is long only now and then.
-    steady : bool
-        It does not double: for what is the first that people see.
-    """
+    """Says what is going on, and that it still does, on terminals, in files and through pipes alike."""
 
     def __init__(self, err: bool = False, silence: float = SILENCE, bars_only: bool = False, steady: bool = False):
         self._err, self._silence, self._bars_only, self._steady = err, silence, bars_only, steady
@@ -104,16 +87,7 @@ class Progress:
     def during(
         self, what: str, state: Callable[[], str] = str, part: Callable[[], float | None] = lambda: None
     ) -> Iterator[None]:
-        """Show that something lasts, how long it has and its state.
-
-        Parameters
-        ----------
-        what : str
-        state : callable
-            Returns words.
-        part : callable
-            Returns the part that is done, 0 … 1; None where nobody knows.
-        """
+        """Show that something lasts, how long it has and its state."""
         over = threading.Event()
         thread = threading.Thread(target=self._tell, args=(what, state, part, over), name="progress", daemon=True)
         thread.start()

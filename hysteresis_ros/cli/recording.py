@@ -144,17 +144,7 @@ def verify(recording: pathlib.Path, namespace: str | None) -> None:
 
 
 def unlike(name: object, run: Recording, found: Mapping[str, int]) -> str:
-    """Return in one line in what a recording differs from its twin; empty: in nothing.
-
-    Parameters
-    ----------
-    name : object
-        Of the recording.
-    run : Recording
-        The recording.
-    found : mapping of str to int
-        Number of differing samples of each signal that differs.
-    """
+    """Return in one line in what a recording differs from its twin; empty: in nothing."""
     missing, lacking = (run.metadata.get(what, 0) for what in ("missing_samples", "missing_changes"))
     if not (found or missing or lacking):
         return ""

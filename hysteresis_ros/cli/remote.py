@@ -22,10 +22,7 @@ from hysteresis_ros.cli.options import NodeName
 def steered(timeout: float = 10.0):
     """Return a decorator that adds the options of all commands that steer a running axis.
 
-    Parameters
-    ----------
-    timeout : float
-        By default [s].
+    Units: ``timeout`` [s].
     """
     words = "Wait so long for whoever is asked [s]."
     options = (
@@ -44,20 +41,7 @@ def steered(timeout: float = 10.0):
 def in_graph(command: str, namespace: str, timeout: float, **arguments) -> None:
     """Do something among the nodes and leave with its exit code.
 
-    Parameters
-    ----------
-    command : str
-        Of :data:`hysteresis_ros.nodes.remote.__main__.COMMANDS`.
-    namespace : str
-    timeout : float
-        [s]
-    **arguments
-        Of the command.
-
-    Raises
-    ------
-    SystemExit
-        Always.
+    Units: ``timeout`` [s].
     """
     import json
     import subprocess

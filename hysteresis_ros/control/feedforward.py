@@ -346,13 +346,6 @@ def _beyond(matrix, sizes, edge: float) -> np.ndarray:
     """Return the projection on the modes larger than an edge along those that are smaller, shape (n, n).
 
     The matrix sign function of (M + ρ)(M - ρ)⁻¹, ρ a radius between both, by Newton's iteration.
-
-    Parameters
-    ----------
-    matrix : ndarray, shape (n, n)
-    sizes : ndarray, shape (n,)
-        Magnitudes of the eigenvalues.
-    edge : float
     """
     identity, larger = np.eye(len(matrix)), sizes > edge
     if np.all(larger):

@@ -46,13 +46,6 @@ def designed_values(before: dict, parameters: ControllerParameters) -> dict:
     """Return the flat parameters of the controller node: those of the file, with the groups that the design decides.
 
     A correction that was learned over the controller before has filters that are wrong for another one: it goes.
-
-    Parameters
-    ----------
-    before : dict
-        Flat parameters of the section.
-    parameters : ControllerParameters
-        Of the design.
     """
     groups = (*parameters.law.groups, "feedforward", *_damping(before, parameters))
     replaced = tuple(f"{name}." for name in groups)
@@ -75,36 +68,12 @@ def _damping(before: dict, parameters: ControllerParameters) -> tuple[str, ...]:
 
 
 def design_text(configuration: Configuration, parameters: ControllerParameters, namespace: str, header: str) -> str:
-    """Return the text of the file with the design: everything but the controller's section stays as it is written.
-
-    Parameters
-    ----------
-    configuration : Configuration
-        What was designed from.
-    parameters : ControllerParameters
-        Of the design.
-    namespace : str
-        Of the axis.
-    header : str
-        Comment lines for the beginning of the file, without ``#``.
-    """
+    """Return the text of the file with the design: everything but the controller's section stays as it is written."""
     return _text(configuration, lambda before: designed_values(before, parameters), namespace, header, HEADERS)
 
 
 def learning_text(configuration: Configuration, parameters: LearningParameters, namespace: str, header: str) -> str:
-    """Return the text of the file with a designed correction: everything else stays.
-
-    Parameters
-    ----------
-    configuration : Configuration
-        What was designed from.
-    parameters : LearningParameters
-        Of the design.
-    namespace : str
-        Of the axis.
-    header : str
-        Comment lines for the beginning of the file, without ``#``.
-    """
+    """Return the text of the file with a designed correction: everything else stays."""
     chosen = {f"learning.{name}": value for name, value in parameters.to_mapping().items()}
 
     def values(before: dict) -> dict:
@@ -153,17 +122,7 @@ Design = Callable[[float | None, float | None], Designed]
 
 
 def response_uncertainty(configuration: Configuration) -> ResponseUncertainty | None:
-    """Return what an identification wrote into a parameter file about the response; None where it did not.
-
-    Parameters
-    ----------
-    configuration : Configuration
-
-    Raises
-    ------
-    ConfigurationError
-        What stands there is no uncertainty.
-    """
+    """Return what an identification wrote into a parameter file about the response; None where it did not."""
     found = next((values for name, values in configuration.entries if name == SECTION), {})
     if "response.uncertainty" not in found:
         return None
@@ -186,12 +145,7 @@ def response_uncertainty(configuration: Configuration) -> ResponseUncertainty | 
 def borne(found: Designed, response: ResponseUncertainty, sample_time: float) -> Borne:
     """Return what is certain of a design.
 
-    Parameters
-    ----------
-    found : Designed
-    response : ResponseUncertainty
-    sample_time : float
-        [s]
+    Units: ``sample_time`` [s].
     """
     return response.borne_by(*whole_loop(found.parameters, sample_time), sample_time)
 
@@ -203,23 +157,7 @@ def certain_design(
 
     What was not asked for is slowed down: first the observer, then the response to the reference.
 
-    Parameters
-    ----------
-    first : Designed
-        What is to be certain.
-    design : callable
-        ``design(bandwidth, q)`` returns another; None for values of its own.
-    request : DesignRequest
-        What was asked for stays.
-    response : ResponseUncertainty, optional
-        Without one the first is taken as it is.
-    sample_time : float
-        [s]
-
-    Raises
-    ------
-    ConfigurationError
-        No design is certain; names the frequency and what would be.
+    Units: ``sample_time`` [s].
     """
     if response is None:
         return first
@@ -302,75 +240,38 @@ OPTIONS = {
 
 @dataclass(frozen=True)
 class DesignRequest:
-    """What is asked of a design.
+    """What is asked of a design."""
 
-    Parameters
-    ----------
-    controller : str
-        Name of a design, see :data:`hysteresis_ros.control.controller.DESIGNS`.
-    bandwidth : float, optional
-        [Hz]
-    q : float, optional
-        Variance of the input's noise over that of the measurement in the Kalman filter.
-    criterion : str, optional
-        ``iae``, ``ise`` or ``itae``: tune the gains on the waveform, where the law has some for that.
-    duration : float, optional
-        Length of the run for that [s].
-    feedforward : bool
-        Add the inverse of the dynamics.
-    preview : int, optional
-        Samples of preview of it; by default what the inverse needs.
-    noise : float, optional
-        RMS of the sensor's noise [m], for how fast a design of its own accord may be; by default
-        :data:`ASSUMED_NOISE` of the stroke.
-    robust : Uncertainty, optional
-        Plants on each of which the requirements are to be met; by default the model alone, with a damping those with
-        resonances off by 10 % as well.
-    damping : str, optional
-        Kind of damping to design first, or ``none``; by default that of the configuration stays.
-    """
-
-    controller: str
-    bandwidth: float | None = None
-    q: float | None = None
+    controller: str  #: Name of a design, see :data:`hysteresis_ros.control.controller.DESIGNS`.
+    bandwidth: float | None = None  #: [Hz]
+    q: float | None = None  #: Variance of the input's noise over that of the measurement in the Kalman filter.
+    #: ``iae``, ``ise`` or ``itae``: tune the gains on the waveform, where the law has some for that.
     criterion: str | None = None
-    duration: float | None = None
-    feedforward: bool = False
-    preview: int | None = None
+    duration: float | None = None  #: Length of the run for that [s].
+    feedforward: bool = False  #: Add the inverse of the dynamics.
+    preview: int | None = None  #: Samples of preview of it; by default what the inverse needs.
+    #: RMS of the sensor's noise [m], for how fast a design of its own accord may be; by default :data:`ASSUMED_NOISE`
+    #: of the stroke.
     noise: float | None = None
+    #: Plants on each of which the requirements are to be met; by default the model alone, with a damping those with
+    #: resonances off by 10 % as well.
     robust: Uncertainty | None = None
+    #: Kind of damping to design first, or ``none``; by default that of the configuration stays.
     damping: str | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class AxisDesign:
-    """A designed controller.
-
-    Parameters
-    ----------
-    request : DesignRequest
-    parameters : ControllerParameters
-    margins : Margins
-    sample_time : float
-        [s]
-    tuned : Tuned, optional
-        What the tuning did.
-    robustness : Robustness, optional
-        What the loop is worth on the plants of a robust design.
-    limited : ResponseUncertainty, optional
-        What the design was kept slower for.
-    damped : DampedDesign, optional
-        What the damping in front of which the controller stands is worth.
-    """
+    """A designed controller."""
 
     request: DesignRequest
     parameters: ControllerParameters
     margins: Margins
-    sample_time: float
-    tuned: Tuned | None = None
-    robustness: Robustness | None = None
-    limited: ResponseUncertainty | None = None
-    damped: DampedDesign | None = None
+    sample_time: float  #: [s]
+    tuned: Tuned | None = None  #: What the tuning did.
+    robustness: Robustness | None = None  #: What the loop is worth on the plants of a robust design.
+    limited: ResponseUncertainty | None = None  #: What the design was kept slower for.
+    damped: DampedDesign | None = None  #: What the damping in front of which the controller stands is worth.
 
     def misses(self) -> tuple[str, ...]:
         """Return what the loop misses of what every design is held to, on the model or on a plant that was drawn."""
@@ -379,22 +280,7 @@ class AxisDesign:
 
 
 def drawn_around(robust: bool, ranges: dict) -> Uncertainty | None:
-    """Return the plants of a robust design, from the options of the command.
-
-    Parameters
-    ----------
-    robust : bool
-        Whether one is asked.
-    ranges : dict
-        Values by the names of :data:`OPTIONS`; None where nothing is given.
-
-    Raises
-    ------
-    ConfigurationError
-        A range is given without a robust design.
-    ParameterError
-        A range is out of bounds; it is named by its option.
-    """
+    """Return the plants of a robust design, from the options of the command."""
     given = {name: value for name, value in ranges.items() if value is not None}
     if not robust:
         if given:
@@ -410,23 +296,7 @@ def drawn_around(robust: bool, ranges: dict) -> Uncertainty | None:
 def design_axis(
     axis: AxisParameters, request: DesignRequest, response: ResponseUncertainty | None = None
 ) -> AxisDesign:
-    """Design the controller of an axis from the model in its own parameters.
-
-    Parameters
-    ----------
-    axis : AxisParameters
-    request : DesignRequest
-    response : ResponseUncertainty, optional
-        Of the model's response, see :func:`.response_uncertainty`: what was not asked for is slowed down until the loop
-        is stable for all plants within it.
-
-    Raises
-    ------
-    ConfigurationError
-        There is no such controller, requests exclude each other, or the model is not fit for what is asked.
-    ParameterError
-        No design follows from the model; names what keeps it.
-    """
+    """Design the controller of an axis from the model in its own parameters."""
     _check_request(axis, request)
     sample_time = 1.0 / axis.motion_controller.sample_rate
     given = part(axis.motion_controller, ControllerParameters)
@@ -524,21 +394,7 @@ def _feedforward(control: ControllerParameters, request: DesignRequest) -> Feedf
 
 
 def design_file(configuration: Configuration, result: AxisDesign, namespace: str) -> str:
-    """Return the text of the parameter file of a design, checked: the axis can be built from it.
-
-    Parameters
-    ----------
-    configuration : Configuration
-        What was designed from.
-    result : AxisDesign
-    namespace : str
-        Of the axis.
-
-    Raises
-    ------
-    ParameterError
-        The axis cannot be built.
-    """
+    """Return the text of the parameter file of a design, checked: the axis can be built from it."""
     request = result.request
     words = [f"--controller {request.controller}"]
     for name in ("bandwidth", "q", "noise", "criterion", "duration", "preview"):
@@ -573,12 +429,7 @@ def _hertz(value: float) -> str:
 
 
 def design_lines(result: AxisDesign) -> list[str]:
-    """Return the table that the command prints: gains, margins, bandwidth, poles, doubts.
-
-    Parameters
-    ----------
-    result : AxisDesign
-    """
+    """Return the table that the command prints: gains, margins, bandwidth, poles, doubts."""
     found, own = result.margins, result.parameters.before_damping(result.sample_time)
     rows = list(own.law.rows(own, result.sample_time))
     if result.tuned is not None:
@@ -640,12 +491,7 @@ def _pole(value: complex) -> str:
 
 
 def doubts(result: AxisDesign) -> list[str]:
-    """Return sentences about what a user should know of a design.
-
-    Parameters
-    ----------
-    result : AxisDesign
-    """
+    """Return sentences about what a user should know of a design."""
     parameters = result.parameters
     found = list(parameters.warnings())
     if not parameters.model.dynamics.order:

@@ -68,19 +68,7 @@ DAMPED = 0.7
 def mode_to_damp(dynamics: LinearParameters, sample_time: float, force: ForceParameters | None = None) -> Mode:
     """Return the resonance of least damping.
 
-    Parameters
-    ----------
-    dynamics : LinearParameters
-        The model.
-    sample_time : float
-        [s]
-    force : ForceParameters, optional
-        What the model has of the force in the stack.
-
-    Raises
-    ------
-    ParameterError
-        ``model.dynamics.A``: there is none to damp.
+    Units: ``sample_time`` [s].
     """
     there = [mode for mode in modes(dynamics.matrices.poles.astype(complex), sample_time) if mode[1] < DAMPED]
     if not there:
@@ -95,15 +83,7 @@ def damping_plants(
 ) -> tuple[PossiblePlant, ...]:
     """Return the plants on which a damping is judged: the model, and all times shorter and longer.
 
-    Parameters
-    ----------
-    dynamics : LinearParameters
-    sample_time : float
-        [s]
-    resonance : float
-        Part by which resonances may be off.
-    acting : bool
-        With the second output of :func:`~hysteresis_ros.control.margins.with_acting`, for a filter of the force.
+    Units: ``sample_time`` [s].
     """
     slow = (1.0,) if resonance == 0.0 else (1.0, 1.0 - resonance, 1.0 + resonance)
     return tuple(possible_plant(dynamics, sample_time, 1.0, slowness, acting=acting) for slowness in slow)
@@ -118,24 +98,7 @@ def design_damping(
 ) -> DampingParameters:
     """Return the damping of a kind for a model.
 
-    Parameters
-    ----------
-    kind : str
-        Name of the kind.
-    dynamics : LinearParameters
-        The model, with its delay.
-    sample_time : float
-        [s]
-    plants : tuple of PossiblePlant
-        On which it is to work.
-    force : ForceParameters, optional
-        What the model has of the force in the stack.
-
-    Raises
-    ------
-    ParameterError
-        ``model.dynamics.A``: the model has no resonance, or nothing of this kind damps it; or
-        ``model.force.stack_stiffness``: nothing is known of the force that it works on.
+    Units: ``sample_time`` [s].
     """
     mode = mode_to_damp(dynamics, sample_time, force)
     if KINDS[kind].source == FORCE:
@@ -171,13 +134,7 @@ class _Search:
     def speed(self, point, late: float, least: float) -> float:
         """Return the integral gain [1/s] of the fastest PID in front of a point's filter.
 
-        Parameters
-        ----------
-        point : sequence of float
-        late : float
-            Delay more that both loops together have to bear [samples].
-        least : float
-            Where it is no larger than this, 0 is returned.
+        Units: ``late`` [samples].
         """
         try:
             loop = inner_loop(self.damping(point), self.dynamics, self.sample_time, self.force)
@@ -311,27 +268,15 @@ _PASSED = StateSpace(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((1, 0)), np.ar
 
 @dataclass(frozen=True, eq=False)
 class PlantsAround:
-    """Plants on which a damping is judged.
+    """Plants on which a damping is judged."""
 
-    Parameters
-    ----------
-    plants : tuple of PossiblePlant
-        Without damping, the model first.
-    resonance : float
-        Part by which the resonances of the others are off.
-    """
-
-    plants: tuple[PossiblePlant, ...]
-    resonance: float
+    plants: tuple[PossiblePlant, ...]  #: Without damping, the model first.
+    resonance: float  #: Part by which the resonances of the others are off.
 
     def closed(self, control: ControllerParameters, sample_time: float) -> tuple[PossiblePlant, ...]:
         """Return them with the damping of a controller around each.
 
-        Parameters
-        ----------
-        control : ControllerParameters
-        sample_time : float
-            [s]
+        Units: ``sample_time`` [s].
         """
         around = closing(control.damping, control.model.dynamics, sample_time, control.model.force)
         return tuple(one.closed(around) for one in self.plants)
@@ -339,31 +284,18 @@ class PlantsAround:
 
 @dataclass(frozen=True, eq=False)
 class DampedDesign:
-    """A damping with a controller in front of it, on the model and on plants around it.
-
-    Parameters
-    ----------
-    damping : DampingParameters
-    before : tuple of float
-        Frequency [Hz] and damping of the model's least damped resonance.
-    reached : tuple of float
-        Damping of the least damped mode of the inner loop, on each plant, the model first.
-    inner, outer, whole : tuple of Margins
-        On each plant: of the inner loop alone, of the law on the damped plant, of both cut at the plant.
-    resonance : float
-        Part by which the resonances of these plants are off.
-    undamped : float or None
-        Bandwidth of the same design without damping [Hz]; None where there is none.
-    """
+    """A damping with a controller in front of it, on the model and on plants around it."""
 
     damping: DampingParameters
-    before: tuple[float, float]
-    reached: tuple[float, ...]
+    before: tuple[float, float]  #: Frequency [Hz] and damping of the model's least damped resonance.
+    reached: tuple[float, ...]  #: Damping of the least damped mode of the inner loop, on each plant, the model first.
+    #: inner, outer, whole: On each plant: of the inner loop alone, of the law on the damped plant, of both cut at the
+    #: plant.
     inner: tuple[Margins, ...]
     outer: tuple[Margins, ...]
     whole: tuple[Margins, ...]
-    resonance: float
-    undamped: float | None
+    resonance: float  #: Part by which the resonances of these plants are off.
+    undamped: float | None  #: Bandwidth of the same design without damping [Hz]; None where there is none.
 
     def misses(self) -> tuple[str, ...]:
         """Return what is missed by the law's loop or by both loops, on the model or with resonances off."""
@@ -417,13 +349,7 @@ class DampedDesign:
 def around_model(control: ControllerParameters, sample_time: float, request) -> PlantsAround:
     """Return the model and what it is with resonances off to both sides.
 
-    Parameters
-    ----------
-    control : ControllerParameters
-    sample_time : float
-        [s]
-    request : DesignRequest
-        Its ``robust`` says how far they may be off.
+    Units: ``sample_time`` [s].
     """
     resonance = RESONANCE if request.robust is None else request.robust.resonance
     kind = control.damping.type if request.damping is None else request.damping
@@ -432,12 +358,7 @@ def around_model(control: ControllerParameters, sample_time: float, request) -> 
 
 
 def _require(name: str) -> None:
-    """Refuse a name that no damping has.
-
-    Raises
-    ------
-    ConfigurationError
-    """
+    """Refuse a name that no damping has."""
     if name not in (NONE, *KINDS):
         there = ", ".join((NONE, *KINDS))
         raise ConfigurationError(
@@ -450,21 +371,7 @@ def with_damping(
 ) -> ControllerParameters:
     """Return the parameters with the damping that is asked for, designed; without any asked those given.
 
-    Parameters
-    ----------
-    control : ControllerParameters
-    sample_time : float
-        [s]
-    around : PlantsAround
-        On which it is to work.
-    request : DesignRequest
-
-    Raises
-    ------
-    ParameterError
-        The model has no resonance, or nothing of this kind damps it.
-    ConfigurationError
-        There is no such damping.
+    Units: ``sample_time`` [s].
     """
     if request.damping is None:
         return control
@@ -480,14 +387,7 @@ def judge_damping(
 ) -> DampedDesign:
     """Return what a controller with damping is worth.
 
-    Parameters
-    ----------
-    parameters : ControllerParameters
-    sample_time : float
-        [s]
-    plants : PlantsAround
-    undamped : float or None
-        Bandwidth of the same design without damping [Hz].
+    Units: ``sample_time`` [s], ``undamped`` [Hz].
     """
     dynamics = parameters.model.dynamics
     loop = inner_loop(parameters.damping, dynamics, sample_time, parameters.model.force)

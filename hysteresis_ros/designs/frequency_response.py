@@ -58,35 +58,19 @@ WAIT = 1.0
 
 @dataclass(frozen=True)
 class ResponseRequest:
-    """What is asked of a run.
-
-    Parameters
-    ----------
-    experiment : Experiment
-    loop : str
-        ``open`` or ``closed``.
-    at : str, optional
-        Where it is excited: ``voltage``, ``command`` or ``reference``.
-    amplitude, offset : str, optional
-        Peak of the excitation and the place around which it moves, with units; parts of the range without one. By
-        default :data:`AMPLITUDE`, and the middle.
-    """
+    """What is asked of a run."""
 
     experiment: Experiment
-    loop: str = "open"
-    at: str | None = None
+    loop: str = "open"  #: ``open`` or ``closed``.
+    at: str | None = None  #: Where it is excited: ``voltage``, ``command`` or ``reference``.
+    #: amplitude, offset: Peak of the excitation and the place around which it moves, with units; parts of the range
+    #: without one. By default :data:`AMPLITUDE`, and the middle.
     amplitude: str | None = None
     offset: str | None = None
 
     @property
     def place(self) -> str:
-        """Where it is excited.
-
-        Raises
-        ------
-        ConfigurationError
-            The loop has no such place.
-        """
+        """Where it is excited."""
         chosen = self.at or PLACES[self.loop][0]
         if chosen not in PLACES[self.loop]:
             raise ConfigurationError(f"--at {chosen}: with --loop {self.loop} must be {' or '.join(PLACES[self.loop])}")
@@ -96,22 +80,7 @@ class ResponseRequest:
 def response_run(
     configuration: Configuration, namespace: str | None, asked: ResponseRequest, path
 ) -> tuple[AxisParameters, Plan]:
-    """Return the axis that is excited, and where its excitation will stand in the recording.
-
-    Parameters
-    ----------
-    configuration : Configuration
-    namespace : str, optional
-        Which axis, when it describes several.
-    asked : ResponseRequest
-    path : path-like
-        File for the samples (``.npz``).
-
-    Raises
-    ------
-    ConfigurationError
-        The excitation does not fit the axis: beyond its range, too weak for its sensor, of an inchworm.
-    """
+    """Return the axis that is excited, and where its excitation will stand in the recording."""
     axis, place = single_axis(configuration, namespace), asked.place
     if axis.inchworm_sequencer is not None:
         raise ConfigurationError(
@@ -153,16 +122,7 @@ def response_run(
 def around(samples, peak: float, middle: float, rest: float, rate: float, plan: Plan) -> tuple[np.ndarray, Plan]:
     """Return an excitation around a place with the ways from and to rest, and its plan there.
 
-    Parameters
-    ----------
-    samples : ndarray, shape (N,)
-        Of peak one.
-    peak, middle, rest : float
-        [V] or [m]
-    rate : float
-        [Hz]
-    plan : Plan
-        As if it began at sample 0.
+    Units: ``peak`` [V], ``middle`` [V], ``rest`` [V], ``rate`` [Hz].
     """
     held = hold(middle, WAIT, rate)
     whole = there_and_back(np.concatenate([held, middle + peak * samples, held]), rest, rate)
@@ -171,12 +131,7 @@ def around(samples, peak: float, middle: float, rest: float, rate: float, plan: 
 
 
 def measured_loop_parts(axis: AxisParameters) -> tuple[StateSpace, StateSpace]:
-    """Return the controller of an axis, its damping in it, and the model that it has of its plant, both linear.
-
-    Parameters
-    ----------
-    axis : AxisParameters
-    """
+    """Return the controller of an axis, its damping in it, and the model that it has of its plant, both linear."""
     sample_time = 1.0 / axis.motion_controller.sample_rate
     return whole_loop(part(axis.motion_controller, ControllerParameters), sample_time)
 
@@ -252,29 +207,16 @@ LEVELS = {"noise": "noise", "odd": "odd distortion", "even": "even distortion"}
 
 @dataclass(frozen=True, eq=False)
 class AxisResponse:
-    """The measured response of an axis.
-
-    Parameters
-    ----------
-    plan : Plan
-    plant : Analysis
-        From voltage or command to the measured displacement; of a closed loop whose controller nobody knows from
-        reference − measured.
-    loop : MeasuredLoop, optional
-        Of a closed loop.
-    model : ndarray of complex, shape (F,), optional
-        What the controller's model has for the plant, at the lines.
-    model_loop : ndarray of complex, shape (F,), optional
-    margins : Margins, optional
-        Of the model's loop.
-    """
+    """The measured response of an axis."""
 
     plan: Plan
+    #: From voltage or command to the measured displacement; of a closed loop whose controller nobody knows from
+    #: reference − measured.
     plant: Analysis
-    loop: MeasuredLoop | None = None
-    model: np.ndarray | None = None
-    model_loop: np.ndarray | None = None
-    margins: Margins | None = None
+    loop: MeasuredLoop | None = None  #: Of a closed loop.
+    model: np.ndarray | None = None  #: shape (F,); What the controller's model has for the plant, at the lines.
+    model_loop: np.ndarray | None = None  #: shape (F,)
+    margins: Margins | None = None  #: Of the model's loop.
 
     @property
     def figures(self) -> dict:
@@ -362,24 +304,7 @@ class AxisResponse:
 
 
 def axis_response(recording: Recording, plan: Plan, axis: AxisParameters | None = None) -> AxisResponse:
-    """Return the response of an axis from a recording of its excitation.
-
-    Parameters
-    ----------
-    recording : Recording
-        Of regular samples.
-    plan : Plan
-    axis : AxisParameters, optional
-        Whose controller closed the loop, and whose model is compared; without it a loop is taken to be that of a
-        controller of reference − measured alone.
-
-    Raises
-    ------
-    IdentificationError
-        It drowns in noise, or the recording is too short.
-    RecordingError
-        A signal is missing.
-    """
+    """Return the response of an axis from a recording of its excitation."""
     sample_time, y = recording.sample_time, recording["measured"]
     if plan.loop == "open":
         u = recording[plan.at]
@@ -429,29 +354,13 @@ def _with_model(found: AxisResponse, axis: AxisParameters) -> AxisResponse:
 
 
 def plan_file(recording) -> pathlib.Path:
-    """Return the file beside a recording that says how it was excited.
-
-    Parameters
-    ----------
-    recording : path-like
-    """
+    """Return the file beside a recording that says how it was excited."""
     recording = pathlib.Path(recording)
     return recording.with_name(f"{recording.stem}_excitation.npz")
 
 
 def read_plan(path) -> Plan:
-    """Return the plan of an excitation.
-
-    Parameters
-    ----------
-    path : path-like
-        Of the samples that were played.
-
-    Raises
-    ------
-    RecordingError
-        The file is missing or holds no plan.
-    """
+    """Return the plan of an excitation."""
     try:
         return Plan.from_text(str(read_arrays(path)["plan"]))
     except (OSError, ValueError, KeyError):
@@ -468,29 +377,7 @@ def recorded_response(
     period: float | None = None,
     kind: str | None = None,
 ) -> AxisResponse:
-    """Return the response of the axis of a recording.
-
-    Parameters
-    ----------
-    recording : Recording
-        Of regular samples.
-    plan : Plan, optional
-        How it was excited; without one it is taken for periodic where it repeats, and for noise otherwise.
-    loop, at : str, optional
-        Without a plan: ``open`` or ``closed``, and where it was excited; by default as the configuration in the
-        recording says, and in open loop at the voltage.
-    period : float, optional
-        Without a plan: of a multisine, or of a segment of noise [s].
-    kind : str, optional
-        Without a plan: ``multisine`` or ``noise``.
-
-    Raises
-    ------
-    ConfigurationError
-        What was asked does not fit.
-    HysteresisError
-        The recording has no such response.
-    """
+    """Return the response of the axis of a recording."""
     axis = _axis(recording)
     if plan is None:
         feedback = axis is not None and axis.motion_controller.law.feedback

@@ -46,30 +46,14 @@ from hysteresis_ros.models.sensor import ForceSensorParameters, SensorParameters
 
 @dataclass(frozen=True, eq=False)
 class Designed:
-    """A design: parameters with gains, and what they are worth on the model.
-
-    Parameters
-    ----------
-    parameters : ControllerParameters
-    margins : Margins
-    """
+    """A design: parameters with gains, and what they are worth on the model."""
 
     parameters: object
     margins: Margins
 
 
 def require_minimal(dynamics) -> None:
-    """Refuse a model with a state that the input does not move or the output does not show.
-
-    Parameters
-    ----------
-    dynamics : LinearParameters
-
-    Raises
-    ------
-    ParameterError
-        ``model.dynamics.B`` (uncontrollable), ``model.dynamics.C`` (unobservable) or ``model.dynamics.A`` (unstable).
-    """
+    """Refuse a model with a state that the input does not move or the output does not show."""
     problems = [replace(problem, name=f"model.dynamics.{problem.name}") for problem in dynamics.check()]
     if problems:
         raise ParameterError(problems)
@@ -95,29 +79,7 @@ def design_gains(
 ) -> Designed:
     """Return the controller of the given name for the model in ``parameters``, or for the damped plant.
 
-    Parameters
-    ----------
-    parameters : ControllerParameters
-        Its model is used; what the design does not decide is kept.
-    controller : str
-        Name of a design, see :data:`hysteresis_ros.control.controller.DESIGNS`.
-    sample_time : float
-        [s]
-    bandwidth : float, optional
-        Frequency at which the response to the reference, without feedforward, falls by 3 dB [Hz].
-    q : float, optional
-        Variance of the input's noise over that of the measurement in the Kalman filter.
-    aimed : Requirements, optional
-        What a design is to meet, where neither bandwidth nor q leave it no choice.
-    plants : tuple of PossiblePlant, optional
-        On which it is to meet that, the model first, each with the damping around it; by default the model alone.
-
-    Raises
-    ------
-    ConfigurationError
-        There is no design of that name.
-    ParameterError
-        The model is unstable, not observable or not controllable, or the bandwidth cannot be reached.
+    Units: ``sample_time`` [s], ``bandwidth`` [Hz].
     """
     law, designed = design_of(controller)
     own = parameters.before_damping(sample_time)
@@ -144,20 +106,11 @@ TOGETHER, SECONDS = 50, 2e-2
 
 @dataclass(frozen=True, eq=False)
 class Robustness:
-    """What a loop is worth on all plants that were drawn.
-
-    Parameters
-    ----------
-    uncertainty : Uncertainty
-    plants : tuple of PossiblePlant
-        The model first.
-    margins : tuple of Margins
-        On each of them; the delay margin counts from the delay of the model.
-    """
+    """What a loop is worth on all plants that were drawn."""
 
     uncertainty: Uncertainty
-    plants: tuple[PossiblePlant, ...]
-    margins: tuple[Margins, ...]
+    plants: tuple[PossiblePlant, ...]  #: The model first.
+    margins: tuple[Margins, ...]  #: On each of them; the delay margin counts from the delay of the model.
 
     @property
     def worst(self) -> int:
@@ -182,12 +135,7 @@ class Robustness:
         ]
 
     def misses(self, required: Requirements = REQUIRED) -> tuple[str, ...]:
-        """Return what is missed on the worst plant of those that miss something, a few words each.
-
-        Parameters
-        ----------
-        required : Requirements
-        """
+        """Return what is missed on the worst plant of those that miss something, a few words each."""
         order = [self.worst, *range(len(self.plants))]
         for i in order:
             said = self.margins[i].misses(required)
@@ -200,17 +148,7 @@ class Robustness:
 def robustness(parameters, sample_time: float, uncertainty: Uncertainty) -> Robustness:
     """Return what the loop of a controller is worth on all plants that the uncertainty allows.
 
-    Parameters
-    ----------
-    parameters : ControllerParameters
-    sample_time : float
-        [s]
-    uncertainty : Uncertainty
-
-    Raises
-    ------
-    ParameterError
-        No controller can be built of the parameters.
+    Units: ``sample_time`` [s].
     """
     plants = _plants(parameters, sample_time, uncertainty)
     return _robustness(parameters, sample_time, uncertainty, plants)
@@ -251,26 +189,7 @@ def design_robust(
 ) -> tuple[Designed, Robustness]:
     """Return gains that meet the requirements on every plant that was drawn, and what they are worth there.
 
-    Parameters
-    ----------
-    parameters : ControllerParameters
-        Its model is used; what the design does not decide is kept.
-    controller : str
-        Name of a design.
-    sample_time : float
-        [s]
-    uncertainty : Uncertainty
-    q : float, optional
-        Variance of the input's noise over that of the measurement in the Kalman filter.
-    aimed : Requirements, optional
-        What every plant has to meet.
-
-    Raises
-    ------
-    ConfigurationError
-        There is no design of that name.
-    ParameterError
-        No design follows from the model.
+    Units: ``sample_time`` [s].
     """
     plants = _plants(parameters, sample_time, uncertainty)
     active = list(plants[: 1 + CORNERS])
@@ -294,37 +213,19 @@ TOLERANCE = 1e-3
 
 @dataclass(frozen=True, eq=False)
 class Tuned:
-    """Result of :func:`tune`.
+    """Result of :func:`tune`."""
 
-    Parameters
-    ----------
-    gains : Parameters
-        The best found, of the law's group.
-    criterion : str
-        ``iae``, ``ise`` or ``itae``.
-    before, after : float
-        Criterion at the start and at the end [m s, m² s or m s²].
-    history : ndarray, shape (iterations + 1, n + 1)
-        The n gains that the law declares and the criterion after each iteration.
-    converged : bool
-        Without it the iterations ran out, and the gains are still the best found.
-    """
-
-    gains: Parameters
-    criterion: str
-    before: float
+    gains: Parameters  #: The best found, of the law's group.
+    criterion: str  #: ``iae``, ``ise`` or ``itae``.
+    before: float  #: before, after: Criterion at the start and at the end [m s, m² s or m s²].
     after: float
+    #: shape (iterations + 1, n + 1); The n gains that the law declares and the criterion after each iteration.
     history: np.ndarray
-    converged: bool
+    converged: bool  #: Without it the iterations ran out, and the gains are still the best found.
 
 
 def believed_axis(parameters: AxisParameters) -> AxisParameters:
-    """Return the axis whose plant is what compensator and controller believe of it.
-
-    Parameters
-    ----------
-    parameters : AxisParameters
-    """
+    """Return the axis whose plant is what compensator and controller believe of it."""
     compensator, model = parameters.hysteresis_compensator, parameters.motion_controller.model
     plant = replace(
         parameters.plant_simulator,
@@ -343,14 +244,7 @@ def believed_axis(parameters: AxisParameters) -> AxisParameters:
 def criterion_of(name: str, error, sample_time: float) -> float:
     """Return a criterion of an error.
 
-    Parameters
-    ----------
-    name : str
-        One of :data:`CRITERIA`.
-    error : ndarray, shape (N,)
-        [m]
-    sample_time : float
-        [s]
+    Units: ``error`` [m], ``sample_time`` [s].
     """
     size = np.abs(error)
     if name == "ise":
@@ -387,29 +281,7 @@ def tune(
 ) -> Tuned:
     """Tune the controller of an axis on its own waveform.
 
-    Parameters
-    ----------
-    parameters : AxisParameters
-        The axis; its plant is replaced by :func:`believed_axis`.
-    kind : str
-        Type of the controller, one that declares a :class:`~hysteresis_ros.control.law.Tuning`.
-    criterion : str
-        One of :data:`CRITERIA`, of delayed reference minus true displacement.
-    start : Parameters, optional
-        Initial gains, of the law's own group; by default those with which the law declares to begin.
-    duration : float, optional
-        Length of the run [s]; by default the configuration's own.
-    iterations : int
-        Most iterations.
-    required : Requirements, optional
-        Gains that miss it on the model are refused; by default what the law declares.
-
-    Raises
-    ------
-    ConfigurationError
-        The configuration does not say how long its run is, or the criterion is unknown.
-    ParameterError
-        The initial gains are not stable on the model.
+    Units: ``duration`` [s].
     """
     if criterion not in CRITERIA:
         raise ConfigurationError(f"criterion = {criterion!r}: must be one of {', '.join(CRITERIA)}")

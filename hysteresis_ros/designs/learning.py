@@ -54,27 +54,13 @@ DIRECTIONS = np.exp(0.25j * np.pi * np.arange(8))
 
 @dataclass(frozen=True)
 class LearningRequest:
-    """What is asked of a design.
+    """What is asked of a design."""
 
-    Parameters
-    ----------
-    kind : str
-        ``inversion``, ``norm_optimal`` or ``repetitive``.
-    period : float, optional
-        Of the reference [s]; by default that of the configured waveform.
-    bandwidth : float, optional
-        Of the learning [Hz]; by default the highest that contracts.
-    maximum : float, optional
-        Largest correction [m]; by default :data:`MAXIMUM` of the stroke.
-    possible : Uncertainty
-        Plants on which the filters have to contract.
-    """
-
-    kind: str
-    period: float | None = None
-    bandwidth: float | None = None
-    maximum: float | None = None
-    possible: Uncertainty = field(default=POSSIBLE)
+    kind: str  #: ``inversion``, ``norm_optimal`` or ``repetitive``.
+    period: float | None = None  #: Of the reference [s]; by default that of the configured waveform.
+    bandwidth: float | None = None  #: Of the learning [Hz]; by default the highest that contracts.
+    maximum: float | None = None  #: Largest correction [m]; by default :data:`MAXIMUM` of the stroke.
+    possible: Uncertainty = field(default=POSSIBLE)  #: Plants on which the filters have to contract.
 
 
 #: Options of the command that a design of the learning takes besides those of the ranges, and those that come with it.
@@ -82,20 +68,7 @@ TAKES, OWN = ("learning", "period", "bandwidth", "maximum"), ("learning", "perio
 
 
 def asked(options: dict) -> LearningRequest | None:
-    """Return what the options of the command ask of the learning; None where they ask for a controller.
-
-    Parameters
-    ----------
-    options : dict
-        By their names; None or False where nothing is given. Those that are the learning's own are taken out.
-
-    Raises
-    ------
-    ConfigurationError
-        Options exclude each other, or nothing is asked.
-    ParameterError
-        A range is out of bounds; it is named by its option.
-    """
+    """Return what the options of the command ask of the learning; None where they ask for a controller."""
     given = {name: value for name, value in options.items() if value is not None and value is not False}
     ranges = {
         name: given.pop(option.replace("-", "_"))
@@ -136,33 +109,16 @@ def asked(options: dict) -> LearningRequest | None:
 
 @dataclass(frozen=True, eq=False)
 class LearningDesign:
-    """A designed correction.
-
-    Parameters
-    ----------
-    request : LearningRequest
-    parameters : LearningParameters
-    filters : Filters
-    response : Response
-        The closed loop they are for.
-    sample_time : float
-        [s]
-    """
+    """A designed correction."""
 
     request: LearningRequest
     parameters: LearningParameters
     filters: Filters
-    response: Response
-    sample_time: float
+    response: Response  #: The closed loop they are for.
+    sample_time: float  #: [s]
 
     def rate(self, possible: np.ndarray) -> float:
-        """Return by how much the worst part of the error falls from one period to the next, at the first gain.
-
-        Parameters
-        ----------
-        possible : ndarray, shape (p, m)
-            Closed loops.
-        """
+        """Return by how much the worst part of the error falls from one period to the next, at the first gain."""
         angles = np.linspace(0.0, np.pi, possible.shape[1])
         low_pass, learning = self.filters.responses(angles)
         return float(np.max(contraction(low_pass, learning, possible, self.parameters.gain)))
@@ -170,26 +126,15 @@ class LearningDesign:
 
 @dataclass(frozen=True, eq=False)
 class MeasuredPlant:
-    """What a plant measured to be, over what its model says.
+    """What a plant measured to be, over what its model says."""
 
-    Parameters
-    ----------
-    frequency : ndarray, shape (F,)
-        [Hz], rising.
-    ratio : ndarray of complex, shape (F,)
-        Response measured over that of the model; beyond the lines the nearest one counts.
-    """
-
-    frequency: np.ndarray
-    ratio: np.ndarray
+    frequency: np.ndarray  #: shape (F,) [Hz], rising.
+    ratio: np.ndarray  #: shape (F,); Response measured over that of the model; beyond the lines the nearest one counts.
 
     def at(self, frequency: np.ndarray) -> np.ndarray:
         """Return the ratio at any frequencies.
 
-        Parameters
-        ----------
-        frequency : ndarray, shape (m,)
-            [Hz]
+        Units: ``frequency`` [Hz].
         """
         parts = (np.interp(frequency, self.frequency, part) for part in (self.ratio.real, self.ratio.imag))
         real, imaginary = parts
@@ -203,19 +148,6 @@ def closed_loop(
 
     Feedforward, law and whatever else stands in the loop answer one impulse of the reference and one of the
     measurement: u_r and u_d. On another plant P' then T' = P' u_r / (1 − u_d (P' − P)).
-
-    Parameters
-    ----------
-    node : ControllerNodeParameters
-    possible : Uncertainty
-    response : ResponseUncertainty or MeasuredPlant, optional
-        What an identification left open of the plant's response; or what it measured to be, which stands in the place
-        of the model then, with all of ``possible`` around it.
-
-    Raises
-    ------
-    ConfigurationError
-        The loop does not come to rest on its own model.
     """
     sample_time, dynamics = 1.0 / node.sample_rate, node.model.dynamics
     model, observed = plant_state_space(dynamics), plant_state_space(dynamics, acting=True)
@@ -275,22 +207,7 @@ def _impulse(node: ControllerNodeParameters, model, count: int, reference: float
 def design_learning(
     axis: AxisParameters, request: LearningRequest, response: ResponseUncertainty | MeasuredPlant | None = None
 ) -> LearningDesign:
-    """Design the correction of an axis for its own controller and model.
-
-    Parameters
-    ----------
-    axis : AxisParameters
-    request : LearningRequest
-    response : ResponseUncertainty or MeasuredPlant, optional
-        Of the model's response, as :func:`closed_loop` takes it.
-
-    Raises
-    ------
-    ConfigurationError
-        There is no such design, no period is known, or no filters contract.
-    ParameterError
-        The period is no whole number of samples.
-    """
+    """Design the correction of an axis for its own controller and model."""
     node = axis.motion_controller
     rate = node.sample_rate
     period = request.period if request.period is not None else waveform_period(axis)
@@ -322,12 +239,7 @@ def design_learning(
 
 
 def settling(loop: Response) -> int:
-    """Return the samples in which the closed loop on the model answers a step but for a part.
-
-    Parameters
-    ----------
-    loop : Response
-    """
+    """Return the samples in which the closed loop on the model answers a step but for a part."""
     answer = np.cumsum(np.abs(np.fft.irfft(loop.model)))
     return int(np.searchsorted(answer, (1.0 - SETTLED) * answer[-1]))
 
@@ -336,10 +248,6 @@ def knocked(loop: Response) -> int:
     """Return the samples in which the closed loop on the model answers one wrong sample of its voltage but for a part.
 
     The part is one of the largest answer: what is left is small from then on, however long it lasts.
-
-    Parameters
-    ----------
-    loop : Response
     """
     assert loop.pushed is not None
     answer = np.abs(np.fft.irfft(loop.pushed))
@@ -347,17 +255,7 @@ def knocked(loop: Response) -> int:
 
 
 def waveform_period(axis: AxisParameters) -> float:
-    """Return the period of the configured waveform [s].
-
-    Parameters
-    ----------
-    axis : AxisParameters
-
-    Raises
-    ------
-    ConfigurationError
-        It has none.
-    """
+    """Return the period of the configured waveform [s]."""
     waveform = axis.reference_generator.waveform if axis.reference_generator is not None else None
     if waveform is None or waveform.type not in PERIODIC or not waveform.frequency > 0.0:
         kind = "a sequencer" if waveform is None else f"waveform.type {waveform.type}"
@@ -370,12 +268,7 @@ PERIODIC = ("sine", "triangle", "square")
 
 
 def learning_lines(result: LearningDesign) -> list[str]:
-    """Return the table that the command prints.
-
-    Parameters
-    ----------
-    result : LearningDesign
-    """
+    """Return the table that the command prints."""
     filters, given, ranges = result.filters, result.parameters, result.request.possible
     rate, worst = 1.0 / result.sample_time, result.rate(result.response.possible)
     nominal = result.rate(result.response.model[np.newaxis])
@@ -397,13 +290,7 @@ def learning_lines(result: LearningDesign) -> list[str]:
 
 
 def periods_to(rate: float, part_left: float = 0.1) -> int:
-    """Return the periods after which an error that falls by a factor each has fallen to a part.
-
-    Parameters
-    ----------
-    rate : float
-    part_left : float
-    """
+    """Return the periods after which an error that falls by a factor each has fallen to a part."""
     return math.ceil(math.log(part_left) / math.log(rate))
 
 
@@ -415,16 +302,7 @@ def _ranges(ranges: Uncertainty) -> str:
 
 
 def learning_file(configuration: Configuration, result: LearningDesign, namespace: str) -> str:
-    """Return the text of the parameter file with a designed correction, checked: the axis can be built from it.
-
-    Parameters
-    ----------
-    configuration : Configuration
-        What was designed from.
-    result : LearningDesign
-    namespace : str
-        Of the axis.
-    """
+    """Return the text of the parameter file with a designed correction, checked: the axis can be built from it."""
     rate, filters = 1.0 / result.sample_time, result.filters
     source = configuration.source.replace("\\", "/").rsplit("/", 1)[-1]
     words = (

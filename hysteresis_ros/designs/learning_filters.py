@@ -63,80 +63,36 @@ COARSE = 400
 
 
 class Response(NamedTuple):
-    """Closed loop at angles 0 … π that are evenly apart.
+    """Closed loop at angles 0 … π that are evenly apart."""
 
-    Parameters
-    ----------
-    model : ndarray, shape (m,)
-        T on the model.
-    possible : ndarray, shape (p, m)
-        T_p on all plants that are possible, the model among them.
-    pushed : ndarray, shape (m,), optional
-        From the input of the plant to the displacement, in closed loop, on the model.
-    """
-
-    model: np.ndarray
-    possible: np.ndarray
+    model: np.ndarray  #: shape (m,); T on the model.
+    possible: np.ndarray  #: shape (p, m); T_p on all plants that are possible, the model among them.
+    #: shape (m,); From the input of the plant to the displacement, in closed loop, on the model.
     pushed: np.ndarray | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Filters:
-    """Filters and what they are worth.
+    """Filters and what they are worth."""
 
-    Parameters
-    ----------
-    kind : str
-        Design.
-    error : ndarray
-        Taps of G, from the furthest look ahead on.
-    lead : int
-        That of the first one [samples].
-    robustness : ndarray
-        Taps of Q: the middle, then those on both sides.
-    bandwidth : float
-        Where Q has fallen by 3 dB, as a part of the sample rate.
-    contraction : float
-        Largest |Q − G T_p| of all frequencies and plants.
-    nominal : float
-        The same of the model alone.
-    worst : float
-        Where the contraction is worst, as a part of the sample rate.
-    """
-
-    kind: str
-    error: np.ndarray
-    lead: int
-    robustness: np.ndarray
-    bandwidth: float
-    contraction: float
-    nominal: float
-    worst: float
+    kind: str  #: Design.
+    error: np.ndarray  #: Taps of G, from the furthest look ahead on.
+    lead: int  #: That of the first one [samples].
+    robustness: np.ndarray  #: Taps of Q: the middle, then those on both sides.
+    bandwidth: float  #: Where Q has fallen by 3 dB, as a part of the sample rate.
+    contraction: float  #: Largest |Q − G T_p| of all frequencies and plants.
+    nominal: float  #: The same of the model alone.
+    worst: float  #: Where the contraction is worst, as a part of the sample rate.
 
     def responses(self, angles) -> tuple[np.ndarray, np.ndarray]:
-        """Return Q and G at angles, shape (m,) each.
-
-        Parameters
-        ----------
-        angles : array_like, shape (m,)
-            [rad a sample]
-        """
+        """Return Q and G at angles, shape (m,) each."""
         return filter_responses(self.error, self.lead, self.robustness, np.asarray(angles))
 
 
 def filter_responses(error, lead: int, robustness, angles) -> tuple[np.ndarray, np.ndarray]:
     """Return Q and G at angles.
 
-    Parameters
-    ----------
-    error : array_like
-        Taps of G, as the correction has them.
-    lead : int
-        Look ahead of its first tap [samples].
-    robustness : array_like
-        Taps of Q, likewise.
-    angles : ndarray, shape (m,)
-        [rad a sample]
+    Units: ``lead`` [samples].
     """
     sides = np.cos(np.outer(angles, np.arange(1, len(robustness))))
     low_pass = robustness[0] + 2.0 * sides @ np.asarray(robustness[1:], dtype=float)
@@ -145,16 +101,7 @@ def filter_responses(error, lead: int, robustness, angles) -> tuple[np.ndarray, 
 
 
 def contraction(low_pass, learning, possible, gain: float = 1.0) -> np.ndarray:
-    """Return |1 − γ + γ (Q − G T_p)| + γ ε |G|, the largest of all plants at each frequency, shape (m,).
-
-    Parameters
-    ----------
-    low_pass, learning : ndarray, shape (m,)
-        Q and G.
-    possible : ndarray, shape (p, m)
-    gain : float
-        γ
-    """
+    """Return |1 − γ + γ (Q − G T_p)| + γ ε |G|, the largest of all plants at each frequency, shape (m,)."""
     sizes = np.max(np.abs(1.0 - gain + gain * (low_pass - learning * possible)), axis=0)
     return sizes + gain * UNSEEN * np.abs(learning)
 
@@ -164,22 +111,7 @@ def design_filters(
 ) -> Filters:
     """Return the filters of the highest bandwidth that contract, or those of the bandwidth that is asked.
 
-    Parameters
-    ----------
-    kind : str
-        ``inversion``, ``norm_optimal`` or ``repetitive``.
-    response : Response
-    period : int
-        [samples]
-    bandwidth : float, optional
-        As a part of the sample rate.
-    sample_rate : float
-        [Hz], for messages.
-
-    Raises
-    ------
-    ConfigurationError
-        None contracts; names how far the best one is and where.
+    Units: ``period`` [samples], ``sample_rate`` [Hz].
     """
     wanted = np.geomspace(HIGHEST, max(LOWEST, 0.5 / period), STEPS) if bandwidth is None else [bandwidth]
     design = KINDS[kind](response, period)
@@ -209,29 +141,14 @@ def _judged(kind: str, response: Response, taps, lead: int, robustness) -> Filte
 
 
 def low_pass(cutoff: float, points: int) -> np.ndarray:
-    """Return a response of zero phase that falls from one to zero around a frequency, shape (points,).
-
-    Parameters
-    ----------
-    cutoff : float
-        As a part of the sample rate.
-    points : int
-        At angles 0 … π.
-    """
+    """Return a response of zero phase that falls from one to zero around a frequency, shape (points,)."""
     places = np.linspace(0.0, 0.5, points)
     width = max(FALL * cutoff, min(LEAST_FALL, cutoff))
     return 0.5 + 0.5 * np.cos(np.pi * np.clip((places - cutoff + width) / (2.0 * width), 0.0, 1.0))
 
 
 def symmetric_taps(response, half: int) -> np.ndarray:
-    """Return the taps of a real response: the middle, then those on both sides, with a gain of one at rest.
-
-    Parameters
-    ----------
-    response : ndarray, shape (m,)
-    half : int
-        Taps on each side, at most.
-    """
+    """Return the taps of a real response: the middle, then those on both sides, with a gain of one at rest."""
     taps = np.fft.irfft(response)[: half + 1]
     return rounded(taps / (taps[0] + 2.0 * np.sum(taps[1:])))
 
@@ -239,11 +156,7 @@ def symmetric_taps(response, half: int) -> np.ndarray:
 def taps_of(response, half: int) -> tuple[np.ndarray, int]:
     """Return the 2 n + 1 taps of a complex response that hold most of it, and the look ahead of the first.
 
-    Parameters
-    ----------
-    response : ndarray, shape (m,)
-    half : int
-        n, also the longest look ahead [samples].
+    Units: ``half`` [samples].
     """
     count, furthest = 2 * half + 1, half
     whole = np.fft.irfft(response)

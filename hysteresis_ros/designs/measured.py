@@ -38,37 +38,13 @@ _HEADER = """\
 
 
 def measured_uncertainty(axis: AxisParameters, found: Analysis) -> ResponseUncertainty:
-    """Return how far the model in an axis' controller may be off, as a response says.
-
-    Parameters
-    ----------
-    axis : AxisParameters
-    found : Analysis
-
-    Raises
-    ------
-    ConfigurationError
-        It was measured at another rate.
-    """
+    """Return how far the model in an axis' controller may be off, as a response says."""
     plant, model = _beside(axis.motion_controller.model.dynamics, axis, found)
     return plant.uncertainty(model, found.response.sample_time)
 
 
 def measured_margins(axis: AxisParameters, parameters: ControllerParameters, found: Analysis) -> MeasuredLoop:
-    """Return the loop of a controller, and of its damping, around the plant as it was measured.
-
-    Parameters
-    ----------
-    axis : AxisParameters
-    parameters : ControllerParameters
-        Of the design.
-    found : Analysis
-
-    Raises
-    ------
-    ConfigurationError
-        It was measured at another rate.
-    """
+    """Return the loop of a controller, and of its damping, around the plant as it was measured."""
     plant, _ = _beside(parameters.model.dynamics, axis, found)
     sample_time = found.response.sample_time
     controller, model = whole_loop(parameters, sample_time)
@@ -76,14 +52,7 @@ def measured_margins(axis: AxisParameters, parameters: ControllerParameters, fou
 
 
 def measured_lines(axis: AxisParameters, result: AxisDesign, found: Analysis) -> list[str]:
-    """Return what a design prints of its margins on the plant as it was measured.
-
-    Parameters
-    ----------
-    axis : AxisParameters
-    result : AxisDesign
-    found : Analysis
-    """
+    """Return what a design prints of its margins on the plant as it was measured."""
     loop = measured_margins(axis, result.parameters, found)
     # both cut at the command: a damping is part of the controller
     model = margins_of(*whole_loop(result.parameters, found.response.sample_time), found.response.sample_time)
@@ -101,45 +70,17 @@ def measured_lines(axis: AxisParameters, result: AxisDesign, found: Analysis) ->
 
 @dataclass(frozen=True, eq=False)
 class MeasuredDynamics:
-    """A parameter file whose dynamics were measured.
-
-    Parameters
-    ----------
-    text : str
-    figures : dict
-        Of the fit, by names with units.
-    warnings : tuple of str
-    """
+    """A parameter file whose dynamics were measured."""
 
     text: str
-    figures: dict
+    figures: dict  #: Of the fit, by names with units.
     warnings: tuple[str, ...]
 
 
 def with_measured_dynamics(
     configuration: Configuration, namespace: str | None, found: Analysis, source: str, order: int | None = None
 ) -> MeasuredDynamics:
-    """Return the parameter file of an axis whose plant and controller model have dynamics fitted to a response.
-
-    Parameters
-    ----------
-    configuration : Configuration
-        Its hysteresis stays; its controller becomes ``open_loop``, gains are designed anew.
-    namespace : str, optional
-        Which axis.
-    found : Analysis
-    source : str
-        Where the response comes from, for the file.
-    order : int, optional
-        Of the dynamics.
-
-    Raises
-    ------
-    IdentificationError
-        Nothing stable fits.
-    ConfigurationError
-        It was measured at another rate.
-    """
+    """Return the parameter file of an axis whose plant and controller model have dynamics fitted to a response."""
     axis = single_axis(configuration, namespace)
     dynamics, fit = dynamics_of(found, order)
     plant, model = _beside(dynamics, axis, found)
@@ -169,12 +110,7 @@ def with_measured_dynamics(
 
 
 def entries(found: ResponseUncertainty) -> dict:
-    """Return what a parameter file keeps of an uncertainty, for a design.
-
-    Parameters
-    ----------
-    found : ResponseUncertainty
-    """
+    """Return what a parameter file keeps of an uncertainty, for a design."""
     known = {"response.known_to": found.known_to} if np.isfinite(found.known_to) else {}
     return {
         "response.frequencies": tuple(float(f"{value:.6g}") for value in found.frequencies),

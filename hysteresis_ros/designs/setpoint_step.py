@@ -34,30 +34,15 @@ SETTLING, MOST = 0.2, 400_000
 
 @dataclass(frozen=True)
 class SetpointStep:
-    """A step to the farthest setpoint in the simulation.
+    """A step to the farthest setpoint in the simulation."""
 
-    Parameters
-    ----------
-    size : float
-        [m]
-    overshoot : float
-        Part of the size by which the displacement passes the setpoint or, after it, where it comes to rest.
-    largest : float
-        Largest change of the voltage in a sample [V].
-    asked : float
-        What it would be without a slew rate [V].
-    allowed : float
-        What the slew rate allows in a sample [V]; inf: the file states none.
-    feedforward : bool
-        Whether the dynamics are inverted.
-    """
-
-    size: float
+    size: float  #: [m]
+    #: Part of the size by which the displacement passes the setpoint or, after it, where it comes to rest.
     overshoot: float
-    largest: float
-    asked: float
-    allowed: float
-    feedforward: bool
+    largest: float  #: Largest change of the voltage in a sample [V].
+    asked: float  #: What it would be without a slew rate [V].
+    allowed: float  #: What the slew rate allows in a sample [V]; inf: the file states none.
+    feedforward: bool  #: Whether the dynamics are inverted.
 
     @property
     def share(self) -> float:
@@ -76,12 +61,7 @@ class SetpointStep:
 
 
 def setpoint_step(axis: AxisParameters) -> SetpointStep | None:
-    """Return a step of an axis from where it starts to its farthest setpoint; None for one that walks.
-
-    Parameters
-    ----------
-    axis : AxisParameters
-    """
+    """Return a step of an axis from where it starts to its farthest setpoint; None for one that walks."""
     if axis.reference_generator is None:
         return None
     own = replace(axis.reference_generator, waveform=WaveformParameters())
@@ -113,22 +93,7 @@ def setpoint_step(axis: AxisParameters) -> SetpointStep | None:
 
 
 def step_lines(text: str, namespace: str | None, refuse: bool) -> list[str]:
-    """Return what a design prints of the step of its file.
-
-    Parameters
-    ----------
-    text : str
-        Parameter file.
-    namespace : str, optional
-        Which axis of it.
-    refuse : bool
-        Whether a feedforward was asked for, which :func:`require_gentle` judges.
-
-    Raises
-    ------
-    ConfigurationError
-        See :func:`require_gentle`.
-    """
+    """Return what a design prints of the step of its file."""
     step = setpoint_step(single_axis(parse_configuration(text, "the designed file"), namespace))
     if step is None:
         return []
@@ -140,17 +105,7 @@ def step_lines(text: str, namespace: str | None, refuse: bool) -> list[str]:
 
 
 def require_gentle(step: SetpointStep | None) -> None:
-    """Refuse a feedforward that a step to a setpoint drives beyond the slew limit.
-
-    Parameters
-    ----------
-    step : SetpointStep or None
-
-    Raises
-    ------
-    ConfigurationError
-        It asks for more than the slew rate allows.
-    """
+    """Refuse a feedforward that a step to a setpoint drives beyond the slew limit."""
     if step is not None and step.feedforward and step.share > 1.0:
         raise ConfigurationError(
             f"feedforward inverse_dynamics: a setpoint {readable(step.size, 'm')} away asks for {step.asked:.3g} V in "

@@ -36,48 +36,22 @@ RANK = 1e10
 
 @dataclass(frozen=True, eq=False)
 class ArxFit:
-    """An ARX model.
+    """An ARX model."""
 
-    Parameters
-    ----------
-    denominator : ndarray, shape (n_a + 1,)
-        1, a_1 … a_na: coefficients of z⁰, z⁻¹ ….
-    numerator : ndarray, shape (n_b,)
-        b_0 …: coefficients of z⁻ᵈ, z⁻ᵈ⁻¹ … [output unit/input unit].
-    delay : int
-        d [samples].
-    offset : float
-        Constant in the regression, in the output's unit; 0 when it was not fitted.
-    covariance : ndarray, shape (n_a + n_b, n_a + n_b)
-        Of a_1 …, b_0 … for white residuals; of the unconstrained estimate where the constraint is active.
-    residual_variance : float
-        Of the one-step prediction, in the output's unit squared.
-    samples : int
-        Rows of the regression.
-    fpe : float
-        Akaike's final prediction error, in the output's unit squared.
-    sample_time : float
-        [s]
-    constrained : bool
-        Whether the constraint on the zeros changed the solution.
-    warnings : tuple of str
-        Unstable or non-minimum-phase fit, active constraint, weak excitation.
-    input_unit, output_unit : str
-        SI units.
-    """
-
-    denominator: np.ndarray
-    numerator: np.ndarray
-    delay: int
-    offset: float
+    denominator: np.ndarray  #: shape (n_a + 1,); 1, a_1 … a_na: coefficients of z⁰, z⁻¹ ….
+    numerator: np.ndarray  #: shape (n_b,); b_0 …: coefficients of z⁻ᵈ, z⁻ᵈ⁻¹ … [output unit/input unit].
+    delay: int  #: d [samples].
+    offset: float  #: Constant in the regression, in the output's unit; 0 when it was not fitted.
+    #: shape (n_a + n_b, n_a + n_b); Of a_1 …, b_0 … for white residuals; of the unconstrained estimate where the
+    #: constraint is active.
     covariance: np.ndarray
-    residual_variance: float
-    samples: int
-    fpe: float
-    sample_time: float
-    constrained: bool
-    warnings: tuple[str, ...]
-    input_unit: str = "V"
+    residual_variance: float  #: Of the one-step prediction, in the output's unit squared.
+    samples: int  #: Rows of the regression.
+    fpe: float  #: Akaike's final prediction error, in the output's unit squared.
+    sample_time: float  #: [s]
+    constrained: bool  #: Whether the constraint on the zeros changed the solution.
+    warnings: tuple[str, ...]  #: Unstable or non-minimum-phase fit, active constraint, weak excitation.
+    input_unit: str = "V"  #: input_unit, output_unit: SI units.
     output_unit: str = "m"
 
     @property
@@ -110,19 +84,11 @@ class ArxFit:
 
 
 class ArxOrders(NamedTuple):
-    """Orders of an ARX model.
+    """Orders of an ARX model."""
 
-    Parameters
-    ----------
-    na, nb : int
-        Numbers of coefficients a and b; nb ≥ 1.
-    delay : int
-        Of the input [samples], ≥ 1: a sample is taken before the input of its instant acts.
-    """
-
-    na: int = 2
+    na: int = 2  #: na, nb: Numbers of coefficients a and b; nb ≥ 1.
     nb: int = 2
-    delay: int = 1
+    delay: int = 1  #: Of the input [samples], ≥ 1: a sample is taken before the input of its instant acts.
 
 
 def fit_arx(
@@ -137,27 +103,7 @@ def fit_arx(
 ) -> ArxFit:
     """Fit an ARX model by least squares; W1 is na = nb = 2, delay = 1.
 
-    Parameters
-    ----------
-    u, y : array_like, shape (N,), or sequences of such
-        Input and output [SI]; several records are put into one regression without one's end touching another's start.
-    sample_time : float
-        [s]
-    orders : ArxOrders, optional
-        Those of W1 by default.
-    offset : bool
-        Whether a constant is fitted too: for data whose zero is anywhere.
-    zero_radius : float, optional
-        All zeros are kept within this radius (W6: below 1), at the least cost in squares; needs nb ≤ 3.
-    units : (str, str)
-        SI units of input and output.
-
-    Raises
-    ------
-    DataError
-        Too short, constant, or not finite.
-    FitError
-        Orders or radius out of range, or the input does not excite the model enough to tell its parameters.
+    Units: ``sample_time`` [s].
     """
     na, nb, delay = orders = orders or ArxOrders()
     _check_orders(orders, zero_radius)
@@ -218,22 +164,7 @@ def _require_excitation(table) -> None:
 def suggest_arx_orders(u, y, sample_time: float, maximum: int = 6, delays=(1, 2, 3), offset: bool = False) -> ArxOrders:
     """Return the orders with the lowest Bayesian information criterion.
 
-    Parameters
-    ----------
-    u, y : array_like, shape (N,), or sequences of such
-    sample_time : float
-        [s]
-    maximum : int
-        Highest na; nb goes up to na.
-    delays : sequence of int
-        Delays that are tried [samples].
-    offset : bool
-        See :func:`fit_arx`.
-
-    Raises
-    ------
-    FitError
-        No order can be fitted.
+    Units: ``sample_time`` [s], ``delays`` [samples].
     """
     best, chosen = np.inf, None
     for na in range(1, maximum + 1):

@@ -58,34 +58,16 @@ DIFFERENCE = 1e-5
 
 @dataclass(frozen=True)
 class BoucWenIdentification:
-    """Result of :func:`identify_bouc_wen_static`.
+    """Result of :func:`identify_bouc_wen_static`."""
 
-    Parameters
-    ----------
-    parameters : BoucWenParameters
-        The model: the best point found, converged or not.
-    offset : float
-        Constant part of the displacement [m], 0 unless it was free.
-    covariance : ndarray, shape (4, 4)
-        Of d_e, α, β and γ, for white residuals.
-    rms, maximum : float
-        Residual [m].
-    search : SimplexSearch
-        Trajectories of the parameters, one run for each start.
-    converged : bool
-        The simplex converged.
-    warnings : tuple of str
-        What to doubt.
-    """
-
-    parameters: BoucWenParameters
-    offset: float
-    covariance: np.ndarray
-    rms: float
+    parameters: BoucWenParameters  #: The model: the best point found, converged or not.
+    offset: float  #: Constant part of the displacement [m], 0 unless it was free.
+    covariance: np.ndarray  #: shape (4, 4); Of d_e, α, β and γ, for white residuals.
+    rms: float  #: rms, maximum: Residual [m].
     maximum: float
-    search: SimplexSearch
-    converged: bool
-    warnings: tuple[str, ...]
+    search: SimplexSearch  #: Trajectories of the parameters, one run for each start.
+    converged: bool  #: The simplex converged.
+    warnings: tuple[str, ...]  #: What to doubt.
 
     @property
     def standard_errors(self) -> dict[str, float]:
@@ -116,30 +98,7 @@ def identify_bouc_wen_static(
 ) -> BoucWenIdentification:
     """Fit d_e, α, β and γ of ``x = d_e V - h`` to slow loops by Nelder-Mead.
 
-    Parameters
-    ----------
-    voltage : array_like, shape (N,)
-        Voltage [V].
-    displacement : array_like, shape (N,)
-        Displacement [m].
-    history : array_like, shape (K,)
-        Voltages [V] the actuator went through before, from rest at 0 V; empty: it is at rest before the first sample.
-    guess : BoucWenParameters, optional
-        First start, :data:`PUBLISHED_GUESS` for instance; without it one is made from the ranges. Its exponent is
-        used.
-    exponent : float
-        n when there is no guess; it is not fitted.
-    free_offset : bool
-        Remove the constant that fits best (a sensor has no zero).
-    settings : SimplexSettings, optional
-        Without a number of starts: 1 with a guess, 4 without.
-    progress : callable, optional
-        See :func:`~hysteresis_ros.identification.restarted_nelder_mead.restarted_nelder_mead`.
-
-    Raises
-    ------
-    IdentificationError
-        Too short, constant, not finite, or a single branch, from which α and β, γ do not follow.
+    Units: ``voltage`` [V], ``displacement`` [m].
     """
     voltage, displacement = checked_signals(voltage, displacement)
     require_both_directions(split_branches(voltage), "Bouc-Wen fit")
@@ -265,33 +224,16 @@ WELL_DONE = 0.05
 
 @dataclass(frozen=True, eq=False)
 class BoucWenMechanicalFit:
-    """Result of :func:`fit_bouc_wen_mechanical`.
+    """Result of :func:`fit_bouc_wen_mechanical`."""
 
-    Parameters
-    ----------
-    parameters : BoucWenMechanicalParameters
-        β as given, γ and δ from the products.
-    rmse : float
-        RMS output error [m].
-    deviations : dict of str to float
-        Standard deviations, by the names of :data:`FREE` (from the Jacobian and the residual).
-    covariance : ndarray, shape (6, 6)
-        Of :data:`FREE`, in their units.
-    agreeing, starts : int
-        How many of the starts that were followed came to the same residual.
-    intersample, initial : str
-        How the input ran between samples and where the state started.
-    warnings : tuple of str
-    converged : bool
-    """
-
-    parameters: BoucWenMechanicalParameters
-    rmse: float
+    parameters: BoucWenMechanicalParameters  #: β as given, γ and δ from the products.
+    rmse: float  #: RMS output error [m].
+    #: Standard deviations, by the names of :data:`FREE` (from the Jacobian and the residual).
     deviations: dict[str, float]
-    covariance: np.ndarray
-    agreeing: int
+    covariance: np.ndarray  #: shape (6, 6); Of :data:`FREE`, in their units.
+    agreeing: int  #: agreeing, starts: How many of the starts that were followed came to the same residual.
     starts: int
-    intersample: str
+    intersample: str  #: intersample, initial: How the input ran between samples and where the state started.
     initial: str
     warnings: tuple[str, ...] = field(default=())
     converged: bool = True
@@ -311,31 +253,7 @@ def simulate_oscillator(
 ) -> np.ndarray:
     """Return the displacement of the oscillator at the samples of its input.
 
-    Parameters
-    ----------
-    parameters : BoucWenMechanicalParameters
-        Their own ``intersample`` and ``substeps`` are not used.
-    u : array_like, shape (N,)
-        Input.
-    sample_time : float
-        [s]
-    intersample : str
-        How the input runs between samples: ``zoh``, ``linear``, ``bandlimited``.
-    initial : str
-        ``zero``: at rest; ``periodic``: as if the input had repeated before. A band-limited input is then continued
-        periodically too.
-    grid : int
-        Grid points a sample.
-
-    Returns
-    -------
-    ndarray, shape (N,)
-        [m]
-
-    Raises
-    ------
-    ParameterError
-        The parameters are wrong, or the grid is too coarse for the oscillator's frequency.
+    Units: ``sample_time`` [s].
     """
     settings = replace(parameters, intersample="zoh" if intersample == "zoh" else "linear", substeps=1)
     block = BoucWenOscillator(settings, sample_time / grid)
@@ -376,29 +294,7 @@ def fit_bouc_wen_mechanical(
 ) -> BoucWenMechanicalFit:
     """Fit mass, damping, stiffness and the hysteretic force to input and output.
 
-    Parameters
-    ----------
-    u, y : array_like, shape (N,)
-        Input (N, or V with ``force_per_input``) and displacement [m], uniformly sampled.
-    sample_time : float
-        [s]
-    start : BoucWenMechanicalParameters
-        Initial values; they may be off by a factor of two. β, the exponent and the force per input are kept.
-    intersample, initial : str
-        See :func:`simulate_oscillator`.
-    skip : int
-        First samples left out of the error.
-    trials : int
-        Trial points around the initial values.
-    seed : int
-        Of the trial points.
-    progress : callable, optional
-        Called as ``progress(start, rmse)`` after each start that was followed.
-
-    Raises
-    ------
-    IdentificationError
-        The data or a setting cannot be used, or no start gives a finite output.
+    Units: ``u`` [m], ``y`` [m], ``sample_time`` [s].
     """
     u, y = (np.ascontiguousarray(values, dtype=np.float64) for values in (u, y))
     _check_oscillator(u, y, start, intersample, initial)

@@ -50,29 +50,14 @@ STAGES = {
 
 @dataclass(frozen=True, eq=False)
 class LinearStage:
-    """Dynamics of unit DC gain, and the gain taken out of them.
-
-    Parameters
-    ----------
-    dynamics : LinearParameters
-    gain, offset : float
-        Output = gain · dynamics(w) + offset, in SI units.
-    fitted : int
-        Fitted numbers.
-    numbers : dict of str to float
-        What is worth printing.
-    transfer_function : (tuple of float, tuple of float), optional
-        Of unit DC gain.
-    warnings : tuple of str
-    converged : bool
-    """
+    """Dynamics of unit DC gain, and the gain taken out of them."""
 
     dynamics: LinearParameters
-    gain: float
+    gain: float  #: gain, offset: Output = gain · dynamics(w) + offset, in SI units.
     offset: float
-    fitted: int
-    numbers: dict[str, float]
-    transfer_function: tuple[tuple[float, ...], tuple[float, ...]] | None = None
+    fitted: int  #: Fitted numbers.
+    numbers: dict[str, float]  #: What is worth printing.
+    transfer_function: tuple[tuple[float, ...], tuple[float, ...]] | None = None  #: Of unit DC gain.
     warnings: tuple[str, ...] = ()
     converged: bool = True
 
@@ -82,27 +67,7 @@ def fit_stage(
 ) -> LinearStage:
     """Fit the dynamics between what the hysteresis puts out and what is measured.
 
-    Parameters
-    ----------
-    w : array_like, shape (N,)
-        Output of the hysteresis [m] (or the voltage).
-    y : array_like, shape (N,)
-        Measured displacement [m].
-    sample_time : float
-        [s]
-    kind : str
-        A name of :data:`STAGES`.
-    skip : int
-        First samples left out of the error.
-    intersample, initial : str
-        Of continuous models.
-
-    Raises
-    ------
-    FitError
-        No stable model of positive DC gain comes out, or the choice is unknown.
-    DataError
-        The data cannot be used.
+    Units: ``w`` [m], ``y`` [m], ``sample_time`` [s].
     """
     if kind in CONTINUOUS:
         return _continuous_stage(w, y, sample_time, kind, skip, intersample, initial)
@@ -156,22 +121,7 @@ AT_ZERO = 0.002
 
 
 def chain_of(data, request, hysteresis, part, dynamics, synchronous, offset=0.0) -> PlantModel:
-    """Return the chain of a hysteresis that is zero at rest, with the sensor's zero where the recording shows it.
-
-    Parameters
-    ----------
-    data : IdentificationData
-    request : Request
-    hysteresis : HysteresisParameters
-    part : LinearPart or None
-        What stands behind it, where it is known in continuous time.
-    dynamics : LinearParameters
-        For the sample time of the data.
-    synchronous : bool
-        A displacement belongs to the voltage of its own sample.
-    offset : float
-        Constant [m] that the hysteresis does not hold.
-    """
+    """Return the chain of a hysteresis that is zero at rest, with the sensor's zero where the recording shows it."""
     hysteresis, rest = grounded(hysteresis, data.sample_time)
     settled = part is not None and part.settled
     gain = 1.0 if part is None else part.settled_gain
@@ -201,27 +151,14 @@ def chain_of(data, request, hysteresis, part, dynamics, synchronous, offset=0.0)
 
 
 def reading_at_zero(data: IdentificationData) -> float | None:
-    """Return what the sensor read at 0 V at the beginning of the recording [m]; None if the voltage was not there.
-
-    Parameters
-    ----------
-    data : IdentificationData
-    """
+    """Return what the sensor read at 0 V at the beginning of the recording [m]; None if the voltage was not there."""
     away = np.flatnonzero(np.abs(data.input) > AT_ZERO * np.ptp(data.input))
     standing = int(away[0]) if away.size else len(data)
     return float(np.median(data.output[:standing])) if standing else None
 
 
 def identified(chain: PlantModel, request: Request, found: FittedHysteresis, part: LinearPart) -> Identification:
-    """Return the result of an identification, its linear part in figures and words.
-
-    Parameters
-    ----------
-    chain : PlantModel
-    request : Request
-    found : FittedHysteresis
-    part : LinearPart
-    """
+    """Return the result of an identification, its linear part in figures and words."""
     numbers, words = described(part)
     return Identification(
         model=request.model,
@@ -236,12 +173,7 @@ def identified(chain: PlantModel, request: Request, found: FittedHysteresis, par
 
 
 def described(part: LinearPart) -> tuple[dict[str, float], list[str]]:
-    """Return the numbers of a linear part, by names with units, and what there is of it, in words.
-
-    Parameters
-    ----------
-    part : LinearPart
-    """
+    """Return the numbers of a linear part, by names with units, and what there is of it, in words."""
     numbers = {}
     words = []
     if part.lag > 0.0:
@@ -261,15 +193,7 @@ def described(part: LinearPart) -> tuple[dict[str, float], list[str]]:
 
 
 def with_stage(data: IdentificationData, request: Request, fit: FittedHysteresis) -> Identification:
-    """Fit dynamics of higher order behind the hysteresis; their gain goes to the hysteresis.
-
-    Parameters
-    ----------
-    data : IdentificationData
-    request : Request
-        With ``stage``.
-    fit : FittedHysteresis
-    """
+    """Fit dynamics of higher order behind the hysteresis; their gain goes to the hysteresis."""
     hysteresis, _ = grounded(fit.hysteresis, data.sample_time)
     skip = request.skip if request.skip is not None else automatic_skip(data)
     request.progress(0, request.stage)
@@ -293,11 +217,6 @@ def with_stage(data: IdentificationData, request: Request, fit: FittedHysteresis
 
 
 def automatic_skip(data: IdentificationData) -> int:
-    """Return how many samples pass before the voltage has been near both ends of its range and the past is wiped out.
-
-    Parameters
-    ----------
-    data : IdentificationData
-    """
+    """Return how many samples pass before the voltage has been near both ends of its range and the past is wiped out."""
     found = condense(data.input, data.output, data.sample_time)
     return found.first * found.factor

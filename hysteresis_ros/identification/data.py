@@ -56,16 +56,7 @@ def implausible_units(
 ) -> Iterator[str]:
     """Yield a question for each number that suggests a mistaken unit, with the number.
 
-    Parameters
-    ----------
-    sample_time, duration : float
-        [s]
-    u, y : ndarray
-        Input and output in SI.
-    units : (str, str)
-        SI units of input and output; only V and m are asked about.
-    reversals : int
-        How often the input turns.
+    Units: ``sample_time`` [s], ``duration`` [s].
     """
     span, stroke = float(np.ptp(u)), float(np.ptp(y))
     gain = stroke / span if span > 0.0 else math.nan
@@ -92,15 +83,7 @@ def implausible_units(
 
 
 def few_samples_a_cycle(samples: float, reversals: int) -> Iterator[str]:
-    """Yield a warning when turning points fall between the samples.
-
-    Parameters
-    ----------
-    samples : float
-        In all.
-    reversals : int
-        Of the input.
-    """
+    """Yield a warning when turning points fall between the samples."""
     if reversals < 2:
         return
     each = 2.0 * samples / reversals
@@ -125,15 +108,7 @@ DRIFT_SHARE = 0.01
 
 
 class DataError(IdentificationError):
-    """Data that cannot be used for identification.
-
-    Parameters
-    ----------
-    check : str
-        Which check found it: ``short``, ``constant``, ``nan``, ``uniform``, ``unit``, ``shape``, ``range`` …
-    message : str
-        What was found, what is allowed, what to do.
-    """
+    """Data that cannot be used for identification."""
 
     def __init__(self, check: str, message: str):
         self.check = check
@@ -142,66 +117,33 @@ class DataError(IdentificationError):
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing found by a check.
+    """One thing found by a check."""
 
-    Parameters
-    ----------
-    check : str
-        ``short``, ``constant``, ``nan``, ``uniform``, ``clipping``, ``unit``, ``coarse``, ``delay``, ``drift``,
-        ``jitter``, ``reading`` …
-    severity : str
-        ``error`` (cannot be used), ``warning`` (results suffer) or ``note``.
-    message : str
-        In words, with numbers and units.
-    """
-
+    #: ``short``, ``constant``, ``nan``, ``uniform``, ``clipping``, ``unit``, ``coarse``, ``delay``, ``drift``,
+    #: ``jitter``, ``reading`` …
     check: str
-    severity: str
-    message: str
+    severity: str  #: ``error`` (cannot be used), ``warning`` (results suffer) or ``note``.
+    message: str  #: In words, with numbers and units.
 
 
 @dataclass(frozen=True)
 class DataReport:
-    """What the checks found.
-
-    Parameters
-    ----------
-    samples : int
-    sample_time : float
-        [s]
-    jitter : float
-        Largest distance of a sample from its place on the uniform grid [s].
-    missing : int
-        Samples at which the input or output is not finite.
-    stroke : float
-        Peak-to-peak output in its SI unit.
-    input_minimum, input_maximum : float
-        In the input's SI unit.
-    clipped_input, clipped_output : float
-        Share of samples at a clipped extreme.
-    delay : float
-        Lag of the output behind the input [s] at the best correlation: dead time, dynamics and hysteresis together.
-    drift : float
-        Change of the output over the whole data that the input does not explain, in its SI unit.
-    reversals : int
-        How often the input turns round.
-    findings : tuple of Finding
-        In the order of the checks.
-    """
+    """What the checks found."""
 
     samples: int
-    sample_time: float
-    jitter: float
-    missing: int
-    stroke: float
-    input_minimum: float
+    sample_time: float  #: [s]
+    jitter: float  #: Largest distance of a sample from its place on the uniform grid [s].
+    missing: int  #: Samples at which the input or output is not finite.
+    stroke: float  #: Peak-to-peak output in its SI unit.
+    input_minimum: float  #: input_minimum, input_maximum: In the input's SI unit.
     input_maximum: float
-    clipped_input: float
+    clipped_input: float  #: clipped_input, clipped_output: Share of samples at a clipped extreme.
     clipped_output: float
+    #: Lag of the output behind the input [s] at the best correlation: dead time, dynamics and hysteresis together.
     delay: float
-    drift: float
-    reversals: int
-    findings: tuple[Finding, ...]
+    drift: float  #: Change of the output over the whole data that the input does not explain, in its SI unit.
+    reversals: int  #: How often the input turns round.
+    findings: tuple[Finding, ...]  #: In the order of the checks.
 
     @property
     def errors(self) -> tuple[Finding, ...]:
@@ -219,22 +161,11 @@ class DataReport:
         return tuple(item.message for item in self.findings if item.severity == "note")
 
     def warned(self, texts) -> DataReport:
-        """Return the report with warnings in front that came before these checks.
-
-        Parameters
-        ----------
-        texts : iterable of str
-        """
+        """Return the report with warnings in front that came before these checks."""
         return replace(self, findings=(*(Finding("reading", "warning", text) for text in texts), *self.findings))
 
     def raise_errors(self) -> None:
-        """Raise what makes the data unusable.
-
-        Raises
-        ------
-        DataError
-            With the messages of all errors, and the name of the first check.
-        """
+        """Raise what makes the data unusable."""
         if self.errors:
             raise DataError(self.errors[0].check, "; ".join(item.message for item in self.errors))
 
@@ -242,16 +173,7 @@ class DataReport:
 def check_data(time, input, output, input_unit="V", output_unit="m", minimum_samples: int = 50) -> DataReport:
     """Check one input and one output before any fit; nothing is changed and nothing raised.
 
-    Parameters
-    ----------
-    time : ndarray, shape (N,)
-        [s]
-    input, output : ndarray, shape (N,)
-        SI.
-    input_unit, output_unit : str
-        For the messages.
-    minimum_samples : int
-        Fewer are too short.
+    Units: ``time`` [s].
     """
     units = input_unit, output_unit
     return check_behaviour(check_samples(time, input, output, units, minimum_samples), time, input, output, units)
@@ -260,16 +182,7 @@ def check_data(time, input, output, input_unit="V", output_unit="m", minimum_sam
 def check_samples(time, input, output, units=("V", "m"), minimum_samples: int = 50) -> DataReport:
     """Check what must be seen at every sample: missing ones, time, constants, clipping.
 
-    Parameters
-    ----------
-    time : ndarray, shape (N,)
-        [s]
-    input, output : ndarray, shape (N,)
-        SI.
-    units : (str, str)
-        For the messages.
-    minimum_samples : int
-        Fewer are too short.
+    Units: ``time`` [s].
     """
     found: list[Finding] = []
     finite = np.isfinite(input) & np.isfinite(output)
@@ -321,17 +234,7 @@ def check_samples(time, input, output, units=("V", "m"), minimum_samples: int = 
 
 
 def check_behaviour(report: DataReport, time, input, output, units=("V", "m")) -> DataReport:
-    """Add what the signals say of each other: reversals, units that make no sense, delay, drift.
-
-    Parameters
-    ----------
-    report : DataReport
-        From :func:`check_samples`, of these samples or of those that they are averages of.
-    time, input, output : ndarray, shape (N,)
-        SI.
-    units : (str, str)
-        For the messages.
-    """
+    """Add what the signals say of each other: reversals, units that make no sense, delay, drift."""
     if any(item.check in ("constant", "short") for item in report.findings):
         return report
     found = list(report.findings)
@@ -358,10 +261,6 @@ def check_uniform(time) -> tuple[float, float, list[Finding]]:
     """Return sample time [s], jitter [s] and findings of a time axis of shape (N,).
 
     Times that were rounded when they were written are uniform when they all lie within the rounding of a grid.
-
-    Parameters
-    ----------
-    time : ndarray, shape (N,)
     """
     if len(time) < 2:
         return float("nan"), 0.0, []
@@ -412,11 +311,6 @@ def clipped_share(values, driver=None) -> float:
     one sample) just before and after. Where a ``driver`` is given (the input of an output), only runs during which it
     moves count: an output may rest while its input rests. Without one, a signal that rests at many levels (steps) is
     not clipped.
-
-    Parameters
-    ----------
-    values : ndarray, shape (N,)
-    driver : ndarray, shape (N,), optional
     """
     tolerance = 1e-9 * np.ptp(values)
     starts = np.flatnonzero(np.r_[True, np.abs(np.diff(values)) > tolerance])
@@ -445,12 +339,7 @@ def clipped_share(values, driver=None) -> float:
 
 
 def count_reversals(values) -> int:
-    """Return how often ``values`` of shape (N,) turn round; ripple below 1 % of the range does not count.
-
-    Parameters
-    ----------
-    values : ndarray, shape (N,)
-    """
+    """Return how often ``values`` of shape (N,) turn round; ripple below 1 % of the range does not count."""
     peaks = [scipy.signal.find_peaks(sign * values, prominence=0.01 * np.ptp(values))[0].size for sign in (1.0, -1.0)]
     return int(sum(peaks))
 
@@ -459,12 +348,6 @@ def estimate_delay(u, y, sample_time: float) -> float:
     """Return the lag [s] of y behind u with the highest correlation, between the samples by a parabola.
 
     The search goes over half of the input's period, so that a periodic input cannot be mistaken by a whole one.
-
-    Parameters
-    ----------
-    u, y : ndarray, shape (N,)
-    sample_time : float
-        [s]
     """
     u, y = (u - u.mean()) / u.std(), (y - y.mean()) / y.std()
     n = u.size
@@ -525,57 +408,23 @@ __all__ = ["DataError", "DataReport", "IdentificationData", "check_data", "from_
 
 @dataclass(frozen=True, eq=False)
 class IdentificationData:
-    """One input and one output sampled at common instants.
+    """One input and one output sampled at common instants."""
 
-    Parameters
-    ----------
-    time : ndarray, shape (N,)
-        [s], strictly increasing.
-    input : ndarray, shape (N,)
-        SI.
-    output : ndarray, shape (N,)
-        SI.
-    input_unit : str
-        SI unit of the input.
-    output_unit : str
-        SI unit of the output.
-    input_name : str
-        Column the input comes from.
-    output_name : str
-        Column the output comes from.
-    source : str
-        Name of the file.
-    first : int
-        Index of the first sample in the source.
-    notes : tuple of str
-        What was done to the data (samples left out, resampled …).
-    warnings : tuple of str
-        What makes them doubtful (gaps bridged, rows damaged …).
-    factor : int
-        How many samples of the source were averaged in each.
-    """
-
-    time: np.ndarray
-    input: np.ndarray
-    output: np.ndarray
-    input_unit: str = "V"
-    output_unit: str = "m"
-    input_name: str = "input"
-    output_name: str = "output"
-    source: str = ""
-    first: int = 0
-    notes: tuple[str, ...] = ()
-    warnings: tuple[str, ...] = ()
-    factor: int = 1
+    time: np.ndarray  #: shape (N,) [s], strictly increasing.
+    input: np.ndarray  #: shape (N,); SI.
+    output: np.ndarray  #: shape (N,); SI.
+    input_unit: str = "V"  #: SI unit of the input.
+    output_unit: str = "m"  #: SI unit of the output.
+    input_name: str = "input"  #: Column the input comes from.
+    output_name: str = "output"  #: Column the output comes from.
+    source: str = ""  #: Name of the file.
+    first: int = 0  #: Index of the first sample in the source.
+    notes: tuple[str, ...] = ()  #: What was done to the data (samples left out, resampled …).
+    warnings: tuple[str, ...] = ()  #: What makes them doubtful (gaps bridged, rows damaged …).
+    factor: int = 1  #: How many samples of the source were averaged in each.
 
     def __post_init__(self):
-        """Check shapes and units.
-
-        Raises
-        ------
-        DataError
-            A column has another shape, or no unit is given.
-        """
+        """Check shapes and units."""
         for name in ("time", "input", "output"):
             values = np.ascontiguousarray(getattr(self, name), dtype=np.float64)
             if values.ndim != 1 or values.shape != np.shape(self.time):
@@ -608,18 +457,7 @@ class IdentificationData:
         return float(np.nanmin(self.input)), float(np.nanmax(self.input))
 
     def part(self, first: int = 0, last: int | None = None) -> IdentificationData:
-        """Return the samples ``first … last - 1``; ``last`` may be None (all) or negative (from the end).
-
-        Parameters
-        ----------
-        first : int
-        last : int, optional
-
-        Raises
-        ------
-        DataError
-            The range is empty or outside the data.
-        """
+        """Return the samples ``first … last - 1``; ``last`` may be None (all) or negative (from the end)."""
         start, stop, _ = slice(first, last).indices(len(self))
         if first < 0 or stop <= start or (last is not None and last > len(self)):
             raise DataError("range", f"samples {first}:{last} of {len(self)}: choose a range inside the recording")
@@ -627,18 +465,7 @@ class IdentificationData:
         return replace(self, **columns, first=self.first + start)
 
     def checked(self, minimum_samples: int = 50) -> tuple[IdentificationData, DataReport]:
-        """Leave out missing samples at both ends, check, and return the data with its report.
-
-        Parameters
-        ----------
-        minimum_samples : int
-            Fewer samples than this are too short.
-
-        Raises
-        ------
-        DataError
-            The data cannot be used: too short, constant, missing values inside, not uniformly sampled.
-        """
+        """Leave out missing samples at both ends, check, and return the data with its report."""
         data = self.trimmed()
         report = check_data(
             data.time, data.input, data.output, data.input_unit, data.output_unit, minimum_samples=minimum_samples
@@ -659,26 +486,7 @@ class IdentificationData:
 def from_recording(
     recording: Recording, input: str | None = None, output: str | None = None, source: str | None = None
 ) -> IdentificationData:
-    """Take input and output out of a recording.
-
-    Parameters
-    ----------
-    recording : Recording
-        The dataset every file is read into.
-    input : str, optional
-        Signal of the input; by default ``voltage``, else the only one in V.
-    output : str, optional
-        Signal of the output; by default ``measured``, else ``displacement``, else the only one in m.
-    source : str, optional
-        Name of the file.
-
-    Raises
-    ------
-    DataError
-        The default cannot tell which signal is meant.
-    RecordingError
-        There is no such signal.
-    """
+    """Take input and output out of a recording."""
     chosen_input = input or _default(recording.units, ("voltage",), "V", "input", recording)
     chosen_output = output or _default(recording.units, ("measured", "displacement"), "m", "output", recording)
     return IdentificationData(
@@ -715,24 +523,7 @@ def load_data(
 ) -> IdentificationData:
     """Read a bag, a text table or an NPZ and take one input and one output out of it.
 
-    Parameters
-    ----------
-    path : path-like
-        The recording.
-    input, output, time : str, optional
-        Columns as ``name`` or ``name:unit`` (``control_V:V``, ``cap_sensor_um:um``); by default what the names and
-        units of the columns tell without doubt.
-    sample_time : float, optional
-        [s], for tables without a time column.
-    namespace : str, optional
-        Which axis of a bag.
-
-    Raises
-    ------
-    DataError
-        The columns or their units are not clear.
-    RecordingError
-        The file is missing or unreadable, or lacks the columns.
+    Units: ``sample_time`` [s].
     """
     path = pathlib.Path(path)
     if path.suffix.lower() in TABLE_SUFFIXES:
@@ -746,25 +537,7 @@ def load_data(
 def from_table(
     table: Table, selection: Selection, input: str | None = None, output: str | None = None, progress=None
 ) -> IdentificationData:
-    """Take one input and one output out of a table.
-
-    Parameters
-    ----------
-    table : Table
-    selection : Selection
-        Time and rows; its columns are the two named here.
-    input, output : str, optional
-        See :func:`load_data`.
-    progress : callable, optional
-        Called with the part of the file that was read.
-
-    Raises
-    ------
-    DataError
-        The columns or their units are not clear.
-    RecordingError
-        The file lacks the columns, or its numbers are no recording.
-    """
+    """Take one input and one output out of a table."""
     declared, time = table.units, selection.time
     _refuse_inchworm(table.path, declared, input, output)
     taken = {split_choice(time)[0] if time and time not in declared else time or find_time(declared)}
@@ -806,40 +579,13 @@ def _si(name, unit):
 
 
 def refuse_short(samples: int, needed: int, what: str) -> None:
-    """Raise the error of data that is too short for a fit.
-
-    Parameters
-    ----------
-    samples : int
-        How many there are.
-    needed : int
-        How many the fit needs.
-    what : str
-        What needs them.
-
-    Raises
-    ------
-    DataError
-        There are fewer than needed.
-    """
+    """Raise the error of data that is too short for a fit."""
     if samples < needed:
         raise DataError("short", f"{samples} samples are too few for {what}; at least {needed} are needed")
 
 
 def finite_array(name: str, values) -> np.ndarray:
-    """Return ``values`` as float64 array, or refuse what is not finite.
-
-    Parameters
-    ----------
-    name : str
-        For the message.
-    values : array_like
-
-    Raises
-    ------
-    DataError
-        A value is NaN or infinite.
-    """
+    """Return ``values`` as float64 array, or refuse what is not finite."""
     array = np.ascontiguousarray(values, dtype=np.float64)
     bad = ~np.isfinite(array)
     if bad.any():

@@ -58,24 +58,12 @@ COARSEST_GRID = 41
 
 @dataclass(frozen=True)
 class PreparedLoops:
-    """Recordings as W2 wants them.
+    """Recordings as W2 wants them."""
 
-    Parameters
-    ----------
-    voltage : tuple of ndarray
-        Input of each recording, delayed by its lag [V].
-    displacement : tuple of ndarray
-        Output [m], scaled to the amplitude of the first recording.
-    delays : tuple of float
-        Lag of each recording [s].
-    gains : tuple of float
-        max |y| of each recording [m]: what the linear part makes of the amplitude.
-    """
-
-    voltage: tuple[np.ndarray, ...]
-    displacement: tuple[np.ndarray, ...]
-    delays: tuple[float, ...]
-    gains: tuple[float, ...]
+    voltage: tuple[np.ndarray, ...]  #: Input of each recording, delayed by its lag [V].
+    displacement: tuple[np.ndarray, ...]  #: Output [m], scaled to the amplitude of the first recording.
+    delays: tuple[float, ...]  #: Lag of each recording [s].
+    gains: tuple[float, ...]  #: max |y| of each recording [m]: what the linear part makes of the amplitude.
 
 
 def reversal_delay(voltage, displacement, sample_time: float, longest: float | None = None) -> float:
@@ -85,19 +73,7 @@ def reversal_delay(voltage, displacement, sample_time: float, longest: float | N
     described by one parabola of the voltage before and one after it, which meet in the corner; the delay of the voltage
     with which this leaves the least is the lag. The lag of the first harmonic alone would count the hysteresis too.
 
-    Parameters
-    ----------
-    voltage, displacement : array_like, shape (N,)
-        [V], [m].
-    sample_time : float
-        [s]
-    longest : float, optional
-        Longest lag that is tried [s]; by default a quarter of the mean time between reversals.
-
-    Raises
-    ------
-    IdentificationError
-        There is no reversal with enough samples on both sides.
+    Units: ``voltage`` [V], ``displacement`` [V].
     """
     from scipy.optimize import minimize_scalar  # imported here because only fits need it
 
@@ -146,19 +122,7 @@ def prepare_loops(recordings, sample_time: float, delays=None) -> PreparedLoops:
     Loops of one amplitude at different frequencies then coincide, if hysteresis is rate independent. Recordings of
     different amplitude must not be mixed here: the scaling would hide how hysteresis depends on the amplitude.
 
-    Parameters
-    ----------
-    recordings : sequence of (voltage, displacement)
-        [V], [m], one pair for each frequency.
-    sample_time : float
-        [s]
-    delays : sequence of float, optional
-        Lags [s]; found by :func:`reversal_delay` when not given.
-
-    Raises
-    ------
-    IdentificationError
-        A recording cannot be used, or amplitudes of the voltage differ.
+    Units: ``recordings`` [V], ``sample_time`` [s], ``delays`` [s].
     """
     pairs = [checked_signals(*pair) for pair in recordings]
     if not pairs:
@@ -184,30 +148,17 @@ def prepare_loops(recordings, sample_time: float, delays=None) -> PreparedLoops:
 
 @dataclass(frozen=True)
 class MajorLoop:
-    """Both branches of the largest loop on one grid, normalised to -1 … 1.
+    """Both branches of the largest loop on one grid, normalised to -1 … 1."""
 
-    Parameters
-    ----------
-    grid : ndarray, shape (n,)
-        Inputs.
-    rising, falling : ndarray, shape (n,)
-        Outputs at the inputs ``grid``.
-    input_low, input_high, output_low, output_high : float
-        What -1 and +1 stand for.
-    gap : float
-        By how much the branches miss each other at the worse end, in parts of the output range.
-    noise : float
-        Standard error of the grid values (normalised), from the scatter of the samples around the branches.
-    """
-
-    grid: np.ndarray
-    rising: np.ndarray
+    grid: np.ndarray  #: shape (n,); Inputs.
+    rising: np.ndarray  #: rising, falling: shape (n,); Outputs at the inputs ``grid``.
     falling: np.ndarray
-    input_low: float
+    input_low: float  #: input_low, input_high, output_low, output_high: What -1 and +1 stand for.
     input_high: float
     output_low: float
     output_high: float
-    gap: float
+    gap: float  #: By how much the branches miss each other at the worse end, in parts of the output range.
+    #: Standard error of the grid values (normalised), from the scatter of the samples around the branches.
     noise: float
 
     @property
@@ -228,16 +179,6 @@ def major_loop(inputs, outputs) -> MajorLoop:
     """Return the branches between the ends of the input range, averaged over all cycles and recordings.
 
     The very first branch of a recording comes from rest, not from the loop; it counts only where nothing else is there.
-
-    Parameters
-    ----------
-    inputs, outputs : sequence of ndarray
-        One or several recordings.
-
-    Raises
-    ------
-    IdentificationError
-        There is no rising or no falling branch from end to end.
     """
     low, high = min(u.min() for u in inputs), max(u.max() for u in inputs)
     near = NEAR_END * (high - low)
@@ -337,47 +278,18 @@ _WEIGHTS = np.array([5.0, 8.0, 5.0]) / 18.0
 
 @dataclass(frozen=True)
 class Shapes:
-    """f and g of one loop.
+    """f and g of one loop."""
 
-    Parameters
-    ----------
-    kind : str
-        ``network`` or ``spline``.
-    f, g : ndarray
-        Numbers as in :class:`~hysteresis_ros.models.hysteresis.duhem.DuhemParameters`.
-    rms, maximum : float
-        Residual of the loop that runs with them, in parts of half the range.
-    converged : bool
-        The training ended by itself or came below :data:`TRAINED` (splines need none).
-    """
-
-    kind: str
-    f: np.ndarray
+    kind: str  #: ``network`` or ``spline``.
+    f: np.ndarray  #: f, g: Numbers as in :class:`~hysteresis_ros.models.hysteresis.duhem.DuhemParameters`.
     g: np.ndarray
-    rms: float
+    rms: float  #: rms, maximum: Residual of the loop that runs with them, in parts of half the range.
     maximum: float
-    converged: bool
+    converged: bool  #: The training ended by itself or came below :data:`TRAINED` (splines need none).
 
 
 class LoopOperator:
-    """The Duhem equation run once up and down a grid: ``w = constant + on_f f(nodes) + on_g g(nodes)``.
-
-    Parameters
-    ----------
-    grid : ndarray, shape (n,)
-        Inputs, rising from -1 to +1.
-    alpha : float
-        α for the normalised input, up to :data:`LARGEST_ALPHA`.
-    start : float
-        Output at -1.
-
-    Attributes
-    ----------
-    nodes : ndarray, shape (m,)
-        Inputs at which f and g are needed.
-    constant : ndarray, shape (2 n,)
-        What the start contributes: first upwards along the grid, then downwards from its last to its first point.
-    """
+    """The Duhem equation run once up and down a grid: ``w = constant + on_f f(nodes) + on_g g(nodes)``."""
 
     def __init__(self, grid, alpha, start):
         longest = float(np.max(np.diff(grid)))
@@ -444,20 +356,7 @@ def fit_splines(operator: LoopOperator, target, knots: int) -> Shapes:
 
 
 def fit_networks(operator: LoopOperator, target, units: int, random, noise: float = 0.0) -> Shapes:
-    """Return trained networks of ``units`` tanh units each, the best of a few seeded starts.
-
-    Parameters
-    ----------
-    operator : LoopOperator
-    target : ndarray, shape (2 n,)
-        Outputs along the loop.
-    units : int
-        Hidden units of each network.
-    random : numpy.random.Generator
-        For the starts.
-    noise : float
-        Standard error of the targets.
-    """
+    """Return trained networks of ``units`` tanh units each, the best of a few seeded starts."""
     from scipy.optimize import least_squares  # imported here because only fits need it
 
     v = operator.nodes[:, None]
@@ -513,20 +412,7 @@ def _first_networks(operator, target, units, random) -> np.ndarray:
 
 
 def fit_shapes(operator: LoopOperator, target, kind: str, size: int | None, random, noise: float = 0.0) -> Shapes:
-    """Return f and g of the given kind.
-
-    Parameters
-    ----------
-    operator : LoopOperator
-    target : ndarray, shape (2 n,)
-    kind : str
-        ``network`` or ``spline``.
-    size : int or None
-        Units or knots; None tries growing ones until the residual is small or a larger model hardly helps.
-    random : numpy.random.Generator
-    noise : float
-        Standard error of the targets; a residual below it is small enough.
-    """
+    """Return f and g of the given kind."""
 
     def fit(number):
         if kind == "spline":
@@ -568,37 +454,17 @@ SMALLEST_MINOR = 0.1
 
 @dataclass(frozen=True)
 class DuhemIdentification:
-    """Result of :func:`identify_duhem` and :func:`identify_inverse_duhem`.
+    """Result of :func:`identify_duhem` and :func:`identify_inverse_duhem`."""
 
-    Parameters
-    ----------
-    parameters : DuhemParameters
-        The model, in the units of the recording.
-    alpha : float
-        α for the normalised input, as the paper counts it.
-    alpha_source : str
-        ``given``, ``minor loops`` or ``paper``.
-    loop : MajorLoop
-        The branches it was made of.
-    rms, maximum : float
-        Residual of the major loop, in parts of its full range.
-    minor_rms : float
-        Residual of the recording α comes from, in parts of the full range; NaN without minor loops.
-    converged : bool
-        The training of f and g and the search for α ended by themselves; α does not lie at a bound.
-    warnings : tuple of str
-        What to doubt.
-    """
-
-    parameters: DuhemParameters
-    alpha: float
-    alpha_source: str
-    loop: MajorLoop
-    rms: float
+    parameters: DuhemParameters  #: The model, in the units of the recording.
+    alpha: float  #: α for the normalised input, as the paper counts it.
+    alpha_source: str  #: ``given``, ``minor loops`` or ``paper``.
+    loop: MajorLoop  #: The branches it was made of.
+    rms: float  #: rms, maximum: Residual of the major loop, in parts of its full range.
     maximum: float
-    minor_rms: float
-    converged: bool
-    warnings: tuple[str, ...]
+    minor_rms: float  #: Residual of the recording α comes from, in parts of the full range; NaN without minor loops.
+    converged: bool  #: The training of f and g and the search for α ended by themselves; α does not lie at a bound.
+    warnings: tuple[str, ...]  #: What to doubt.
 
 
 def identify_duhem(
@@ -613,27 +479,7 @@ def identify_duhem(
 ) -> DuhemIdentification:
     """Identify f, g and α of the Duhem model from slow or prepared loops (W2, W3).
 
-    Parameters
-    ----------
-    voltage, displacement : array_like, shape (N,), or sequences of such
-        Recordings [V], [m] with at least one whole major loop; see
-        :func:`~hysteresis_ros.identification.duhem.prepare_loops` for several frequencies.
-    alpha : float, optional
-        α for an input normalised to -1 … 1 (:data:`PUBLISHED_ALPHA` for the paper's case). Without it α comes from
-        minor loops if there are any, and is the paper's otherwise.
-    minor : (voltage, displacement), optional
-        Recording with minor loops, e.g. of decaying amplitude; by default the first of the recordings that has some.
-    shape : str
-        ``network`` or ``spline``.
-    size : int, optional
-        Units of each network or knots of each spline; chosen automatically when not given.
-    seed : int
-        Of the training.
-
-    Raises
-    ------
-    IdentificationError
-        Unusable data, a single branch, no whole loop, an α out of range.
+    Units: ``voltage`` [V], ``displacement`` [V].
     """
     settings = dict(alpha=alpha, minor=minor, shape=shape, size=size, seed=seed)
     return _identify(("voltage", "displacement"), (voltage, displacement), **settings)
@@ -652,11 +498,6 @@ def identify_inverse_duhem(
     """Identify F, G and α of the inverse Duhem model, displacement to voltage (W4).
 
     The arguments are those of :func:`identify_duhem`; the parameters that come back take metres and give volt.
-
-    Raises
-    ------
-    IdentificationError
-        As for :func:`identify_duhem`, or a branch whose displacement is not monotone, which has no inverse.
     """
     if minor is not None:
         minor = (minor[1], minor[0])
@@ -801,46 +642,20 @@ LARGEST_ZERO = 0.98
 
 @dataclass(frozen=True)
 class DuhemHammerstein:
-    """Result of :func:`identify_duhem_hammerstein`.
+    """Result of :func:`identify_duhem_hammerstein`."""
 
-    Parameters
-    ----------
-    hysteresis : DuhemIdentification
-        First part: voltage to displacement at the amplitude of the first recording.
-    linear : ArxFit
-        Second part G2.
-    linear_only : ArxFit
-        G1, the linear model without hysteresis, for comparison.
-    prepared : PreparedLoops
-        Lags and gains of the recordings.
-    rms : tuple of float
-        Simulation error of the whole model for each recording [m].
-    linear_only_rms : tuple of float
-        The same for G1.
-    converged : bool
-        Of the hysteresis.
-    warnings : tuple of str
-        Of both parts.
-    """
-
-    hysteresis: DuhemIdentification
-    linear: ArxFit
-    linear_only: ArxFit
-    prepared: PreparedLoops
-    rms: tuple[float, ...]
-    linear_only_rms: tuple[float, ...]
-    converged: bool
-    warnings: tuple[str, ...]
+    hysteresis: DuhemIdentification  #: First part: voltage to displacement at the amplitude of the first recording.
+    linear: ArxFit  #: Second part G2.
+    linear_only: ArxFit  #: G1, the linear model without hysteresis, for comparison.
+    prepared: PreparedLoops  #: Lags and gains of the recordings.
+    rms: tuple[float, ...]  #: Simulation error of the whole model for each recording [m].
+    linear_only_rms: tuple[float, ...]  #: The same for G1.
+    converged: bool  #: Of the hysteresis.
+    warnings: tuple[str, ...]  #: Of both parts.
 
     @property
     def parameters(self) -> tuple[DuhemParameters, LinearParameters]:
-        """Both parts as an actuator wants them: the hysteresis carries the gain, the linear part has unit DC gain.
-
-        Raises
-        ------
-        FitError
-            The linear part is unstable and cannot run.
-        """
+        """Both parts as an actuator wants them: the hysteresis carries the gain, the linear part has unit DC gain."""
         gain = self.linear.model.dc_gain
         hysteresis = self.hysteresis.parameters
         scaled = {name: gain * getattr(hysteresis, name) for name in ("output_low", "output_high", "output_start")}
@@ -858,25 +673,7 @@ def identify_duhem_hammerstein(
 ) -> DuhemHammerstein:
     """Identify v → Duhem → G2 from sines of one amplitude and several frequencies (W2, W3, W5).
 
-    Parameters
-    ----------
-    recordings : sequence of (voltage, displacement)
-        [V], [m], each several cycles.
-    sample_time : float
-        [s]
-    minor : (voltage, displacement), optional
-        Recording with minor loops; its lag is removed like that of the others.
-    minimum_phase : bool
-        Keep the zero of the linear part inside the unit circle, as an inversion needs (W6).
-    delays : sequence of float, optional
-        Lags of the recordings [s].
-    **duhem
-        ``alpha``, ``shape``, ``size`` and ``seed`` of :func:`~hysteresis_ros.identification.duhem.identify_duhem`.
-
-    Raises
-    ------
-    IdentificationError, DataError, FitError
-        Unusable data, or inputs that do not excite a second-order part.
+    Units: ``recordings`` [V], ``sample_time`` [s], ``delays`` [s].
     """
     recordings = [checked_signals(*pair) for pair in recordings]
     prepared = prepare_loops(recordings, sample_time, delays)

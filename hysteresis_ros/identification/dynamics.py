@@ -61,31 +61,15 @@ NOISE_OCTAVE, NOISE_BINS = 0.25, 8
 
 @dataclass(frozen=True, eq=False)
 class SegmentSpectra:
-    """Sums of the spectra of an input w and an output y over the segments of each fold.
+    """Sums of the spectra of an input w and an output y over the segments of each fold."""
 
-    Parameters
-    ----------
-    frequencies : ndarray, shape (n,)
-        [Hz], rising.
-    input, output : ndarray, shape (F, n)
-        Σ |W|² and Σ |Y|².
-    cross : ndarray of complex, shape (F, n)
-        Σ Y W*.
-    samples : float
-        Independent samples in all.
-    segments : int
-        How many were added up.
-    sample_time : float
-        [s]
-    """
-
-    frequencies: np.ndarray
-    input: np.ndarray
+    frequencies: np.ndarray  #: shape (n,) [Hz], rising.
+    input: np.ndarray  #: input, output: shape (F, n); Σ |W|² and Σ |Y|².
     output: np.ndarray
-    cross: np.ndarray
-    samples: float
-    segments: int
-    sample_time: float
+    cross: np.ndarray  #: shape (F, n); Σ Y W*.
+    samples: float  #: Independent samples in all.
+    segments: int  #: How many were added up.
+    sample_time: float  #: [s]
 
     @property
     def resolution(self) -> float:
@@ -93,24 +77,12 @@ class SegmentSpectra:
         return float(self.frequencies[1] - self.frequencies[0])
 
     def errors(self, response) -> np.ndarray:
-        """Return Σ |Y - G W|² of each fold and frequency, shape (F, n).
-
-        Parameters
-        ----------
-        response : ndarray of complex, shape (n,)
-            G.
-        """
+        """Return Σ |Y - G W|² of each fold and frequency, shape (F, n)."""
         size = np.abs(response) ** 2 * self.input - 2.0 * np.real(np.conj(response) * self.cross) + self.output
         return np.maximum(size, 0.0)
 
     def noise(self, response) -> np.ndarray:
-        """Return the mean Σ |Y - G W|² of a fold, smooth over the frequency, shape (n,).
-
-        Parameters
-        ----------
-        response : ndarray of complex, shape (n,)
-            G.
-        """
+        """Return the mean Σ |Y - G W|² of a fold, smooth over the frequency, shape (n,)."""
         return self.smooth(self.errors(response).mean(axis=0))
 
     def incoherent(self) -> np.ndarray:
@@ -121,13 +93,7 @@ class SegmentSpectra:
         return self.smooth(left) / max(self.segments - 1, 1)
 
     def smooth(self, values, octave: float = NOISE_OCTAVE) -> np.ndarray:
-        """Return values, shape (n,), averaged over part of an octave to both sides, shape (n,).
-
-        Parameters
-        ----------
-        values : ndarray, shape (n,)
-        octave : float
-        """
+        """Return values, shape (n,), averaged over part of an octave to both sides, shape (n,)."""
         f, n = self.frequencies, len(self.frequencies)
         low = np.minimum(np.searchsorted(f, f * 2.0**-octave), np.maximum(np.arange(n) - NOISE_BINS, 0))
         high = np.maximum(np.searchsorted(f, f * 2.0**octave), np.minimum(np.arange(n) + NOISE_BINS, n))
@@ -138,15 +104,7 @@ class SegmentSpectra:
 def segment_spectra(w, y, sample_time: float, first: int = 0, late: int = 0) -> SegmentSpectra:
     """Return the spectra of two signals of one rate.
 
-    Parameters
-    ----------
-    w, y : ndarray, shape (N,)
-    sample_time : float
-        [s]
-    first : int
-        Samples left out at the start.
-    late : int
-        By how many samples y comes after w, about: its segments are cut so much later, which is put right in its phase.
+    Units: ``sample_time`` [s].
     """
     w, y = (np.diff(np.asarray(signal, dtype=float)[first:]) for signal in (w, y))
     w, y = w[: w.size - late], y[late:]
@@ -183,19 +141,12 @@ SMALLEST_ERROR = 3e-3
 
 @dataclass(frozen=True)
 class ModalStructure:
-    """Which parts there are.
-
-    Parameters
-    ----------
-    lag, delay : bool
-    modes : int
-    series : bool
-        Lag and modes one behind the other, without zeros; otherwise beside each other, with free numerators.
-    """
+    """Which parts there are."""
 
     lag: bool
     delay: bool
     modes: int = 0
+    #: Lag and modes one behind the other, without zeros; otherwise beside each other, with free numerators.
     series: bool = False
 
     @property
@@ -206,38 +157,19 @@ class ModalStructure:
 
 @dataclass(frozen=True, eq=False)
 class ModalTrial:
-    """A structure with its best numbers.
-
-    Parameters
-    ----------
-    structure : Structure
-    part : LinearPart
-        Of unit gain, without creep, for a held input.
-    gain : float
-    response : ndarray of complex, shape (n,)
-        At the frequencies of the spectra, gain included.
-    values : ndarray
-        Of the search.
-    """
+    """A structure with its best numbers."""
 
     structure: ModalStructure
-    part: LinearPart
+    part: LinearPart  #: Of unit gain, without creep, for a held input.
     gain: float
-    response: np.ndarray
-    values: np.ndarray
+    response: np.ndarray  #: shape (n,); At the frequencies of the spectra, gain included.
+    values: np.ndarray  #: Of the search.
 
 
 def held_pole(pole, frequencies, sample_time: float, delay: float) -> np.ndarray:
     """Return the response of 1/(s - p) from a held input, delayed, to the samples before it changes, shape (n,).
 
-    Parameters
-    ----------
-    pole : complex
-        p [rad/s].
-    frequencies : ndarray, shape (n,)
-        [Hz]
-    sample_time, delay : float
-        [s]
+    Units: ``pole`` [rad/s], ``frequencies`` [Hz], ``sample_time`` [s], ``delay`` [s].
     """
     whole = int(np.floor(delay / sample_time + 1e-9))
     part = max(delay / sample_time - whole, 0.0)
@@ -250,14 +182,7 @@ def held_pole(pole, frequencies, sample_time: float, delay: float) -> np.ndarray
 def mode_columns(frequency, damping, frequencies, sample_time: float, delay: float) -> np.ndarray:
     """Return the responses of ω²/(s² + 2 ζ ω s + ω²) and of ω s/(…) from a held input, shape (n, 2).
 
-    Parameters
-    ----------
-    frequency, damping : float
-        ω/2π [Hz] and ζ.
-    frequencies : ndarray, shape (n,)
-        [Hz]
-    sample_time, delay : float
-        [s]
+    Units: ``frequencies`` [Hz], ``sample_time`` [s], ``delay`` [s].
     """
     omega = 2.0 * np.pi * frequency
     pole = omega * complex(-damping, np.sqrt(1.0 - damping**2))
@@ -278,12 +203,7 @@ def _lag_column(lag, frequencies, sample_time, delay):
 
 
 class ModalSearch:
-    """Searches on one set of spectra.
-
-    Parameters
-    ----------
-    spectra : SegmentSpectra
-    """
+    """Searches on one set of spectra."""
 
     def __init__(self, spectra: SegmentSpectra):
         self.spectra = spectra
@@ -314,12 +234,7 @@ class ModalSearch:
         return self.spectra.samples / self.spectra.input.size
 
     def without(self, fold: int) -> ModalSearch:
-        """Return the search on the other folds, with the weights of this one.
-
-        Parameters
-        ----------
-        fold : int
-        """
+        """Return the search on the other folds, with the weights of this one."""
         spectra = self.spectra
         kept = np.arange(len(spectra.input)) != fold
         sums = {name: getattr(spectra, name)[kept] for name in ("input", "output", "cross")}
@@ -409,12 +324,7 @@ class ModalSearch:
 def part_response(part: LinearPart, frequencies) -> np.ndarray:
     """Return the response of lag, modes and delay, shape (n,), for a held input, at the samples before it changes.
 
-    Parameters
-    ----------
-    part : LinearPart
-        With ``hold``.
-    frequencies : ndarray, shape (n,)
-        [Hz]
+    Units: ``frequencies`` [Hz].
     """
     direct = 1.0 - sum(mode.position for mode in part.modes)
     found = direct * _lag_column(part.lag, frequencies, part.hold, part.delay)
@@ -427,12 +337,7 @@ def part_response(part: LinearPart, frequencies) -> np.ndarray:
 def in_series(lag: float, pairs) -> tuple[Mode, ...]:
     """Return lag and modes one behind the other as modes beside the lag: partial fractions.
 
-    Parameters
-    ----------
-    lag : float
-        [s]
-    pairs : sequence of (float, float)
-        Frequency [Hz] and damping of each mode.
+    Units: ``lag`` [s].
     """
     modes = []
     for i, (frequency, damping) in enumerate(pairs):
@@ -462,18 +367,7 @@ FEW_EVALUATIONS = 6
 def choose_dynamics(
     spectra: SegmentSpectra, parts=("lag", "delay"), most_modes: int = MOST_MODES, zeros: bool = True
 ) -> ModalTrial:
-    """Return the dynamics with which left-out segments are predicted best for the numbers they need.
-
-    Parameters
-    ----------
-    spectra : SegmentSpectra
-        Of what the hysteresis puts out and of what is measured.
-    parts : tuple of str
-        Of ``lag`` and ``delay``: what may be there beside modes.
-    most_modes : int
-    zeros : bool
-        Whether modes may stand beside each other and the lag; otherwise all stand one behind the other.
-    """
+    """Return the dynamics with which left-out segments are predicted best for the numbers they need."""
     search = ModalSearch(spectra)
     plain = [_without_modes(search, *both) for both in itertools.product(*(_choices(part, parts) for part in PAIR))]
     largest = [min(plain, key=lambda trial: search.cost(trial.response))]
@@ -603,18 +497,7 @@ SHARP = 0.3
 def found_with(fit_function, voltage, displacement, sample_time: float, parts, skip: int | None = None):
     """Fit a hysteresis with what may stand behind it.
 
-    Parameters
-    ----------
-    fit_function : callable
-        ``fit_function(voltage, displacement, sample_time, linear=...)`` returns a :class:`HammersteinFit`.
-    voltage, displacement : array_like, shape (N,)
-        [V] and [m].
-    sample_time : float
-        [s]
-    parts : tuple of str
-        Of ``lag``, ``delay``, ``creep`` and ``modes``.
-    skip : int, optional
-        First samples left out.
+    Units: ``voltage`` [V], ``displacement`` [V], ``sample_time`` [s].
     """
     if "modes" in parts:
         return TurnSearch(fit_function, voltage, displacement, sample_time, parts, skip).run()
@@ -624,20 +507,7 @@ def found_with(fit_function, voltage, displacement, sample_time: float, parts, s
 def gain_and_dynamics(u, y, sample_time: float, parts, skip: int = 0) -> tuple[float, LinearPart, float]:
     """Return gain, linear part and constant between two signals without hysteresis between them.
 
-    Parameters
-    ----------
-    u, y : ndarray, shape (N,)
-    sample_time : float
-        [s]
-    parts : tuple of str
-        Of ``lag`` and ``delay``, beside modes.
-    skip : int
-        First samples left out.
-
-    Raises
-    ------
-    IdentificationError
-        The gain is not above 0.
+    Units: ``sample_time`` [s].
     """
     late, pair = 0, tuple(part for part in PAIR if part in parts)
     for _ in range(TURNS):
@@ -739,11 +609,7 @@ class TurnSearch:
 def output_of(fit: HammersteinFit, voltage) -> np.ndarray:
     """Return the displacement [m] behind hysteresis and creep, shape (N,).
 
-    Parameters
-    ----------
-    fit : HammersteinFit
-    voltage : ndarray, shape (N,)
-        [V]
+    Units: ``voltage`` [V].
     """
     front, behind = hysteresis_block(fit.hysteresis, fit.sample_time), Creep(fit.creep, fit.sample_time)
     pass_through(front, fit.history)
@@ -756,25 +622,6 @@ def with_fast_dynamics(chain: PlantModel, fast: IdentificationData, skip: int) -
 
     Lag, delay and modes stand one behind the other: small loops are less steep than large ones, and zeros of the
     dynamics would stand for that.
-
-    Parameters
-    ----------
-    chain : PlantModel
-        Found from a slow recording; its creep is kept.
-    fast : IdentificationData
-        From rest at 0 V on.
-    skip : int
-        First samples that do not count.
-
-    Returns
-    -------
-    PlantModel, float
-        The gain is that of the recording over the model's.
-
-    Raises
-    ------
-    IdentificationError
-        The chain has dynamics inside its hysteresis.
     """
     if not chain.invertible:
         raise IdentificationError(

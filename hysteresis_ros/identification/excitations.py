@@ -86,30 +86,19 @@ class Experiment:
 
 @dataclass(frozen=True)
 class Plan:
-    """Where in a recording what was excited stands.
-
-    Parameters
-    ----------
-    kind : str
-    first : int
-        First sample of the excitation.
-    settle, periods, realisations : int
-    samples : tuple of int
-        Of a period; of a stepped sine those of each block, of noise those of a segment and of all.
-    lines : tuple of int
-        Excited harmonics of a multisine; cycles a block of each frequency of a stepped sine; first and last line of the
-        segments of noise.
-    loop, at : str
-        ``open`` or ``closed``, and where it was excited: ``voltage``, ``command`` or ``reference``.
-    """
+    """Where in a recording what was excited stands."""
 
     kind: str
-    first: int
+    first: int  #: First sample of the excitation.
     settle: int
     periods: int
     realisations: int
+    #: Of a period; of a stepped sine those of each block, of noise those of a segment and of all.
     samples: tuple[int, ...]
+    #: Excited harmonics of a multisine; cycles a block of each frequency of a stepped sine; first and last line of the
+    #: segments of noise.
     lines: tuple[int, ...] = field(default=())
+    #: loop, at: ``open`` or ``closed``, and where it was excited: ``voltage``, ``command`` or ``reference``.
     loop: str = "open"
     at: str = "voltage"
 
@@ -127,17 +116,7 @@ class Plan:
 
     @classmethod
     def from_text(cls, text: str) -> Plan:
-        """Return the plan that :attr:`text` gave.
-
-        Parameters
-        ----------
-        text : str
-
-        Raises
-        ------
-        ValueError
-            It is none that an analysis could follow.
-        """
+        """Return the plan that :attr:`text` gave."""
         found, names = read_json(text), {item.name for item in fields(cls)}
         if not isinstance(found, dict) or not names >= set(found) >= names - {"lines", "loop", "at"}:
             raise ValueError("no plan of an excitation")
@@ -167,18 +146,7 @@ Shape = Callable[[np.ndarray], np.ndarray]
 def excitation(asked: Experiment, rate: float, shape: Shape | None = None) -> tuple[np.ndarray, Plan]:
     """Return an excitation whose peak is one where no shape is given, and its plan, which begins at sample 0.
 
-    Parameters
-    ----------
-    asked : Experiment
-    rate : float
-        [Hz]
-    shape : callable, optional
-        Factor of the amplitude at frequencies [Hz].
-
-    Raises
-    ------
-    ConfigurationError
-        A frequency is beyond half the rate or slower than the excitation can show, or a number out of range.
+    Units: ``rate`` [Hz], ``shape`` [Hz].
     """
     _check(asked, rate)
     samples, plan = KINDS[asked.kind](asked, rate, shape or np.ones_like)
@@ -186,12 +154,7 @@ def excitation(asked: Experiment, rate: float, shape: Shape | None = None) -> tu
 
 
 def uniform(seed: int, count: int) -> np.ndarray:
-    """Return numbers of 0 … 1, the same on every version of NumPy.
-
-    Parameters
-    ----------
-    seed, count : int
-    """
+    """Return numbers of 0 … 1, the same on every version of NumPy."""
     return (np.random.PCG64(seed).random_raw(count) >> np.uint64(11)) * 2.0**-53
 
 

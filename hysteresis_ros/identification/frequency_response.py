@@ -51,53 +51,25 @@ POOR_COHERENCE = 0.5
 
 @dataclass(frozen=True, eq=False)
 class FrequencyResponse:
-    """A measured frequency response.
+    """A measured frequency response."""
 
-    Parameters
-    ----------
-    frequency : ndarray, shape (F,)
-        [Hz]
-    response : ndarray, shape (F, n_y, n_u)
-        Complex, output unit per input unit.
-    sample_time : float
-        Of the data [s].
-    total_variance : ndarray, shape (F, n_y, n_u), or None
-        Noise and nonlinear distortion together, [(output unit/input unit)²]; None where it cannot be told.
-    noise_variance : ndarray, shape (F, n_y, n_u), or None
-        Noise alone, from the differences of the periods.
-    coherence : ndarray, shape (F, n_y), or None
-        Share of each output's power that the inputs explain linearly.
-    input_unit, output_unit : str
-        SI units.
-    warnings : tuple of str
-        Poor coherence, few averages …
-    degrees : float or None
-        How many independent complex values the variance is a mean of: of the total one, otherwise of the noise's.
-    """
-
-    frequency: np.ndarray
-    response: np.ndarray
-    sample_time: float
+    frequency: np.ndarray  #: shape (F,) [Hz]
+    response: np.ndarray  #: shape (F, n_y, n_u); Complex, output unit per input unit.
+    sample_time: float  #: Of the data [s].
+    #: shape (F, n_y, n_u); Noise and nonlinear distortion together, [(output unit/input unit)²]; None where it cannot
+    #: be told.
     total_variance: np.ndarray | None = None
-    noise_variance: np.ndarray | None = None
+    noise_variance: np.ndarray | None = None  #: shape (F, n_y, n_u); Noise alone, from the differences of the periods.
+    #: shape (F, n_y); Share of each output's power that the inputs explain linearly.
     coherence: np.ndarray | None = None
-    input_unit: str = "V"
+    input_unit: str = "V"  #: input_unit, output_unit: SI units.
     output_unit: str = "m"
-    warnings: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()  #: Poor coherence, few averages …
+    #: How many independent complex values the variance is a mean of: of the total one, otherwise of the noise's.
     degrees: float | None = None
 
     def band(self, low: float, high: float) -> FrequencyResponse:
-        """Return the lines from ``low`` to ``high`` [Hz], both included.
-
-        Parameters
-        ----------
-        low, high : float
-
-        Raises
-        ------
-        DataError
-            No line is in the band.
-        """
+        """Return the lines from ``low`` to ``high`` [Hz], both included."""
         keep = (self.frequency >= low) & (self.frequency <= high)
         if not keep.any():
             there = f"{self.frequency[0]:.6g} … {self.frequency[-1]:.6g} Hz"
@@ -111,16 +83,6 @@ class FrequencyResponse:
         """Return the radius of the circle around each entry that holds the true one, shape (F, n_y, n_u).
 
         |Ĝ - G|²/σ̂² is distributed as F(2, 2ν) for a variance of ν complex degrees of freedom [1]_.
-
-        Parameters
-        ----------
-        probability : float
-            That it does.
-
-        Raises
-        ------
-        DataError
-            The variance is not known.
         """
         variance = self.noise_variance if self.total_variance is None else self.total_variance
         if variance is None or self.degrees is None:
@@ -146,28 +108,7 @@ def welch_response(
 ) -> FrequencyResponse:
     """Estimate the response ``S_yu S_uu⁻¹`` from averaged spectra of overlapping segments (half of each).
 
-    Parameters
-    ----------
-    u : array_like, shape (N,) or (N, n_u)
-        Inputs [SI].
-    y : array_like, shape (N,) or (N, n_y)
-        Outputs [SI].
-    sample_time : float
-        [s]
-    segment : int, optional
-        Samples a segment; by default such that there are about 8 n_u + 8 segments. Longer ones resolve sharper
-        resonances, shorter ones average more.
-    window : str
-        Any window of SciPy.
-    input_unit, output_unit : str
-        SI units.
-    excitation : array_like, shape (N,) or (N, n_u), optional
-        What excites from outside in a closed loop; the inputs themselves by default.
-
-    Raises
-    ------
-    DataError
-        Too short for two segments an input, constant input, values that are not finite.
+    Units: ``sample_time`` [s].
     """
     u, y = _columns("input", u), _columns("output", y)
     e = u if excitation is None else _columns("excitation", excitation)
@@ -249,26 +190,7 @@ def multisine_response(
     response is the least-squares solution of Y = G U at each line, and what it leaves is noise and nonlinear distortion
     together. With one realisation an input there is nothing left: the total variance is None then.
 
-    Parameters
-    ----------
-    u : array_like, shape (N,), (P, N) or (R, P, n_u, N)
-        Inputs [SI]: N samples a period, P periods, R realisations (or experiments) of n_u inputs. With ``period`` a
-        plain sequence of whole periods, shape (P · period,), is cut up.
-    y : array_like
-        Outputs [SI], likewise with n_y outputs.
-    sample_time : float
-        [s]
-    period : int, optional
-        Samples a period.
-    input_unit, output_unit : str
-        SI units.
-    excitation : array_like, optional
-        What excites from outside in a closed loop, in the shape of ``u``; the inputs themselves by default.
-
-    Raises
-    ------
-    DataError
-        Shapes differ, fewer realisations than inputs, constant input, values that are not finite.
+    Units: ``sample_time`` [s].
     """
     u, y = experiments("input", u, period), experiments("output", y, period)
     e = u if excitation is None else experiments("excitation", excitation, period)
@@ -298,17 +220,7 @@ def multisine_response(
 def averaged(frequency, U, Y, E):
     """Return response, total variance and variance of the noise from spectra of periods; None where not known.
 
-    Parameters
-    ----------
-    frequency : ndarray, shape (F,)
-        [Hz], for what is said of a line.
-    U, Y, E : ndarray of complex, shape (R, P, channels, F)
-        Inputs, outputs, excitation.
-
-    Raises
-    ------
-    DataError
-        The experiments do not separate the inputs.
+    Units: ``frequency`` [Hz].
     """
     realisations, periods, inputs, _ = U.shape
     # (F, channels, R): averaged over the periods
@@ -363,19 +275,7 @@ def _columns(name, values):
 def experiments(name: str, values, period: int | None = None) -> np.ndarray:
     """Return signals of whole periods, shape (R, P, channels, N).
 
-    Parameters
-    ----------
-    name : str
-        What they are, for what is said of them.
-    values : array_like
-        Of shape (N,), (P, N) or (R, P, channels, N); with ``period`` (P · period,).
-    period : int, optional
-        [samples]
-
-    Raises
-    ------
-    DataError
-        They have another shape, or are not finite.
+    Units: ``period`` [samples].
     """
     array = finite_array(name, values)
     if period is not None:
@@ -402,17 +302,10 @@ HARMONICS = 9
 
 @dataclass(frozen=True, eq=False)
 class Distortion:
-    """Levels at the excited lines, of one realisation averaged over its periods; RMS, each shape (F,).
-
-    Parameters
-    ----------
-    noise : ndarray
-    odd, even : ndarray
-        With the noise taken off; 0 where nothing is left.
-    """
+    """Levels at the excited lines, of one realisation averaged over its periods; RMS, each shape (F,)."""
 
     noise: np.ndarray
-    odd: np.ndarray
+    odd: np.ndarray  #: odd, even: With the noise taken off; 0 where nothing is left.
     even: np.ndarray
 
 
@@ -420,14 +313,6 @@ def detected(U, Y, harmonics, response) -> Distortion:
     """Return the levels of a multisine with odd lines, some of which were left out; NaN where there are none.
 
     With even lines among the excited ones neither odd nor even distortion has lines of its own.
-
-    Parameters
-    ----------
-    U, Y : ndarray of complex, shape (R, P, n)
-        Spectra of the periods, of all lines from zero frequency on.
-    harmonics : ndarray of int, shape (F,)
-        The excited lines.
-    response : ndarray of complex, shape (F,)
     """
     lines = np.arange(U.shape[2])
     left = np.setdiff1d(lines[harmonics[0] : harmonics[-1] + 1], harmonics)
@@ -445,17 +330,7 @@ def detected(U, Y, harmonics, response) -> Distortion:
 
 
 def harmonic_levels(U, Y, cycles: int, response: complex) -> tuple[float, float, float]:
-    """Return the levels (noise, odd, even) of a sine, from its harmonics.
-
-    Parameters
-    ----------
-    U, Y : ndarray of complex, shape (P, n)
-        Spectra of the blocks, of all lines from zero frequency on.
-    cycles : int
-        Line of the sine.
-    response : complex
-        At that line.
-    """
+    """Return the levels (noise, odd, even) of a sine, from its harmonics."""
     size = abs(U[:, cycles].mean()) ** 2
     places = cycles * np.arange(1, min((U.shape[1] - 1) // cycles, HARMONICS) + 1)
     # in a closed loop the input has harmonics too; nothing but the response at the sine itself is known
@@ -493,21 +368,11 @@ LINE = 0.03
 
 @dataclass(frozen=True, eq=False)
 class Analysis:
-    """A frequency response, and what else its lines tell.
+    """A frequency response, and what else its lines tell."""
 
-    Parameters
-    ----------
-    response : FrequencyResponse
-        Of one input and one output.
-    distortion : Distortion or None
-        Noise does not tell it.
-    kind : str
-        Of the excitation.
-    """
-
-    response: FrequencyResponse
-    distortion: Distortion | None
-    kind: str
+    response: FrequencyResponse  #: Of one input and one output.
+    distortion: Distortion | None  #: Noise does not tell it.
+    kind: str  #: Of the excitation.
 
     @property
     def ratio(self) -> float:
@@ -520,13 +385,7 @@ class Analysis:
             return float(np.median(10.0 * np.log10(np.abs(found.single) ** 2 / np.maximum(variance[:, 0, 0], 1e-300))))
 
     def require_excited(self) -> None:
-        """Refuse a response that drowns in noise.
-
-        Raises
-        ------
-        IdentificationError
-            The excitation was too weak; says by how much.
-        """
+        """Refuse a response that drowns in noise."""
         if self.ratio < LEAST_RATIO:
             raise IdentificationError(
                 f"the excitation is too weak: signal-to-noise ratio of the response {self.ratio:.1f} dB at half of the "
@@ -538,23 +397,7 @@ class Analysis:
 def analyse(plan: Plan, sample_time: float, u, y, excitation=None, input_unit: str = "V") -> Analysis:
     """Return the response from an input to an output.
 
-    Parameters
-    ----------
-    plan : Plan
-        Where they were excited, and how.
-    sample_time : float
-        [s]
-    u, y : ndarray, shape (N,)
-        Input and output [SI].
-    excitation : ndarray, shape (N,), optional
-        What excites from outside in a closed loop; the input itself by default.
-    input_unit : str
-        SI unit.
-
-    Raises
-    ------
-    IdentificationError
-        The recording ends before the excitation does.
+    Units: ``sample_time`` [s].
     """
     signals = [u, y] if excitation is None else [u, y, excitation]
     if plan.first + plan.length > len(y):
@@ -642,21 +485,7 @@ def _at(found: FrequencyResponse, kept) -> FrequencyResponse:
 def plan_of_recording(excitation, sample_time: float, period: float | None = None, kind: str | None = None) -> Plan:
     """Return a plan for a recording of which nobody says how it was excited.
 
-    Parameters
-    ----------
-    excitation : ndarray, shape (N,)
-        What excites.
-    sample_time : float
-        [s]
-    period : float, optional
-        Of a multisine, or of the segments of noise [s]; by default what repeats, and 17 segments.
-    kind : str, optional
-        ``multisine`` or ``noise``; by default a multisine where it repeats.
-
-    Raises
-    ------
-    IdentificationError
-        The recording does not hold two periods, or nothing repeats.
+    Units: ``sample_time`` [s], ``period`` [s].
     """
     e = np.asarray(excitation, dtype=float)
     if kind not in (None, "multisine", "noise"):
@@ -708,17 +537,7 @@ LEVELS = ("noise", "odd", "even")
 
 
 def require_response_file(path) -> None:
-    """Refuse a file that no response can be written to, before anything moves.
-
-    Parameters
-    ----------
-    path : path-like
-
-    Raises
-    ------
-    RecordingError
-        The suffix is another, or there is no such folder.
-    """
+    """Refuse a file that no response can be written to, before anything moves."""
     path = pathlib.Path(path)
     if path.suffix.lower() not in WRITERS:
         raise RecordingError(f"{path}: unknown kind of file '{path.suffix}'; write .npz, .csv or .yaml")
@@ -727,23 +546,7 @@ def require_response_file(path) -> None:
 
 
 def save_response(path, found: Analysis, columns: dict[str, np.ndarray], figures: dict) -> None:
-    """Write a response; the suffix decides how.
-
-    Parameters
-    ----------
-    path : path-like
-        ``.npz``, ``.csv`` or ``.yaml``.
-    found : Analysis
-    columns : dict of str to ndarray of shape (F,)
-        What else was found at its lines, for tables.
-    figures : dict
-        Figures by names with units, for YAML.
-
-    Raises
-    ------
-    RecordingError
-        The suffix is another, or the file cannot be written.
-    """
+    """Write a response; the suffix decides how."""
     require_response_file(path)
     write = WRITERS[pathlib.Path(path).suffix.lower()]
     with replacing(path, RecordingError) as beside, beside.open("wb") as stream:
@@ -751,17 +554,7 @@ def save_response(path, found: Analysis, columns: dict[str, np.ndarray], figures
 
 
 def load_response(path) -> Analysis:
-    """Return the response of an NPZ file that :func:`save_response` wrote.
-
-    Parameters
-    ----------
-    path : path-like
-
-    Raises
-    ------
-    RecordingError
-        The file is missing, or holds no response.
-    """
+    """Return the response of an NPZ file that :func:`save_response` wrote."""
     path = pathlib.Path(path)
     try:
         return _response_of(read_arrays(path))
@@ -807,12 +600,7 @@ def _real(held: dict[str, np.ndarray], name: str, size: int | None = None) -> np
 
 
 def holds_response(path) -> bool:
-    """Tell whether a file is one that :func:`load_response` reads.
-
-    Parameters
-    ----------
-    path : path-like
-    """
+    """Tell whether a file is one that :func:`load_response` reads."""
     if pathlib.Path(path).suffix.lower() != ".npz":
         return False
     try:
@@ -822,12 +610,7 @@ def holds_response(path) -> bool:
 
 
 def response_columns(found: Analysis) -> dict[str, np.ndarray]:
-    """Return what a table has of a response, by names with units.
-
-    Parameters
-    ----------
-    found : Analysis
-    """
+    """Return what a table has of a response, by names with units."""
     response = found.response
     unit = f"{response.output_unit}/{response.input_unit}"
     columns = {

@@ -77,29 +77,7 @@ def fit_generalised_play(
 ) -> HammersteinFit:
     """Fit voltage → generalised plays → creep → lag and delay.
 
-    Parameters
-    ----------
-    voltage, displacement : array_like, shape (N,)
-        [V] and [m], uniformly sampled.
-    sample_time : float
-        [s]
-    play_count : int
-        Plays, in equal steps up to half the range of the voltage.
-    freedom : str
-        A name of :data:`FREEDOMS`, or ``auto``: what predicts blocks held out.
-    linear : sequence of str
-        Which of ``lag``, ``delay`` and ``creep`` may be there; each is kept only if it lowers the residual.
-    skip : int, optional
-        Samples left out of the fit at the start, see :func:`.condensed.condense`.
-    history : tuple of float
-        Voltages [V] that the hysteresis went through, from rest at 0 V, before the first sample.
-    progress : callable, optional
-        Called as ``progress(evaluations, rmse)``.
-
-    Raises
-    ------
-    IdentificationError
-        The data or the settings cannot be used; the message says why.
+    Units: ``voltage`` [V], ``displacement`` [V], ``sample_time`` [s].
     """
     if freedom != "auto" and freedom not in FREEDOMS:
         raise IdentificationError(f"freedom = {freedom!r}: must be one of auto, {', '.join(FREEDOMS)}")
@@ -137,12 +115,6 @@ def rivals(before, progress) -> list[GeneralisedPlays]:
     """Return fits with envelopes and, where speeds differ, growing thresholds, behind the linear part of another fit.
 
     Those whose inverse may magnify errors are left out.
-
-    Parameters
-    ----------
-    before : object
-        A fit with ``data``, ``kept``, ``base`` and ``found``.
-    progress : callable or None
     """
     names = ("envelopes", "rate", "both") if speeds_differ(before.data) else ("envelopes",)
     fits = [GeneralisedPlays(before.data, PLAYS, FREEDOMS[name]).settle(before, progress) for name in names]
@@ -150,12 +122,7 @@ def rivals(before, progress) -> list[GeneralisedPlays]:
 
 
 def speeds_differ(data: Condensed) -> bool:
-    """Return whether swings of equal size are of different speeds: else growing thresholds are a lag.
-
-    Parameters
-    ----------
-    data : Condensed
-    """
+    """Return whether swings of equal size are of different speeds: else growing thresholds are a lag."""
     turns = turning_points(data.voltage)
     swings = np.abs(np.diff(data.voltage[turns]))
     speeds = (swings / np.diff(turns))[swings > LEAST_SWING * data.voltage_range]
@@ -163,16 +130,7 @@ def speeds_differ(data: Condensed) -> bool:
 
 
 class GeneralisedPlays:
-    """Plays with some freedom on one set of data.
-
-    Parameters
-    ----------
-    data : Condensed
-    play_count : int
-        Up to half the range of the voltage.
-    names : tuple of str
-        Of ``rate``, ``bend`` and ``spread``: what is searched besides the weights.
-    """
+    """Plays with some freedom on one set of data."""
 
     def __init__(self, data: Condensed, play_count: int, names: tuple[str, ...] = ()):
         self.data, self.play_count, self.names = data, play_count, names
@@ -186,15 +144,7 @@ class GeneralisedPlays:
     def shaped(self, shape, weights, slope: float, offset: float = 0.0) -> GeneralisedPlayParameters:
         """Return parameters of a shape.
 
-        Parameters
-        ----------
-        shape : dict of str to float
-        weights : ndarray, shape (m,)
-            [m/V]
-        slope : float
-            [m/V]
-        offset : float
-            [m]
+        Units: ``weights`` [m/V], ``slope`` [m/V], ``offset`` [m].
         """
         bend, spread = shape.get("bend", 0.0), shape.get("spread", 0.0)
         return GeneralisedPlayParameters(
@@ -211,12 +161,7 @@ class GeneralisedPlays:
         )
 
     def columns(self, shape) -> np.ndarray:
-        """Return the voltage and the plays, shape (N, 1 + m), zero at rest.
-
-        Parameters
-        ----------
-        shape : dict of str to float
-        """
+        """Return the voltage and the plays, shape (N, 1 + m), zero at rest."""
         data = self.data
         block = GeneralisedPlayHysteresis(self.shaped(shape, np.ones(len(self.radii)), 1.0), data.sample_time)
         rest = block.x[PLAY:].copy()
@@ -226,15 +171,7 @@ class GeneralisedPlays:
         return np.column_stack([data.voltage, outputs - rest])
 
     def solve(self, part, shape, strength: float | None = SEARCH_STRENGTH) -> np.ndarray:
-        """Return the residual [m] of the best weights.
-
-        Parameters
-        ----------
-        part : LinearPart
-        shape : dict of str to float
-        strength : float, optional
-            Of the smoothness; chosen by the data when not given.
-        """
+        """Return the residual [m] of the best weights."""
         data = self.data
         moved = data.counted(part.apply(self.columns(shape), data.sample_time))
         target = data.counted(data.displacement)
@@ -244,25 +181,13 @@ class GeneralisedPlays:
         return residual
 
     def fit(self, linear, progress):
-        """Search the linear part and the shape.
-
-        Parameters
-        ----------
-        linear : sequence of str, or Known
-        progress : callable or None
-        """
+        """Search the linear part and the shape."""
         search = PartSearch(self.solve, self.data, self.extra, progress)
         self.kept, self.base, found = search_linear_part(search, linear)
         return self._finish(search, found)
 
     def settle(self, before: GeneralisedPlays, progress):
-        """Search the shape, and the numbers of the linear part that another fit found.
-
-        Parameters
-        ----------
-        before : GeneralisedPlays
-        progress : callable or None
-        """
+        """Search the shape, and the numbers of the linear part that another fit found."""
         self.kept, self.base = before.kept, before.base
         search = PartSearch(self.solve, self.data, self.extra, progress)
         return self._finish(search, search.run(self.kept, before.found.values, self.base))
@@ -276,23 +201,13 @@ class GeneralisedPlays:
         return self
 
     def like(self, data: Condensed):
-        """Return the same structure for other data, not fitted yet.
-
-        Parameters
-        ----------
-        data : Condensed
-        """
+        """Return the same structure for other data, not fitted yet."""
         other = GeneralisedPlays(data, self.play_count, self.names)
         other.numbers = dict(self.numbers)
         return other
 
     def refitted(self, data: Condensed):
-        """Return the model with weights for other samples of the recording, of the same shape.
-
-        Parameters
-        ----------
-        data : Condensed
-        """
+        """Return the model with weights for other samples of the recording, of the same shape."""
         other = copy(self)
         other.data = data
         other.solve(self.part, self.shape, self.strength)

@@ -60,63 +60,32 @@ FINE = 65
 
 @dataclass(frozen=True, eq=False)
 class HammersteinFit:
-    """Identified voltage → hysteresis → creep → lag and delay, as the nodes run it.
-
-    Parameters
-    ----------
-    hysteresis : HysteresisParameters
-    creep : CreepParameters
-    dynamics : LinearParameters
-        For ``sample_time``.
-    linear_part : LinearPart
-        The same linear part in continuous time; ``linear_part.dynamics(Ts)`` gives it at another rate.
-    sample_time : float
-        Of the recording [s].
-    rmse : float
-        RMS residual of the fit [m], outliers and all.
-    stroke : float
-        Peak-to-peak displacement of the fitted samples [m].
-    voltage_low, voltage_high : float
-        Range of the recording [V].
-    deviations : dict of str to float
-        Standard deviations of ``lag`` [s], ``delay`` [s], ``creep_rate`` and the shape parameters of the hysteresis;
-        the correlation of the residual is taken into account.
-    warnings : tuple of str
-    synchronous : bool
-        The lag is below half a sample: each displacement belongs to the voltage of its own sample (quasi-static
-        sweeps), where an axis reads it one sample later.
-    converged : bool
-        False: the best point found is returned, the optimiser ran out of evaluations.
-    history : tuple of float
-        Voltages [V] that the hysteresis was found to have gone through before the recording, from rest at 0 V.
-    skipped : int
-        First samples of the recording left out of the fit.
-    drift : float
-        What grew beside all that the voltage moves [m/s]; no part of the model.
-    numbers : dict of str to float
-        Further figures of the fit, names with units.
-    structure : object, optional
-        What was chosen of structures that competed, to be fitted again.
-    """
+    """Identified voltage → hysteresis → creep → lag and delay, as the nodes run it."""
 
     hysteresis: HysteresisParameters
     creep: CreepParameters
-    dynamics: LinearParameters
+    dynamics: LinearParameters  #: For ``sample_time``.
+    #: The same linear part in continuous time; ``linear_part.dynamics(Ts)`` gives it at another rate.
     linear_part: LinearPart
-    sample_time: float
-    rmse: float
-    stroke: float
-    voltage_low: float
+    sample_time: float  #: Of the recording [s].
+    rmse: float  #: RMS residual of the fit [m], outliers and all.
+    stroke: float  #: Peak-to-peak displacement of the fitted samples [m].
+    voltage_low: float  #: voltage_low, voltage_high: Range of the recording [V].
     voltage_high: float
+    #: Standard deviations of ``lag`` [s], ``delay`` [s], ``creep_rate`` and the shape parameters of the hysteresis;
+    #: the correlation of the residual is taken into account.
     deviations: dict[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
-    converged: bool = True
+    converged: bool = True  #: False: the best point found is returned, the optimiser ran out of evaluations.
+    #: The lag is below half a sample: each displacement belongs to the voltage of its own sample (quasi-static
+    #: sweeps), where an axis reads it one sample later.
     synchronous: bool = False
+    #: Voltages [V] that the hysteresis was found to have gone through before the recording, from rest at 0 V.
     history: tuple[float, ...] = ()
-    skipped: int = 0
-    drift: float = 0.0
-    numbers: dict[str, float] = field(default_factory=dict)
-    structure: Any = None
+    skipped: int = 0  #: First samples of the recording left out of the fit.
+    drift: float = 0.0  #: What grew beside all that the voltage moves [m/s]; no part of the model.
+    numbers: dict[str, float] = field(default_factory=dict)  #: Further figures of the fit, names with units.
+    structure: Any = None  #: What was chosen of structures that competed, to be fitted again.
 
     @property
     def doubts(self) -> tuple[str, ...]:
@@ -132,14 +101,7 @@ class HammersteinFit:
     def simulate(self, voltage, sample_time: float | None = None, settled: bool = True) -> np.ndarray:
         """Return the displacement [m], shape (N,), see :func:`simulate_chain`.
 
-        Parameters
-        ----------
-        voltage : array_like, shape (N,)
-            [V]
-        sample_time : float, optional
-            [s]; that of the recording by default.
-        settled : bool
-            Start as the fitted recording was found to start; False: always at rest at 0 V, as nodes do.
+        Units: ``voltage`` [V], ``sample_time`` [s].
         """
         sample_time = self.sample_time if sample_time is None else sample_time
         dynamics = self.dynamics if sample_time == self.sample_time else self.linear_part.dynamics(sample_time)
@@ -170,25 +132,7 @@ def simulate_chain(
 
     It starts at rest at 0 V. Sample k is measured before voltage k acts, as on an axis, unless ``synchronous``.
 
-    Parameters
-    ----------
-    hysteresis, creep, dynamics : Parameters
-        Blocks of the chain.
-    voltage : array_like, shape (N,)
-        [V]
-    sample_time : float
-        [s]
-    settled : bool
-        Creep and lag have settled under the first voltage instead, at 0 V only the hysteresis was at rest.
-    synchronous : bool
-        Sample k is measured at the end of the sample in which voltage k acts.
-    history : tuple of float
-        Voltages [V] that the hysteresis goes through first, from rest at 0 V.
-
-    Returns
-    -------
-    ndarray, shape (N,)
-        [m]
+    Units: ``voltage`` [V], ``sample_time`` [s].
     """
     voltage = np.ascontiguousarray(voltage, dtype=np.float64)
     front = hysteresis_block(hysteresis, sample_time)
@@ -201,25 +145,12 @@ def simulate_chain(
 
 
 def pass_through(block, history) -> None:
-    """Let a hysteresis go through voltages [V], in steps: some models are integrated along the way.
-
-    Parameters
-    ----------
-    block : HysteresisBlock
-    history : sequence of float
-        [V], the first is reached from 0 V.
-    """
+    """Let a hysteresis go through voltages [V], in steps: some models are integrated along the way."""
     block.simulate(stretches(history))
 
 
 def stretches(history) -> np.ndarray:
-    """Return voltages [V] in steps from 0 V through those of a history, shape (K,).
-
-    Parameters
-    ----------
-    history : sequence of float
-        [V]
-    """
+    """Return voltages [V] in steps from 0 V through those of a history, shape (K,)."""
     ends = zip((0.0, *history), history, strict=False)
     return np.concatenate([np.zeros(0), *(np.linspace(low, high, FINE)[1:] for low, high in ends)])
 
@@ -227,28 +158,7 @@ def stretches(history) -> np.ndarray:
 def fit_linear_part(solve, data: Condensed, extra=(), linear=("lag", "delay", "creep"), progress=None):
     """Find the linear part and the shape parameters between which ``solve`` leaves the smallest residual.
 
-    Parameters
-    ----------
-    solve : callable
-        ``solve(linear_part, shape)`` with a LinearPart and a dict of the ``extra`` parameters returns the residual
-        [m], shape (N - first,), of the best weights for these.
-    data : Condensed
-    extra : sequence of (name, start, low, high)
-        Shape parameters, always fitted.
-    linear : sequence of str, or Known
-        Which of lag, delay and creep may be there; or a linear part that is known, and which of them are searched.
-    progress : callable, optional
-        Called as ``progress(evaluations, rmse)``.
-
-    Returns
-    -------
-    LinearPart, dict, dict, tuple of str, bool
-        Linear part, shape parameters, standard deviations, warnings, whether every search converged.
-
-    Raises
-    ------
-    IdentificationError
-        A part of ``linear`` is unknown.
+    Units: ``solve`` [m].
     """
     search = PartSearch(solve, data, tuple(extra), progress)
     kept, base, found = search_linear_part(search, linear)
@@ -257,24 +167,7 @@ def fit_linear_part(solve, data: Condensed, extra=(), linear=("lag", "delay", "c
 
 
 def search_linear_part(search: PartSearch, linear):
-    """Accept lag, creep and delay one after the other, each where it lowers the residual.
-
-    Parameters
-    ----------
-    search : PartSearch
-    linear : sequence of str, or Known
-        Which of lag, delay and creep may be there; or a linear part that is known, and which of them are searched.
-
-    Returns
-    -------
-    list of str, LinearPart, Trial
-        The parts that were kept, what the linear part starts from, and the best values.
-
-    Raises
-    ------
-    IdentificationError
-        A part of ``linear`` is unknown.
-    """
+    """Accept lag, creep and delay one after the other, each where it lowers the residual."""
     known, linear = (linear.part, linear.parts) if isinstance(linear, Known) else (LinearPart(), linear)
     unknown = sorted(set(linear) - {"lag", "delay", "creep"})
     if unknown:
@@ -387,13 +280,7 @@ class PartSearch:
 
 
 def split_values(base: LinearPart, values: dict) -> tuple[LinearPart, dict]:
-    """Return the linear part with its own among the values, and the values of the shape.
-
-    Parameters
-    ----------
-    base : LinearPart
-    values : dict of str to float
-    """
+    """Return the linear part with its own among the values, and the values of the shape."""
     own = {name: float(values[name]) for name in ("lag", "delay", "creep_rate") if name in values}
     return replace(base, **own), {name: float(value) for name, value in values.items() if name not in own}
 
@@ -418,17 +305,7 @@ RETIMED_ON = 20000
 def finished(fit, voltage, displacement, sample_time, kept=None) -> HammersteinFit:
     """Return the result of a fit, its residual measured on the recording itself with the kernels of the nodes.
 
-    Parameters
-    ----------
-    fit : object
-        With ``part``, ``data``, ``constants``, ``parameters()``, ``deviations``, ``warnings``, ``converged`` and
-        ``numbers``.
-    voltage, displacement : array_like, shape (N,)
-        [V] and [m].
-    sample_time : float
-        [s]
-    kept : ndarray of bool, shape (N,), optional
-        False for outliers.
+    Units: ``voltage`` [V], ``displacement`` [V], ``sample_time`` [s].
     """
     voltage, displacement = (np.ascontiguousarray(values, dtype=float) for values in (voltage, displacement))
     data = fit.data
@@ -498,12 +375,7 @@ def _retimed(part: LinearPart, sample_time: float, cost) -> LinearPart:
 def without_outliers(once, voltage, displacement) -> HammersteinFit:
     """Return the fit after samples far off were left out, and count them.
 
-    Parameters
-    ----------
-    once : callable
-        ``once(kept)`` fits to the samples that are True in ``kept``, None for all.
-    voltage, displacement : array_like, shape (N,)
-        [V] and [m].
+    Units: ``voltage`` [V], ``displacement`` [V].
     """
     kept, fit = None, once(None)
     for _ in range(ROUNDS):
@@ -531,15 +403,7 @@ STANDARD_ERRORS = 1.0
 
 
 def held_out(fit, stretches: int = STRETCHES_OF_A_PART) -> np.ndarray:
-    """Return the errors [m] on samples that the fit had not seen, shape (samples counted,).
-
-    Parameters
-    ----------
-    fit : object
-        With ``data`` (Condensed), ``refitted(data)`` and ``output()``, shape (N,).
-    stretches : int
-        Of each part.
-    """
+    """Return the errors [m] on samples that the fit had not seen, shape (samples counted,)."""
     data = fit.data
     places = np.arange(len(data.kept))
     errors = np.zeros(len(places))
@@ -558,22 +422,7 @@ def _parts(places, stretches: int) -> list[np.ndarray]:
 
 
 def survivor(fits, stretches: int = STRETCHES_OF_A_PART, worth_it=STRUCTURE_WORTH_IT):
-    """Return the fit to keep, and the RMS errors on parts held out [m] of all.
-
-    Parameters
-    ----------
-    fits : sequence of object
-        The simplest first; a later one is taken only where it predicts what it has not seen better by
-        ``worth_it``, and by more than the parts differ.
-    stretches : int
-        Of each part.
-    worth_it : float or sequence of float
-        Part of the RMS error, for all or for each.
-
-    Returns
-    -------
-    object, list of float
-    """
+    """Return the fit to keep, and the RMS errors on parts held out [m] of all."""
     chosen, least, sizes = fits[0], None, []
     for fit, part_of_it in zip(fits, np.broadcast_to(worth_it, len(fits)), strict=True):
         errors = held_out(fit, stretches)
@@ -590,12 +439,5 @@ def survivor(fits, stretches: int = STRETCHES_OF_A_PART, worth_it=STRUCTURE_WORT
 
 
 def without_drift(fit, data):
-    """Return ``fit(data)``, or the same with a drift beside it if that survives: a drift has to go on in whole blocks.
-
-    Parameters
-    ----------
-    fit : callable
-        Returns a fit to a Condensed.
-    data : Condensed
-    """
+    """Return ``fit(data)``, or the same with a drift beside it if that survives: a drift has to go on in whole blocks."""
     return survivor([fit(data), fit(replace(data, drifts=True))], stretches=1, worth_it=DRIFTING)[0]

@@ -37,13 +37,7 @@ RESPONSES = 16
 def first_order_hold(x, time_constant: float, sample_time: float) -> np.ndarray:
     """Return ``x``, shape (N, ...), behind a lag 1/(τ s + 1), straight between the samples and at rest at zero before.
 
-    Parameters
-    ----------
-    x : ndarray, shape (N, ...)
-    time_constant : float
-        τ [s].
-    sample_time : float
-        [s]
+    Units: ``time_constant`` [s], ``sample_time`` [s].
     """
     if time_constant <= SHORTEST_LAG * sample_time:
         return np.array(x, dtype=float)
@@ -54,20 +48,12 @@ def first_order_hold(x, time_constant: float, sample_time: float) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Mode:
-    """One resonance: (position ω² + velocity ω s)/(s² + 2 ζ ω s + ω²), beside the lag.
+    """One resonance: (position ω² + velocity ω s)/(s² + 2 ζ ω s + ω²), beside the lag."""
 
-    Parameters
-    ----------
-    frequency : float
-        ω/2π [Hz], undamped.
-    damping : float
-        ζ, below 1.
-    position, velocity : float
-        Numerator; ``position`` is the part of the displacement at rest that passes through the mode.
-    """
-
-    frequency: float
-    damping: float
+    frequency: float  #: ω/2π [Hz], undamped.
+    damping: float  #: ζ, below 1.
+    #: position, velocity: Numerator; ``position`` is the part of the displacement at rest that passes through the
+    #: mode.
     position: float = 1.0
     velocity: float = 0.0
 
@@ -85,33 +71,17 @@ class Mode:
 
 @dataclass(frozen=True)
 class LinearPart:
-    """Creep, and behind it a lag beside modes, and a delay.
+    """Creep, and behind it a lag beside modes, and a delay."""
 
-    Parameters
-    ----------
-    lag : float
-        Time constant τ [s].
-    delay : float
-        Dead time [s].
-    creep_rate : float
-        γ of the logarithmic law, a decade.
-    longest_time : float
-        Time up to which the creep law holds [s].
-    settled : bool
-        Creep had settled under the first sample; otherwise everything was at rest at zero before it.
-    modes : tuple of Mode
-        What does not pass through them passes through the lag.
-    hold : float
-        Sample time of the voltage [s] that lag, modes and delay were found for as a held one; they are then those of
-        the stage itself. 0: straight lines between the samples, the half sample of holding is in the delay.
-    """
-
-    lag: float = 0.0
-    delay: float = 0.0
-    creep_rate: float = 0.0
-    longest_time: float = 100.0
+    lag: float = 0.0  #: Time constant τ [s].
+    delay: float = 0.0  #: Dead time [s].
+    creep_rate: float = 0.0  #: γ of the logarithmic law, a decade.
+    longest_time: float = 100.0  #: Time up to which the creep law holds [s].
+    #: Creep had settled under the first sample; otherwise everything was at rest at zero before it.
     settled: bool = False
-    modes: tuple[Mode, ...] = ()
+    modes: tuple[Mode, ...] = ()  #: What does not pass through them passes through the lag.
+    #: Sample time of the voltage [s] that lag, modes and delay were found for as a held one; they are then those of
+    #: the stage itself. 0: straight lines between the samples, the half sample of holding is in the delay.
     hold: float = 0.0
 
     @property
@@ -125,11 +95,7 @@ class LinearPart:
     def impulse(self, samples: int, sample_time: float) -> np.ndarray:
         """Return the response, shape (samples,), to one sample of 1 between zeros.
 
-        Parameters
-        ----------
-        samples : int
-        sample_time : float
-            [s]
+        Units: ``sample_time`` [s].
         """
         unit = np.zeros(samples)
         unit[0] = 1.0
@@ -152,11 +118,7 @@ class LinearPart:
     def apply(self, columns, sample_time: float) -> np.ndarray:
         """Return the columns, shape (N,) or (N, m), behind the linear part.
 
-        Parameters
-        ----------
-        columns : ndarray, shape (N,) or (N, m)
-        sample_time : float
-            [s]
+        Units: ``sample_time`` [s].
         """
         columns = np.asarray(columns, dtype=float)
         first = columns[:1] if self.settled else np.zeros_like(columns[:1])
@@ -177,10 +139,7 @@ class LinearPart:
     def synchronous(self, sample_time: float) -> bool:
         """Whether each displacement belongs to the voltage of its own sample.
 
-        Parameters
-        ----------
-        sample_time : float
-            Of the recording [s].
+        Units: ``sample_time`` [s].
         """
         return not self.hold and self.lag + self.delay < 0.5 * sample_time
 
@@ -195,10 +154,7 @@ class LinearPart:
 
         Where holding is in lag and delay it is taken off the delay, and then off the lag: slow movement comes as late.
 
-        Parameters
-        ----------
-        sample_time : float
-            [s]
+        Units: ``sample_time`` [s].
         """
         lag, delay = (self.lag, self.delay) if self.hold else self._without_holding(sample_time)
         whole = int(delay / sample_time + 1e-9) if self.modes else 0
@@ -252,17 +208,10 @@ def _spectrum(part: LinearPart, samples: int, sample_time: float) -> tuple[int, 
 
 
 class Known(NamedTuple):
-    """A linear part that a fit of a hysteresis takes as given.
-
-    Parameters
-    ----------
-    part : LinearPart
-    parts : tuple of str
-        Which of lag, delay and creep are searched all the same.
-    """
+    """A linear part that a fit of a hysteresis takes as given."""
 
     part: LinearPart
-    parts: tuple[str, ...] = ()
+    parts: tuple[str, ...] = ()  #: Which of lag, delay and creep are searched all the same.
 
 
 def _mode_filter(mode: Mode, x, sample_time: float) -> np.ndarray:

@@ -30,18 +30,10 @@ class FitError(IdentificationError):
 
 @dataclass(frozen=True)
 class Mode:
-    """One pole (or conjugate pair) of a model.
+    """One pole (or conjugate pair) of a model."""
 
-    Parameters
-    ----------
-    frequency : float
-        Natural frequency [Hz].
-    damping : float
-        Damping ratio [1]; 1 for a real pole, negative when unstable.
-    """
-
-    frequency: float
-    damping: float
+    frequency: float  #: Natural frequency [Hz].
+    damping: float  #: Damping ratio [1]; 1 for a real pole, negative when unstable.
 
 
 def propagate(A, inputs, initial=None) -> np.ndarray:
@@ -49,20 +41,6 @@ def propagate(A, inputs, initial=None) -> np.ndarray:
 
     The recursion runs in the Schur form of A, one filter of first order a state: as exact for poles close to one
     another or to the unit circle as the plain recursion, and without a loop over the samples.
-
-    Parameters
-    ----------
-    A : array_like, shape (n, n)
-        State matrix, real.
-    inputs : array_like, shape (N, n)
-        The sequence w_k.
-    initial : array_like, shape (n,), optional
-        x_0; zero by default.
-
-    Returns
-    -------
-    ndarray, shape (N, n)
-        x_0 … x_(N-1).
     """
     return _run(A, inputs, initial)[:-1]
 
@@ -84,34 +62,17 @@ def _run(A, inputs, initial):
 
 
 def final_state(A, inputs, initial=None) -> np.ndarray:
-    """Return x_N of the recursion of :func:`propagate`, shape (n,).
-
-    Parameters
-    ----------
-    A : array_like, shape (n, n)
-    inputs : array_like, shape (N, n)
-    initial : array_like, shape (n,), optional
-    """
+    """Return x_N of the recursion of :func:`propagate`, shape (n,)."""
     return _run(A, inputs, initial)[-1]
 
 
 @dataclass(frozen=True, eq=False)
 class LinearModel(StateSpace):
-    """Discrete state space of n_u inputs and n_y outputs in SI units, with its sample time.
+    """Discrete state space of n_u inputs and n_y outputs in SI units, with its sample time."""
 
-    Parameters
-    ----------
-    sample_time : float
-        [s]
-    input_unit : str
-        SI unit of u.
-    output_unit : str
-        SI unit of y.
-    """
-
-    sample_time: float
-    input_unit: str = "V"
-    output_unit: str = "m"
+    sample_time: float  #: [s]
+    input_unit: str = "V"  #: SI unit of u.
+    output_unit: str = "m"  #: SI unit of y.
 
     @property
     def zeros(self) -> np.ndarray:
@@ -156,28 +117,13 @@ class LinearModel(StateSpace):
         return self.response(np.exp(2j * np.pi * np.asarray(frequency, dtype=float) * self.sample_time))
 
     def simulate(self, u, initial=None) -> np.ndarray:
-        """Return the output for the input ``u`` of shape (N,) or (N, n_u), in the same form.
-
-        Parameters
-        ----------
-        u : array_like, shape (N,) or (N, n_u)
-            Input [SI].
-        initial : array_like, shape (n,), optional
-            State at the first sample; zero by default.
-        """
+        """Return the output for the input ``u`` of shape (N,) or (N, n_u), in the same form."""
         columns = np.asarray(u, dtype=float).reshape(len(u), -1)
         y = propagate(self.A, columns @ self.B.T, initial) @ self.C.T + columns @ self.D.T
         return y[:, 0] if np.ndim(u) == 1 else y
 
     def linear_parameters(self) -> LinearParameters:
-        """Return the parameters of the linear block with unit DC gain (Hammerstein: the gain is the hysteresis').
-
-        Raises
-        ------
-        FitError
-            The model is unstable, has a zero DC gain, several inputs or outputs, or a feedthrough: a measurement taken
-            before the input of its sample changes cannot depend on it.
-        """
+        """Return the parameters of the linear block with unit DC gain (Hammerstein: the gain is the hysteresis')."""
         if self.D.size != 1:
             raise FitError(f"a linear block has one input and one output; this model has {self.D.shape[::-1]}")
         if not self.stable:
@@ -196,15 +142,7 @@ class LinearModel(StateSpace):
 
 
 def pole_zero_warnings(poles, zeros, radius: float = 1.0) -> tuple[str, ...]:
-    """Return warnings about unstable poles and zeros outside the unit circle of a discrete model.
-
-    Parameters
-    ----------
-    poles, zeros : array_like of complex
-        In the z plane.
-    radius : float, optional
-        Radius of the circle that zeros must stay in.
-    """
+    """Return warnings about unstable poles and zeros outside the unit circle of a discrete model."""
     found = []
     outside = [p for p in np.ravel(poles) if abs(p) >= 1.0 - BOUNDARY]
     if outside:
@@ -228,24 +166,7 @@ MARGIN = 64
 
 
 def upsample(u, factor: int, method: str = "bandlimited", periodic: bool = False) -> np.ndarray:
-    """Return the input at ``factor`` times as many instants, shape (N factor,); every factor-th is a sample.
-
-    Parameters
-    ----------
-    u : array_like, shape (N,)
-        Input at uniform instants.
-    factor : int
-        At least 1.
-    method : str
-        ``zoh``, ``linear`` or ``bandlimited``.
-    periodic : bool
-        The input goes on with its first sample after the last one; the interpolation is then exact.
-
-    Raises
-    ------
-    IdentificationError
-        The method is unknown or the factor below 1.
-    """
+    """Return the input at ``factor`` times as many instants, shape (N factor,); every factor-th is a sample."""
     u = np.ascontiguousarray(u, dtype=np.float64)
     if method not in METHODS or factor < 1:
         raise IdentificationError(
@@ -274,12 +195,6 @@ def find_period(u, tolerance: float = 1e-6) -> int | None:
     """Return the number of samples after which the input repeats itself, None when it does not.
 
     At least two whole periods must be there.
-
-    Parameters
-    ----------
-    u : array_like, shape (N,)
-    tolerance : float
-        Largest difference of two periods, as a part of the range.
     """
     u = np.asarray(u, dtype=float)
     centred = u - u.mean()
@@ -310,19 +225,7 @@ class CanonicalSimulation:
     The states of the controllable form are these responses. Time is scaled with the geometric mean of the poles, so
     that the matrix is well scaled for a mirror of 2 kHz and a creep of an hour alike.
 
-    Parameters
-    ----------
-    denominator : array_like, shape (n + 1,)
-        1, a_(n-1) … a_0.
-    sample_time : float
-        [s]
-    intersample : str
-        See :data:`INTERSAMPLE`.
-
-    Raises
-    ------
-    FitError
-        The choice is unknown.
+    Units: ``sample_time`` [s].
     """
 
     def __init__(self, denominator, sample_time: float, intersample: str = "zoh"):
@@ -342,12 +245,7 @@ class CanonicalSimulation:
         self.powers = self.rate ** (np.arange(n + 1.0) - n)
 
     def discrete(self, step: float):
-        """Return Ad, B0 and B1 of ``x_(k+1) = Ad x_k + B0 u_k + B1 u_(k+1)`` over ``step`` [s]; B1 = 0 for ``zoh``.
-
-        Parameters
-        ----------
-        step : float
-        """
+        """Return Ad, B0 and B1 of ``x_(k+1) = Ad x_k + B0 u_k + B1 u_(k+1)`` over ``step`` [s]; B1 = 0 for ``zoh``."""
         n, h = self.order, step * self.rate
         size = np.zeros((n + 2, n + 2))
         size[:n, :n], size[:n, n : n + 1], size[n, n + 1] = self.A * h, self.B * h, 1.0
@@ -356,14 +254,7 @@ class CanonicalSimulation:
         return (both[:n, :n], held, 0 * held) if self.intersample == "zoh" else (both[:n, :n], held - ramp, ramp)
 
     def states(self, u, initial: str = "zero") -> np.ndarray:
-        """Return the states at the samples, shape (N, n), in scaled time.
-
-        Parameters
-        ----------
-        u : ndarray, shape (N,)
-        initial : str
-            ``zero``, ``rest`` or ``periodic``.
-        """
+        """Return the states at the samples, shape (N, n), in scaled time."""
         if self.intersample == "bandlimited":
             fine = _reconstructed(u, initial == "periodic")
             Ad, B0, B1 = self.discrete(self.sample_time / FINER)
@@ -384,20 +275,7 @@ class CanonicalSimulation:
     def bases(self, u, highest: int, initial: str = "zero", delay: float = 0.0) -> np.ndarray:
         """Return the responses of 1/den, s/den … s^highest/den, shape (N, highest + 1).
 
-        Parameters
-        ----------
-        u : ndarray, shape (N,)
-        highest : int
-            At most n.
-        initial : str
-            ``zero``, ``rest`` or ``periodic``.
-        delay : float
-            Of the input [s]; parts of a sample by straight lines between the responses.
-
-        Raises
-        ------
-        FitError
-            There are more zeros than poles.
+        Units: ``delay`` [s].
         """
         if highest > self.order:
             raise FitError(f"{highest} zeros and {self.order} poles: the transfer function is not causal")
@@ -414,26 +292,13 @@ class CanonicalSimulation:
         return np.column_stack([np.interp(at, np.arange(len(columns)), column) for column in columns.T])
 
     def free_responses(self, samples: int) -> np.ndarray:
-        """Return n independent responses to initial states without input, shape (samples, n).
-
-        Parameters
-        ----------
-        samples : int
-        """
+        """Return n independent responses to initial states without input, shape (samples, n)."""
         Ad = self.discrete(self.sample_time)[0]
         nothing = np.zeros((samples, self.order))
         return np.column_stack([propagate(Ad, nothing, start)[:, 0] for start in np.eye(self.order)])
 
     def model(self, numerator, input_unit: str = "V", output_unit: str = "m") -> LinearModel:
-        """Return the discrete state space for an input held over each sample.
-
-        Parameters
-        ----------
-        numerator : array_like, shape (m + 1,)
-            Highest power first, m ≤ n.
-        input_unit, output_unit : str
-            SI units.
-        """
+        """Return the discrete state space for an input held over each sample."""
         n = self.order
         low_first = np.zeros(n + 1)
         low_first[: len(numerator)] = np.asarray(numerator, dtype=float)[::-1]
@@ -457,24 +322,7 @@ def simulate_transfer_function(
 ) -> np.ndarray:
     """Return the response of a continuous transfer function to a sampled input, exact for ``zoh`` and ``foh``.
 
-    Parameters
-    ----------
-    numerator, denominator : array_like
-        Highest power first; at most as many zeros as poles.
-    u : array_like, shape (N,)
-    sample_time : float
-        [s]
-    intersample : str
-        ``zoh`` (held), ``foh`` or ``linear`` (straight between samples), ``bandlimited``.
-    initial : str
-        ``zero``, ``rest`` or ``periodic``.
-    delay : float
-        [s]
-
-    Raises
-    ------
-    FitError
-        A choice is unknown, or there are more zeros than poles.
+    Units: ``sample_time`` [s], ``delay`` [s].
     """
     denominator = np.atleast_1d(np.asarray(denominator, dtype=float))
     numerator = np.atleast_1d(np.asarray(numerator, dtype=float)) / denominator[0]

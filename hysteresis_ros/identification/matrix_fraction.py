@@ -41,21 +41,11 @@ ROUNDING = 1e-7
 
 @dataclass(frozen=True, eq=False)
 class MatrixFraction:
-    """A left matrix fraction in z⁻¹.
+    """A left matrix fraction in z⁻¹."""
 
-    Parameters
-    ----------
-    denominator : ndarray, shape (p + 1, n_y, n_y)
-        Q_0 = I … Q_p.
-    numerator : ndarray, shape (p + 1, n_y, n_u)
-        R_0 … R_p; R_0 = 0 without feedthrough.
-    sample_time : float
-        [s]
-    """
-
-    denominator: np.ndarray
-    numerator: np.ndarray
-    sample_time: float
+    denominator: np.ndarray  #: shape (p + 1, n_y, n_y); Q_0 = I … Q_p.
+    numerator: np.ndarray  #: shape (p + 1, n_y, n_u); R_0 … R_p; R_0 = 0 without feedthrough.
+    sample_time: float  #: [s]
 
     @property
     def degree(self) -> int:
@@ -63,13 +53,7 @@ class MatrixFraction:
         return len(self.denominator) - 1
 
     def realisation(self, input_unit: str = "V", output_unit: str = "m") -> LinearModel:
-        """Return the state space in observer form, order p · n_y, nothing cancelled yet.
-
-        Parameters
-        ----------
-        input_unit, output_unit : str
-            SI units.
-        """
+        """Return the state space in observer form, order p · n_y, nothing cancelled yet."""
         Q, R = self.denominator, self.numerator
         p, ny = self.degree, Q.shape[1]
         A = np.zeros((p * ny, p * ny))
@@ -83,67 +67,26 @@ class MatrixFraction:
 
 @dataclass(frozen=True, eq=False)
 class MatrixFractionFit:
-    """A linear model from a frequency response.
+    """A linear model from a frequency response."""
 
-    Parameters
-    ----------
-    model : LinearModel
-        Of the order chosen.
-    order : int
-        Its order: the one asked for, or the one suggested.
-    suggested_order : int
-        The lowest order whose misfit is within the tolerance of the best one.
-    hankel_values : ndarray, shape (n,)
-        Hankel singular values of the full fit over the largest, falling.
-    orders : ndarray, shape (m,)
-        Orders that were tried.
-    misfit : ndarray, shape (m,)
-        Misfit of each: rms of |Ĝ - G| over the lines in units of the standard deviation, or over rms |G| when the
-        variance is not known.
-    fraction : MatrixFraction
-        The full fit.
-    dropped : tuple of complex
-        Unstable poles of the full fit that were left out: usually of noise. What they took with them is in the misfit.
-    warnings : tuple of str
-        Non-minimum-phase fit, large misfit, order at its bound …
-    """
-
-    model: LinearModel
-    order: int
-    suggested_order: int
-    hankel_values: np.ndarray
-    orders: np.ndarray
+    model: LinearModel  #: Of the order chosen.
+    order: int  #: Its order: the one asked for, or the one suggested.
+    suggested_order: int  #: The lowest order whose misfit is within the tolerance of the best one.
+    hankel_values: np.ndarray  #: shape (n,); Hankel singular values of the full fit over the largest, falling.
+    orders: np.ndarray  #: shape (m,); Orders that were tried.
+    #: shape (m,); Misfit of each: rms of |Ĝ - G| over the lines in units of the standard deviation, or over rms |G|
+    #: when the variance is not known.
     misfit: np.ndarray
-    fraction: MatrixFraction
+    fraction: MatrixFraction  #: The full fit.
+    #: Unstable poles of the full fit that were left out: usually of noise. What they took with them is in the misfit.
     dropped: tuple[complex, ...]
-    warnings: tuple[str, ...]
+    warnings: tuple[str, ...]  #: Non-minimum-phase fit, large misfit, order at its bound …
 
 
 def fit_matrix_fraction(
     data: FrequencyResponse, degree: int, feedthrough: bool = False, iterations: int = 0, weights=None
 ) -> MatrixFraction:
-    """Fit a left matrix fraction of ``degree`` by linear least squares (Juang, K4).
-
-    Parameters
-    ----------
-    data : FrequencyResponse
-        Response at F lines.
-    degree : int
-        p ≥ 1, generous: twice the order expected or more.
-    feedthrough : bool
-        Whether R_0 is fitted too; an input held between samples cannot act on a sample taken as it changes.
-    iterations : int
-        How often to repeat with each line divided by the last |det Q| (Sanathanan and Koerner); 0: the paper's method.
-    weights : array_like, shape (F,), optional
-        Weight of each line, e.g. one over its standard deviation.
-
-    Raises
-    ------
-    FitError
-        The degree is below 1.
-    DataError
-        There are fewer lines than unknowns.
-    """
+    """Fit a left matrix fraction of ``degree`` by linear least squares (Juang, K4)."""
     if degree < 1:
         raise FitError(f"degree = {degree}: a matrix fraction has at least degree 1")
     G = data.response
@@ -185,32 +128,7 @@ def identify_matrix_fraction(
     feedthrough: bool = False,
     iterations: int = 0,
 ) -> MatrixFractionFit:
-    """Fit a frequency response and realise it in the lowest order (K4).
-
-    Parameters
-    ----------
-    data : FrequencyResponse
-        Response, best with its variance: lines are weighted with it.
-    order : int, optional
-        Order of the model; the suggested one by default.
-    degree : int, optional
-        Of the matrix fraction; by default several up to 2 · maximum_order / n_y, of which each order takes the best.
-    tolerance : float
-        An order is enough when its misfit is at most 1 + tolerance times the best.
-    maximum_order : int
-        Highest order that is tried.
-    feedthrough : bool
-        See :func:`fit_matrix_fraction`.
-    iterations : int
-        See :func:`fit_matrix_fraction`.
-
-    Raises
-    ------
-    FitError
-        The order is not within 1 … the number of Hankel values, or no stable part remains.
-    DataError
-        There are too few lines.
-    """
+    """Fit a frequency response and realise it in the lowest order (K4)."""
     deviation = _deviation(data)
     most = max(maximum_order, order or 0)
     candidates = _candidates(
@@ -306,10 +224,6 @@ def stable_part(model: LinearModel) -> tuple[LinearModel, list[complex]]:
 
     The two parts are separated by a block-diagonal form (ordered Schur form and a Sylvester equation), so that the
     stable one keeps its share of the response.
-
-    Parameters
-    ----------
-    model : LinearModel
     """
     for margin in (BOUNDARY, 1e-6, 1e-4, 1e-3, 1e-2):
         stable, dropped = _separated(model, 1.0 - margin)
@@ -335,15 +249,6 @@ def balanced_realisation(model: LinearModel) -> tuple[LinearModel, np.ndarray]:
     """Return the balanced realisation of a stable model and its Hankel singular values, falling.
 
     Directions below rounding (1e-14 of the largest) are left out: they are neither reached nor seen.
-
-    Parameters
-    ----------
-    model : LinearModel
-
-    Raises
-    ------
-    FitError
-        The model is unstable: it has no Hankel singular values.
     """
     if not model.stable:
         raise FitError(f"an unstable model (poles {model.poles}) has no balanced realisation; take its stable part")
@@ -357,28 +262,12 @@ def balanced_realisation(model: LinearModel) -> tuple[LinearModel, np.ndarray]:
 
 
 def truncate(balanced: LinearModel, order: int) -> LinearModel:
-    """Return the first ``order`` states of a balanced model.
-
-    Parameters
-    ----------
-    balanced : LinearModel
-    order : int
-    """
+    """Return the first ``order`` states of a balanced model."""
     return replace(balanced, A=balanced.A[:order, :order], B=balanced.B[:order], C=balanced.C[:, :order])
 
 
 def refit_input(model: LinearModel, data: FrequencyResponse, deviation=None, feedthrough: bool = False) -> LinearModel:
-    """Fit B (and D) to the lines again by linear least squares, A and C kept: what was cancelled shifts the rest.
-
-    Parameters
-    ----------
-    model : LinearModel
-    data : FrequencyResponse
-    deviation : ndarray, shape (F, n_y, n_u), optional
-        Standard deviation of each entry.
-    feedthrough : bool
-        Whether D is fitted; otherwise it stays zero.
-    """
+    """Fit B (and D) to the lines again by linear least squares, A and C kept: what was cancelled shifts the rest."""
     F, ny, nu = data.response.shape
     n = model.order
     z = np.exp(2j * np.pi * data.frequency * data.sample_time)
@@ -401,15 +290,7 @@ def refit_input(model: LinearModel, data: FrequencyResponse, deviation=None, fee
 
 
 def response_misfit(model: LinearModel | None, data: FrequencyResponse, deviation=None) -> float:
-    """Return the rms misfit of a model at the lines; of the model zero when None.
-
-    Parameters
-    ----------
-    model : LinearModel or None
-    data : FrequencyResponse
-    deviation : ndarray, shape (F, n_y, n_u), optional
-        Standard deviation; the misfit is in units of it, else over rms |G|.
-    """
+    """Return the rms misfit of a model at the lines; of the model zero when None."""
     predicted = 0.0 if model is None else model.frequency_response(data.frequency)
     scale = np.sqrt(np.mean(np.abs(data.response) ** 2)) if deviation is None else np.maximum(deviation, 1e-300)
     return float(np.sqrt(np.mean(np.abs((predicted - data.response) / scale) ** 2)))

@@ -57,24 +57,12 @@ _HEADER = """\
 
 
 def limits_of(chain: PlantModel) -> tuple[float, float]:
-    """Return the range of the recorded voltage [V], 0 V in it.
-
-    Parameters
-    ----------
-    chain : PlantModel
-    """
+    """Return the range of the recorded voltage [V], 0 V in it."""
     return min(chain.voltage_low, 0.0), max(chain.voltage_high, 0.0)
 
 
 def block_mapping(parameters: Parameters, prefix: str) -> dict:
-    """Return the flat parameters of a block without the variants that are not in use, and without empty arrays.
-
-    Parameters
-    ----------
-    parameters : Parameters
-    prefix : str
-        Put before the names, ending in a dot.
-    """
+    """Return the flat parameters of a block without the variants that are not in use, and without empty arrays."""
     kind = getattr(parameters, "type", None)
     values = {}
     variants = {row.name.split(".")[0] for row in type(parameters).table() if "." in row.name}
@@ -87,12 +75,7 @@ def block_mapping(parameters: Parameters, prefix: str) -> dict:
 
 
 def sections(result: Identification) -> dict[str, dict]:
-    """Return the sections of plant, compensator, controller and reference generator of an identified axis.
-
-    Parameters
-    ----------
-    result : Identification
-    """
+    """Return the sections of plant, compensator, controller and reference generator of an identified axis."""
     chain = result.chain
     low, high = limits_of(chain)
     limits = {"limits.minimum": low, "limits.maximum": high}
@@ -124,10 +107,7 @@ def sections(result: Identification) -> dict[str, dict]:
 def rate_of(sample_time: float) -> float:
     """Return the sample rate [Hz], rounded to 9 digits: stamps of whole nanoseconds carry no more.
 
-    Parameters
-    ----------
-    sample_time : float
-        [s]
+    Units: ``sample_time`` [s].
     """
     return float(f"{1.0 / sample_time:.9g}")
 
@@ -149,20 +129,7 @@ def _reach(chain: PlantModel, low: float, high: float) -> tuple[float, float]:
 def identification_section(
     result: Identification, data: IdentificationData, metrics: dict, skip: int, extra: dict | None = None
 ) -> dict:
-    """Return the section ``/identification``: source, date, figures, assumptions and warnings.
-
-    Parameters
-    ----------
-    result : Identification
-    data : IdentificationData
-        What it was identified from.
-    metrics : dict
-        Figures; those that are no finite numbers or truth values are left out.
-    skip : int
-        First samples left out of the error.
-    extra : dict, optional
-        Further entries.
-    """
+    """Return the section ``/identification``: source, date, figures, assumptions and warnings."""
     chain = result.chain
     now = datetime.datetime.now(datetime.UTC).replace(microsecond=0)
     section = {
@@ -205,12 +172,7 @@ def identification_section(
 
 
 def assumptions(result: Identification) -> tuple[str, ...]:
-    """Return what the parameter file assumes, in sentences.
-
-    Parameters
-    ----------
-    result : Identification
-    """
+    """Return what the parameter file assumes, in sentences."""
     low, high = limits_of(result.chain)
     found = [
         f"limits {low:.6g} ... {high:.6g} V: the range of the recorded voltage, not the amplifier's",
@@ -228,18 +190,7 @@ def assumptions(result: Identification) -> tuple[str, ...]:
 def file_text(result: Identification, section: dict, excited: float = 0.0) -> str:
     """Return the text of the parameter file, checked: plant and compensator can be built from it.
 
-    Parameters
-    ----------
-    result : Identification
-    section : dict
-        See :func:`identification_section`.
-    excited : float
-        Largest change of the voltage in the recordings [V/s]; 0: not known.
-
-    Raises
-    ------
-    IdentificationError
-        What was found is no valid model: a branch that is not monotone, an unstable part.
+    Units: ``excited`` [V/s].
     """
     nodes = {**sections(result), SECTION: section}
     # every array an object of its own: YAML would write the second one as an alias, which ROS does not read
@@ -258,12 +209,7 @@ def file_text(result: Identification, section: dict, excited: float = 0.0) -> st
 
 
 def example_text(model: HysteresisModel) -> str:
-    """Return the text of a parameter file of an axis with the example of a model: a slow sine in the open loop.
-
-    Parameters
-    ----------
-    model : HysteresisModel
-    """
+    """Return the text of a parameter file of an axis with the example of a model: a slow sine in the open loop."""
     hysteresis = HysteresisParameters(type=model.name, **{model.name: model.example})
     chain = PlantModel(
         hysteresis=hysteresis,
@@ -291,29 +237,13 @@ def example_text(model: HysteresisModel) -> str:
 
 
 def model_warnings(result: Identification) -> tuple[str, ...]:
-    """Return the doubts about the parameters themselves (outside the valid class), as their blocks state them.
-
-    Parameters
-    ----------
-    result : Identification
-    """
+    """Return the doubts about the parameters themselves (outside the valid class), as their blocks state them."""
     chain = result.chain
     return (*chain.hysteresis.chosen.warnings(), *chain.creep.warnings(), *chain.dynamics.warnings())
 
 
 def write_file(path, text: str) -> None:
-    """Write a parameter file whole or not at all.
-
-    Parameters
-    ----------
-    path : path-like
-    text : str
-
-    Raises
-    ------
-    IdentificationError
-        It cannot be written.
-    """
+    """Write a parameter file whole or not at all."""
     write_text(path, text, IdentificationError)
 
 
@@ -325,20 +255,7 @@ def _block(configuration: Configuration, node: str, cls, namespace: str = ""):
 
 
 def load_chain(path, namespace: str = "") -> tuple[PlantModel, dict]:
-    """Read the plant of a parameter file, identified or written by hand, and its section ``/identification``.
-
-    Parameters
-    ----------
-    path : path-like
-        Parameter file, or the bare name of one that comes with the package.
-    namespace : str
-        Of the axis.
-
-    Raises
-    ------
-    ConfigurationError, ParameterError
-        It is no parameter file, has no plant, or a parameter or entry is wrong.
-    """
+    """Read the plant of a parameter file, identified or written by hand, and its section ``/identification``."""
     configuration = load_configuration(path)
     if "hysteresis.type" not in configuration.node("plant_simulator", namespace):
         raise ConfigurationError(

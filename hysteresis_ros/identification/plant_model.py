@@ -30,38 +30,18 @@ from hysteresis_ros.units import readable
 
 @dataclass(frozen=True)
 class Request:
-    """What is asked for.
-
-    Parameters
-    ----------
-    model : str
-    parts : tuple of str
-        Of ``lag``, ``delay``, ``creep``: what may stand behind the hysteresis.
-    stage : str or None
-        Dynamics of higher order instead.
-    options : dict
-        Of the model.
-    inverse : str
-        Type of the compensator's inverse.
-    skip : int or None
-        First samples left out of the error; None: those before the past is wiped out.
-    intersample : str
-    initial : str or None
-    progress : callable
-        ``progress(number, text)``.
-    separations : dict
-        What :func:`.separation.separated` found in this data before, by what was asked for.
-    """
+    """What is asked for."""
 
     model: str
-    parts: tuple[str, ...]
-    stage: str | None
-    options: dict
-    inverse: str
-    skip: int | None
+    parts: tuple[str, ...]  #: Of ``lag``, ``delay``, ``creep``: what may stand behind the hysteresis.
+    stage: str | None  #: Dynamics of higher order instead.
+    options: dict  #: Of the model.
+    inverse: str  #: Type of the compensator's inverse.
+    skip: int | None  #: First samples left out of the error; None: those before the past is wiped out.
     intersample: str
     initial: str | None
-    progress: Callable[[int, str], None]
+    progress: Callable[[int, str], None]  #: ``progress(number, text)``.
+    #: What :func:`.separation.separated` found in this data before, by what was asked for.
     separations: dict = field(default_factory=dict)
 
     def report_residual(self, number: int, rmse: float) -> None:
@@ -71,68 +51,35 @@ class Request:
 
 @dataclass(frozen=True)
 class FittedHysteresis:
-    """A hysteresis as it was fitted.
-
-    Parameters
-    ----------
-    hysteresis : HysteresisParameters
-    fitted : int
-        How many of its numbers were fitted.
-    deviations : dict of str to float
-        Their standard deviations, where known.
-    warnings : tuple of str
-    converged : bool
-    """
+    """A hysteresis as it was fitted."""
 
     hysteresis: HysteresisParameters
-    fitted: int
-    deviations: dict[str, float] = field(default_factory=dict)
+    fitted: int  #: How many of its numbers were fitted.
+    deviations: dict[str, float] = field(default_factory=dict)  #: Their standard deviations, where known.
     warnings: tuple[str, ...] = ()
     converged: bool = True
 
 
 @dataclass(frozen=True, eq=False)
 class PlantModel:
-    """A plant as it is predicted: voltage → hysteresis → creep → linear dynamics → + offset.
-
-    Parameters
-    ----------
-    hysteresis : HysteresisParameters
-    creep : CreepParameters
-    dynamics : LinearParameters
-        For ``sample_time``.
-    sample_time : float
-        [s]
-    offset : float
-        Constant part of the displacement [m]; a plant carries it as preload offset.
-    linear_part : LinearPart, optional
-        Creep, lag and delay in continuous time, where the dynamics are nothing else.
-    transfer_function : (tuple of float, tuple of float), optional
-        Numerator and denominator of the dynamics in continuous time, where they were found so.
-    synchronous : bool
-        A displacement belongs to the voltage of its own sample (quasi-static sweeps); on an axis it is read before.
-    initial : str
-        Where the state starts: ``zero``, ``periodic`` or ``estimate``.
-    intersample : str
-        How the input runs between samples: ``zoh``, ``linear`` or ``bandlimited``.
-    voltage_low, voltage_high : float
-        Range of the recording [V].
-    inverse : InverseParameters
-        Inverse that the compensator uses.
-    """
+    """A plant as it is predicted: voltage → hysteresis → creep → linear dynamics → + offset."""
 
     hysteresis: HysteresisParameters
     creep: CreepParameters
-    dynamics: LinearParameters
-    sample_time: float
-    offset: float = 0.0
+    dynamics: LinearParameters  #: For ``sample_time``.
+    sample_time: float  #: [s]
+    offset: float = 0.0  #: Constant part of the displacement [m]; a plant carries it as preload offset.
+    #: Creep, lag and delay in continuous time, where the dynamics are nothing else.
     linear_part: LinearPart | None = None
+    #: Numerator and denominator of the dynamics in continuous time, where they were found so.
     transfer_function: tuple[tuple[float, ...], tuple[float, ...]] | None = None
+    #: A displacement belongs to the voltage of its own sample (quasi-static sweeps); on an axis it is read before.
     synchronous: bool = False
-    initial: str = "zero"
-    intersample: str = "zoh"
-    voltage_low: float = 0.0
+    initial: str = "zero"  #: Where the state starts: ``zero``, ``periodic`` or ``estimate``.
+    intersample: str = "zoh"  #: How the input runs between samples: ``zoh``, ``linear`` or ``bandlimited``.
+    voltage_low: float = 0.0  #: voltage_low, voltage_high: Range of the recording [V].
     voltage_high: float = 0.0
+    #: Inverse that the compensator uses.
     inverse: InverseParameters = field(default_factory=lambda: InverseParameters(type="general"))
 
     @property
@@ -167,57 +114,28 @@ class PlantModel:
 
 @dataclass(frozen=True, eq=False)
 class Identification:
-    """Result of any identification.
+    """Result of any identification."""
 
-    Parameters
-    ----------
-    model : str
-        Name of the model in the registry.
-    linear : str
-        What stands behind the hysteresis, in words.
-    chain : PlantModel
-        The model; its hysteresis gives zero at rest at 0 V, or what the past had left there when the recording began.
-    fitted : int
-        How many numbers were fitted.
-    numbers : dict of str to float
-        Figures of the fit besides the parameters, names with units (``lag_s``).
-    deviations : dict of str to float
-        Standard deviations, by parameter.
-    assumptions, warnings : tuple of str
-    converged : bool
-        False: the best point found.
-    skipped : int, optional
-        First samples left out of the fit; None: those before the memory is wiped out.
-    start : str
-        How the recording was taken to begin, in a sentence.
-    drift : float
-        What grew in the recording beside all that the voltage moves [m/s]; no part of the model.
-    trajectory : (tuple of str, ndarray of shape (K, n)), optional
-        Names and values of the parameters after each iteration of the best run.
-    """
-
-    model: str
-    linear: str
+    model: str  #: Name of the model in the registry.
+    linear: str  #: What stands behind the hysteresis, in words.
+    #: The model; its hysteresis gives zero at rest at 0 V, or what the past had left there when the recording began.
     chain: PlantModel
-    fitted: int
+    fitted: int  #: How many numbers were fitted.
+    #: Figures of the fit besides the parameters, names with units (``lag_s``).
     numbers: dict[str, float] = field(default_factory=dict)
-    deviations: dict[str, float] = field(default_factory=dict)
+    deviations: dict[str, float] = field(default_factory=dict)  #: Standard deviations, by parameter.
     assumptions: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
-    converged: bool = True
-    skipped: int | None = None
-    start: str = ""
-    drift: float = 0.0
+    converged: bool = True  #: False: the best point found.
+    skipped: int | None = None  #: First samples left out of the fit; None: those before the memory is wiped out.
+    start: str = ""  #: How the recording was taken to begin, in a sentence.
+    drift: float = 0.0  #: What grew in the recording beside all that the voltage moves [m/s]; no part of the model.
+    #: shape (K, n); Names and values of the parameters after each iteration of the best run.
     trajectory: tuple[tuple[str, ...], np.ndarray] | None = None
 
 
 def group_delay(dynamics: LinearParameters) -> float:
-    """Return the group delay at zero frequency [samples]; 0 without dynamics.
-
-    Parameters
-    ----------
-    dynamics : LinearParameters
-    """
+    """Return the group delay at zero frequency [samples]; 0 without dynamics."""
     if not dynamics.order:
         return 0.0
     model = dynamics.state_space
@@ -228,11 +146,7 @@ def group_delay(dynamics: LinearParameters) -> float:
 def at_rest(hysteresis: HysteresisParameters, sample_time: float) -> float:
     """Return the displacement [m] of a hysteresis that never saw another voltage than 0 V.
 
-    Parameters
-    ----------
-    hysteresis : HysteresisParameters
-    sample_time : float
-        [s]
+    Units: ``sample_time`` [s].
     """
     return float(hysteresis_block(hysteresis, sample_time).step(0.0))
 
@@ -242,11 +156,7 @@ def grounded(hysteresis: HysteresisParameters, sample_time: float) -> tuple[Hyst
 
     A constant of the sensor is no part of a stroke: kept out of the hysteresis, references count from rest.
 
-    Parameters
-    ----------
-    hysteresis : HysteresisParameters
-    sample_time : float
-        [s]
+    Units: ``sample_time`` [s].
     """
     rest = at_rest(hysteresis, sample_time)
     moved = hysteresis.shifted(-rest)

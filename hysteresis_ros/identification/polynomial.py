@@ -60,29 +60,15 @@ DIFFERENT_PEAKS = 0.02
 
 @dataclass(frozen=True)
 class LoopCoefficients:
-    """Branch parabolas of one loop (eqs 1-2; figure 4 of the paper), SI units.
+    """Branch parabolas of one loop (eqs 1-2; figure 4 of the paper), SI units."""
 
-    Parameters
-    ----------
-    v_max : float
-        Peak [V].
-    D : float
-        Lower corner D_r = D_f [m].
-    C_r1, C_r2 : float
-        Rising branch [m/V, m/V²]; NaN where the recording does not rise again after this peak.
-    C_f1, C_f2 : float
-        Falling branch.
-    rms : float
-        Residual [m].
-    """
-
-    v_max: float
-    D: float
-    C_r1: float
+    v_max: float  #: Peak [V].
+    D: float  #: Lower corner D_r = D_f [m].
+    C_r1: float  #: C_r1, C_r2: Rising branch [m/V, m/V²]; NaN where the recording does not rise again after this peak.
     C_r2: float
-    C_f1: float
+    C_f1: float  #: C_f1, C_f2: Falling branch.
     C_f2: float
-    rms: float
+    rms: float  #: Residual [m].
 
 
 def loop_table(voltage, displacement, branches):
@@ -172,35 +158,18 @@ _NAMES = ("virgin", "rising_D", "rising_C1", "rising_C2", "falling_D", "falling_
 
 @dataclass(frozen=True)
 class PolynomialIdentification:
-    """Result of :func:`identify_polynomial`.
+    """Result of :func:`identify_polynomial`."""
 
-    Parameters
-    ----------
-    parameters : PolynomialParameters
-        The model.
-    loops : tuple of LoopCoefficients
-        What each loop gave by itself.
-    covariance : ndarray, shape (21, 21)
-        Of the coefficients in the order virgin, rising_D, rising_C1, rising_C2, falling_D, falling_C1, falling_C2,
-        three numbers each; for white residuals.
-    rms, maximum : float
-        Residual of all samples [m].
-    criterion : str
-        ``rms`` or ``maximum``: what was made small.
-    converged : bool
-        False when a monotone model had to be forced and was not found.
-    warnings : tuple of str
-        What to doubt.
-    """
-
-    parameters: PolynomialParameters
-    loops: tuple[LoopCoefficients, ...]
+    parameters: PolynomialParameters  #: The model.
+    loops: tuple[LoopCoefficients, ...]  #: What each loop gave by itself.
+    #: shape (21, 21); Of the coefficients in the order virgin, rising_D, rising_C1, rising_C2, falling_D, falling_C1,
+    #: falling_C2, three numbers each; for white residuals.
     covariance: np.ndarray
-    rms: float
+    rms: float  #: rms, maximum: Residual of all samples [m].
     maximum: float
-    criterion: str
-    converged: bool
-    warnings: tuple[str, ...]
+    criterion: str  #: ``rms`` or ``maximum``: what was made small.
+    converged: bool  #: False when a monotone model had to be forced and was not found.
+    warnings: tuple[str, ...]  #: What to doubt.
 
     @property
     def standard_errors(self) -> dict[str, tuple[float, ...]]:
@@ -332,31 +301,7 @@ def identify_polynomial(
 ) -> PolynomialIdentification:
     """Identify the polynomial branch model from loops between about 0 V and one or several peaks (K2).
 
-    Parameters
-    ----------
-    voltage : array_like, shape (N,)
-        Voltage at the actuator [V].
-    displacement : array_like, shape (N,)
-        Displacement [m]; a constant offset goes to the constant terms D.
-    history : sequence of float
-        Turning voltages [V] the actuator went through before the recording; empty: it starts at rest (virgin).
-    method : str
-        ``samples``: all samples at once. ``loops``: the paper's two stages, quadratics through the coefficients of
-        each loop.
-    criterion : str
-        Of the fit to all samples: ``rms``, ``maximum`` (the largest error), or ``automatic``: the largest error where
-        the residual has structure, else rms.
-    reversal : float
-        Reversals smaller than this part of the voltage range are noise.
-
-    Returns
-    -------
-    PolynomialIdentification
-
-    Raises
-    ------
-    IdentificationError
-        Too short, constant, not finite, a single branch, or mostly negative voltages.
+    Units: ``voltage`` [V], ``displacement`` [m].
     """
     voltage, displacement = checked_signals(voltage, displacement)
     _check_request(voltage, method, criterion)
@@ -479,48 +424,20 @@ FEWEST_POINTS = 4
 
 @dataclass(frozen=True)
 class PreloadIdentification:
-    """Result of :func:`identify_preload`.
+    """Result of :func:`identify_preload`."""
 
-    Parameters
-    ----------
-    parameters : PreloadParameters
-        A1, B1 and B2, with the preload in use as ``force``.
-    covariance : ndarray, shape (3, 3)
-        Of A1, B1 and B2.
-    rms : float
-        Residual [m].
-    stiffness : float
-        -1/(B1 + B2 L0 of mid-range) [N/m], at the middle of the recorded preloads.
-    largest_force : float
-        Largest preload of the data [N].
-    warnings : tuple of str
-        What to doubt.
-    """
-
-    parameters: PreloadParameters
-    covariance: np.ndarray
-    rms: float
-    stiffness: float
-    largest_force: float
-    warnings: tuple[str, ...]
+    parameters: PreloadParameters  #: A1, B1 and B2, with the preload in use as ``force``.
+    covariance: np.ndarray  #: shape (3, 3); Of A1, B1 and B2.
+    rms: float  #: Residual [m].
+    stiffness: float  #: -1/(B1 + B2 L0 of mid-range) [N/m], at the middle of the recorded preloads.
+    largest_force: float  #: Largest preload of the data [N].
+    warnings: tuple[str, ...]  #: What to doubt.
 
 
 def identify_preload(force, displacement, *, in_use: float = 0.0) -> PreloadIdentification:
     """Fit W = A1 + B1 L0 + B2 L0² to displacement against preload.
 
-    Parameters
-    ----------
-    force : array_like, shape (N,)
-        Preload L0 [N], at least three different ones.
-    displacement : array_like, shape (N,)
-        Displacement of the tip at the same voltage [m].
-    in_use : float
-        Preload [N] to write into the parameters.
-
-    Raises
-    ------
-    IdentificationError
-        Too few points or preloads, values that are not finite, a negative preload.
+    Units: ``force`` [N], ``displacement`` [m].
     """
     force, displacement = checked_signals(force, displacement, ("preload", "displacement"), FEWEST_POINTS)
     if force.min() < 0.0:
@@ -556,20 +473,7 @@ def identify_preload(force, displacement, *, in_use: float = 0.0) -> PreloadIden
 
 
 def preload_of_offset(preload: PreloadParameters, offset: float) -> float:
-    """Return the preload L0 [N] whose W is ``offset`` [m]: the root of eq. 3 next to zero preload.
-
-    Parameters
-    ----------
-    preload : PreloadParameters
-        Curve; its ``force`` is not used.
-    offset : float
-        Displacement of a recording under preload less that of the same recording without.
-
-    Raises
-    ------
-    IdentificationError
-        The curve never reaches this offset at a preload of 0 or more.
-    """
+    """Return the preload L0 [N] whose W is ``offset`` [m]: the root of eq. 3 next to zero preload."""
     rise = offset - preload.A1
     discriminant = preload.B1**2 + 4.0 * preload.B2 * rise
     if discriminant >= 0.0 and preload.B1 != 0.0:

@@ -69,16 +69,7 @@ SEARCH_STRENGTH = 1e-2
 
 
 class FreeWeights:
-    """Free weights of plays, and dead zones behind them, on one set of data.
-
-    Parameters
-    ----------
-    data : Condensed
-    play_count : int
-        Plays up to half the range of the voltage.
-    zone_count : int
-        Dead zones; 0 for the classical model.
-    """
+    """Free weights of plays, and dead zones behind them, on one set of data."""
 
     def __init__(self, data: Condensed, play_count: int, zone_count: int):
         self.data = data
@@ -89,24 +80,13 @@ class FreeWeights:
         self.numbers: dict[str, float] = {}
 
     def behind(self, part):
-        """Settle the weights for a linear part that is known.
-
-        Parameters
-        ----------
-        part : LinearPart
-        """
+        """Settle the weights for a linear part that is known."""
         self.part = part
         self.rms = float(np.std(self._solve(part, None, GAUSS_NEWTON_STEPS)))
         return self
 
     def fit(self, linear, progress):
-        """Search the linear part, then settle the weights.
-
-        Parameters
-        ----------
-        linear : sequence of str
-        progress : callable or None
-        """
+        """Search the linear part, then settle the weights."""
 
         def solve(part, _):
             return self._solve(part, SEARCH_STRENGTH, SEARCH_STEPS)
@@ -117,21 +97,11 @@ class FreeWeights:
         return self.behind(part)
 
     def like(self, data: Condensed):
-        """Return the same structure for other data, not fitted yet.
-
-        Parameters
-        ----------
-        data : Condensed
-        """
+        """Return the same structure for other data, not fitted yet."""
         return FreeWeights(data, self.play_count, self.zone_count)
 
     def refitted(self, data: Condensed):
-        """Return the model with weights for other samples of the recording, behind the same linear part.
-
-        Parameters
-        ----------
-        data : Condensed
-        """
+        """Return the model with weights for other samples of the recording, behind the same linear part."""
         other = copy(self)
         other.data = data
         other._solve(self.part, self.strength, GAUSS_NEWTON_STEPS)
@@ -242,14 +212,7 @@ TINY = 1e-9
 
 
 class SmoothDensity:
-    """Exponential density and cubic map on one set of data.
-
-    Parameters
-    ----------
-    data : Condensed
-    play_count : int
-        Plays that stand for the density, up to half the range of the voltage.
-    """
+    """Exponential density and cubic map on one set of data."""
 
     def __init__(self, data: Condensed, play_count: int):
         self.data, self.play_count = data, play_count
@@ -260,13 +223,7 @@ class SmoothDensity:
         self.numbers: dict[str, float] = {}
 
     def fit(self, linear, progress):
-        """Search linear part and shape with κ at its prior, then try whether the data settles it.
-
-        Parameters
-        ----------
-        linear : sequence of str
-        progress : callable or None
-        """
+        """Search linear part and shape with κ at its prior, then try whether the data settles it."""
         self.decay = PRIOR_DECAY
         search = PartSearch(self.solve, self.data, DENSITY_SHAPE, progress)
         kept, base, held = search_linear_part(search, linear)
@@ -285,14 +242,7 @@ class SmoothDensity:
         return self
 
     def behind(self, part, decay: float):
-        """Fit the shape for a κ and a linear part that are known.
-
-        Parameters
-        ----------
-        part : LinearPart
-        decay : float
-            κ.
-        """
+        """Fit the shape for a κ and a linear part that are known."""
         self.decay, self.part = decay, part
         search = PartSearch(lambda _, shape: self.solve(part, shape), self.data, DENSITY_SHAPE, None)
         self.shape = search.run([], {}, part).values
@@ -300,13 +250,7 @@ class SmoothDensity:
         return self
 
     def solve(self, part, shape) -> np.ndarray:
-        """Return the residual [m] of the best scale and constant.
-
-        Parameters
-        ----------
-        part : LinearPart
-        shape : dict of str to float
-        """
+        """Return the residual [m] of the best scale and constant."""
         data = self.data
         table = np.column_stack([part.apply(self.moved(shape), data.sample_time), data.constants])
         table, target = data.counted(table), data.counted(data.displacement)
@@ -315,12 +259,7 @@ class SmoothDensity:
         return target - table @ solution
 
     def moved(self, shape) -> np.ndarray:
-        """Return what the linear part gets, shape (N,), at unit scale and zero at rest.
-
-        Parameters
-        ----------
-        shape : dict of str to float
-        """
+        """Return what the linear part gets, shape (N,), at unit scale and zero at rest."""
         weights = self._weights(shape)
         sums = self.data.voltage * weights[0] + self.plays @ weights[1:]
         counted = sums[self.data.first :]
@@ -342,21 +281,11 @@ class SmoothDensity:
         return u + bent + end * (u - inside)
 
     def like(self, data: Condensed):
-        """Return the same structure for other data, not fitted yet.
-
-        Parameters
-        ----------
-        data : Condensed
-        """
+        """Return the same structure for other data, not fitted yet."""
         return SmoothDensity(data, self.play_count)
 
     def refitted(self, data: Condensed):
-        """Return the model fitted to other samples of the recording, from the numbers found.
-
-        Parameters
-        ----------
-        data : Condensed
-        """
+        """Return the model fitted to other samples of the recording, from the numbers found."""
         other = copy(self)
         other.data = data
         extra = (*DENSITY_SHAPE, ("decay", PRIOR_DECAY, *DECAY_RANGE)) if self.settled else DENSITY_SHAPE
@@ -371,13 +300,7 @@ class SmoothDensity:
         return self.scale * moved + self.data.constants @ self.constants
 
     def parameters(self) -> HysteresisParameters:
-        """Return density and map as plays and dead zones.
-
-        Raises
-        ------
-        IdentificationError
-            The displacement falls where the voltage rises.
-        """
+        """Return density and map as plays and dead zones."""
         if not self.scale > 0.0:
             raise IdentificationError("the displacement falls where the voltage rises; check the columns, or --negate")
         low, high = min(self.centre - self.span, 0.0), max(self.centre + self.span, 0.0)
@@ -434,35 +357,7 @@ def fit_prandtl_ishlinskii(
 ) -> HammersteinFit:
     """Fit voltage → plays → dead zones → creep → lag and delay.
 
-    Parameters
-    ----------
-    voltage, displacement : array_like, shape (N,)
-        [V] and [m], uniformly sampled.
-    sample_time : float
-        [s]
-    play_count : int
-        Plays, in equal steps up to half the range of the voltage.
-    zone_count : int, optional
-        Dead zones behind free weights; 0 for the classical model. By default five, if they survive.
-    density : str
-        ``exponential``, ``free``, or ``auto``: what predicts blocks held out; free where ``zone_count`` is given.
-    linear : sequence of str
-        Which of ``lag``, ``delay`` and ``creep`` may be there; each is kept only if it lowers the residual.
-    skip : int, optional
-        Samples left out of the fit at the start, see :func:`.condensed.condense`.
-    history : tuple of float
-        Voltages [V] that the hysteresis went through, from rest at 0 V, before the first sample.
-    progress : callable, optional
-        Called as ``progress(evaluations, rmse)``.
-    rivals : callable, optional
-        ``rivals(fit, progress)`` returns fits of other kinds that compete too, for a fit with a smooth density.
-    like : object, optional
-        ``structure`` of a fit before, which is kept.
-
-    Raises
-    ------
-    IdentificationError
-        The data or the settings cannot be used; the message says why.
+    Units: ``voltage`` [V], ``displacement`` [V], ``sample_time`` [s].
     """
     if density not in DENSITIES:
         raise IdentificationError(f"density = {density!r}: must be one of {', '.join(DENSITIES)}")
@@ -525,27 +420,14 @@ EXCITATION = "loops of decaying amplitude settle it (hysteresis excite --recipe 
 
 @dataclass(frozen=True)
 class Ambiguity:
-    """What may be true besides the model that was chosen.
+    """What may be true besides the model that was chosen."""
 
-    Parameters
-    ----------
-    decays : (float, float)
-        Lowest and highest κ that fit about as well as the best.
-    gain : (float, float)
-        Gain of loops over a tenth of the range, lowest and highest of all that may be true, by that of the model.
-    error : float
-        Largest RMS difference from the model on loops of decaying amplitude [m].
-    stroke : float
-        Of the recording [m].
-    held : bool
-        The model holds κ at its prior.
-    """
-
-    decays: tuple[float, float]
+    decays: tuple[float, float]  #: Lowest and highest κ that fit about as well as the best.
+    #: Gain of loops over a tenth of the range, lowest and highest of all that may be true, by that of the model.
     gain: tuple[float, float]
-    error: float
-    stroke: float
-    held: bool
+    error: float  #: Largest RMS difference from the model on loops of decaying amplitude [m].
+    stroke: float  #: Of the recording [m].
+    held: bool  #: The model holds κ at its prior.
 
     @property
     def numbers(self) -> dict[str, float]:
@@ -575,18 +457,7 @@ class Ambiguity:
 
 
 def find_ambiguity(data: Condensed, part: LinearPart, chosen: HysteresisParameters, held: bool) -> Ambiguity | None:
-    """Return how far densities and maps that the data does not tell apart are from the model; None if none fits.
-
-    Parameters
-    ----------
-    data : Condensed
-    part : LinearPart
-        What was found behind the hysteresis.
-    chosen : HysteresisParameters
-        The model.
-    held : bool
-        It holds κ at its prior.
-    """
+    """Return how far densities and maps that the data does not tell apart are from the model; None if none fits."""
     fits = [SmoothDensity(data, TRIED_PLAYS).behind(part, decay) for decay in TRIED_DECAYS]
     least = min(fit.rms for fit in fits)
     voltage = _decaying(float(data.voltage.min()), float(data.voltage.max()))

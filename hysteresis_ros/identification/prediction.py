@@ -56,27 +56,13 @@ VOLTAGE_MARGIN = 0.1
 
 @dataclass(frozen=True, eq=False)
 class InverseValidation:
-    """Result of :func:`recover_voltage`.
+    """Result of :func:`recover_voltage`."""
 
-    Parameters
-    ----------
-    voltage : ndarray, shape (N,)
-        Recovered voltage [V].
-    error : ndarray, shape (N - skip,)
-        Recovered less applied voltage [V].
-    rmse : float
-        [V]
-    rmse_displacement : float
-        The same in displacement [m], through the model's nominal gain.
-    rmse_percent : float
-        Of the range of the applied voltage.
-    """
-
-    voltage: np.ndarray
-    error: np.ndarray
-    rmse: float
-    rmse_displacement: float
-    rmse_percent: float
+    voltage: np.ndarray  #: shape (N,); Recovered voltage [V].
+    error: np.ndarray  #: shape (N - skip,); Recovered less applied voltage [V].
+    rmse: float  #: [V]
+    rmse_displacement: float  #: The same in displacement [m], through the model's nominal gain.
+    rmse_percent: float  #: Of the range of the applied voltage.
 
 
 def recover_voltage(
@@ -84,16 +70,7 @@ def recover_voltage(
 ) -> InverseValidation:
     """Invert the model along a measured displacement and compare with the voltage that was applied.
 
-    Parameters
-    ----------
-    fit : HammersteinFit
-        Model; the data must have its sample time.
-    displacement, voltage : array_like, shape (N,)
-        [m] and [V].
-    skip : int
-        Samples left out of the comparison at the start.
-    free_offset : bool
-        Take the constant between measurement and model out of the displacement first.
+    Units: ``displacement`` [m], ``voltage`` [m].
     """
     y, v = (np.ascontiguousarray(values, dtype=np.float64) for values in (displacement, voltage))
     if free_offset:
@@ -119,14 +96,7 @@ def recover_voltage(
 def undo(y, part: LinearPart, sample_time: float) -> np.ndarray:
     """Return the input, shape (N,), of lag, delay and modes whose output is ``y``, smoothed no more than needed.
 
-    Parameters
-    ----------
-    y : array_like, shape (N,)
-        [m]
-    part : LinearPart
-        Its creep is left aside.
-    sample_time : float
-        [s]
+    Units: ``y`` [m], ``sample_time`` [s].
     """
     if not part.modes:
         return undo_lag(y, part.lag, part.delay, sample_time)
@@ -142,13 +112,7 @@ def undo(y, part: LinearPart, sample_time: float) -> np.ndarray:
 def undo_lag(y, lag: float, delay: float, sample_time: float) -> np.ndarray:
     """Return the input, shape (N,), of a lag and a delay whose output is ``y``, smoothed no more than needed.
 
-    Parameters
-    ----------
-    y : array_like, shape (N,)
-    lag, delay : float
-        [s]
-    sample_time : float
-        [s]
+    Units: ``lag`` [s], ``delay`` [s], ``sample_time`` [s].
     """
     y = np.asarray(y, dtype=float)
     if lag + delay < 0.1 * sample_time:
@@ -185,27 +149,7 @@ def predict(
 ) -> np.ndarray:
     """Return the predicted displacement [m], shape (N,), at the samples of the voltage.
 
-    Parameters
-    ----------
-    chain : PlantModel
-    voltage : array_like, shape (N,)
-        [V]
-    sample_time : float
-        [s]
-    intersample : str, optional
-        ``zoh``, ``linear`` or ``bandlimited``; the chain's own by default.
-    initial : str, optional
-        ``zero``: everything was at rest at 0 V; ``periodic``: the input had repeated before; ``estimate``: creep and
-        dynamics had settled under the first voltage, remanence and the state of the dynamics are fitted to
-        ``measured``. By
-        default the chain's own.
-    measured : array_like, shape (N,), optional
-        [m], for ``estimate``.
-
-    Raises
-    ------
-    IdentificationError
-        A choice is unknown or not possible with this chain.
+    Units: ``voltage`` [V], ``sample_time`` [s].
     """
     intersample, initial = intersample or chain.intersample, initial or chain.initial
     if intersample not in METHODS or initial not in INITIAL:
@@ -254,16 +198,7 @@ def _estimated_history(chain: PlantModel, voltage, intersample, measured) -> tup
 def at_rate(chain: PlantModel, sample_time: float) -> PlantModel:
     """Return the chain for another sample time.
 
-    Parameters
-    ----------
-    chain : PlantModel
-    sample_time : float
-        [s]
-
-    Raises
-    ------
-    IdentificationError
-        Its dynamics are known at one sample time only.
+    Units: ``sample_time`` [s].
     """
     if abs(sample_time - chain.sample_time) <= SAME_RATE * chain.sample_time:
         return chain
@@ -340,32 +275,7 @@ def judge(
 ) -> tuple[Validation, InverseValidation | None, str]:
     """Compare prediction with measurement, and the voltage the inverse finds behind the measurement with the applied.
 
-    Parameters
-    ----------
-    chain : PlantModel
-        For the sample time of the data.
-    data : IdentificationData
-        Voltage [V] and what was measured [m].
-    predicted : array_like, shape (N,)
-        [m]
-    skip : int
-        First samples left out of the comparison; the model has seen them.
-    free_offset : bool
-        Remove one constant.
-    fitted : int
-        Numbers that were fitted to this data; 0 for other data.
-    inverse : bool
-        Try the inverse too.
-
-    Returns
-    -------
-    Validation, InverseValidation or None, str
-        The last says why there is no inverse validation; empty otherwise.
-
-    Raises
-    ------
-    DataError
-        See :func:`~hysteresis_ros.identification.validation.validate`.
+    Units: ``predicted`` [m].
     """
     found = validate(data.output, predicted, data.input, parameters=fitted, skip=skip, free_offset=free_offset)
     if not inverse:

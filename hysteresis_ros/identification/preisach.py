@@ -57,29 +57,7 @@ def fit_preisach(
 ) -> HammersteinFit:
     """Fit voltage → Preisach map → creep → lag and delay.
 
-    Parameters
-    ----------
-    voltage, displacement : array_like, shape (N,)
-        [V] and [m], uniformly sampled.
-    sample_time : float
-        [s]
-    widths : int
-        Widths at which the density has a weight.
-    nodes : int
-        Nodes of the map on each side.
-    linear : sequence of str
-        Which of ``lag``, ``delay`` and ``creep`` may be there; each is kept only if it lowers the residual.
-    skip : int, optional
-        Samples left out of the fit at the start, see :func:`.condensed.condense`.
-    history : tuple of float
-        Voltages [V] that the hysteresis went through, from rest at 0 V, before the first sample.
-    progress : callable, optional
-        Called as ``progress(evaluations, rmse)``.
-
-    Raises
-    ------
-    IdentificationError
-        The data or the settings cannot be used; the message says why.
+    Units: ``voltage`` [V], ``displacement`` [V], ``sample_time`` [s].
     """
 
     def once(kept):
@@ -131,13 +109,7 @@ class Density:
         return residual
 
     def fit(self, linear, progress):
-        """Search the linear part and the bias, then settle the weights.
-
-        Parameters
-        ----------
-        linear : sequence of str
-        progress : callable or None
-        """
+        """Search the linear part and the bias, then settle the weights."""
         extra = [("bias", 0.0, -LARGEST_BIAS, LARGEST_BIAS)]
         self.part, self.shape, self.deviations, self.warnings, self.converged = fit_linear_part(
             self.solve, self.data, extra, linear, progress
@@ -147,23 +119,13 @@ class Density:
         return self
 
     def behind(self, part):
-        """Settle the weights for a linear part that is known, with a density that does not depend on the bias.
-
-        Parameters
-        ----------
-        part : LinearPart
-        """
+        """Settle the weights for a linear part that is known, with a density that does not depend on the bias."""
         self.part, self.shape = part, {"bias": 0.0}
         self.solve(part, self.shape, None)
         return self
 
     def refitted(self, data):
-        """Return the model with weights for other samples of the recording, behind the same linear part.
-
-        Parameters
-        ----------
-        data : Condensed
-        """
+        """Return the model with weights for other samples of the recording, behind the same linear part."""
         other = copy(self)
         other.data = data
         other.solve(self.part, self.shape, self.strength)

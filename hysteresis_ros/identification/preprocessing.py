@@ -46,11 +46,6 @@ def steadied(data: IdentificationData) -> IdentificationData:
     A computer often stamps late what a converter took in time. Each sample is predicted from the two before and the two
     after it by the cubic through them, once with the stamps and once with equal distances: whichever is right predicts
     better.
-
-    Parameters
-    ----------
-    data : IdentificationData
-        Without gaps; otherwise it is returned as it is.
     """
     if len(data) < 20:
         return data
@@ -82,10 +77,6 @@ def uninterrupted(data: IdentificationData) -> IdentificationData:
 
     What happens in a longer gap is unknown, and so is the memory of a hysteresis after it. Samples whose input or
     output is missing are gaps too. Where no part is long enough, or the samples jitter, the data is returned as it is.
-
-    Parameters
-    ----------
-    data : IdentificationData
     """
     finite = np.flatnonzero(np.isfinite(data.input) & np.isfinite(data.output))
     if finite.size < 50:
@@ -129,17 +120,7 @@ def _roughness(time, values) -> float:
 def resample(data: IdentificationData, sample_time: float | None = None) -> IdentificationData:
     """Return the data on a uniform grid: linear between the samples there are, low-passed where it becomes coarser.
 
-    Parameters
-    ----------
-    data : IdentificationData
-        Missing values are bridged; a warning says how many, and how long the longest gap is.
-    sample_time : float, optional
-        [s]; the median distance of the data by default.
-
-    Raises
-    ------
-    DataError
-        Fewer than two samples are there, or the sample time is not positive or longer than the data.
+    Units: ``sample_time`` [s].
     """
     finite = np.isfinite(data.input) & np.isfinite(data.output)
     if np.count_nonzero(finite) < 2:
@@ -242,13 +223,6 @@ def reduced(data: IdentificationData, whole: bool = False) -> IdentificationData
     """Return a stretch of long data, with neighbouring samples averaged, and a note about both; short data as it is.
 
     Each sample stands for the middle of those that were averaged; :attr:`IdentificationData.factor` says how many.
-
-    Parameters
-    ----------
-    data : IdentificationData
-        Uniform, without missing samples.
-    whole : bool
-        Average only: all of the data is to be judged.
     """
     if len(data) <= MOST_SAMPLES:
         return data
@@ -352,20 +326,11 @@ ROUNDS = 3
 
 
 class Cleaned(NamedTuple):
-    """A recording without what does not belong to the movement.
-
-    Parameters
-    ----------
-    data : IdentificationData
-    drift : float
-        What was taken out [m/s].
-    outliers : int
-        How many samples were moved to where they were expected.
-    """
+    """A recording without what does not belong to the movement."""
 
     data: IdentificationData
-    drift: float
-    outliers: int
+    drift: float  #: What was taken out [m/s].
+    outliers: int  #: How many samples were moved to where they were expected.
 
     @property
     def doubts(self) -> tuple[str, ...]:
@@ -382,11 +347,7 @@ class Cleaned(NamedTuple):
 def cleaning_notes(drift: float, outliers: int) -> tuple[str, ...]:
     """Return in sentences what was kept out of a model.
 
-    Parameters
-    ----------
-    drift : float
-        [m/s]
-    outliers : int
+    Units: ``drift`` [m/s].
     """
     found = []
     if drift:
@@ -400,12 +361,6 @@ def inliers(error, first: int) -> np.ndarray:
     """Return which samples are no outliers, shape (N,) of bool; those before ``first`` are none.
 
     Far off are single samples and short stretches: what is far off for long is what a fit has no shape for.
-
-    Parameters
-    ----------
-    error : ndarray, shape (N,)
-    first : int
-        First sample that counts.
     """
     # what is far off for long is what the fit has no shape for
     alone = error - scipy.ndimage.median_filter(error, STRETCH, mode="nearest")
@@ -420,28 +375,13 @@ def _within(error, first: int) -> np.ndarray:
 
 
 def outliers_matter(error, added, used) -> bool:
-    """Tell whether samples far off make up a notable part of the squared error.
-
-    Parameters
-    ----------
-    error : ndarray, shape (N,)
-        Without its median.
-    added, used : ndarray of bool or int
-        Those far off, and all that the fit used.
-    """
+    """Tell whether samples far off make up a notable part of the squared error."""
     share = float(np.sum(error[added] ** 2)) / max(float(np.sum(error[used] ** 2)), 1e-300)
     return share >= MATTERING
 
 
 def drift_of(error, kept) -> float:
-    """Return by how much an error, shape (N,), grows from sample to sample; 0 where that predicts no blocks held out.
-
-    Parameters
-    ----------
-    error : ndarray, shape (N,)
-    kept : ndarray of int
-        Places of the samples that count.
-    """
+    """Return by how much an error, shape (N,), grows from sample to sample; 0 where that predicts no blocks held out."""
     place = kept / len(error)
     line = np.column_stack([np.ones(len(kept)), place])
     left = {1: 0.0, 2: 0.0}
@@ -458,15 +398,7 @@ def drift_of(error, kept) -> float:
 def cleaned(data: IdentificationData, predicted, first: int = 0, drift: float | None = None) -> Cleaned:
     """Return a recording without outliers and drift, as a prediction of it shows them.
 
-    Parameters
-    ----------
-    data : IdentificationData
-    predicted : ndarray, shape (N,)
-        Without a drift [m].
-    first : int
-        First sample that counts.
-    drift : float, optional
-        [m/s], where it is known; else what the error shows.
+    Units: ``predicted`` [m], ``drift`` [m/s].
     """
     error = data.output - predicted
     places = np.arange(len(data))
@@ -499,36 +431,17 @@ LEAST_SWING = 0.5
 
 @dataclass(frozen=True, eq=False)
 class Condensed:
-    """Data as a fit uses it: uniform, as coarse as the loops allow, centred on block averages.
+    """Data as a fit uses it: uniform, as coarse as the loops allow, centred on block averages."""
 
-    Parameters
-    ----------
-    voltage, displacement : ndarray, shape (N,)
-        [V], [m].
-    sample_time : float
-        [s]
-    first : int
-        First sample whose residual counts.
-    factor : int
-        How many samples of the recording make one.
-    kept : ndarray of bool, shape (N - first,)
-        Which of the samples that count are no outliers.
-    remembers : bool
-        The past before the recording matters to the samples that count.
-    drifts : bool
-        Beside a constant the displacement may hold one that grows with time.
-    history : tuple of float
-        Voltages [V] that the hysteresis went through, from rest at 0 V, before the first sample.
-    """
-
-    voltage: np.ndarray
+    voltage: np.ndarray  #: voltage, displacement: shape (N,) [V], [m].
     displacement: np.ndarray
-    sample_time: float
-    first: int
-    factor: int
-    kept: np.ndarray
-    remembers: bool = False
-    drifts: bool = False
+    sample_time: float  #: [s]
+    first: int  #: First sample whose residual counts.
+    factor: int  #: How many samples of the recording make one.
+    kept: np.ndarray  #: shape (N - first,); Which of the samples that count are no outliers.
+    remembers: bool = False  #: The past before the recording matters to the samples that count.
+    drifts: bool = False  #: Beside a constant the displacement may hold one that grows with time.
+    #: Voltages [V] that the hysteresis went through, from rest at 0 V, before the first sample.
     history: tuple[float, ...] = ()
 
     def counted(self, values) -> np.ndarray:
@@ -575,26 +488,7 @@ def condense(
 ) -> Condensed:
     """Average blocks of samples, so that a long or finely sampled recording is fitted in seconds.
 
-    Parameters
-    ----------
-    voltage, displacement : array_like, shape (N,)
-        [V] and [m], uniformly sampled, without gaps.
-    sample_time : float
-        [s]
-    skip : int, optional
-        Samples left out of the fit at the start (the models see their voltage all the same); by default those until
-        the past is wiped out, if a whole cycle comes after them (:func:`wiped_out`).
-    kept : array_like of bool, shape (N,), optional
-        False for outliers; they are left out of the averages.
-    history : tuple of float
-        See :class:`Condensed`.
-    enough : int
-        The data is made no coarser than to this many samples.
-
-    Raises
-    ------
-    IdentificationError
-        Shapes differ, values are not finite or constant, or too few samples are left.
+    Units: ``voltage`` [V], ``displacement`` [V], ``sample_time`` [s].
     """
     v, y = (np.ascontiguousarray(values, dtype=np.float64) for values in (voltage, displacement))
     if v.ndim != 1 or v.shape != y.shape or v.size < 50:
@@ -630,10 +524,7 @@ def wiped_out(voltage) -> int | None:
     A voltage that has been at both ends of its range has moved every play operator that the recording moves. It has to
     fall and to rise afterwards, by half of the range each: less would show one branch alone.
 
-    Parameters
-    ----------
-    voltage : ndarray, shape (N,)
-        [V]
+    Units: ``voltage`` [V].
     """
     span = np.ptp(voltage)
     top = np.flatnonzero(voltage >= voltage.max() - WIPED_OUT * span)[0]
@@ -645,12 +536,7 @@ def wiped_out(voltage) -> int | None:
 
 
 def simple_loops(data: Condensed) -> bool:
-    """Return whether all loops that count are of one size: nothing is seen of what happens inside of them.
-
-    Parameters
-    ----------
-    data : Condensed
-    """
+    """Return whether all loops that count are of one size: nothing is seen of what happens inside of them."""
     voltage = data.voltage[data.first :]
     swings = np.abs(np.diff(voltage[turning_points(voltage)]))[1:-1]  # the ends may be cut
     return not data.remembers and bool(np.all(swings > ONE_SIZE * data.voltage_range))
@@ -663,23 +549,13 @@ FEWEST_BRANCH_SAMPLES = 5
 
 @dataclass(frozen=True)
 class Branch:
-    """A stretch of a recording along which the input moves one way.
+    """A stretch of a recording along which the input moves one way."""
 
-    Parameters
-    ----------
-    start, stop : int
-        Indices of its two turning points; both belong to it.
-    low, high : float
-        Its smallest and its largest input.
-    rising : bool
-        The input rises.
-    """
-
-    start: int
+    start: int  #: start, stop: Indices of its two turning points; both belong to it.
     stop: int
-    low: float
+    low: float  #: low, high: Its smallest and its largest input.
     high: float
-    rising: bool
+    rising: bool  #: The input rises.
 
     @property
     def samples(self) -> slice:
@@ -691,22 +567,7 @@ class Branch:
 
 
 def checked_signals(input_, output, names=("voltage", "displacement"), fewest: int = FEWEST_SAMPLES):
-    """Return both signals as float arrays of one length, shape (N,).
-
-    Parameters
-    ----------
-    input_, output : array_like, shape (N,)
-        Signals of one recording.
-    names : tuple of str
-        What they are called in errors.
-    fewest : int
-        Smallest N.
-
-    Raises
-    ------
-    IdentificationError
-        Lengths differ, there are too few samples, some are not finite, or a signal is constant.
-    """
+    """Return both signals as float arrays of one length, shape (N,)."""
     signals = []
     for name, values in zip(names, (input_, output), strict=True):
         values = np.asarray(values, dtype=np.float64)

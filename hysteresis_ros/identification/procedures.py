@@ -203,19 +203,7 @@ def duhem(data: IdentificationData, request: Request) -> Identification:
 def static_result(
     data: IdentificationData, request: Request, found: FittedHysteresis, static: Separated, offset: float = 0.0
 ) -> Identification:
-    """Finish a hysteresis that was fitted to data without lag and creep.
-
-    Parameters
-    ----------
-    data : IdentificationData
-        The recording itself.
-    request : Request
-    found : FittedHysteresis
-    static : Separated
-        What it was fitted to.
-    offset : float
-        Constant of that [m] that the hysteresis does not hold.
-    """
+    """Finish a hysteresis that was fitted to data without lag and creep."""
     part, start, clean = static.part, static.start, static.cleaned
     found = replace(found, warnings=(*static.warnings, *found.warnings, *clean.doubts))
     if start.kind != "zero":
@@ -242,19 +230,7 @@ RELATIVE_STEP = 1e-6
 
 
 def parametric(data, request: Request) -> Identification:
-    """Identify a model with ``guess`` and ``free`` on data whose lag and creep were undone.
-
-    Parameters
-    ----------
-    data : IdentificationData
-    request : Request
-        Its options are initial values of free parameters.
-
-    Raises
-    ------
-    IdentificationError
-        The initial values are not allowed.
-    """
+    """Identify a model with ``guess`` and ``free`` on data whose lag and creep were undone."""
     model = MODELS[request.model]
     static = separated(data, request)
     try:

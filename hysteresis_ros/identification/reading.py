@@ -88,39 +88,15 @@ class Columns:
 
 @dataclass(frozen=True, eq=False)
 class Reading:
-    """Checked data.
-
-    Parameters
-    ----------
-    data : IdentificationData
-    report : DataReport
-        What the checks found.
-    guessed : tuple of str
-        Columns that were chosen by their names, in sentences.
-    """
+    """Checked data."""
 
     data: IdentificationData
-    report: DataReport
-    guessed: tuple[str, ...] = ()
+    report: DataReport  #: What the checks found.
+    guessed: tuple[str, ...] = ()  #: Columns that were chosen by their names, in sentences.
 
 
 def read_data(source, columns: Columns | None = None, progress=None) -> Reading:
-    """Return checked data in SI units.
-
-    Parameters
-    ----------
-    source : path-like, Recording, IdentificationData or Reading
-        A file (bag, CSV, text, NPZ, MATLAB), or what was read already.
-    columns : Columns, optional
-        Of a file, and what is taken of it.
-    progress : callable, optional
-        Called with the part of a table that was read.
-
-    Raises
-    ------
-    HysteresisError
-        The file, the choice or the data cannot be used; the message says what is allowed.
-    """
+    """Return checked data in SI units."""
     if isinstance(source, Reading):
         return source
     columns = columns or Columns()

@@ -37,19 +37,11 @@ CERTAIN = 3.0
 
 
 class SlowGain(NamedTuple):
-    """Gain of slow movement.
+    """Gain of slow movement."""
 
-    Parameters
-    ----------
-    gain, deviation : float
-        In the output's unit per input's unit.
-    highest : float
-        End of the band it was seen in [Hz].
-    """
-
-    gain: float
+    gain: float  #: gain, deviation: In the output's unit per input's unit.
     deviation: float
-    highest: float
+    highest: float  #: End of the band it was seen in [Hz].
 
     @property
     def told(self) -> bool:
@@ -60,12 +52,7 @@ class SlowGain(NamedTuple):
 def slow_gain(u, y, sample_time: float) -> SlowGain:
     """Return the gain of the slowest movement that can be told from what else moves the output; else of all of it.
 
-    Parameters
-    ----------
-    u, y : ndarray, shape (N,)
-        Input and output.
-    sample_time : float
-        [s]
+    Units: ``sample_time`` [s].
     """
     window = np.hanning(len(u))
     U, Y = (np.fft.rfft(window * (values - values.mean()))[1:] for values in (u, y))
@@ -92,13 +79,7 @@ WORDS = {"none": (), "auto": PARTS}
 
 
 def find_model(name: str) -> HysteresisModel:
-    """Return the model of that name.
-
-    Raises
-    ------
-    IdentificationError
-        There is none; the message lists what there is.
-    """
+    """Return the model of that name."""
     name = FIRST if name == USUAL else name
     if name not in MODELS:
         near = did_you_mean(name, MODELS)
@@ -108,29 +89,12 @@ def find_model(name: str) -> HysteresisModel:
 
 
 def linear_words(model: HysteresisModel) -> tuple[str, ...]:
-    """Return what may stand behind a model: parts and stages.
-
-    Parameters
-    ----------
-    model : HysteresisModel
-    """
+    """Return what may stand behind a model: parts and stages."""
     return (*model.parts, *(STAGES if model.stages else ()))
 
 
 def parse_linear(model: str, words: str | None) -> tuple[tuple[str, ...], str | None]:
-    """Return the parts that may be found with the hysteresis and the stage behind it (None for no stage).
-
-    Parameters
-    ----------
-    model : str
-    words : str, optional
-        ``auto``, ``none``, parts with commas between them (``lag,creep``), or one stage.
-
-    Raises
-    ------
-    IdentificationError
-        A word is unknown, or does not go with this model.
-    """
+    """Return the parts that may be found with the hysteresis and the stage behind it (None for no stage)."""
     entry = find_model(model)
     linear = linear_words(entry)
     words = words or "auto"
@@ -154,13 +118,7 @@ def parse_linear(model: str, words: str | None) -> tuple[tuple[str, ...], str | 
 
 
 def parse_options(model: str, pairs) -> dict:
-    """Return the options of a model from words ``name=value``.
-
-    Raises
-    ------
-    IdentificationError
-        An option is unknown or has a wrong value.
-    """
+    """Return the options of a model from words ``name=value``."""
     if model == AUTO:
         if given := list(pairs):
             raise IdentificationError(f"option {given[0]!r}: model {AUTO} has none; name a model to set its options")
@@ -189,34 +147,7 @@ def identify(
     progress=None,
     separations: dict | None = None,
 ) -> Identification:
-    """Identify a model by its name.
-
-    Parameters
-    ----------
-    data : IdentificationData
-        Checked data (:meth:`.IdentificationData.checked`).
-    model : str
-        Name in :data:`hysteresis_ros.models.hysteresis.MODELS`, or :data:`USUAL`; that with options is its first model.
-    linear : str, optional
-        See :func:`parse_linear`; ``auto`` by default.
-    options : dict, optional
-        Of the model, see :func:`parse_options`.
-    inverse : str, optional
-        Inverse of the compensator; the first that fits by default.
-    skip : int, optional
-        First samples left out of the error.
-    intersample, initial : str, optional
-        How the input runs between samples and where the state starts.
-    progress : callable, optional
-        Called as ``progress(number, text)``.
-    separations : dict, optional
-        What was found of lag, creep and drift in this data for models that have none of their own; filled.
-
-    Raises
-    ------
-    IdentificationError, DataError, FitError
-        The request or the data cannot be used.
-    """
+    """Identify a model by its name."""
     entry = find_model(model)
     inverse = inverse or entry.inverses[0]
     if inverse not in entry.inverses:

@@ -68,29 +68,18 @@ FASTER = 2.0
 
 @dataclass(frozen=True, eq=False)
 class ResponseCheck:
-    """The frequency response of a model beside a recording.
-
-    Parameters
-    ----------
-    uncertainty : ResponseUncertainty
-    believed, seen, certain : float
-        Crossover of integral control [Hz] with M_s ≤ 2 if the model were exact, for what the recording shows of its
-        errors, and for all that it may be where nothing is known.
-    unfit_at : float
-        Frequency [Hz] at which the recording shows the error that keeps the loop from being as fast.
-    ringing : tuple of float
-        Frequencies [Hz] at which something is left in the residual.
-    foreign : float
-        Part of the power of the measured movement that no linear response to the modelled one explains; 0 where most of
-        it is slower than the segments of the spectra.
-    """
+    """The frequency response of a model beside a recording."""
 
     uncertainty: ResponseUncertainty
+    #: believed, seen, certain: Crossover of integral control [Hz] with M_s ≤ 2 if the model were exact, for what the
+    #: recording shows of its errors, and for all that it may be where nothing is known.
     believed: float
     seen: float
     certain: float
-    unfit_at: float
-    ringing: tuple[float, ...] = ()
+    unfit_at: float  #: Frequency [Hz] at which the recording shows the error that keeps the loop from being as fast.
+    ringing: tuple[float, ...] = ()  #: Frequencies [Hz] at which something is left in the residual.
+    #: Part of the power of the measured movement that no linear response to the modelled one explains; 0 where most of
+    #: it is slower than the segments of the spectra.
     foreign: float = 0.0
 
     @property
@@ -152,15 +141,7 @@ class ResponseCheck:
 
 
 def check_response(chain: PlantModel, data: IdentificationData, skip: int = 0) -> ResponseCheck | None:
-    """Return how well a recording knows the response of a chain; None for one with dynamics inside the hysteresis.
-
-    Parameters
-    ----------
-    chain : PlantModel
-    data : IdentificationData
-    skip : int
-        First samples left out.
-    """
+    """Return how well a recording knows the response of a chain; None for one with dynamics inside the hysteresis."""
     if not chain.invertible:
         return None
     part = chain.continuous
@@ -269,31 +250,16 @@ ITERATIONS = 10
 
 @dataclass(frozen=True, eq=False)
 class MeasuredPlant:
-    """A response from command to displacement.
+    """A response from command to displacement."""
 
-    Parameters
-    ----------
-    frequency : ndarray, shape (F,)
-        [Hz]
-    response : ndarray of complex, shape (F,)
-        [m/m]
-    radius : ndarray, shape (F,)
-        Of the circles that hold the true one with 95 %.
-    """
-
-    frequency: np.ndarray
-    response: np.ndarray
-    radius: np.ndarray
+    frequency: np.ndarray  #: shape (F,) [Hz]
+    response: np.ndarray  #: shape (F,) [m/m]
+    radius: np.ndarray  #: shape (F,); Of the circles that hold the true one with 95 %.
 
     def uncertainty(self, model, sample_time: float) -> ResponseUncertainty:
         """Return how far a model may be off: what was measured, and what the circles leave open.
 
-        Parameters
-        ----------
-        model : ndarray of complex, shape (F,)
-            Of the model at the lines.
-        sample_time : float
-            [s]
+        Units: ``sample_time`` [s].
         """
         relative = (np.abs(self.response - model) + self.radius) / np.maximum(np.abs(model), 1e-12)
         last = float(self.frequency[-1])
@@ -307,12 +273,6 @@ def measured_plant(found: Analysis, model) -> MeasuredPlant:
     """Return the response from the command; of one from a voltage with the model's gain at the lowest lines.
 
     The model's gain is that of the whole stroke, and small movements of a hysteresis have another one.
-
-    Parameters
-    ----------
-    found : Analysis
-    model : ndarray of complex, shape (F,)
-        Of the model at the lines.
     """
     response = found.response
     radius = response.radius(PROBABILITY)[:, 0, 0]
@@ -323,19 +283,7 @@ def measured_plant(found: Analysis, model) -> MeasuredPlant:
 
 
 def dynamics_of(found: Analysis, order: int | None = None) -> tuple[LinearParameters, MatrixFractionFit]:
-    """Return linear dynamics of unit DC gain that fit a response, and the fit.
-
-    Parameters
-    ----------
-    found : Analysis
-    order : int, optional
-        Of the dynamics; by default the lowest that fits about as well as any.
-
-    Raises
-    ------
-    IdentificationError
-        No stable dynamics fit, or the order is none.
-    """
+    """Return linear dynamics of unit DC gain that fit a response, and the fit."""
     if order is not None and not 1 <= order <= found.response.frequency.size // 4:
         raise IdentificationError(
             f"order {order}: must be within 1 … {found.response.frequency.size // 4}, a quarter of the lines"

@@ -38,50 +38,27 @@ PERFECT = 1e-18
 
 @dataclass(frozen=True)
 class SimplexSettings:
-    """How long and from where is searched.
+    """How long and from where is searched."""
 
-    Parameters
-    ----------
-    starts : int, optional
-        Starts in all; further ones are spread around the guess by half a scale (normally distributed). By default as
-        many as the problem takes: one, where nothing else is said.
-    iterations : int
-        Most iterations of one start.
-    tolerance : float
-        Size of the simplex, in scales, and relative spread of its costs at which a run ends.
-    seed : int
-        Of the further starts.
-    workers : int, optional
-        Processes that share the starts, whose cost has to be picklable then; None: as many as pays.
-    """
-
+    #: Starts in all; further ones are spread around the guess by half a scale (normally distributed). By default as
+    #: many as the problem takes: one, where nothing else is said.
     starts: int | None = None
-    iterations: int = 2000
-    tolerance: float = 1e-8
-    seed: int = 0
+    iterations: int = 2000  #: Most iterations of one start.
+    tolerance: float = 1e-8  #: Size of the simplex, in scales, and relative spread of its costs at which a run ends.
+    seed: int = 0  #: Of the further starts.
+    #: Processes that share the starts, whose cost has to be picklable then; None: as many as pays.
     workers: int | None = 1
 
 
 @dataclass(frozen=True)
 class SimplexRun:
-    """Path of one start.
+    """Path of one start."""
 
-    Parameters
-    ----------
-    trajectory : ndarray, shape (iterations + 1, n)
-        Best vertex after each iteration, the start first (figure 10 of paper B).
-    costs : ndarray, shape (iterations + 1,)
-        Its cost.
-    evaluations : int
-        Calls of the cost function.
-    converged : bool
-        The simplex became smaller than the tolerance, not the budget.
-    """
-
+    #: shape (iterations + 1, n); Best vertex after each iteration, the start first (figure 10 of paper B).
     trajectory: np.ndarray
-    costs: np.ndarray
-    evaluations: int
-    converged: bool
+    costs: np.ndarray  #: shape (iterations + 1,); Its cost.
+    evaluations: int  #: Calls of the cost function.
+    converged: bool  #: The simplex became smaller than the tolerance, not the budget.
 
     @property
     def iterations(self) -> int:
@@ -91,27 +68,13 @@ class SimplexRun:
 
 @dataclass(frozen=True)
 class SimplexSearch:
-    """Result of :func:`restarted_nelder_mead`.
+    """Result of :func:`restarted_nelder_mead`."""
 
-    Parameters
-    ----------
-    x : ndarray, shape (n,)
-        Best point of all starts.
-    cost : float
-        Its cost.
-    runs : tuple of SimplexRun
-        One for each start, in order.
-    best : int
-        Which run found ``x``.
-    converged : bool
-        That run converged. Without it ``x`` is still the best point found.
-    """
-
-    x: np.ndarray
-    cost: float
-    runs: tuple[SimplexRun, ...]
-    best: int
-    converged: bool
+    x: np.ndarray  #: shape (n,); Best point of all starts.
+    cost: float  #: Its cost.
+    runs: tuple[SimplexRun, ...]  #: One for each start, in order.
+    best: int  #: Which run found ``x``.
+    converged: bool  #: That run converged. Without it ``x`` is still the best point found.
 
     @property
     def agreeing(self) -> int:
@@ -127,26 +90,7 @@ def restarted_nelder_mead(
     settings: SimplexSettings | None = None,
     progress=None,
 ) -> SimplexSearch:
-    """Minimise ``cost`` with Nelder-Mead simplices, restarted until a fresh one brings nothing more.
-
-    Parameters
-    ----------
-    cost : callable
-        From parameters, shape (n,), to a float; not-a-number counts as infinite.
-    start : array_like, shape (n,)
-        Initial guess, the first start.
-    scale : array_like, shape (n,), optional
-        Scales of the parameters; by default the sizes of the initial guess.
-    settings : SimplexSettings, optional
-        One start by default.
-    progress : callable, optional
-        Called as ``progress(run, iteration, best cost)`` after each iteration.
-
-    Raises
-    ------
-    IdentificationError
-        The guess is not finite or has a zero without a scale, or the cost is not finite at every start.
-    """
+    """Minimise ``cost`` with Nelder-Mead simplices, restarted until a fresh one brings nothing more."""
     start = np.atleast_1d(np.asarray(start, dtype=float))
     scale = np.abs(start) if scale is None else np.broadcast_to(np.asarray(scale, dtype=float), start.shape)
     if not np.all(np.isfinite(start)) or not np.all(scale > 0.0):

@@ -83,18 +83,7 @@ def safe_slew(
 ) -> Slew:
     """Return the largest change of the voltage.
 
-    Parameters
-    ----------
-    span : float
-        Range of the voltage [V].
-    pace : float
-        Lowest resonance [Hz] or inverse of the slowest time constant [1/s]; 0: not known.
-    resonant : bool
-        Which of the two ``pace`` is.
-    excited : float
-        Largest change in the recording [V/s]; 0: there is none.
-    amplifier : float
-        What the amplifier can follow [V/s]; 0: not known.
+    Units: ``span`` [V], ``excited`` [V/s], ``amplifier`` [V/s].
     """
     first = span / FIRST_SECONDS
     known = []
@@ -114,16 +103,7 @@ def safe_slew(
 def safe_approach(slew: float, span: float, stroke: float, resonance: float = 0.0) -> tuple[float, float, float]:
     """Return velocity [m/s], acceleration [m/s²] and jerk [m/s³] of the approach to setpoints.
 
-    Parameters
-    ----------
-    slew : float
-        Largest change of the voltage [V/s].
-    span : float
-        Range of the voltage [V].
-    stroke : float
-        What it moves [m].
-    resonance : float
-        The lowest [Hz]; 0: not known.
+    Units: ``slew`` [V/s], ``span`` [V], ``stroke`` [m], ``resonance`` [Hz].
     """
     velocity = _rounded(FOR_SETPOINTS * slew * stroke / span)
     length = 1.0 / resonance if resonance > 0.0 else UNKNOWN_PART * stroke / velocity
@@ -132,19 +112,7 @@ def safe_approach(slew: float, span: float, stroke: float, resonance: float = 0.
 
 
 def with_safe_motion(text: str, source: str, namespace: str = "", excited: float = 0.0, amplifier: float = 0.0) -> str:
-    """Return the text of a parameter file with the limits of voltage and setpoint that it lacks, each with its reason.
-
-    Parameters
-    ----------
-    text : str
-        Parameter file of an axis.
-    source : str
-        What it is, for messages.
-    namespace : str
-        Of the axis.
-    excited, amplifier : float
-        See :func:`safe_slew`.
-    """
+    """Return the text of a parameter file with the limits of voltage and setpoint that it lacks, each with its reason."""
     configuration, namespace = parse_configuration(text, source), normalised_namespace(namespace)
     if configuration.describes("inchworm_sequencer", namespace):
         return text  # a motor that walks has speeds of its own
@@ -186,13 +154,7 @@ def with_safe_motion(text: str, source: str, namespace: str = "", excited: float
 
 
 def with_comments(text: str, commented: str) -> str:
-    """Return a text whose lines have the comments that the same lines have in another one.
-
-    Parameters
-    ----------
-    text, commented : str
-        Parameter files.
-    """
+    """Return a text whose lines have the comments that the same lines have in another one."""
     known = dict(line.split("  # ", 1) for line in commented.splitlines() if "  # " in line)
     lines = (f"{line}  # {known[line]}" if line in known else line for line in text.splitlines())
     return "".join(f"{line}\n" for line in lines)

@@ -55,44 +55,21 @@ TRIED_PASTS = (-1.0, -0.5, -0.25, 0.25, 0.5, 0.75, 1.0, LARGEST_PAST)
 
 @dataclass(frozen=True)
 class Start:
-    """How a recording is taken to begin.
+    """How a recording is taken to begin."""
 
-    Parameters
-    ----------
-    kind : str
-        ``zero``, ``periodic`` or ``estimate`` (remanent), as in ``initial``.
-    skip : int
-        First samples left out.
-    history : tuple of float
-        Voltages [V] that the hysteresis went through before, from rest at 0 V.
-    note : str
-        What was done and why, in a sentence.
-    """
-
-    kind: str
-    skip: int
-    history: tuple[float, ...] = ()
-    note: str = ""
+    kind: str  #: ``zero``, ``periodic`` or ``estimate`` (remanent), as in ``initial``.
+    skip: int  #: First samples left out.
+    history: tuple[float, ...] = ()  #: Voltages [V] that the hysteresis went through before, from rest at 0 V.
+    note: str = ""  #: What was done and why, in a sentence.
 
     def signals(self, data: IdentificationData):
-        """Return voltage [V] and displacement [m] to fit, and the samples to leave out: periodic data comes twice.
-
-        Parameters
-        ----------
-        data : IdentificationData
-        """
+        """Return voltage [V] and displacement [m] to fit, and the samples to leave out: periodic data comes twice."""
         if self.kind != "periodic":
             return data.input, data.output, self.skip
         return np.tile(data.input, 2), np.tile(data.output, 2), len(data) + self.skip
 
     def before(self, voltage) -> np.ndarray:
-        """Return the voltages [V], shape (K,), from rest at 0 V up to the first sample that counts.
-
-        Parameters
-        ----------
-        voltage : ndarray, shape (N,)
-            Of the recording [V].
-        """
+        """Return the voltages [V], shape (K,), from rest at 0 V up to the first sample that counts."""
         past = voltage if self.kind == "periodic" else stretches(self.history)
         return np.concatenate([past, voltage[: self.skip]])
 
@@ -105,27 +82,7 @@ def find_start(
     *,
     whole: bool = False,
 ) -> Start:
-    """Return how the recording begins: as asked for, else as its beginning fits best.
-
-    Parameters
-    ----------
-    data : IdentificationData
-    skip : int, optional
-        First samples to leave out.
-    initial : str, optional
-        ``zero``, ``periodic`` or ``estimate``.
-    structure : callable, optional
-        ``structure(condensed)`` returns what the trials fit, with ``behind(linear_part)`` and ``output()``; plays of
-        free weights by default.
-    whole : bool
-        Leave nothing out where rest at 0 V explains the beginning about as well as the rest of the recording: the first
-        rise of a model that starts there says more of it than later loops.
-
-    Raises
-    ------
-    IdentificationError
-        The data cannot be used, or does not repeat where it is said to.
-    """
+    """Return how the recording begins: as asked for, else as its beginning fits best."""
     asked = "as asked for: "
     if initial == "periodic":
         _refuse_open(data)
@@ -165,10 +122,7 @@ def _remembered(data: IdentificationData, trials: _PastTrials) -> Start:
 def remanence(voltage: float) -> str:
     """Return a past in words.
 
-    Parameters
-    ----------
-    voltage : float
-        [V]
+    Units: ``voltage`` [V].
     """
     return f"remanent before the recording, as after {voltage:.4g} V: found with the fit"
 
@@ -253,30 +207,14 @@ def _refuse_open(data: IdentificationData) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Separated:
-    """A recording without what stands behind a hysteresis and beside it.
+    """A recording without what stands behind a hysteresis and beside it."""
 
-    Parameters
-    ----------
-    cleaned : Cleaned
-        The recording without outliers and drift.
-    output : ndarray, shape (N,)
-        Lag and creep undone too [m].
-    part : LinearPart
-        What stands behind the hysteresis.
-    start : Start
-        How the recording is taken to begin.
-    warnings : tuple of str
-        What is to be doubted of the separation.
-    constant : float
-        What was taken out of the output before creep was undone [m].
-    """
-
-    cleaned: Cleaned
-    output: np.ndarray
-    part: LinearPart
-    start: Start
-    warnings: tuple[str, ...]
-    constant: float = 0.0
+    cleaned: Cleaned  #: The recording without outliers and drift.
+    output: np.ndarray  #: shape (N,); Lag and creep undone too [m].
+    part: LinearPart  #: What stands behind the hysteresis.
+    start: Start  #: How the recording is taken to begin.
+    warnings: tuple[str, ...]  #: What is to be doubted of the separation.
+    constant: float = 0.0  #: What was taken out of the output before creep was undone [m].
 
     @property
     def voltage(self) -> np.ndarray:
@@ -299,11 +237,6 @@ def separated(data: IdentificationData, request: Request) -> Separated:
 
     A Preisach or a Prandtl-Ishlinskii model finds them, whichever leaves less: they leave the shape of the loops free.
     What was found is kept in the request, for the next model of the same data.
-
-    Parameters
-    ----------
-    data : IdentificationData
-    request : Request
     """
     asked = request.parts, request.stage is None, request.skip, request.initial
     if asked not in request.separations:
@@ -344,14 +277,7 @@ def _separated(data: IdentificationData, request: Request) -> Separated:
 def undo_creep(y, part: LinearPart, sample_time: float) -> np.ndarray:
     """Return the displacement [m], shape (N,), that creeps to ``y``: step by step, as the compensator does it.
 
-    Parameters
-    ----------
-    y : array_like, shape (N,)
-        [m], zero at rest.
-    part : LinearPart
-        Its creep; ``settled`` says whether it had settled under the first sample.
-    sample_time : float
-        [s]
+    Units: ``sample_time`` [s].
     """
     y = np.ascontiguousarray(y, dtype=np.float64)
     block = Creep(part.creep, sample_time)
@@ -369,16 +295,7 @@ MOST_PAST_TRIALS = 14
 
 
 def remembered(static: Separated, fit, block):
-    """Return what ``fit`` finds, and the separation with the past that goes with it.
-
-    Parameters
-    ----------
-    static : Separated
-    fit : callable
-        ``fit(static, before)`` returns the model; ``before``: what was found with another past, to start from.
-    block : callable
-        ``block(found)`` returns its block, at rest.
-    """
+    """Return what ``fit`` finds, and the separation with the past that goes with it."""
     found = fit(static, None)
     if static.start.kind != "estimate":
         return found, static

@@ -50,28 +50,15 @@ INITIAL = ("zero", "rest", "periodic", "estimate")
 
 @dataclass(frozen=True)
 class Structure:
-    """What is fitted, and how it is simulated.
+    """What is fitted, and how it is simulated."""
 
-    Parameters
-    ----------
-    poles, zeros : int
-        n ≥ 1 and m ≤ n.
-    intersample : str
-        ``zoh``, ``foh`` (or ``linear``) or ``bandlimited``.
-    initial : str
-        ``zero``, ``rest`` (under the first input), ``periodic`` (the data is whole periods) or ``estimate``.
-    offset : bool
-        Whether a constant is fitted too.
-    delay : float
-        Known dead time of the input [s].
-    """
-
-    poles: int = 2
+    poles: int = 2  #: poles, zeros: n ≥ 1 and m ≤ n.
     zeros: int = 0
-    intersample: str = "zoh"
+    intersample: str = "zoh"  #: ``zoh``, ``foh`` (or ``linear``) or ``bandlimited``.
+    #: ``zero``, ``rest`` (under the first input), ``periodic`` (the data is whole periods) or ``estimate``.
     initial: str = "zero"
-    offset: bool = False
-    delay: float = 0.0
+    offset: bool = False  #: Whether a constant is fitted too.
+    delay: float = 0.0  #: Known dead time of the input [s].
 
     @property
     def columns(self) -> int:
@@ -79,13 +66,7 @@ class Structure:
         return self.zeros + 1 + bool(self.offset) + (self.poles if self.initial == "estimate" else 0)
 
     def check(self) -> None:
-        """Refuse what cannot be fitted.
-
-        Raises
-        ------
-        FitError
-            A choice is out of range.
-        """
+        """Refuse what cannot be fitted."""
         if self.poles < 1 or not 0 <= self.zeros <= self.poles:
             raise FitError(
                 f"poles = {self.poles}, zeros = {self.zeros}: there must be at least one pole and no more zeros than "
@@ -99,93 +80,45 @@ class Structure:
 
 @dataclass(frozen=True)
 class Search:
-    """From where the poles are searched.
+    """From where the poles are searched."""
 
-    Parameters
-    ----------
-    starts : int
-        How many starts are followed: an ARX fit, the user's, and frequencies and dampings spread over the data's band.
-    start_poles : array_like of complex, shape (n,), optional
-        A start of the user's [rad/s].
-    seed : int
-        Of the random starts.
-    """
-
+    #: How many starts are followed: an ARX fit, the user's, and frequencies and dampings spread over the data's band.
     starts: int = 6
-    start_poles: Sequence[complex] | np.ndarray | None = None
-    seed: int = 0
+    start_poles: Sequence[complex] | np.ndarray | None = None  #: shape (n,); A start of the user's [rad/s].
+    seed: int = 0  #: Of the random starts.
 
 
 @dataclass(frozen=True)
 class Start:
-    """One start of the search.
+    """One start of the search."""
 
-    Parameters
-    ----------
-    poles : tuple of complex
-        [rad/s]
-    first_rmse, rmse : float
-        Before and after, in the output's unit.
-    converged : bool
-    """
-
-    poles: tuple[complex, ...]
-    first_rmse: float
+    poles: tuple[complex, ...]  #: [rad/s]
+    first_rmse: float  #: first_rmse, rmse: Before and after, in the output's unit.
     rmse: float
     converged: bool
 
 
 @dataclass(frozen=True, eq=False)
 class TransferFunctionFit:
-    """A continuous transfer function from sampled data.
+    """A continuous transfer function from sampled data."""
 
-    Parameters
-    ----------
-    numerator : ndarray, shape (m + 1,)
-        b_m … b_0, highest power first.
-    denominator : ndarray, shape (n + 1,)
-        1, a_(n-1) … a_0.
-    covariance : ndarray, shape (m + 1 + n, m + 1 + n)
-        Of b_m … b_0, a_(n-1) … a_0 for white residuals; NaN where the data does not tell them apart.
-    offset : float
-        Constant of the output, in its unit; 0 when it was not fitted.
-    delay : float
-        Dead time of the input [s], as given.
-    predicted : ndarray, shape (N,)
-        Simulated output.
-    fit_percent : float
-        [%]
-    mse, fpe : float
-        In the output's unit squared.
-    sample_time : float
-        Of the data [s].
-    intersample : str
-        How the input was taken to run between samples.
-    starts : tuple of Start
-        All starts of the search, best first.
-    converged : bool
-        Whether the best one converged.
-    warnings : tuple of str
-        Not converged, at a bound, non-minimum-phase, weakly determined.
-    input_unit, output_unit : str
-        SI units.
-    """
-
-    numerator: np.ndarray
-    denominator: np.ndarray
+    numerator: np.ndarray  #: shape (m + 1,); b_m … b_0, highest power first.
+    denominator: np.ndarray  #: shape (n + 1,); 1, a_(n-1) … a_0.
+    #: shape (m + 1 + n, m + 1 + n); Of b_m … b_0, a_(n-1) … a_0 for white residuals; NaN where the data does not tell
+    #: them apart.
     covariance: np.ndarray
-    offset: float
-    delay: float
-    predicted: np.ndarray
-    fit_percent: float
-    mse: float
+    offset: float  #: Constant of the output, in its unit; 0 when it was not fitted.
+    delay: float  #: Dead time of the input [s], as given.
+    predicted: np.ndarray  #: shape (N,); Simulated output.
+    fit_percent: float  #: [%]
+    mse: float  #: mse, fpe: In the output's unit squared.
     fpe: float
-    sample_time: float
-    intersample: str
-    starts: tuple[Start, ...]
-    converged: bool
-    warnings: tuple[str, ...]
-    input_unit: str = "V"
+    sample_time: float  #: Of the data [s].
+    intersample: str  #: How the input was taken to run between samples.
+    starts: tuple[Start, ...]  #: All starts of the search, best first.
+    converged: bool  #: Whether the best one converged.
+    warnings: tuple[str, ...]  #: Not converged, at a bound, non-minimum-phase, weakly determined.
+    input_unit: str = "V"  #: input_unit, output_unit: SI units.
     output_unit: str = "m"
 
     @property
@@ -211,13 +144,7 @@ class TransferFunctionFit:
     def simulate(self, u, sample_time: float | None = None, initial: str = "zero") -> np.ndarray:
         """Return the output for another input, without the offset, shape (N,).
 
-        Parameters
-        ----------
-        u : array_like, shape (N,)
-        sample_time : float, optional
-            [s]; that of the fit by default.
-        initial : str
-            ``zero``, ``rest`` (at rest under the first input) or ``periodic``.
+        Units: ``sample_time`` [s].
         """
         return simulate_transfer_function(
             self.numerator,
@@ -232,10 +159,7 @@ class TransferFunctionFit:
     def discrete(self, sample_time: float | None = None) -> LinearModel:
         """Return the state space for an input held over each sample; the delay is not in it.
 
-        Parameters
-        ----------
-        sample_time : float, optional
-            [s]; that of the fit by default.
+        Units: ``sample_time`` [s].
         """
         step = sample_time or self.sample_time
         return CanonicalSimulation(self.denominator, step, "zoh").model(
@@ -259,27 +183,7 @@ def fit_transfer_function(
 ) -> TransferFunctionFit:
     """Fit a stable continuous transfer function to input and output, from several starts.
 
-    Parameters
-    ----------
-    u, y : array_like, shape (N,)
-        Input and output [SI].
-    sample_time : float
-        [s]
-    structure : Structure, optional
-        Two poles and no zero by default.
-    skip : int
-        First samples left out of the error; the model still sees them.
-    search : Search, optional
-        Six starts by default.
-    units : (str, str)
-        SI units of input and output.
-
-    Raises
-    ------
-    DataError
-        Too short, constant, or not finite.
-    FitError
-        A choice is out of range.
+    Units: ``sample_time`` [s].
     """
     structure, search = structure or Structure(), search or Search()
     u, y = finite_array("input", u), finite_array("output", y)
@@ -498,24 +402,12 @@ def _check(u, y, structure: Structure, skip: int) -> None:
 
 @dataclass(frozen=True)
 class SecondOrder:
-    """``G(s) = gain ω²/(s² + 2 ζ ω s + ω²)``.
+    """``G(s) = gain ω²/(s² + 2 ζ ω s + ω²)``."""
 
-    Parameters
-    ----------
-    gain : float
-        DC gain, output unit per input unit.
-    frequency : float
-        ω [rad/s].
-    damping : float
-        ζ [1].
-    rms : float
-        Difference of the two step responses, relative to the DC gain.
-    """
-
-    gain: float
-    frequency: float
-    damping: float
-    rms: float
+    gain: float  #: DC gain, output unit per input unit.
+    frequency: float  #: ω [rad/s].
+    damping: float  #: ζ [1].
+    rms: float  #: Difference of the two step responses, relative to the DC gain.
 
     @property
     def numerator(self) -> np.ndarray:
@@ -534,20 +426,11 @@ class MassSpringDamper:
 
     With an input in V and an output in m the units are not those of mechanics: m in V s²/m and so on; they become kg,
     N s/m and N/m when the input is a force.
-
-    Parameters
-    ----------
-    mass : float
-        m [input unit · s²/output unit].
-    damping : float
-        b [input unit · s/output unit].
-    stiffness : float
-        K [input unit/output unit].
     """
 
-    mass: float
-    damping: float
-    stiffness: float
+    mass: float  #: m [input unit · s²/output unit].
+    damping: float  #: b [input unit · s/output unit].
+    stiffness: float  #: K [input unit/output unit].
 
 
 def dominant_second_order(numerator, denominator, horizon: float | None = None, samples: int = 2000) -> SecondOrder:
@@ -555,19 +438,7 @@ def dominant_second_order(numerator, denominator, horizon: float | None = None, 
 
     The dominant pair is the slowest: the one whose step response decays last.
 
-    Parameters
-    ----------
-    numerator, denominator : array_like
-        Highest power first.
-    horizon : float, optional
-        Of the step response [s]; by default until the dominant pair has decayed to exp(-10).
-    samples : int
-        Of the step response.
-
-    Raises
-    ------
-    FitError
-        The model is unstable, has a pole at zero, or no pair of poles.
+    Units: ``horizon`` [s].
     """
     denominator = np.atleast_1d(np.asarray(denominator, dtype=float))
     numerator = np.atleast_1d(np.asarray(numerator, dtype=float)) / denominator[0]
@@ -595,20 +466,7 @@ def dominant_second_order(numerator, denominator, horizon: float | None = None, 
 
 
 def mass_spring_damper(numerator, denominator) -> MassSpringDamper:
-    """Return m, b and K of ``1/(m s² + b s + K)`` from ``b_0/(a_2 s² + a_1 s + a_0)`` (B2, eq. 3).
-
-    Parameters
-    ----------
-    numerator : array_like, shape (1,)
-        b_0; leading zeros may stand before it.
-    denominator : array_like, shape (3,)
-        a_2, a_1, a_0.
-
-    Raises
-    ------
-    FitError
-        The model is not of second order, has a zero, or a value is not positive: no such mechanism exists.
-    """
+    """Return m, b and K of ``1/(m s² + b s + K)`` from ``b_0/(a_2 s² + a_1 s + a_0)`` (B2, eq. 3)."""
     numerator = np.trim_zeros(np.atleast_1d(np.asarray(numerator, dtype=float)), "f")
     denominator = np.trim_zeros(np.atleast_1d(np.asarray(denominator, dtype=float)), "f")
     if len(numerator) != 1 or len(denominator) != 3:

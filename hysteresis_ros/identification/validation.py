@@ -32,35 +32,17 @@ CONFIDENCE = 0.999
 
 @dataclass(frozen=True, eq=False)
 class CorrelationTest:
-    """A correlation of the residual with the bounds it keeps within when the residual is what it should be.
+    """A correlation of the residual with the bounds it keeps within when the residual is what it should be."""
 
-    Parameters
-    ----------
-    lags : ndarray, shape (L,)
-        [samples]; a positive lag of an input is the input that many samples earlier.
-    correlation : ndarray, shape (L,)
-        Normalised, -1 … 1.
-    bound : float
-        Half width of the confidence region of each single lag.
-    confidence : float
-        Its probability.
-    outside : int
-        How many lags leave it (lag 0 of an autocorrelation is not tested).
-    largest : float
-        Largest absolute correlation of the lags tested.
-    joint_bound : float
-        Half width of the region that all tested lags together keep within with that probability (Bonferroni).
-    probability : float
-        Of a statistic over all lags together at least this large by chance (Ljung-Box); NaN where there is none.
-    """
-
-    lags: np.ndarray
-    correlation: np.ndarray
-    bound: float
-    confidence: float
-    outside: int
-    largest: float
+    lags: np.ndarray  #: shape (L,) [samples]; a positive lag of an input is the input that many samples earlier.
+    correlation: np.ndarray  #: shape (L,); Normalised, -1 … 1.
+    bound: float  #: Half width of the confidence region of each single lag.
+    confidence: float  #: Its probability.
+    outside: int  #: How many lags leave it (lag 0 of an autocorrelation is not tested).
+    largest: float  #: Largest absolute correlation of the lags tested.
+    #: Half width of the region that all tested lags together keep within with that probability (Bonferroni).
     joint_bound: float
+    #: Of a statistic over all lags together at least this large by chance (Ljung-Box); NaN where there is none.
     probability: float
 
     @property
@@ -80,54 +62,22 @@ def _correlation_test(lags, correlation, tested, deviation, confidence, probabil
 
 @dataclass(frozen=True, eq=False)
 class Validation:
-    """How a prediction compares with a measurement.
+    """How a prediction compares with a measurement."""
 
-    Parameters
-    ----------
-    samples : int
-        Compared, those skipped not counted.
-    skipped : int
-        First samples left out of the comparison.
-    offset : float
-        Constant that was added to the prediction, in the unit; 0 when it was not free.
-    rmse : float
-        Root mean square error, in the unit.
-    maximum_error : float
-        Largest absolute error, in the unit.
-    stroke : float
-        Peak-to-peak measurement, in the unit.
-    fit_percent : float
-        100 (1 - ‖e‖/‖y - mean y‖) [%].
-    mse : float
-        Mean square error, in the unit squared.
-    fpe : float
-        Akaike's final prediction error: mse (1 + d/N)/(1 - d/N), in the unit squared.
-    autocorrelation : CorrelationTest
-        Of the residual.
-    cross_correlation : CorrelationTest or None
-        Of the input with the residual; None when no input was given.
-    unit : str
-        SI unit of the measurement.
-    residual : ndarray, shape (samples,)
-        Measurement minus prediction, in the unit.
-    warnings : tuple of str
-        Residual not white, residual correlated with the input.
-    """
-
-    samples: int
-    skipped: int
-    offset: float
-    rmse: float
-    maximum_error: float
-    stroke: float
-    fit_percent: float
-    mse: float
-    fpe: float
-    autocorrelation: CorrelationTest
-    cross_correlation: CorrelationTest | None
-    unit: str
-    residual: np.ndarray
-    warnings: tuple[str, ...]
+    samples: int  #: Compared, those skipped not counted.
+    skipped: int  #: First samples left out of the comparison.
+    offset: float  #: Constant that was added to the prediction, in the unit; 0 when it was not free.
+    rmse: float  #: Root mean square error, in the unit.
+    maximum_error: float  #: Largest absolute error, in the unit.
+    stroke: float  #: Peak-to-peak measurement, in the unit.
+    fit_percent: float  #: 100 (1 - ‖e‖/‖y - mean y‖) [%].
+    mse: float  #: Mean square error, in the unit squared.
+    fpe: float  #: Akaike's final prediction error: mse (1 + d/N)/(1 - d/N), in the unit squared.
+    autocorrelation: CorrelationTest  #: Of the residual.
+    cross_correlation: CorrelationTest | None  #: Of the input with the residual; None when no input was given.
+    unit: str  #: SI unit of the measurement.
+    residual: np.ndarray  #: shape (samples,); Measurement minus prediction, in the unit.
+    warnings: tuple[str, ...]  #: Residual not white, residual correlated with the input.
 
     @property
     def rmse_percent_of_stroke(self) -> float:
@@ -165,28 +115,7 @@ def validate(
     skip: int = 0,
     free_offset: bool = False,
 ) -> Validation:
-    """Compare a prediction with a measurement.
-
-    Parameters
-    ----------
-    measured, predicted : array_like, shape (N,)
-        In ``unit``; the model has seen all N samples.
-    input : array_like, shape (N,), optional
-        The model's input, for the cross-correlation.
-    unit : str
-        SI unit of the measurement (V for an inverse).
-    parameters : int
-        Fitted numbers d, for the FPE; 0 for data the fit has not seen.
-    skip : int
-        First samples left out of the comparison.
-    free_offset : bool
-        Whether one constant is removed.
-
-    Raises
-    ------
-    DataError
-        Shapes differ, values are not finite, too few samples remain, the measurement is constant, no unit.
-    """
+    """Compare a prediction with a measurement."""
     if not unit:
         raise DataError("unit", "unit is empty: an error without a unit says nothing; give m, V …")
     y, p = finite_array("measured", measured), finite_array("predicted", predicted)
@@ -236,27 +165,13 @@ def _test_warnings(auto: CorrelationTest, cross: CorrelationTest | None, lags: i
 
 
 def fit_percent(measured, predicted) -> float:
-    """Return 100 (1 - ‖y - ŷ‖/‖y - mean y‖) [%]; 100 is perfect, 0 no better than the mean.
-
-    Parameters
-    ----------
-    measured, predicted : array_like, shape (N,)
-    """
+    """Return 100 (1 - ‖y - ŷ‖/‖y - mean y‖) [%]; 100 is perfect, 0 no better than the mean."""
     y, p = np.asarray(measured, dtype=float), np.asarray(predicted, dtype=float)
     return float(100.0 * (1.0 - np.linalg.norm(y - p) / np.linalg.norm(y - y.mean())))
 
 
 def final_prediction_error(mse: float, samples: int, parameters: int) -> float:
-    """Return Akaike's FPE = mse (1 + d/N)/(1 - d/N), in the unit of ``mse``.
-
-    Parameters
-    ----------
-    mse : float
-    samples : int
-        N.
-    parameters : int
-        d < N.
-    """
+    """Return Akaike's FPE = mse (1 + d/N)/(1 - d/N), in the unit of ``mse``."""
     share = parameters / samples
     return float(mse * (1.0 + share) / (1.0 - share))
 
@@ -264,13 +179,7 @@ def final_prediction_error(mse: float, samples: int, parameters: int) -> float:
 def residual_autocorrelation(residual, lags: int = LAGS, confidence: float = CONFIDENCE) -> CorrelationTest:
     """Return the autocorrelation of a residual at the lags 0 … ``lags``; ±z/√N bounds it when it is white.
 
-    Parameters
-    ----------
-    residual : array_like, shape (N,)
-    lags : int
-        [samples]
-    confidence : float
-        Of each lag; 0.999 is paper B's.
+    Units: ``lags`` [samples].
     """
     _check_confidence(confidence)
     e = np.asarray(residual, dtype=float)
@@ -295,13 +204,7 @@ def input_cross_correlation(u, residual, lags: int = LAGS, confidence: float = C
     Its variance for independent signals is Σ r_e(τ) r_u(τ)/N with both autocorrelations, so that coloured signals have
     wider bounds. Correlation at negative lags means feedback from the output to the input.
 
-    Parameters
-    ----------
-    u, residual : array_like, shape (N,)
-    lags : int
-        [samples]
-    confidence : float
-        Of each lag.
+    Units: ``lags`` [samples].
     """
     _check_confidence(confidence)
     e, u = np.asarray(residual, dtype=float), np.asarray(u, dtype=float)
@@ -321,19 +224,7 @@ def input_cross_correlation(u, residual, lags: int = LAGS, confidence: float = C
 
 
 def parameter_covariance(jacobian, residual) -> np.ndarray:
-    """Return the covariance σ² (JᵀJ)⁻¹ of fitted parameters, shape (d, d), for white residuals.
-
-    Parameters
-    ----------
-    jacobian : array_like, shape (N, d)
-        Derivative of the prediction by each parameter.
-    residual : array_like, shape (N,)
-
-    Raises
-    ------
-    DataError
-        Fewer than d + 1 samples, or the parameters cannot be told apart (rank below d).
-    """
+    """Return the covariance σ² (JᵀJ)⁻¹ of fitted parameters, shape (d, d), for white residuals."""
     J, e = np.asarray(jacobian, dtype=float), np.asarray(residual, dtype=float)
     N, d = J.shape
     refuse_short(N, d + 1, f"the covariance of {d} parameters")

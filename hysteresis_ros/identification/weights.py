@@ -30,14 +30,6 @@ def radii(voltage_range: float, count: int, reach: float = 0.0) -> np.ndarray:
     """Return ``count`` radii [V], from 0, in steps of half the range over their number.
 
     A play whose radius is half the range never moves and is left out, unless it moves on the way from rest.
-
-    Parameters
-    ----------
-    voltage_range : float
-        [V]
-    count : int
-    reach : float
-        Radius [V] up to which plays move, where that is more than half the range: more radii in the same steps.
     """
     step = 0.5 * voltage_range / count
     return step * np.arange(max(count, int(np.ceil(reach / step - 1e-9))))
@@ -49,14 +41,7 @@ def plays(voltage, play_radii, start=None) -> np.ndarray:
     Along a monotone stretch the play is a running maximum (minimum) of V - r (V + r), so the recursion only stops at
     reversals; the loop over samples stays with NumPy.
 
-    Parameters
-    ----------
-    voltage : ndarray, shape (N,)
-        [V]
-    play_radii : ndarray, shape (m,)
-        [V]
-    start : ndarray, shape (m,), optional
-        Outputs before the first sample [V].
+    Units: ``voltage`` [V], ``play_radii`` [V], ``start`` [V].
     """
     voltage = np.asarray(voltage, dtype=float)
     z = np.zeros(len(play_radii)) if start is None else np.array(start, dtype=float)
@@ -74,29 +59,7 @@ def plays(voltage, play_radii, start=None) -> np.ndarray:
 
 
 def smooth_weights(regressors, free, target, roughness, strength: float | None = None, ridge=None):
-    """Solve for weights ≥ 0 of ``regressors`` and free coefficients of ``free``, smooth within the discrepancy.
-
-    Parameters
-    ----------
-    regressors : ndarray, shape (N, m)
-        One column a weight, of about one size.
-    free : ndarray, shape (N, k)
-        Columns whose coefficients may have any sign.
-    target : ndarray, shape (N,)
-    roughness : ndarray, shape (q, m)
-        Rows that shall be small.
-    strength : float, optional
-        Of their penalty, relative to the size of the regressors; chosen by the discrepancy by default.
-    ridge : ndarray, shape (k,), optional
-        Penalties that pull the free coefficients to zero.
-
-    Returns
-    -------
-    weights, coefficients, residual : ndarray
-        Shapes (m,), (k,), (N,).
-    float
-        The strength of the penalty.
-    """
+    """Solve for weights ≥ 0 of ``regressors`` and free coefficients of ``free``, smooth within the discrepancy."""
     solver = WeightSolver(regressors, free, target, roughness, ridge)
     if strength is not None:
         return *solver.solve(strength), strength
@@ -109,13 +72,7 @@ def smooth_weights(regressors, free, target, roughness, strength: float | None =
 
 
 class WeightSolver:
-    """Constrained least squares in the compressed form R of the Cholesky decomposition, for several penalties.
-
-    Parameters
-    ----------
-    regressors, free, target, roughness, ridge : ndarray
-        See :func:`smooth_weights`.
-    """
+    """Constrained least squares in the compressed form R of the Cholesky decomposition, for several penalties."""
 
     def __init__(self, regressors, free, target, roughness, ridge=None):
         self.count = regressors.shape[1]
@@ -133,13 +90,7 @@ class WeightSolver:
         self.size = float(np.linalg.norm(self.r[:, : self.count]) / np.sqrt(self.count))
 
     def solve(self, strength: float):
-        """Return weights, free coefficients and residual for one strength of the penalty.
-
-        Parameters
-        ----------
-        strength : float
-            Relative to the size of the regressors.
-        """
+        """Return weights, free coefficients and residual for one strength of the penalty."""
         from scipy.optimize import nnls  # imported here because only fits need it
 
         free = self.r[:, self.count :]

@@ -62,26 +62,6 @@ def choose_model(data: IdentificationData, linear: str | None, progress=None, **
     freedom has to be better by three per cent. Where the recording does not settle smaller loops than its own
     (:mod:`.ambiguity`), what is left out shows nothing new: then the model that holds a stated prior is taken, unless
     another one errs by less than half.
-
-    Parameters
-    ----------
-    data : IdentificationData
-    linear : str, optional
-        What stands behind the hysteresis.
-    progress : callable, optional
-        Called as ``progress(number, text)``.
-    **conditions
-        ``intersample`` and ``initial``.
-
-    Returns
-    -------
-    str, dict of str to float
-        [m]
-
-    Raises
-    ------
-    IdentificationError
-        No model can be fitted.
     """
     found: dict[str, float] = {}
     separations: tuple[dict, dict] = {}, {}
@@ -107,22 +87,7 @@ def choose_model(data: IdentificationData, linear: str | None, progress=None, **
 
 
 def held_out_error(data: IdentificationData, model: str, separations=(None, None), **request) -> tuple[float, float]:
-    """Return the RMS error [m] of a model on the thirds it was not fitted to, and what the data cannot tell of it [m].
-
-    Parameters
-    ----------
-    data : IdentificationData
-    model : str
-    separations : pair of dict or None
-        For the first and the last two thirds, see :func:`.registry.identify`.
-    **request
-        See :func:`.registry.identify`.
-
-    Raises
-    ------
-    HysteresisError
-        It cannot be fitted.
-    """
+    """Return the RMS error [m] of a model on the thirds it was not fitted to, and what the data cannot tell of it [m]."""
     edge = round(HELD_OUT_PART * len(data))
     known = wiped_out(data.input) or 0
     squares: list[np.ndarray] = []
@@ -151,44 +116,27 @@ CONSTANT_REMOVED = "one constant of the output was removed: the sensor's zero is
 
 
 class Conditions(TypedDict, total=False):
-    """How a model is compared with a recording.
+    """How a model is compared with a recording."""
 
-    Parameters
-    ----------
-    skip : int or None
-        The first samples left out of the error, the model sees them all the same. By default :func:`identify` leaves
-        out what comes before the voltage has been near both ends of its range, and :func:`validate` the same, unless
-        ``initial`` says what was before.
-    offset : str
-        ``kept``, or ``free``: one constant is removed (a sensor has no zero).
-    intersample : str or None
-        The input between its samples: ``zoh`` (held, as the nodes do), ``linear`` or ``bandlimited``. By default
-        ``zoh`` when a model is identified, and as it was identified when it is validated.
-    initial : str or None
-        The state at the start: ``zero`` (at rest at 0 V), ``periodic`` (the input had repeated before) or
-        ``estimate``. By default what suits the model.
-    """
-
+    #: The first samples left out of the error, the model sees them all the same. By default :func:`identify` leaves
+    #: out what comes before the voltage has been near both ends of its range, and :func:`validate` the same, unless
+    #: ``initial`` says what was before.
     skip: int | None
-    offset: str
+    offset: str  #: ``kept``, or ``free``: one constant is removed (a sensor has no zero).
+    #: The input between its samples: ``zoh`` (held, as the nodes do), ``linear`` or ``bandlimited``. By default
+    #: ``zoh`` when a model is identified, and as it was identified when it is validated.
     intersample: str | None
+    #: The state at the start: ``zero`` (at rest at 0 V), ``periodic`` (the input had repeated before) or ``estimate``.
+    #: By default what suits the model.
     initial: str | None
 
 
 @dataclass(frozen=True, eq=False)
 class Fast:
-    """A recording of small and fast movements, from rest at 0 V on.
+    """A recording of small and fast movements, from rest at 0 V on."""
 
-    Parameters
-    ----------
-    data : IdentificationData
-        At the rate of the axis.
-    skip : int
-        First samples that do not count, such as the way to where the small movements are.
-    """
-
-    data: IdentificationData
-    skip: int
+    data: IdentificationData  #: At the rate of the axis.
+    skip: int  #: First samples that do not count, such as the way to where the small movements are.
 
 
 @dataclass(frozen=True, eq=False)
@@ -297,46 +245,7 @@ def identify(
     progress=None,
     **conditions: Unpack[Conditions],
 ) -> Identified:
-    """Identify a model from a recording.
-
-    Parameters
-    ----------
-    source : path-like, Recording, IdentificationData or Reading
-        A bag, CSV or NPZ whose columns name their units (``control_V``, ``gauge_um``), or data that was read. For other
-        columns: ``read_data("x.csv", Columns("ch1:V", "ch2:um"))``.
-    model : str
-        Name of the model; ``hysteresis models`` lists them. ``usual``: ``prandtl_ishlinskii``, or ``generalised_play``
-        where that predicts better what it was not fitted to. ``auto``: of all models the one that does.
-    linear : str, optional
-        What stands behind the hysteresis: ``auto`` (the default: lag, delay, creep and up to two resonances where they
-        predict better), ``none``, ``lag,delay,creep,modes``, ``second_order``, ``arx`` …
-    options : dict, optional
-        Of the model, such as ``{"play_count": 20}``.
-    inverse : str, optional
-        Inverse of the compensator; the model's first by default.
-    fast : Fast, optional
-        A second recording, small and fast, that gives lag, delay and modes; the first one, slow, gives all others.
-    progress : callable, optional
-        Called as ``progress(number, text)`` while the fit runs.
-    **conditions
-        ``skip``, ``offset``, ``intersample`` and ``initial``, see :class:`Conditions`.
-
-    Returns
-    -------
-    Identified
-        Also when the fit did not converge: then ``converged`` is False and ``reason`` says so.
-
-    Raises
-    ------
-    IdentificationError, DataError, RecordingError
-        The request or the data cannot be used; the message says what is allowed.
-
-    Examples
-    --------
-    >>> found = identify("loops.csv", "preisach", skip=200)  # doctest: +SKIP
-    >>> found.figures["rmse_percent_of_stroke"], found.warnings  # doctest: +SKIP
-    >>> found.save("axis.yaml")  # doctest: +SKIP
-    """
+    """Identify a model from a recording."""
     given = _checked(conditions)
     chosen = registry.parse_options(model, [f"{name}={value}" for name, value in (options or {}).items()])
     reading = read_data(source)
@@ -420,30 +329,7 @@ def validate(
     inverse: bool = True,
     **conditions: Unpack[Conditions],
 ) -> Compared:
-    """Simulate the plant of a parameter file under a recorded voltage and compare with what was measured.
-
-    Parameters
-    ----------
-    parameters : path-like
-        Parameter file, identified or written by hand, or the name of one that comes with the package.
-    source : path-like, Recording, IdentificationData or Reading
-        See :func:`identify`; best one that the model has not seen.
-    namespace : str
-        Which axis of a file with several.
-    inverse : bool
-        Try the inverse too.
-    **conditions
-        ``skip``, ``offset``, ``intersample`` and ``initial``, see :class:`Conditions`.
-
-    Raises
-    ------
-    ConfigurationError, ParameterError, IdentificationError, DataError, RecordingError
-        The file, a choice or the data cannot be used; the message says what is allowed.
-
-    Examples
-    --------
-    >>> validate("axis.yaml", "other.csv").figures["rmse_m"]  # doctest: +SKIP
-    """
+    """Simulate the plant of a parameter file under a recorded voltage and compare with what was measured."""
     given = _checked(conditions)
     plant, section = load_chain(parameters, namespace)
     reading = read_data(source, Columns(whole=True))

@@ -35,12 +35,7 @@ def displacement_between(actuator: Actuator, voltage) -> np.ndarray:
 
     The linear dynamics go on continuously while their input is held, so that at the samples it is that of the loop.
 
-    Parameters
-    ----------
-    actuator : Actuator
-        At rest; its hysteresis and creep go on.
-    voltage : array, shape (N,)
-        What its amplifier put out from each sample to the next [V]; row k holds what follows the k-th.
+    Units: ``voltage`` [V].
     """
     rest = float(actuator.creep.x[OUTPUT])
     crept = actuator.creep.simulate(actuator.hysteresis.simulate(voltage))
@@ -53,15 +48,7 @@ def between_samples(parameters: LinearParameters, sample_time: float, rest: floa
     Where the dynamics belong to no continuous model (poles at zero, or negative ones), the output goes in a straight
     line from sample to sample.
 
-    Parameters
-    ----------
-    parameters : LinearParameters
-    sample_time : float
-        [s]
-    rest : float
-        Input [m] under which the dynamics are at rest before.
-    held : array, shape (N,)
-        Input [m], held from each sample to the next.
+    Units: ``sample_time`` [s].
     """
     modes = modes_of(replace(parameters, **{name: tuple(map(float, getattr(parameters, name))) for name in "ABCD"}))
     if modes is None:
@@ -86,22 +73,13 @@ def between_samples(parameters: LinearParameters, sample_time: float, rest: floa
 
 
 class Modes(NamedTuple):
-    """Linear dynamics in the coordinates of their poles, one of each pair, driven in SI.
+    """Linear dynamics in the coordinates of their poles, one of each pair, driven in SI."""
 
-    Parameters
-    ----------
-    poles, units : ndarray of complex, shape (M,)
-        Poles, and states at rest under one metre.
-    free : ndarray, shape (2 M, INSTANTS)
-        Output [m] between the samples of the real and the imaginary part of each state.
-    forced : ndarray, shape (INSTANTS,)
-        Output [m] of one metre that acts since the sample.
-    """
-
-    poles: np.ndarray
+    poles: np.ndarray  #: poles, units: shape (M,); Poles, and states at rest under one metre.
     units: np.ndarray
+    #: shape (2 M, INSTANTS); Output [m] between the samples of the real and the imaginary part of each state.
     free: np.ndarray
-    forced: np.ndarray
+    forced: np.ndarray  #: shape (INSTANTS,); Output [m] of one metre that acts since the sample.
 
 
 @functools.lru_cache(maxsize=8)
@@ -109,11 +87,6 @@ def modes_of(parameters: LinearParameters) -> Modes | None:
     """Return dynamics between their samples; None where they belong to no continuous model.
 
     x(k + j) = A^j x(k) + (I - A^j) x_rest u, in the coordinates of the poles.
-
-    Parameters
-    ----------
-    parameters : LinearParameters
-        Of tuples.
     """
     model = parameters.matrices
     # of the real matrix, whose pairs are conjugate to the last bit and whose real poles are real

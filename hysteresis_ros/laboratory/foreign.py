@@ -207,16 +207,7 @@ def follow(p, x, voltage, displacement):
 class Foreign(Block):
     """An actuator of another class: from a voltage [V] to the displacement [m] at the next sample.
 
-    Parameters
-    ----------
-    parameters : ForeignParameters
-    sample_time : float
-        Sample time [s].
-
-    Raises
-    ------
-    ParameterError
-        A parameter is wrong.
+    Units: ``sample_time`` [s].
     """
 
     kernel = staticmethod(foreign)
@@ -274,10 +265,7 @@ class Foreign(Block):
     def between(self, voltage) -> np.ndarray:
         """Return the displacement [m] on the fine grid, shape (N, steps), from rest; the block's state is not used.
 
-        Parameters
-        ----------
-        voltage : array_like, shape (N,)
-            Held from each sample to the next [V].
+        Units: ``voltage`` [V].
         """
         voltage = np.ascontiguousarray(voltage, dtype=float)
         found = np.empty((len(voltage), self.parameters.steps))

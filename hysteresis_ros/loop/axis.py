@@ -31,12 +31,7 @@ from hysteresis_ros.models.block import specialised
 def sample_times(first: int, count: int, sample_rate: float) -> np.ndarray:
     """Return the times [s] of samples ``first`` … ``first + count - 1`` as the nodes stamp them: whole nanoseconds.
 
-    Parameters
-    ----------
-    first, count : int
-        Number of the first sample, and how many there are.
-    sample_rate : float
-        [Hz]
+    Units: ``sample_rate`` [Hz].
     """
     return np.rint(np.arange(first, first + count) * 1e9 / sample_rate) / 1e9
 
@@ -46,47 +41,23 @@ STEPS = {BEFORE: 0, MEASURED: 1, ANSWERED: 2}
 
 
 class Change(NamedTuple):
-    """Something that changes between two samples of a run.
+    """Something that changes between two samples of a run."""
 
-    Parameters
-    ----------
-    sample : int
-        Number of the sample from which on it holds, counted from the beginning of the axis.
-    node : str
-        Name of the node whose part it concerns.
-    action : str
-        ``start``, ``stop``, ``retune``, or, of the plant, ``halt``; of a reference generator ``follow``,
-        ``hold`` and ``begin_at``.
-    parameters : dict
-        With ``retune``: flat dotted parameters with their new values. With ``follow``: ``times``, ``positions``,
-        ``velocities``, ``accelerations`` of the points of a trajectory. With ``begin_at``: ``position`` [m].
-    after : str
-        What of the sample was done before, so that only what follows is concerned: ``measured`` of the plant,
-        ``answered`` of a controller that does not know yet what was carried out; empty: nothing.
-    """
-
-    sample: int
-    node: str
+    sample: int  #: Number of the sample from which on it holds, counted from the beginning of the axis.
+    node: str  #: Name of the node whose part it concerns.
+    #: ``start``, ``stop``, ``retune``, or, of the plant, ``halt``; of a reference generator ``follow``, ``hold`` and
+    #: ``begin_at``.
     action: str
+    #: With ``retune``: flat dotted parameters with their new values. With ``follow``: ``times``, ``positions``,
+    #: ``velocities``, ``accelerations`` of the points of a trajectory. With ``begin_at``: ``position`` [m].
     parameters: dict = {}
+    #: What of the sample was done before, so that only what follows is concerned: ``measured`` of the plant,
+    #: ``answered`` of a controller that does not know yet what was carried out; empty: nothing.
     after: str = BEFORE
 
 
 class Axis:
-    """The parts of one axis in closed loop, without ROS.
-
-    Parameters
-    ----------
-    parameters : AxisParameters
-        Parameters of all nodes.
-    plant : Plant, optional
-        What stands in the plant's place; by default the simulated plant, whatever driver the parameters name.
-
-    Attributes
-    ----------
-    plant, source, controller, compensator
-        The parts; their state goes on from one :meth:`run` to the next.
-    """
+    """The parts of one axis in closed loop, without ROS."""
 
     def __init__(self, parameters: AxisParameters, plant: Plant | None = None):
         self.parameters = parameters
@@ -153,31 +124,7 @@ class Axis:
     ) -> dict[str, np.ndarray]:
         """Simulate ``len(setpoints)`` samples.
 
-        Parameters
-        ----------
-        setpoints : array_like, shape (N,)
-            Setpoint in force at each sample [m].
-        requests : array_like, shape (N,), optional
-            Of a motor: request at each sample (:mod:`hysteresis_ros.references.inchworm_layout`), 0 for none.
-        speeds : array_like, shape (N,), optional
-            Of a motor: walking speed asked for at each sample [m/s]; NaN leaves it as it is.
-        changes : sequence of Change
-            What changes between samples, in the order of their samples.
-        skipped : array_like, shape (N,), optional
-            1 at each sample whose time was missed: nobody measured or answered, the voltage stayed.
-        answers : dict of str to array_like, shape (N,), optional
-            Of a device's twin: the signals ``measured`` and ``tripped`` as they were.
-
-        Returns
-        -------
-        dict of str to array, shape (N,)
-            ``time`` [s] and the signals of :data:`hysteresis_ros.signals.SIGNALS`; of a motor ``displacement`` and
-            ``measured`` are the slider's, ``reference``, ``command`` and ``estimated`` are relative to ``origin``.
-
-        Raises
-        ------
-        ParameterError
-            A change is refused.
+        Units: ``setpoints`` [m].
         """
         setpoints = np.ascontiguousarray(setpoints, dtype=np.float64)
         row = signals.row_signals(self.motor)
@@ -234,11 +181,6 @@ class Axis:
         """Return an axis with the source, the controller and the compensator of this one, as they are, and a new plant.
 
         Where only the plant differs from run to run the others need not be built again; this axis is not used further.
-
-        Parameters
-        ----------
-        parameters : AxisParameters
-            The same ones but for the plant, which no camera looks at.
         """
         other = copy.copy(self)
         other.parameters, other.sample = parameters, 0
@@ -246,13 +188,7 @@ class Axis:
         return other
 
     def apply(self, change: Change) -> None:
-        """Start, stop or retune a part between two samples.
-
-        Raises
-        ------
-        ParameterError
-            The new parameters are refused; nothing is changed then.
-        """
+        """Start, stop or retune a part between two samples."""
         part = self.by_node[change.node]
         if change.action == "retune":
             present = part.parameters
@@ -261,18 +197,7 @@ class Axis:
             getattr(part, change.action)(**change.parameters)
 
     def inject(self, faults: tuple[str, ...]) -> None:
-        """Let these faults happen, their times counted from the present sample on, and no others.
-
-        Parameters
-        ----------
-        faults : tuple of str
-            Each ``NAME:START:DURATION[:VALUE]``, see :mod:`hysteresis_ros.loop.faults`.
-
-        Raises
-        ------
-        ConfigurationError
-            A fault is unknown or a number wrong.
-        """
+        """Let these faults happen, their times counted from the present sample on, and no others."""
         for part in self.by_node.values():
             part.inject(faults)
 

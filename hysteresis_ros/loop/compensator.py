@@ -193,35 +193,12 @@ compensate.kinds[CompensationArrays], compensate.kinds[AdaptiveArrays] = compens
 
 
 def adapted_text(name: str, part: CompensatorPart) -> str:
-    """Return the text of a parameter file with the adapted model of a compensator.
-
-    Parameters
-    ----------
-    name : str
-        Full name of its node.
-    part : CompensatorPart
-
-    Raises
-    ------
-    ParameterError
-        It does not adapt.
-    """
+    """Return the text of a parameter file with the adapted model of a compensator."""
     return _ADAPTED_HEADER + dump_configuration({name: part.saved()})
 
 
 class CompensatorPart:
-    """The compensator of an axis, with what watches over its command.
-
-    Parameters
-    ----------
-    parameters : CompensatorNodeParameters
-        Checked on construction.
-
-    Raises
-    ------
-    ParameterError
-        Names every wrong parameter.
-    """
+    """The compensator of an axis, with what watches over its command."""
 
     def __init__(self, parameters: CompensatorNodeParameters):
         self.parameters = parameters
@@ -244,13 +221,6 @@ class CompensatorPart:
         """Go on from what the plant puts out wherever that is not what was asked.
 
         Only where one loop makes whole samples: between nodes nobody tells the compensator in time.
-
-        Parameters
-        ----------
-        rounding : float
-            Largest difference [V] that the plant's converter makes; infinite: the plant does not say what it puts out.
-        begins_safe : bool
-            The plant is at its safe voltage at first, and the way from there to the command is part of the run.
         """
         rounding += self.arrays.p.limits[limiting.STEP]
         self.arrays.watch_p.own[TOLERANCE] = rounding + at.LEAST_DIFFERENCE
@@ -293,13 +263,7 @@ class CompensatorPart:
         return self.adaptation
 
     def freeze(self) -> None:
-        """Leave the weights of the inverse as they are.
-
-        Raises
-        ------
-        ParameterError
-            They are not adapted.
-        """
+        """Leave the weights of the inverse as they are."""
         self._adapted().freeze()
 
     def resume(self) -> None:
@@ -337,13 +301,7 @@ class CompensatorPart:
         watch_x.own[RETURNING] = float(self._begins_safe)
 
     def retune(self, parameters: CompensatorNodeParameters) -> None:
-        """Take new model parameters and limits; the voltage does not jump.
-
-        Raises
-        ------
-        ParameterError
-            The parameters are wrong or of another structure; nothing is changed then.
-        """
+        """Take new model parameters and limits; the voltage does not jump."""
         if self.adaptation is None:
             self._take(parameters, parameters.hysteresis)
         else:

@@ -275,16 +275,6 @@ class ControllerPart:
 
     The preload's offset is taken off the measurement before the laws see it: a change of it is nothing to them but a
     measurement that moves, and all they have integrated stays right.
-
-    Parameters
-    ----------
-    parameters : ControllerNodeParameters
-        Checked on construction.
-
-    Raises
-    ------
-    ParameterError
-        Names every wrong parameter.
     """
 
     def __init__(self, parameters: ControllerNodeParameters):
@@ -385,21 +375,7 @@ class ControllerPart:
         self.learning.set_mode(FORGETTING)
 
     def save(self, path, configuration: str = "") -> None:
-        """Write what was learned.
-
-        Parameters
-        ----------
-        path : path-like
-        configuration : str
-            Name of the configuration of the axis.
-
-        Raises
-        ------
-        ParameterError
-            Nothing was learned.
-        ConfigurationError
-            The file cannot be written.
-        """
+        """Write what was learned."""
         write_learned(path, self.learning.learned(), configuration)
 
     def reset(self) -> None:
@@ -413,13 +389,7 @@ class ControllerPart:
         self._watch_x.own[STOP] = stopped
 
     def retune(self, parameters: ControllerNodeParameters) -> None:
-        """Take new gains, or another type of controller; the command goes on from where it is.
-
-        Raises
-        ------
-        ParameterError
-            The parameters are wrong or of another structure; nothing is changed then.
-        """
+        """Take new gains, or another type of controller; the command goes on from where it is."""
         block = part(parameters, ControllerParameters).without_preload.validated()
         own = block.before_damping(1.0 / parameters.sample_rate)
         learning = self.learning.changed(block.learning, block.handover_time)

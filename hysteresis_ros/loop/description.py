@@ -26,18 +26,6 @@ def robot_description(
 
     Positions are limited to what the source of references allows, velocities to what it asks for at most; where a step
     is passed on as it is, that is the whole range in one sample. The effort is stated as 0: nobody knows or limits it.
-
-    Parameters
-    ----------
-    parameters : ReferenceNodeParameters or InchwormSequencerNodeParameters
-        Of the source of references; of a motor its slider is the joint.
-    name : str, optional
-        Of the robot.
-
-    Returns
-    -------
-    str
-        The text of the URDF, in m and m/s.
     """
     moved = f"{parameters.joint}_tip"
     robot = ET.Element("robot", name=name)

@@ -90,12 +90,7 @@ class DevicePlantArrays(NamedTuple):
 
 
 def link_to(compiled: Compiled | None) -> np.ndarray:
-    """Return the array that leads to a device, or to none.
-
-    Parameters
-    ----------
-    compiled : Compiled or None
-    """
+    """Return the array that leads to a device, or to none."""
     link = np.zeros(LINKS, dtype=np.int64)
     if compiled is not None:
         link[:SELF] = compiled[:SELF]
@@ -261,16 +256,6 @@ class DrivenPlant(Plant):
     """One actuator that is a device, driven from Python.
 
     After opening and after :meth:`make_safe` the device is taken to be at ``safe_voltage``.
-
-    Parameters
-    ----------
-    parameters : PlantNodeParameters
-        With a driver.
-
-    Raises
-    ------
-    DriverError
-        The device cannot be opened, or is not what the axis needs.
     """
 
     #: Nothing of it is compiled.
@@ -381,12 +366,7 @@ class DrivenPlant(Plant):
     # -- samples -------------------------------------------------------------------------------------------------
 
     def sense(self, row) -> None:
-        """Read the position into the row, NaN when there is none.
-
-        Parameters
-        ----------
-        row : sequence of float
-        """
+        """Read the position into the row, NaN when there is none."""
         interpreted(faulty.begin_sample)(self._watch_x.faults)
         row[at.MEASURED] = row[at.FORCE] = math.nan
         if not self._failure:
@@ -401,12 +381,7 @@ class DrivenPlant(Plant):
         row[at.TRIPPED] = self._watch_x.trip[TRIP]
 
     def actuate(self, row) -> None:
-        """Put out the voltage of the row, or what the watch makes of it.
-
-        Parameters
-        ----------
-        row : sequence of float
-        """
+        """Put out the voltage of the row, or what the watch makes of it."""
         self._put_out(watched_voltage(self._watch_p, self._watch_x, row))
         row[at.PLANT_VOLTAGE] = self._left_at if self._left else float(self.limits.x[OUTPUT])
 
@@ -463,13 +438,7 @@ class DrivenPlant(Plant):
         self.limits.x[FLAGS] = self.limits.x[LIMITED_SAMPLES] = 0.0
 
     def home(self) -> None:
-        """Take the place where the actuator stands for that of home.
-
-        Raises
-        ------
-        ParameterError
-            The sensor is absolute, or the axis is not stopped at its safe voltage.
-        """
+        """Take the place where the actuator stands for that of home."""
         sensor, safe = self.parameters.calibration.sensor, self.parameters.safe_voltage
         if sensor.reference != "relative":
             allowed = "knows its place by itself; only a relative sensor is homed"
@@ -525,23 +494,11 @@ class DrivenPlant(Plant):
                 self._fail(error)
 
     def held(self, input_: int = 0) -> float:
-        """Return the voltage that is put out [V], also by a device that could not be made safe.
-
-        Parameters
-        ----------
-        input_ : int
-        """
+        """Return the voltage that is put out [V], also by a device that could not be made safe."""
         return self._left_at if self._left else super().held(input_)
 
     def make_safe(self) -> None:
-        """Bring the device to its safe state.
-
-        Raises
-        ------
-        DriverError
-            It does not answer; then the error says at which voltage its output still is, and so does :attr:`failure`
-            until the device is safe, or the axis is started or reset by a person.
-        """
+        """Bring the device to its safe state."""
         left_at = self._left_at if self._left else float(self.limits.x[OUTPUT])
         self._at_rest()
         try:
@@ -573,35 +530,12 @@ sense.kinds[DrivenPlant], actuate.kinds[DrivenPlant] = _sense_device, _actuate_d
 
 
 def plant_of(parameters: PlantNodeParameters) -> Plant:
-    """Return the plant of a node: the device of its driver, or the simulated one of its type.
-
-    Parameters
-    ----------
-    parameters : PlantNodeParameters
-
-    Raises
-    ------
-    DriverError
-        The device cannot be opened, or is not what the axis needs.
-    """
+    """Return the plant of a node: the device of its driver, or the simulated one of its type."""
     return DrivenPlant(parameters) if parameters.driver else PLANTS[parameters.type](parameters)
 
 
 class CompiledPlant(DrivenPlant):
-    """One actuator that is a device, read and written by machine code.
-
-    Parameters
-    ----------
-    parameters : PlantNodeParameters
-        With a driver that has a compiled form.
-    linked : bool
-        Whether there is a device. A twin of a recorded run has none: it is given what the device answered.
-
-    Raises
-    ------
-    DriverError
-        The device cannot be opened, is not what the axis needs, or only Python reaches it.
-    """
+    """One actuator that is a device, read and written by machine code."""
 
     # places where others have the law of a simulated plant
     kernels = (limits,) * 3
@@ -660,13 +594,7 @@ class CompiledPlant(DrivenPlant):
         return f"{text}; and it cannot be made safe: {explain(safe_code).problem}: {left}"
 
     def make_safe(self) -> None:
-        """Bring the device to its safe state.
-
-        Raises
-        ------
-        DriverError
-            It does not answer.
-        """
+        """Bring the device to its safe state."""
         if self._linked:
             self._device.note(float(self.arrays.voltages[0]))
             super().make_safe()
@@ -677,19 +605,7 @@ class CompiledPlant(DrivenPlant):
 
 
 def fused_plant_of(parameters: PlantNodeParameters, linked: bool = True) -> Plant:
-    """Return the plant of an axis that machine code runs: the device of its driver, or the simulated one of its type.
-
-    Parameters
-    ----------
-    parameters : PlantNodeParameters
-    linked : bool
-        Whether a device is opened; without it the plant is given what the device answered.
-
-    Raises
-    ------
-    DriverError
-        The device cannot be opened, is not what the axis needs, or only Python reaches it.
-    """
+    """Return the plant of an axis that machine code runs: the device of its driver, or the simulated one of its type."""
     if not parameters.driver:
         return PLANTS[parameters.type](parameters)
     return CompiledPlant(parameters, linked)

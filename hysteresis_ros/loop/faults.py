@@ -40,31 +40,16 @@ LONGEST_DELAY = 10000
 
 @dataclass(frozen=True)
 class Fault:
-    """One kind of fault.
+    """One kind of fault."""
 
-    Parameters
-    ----------
-    target, action : int
-        What it acts on, and what it does to it.
-    description : str
-    value : float, optional
-        Default of the value; None: it has none.
-    unit : str
-        Unit of the value.
-    low, high : float
-        Range of the value.
-    motor : bool
-        Only an inchworm motor can have it.
-    """
-
-    target: int
+    target: int  #: target, action: What it acts on, and what it does to it.
     action: int
     description: str
-    value: float | None = None
-    unit: str = ""
-    low: float = -math.inf
+    value: float | None = None  #: Default of the value; None: it has none.
+    unit: str = ""  #: Unit of the value.
+    low: float = -math.inf  #: low, high: Range of the value.
     high: float = math.inf
-    motor: bool = False
+    motor: bool = False  #: Only an inchworm motor can have it.
 
 
 FAULTS = {
@@ -92,21 +77,12 @@ FAULTS = {
 
 @dataclass(frozen=True)
 class FaultEntry:
-    """One fault of a run.
-
-    Parameters
-    ----------
-    name : str
-    start, duration : float
-        [s] of the axis' own time.
-    value : float
-        In the fault's unit; 0 where it has none.
-    """
+    """One fault of a run."""
 
     name: str
-    start: float
+    start: float  #: start, duration: [s] of the axis' own time.
     duration: float
-    value: float
+    value: float  #: In the fault's unit; 0 where it has none.
 
     @property
     def kind(self) -> Fault:
@@ -117,18 +93,7 @@ class FaultEntry:
 def parse_fault(text: str, sample_rate: float | None = None, motor: bool = True) -> FaultEntry:
     """Read ``NAME:START:DURATION[:VALUE]``.
 
-    Parameters
-    ----------
-    text : str
-    sample_rate : float, optional
-        [Hz]; with it a duration below one sample is refused.
-    motor : bool
-        Whether the axis is an inchworm motor.
-
-    Raises
-    ------
-    ConfigurationError
-        The fault is unknown (the nearest name is given), a number is missing or out of range.
+    Units: ``sample_rate`` [Hz].
     """
     name, *numbers = text.split(":")
     form = f"fault '{text}': write NAME:START:DURATION[:VALUE], times in seconds, for instance stale:0.1:0.05"
@@ -179,19 +144,7 @@ RING = 9
 def fault_parameters(faults: tuple[str, ...], targets: tuple[int, ...], sample_rate: float) -> np.ndarray:
     """Return the parameter array of those faults that act on one of the ``targets``.
 
-    Parameters
-    ----------
-    faults : tuple of str
-        All faults of the axis, as text.
-    targets : tuple of int
-        For instance ``(MEASUREMENT, STOP)``: what a part takes in.
-    sample_rate : float
-        [Hz]
-
-    Raises
-    ------
-    ConfigurationError
-        See :func:`parse_fault`.
+    Units: ``sample_rate`` [Hz].
     """
     chosen = [entry for entry in map(parse_fault, faults) if entry.kind.target in targets]
     longest = max((entry.value for entry in chosen if entry.kind.action == DELAY), default=1.0)
@@ -225,17 +178,7 @@ def begin_sample(x):
 
 @called
 def corrupt(p, x, target, value):
-    """Return what the part is given instead of ``value`` in the present sample; for each target once a sample.
-
-    Parameters
-    ----------
-    p, x : ndarray
-        See :func:`fault_parameters` and :func:`fault_state`; ``x[STAMP]`` is the number of the sample of which a
-        measurement claims to be.
-    target : int
-        What the value is.
-    value : float
-    """
+    """Return what the part is given instead of ``value`` in the present sample; for each target once a sample."""
     count = int(p[COUNT])
     if count == 0:
         return value

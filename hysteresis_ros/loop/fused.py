@@ -51,17 +51,7 @@ _LOCK_PRESENT_AND_FUTURE = 3
 
 
 def ask_for(parameters: RealtimeParameters) -> str:
-    """Give the calling thread its priority and core, and keep the process in RAM, as far as that is permitted.
-
-    Parameters
-    ----------
-    parameters : RealtimeParameters
-
-    Returns
-    -------
-    str
-        What was not permitted, and what to do about it; empty when all was.
-    """
+    """Give the calling thread its priority and core, and keep the process in RAM, as far as that is permitted."""
     library = ctypes.CDLL(None, use_errno=True)
     # without priority a thread is woken up to 50 µs late on purpose, to save energy
     if hasattr(library, "prctl"):
@@ -144,16 +134,7 @@ HASTE = 2e-3
 
 
 def pace_arrays(axis: Axis, factor: float = math.inf, samples: int = 0) -> Pace:
-    """Return the arrays of a loop that goes on with the next sample of an axis.
-
-    Parameters
-    ----------
-    axis : Axis
-    factor : float
-        Seconds of the axis per second of wall clock; infinite: as fast as it can.
-    samples : int
-        How many to make; 0: no end.
-    """
+    """Return the arrays of a loop that goes on with the next sample of an axis."""
     size = len(signals.row_signals(axis.motor))
     rate = axis.sample_rate * (factor if math.isfinite(factor) else 1.0)
     kept = min(max(math.ceil(KEPT * rate), LEAST_KEPT), MOST_KEPT)
@@ -190,31 +171,6 @@ class FusedLoop:
     """Runs an axis in a thread of its own.
 
     All methods may be called from any thread. While it runs nobody else may run or change the axis.
-
-    Parameters
-    ----------
-    axis : Axis
-        It goes on from where it is.
-    factor : float
-        Seconds of the axis per second of wall clock; infinite: as fast as it can, without deadlines.
-    samples : int
-        How many to make; 0: until :meth:`leave`.
-    warn : callable, optional
-        ``warn(text)`` is told once what the operating system does not permit.
-
-    Attributes
-    ----------
-    axis : Axis
-        Its parts' states are those of the running loop.
-    failure : str
-        Why the thread ended, when it should not have; empty otherwise.
-    warning : str
-        What ``warn`` was told.
-
-    Raises
-    ------
-    ConfigurationError
-        Without Numba the axis is too fast.
     """
 
     def __init__(self, axis: Axis, factor: float = 1.0, samples: int = 0, warn: Callable[[str], object] | None = None):
@@ -318,17 +274,7 @@ class FusedLoop:
     def set(self, setpoint: float | None = None, request: float | None = None, speed: float | None = None) -> None:
         """Ask for something from the next sample on; what is None stays. The last of several in one sample counts.
 
-        Parameters
-        ----------
-        setpoint : float, optional
-            [m]; the schedule of the configuration gives none any more.
-        request, speed : float, optional
-            Of a motor: a request (:mod:`hysteresis_ros.references.inchworm_layout`), and a walking speed [m/s].
-
-        Raises
-        ------
-        ValueError
-            Only a motor has requests and speeds.
+        Units: ``setpoint`` [m].
         """
         if not self.axis.motor and (request is not None or speed is not None):
             raise ValueError("request and speed: only the axis of an inchworm motor takes them")
@@ -340,20 +286,7 @@ class FusedLoop:
         self._post({}, halts=1)
 
     def apply(self, change: Change) -> int:
-        """Change something, wait until it is, and return the number of the first sample for which it holds.
-
-        Parameters
-        ----------
-        change : Change
-            Its sample is not read: it comes as soon as it can.
-
-        Raises
-        ------
-        ParameterError
-            The new parameters are refused; nothing is changed then.
-        LoopError
-            The thread has failed, or the device does not return.
-        """
+        """Change something, wait until it is, and return the number of the first sample for which it holds."""
         with self._changing:
             code = CODES.get((change.node, change.action))
             sample = None
@@ -524,21 +457,11 @@ BATCHES, BATCH = 5, 100
 
 
 class Trial(NamedTuple):
-    """What a loop did at a rate.
+    """What a loop did at a rate."""
 
-    Parameters
-    ----------
-    rate : float
-        Samples per second [Hz].
-    lateness : Lateness
-        How late its samples began, and how many were skipped.
-    warning : str
-        What the operating system did not permit; empty when all was.
-    """
-
-    rate: float
-    lateness: Lateness
-    warning: str
+    rate: float  #: Samples per second [Hz].
+    lateness: Lateness  #: How late its samples began, and how many were skipped.
+    warning: str  #: What the operating system did not permit; empty when all was.
 
     @property
     def is_held(self) -> bool:
@@ -550,14 +473,7 @@ class Trial(NamedTuple):
 def trial(parameters: AxisParameters, seconds: float, priority: int) -> Trial:
     """Run an axis' fused loop for a moment in real time, and return how it kept the time.
 
-    Parameters
-    ----------
-    parameters : AxisParameters
-        Its plant is simulated, whatever driver it names.
-    seconds : float
-        Length of the run [s].
-    priority : int
-        Of its thread, SCHED_FIFO; 0: a normal one.
+    Units: ``seconds`` [s].
     """
     plant = parameters.plant_simulator
     realtime = replace(plant.realtime, priority=priority)
@@ -588,13 +504,7 @@ def tick_cost(parameters: AxisParameters) -> float:
 
 
 def require_speed(parameters: AxisParameters) -> None:
-    """Refuse an axis whose samples take longer than they may, before anything moves.
-
-    Raises
-    ------
-    ConfigurationError
-        Names the rate, what a sample takes here, and the option that runs it nevertheless.
-    """
+    """Refuse an axis whose samples take longer than they may, before anything moves."""
     plant = parameters.plant_simulator
     if plant.realtime.force or plant.driver or not COMPILED:
         return  # what a device takes is known only once it is driven; without Numba the loop has its own limit

@@ -31,13 +31,6 @@ def inchworm_problems(plant, parts):
 
     That is: clamps too weak for the load or too slow for the gait, voltages beyond the clamps' amplifiers, extensions
     beyond what the compensator can carry out, travel beyond the end stops.
-
-    Parameters
-    ----------
-    plant : PlantNodeParameters
-        Of type inchworm.
-    parts : dict of str to NodeParameters
-        Parameters of ``inchworm_sequencer`` and ``hysteresis_compensator``.
     """
     adaptation = parts["hysteresis_compensator"].adaptation
     if adaptation.type != "none":
@@ -74,27 +67,14 @@ def inchworm_problems(plant, parts):
 
 
 def inchworm_warnings(plant, sequencer) -> tuple[str, ...]:
-    """Return a sentence for each doubt: clamps below twice the load, a load too heavy for the stroke, hasty motions.
-
-    Parameters
-    ----------
-    plant : PlantNodeParameters
-        Of type inchworm.
-    sequencer : InchwormSequencerNodeParameters
-        With the gait.
-    """
+    """Return a sentence for each doubt: clamps below twice the load, a load too heavy for the stroke, hasty motions."""
     return (*_doubts(plant.inchworm, sequencer.gait), *_walking_doubts(plant.inchworm, sequencer.walk))
 
 
 def design_warnings(plant, crossovers) -> tuple[str, ...]:
     """Return a sentence when a designed loop reaches the slider's swing on the extender, which its model has not.
 
-    Parameters
-    ----------
-    plant : PlantNodeParameters
-        Of type inchworm.
-    crossovers : sequence of float
-        Gain crossovers of the designed loop [Hz].
+    Units: ``crossovers`` [Hz].
     """
     frequency = 1.0 / _swing(plant.inchworm)
     highest = max(crossovers, default=0.0)

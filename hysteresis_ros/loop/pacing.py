@@ -281,18 +281,7 @@ def keep(laws, parts, own, begun):
 
 
 def pace(step, laws, parts, own, motor):
-    """Make samples until the last one, or until somebody wants it to leave.
-
-    Parameters
-    ----------
-    step : function
-        :func:`hysteresis_ros.loop.tick.ticks` for these parts.
-    laws : Laws
-    parts : Parts
-    own : Pace
-    motor : int
-        1 for a motor's axis.
-    """
+    """Make samples until the last one, or until somebody wants it to leave."""
     state, column, timespec = own.state, own.column, own.timespec
     now = clock(timespec)
     while state[LEAVE] == 0 and (state[UNTIL] == 0 or state[SAMPLE] < state[UNTIL]):
@@ -337,64 +326,34 @@ def pace(step, laws, parts, own, motor):
 
 
 class Samples(NamedTuple):
-    """Samples that follow one another.
+    """Samples that follow one another."""
 
-    Parameters
-    ----------
-    first : int
-        Number of the first one, counted from the beginning of the axis.
-    table : ndarray, shape (row length, N)
-        A column for each sample, a row for each signal, see :func:`hysteresis_ros.signals.row_signals`.
-    times : ndarray, shape (N,)
-        When each was begun [ns since 1970], whole numbers.
-    joints : ndarray or None, shape (JOINT_NUMBERS, N)
-        Of a motor: positions [m], velocities [m/s] and efforts [N] of its joints.
-    lost : int
-        Samples before the first one that were overwritten before anybody took them.
-    """
-
-    first: int
+    first: int  #: Number of the first one, counted from the beginning of the axis.
+    #: shape (row length, N); A column for each sample, a row for each signal, see
+    #: :func:`hysteresis_ros.signals.row_signals`.
     table: np.ndarray
-    times: np.ndarray
+    times: np.ndarray  #: shape (N,); When each was begun [ns since 1970], whole numbers.
+    #: shape (JOINT_NUMBERS, N); Of a motor: positions [m], velocities [m/s] and efforts [N] of its joints.
     joints: np.ndarray | None
-    lost: int
+    lost: int  #: Samples before the first one that were overwritten before anybody took them.
 
 
 class Lateness(NamedTuple):
-    """How late samples began, skipped ones included, and what they took.
+    """How late samples began, skipped ones included, and what they took."""
 
-    Parameters
-    ----------
-    p50, p99, p999, max : float
-        So late [s] at most began 50, 99, 99.9 and 100 % of the samples; the first three to 2 %.
-    missed : int
-        Samples that were skipped.
-    samples : int
-        All of them.
-    cost, highest_cost : float
-        Time that a sample took beyond waiting [s]: the mean, and the longest.
-    """
-
+    #: p50, p99, p999, max: So late [s] at most began 50, 99, 99.9 and 100 % of the samples; the first three to 2 %.
     p50: float
     p99: float
     p999: float
     max: float
-    missed: int
-    samples: int
-    cost: float
+    missed: int  #: Samples that were skipped.
+    samples: int  #: All of them.
+    cost: float  #: cost, highest_cost: Time that a sample took beyond waiting [s]: the mean, and the longest.
     highest_cost: float
 
 
 class Reader:
-    """Takes samples out of the ring, each once; it begins with the next one.
-
-    Parameters
-    ----------
-    own : Pace
-        Arrays of the loop.
-    offset : callable
-        ``offset()`` returns what to add to the loop's clock for the time since 1970 [ns].
-    """
+    """Takes samples out of the ring, each once; it begins with the next one."""
 
     def __init__(self, own: Pace, offset):
         self._own = own

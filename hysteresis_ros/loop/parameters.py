@@ -561,13 +561,7 @@ COUNTABLE = 2.0**53
 
 
 def require_message_rate(sample_rate: float, where: str) -> None:
-    """Refuse a real-time loop whose samples [Hz] come faster than messages between nodes can carry them.
-
-    Raises
-    ------
-    ConfigurationError
-        The message begins with ``where`` and names the rate that would do.
-    """
+    """Refuse a real-time loop whose samples [Hz] come faster than messages between nodes can carry them."""
     if sample_rate > HIGHEST_MESSAGE_RATE:
         raise ConfigurationError(
             f"{where}: {sample_rate:g} samples/s are too many for messages between nodes, which hold "
@@ -663,39 +657,23 @@ def _with_range(controller, compensator, plant) -> ControllerNodeParameters:
 
 @dataclass(frozen=True)
 class AxisParameters:
-    """Parameters of all nodes of one axis.
+    """Parameters of all nodes of one axis."""
 
-    Parameters
-    ----------
-    namespace : str
-        Namespace with a leading slash; empty for the root.
-    plant_simulator, motion_controller, hysteresis_compensator, recorder : NodeParameters
-        Typed parameters of each node.
-    reference_generator, inchworm_sequencer : NodeParameters or None
-        One of the two: an axis with a section ``inchworm_sequencer`` has no reference generator.
-    displacement_camera : NodeParameters or None
-        Who makes joint_states of images.
-    """
-
-    namespace: str
+    namespace: str  #: Namespace with a leading slash; empty for the root.
+    #: plant_simulator, motion_controller, hysteresis_compensator, recorder: Typed parameters of each node.
     plant_simulator: PlantNodeParameters
+    #: reference_generator, inchworm_sequencer: One of the two: an axis with a section ``inchworm_sequencer`` has no
+    #: reference generator.
     reference_generator: ReferenceNodeParameters | None
     motion_controller: ControllerNodeParameters
     hysteresis_compensator: CompensatorNodeParameters
     recorder: RecorderNodeParameters
     inchworm_sequencer: InchwormSequencerNodeParameters | None = None
-    displacement_camera: DisplacementCameraNodeParameters | None = None
+    displacement_camera: DisplacementCameraNodeParameters | None = None  #: Who makes joint_states of images.
 
     @classmethod
     def from_configuration(cls, configuration: Configuration, namespace: str = "") -> AxisParameters:
-        """Read one axis out of a configuration.
-
-        Raises
-        ------
-        ParameterError
-            Names every wrong parameter of every node, rates or modes in which the nodes differ, and linear dynamics
-            for another sample time.
-        """
+        """Read one axis out of a configuration."""
         namespace = normalised_namespace(namespace)
         inchworm = configuration.describes("inchworm_sequencer", namespace)
         if inchworm and configuration.describes("reference_generator", namespace):
@@ -721,19 +699,7 @@ class AxisParameters:
 
     @classmethod
     def of_nodes(cls, namespace: str, parts: Mapping[str, NodeParameters | None]) -> AxisParameters:
-        """Put the parameters of nodes together.
-
-        Parameters
-        ----------
-        namespace : str
-        parts : mapping of str to NodeParameters or None
-            By the names of the nodes; of the two sources one is missing or None.
-
-        Raises
-        ------
-        ParameterError
-            Names rates or modes in which the nodes differ, and what does not fit together.
-        """
+        """Put the parameters of nodes together."""
         parts = {"inchworm_sequencer": None, "reference_generator": None, "displacement_camera": None, **parts}
         problems = []
         inchworm = parts["inchworm_sequencer"] is not None
@@ -767,13 +733,7 @@ class AxisParameters:
         return cls(namespace=namespace, **parts)
 
     def with_duration(self, duration: float) -> AxisParameters:
-        """Return the same axis with a run of ``duration`` seconds of its own time.
-
-        Raises
-        ------
-        ConfigurationError
-            The duration is not a positive number.
-        """
+        """Return the same axis with a run of ``duration`` seconds of its own time."""
         if not 0.0 < duration < float("inf"):
             raise ConfigurationError(f"duration = {duration:g} s: must be a positive number of seconds")
         if duration * self.plant_simulator.sample_rate >= COUNTABLE:
@@ -789,13 +749,7 @@ class AxisParameters:
         return replace(changed, reference_generator=replace(self.reference_generator, samples=samples))
 
     def with_recorder(self, path: str) -> AxisParameters:
-        """Return the same axis, which begins when its recorder is there.
-
-        Parameters
-        ----------
-        path : str
-            Folder of the bag.
-        """
+        """Return the same axis, which begins when its recorder is there."""
         plant, source = self.plant_simulator, self.reference_generator
         return replace(
             self,
@@ -805,13 +759,7 @@ class AxisParameters:
         )
 
     def with_time_mode(self, mode: str) -> AxisParameters:
-        """Return the same axis in another ``time_mode``.
-
-        Raises
-        ------
-        ParameterError
-            The axis cannot run so.
-        """
+        """Return the same axis in another ``time_mode``."""
         nodes = {name: getattr(self, name) for name in NODE_PARAMETERS if getattr(self, name) is not None}
         return replace(self, **{name: replace(node, time_mode=mode) for name, node in nodes.items()})
 
@@ -837,13 +785,7 @@ class AxisParameters:
         return lines
 
     def with_faults(self, faults: tuple[str, ...]) -> AxisParameters:
-        """Return the same axis with these faults, each ``NAME:START:DURATION[:VALUE]``.
-
-        Raises
-        ------
-        ConfigurationError
-            A fault is unknown, a number wrong, or this axis cannot have it.
-        """
+        """Return the same axis with these faults, each ``NAME:START:DURATION[:VALUE]``."""
         for text in faults:
             parse_fault(text, self.plant_simulator.sample_rate, self.inchworm_sequencer is not None)
         nodes = {name: getattr(self, name) for name in NODE_PARAMETERS if getattr(self, name) is not None}
@@ -862,13 +804,7 @@ class AxisParameters:
 
 
 def require_carried(axis: AxisParameters) -> None:
-    """Refuse an axis with a plant of the user's own whose samples come faster than messages can carry them.
-
-    Raises
-    ------
-    ConfigurationError
-        With the rate that would do.
-    """
+    """Refuse an axis with a plant of the user's own whose samples come faster than messages can carry them."""
     plant = axis.plant_simulator
     if plant.external_plant and plant.time_mode == "realtime":
         require_message_rate(
@@ -877,12 +813,7 @@ def require_carried(axis: AxisParameters) -> None:
 
 
 def in_time(axis: AxisParameters) -> AxisParameters:
-    """Return the axis fused when messages between its nodes are too slow for its rate in real time.
-
-    Parameters
-    ----------
-    axis : AxisParameters
-    """
+    """Return the axis fused when messages between its nodes are too slow for its rate in real time."""
     plant = axis.plant_simulator
     if plant.time_mode != "realtime" or plant.external_plant or not COMPILED:
         return axis

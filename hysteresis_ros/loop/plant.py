@@ -290,20 +290,9 @@ tell_joints.kinds[ActuatorPlantArrays], tell_joints.kinds[MotorPlantArrays] = no
 
 
 class Plant:
-    """What the plants of an axis have in common: the watch over their voltages.
+    """What the plants of an axis have in common: the watch over their voltages."""
 
-    Parameters
-    ----------
-    parameters : PlantNodeParameters
-        Checked on construction.
-
-    Attributes
-    ----------
-    arrays : named tuple
-        All arrays of the plant in the loop.
-    """
-
-    arrays: ActuatorPlantArrays | MotorPlantArrays
+    arrays: ActuatorPlantArrays | MotorPlantArrays  #: All arrays of the plant in the loop.
 
     def __init__(self, parameters: PlantNodeParameters):
         self.parameters = parameters
@@ -443,13 +432,7 @@ class Plant:
             hold[:] = hold_state(voltage)
 
     def retune(self, parameters: PlantNodeParameters) -> None:
-        """Take new parameters of the same structure while running.
-
-        Raises
-        ------
-        ParameterError
-            The parameters are wrong or of another structure; nothing is changed then.
-        """
+        """Take new parameters of the same structure while running."""
         self.parameters = parameters
         self._pack(parameters)
 
@@ -458,13 +441,7 @@ class Plant:
         return False
 
     def home(self) -> None:
-        """Find the zero of a relative sensor.
-
-        Raises
-        ------
-        ParameterError
-            It cannot be homed, or not now.
-        """
+        """Find the zero of a relative sensor."""
         raise ParameterError([Problem("driver", "", "a simulated sensor knows its place; there is nothing to home")])
 
     def refresh(self) -> None:
@@ -479,13 +456,7 @@ class Plant:
 
 
 class ActuatorPlant(Plant):
-    """One actuator.
-
-    Parameters
-    ----------
-    parameters : PlantNodeParameters
-        Of type actuator.
-    """
+    """One actuator."""
 
     def __init__(self, parameters: PlantNodeParameters):
         self.actuator = Actuator(part(parameters, ActuatorParameters), 1.0 / parameters.sample_rate)
@@ -539,13 +510,7 @@ class ActuatorPlant(Plant):
 
 
 class MotorPlant(Plant):
-    """An inchworm motor: three voltages, four joints.
-
-    Parameters
-    ----------
-    parameters : PlantNodeParameters
-        Of type inchworm.
-    """
+    """An inchworm motor: three voltages, four joints."""
 
     def __init__(self, parameters: PlantNodeParameters):
         self.motor = Inchworm(part(parameters, InchwormPlantParameters), 1.0 / parameters.sample_rate)
@@ -595,12 +560,7 @@ class MotorPlant(Plant):
 
 
 class CameraPart:
-    """Makes displacements of frames: ``displacement_camera`` as a part of the loop.
-
-    Parameters
-    ----------
-    parameters : DisplacementCameraNodeParameters
-    """
+    """Makes displacements of frames: ``displacement_camera`` as a part of the loop."""
 
     def __init__(self, parameters: DisplacementCameraNodeParameters):
         self.parameters = parameters
@@ -620,12 +580,7 @@ class CameraPart:
 
 
 class Eye:
-    """The camera of a plant, and who looks at its frames, if anybody does.
-
-    Parameters
-    ----------
-    camera : SimulatedCamera
-    """
+    """The camera of a plant, and who looks at its frames, if anybody does."""
 
     def __init__(self, camera: SimulatedCamera):
         self.camera = camera
@@ -669,13 +624,7 @@ tell_joints.kinds[SeenPlantArrays] = no_joints
 
 
 class SeenPlant(ActuatorPlant):
-    """One actuator that is seen by a camera.
-
-    Parameters
-    ----------
-    parameters : PlantNodeParameters
-        Of type camera.
-    """
+    """One actuator that is seen by a camera."""
 
     is_compiled = False
 

@@ -47,12 +47,7 @@ CUT_PEAKS = 0.1
 
 
 def reachable_displacements(axis: AxisParameters) -> tuple[float, float]:
-    """Return the smallest and largest displacement [m] at rest, without preload, as the axis' own models have it.
-
-    Parameters
-    ----------
-    axis : AxisParameters
-    """
+    """Return the smallest and largest displacement [m] at rest, without preload, as the axis' own models have it."""
     gain = _gain(axis.motion_controller.model.dynamics)
     low, high = reachable_commands(axis.hysteresis_compensator, 1.0 / axis.plant_simulator.sample_rate)
     return min(low * gain, high * gain), max(low * gain, high * gain)
@@ -68,17 +63,7 @@ def _gain(dynamics: LinearParameters, turns: float = 0.0) -> float:
 
 
 def check_reach(axis: AxisParameters) -> None:
-    """Refuse a reference that the axis cannot follow.
-
-    Parameters
-    ----------
-    axis : AxisParameters
-
-    Raises
-    ------
-    ParameterError
-        The reference generator cannot be built, or waveform or initial setpoint lie beyond stroke or bandwidth.
-    """
+    """Refuse a reference that the axis cannot follow."""
     if axis.plant_simulator.type != "actuator":
         return  # the reference of a motor that walks is its sequencer's
     given = part(axis.reference_generator, ReferenceParameters)
@@ -95,12 +80,7 @@ def check_reach(axis: AxisParameters) -> None:
 
 
 def reach_warnings(axis: AxisParameters) -> tuple[str, ...]:
-    """Return a sentence for each doubt about an axis: those of its nodes' parameters, and what it reaches only partly.
-
-    Parameters
-    ----------
-    axis : AxisParameters
-    """
+    """Return a sentence for each doubt about an axis: those of its nodes' parameters, and what it reaches only partly."""
     parts = {item.name: getattr(axis, item.name) for item in fields(axis)}
     found = [
         text for name, node in parts.items() if isinstance(node, Parameters) for text in node.warnings(f"{name}: ")
@@ -201,15 +181,7 @@ def _range(low: float, high: float) -> str:
 
 
 def axes(configuration: Configuration, namespace: str | None = None) -> list[AxisParameters]:
-    """Return every axis of a configuration, or the one in ``namespace``.
-
-    Raises
-    ------
-    ConfigurationError
-        Two of the axes would publish ``/clock``: time may have one source only.
-    ParameterError
-        A parameter is wrong, or a reference lies beyond what its axis can follow.
-    """
+    """Return every axis of a configuration, or the one in ``namespace``."""
     spaces = configuration.namespaces() if namespace is None else (namespace,)
     found = [AxisParameters.from_configuration(configuration, space) for space in spaces]
     for axis in found:
@@ -225,15 +197,7 @@ def axes(configuration: Configuration, namespace: str | None = None) -> list[Axi
 
 
 def single_axis(configuration: Configuration, namespace: str | None = None) -> AxisParameters:
-    """Return the only axis of a configuration, or the one in ``namespace``.
-
-    Raises
-    ------
-    ConfigurationError
-        There are several and none was chosen.
-    ParameterError
-        A parameter is wrong.
-    """
+    """Return the only axis of a configuration, or the one in ``namespace``."""
     found = axes(configuration, namespace)
     if len(found) > 1:
         names = ", ".join(axis.namespace for axis in found)

@@ -37,15 +37,7 @@ def file_parameters(text: str, namespace: str = "") -> Iterator[tuple[str, str, 
 
 
 def named_files(text: str, namespace: str = "") -> list[pathlib.Path]:
-    """Return the files that a configuration names for its nodes to read, as far as they are there.
-
-    Parameters
-    ----------
-    text : str
-        YAML of the axis; whatever else it is, it names none.
-    namespace : str, optional
-        Of the axis.
-    """
+    """Return the files that a configuration names for its nodes to read, as far as they are there."""
     return sorted({path for *_, path in file_parameters(text, namespace) if path.is_file()})
 
 
@@ -54,20 +46,6 @@ def recorded_axis(recorded: Recording, name: str) -> Iterator[tuple[AxisParamete
     """Give the axis of a recording, and in lines what of this disk is not used for it.
 
     Its files are there as long as the context lasts.
-
-    Parameters
-    ----------
-    recorded : Recording
-        Of one axis.
-    name : str
-        Of the recording.
-
-    Raises
-    ------
-    RecordingError
-        Nobody knows what it is a run of, or a file that it needs is neither in it nor on this disk.
-    ParameterError
-        A parameter in it is wrong.
     """
     text = in_force(recorded)
     if not text:

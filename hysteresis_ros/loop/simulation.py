@@ -39,22 +39,7 @@ LARGEST = 0.5
 
 
 def mismatched(configuration: Configuration, mismatch: float, seed: int) -> Configuration:
-    """Return the configuration with a plant drawn around the configured one.
-
-    Parameters
-    ----------
-    configuration : Configuration
-        One axis.
-    mismatch : float
-        m, largest relative deviation of each factor, 0 … 0.5.
-    seed : int
-        Seed of the draw; equal seeds give equal plants.
-
-    Raises
-    ------
-    ParameterError
-        The mismatch is out of range, or the configuration is wrong.
-    """
+    """Return the configuration with a plant drawn around the configured one."""
     if not 0.0 <= mismatch <= LARGEST:
         raise ParameterError([Problem("mismatch", mismatch, f"must be within 0 … {LARGEST:g}")])
     plant = single_axis(configuration).plant_simulator
@@ -72,21 +57,7 @@ def mismatched(configuration: Configuration, mismatch: float, seed: int) -> Conf
 def deviating(
     plant: PlantNodeParameters, deviation: Deviation, slowness: float = 1.0, creeping: float = 1.0
 ) -> dict[str, Any]:
-    """Return the parameters of a plant that deviates from a given one, as far as they differ.
-
-    Parameters
-    ----------
-    plant : PlantNodeParameters
-    deviation : Deviation
-        Of its hysteresis.
-    slowness, creeping : float
-        Factors on all times of the linear dynamics, and on the rate of the creep.
-
-    Returns
-    -------
-    dict
-        By dotted names.
-    """
+    """Return the parameters of a plant that deviates from a given one, as far as they differ."""
     model, configured = plant.hysteresis.model, plant.hysteresis.chosen.to_mapping()
     drawn = model.deviated(plant.hysteresis.chosen, deviation).to_mapping()
     changed = {
@@ -109,20 +80,6 @@ def drifting(parameters: AxisParameters, samples: int, gain: float = 0.0, openin
     """Return the changes that let the plant of an axis drift evenly over a run.
 
     The displacement does not jump at a step, so a drift of the gain turns about where the axis is just then.
-
-    Parameters
-    ----------
-    parameters : AxisParameters
-        Of an actuator.
-    samples : int
-        Length of the run.
-    gain, opening : float
-        By which part gain and opening have changed at the end, -0.5 ... 0.5.
-
-    Raises
-    ------
-    ParameterError
-        A drift is out of range, or the plant is none that can drift so.
     """
     plant = parameters.plant_simulator
     for name, value in (("gain", gain), ("opening", opening)):
@@ -163,35 +120,7 @@ def simulate(
 ) -> Recording:
     """Run an axis offline from rest.
 
-    Parameters
-    ----------
-    parameters : AxisParameters
-        The axis.
-    duration : float, optional
-        Length [s]; by default that of ``setpoints``, the parameter ``samples`` or the waveform.
-    setpoints : array_like, shape (N,), optional
-        Setpoint in force at each sample [m]; the last one holds. ``initial_setpoint`` by default.
-    requests, speeds : array_like, shape (N,), optional
-        What was asked of an inchworm at each sample, see :meth:`Axis.run`; nothing after the last one.
-    changes : sequence of Change, optional
-        What changes while the axis runs.
-    drift : (float, float), optional
-        By which part gain and opening of the plant's hysteresis change over the run besides.
-    skipped : array_like, shape (N,), optional
-        1 at each sample whose time was missed, see :meth:`Axis.run`; none after the last one.
-    answers : dict of str to array_like, shape (N,), optional
-        What a device measured in the simulated plant's place, see :meth:`Axis.run`; nothing after the last sample.
-    describe : bool
-        Put the text of the configuration into the metadata; writing it takes longer than a short run.
-    finished : callable, optional
-        Called with the axis after its last sample.
-
-    Raises
-    ------
-    ConfigurationError
-        Neither the configuration nor the arguments say how long the run is.
-    ParameterError
-        The plant cannot drift so.
+    Units: ``duration`` [s], ``setpoints`` [m].
     """
     if duration is not None:
         parameters = parameters.with_duration(duration)
@@ -243,18 +172,7 @@ LOGGED = {
 
 
 def changes_of(recorded: Recording) -> list[Change]:
-    """Return what people changed while a recorded run was made.
-
-    Parameters
-    ----------
-    recorded : Recording
-        Of any axis.
-
-    Raises
-    ------
-    RecordingError
-        An entry of the log is not one of a change.
-    """
+    """Return what people changed while a recorded run was made."""
     found = []
     for entry in recorded.metadata.get("changes", ()):
         try:
@@ -276,11 +194,6 @@ def differences(recorded: Recording, parameters: AxisParameters) -> dict[str, in
     """Compare a recorded run, in lockstep or fused, with its offline twin, bit for bit.
 
     What a device measured is not computed again, but everything that followed from it.
-
-    Returns
-    -------
-    dict of str to int
-        Number of differing samples of each signal that differs; empty when all agree.
     """
     given = requests_per_sample(recorded) | {"skipped": recorded.signals.get("skipped")}
     if parameters.plant_simulator.driver:
@@ -315,13 +228,7 @@ MOST_LINES = 8
 
 
 def mode_lines(recording: Recording) -> list[str]:
-    """Return a line for each stretch of time in which a part did not run as it should.
-
-    Parameters
-    ----------
-    recording : Recording
-        With the modes of the parts.
-    """
+    """Return a line for each stretch of time in which a part did not run as it should."""
     lines = []
     for column, part in PARTS.items():
         if column not in recording:

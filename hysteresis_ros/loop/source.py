@@ -94,18 +94,7 @@ hold.kinds[GeneratorSourceArrays] = hold_generator
 
 
 class GeneratorSource:
-    """The reference generator of an axis.
-
-    Parameters
-    ----------
-    parameters : ReferenceNodeParameters
-        Checked on construction.
-
-    Raises
-    ------
-    ParameterError
-        Names every wrong parameter.
-    """
+    """The reference generator of an axis."""
 
     def __init__(self, parameters: ReferenceNodeParameters):
         self.parameters = parameters
@@ -147,18 +136,7 @@ class GeneratorSource:
         self.generator.begin_at(position)
 
     def follow(self, **points) -> None:
-        """Follow a trajectory from the next sample on.
-
-        Parameters
-        ----------
-        **points
-            As :meth:`~hysteresis_ros.references.generator.ReferenceGenerator.follow` takes them.
-
-        Raises
-        ------
-        ParameterError
-            It is refused; nothing is changed then.
-        """
+        """Follow a trajectory from the next sample on."""
         self.generator.follow(**points)
 
     def hold(self) -> None:
@@ -177,13 +155,7 @@ class GeneratorSource:
             self.generator.stop()
 
     def retune(self, parameters: ReferenceNodeParameters) -> None:
-        """Take another waveform while stopped.
-
-        Raises
-        ------
-        ParameterError
-            The parameters are wrong, or may not change now; nothing is changed then.
-        """
+        """Take another waveform while stopped."""
         self.generator.retune(part(parameters, ReferenceParameters))
         self.parameters = parameters
 
@@ -259,18 +231,7 @@ hold.kinds[SequencerSourceArrays] = rest_sequencer
 
 
 class SequencerSource:
-    """The sequencer of an inchworm's axis.
-
-    Parameters
-    ----------
-    parameters : InchwormSequencerNodeParameters
-        Checked on construction.
-
-    Raises
-    ------
-    ParameterError
-        Names every wrong parameter.
-    """
+    """The sequencer of an inchworm's axis."""
 
     def __init__(self, parameters: InchwormSequencerNodeParameters):
         self.parameters = parameters
@@ -314,12 +275,6 @@ class SequencerSource:
         self.arrays.x.faults[:] = faulty.fault_state(self.arrays.p.faults)
 
     def retune(self, parameters: InchwormSequencerNodeParameters) -> None:
-        """Take new time-outs; everything of the gait is refused under a motor that walks.
-
-        Raises
-        ------
-        ParameterError
-            Something of the gait differs; nothing is changed then.
-        """
+        """Take new time-outs; everything of the gait is refused under a motor that walks."""
         self.sequencer.retune(part(parameters, InchwormSequencerParameters))
         self.parameters = parameters

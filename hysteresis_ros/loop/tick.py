@@ -63,19 +63,6 @@ def ticks(laws, parts, given, columns, row, what):
     """Make ``columns.shape[1]`` samples; all states go on in place.
 
     What stands in the loop is one tick. It is no function of its own: compiled, that would be made twice.
-
-    Parameters
-    ----------
-    laws : Laws
-    parts : Parts
-    given : ndarray, shape (M,)
-        Places of the signals that a run is given, which stand in the columns before.
-    columns : ndarray, shape (row length, N)
-        A column of the run for each signal; what is not given is filled in.
-    row : ndarray, shape (row length,)
-        The row of the present sample.
-    what : int
-        ``WHOLE``; or, of a single sample that is made in steps, ``MEASURE``, ``ANSWER`` and ``CONFIRM``.
     """
     for k in range(columns.shape[1]):
         for i in range(given.shape[0]):

@@ -60,18 +60,7 @@ GUARD_STATES = 8
 def guard_parameters(timeout: float, sample_rate: float, spike: float = 0.0, confirm: int = 3, frozen: int = 0):
     """Return the parameter array of a guard.
 
-    Parameters
-    ----------
-    timeout : float
-        Time without a good value after which the input is stale [s].
-    sample_rate : float
-        [Hz]
-    spike : float
-        Largest believable change from one value to the next (unit of the input), 0: any.
-    confirm : int
-        Samples in a row after which a larger change is believed.
-    frozen : int
-        Equal values in a row from which on they are not used any more, 0: never.
+    Units: ``timeout`` [s], ``sample_rate`` [Hz].
     """
     return np.array([samples_of(timeout, sample_rate), spike, confirm, frozen], dtype=float)
 
@@ -88,14 +77,6 @@ def accept(p, x, value, stamp):
     Not used are values that are not finite, that do not follow the last one (``stamp``, the number of the sample they
     are of), that jump further than is believed, and those of a sensor that is frozen. After a time-out the next value
     is taken whatever it is: nothing is known any more that could contradict it.
-
-    Parameters
-    ----------
-    p, x : ndarray
-        Parameters and state of the guard.
-    value : float
-    stamp : float
-        Number of the sample at which the value was taken.
     """
     usable = value - value == 0.0
     stale = x[AGE] >= p[TIMEOUT]
@@ -127,20 +108,7 @@ def accept(p, x, value, stamp):
 
 @kernel
 def receive(guard_p, guard_x, faults_p, faults_x, target, value, missing):
-    """Begin a sample with the input it is given: ``value``, as the faults leave it, when it can be used, NaN otherwise.
-
-    Parameters
-    ----------
-    guard_p, guard_x : ndarray
-        See :func:`accept`.
-    faults_p, faults_x : ndarray
-        See :func:`hysteresis_ros.loop.faults.corrupt`.
-    target : int
-        What the value is, for the faults.
-    value : float
-    missing : float
-        Not 0: nothing came in this sample, whatever the faults say.
-    """
+    """Begin a sample with the input it is given: ``value``, as the faults leave it, when it can be used, NaN otherwise."""
     faulty.begin_sample(faults_x)
     given = faulty.corrupt(faults_p, faults_x, target, value)
     if missing != 0.0:

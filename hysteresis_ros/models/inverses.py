@@ -193,13 +193,7 @@ class BroughtInverse:
 
 
 def _brought() -> dict[str, BroughtInverse]:
-    """Return the inverses that models bring along.
-
-    Raises
-    ------
-    TypeError
-        Two models, or a model and :data:`GENERAL_INVERSES`, use one name.
-    """
+    """Return the inverses that models bring along."""
     found: dict[str, BroughtInverse] = {}
     for model, declared in MODELS.items():
         for name, inverse in declared.own_inverses.items():

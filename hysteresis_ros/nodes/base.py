@@ -166,13 +166,7 @@ class Endpoints:
 
 
 class ChangeLog:
-    """What one node says on ``changes``; nothing before :meth:`open`.
-
-    Parameters
-    ----------
-    node : str
-        Its kind.
-    """
+    """What one node says on ``changes``; nothing before :meth:`open`."""
 
     def __init__(self, node: str):
         self._node = node
@@ -181,15 +175,7 @@ class ChangeLog:
         self.close()
 
     def open(self, publisher, parameters: dict) -> None:
-        """Begin with the parameters that the node is configured with.
-
-        Parameters
-        ----------
-        publisher : rclpy.publisher.Publisher
-            Of String, transient-local.
-        parameters : dict
-            Flat dotted names.
-        """
+        """Begin with the parameters that the node is configured with."""
         self._publisher, self._number, self._is_over = publisher, 0, False
         self._entries = deque(maxlen=publisher.qos_profile.depth)
         self.publish({"sample": 0, "node": self._node, "action": CONFIGURED, "parameters": parameters})
@@ -199,13 +185,7 @@ class ChangeLog:
         self._publisher, self._number, self._is_over = None, 0, False
 
     def publish(self, entry: dict) -> None:
-        """Publish an entry.
-
-        Parameters
-        ----------
-        entry : dict
-            Sample, node, action and parameters.
-        """
+        """Publish an entry."""
         if self._publisher is not None:
             self._number += 1
             text = json.dumps({**entry, "number": self._number})
@@ -214,26 +194,12 @@ class ChangeLog:
             self._publisher.publish(String(data=text))
 
     def since(self, made: int) -> tuple[list[str], int]:
-        """Return the entries after the first so many, as JSON, and how many there are by now.
-
-        Parameters
-        ----------
-        made : int
-            What was returned before; 0: all that are still published.
-        """
+        """Return the entries after the first so many, as JSON, and how many there are by now."""
         new = min(self._made - made, len(self._entries))
         return list(self._entries)[len(self._entries) - new :], self._made
 
     def end(self, sample: int, stopped: bool = False) -> None:
-        """Say, once, that the run is over at a sample: no entry follows that belongs to it.
-
-        Parameters
-        ----------
-        sample : int
-            Number of the next sample.
-        stopped : bool
-            Whether somebody has ended it before its time.
-        """
+        """Say, once, that the run is over at a sample: no entry follows that belongs to it."""
         if not self._is_over:
             self._is_over = True
             told = {"stopped": True} if stopped else {}
@@ -245,15 +211,7 @@ CHOSEN = {"joint_states": "measurement_reliability", "setpoint": "setpoint_relia
 
 
 def unheard(offered, asked, chosen_by: str) -> str:
-    """Say why a subscription hears nothing of a publisher, and what to do; empty when it does.
-
-    Parameters
-    ----------
-    offered, asked : QoSProfile
-        Of the publisher and of the subscription.
-    chosen_by : str
-        Parameter that chooses the reliability of the subscription; empty where none does.
-    """
+    """Say why a subscription hears nothing of a publisher, and what to do; empty when it does."""
     best_effort, reliable = ReliabilityPolicy.BEST_EFFORT, ReliabilityPolicy.RELIABLE
     if offered.reliability == best_effort and asked.reliability == reliable:
         choice = f"set {chosen_by}: best_effort here, or " if chosen_by else ""
@@ -265,12 +223,7 @@ def unheard(offered, asked, chosen_by: str) -> str:
 
 
 class Compatibility:
-    """Watches the topics of a node for partners with which it is not connected.
-
-    Parameters
-    ----------
-    node : AxisNode
-    """
+    """Watches the topics of a node for partners with which it is not connected."""
 
     def __init__(self, node):
         self._node = node
@@ -326,13 +279,7 @@ START_UP = 10.0
 
 
 def diagnostics(node) -> DiagnosticArray:
-    """Return what a node says of itself: level, words and numbers.
-
-    Parameters
-    ----------
-    node : AxisNode
-        In any state of its life.
-    """
+    """Return what a node says of itself: level, words and numbers."""
     level, text, table = _at_work(node) if node.active else _at_rest(node)
     status = DiagnosticStatus()
     status.name = f"{node.get_fully_qualified_name()}: {ITEM}"
@@ -385,13 +332,7 @@ def _at_work(node) -> tuple[int, str, dict]:
 
 
 def introduction(node) -> str:
-    """Return what a node says when it begins to work: what it is, at what rate, and in which time mode.
-
-    Parameters
-    ----------
-    node : AxisNode
-        Configured.
-    """
+    """Return what a node says when it begins to work: what it is, at what rate, and in which time mode."""
     values = node.parameters.to_mapping()
     words = [f"{name} {values[name]}" for name in node.identity if values.get(name)]
     return ", ".join(["active", *words, f"{node.parameters.sample_rate:g} Hz", node.parameters.time_mode])
@@ -404,11 +345,6 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
     :meth:`reset_blocks`, :meth:`retune`, and what happens on a sample. When that happens is decided by :attr:`runner`,
     lockstep or real time. A mistake of the user or a broken run ends in :attr:`failure`, a sentence; the process that
     runs the node then leaves with :attr:`exit_code`.
-
-    Parameters
-    ----------
-    name : str
-        Node name; also chooses the parameter table.
     """
 
     #: Whether the node has ``~/state``.
@@ -535,15 +471,7 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
         return ""
 
     def log_change(self, action: str, parameters: dict | None = None) -> None:
-        """Publish what was changed and from which sample on, so that a recorded run can be repeated.
-
-        Parameters
-        ----------
-        action : str
-            ``start``, ``stop`` or ``retune``.
-        parameters : dict, optional
-            With ``retune``: flat dotted parameters with their new values.
-        """
+        """Publish what was changed and from which sample on, so that a recorded run can be repeated."""
         entry = {"sample": self.sample, "node": self.kind, "action": action, **self.change_details()}
         self.changes.publish({**entry, "parameters": parameters or {}})
 

@@ -48,13 +48,7 @@ def reaches_others() -> bool:
 
 
 def named(endpoint) -> str:
-    """Return the full name of the node of a publisher or subscription that was found.
-
-    Parameters
-    ----------
-    endpoint : TopicEndpointInfo
-        Its node is not known before discovery has told of it, and never where it is no node of ROS.
-    """
+    """Return the full name of the node of a publisher or subscription that was found."""
     if "UNKNOWN" in endpoint.node_name:  # the word of rmw: _NODE_NAME_UNKNOWN_
         return "somebody who has not told a name"
     return f"{endpoint.node_namespace.rstrip('/')}/{endpoint.node_name}"
@@ -88,11 +82,6 @@ class Domain:
     The promise is a bound port of the domain itself: the operating system gives it to one process of all users, and
     takes it back however that process ends. The caller's own domain (``ROS_DOMAIN_ID``) is never taken, even while it
     is empty. Use it in a ``with`` statement, or close it.
-
-    Raises
-    ------
-    HysteresisError
-        All are in use.
     """
 
     def __init__(self):
@@ -142,18 +131,7 @@ def entered() -> Iterator[Domain]:
 
 
 def require_admission(number: int) -> None:
-    """Refuse that this process joins a graph that was made for itself by another one.
-
-    Parameters
-    ----------
-    number : int
-        ROS domain.
-
-    Raises
-    ------
-    HysteresisError
-        A :class:`Domain` promises it to somebody else.
-    """
+    """Refuse that this process joins a graph that was made for itself by another one."""
     if number not in DOMAINS or os.environ.get(OWN) == str(number):
         return
     probe = _bound(number, _CLAIM, "127.0.0.1")

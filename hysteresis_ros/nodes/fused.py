@@ -32,12 +32,7 @@ from hysteresis_ros.references import inchworm_layout as gait
 
 
 class LoopPace:
-    """Rate, jitter and misses of the loop, in the words of :class:`hysteresis_ros.nodes.timing.Pace`.
-
-    Parameters
-    ----------
-    fused : FusedAxis
-    """
+    """Rate, jitter and misses of the loop, in the words of :class:`hysteresis_ros.nodes.timing.Pace`."""
 
     def __init__(self, fused):
         self._fused = fused
@@ -87,15 +82,7 @@ STOPPABLE = ("hysteresis_compensator", "motion_controller")
 
 
 class FusedAxis:
-    """The nodes of one axis in this process, and the loop that makes its samples once all of them are active.
-
-    Attributes
-    ----------
-    nodes : dict of str to AxisNode
-        By their names; a recorder may be among them.
-    loop : FusedLoop or None
-        While there is one.
-    """
+    """The nodes of one axis in this process, and the loop that makes its samples once all of them are active."""
 
     def __init__(self) -> None:
         self.nodes: dict = {}
@@ -129,13 +116,7 @@ class FusedAxis:
     # -- beginning and end ---------------------------------------------------------------------------------------
 
     def activated(self, node) -> None:
-        """Take note of a node that goes to work: the last one starts the loop.
-
-        Raises
-        ------
-        HysteresisError
-            The nodes' parameters do not fit together, or the axis is too fast for this machine.
-        """
+        """Take note of a node that goes to work: the last one starts the loop."""
         if self.loop is not None:
             if node.kind in STOPPABLE and node.running:
                 self.apply(node.kind, "start")
@@ -259,22 +240,7 @@ class FusedAxis:
     # -- steering ------------------------------------------------------------------------------------------------
 
     def apply(self, name: str, action: str, parameters: dict | None = None) -> None:
-        """Change something from a sample on, and wait until it is.
-
-        Parameters
-        ----------
-        name : str
-            Of the node whose part it concerns.
-        action : str
-            ``start``, ``stop`` or ``retune``.
-        parameters : dict, optional
-            With ``retune``: flat dotted parameters with their new values.
-
-        Raises
-        ------
-        ParameterError
-            The new parameters are refused; nothing is changed then.
-        """
+        """Change something from a sample on, and wait until it is."""
         assert self.loop is not None
         self.loop.apply(Change(self.loop.sample, name, action, parameters or {}))
 
@@ -360,17 +326,7 @@ class FusedAxis:
 
 
 class Fused(RealTime):
-    """What a node does about time while a loop makes its samples.
-
-    Parameters
-    ----------
-    node : AxisNode
-
-    Raises
-    ------
-    ParameterError
-        The other nodes of the axis are in other processes.
-    """
+    """What a node does about time while a loop makes its samples."""
 
     by_message = False
     silent = False

@@ -42,13 +42,7 @@ STARTERS = ("launch", "run")
 
 
 def die_with_parent(parent: int) -> None:
-    """Linux: a child does not outlive the process that started it; in the child, or for its ``preexec_fn``.
-
-    Parameters
-    ----------
-    parent : int
-        Process identifier of the one who starts it.
-    """
+    """Linux: a child does not outlive the process that started it; in the child, or for its ``preexec_fn``."""
     with contextlib.suppress(OSError, AttributeError):
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
         if os.getppid() != parent:
@@ -56,13 +50,7 @@ def die_with_parent(parent: int) -> None:
 
 
 def starts_nodes(command: list[str]) -> bool:
-    """Tell whether a command line is that of ``ros2 launch`` or ``ros2 run``.
-
-    Parameters
-    ----------
-    command : list of str
-        Program and arguments; an interpreter may come first.
-    """
+    """Tell whether a command line is that of ``ros2 launch`` or ``ros2 run``."""
     words = [pathlib.PurePath(word).name for word in command[:3]]
     return "ros2" in words[:2] and any(word in STARTERS for word in words[1:])
 
@@ -146,28 +134,7 @@ class NodeProcess:
 
 
 class Graph:
-    """The processes of one or several axes.
-
-    Parameters
-    ----------
-    axes : list of AxisParameters
-        Parameters of each axis, complete.
-    composed : bool
-        The four nodes of an axis in one process instead of four.
-    record : path-like, optional
-        Bag folder; with several axes each gets a folder of its namespace's name in it.
-    log_level : str
-        Log level of the nodes.
-    environment : dict of str to str, optional
-        Environment variables of the nodes beside those of this process.
-    warn : callable
-        Takes a sentence when something is lost that does not end the run.
-
-    Raises
-    ------
-    ConfigurationError
-        The recording exists already, or its folder cannot be created.
-    """
+    """The processes of one or several axes."""
 
     def __init__(
         self,
@@ -250,13 +217,7 @@ class Graph:
         return NodeProcess(name, namespace, started(command, self.environment))
 
     def poll(self) -> bool:
-        """Return True while the graph runs, False when every node left by itself with exit code 0.
-
-        Raises
-        ------
-        GraphError
-            A node died, or left long before the others; the others have been stopped then.
-        """
+        """Return True while the graph runs, False when every node left by itself with exit code 0."""
         for node in [node for node in self.processes if self._is_lost_recorder(node)]:
             self.processes.remove(node)
             self.lost.append(node)
@@ -289,13 +250,7 @@ class Graph:
         return axis.plant_simulator.time_mode != "lockstep"
 
     def wait(self, stop_requested=lambda: False) -> bool:
-        """Wait until the run ends by itself (True) or ``stop_requested()`` becomes true (False).
-
-        Raises
-        ------
-        GraphError
-            A node died.
-        """
+        """Wait until the run ends by itself (True) or ``stop_requested()`` becomes true (False)."""
         while self.poll():
             if stop_requested():
                 return False
@@ -327,19 +282,7 @@ class Graph:
 
 
 def node_command(name: str, namespace: str, path: pathlib.Path, *more: str, log_level: str = "warn") -> list[str]:
-    """Return the command line of a node, or of all of an axis in one process.
-
-    Parameters
-    ----------
-    name : str
-        Of the node; ``hysteresis_axis``: all of them.
-    namespace : str
-    path : pathlib.Path
-        Parameter file.
-    *more : str
-        Further arguments of the program.
-    log_level : str
-    """
+    """Return the command line of a node, or of all of an axis in one process."""
     module = "axis" if name == "hysteresis_axis" else name
     command = [sys.executable, "-m", f"hysteresis_ros.nodes.{module}", *more, "--ros-args"]
     command += ["--params-file", str(path), "--log-level", log_level, "--enclave", enclave_of(namespace, name)]
@@ -347,15 +290,7 @@ def node_command(name: str, namespace: str, path: pathlib.Path, *more: str, log_
 
 
 def started(command: list[str], environment: dict[str, str], **options) -> subprocess.Popen:
-    """Start a process that does not outlive this one.
-
-    Parameters
-    ----------
-    command : list of str
-    environment : dict of str to str
-    **options
-        Of :class:`subprocess.Popen`.
-    """
+    """Start a process that does not outlive this one."""
     # A session of its own: Ctrl-C in a terminal reaches this process only, which then stops the nodes in order.
     guard = partial(die_with_parent, os.getpid())
     return subprocess.Popen(command, env=environment, start_new_session=True, preexec_fn=guard, **options)
@@ -378,20 +313,7 @@ def _require_creatable(folder: pathlib.Path) -> None:
 
 
 def run_apart(module: str, request: dict) -> int:
-    """Run a module where nobody hears its nodes, and return its exit code.
-
-    Parameters
-    ----------
-    module : str
-        One that takes its only argument as JSON.
-    request : dict
-        What it is asked for.
-
-    Raises
-    ------
-    HysteresisError
-        rclpy is not installed, or all ROS domains are in use.
-    """
+    """Run a module where nobody hears its nodes, and return its exit code."""
     require_ros()
     with Domain() as domain:
         # the pip wheels of ROS restart the interpreter on import

@@ -39,13 +39,7 @@ TOGETHER = "start or reset all nodes together"
 
 
 class Partners:
-    """Who publishes the inputs of a node; a run has one publisher of each, the same from its beginning to its end.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        The node.
-    """
+    """Who publishes the inputs of a node; a run has one publisher of each, the same from its beginning to its end."""
 
     def __init__(self, node):
         self._node = node
@@ -93,13 +87,7 @@ class Partners:
 
 
 class Lockstep(Runner):
-    """What a node of a lockstep run keeps to: samples in order, partners present, one end for all.
-
-    Parameters
-    ----------
-    node : AxisNode
-        Its ``sample`` is the number of the sample that comes next.
-    """
+    """What a node of a lockstep run keeps to: samples in order, partners present, one end for all."""
 
     #: Whether every sample is answered exactly once, whatever happens.
     exact = True
@@ -243,12 +231,7 @@ class Lockstep(Runner):
 
 
 class LockstepResponder(Lockstep):
-    """Answers sample k when its measurement and all other inputs of it are there.
-
-    Parameters
-    ----------
-    node : Responder
-    """
+    """Answers sample k when its measurement and all other inputs of it are there."""
 
     def clear(self) -> None:
         """Forget the run: the next sample is number 0."""

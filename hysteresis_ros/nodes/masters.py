@@ -52,15 +52,7 @@ def _address(domain: int, name: str) -> bytes:
 
 
 def holder(domain: int, name: str) -> str:
-    """Say which process has claimed a node, by its number and command line; '' when nobody has.
-
-    Parameters
-    ----------
-    domain : int
-        ROS domain.
-    name : str
-        Full name of the node.
-    """
+    """Say which process has claimed a node, by its number and command line; '' when nobody has."""
     with socket.socket(socket.AF_UNIX) as probe:
         probe.setblocking(False)
         try:
@@ -81,24 +73,7 @@ def holder(domain: int, name: str) -> str:
 def claim(domain: int, name: str, patience: float = CLAIM_PATIENCE) -> socket.socket | None:
     """Claim a node of a domain on this machine, until what is returned is closed or the process ends.
 
-    Parameters
-    ----------
-    domain : int
-        ROS domain.
-    name : str
-        Full name of the node.
-    patience : float, optional
-        How long is waited for a process that has it already, which may be about to leave [s].
-
-    Returns
-    -------
-    socket or None
-        None where there are no such claims: not on Linux.
-
-    Raises
-    ------
-    HysteresisError
-        Somebody else has it: says who, and what to do.
+    Units: ``patience`` [s].
     """
     if not sys.platform.startswith("linux"):
         return None
@@ -157,22 +132,6 @@ class IdentifiedSubscription(Waitable):
     """A subscription that tells with each message who sent it, and lives as long as its node.
 
     rclpy's EventsExecutor ends the process when such a waitable is taken away while messages come.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Holds it as a waitable.
-    message_type : type
-        Of the messages.
-    topic : str
-        As the node names it.
-    callback : callable
-        Takes a message and the identity of its publisher (``bytes``), which is empty where the identity is not where
-        Jazzy has it.
-    qos : rclpy.qos.QoSProfile
-        Quality of service.
-    events : rclpy.event_handler.SubscriptionEventCallbacks
-        What hears of publishers that do not fit.
     """
 
     def __init__(self, node, message_type, topic: str, callback, qos, events):
@@ -196,13 +155,7 @@ class IdentifiedSubscription(Waitable):
             node.add_waitable(waitable)
 
     def hand_over_to(self, callback) -> None:
-        """Let something else take the messages from now on.
-
-        Parameters
-        ----------
-        callback : callable or None
-            None: they are thrown away.
-        """
+        """Let something else take the messages from now on."""
         self._callback = callback
 
     def __enter__(self):
@@ -267,17 +220,7 @@ REMEDY = "stop one of them, or give it another namespace or ROS_DOMAIN_ID"
 
 
 class Master:
-    """Who feeds an input.
-
-    Parameters
-    ----------
-    masters : Masters
-        Of the node.
-    topic : str
-        Full name.
-    callback : callable
-        Takes the messages that are let through.
-    """
+    """Who feeds an input."""
 
     def __init__(self, masters: Masters, topic: str, callback):
         self._masters, self.topic, self._callback = masters, topic, callback
@@ -293,15 +236,7 @@ class Master:
         self.refused = 0
 
     def take(self, message, identity: bytes) -> None:
-        """Take a message, unless it is somebody else's.
-
-        Parameters
-        ----------
-        message : object
-            Any message; of joint_states those that lack the node's joint are nobody's.
-        identity : bytes
-            Of who sent it; empty: it cannot be told, and two publishers are one too many.
-        """
+        """Take a message, unless it is somebody else's."""
         if identity != self.identity or not identity:
             if not self._masters.is_of_axis(message):
                 if self.identity is None:
@@ -363,13 +298,7 @@ class Master:
 
 
 class Masters:
-    """Who feeds the inputs of a node, and who else feeds the topics of its loop.
-
-    Parameters
-    ----------
-    node : AxisNode
-        In real time, with messages.
-    """
+    """Who feeds the inputs of a node, and who else feeds the topics of its loop."""
 
     def __init__(self, node):
         self._node = node
@@ -407,13 +336,7 @@ class Masters:
             master.released = True
 
     def publisher_of(self, topic: str) -> str:
-        """Return the full name of the node that feeds an input; empty while it is not known.
-
-        Parameters
-        ----------
-        topic : str
-            As the node names it.
-        """
+        """Return the full name of the node that feeds an input; empty while it is not known."""
         full = self._node.resolve_topic_name(topic)
         return next((master.name for master in self._inputs if master.topic == full), "")
 
@@ -443,10 +366,7 @@ class Masters:
     def is_over(self, heard: float, now: float) -> bool:
         """Tell whether who was last heard then has been silent for too long.
 
-        Parameters
-        ----------
-        heard, now : float
-            Times on the steady clock [s].
+        Units: ``heard`` [s], ``now`` [s].
         """
         self.look()
         return now - max(heard, self._since) > self.patience
@@ -540,13 +460,7 @@ def rivals(node) -> list[str]:
 
 
 def require_alone(node) -> None:
-    """Refuse that a node goes to work on an axis that somebody leads already.
-
-    Raises
-    ------
-    HysteresisError
-        Says who is there.
-    """
+    """Refuse that a node goes to work on an axis that somebody leads already."""
     found = rivals(node)
     if found:
         raise HysteresisError(f"{'; '.join(found)}: one axis has one master; {REMEDY}")

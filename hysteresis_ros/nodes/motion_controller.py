@@ -93,14 +93,7 @@ def message_types() -> tuple[type, type] | None:
 
 
 class ControllerState:
-    """Publishes ``~/controller_state``, and ``~/pid_state`` while a PID controller works.
-
-    Parameters
-    ----------
-    node : MotionControllerNode
-    state_type, pid_type : type
-        SingleDOFStateStamped and PidState.
-    """
+    """Publishes ``~/controller_state``, and ``~/pid_state`` while a PID controller works."""
 
     def __init__(self, node, state_type: type, pid_type: type):
         self._node = node
@@ -110,13 +103,7 @@ class ControllerState:
         self._shown, self._before = -1, (math.nan, math.nan)
 
     def tell(self, stamp) -> None:
-        """Publish the present sample, ``controller_state_rate`` times a second of the axis.
-
-        Parameters
-        ----------
-        stamp : builtin_interfaces.msg.Time
-            Of the measurement.
-        """
+        """Publish the present sample, ``controller_state_rate`` times a second of the axis."""
         node, row = self._node, self._node.row
         rate, since = node.parameters.sample_rate, node.sample - self._shown
         if self._shown >= 0 and 0 <= since < rate / node.parameters.controller_state_rate:

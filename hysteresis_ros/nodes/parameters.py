@@ -45,15 +45,7 @@ FLAGS = ("-p", "--param")
 
 
 def assigned(name: str, full_name: str, arguments: list[str] | None = None) -> dict:
-    """Return the values that ``-p [NODE:]NAME:=VALUE`` gives to parameters of a node; of several the last one counts.
-
-    Parameters
-    ----------
-    name, full_name : str
-        Of the node; either may stand before the colon.
-    arguments : list of str, optional
-        Command line; ``sys.argv`` by default.
-    """
+    """Return the values that ``-p [NODE:]NAME:=VALUE`` gives to parameters of a node; of several the last one counts."""
     values, ours, words = {}, False, iter(sys.argv if arguments is None else arguments)
     for word in words:
         if word in (BEGIN, END):
@@ -90,12 +82,6 @@ def misplaced(row: ParameterRow, value) -> Problem | None:
     """Return what is wrong with a value that somebody gives over the graph, None when it names nothing forbidden.
 
     Symbolic links and ``..`` are followed first.
-
-    Parameters
-    ----------
-    row : ParameterRow
-        Of the parameter.
-    value : object
     """
     if row.place == "start" and (row.choices is None or (isinstance(value, str) and "/" in value)):
         allowed = "is code, or given to it: only the parameter file or the command line of the node may name it"
@@ -261,15 +247,6 @@ class ParameterInterface:
     """Declares a parameter table on a node and keeps the typed parameters in step with it.
 
     A value of the command line (``-p``) wins over parameter files, whatever pattern those name the node by.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        The node.
-    cls : type of Parameters
-        Its parameters.
-    apply : callable
-        Called with the new typed parameters at a change while configured; refuses them by ParameterError.
     """
 
     def __init__(self, node, cls, apply):
@@ -290,13 +267,7 @@ class ParameterInterface:
         node.add_on_set_parameters_callback(self._check)
 
     def read(self):
-        """Return the typed parameters.
-
-        Raises
-        ------
-        ParameterError
-            Names every unknown, missing, mistyped or out-of-range parameter.
-        """
+        """Return the typed parameters."""
         values = self._values()
         for name, override in self._node._parameter_overrides.items():
             if name not in values and name not in _ROS_OWN and not name.startswith("qos_overrides."):
@@ -308,11 +279,6 @@ class ParameterInterface:
         """Return how a parameter is described to others: with its type, its range and whether it can be changed.
 
         rclpy, which would refuse by these without saying what is allowed, does not get to know them.
-
-        Parameters
-        ----------
-        descriptor : ParameterDescriptor
-            As declared.
         """
         row = self._rows.get(descriptor.name)
         if row is None:
@@ -338,12 +304,7 @@ class ParameterInterface:
         return told
 
     def with_values(self, listed: ListParametersResult) -> ListParametersResult:
-        """Return a list of parameters without those that have no value: a file can say nothing about them.
-
-        Parameters
-        ----------
-        listed : ListParametersResult
-        """
+        """Return a list of parameters without those that have no value: a file can say nothing about them."""
         listed.names = [name for name in listed.names if self._is_set(name)]
         return listed
 
@@ -420,13 +381,7 @@ class ParameterInterface:
         return SetParametersResult(successful=True)
 
     def _refuse_beyond_start(self, changed: dict) -> None:
-        """Refuse limits of the voltage beyond those that the node was started with: they protect what is connected.
-
-        Raises
-        ------
-        ParameterError
-            Names them, and says where a wider limit is given.
-        """
+        """Refuse limits of the voltage beyond those that the node was started with: they protect what is connected."""
         beyond = {
             name: self._at_start.get(name)
             for name, sign in (("limits.minimum", -1.0), ("limits.maximum", 1.0))
@@ -447,26 +402,14 @@ class ParameterInterface:
             )
 
     def _refuse_misplaced(self, changed: dict) -> None:
-        """Refuse paths that nobody may name from outside; those the node was started with are its user's.
-
-        Raises
-        ------
-        ParameterError
-            Names them, and where they may lie.
-        """
+        """Refuse paths that nobody may name from outside; those the node was started with are its user's."""
         new = {name: value for name, value in changed.items() if value != self._at_start.get(name)}
         problems = [misplaced(self._rows[name], value) for name, value in new.items()]
         if any(problems):
             raise ParameterError(filter(None, problems))
 
     def _refuse_read_only(self, changed: dict) -> None:
-        """Refuse another value of what cannot change while the node is configured; the same one changes nothing.
-
-        Raises
-        ------
-        ParameterError
-            Names what and the value that it keeps.
-        """
+        """Refuse another value of what cannot change while the node is configured; the same one changes nothing."""
         now = self._values()
         fixed = [name for name in changed if self._rows[name].read_only]
         problems = [

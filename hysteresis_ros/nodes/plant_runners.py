@@ -65,12 +65,7 @@ ANSWERS = 256
 
 
 class LockstepPlant(Lockstep):
-    """Publishes sample k and goes on to k+1 when all voltages of k have come.
-
-    Parameters
-    ----------
-    node : PlantSimulatorNode
-    """
+    """Publishes sample k and goes on to k+1 when all voltages of k have come."""
 
     def clear(self) -> None:
         """Forget the run: the next sample is number 0."""
@@ -186,10 +181,6 @@ class RealTimePlant(RealTime):
     axis, it is not known how many samples will not be answered any more: the next one then waits for a moment,
     until no voltage is under way, and the count begins there. A node that joins an axis that runs does not hold its
     samples up: voltages are taken as they come until some samples in a row have been answered, and counted from there.
-
-    Parameters
-    ----------
-    node : PlantSimulatorNode
     """
 
     def __init__(self, node):

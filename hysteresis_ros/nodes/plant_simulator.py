@@ -58,12 +58,7 @@ def _wall_clock() -> int | None:
 
 
 class Stamps:
-    """Which sample has which stamp.
-
-    Parameters
-    ----------
-    parameters : PlantNodeParameters
-    """
+    """Which sample has which stamp."""
 
     def __init__(self, parameters):
         self._rate = parameters.sample_rate
@@ -112,16 +107,7 @@ VOLTAGES = (
 
 
 class VoltageInput:
-    """One voltage of the plant, as it comes over its topic.
-
-    Parameters
-    ----------
-    topic : str
-    signal : int
-        Place in the row.
-    partner : str
-        Who publishes it.
-    """
+    """One voltage of the plant, as it comes over its topic."""
 
     def __init__(self, topic: str, signal: int, partner: str):
         self.topic, self.signal, self.partner = topic, signal, partner
@@ -137,14 +123,7 @@ class VoltageInput:
 
 
 def explain_trip(part, runner) -> str:
-    """Say why a plant has stopped the axis, and what lets it go on.
-
-    Parameters
-    ----------
-    part : PlantPart
-    runner : Runner
-        Of its node.
-    """
+    """Say why a plant has stopped the axis, and what lets it go on."""
     if part.failure:
         return f"{part.failure}; ~/start tries the device again, cleanup and configure open it anew"
     if part.lost:
@@ -169,19 +148,7 @@ def explain_trip(part, runner) -> str:
 
 
 def verdict(part, runner, inputs, late: int, limited: str = "") -> tuple[int, str]:
-    """Return level and words of a plant's diagnostics.
-
-    Parameters
-    ----------
-    part : PlantPart
-    runner : Runner
-    inputs : list of VoltageInput
-        Whoever drives the plant.
-    late : int
-        Samples that were late since this was last asked.
-    limited : str
-        For how long its output was limited lately; empty: for no more than a moment.
-    """
+    """Return level and words of a plant's diagnostics."""
     topics = " or ".join(input_.topic for input_ in inputs)
     if part.tripped:
         return WARN if part.finding_home else ERROR, f"axis stopped: {explain_trip(part, runner)}"
@@ -450,19 +417,7 @@ class PlantSimulatorNode(AxisNode):
     def show(self, sample: int, before: float, quiet: bool):
         """Publish what stands in the row of a sample that a loop has made.
 
-        Parameters
-        ----------
-        sample : int
-            Its number.
-        before : float
-            What was measured at the sample before [m].
-        quiet : bool
-            Whether nothing is said of a stop: the axis is left on purpose.
-
-        Returns
-        -------
-        builtin_interfaces.msg.Time
-            Its stamp.
+        Units: ``before`` [m].
         """
         self._publish_measured(self.stamps.of(sample), before, quiet)
         self._publish_row()

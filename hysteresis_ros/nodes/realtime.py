@@ -72,13 +72,7 @@ MOST_MISSED = 20000
 
 
 class Follower:
-    """One Float64 input in real time: its messages wait for their measurements.
-
-    Parameters
-    ----------
-    strict : bool
-        Whether a message that does not come in time leaves nothing in its place; otherwise the last one serves.
-    """
+    """One Float64 input in real time: its messages wait for their measurements."""
 
     def __init__(self, strict: bool):
         self.strict = strict
@@ -131,12 +125,7 @@ class Follower:
 
 
 class RealTime(Runner):
-    """What a node does about time: nothing is exact, inputs may stop, and samples go by without them.
-
-    Parameters
-    ----------
-    node : AxisNode
-    """
+    """What a node does about time: nothing is exact, inputs may stop, and samples go by without them."""
 
     exact = False
     keeps = False
@@ -200,15 +189,7 @@ class RealTime(Runner):
         """Nobody listens."""
 
     def say_of(self, what: str, partner: str, name: str = "") -> None:
-        """Say that a partner is lost, or heard again.
-
-        Parameters
-        ----------
-        what : str
-            LOST or HEARD.
-        partner, name : str
-            Which node it is by its kind, and its full name where that is known.
-        """
+        """Say that a partner is lost, or heard again."""
         self._presence.publish(String(data=f"{what} {partner} {self.node.kind} {name or partner}"))
 
     def announce(self, failure: str) -> None:
@@ -224,12 +205,7 @@ class RealTime(Runner):
 
 
 class RealTimeResponder(RealTime):
-    """Answers measurements as they come, with what belongs to them.
-
-    Parameters
-    ----------
-    node : Responder
-    """
+    """Answers measurements as they come, with what belongs to them."""
 
     def __init__(self, node):
         #: Partners that have said who they are, that have left, and that come back, by their kind.

@@ -248,12 +248,7 @@ class RecorderNode(AxisNode):
     # -- samples that a loop in this process makes ---------------------------------------------------------------
 
     def record_loop(self, fused) -> None:
-        """Take all samples of a loop out of its ring, from its next one on, in the place of messages.
-
-        Parameters
-        ----------
-        fused : FusedAxis
-        """
+        """Take all samples of a loop out of its ring, from its next one on, in the place of messages."""
         plant = fused.plant
         parameters, motor = plant.parameters, plant.is_motor
         if self._samples is None and self.bag is not None:

@@ -49,11 +49,6 @@ def place_of(state: dict[str, float]) -> float:
     """Return where an axis is kept [m], by the signals of its controller's ``~/state``; NaN: nobody has led it yet.
 
     Under a controller that has been stopped that is the command, on its way to ``safe_command``.
-
-    Parameters
-    ----------
-    state : dict of str to float
-        ``reference``, ``command`` and ``mode`` among others.
     """
     if math.isnan(state["reference"]):
         return math.nan
@@ -61,13 +56,7 @@ def place_of(state: dict[str, float]) -> float:
 
 
 class Beginning:
-    """Whether a reference generator begins as configured or where the axis is.
-
-    Parameters
-    ----------
-    node : ReferenceGeneratorNode
-        In real time, apart from the controller.
-    """
+    """Whether a reference generator begins as configured or where the axis is."""
 
     def __init__(self, node):
         self._node = node
@@ -114,13 +103,7 @@ RATE_STAMPS, RATE_TOLERANCE = 50, 0.1
 
 
 class ExternalRun:
-    """Beginning and end of a run.
-
-    Parameters
-    ----------
-    node : AxisNode
-        Answers the measurements.
-    """
+    """Beginning and end of a run."""
 
     def __init__(self, node):
         self._node = node
@@ -164,12 +147,7 @@ class ExternalRun:
         return ", ".join(name for name, there in who.items() if not there)
 
     def take(self, message) -> bool:
-        """Take a measurement; tell whether it belongs to the run.
-
-        Parameters
-        ----------
-        message : JointState
-        """
+        """Take a measurement; tell whether it belongs to the run."""
         node = self._node
         if node.finished or node.failure:
             return False
@@ -316,20 +294,7 @@ class ReferenceGeneratorNode(ReferenceSource):
         self.tell_settled(self.settling.settled)
 
     def steer(self, action: str, parameters: dict | None = None) -> None:
-        """Let the reference follow a trajectory, or come to rest, from the next sample on, and log it.
-
-        Parameters
-        ----------
-        action : str
-            ``follow`` or ``hold``.
-        parameters : dict, optional
-            The points of a trajectory.
-
-        Raises
-        ------
-        HysteresisError
-            It is refused; nothing is changed then.
-        """
+        """Let the reference follow a trajectory, or come to rest, from the next sample on, and log it."""
         if self.is_fused:
             self.fused.apply(self.kind, action, parameters)
         else:

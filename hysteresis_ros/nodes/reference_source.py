@@ -78,13 +78,7 @@ class ReferenceSource(Responder):
         """Begin anew to look whether the axis settles."""
 
     def look_at(self, rows) -> None:
-        """Look at samples whether the axis has settled in them.
-
-        Parameters
-        ----------
-        rows : iterable of sequence of float
-            Whole rows, in order.
-        """
+        """Look at samples whether the axis has settled in them."""
         raise TypeError(f"{type(self).__name__} does not say when its axis has settled")
 
     def tell_settled(self, settled: bool) -> None:
@@ -136,15 +130,7 @@ class ReferenceSource(Responder):
             )
 
     def refuse(self, key: str, reason: str) -> None:
-        """Count, log and publish that something was refused.
-
-        Parameters
-        ----------
-        key : str
-            What is logged at most once a second.
-        reason : str
-            A sentence.
-        """
+        """Count, log and publish that something was refused."""
         self.refused += 1
         self.warn(key, reason)
         self._refusals.publish(String(data=reason))

@@ -32,26 +32,13 @@ MOST_JOINTS = 1000
 
 @dataclass(frozen=True)
 class Input:
-    """A Float64 topic that carries one signal of the loop.
-
-    Parameters
-    ----------
-    topic : str
-    signal : int
-        Place in the row.
-    partner : str
-        Who publishes it.
-    previous : bool
-        It belongs to the sample before: what was carried out.
-    strict : bool
-        In real time nothing stands in for a message that does not come in time.
-    """
+    """A Float64 topic that carries one signal of the loop."""
 
     topic: str
-    signal: int
-    partner: str
-    previous: bool = False
-    strict: bool = False
+    signal: int  #: Place in the row.
+    partner: str  #: Who publishes it.
+    previous: bool = False  #: It belongs to the sample before: what was carried out.
+    strict: bool = False  #: In real time nothing stands in for a message that does not come in time.
 
 
 class Responder(AxisNode):

@@ -44,23 +44,12 @@ SECOND = 1_000_000_000
 
 
 class Block(NamedTuple):
-    """Samples that follow one another.
+    """Samples that follow one another."""
 
-    Parameters
-    ----------
-    stamps : ndarray, shape (N,)
-        [ns since 1970], int64.
-    numbers : ndarray, shape (N,)
-        Numbers of the samples, int64.
-    table : ndarray, shape (signals, N)
-        A row for each signal (:func:`hysteresis_ros.signals.row_signals`).
-    joints : ndarray or None, shape (3 × joints, N)
-        Of a motor: positions [m], velocities [m/s], efforts [N] of its joints.
-    """
-
-    stamps: np.ndarray
-    numbers: np.ndarray
-    table: np.ndarray
+    stamps: np.ndarray  #: shape (N,) [ns since 1970], int64.
+    numbers: np.ndarray  #: shape (N,); Numbers of the samples, int64.
+    table: np.ndarray  #: shape (signals, N); A row for each signal (:func:`hysteresis_ros.signals.row_signals`).
+    #: shape (3 × joints, N); Of a motor: positions [m], velocities [m/s], efforts [N] of its joints.
     joints: np.ndarray | None
 
 
@@ -70,27 +59,13 @@ def samples_qos() -> QoSProfile:
 
 
 def labels(motor: bool, joints) -> tuple[str, ...]:
-    """Return the names of the rows of a block.
-
-    Parameters
-    ----------
-    motor : bool
-    joints : sequence of str
-        Of a motor: names in ``joint_states``.
-    """
+    """Return the names of the rows of a block."""
     row = tuple(signal.name for signal in signals.row_signals(motor))
     return (*STAMPED, *row, *(f"{what} {name}" for what in OF_JOINTS for name in (joints if motor else ())))
 
 
 def message_of(names: tuple[str, ...], block: Block) -> Float64MultiArray:
-    """Return the message of a block.
-
-    Parameters
-    ----------
-    names : tuple of str
-        Of its rows, see :func:`labels`.
-    block : Block
-    """
+    """Return the message of a block."""
     stamped = np.vstack([block.stamps // SECOND, block.stamps % SECOND, block.numbers]).astype(float)
     parts = [stamped, block.table] if block.joints is None else [stamped, block.table, block.joints]
     table = np.ascontiguousarray(np.vstack(parts))
@@ -105,17 +80,7 @@ def message_of(names: tuple[str, ...], block: Block) -> Float64MultiArray:
 
 
 def block_of(message: Float64MultiArray) -> Block:
-    """Return the block of a message.
-
-    Parameters
-    ----------
-    message : Float64MultiArray
-
-    Raises
-    ------
-    HysteresisError
-        It is none: somebody else uses the topic, or the axis runs another version of the package.
-    """
+    """Return the block of a message."""
     names = tuple(message.layout.dim[0].label.split(",")) if message.layout.dim else ()
     motor = len(names) > len(STAMPED) + signals.ACTUATOR_ROW
     row = len(signals.row_signals(motor))
@@ -132,13 +97,7 @@ def block_of(message: Float64MultiArray) -> Block:
 
 
 class SampleStream:
-    """Publishes what a loop makes, as long as somebody listens.
-
-    Parameters
-    ----------
-    plant : AxisNode
-        The node that shows the plant.
-    """
+    """Publishes what a loop makes, as long as somebody listens."""
 
     def __init__(self, plant):
         self._plant = plant
@@ -147,14 +106,7 @@ class SampleStream:
         self._last = 0.0
 
     def show(self, loop, ended: bool) -> None:
-        """Publish what is new, when it is time.
-
-        Parameters
-        ----------
-        loop : FusedLoop
-        ended : bool
-            Whether nothing follows.
-        """
+        """Publish what is new, when it is time."""
         if not self._publisher.get_subscription_count():
             self._reader = None
             return
@@ -180,13 +132,7 @@ def camera_qos() -> QoSProfile:
 
 
 class FramePublisher:
-    """Publishes the frames of a plant with the header of what it would say itself.
-
-    Parameters
-    ----------
-    node : PlantSimulatorNode
-        Its part has an eye.
-    """
+    """Publishes the frames of a plant with the header of what it would say itself."""
 
     def __init__(self, node):
         self._node = node
@@ -194,13 +140,7 @@ class FramePublisher:
         self._message = Image(encoding="mono8", is_bigendian=0)
 
     def publish(self, joint_states) -> None:
-        """Publish the frame of the present sample.
-
-        Parameters
-        ----------
-        joint_states : JointState
-            Its header is that of the frame.
-        """
+        """Publish the frame of the present sample."""
         frame, message = self._node.part.eye.frame, self._message
         message.header = joint_states.header
         message.height, message.width = frame.shape
@@ -216,10 +156,5 @@ class FramePublisher:
 
 
 def output_of(node):
-    """Return what publishes the samples of a plant: its joint_states, or its frames.
-
-    Parameters
-    ----------
-    node : PlantSimulatorNode
-    """
+    """Return what publishes the samples of a plant: its joint_states, or its frames."""
     return FramePublisher(node) if node.is_seen else node.publisher(JointState, "joint_states", node.qos(), loop=True)

@@ -33,15 +33,7 @@ ACQUAINTANCE = 0.5
 
 
 class SetpointPublisher(GuardedServices):
-    """Publishes each setpoint once its time has come on the axis' own clock, the stamps of ``joint_states``.
-
-    Parameters
-    ----------
-    schedule : list of (float, float)
-        Time [s] since the first sample at which somebody listens, and setpoint [m], in order of time.
-    **options
-        Of the node.
-    """
+    """Publishes each setpoint once its time has come on the axis' own clock, the stamps of ``joint_states``."""
 
     def __init__(self, schedule, **options):
         super().__init__("setpoint_publisher", **options)

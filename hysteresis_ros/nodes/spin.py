@@ -74,33 +74,14 @@ def make_executor():
 
 
 def called_by_compiler(frame) -> bool:
-    """Tell whether Python runs on behalf of the compiler, which swallows exceptions and fails on them in its own words.
-
-    Parameters
-    ----------
-    frame : frame or None
-    """
+    """Tell whether Python runs on behalf of the compiler, which swallows exceptions and fails on them in its own words."""
     while frame is not None and frame.f_globals.get("__name__") != COMPILER:
         frame = frame.f_back
     return frame is not None
 
 
 def run(factories, arguments=None) -> int:
-    """Make nodes, start them, and spin until the end.
-
-    Parameters
-    ----------
-    factories : sequence of callable
-        Each returns an AxisNode.
-    arguments : list of str, optional
-        Command line; ``sys.argv`` by default.
-
-    Returns
-    -------
-    int
-        0 after a run's end, Ctrl-C or SIGTERM; 2 for wrong parameters or arguments; 1 when a run broke, or a recording
-        ended before it.
-    """
+    """Make nodes, start them, and spin until the end."""
     stop: list[int] = []
 
     starting = True

@@ -61,18 +61,7 @@ class CountedRate:
 
 
 class Pace:
-    """Collects the arrival times of samples between two readings; nothing grows with time.
-
-    Parameters
-    ----------
-    period : float
-        Seconds between samples; infinite when no clock decides (lockstep), nothing is overrun then.
-    keeps_time : bool
-        Whether this node keeps the time, and so knows the period. Of others the plant may run slower than they think
-        (``real_time_factor``): where their usual interval is longer, it is what counts.
-    capacity : int
-        Intervals kept between two readings; later ones only count.
-    """
+    """Collects the arrival times of samples between two readings; nothing grows with time."""
 
     def __init__(self, period: float = float("inf"), keeps_time: bool = True, capacity: int = 20000):
         self._intervals = array("d", bytes(8 * capacity))
@@ -199,19 +188,7 @@ class LimitedTime:
     def report(self, counts: dict[str, int], sample_rate: float, now: float | None = None) -> str:
         """Return for how long of the last minute limits kept the output from what was asked, longest first.
 
-        Parameters
-        ----------
-        counts : dict of str to int
-            By what limits the samples so far were limited; counters that went back were reset, and count from 0.
-        sample_rate : float
-            [Hz]
-        now : float, optional
-            Time of the report [s], never going back; that of the machine by default.
-
-        Returns
-        -------
-        str
-            Empty: for no more than a moment.
+        Units: ``sample_rate`` [Hz], ``now`` [s].
         """
         now = time.monotonic() if now is None else now
         if self._counts and any(count < self._counts[-1][1].get(name, 0) for name, count in counts.items()):
@@ -233,12 +210,7 @@ class LimitedTime:
 
 
 class Runner:
-    """Base of the runners.
-
-    Parameters
-    ----------
-    node : AxisNode
-    """
+    """Base of the runners."""
 
     #: Period of a sample for the statistics of pace [s].
     period = float("inf")

@@ -51,14 +51,7 @@ def seconds(duration) -> float:
 
 
 def points_of(message, joint: str) -> dict[str, tuple[float, ...]]:
-    """Return the points of a ``JointTrajectory`` of one joint, as a generator takes them; without any: empty.
-
-    Raises
-    ------
-    ParameterError
-        Other joints, a beginning that is not now, or points that give something else than positions, velocities and
-        accelerations of the one joint.
-    """
+    """Return the points of a ``JointTrajectory`` of one joint, as a generator takes them; without any: empty."""
     names = list(message.joint_names)
     if names != [joint]:
         raise _refused("joint_names", names, f"allowed: ['{joint}'], the joint of this axis")
@@ -80,13 +73,7 @@ def points_of(message, joint: str) -> dict[str, tuple[float, ...]]:
 
 
 def tolerances_of(goal, joint: str, default: Tolerances) -> Tolerances:
-    """Return the tolerances of a goal of the action; what it leaves at 0 is the default, below 0 any.
-
-    Raises
-    ------
-    ParameterError
-        A tolerance of another joint, or more than one.
-    """
+    """Return the tolerances of a goal of the action; what it leaves at 0 is the default, below 0 any."""
     found = {}
     for name, given in (("path", goal.path_tolerance), ("goal", goal.goal_tolerance)):
         if len(given) > 1:
@@ -107,13 +94,7 @@ def _refused(name: str, value, text: str) -> ParameterError:
 
 
 class Trajectories:
-    """What a reference generator says and hears of trajectories.
-
-    Parameters
-    ----------
-    node : ReferenceGeneratorNode
-        Follows them.
-    """
+    """What a reference generator says and hears of trajectories."""
 
     def __init__(self, node):
         self._node = node
@@ -155,21 +136,7 @@ class Trajectories:
         self._answers.publish(String(data=text))
 
     def follow(self, points: dict[str, tuple[float, ...]], tolerances: Tolerances, told: Told | None = None) -> Move:
-        """Follow a trajectory from the next sample on.
-
-        Parameters
-        ----------
-        points : dict
-            As :func:`points_of` returns them.
-        tolerances : Tolerances
-        told : callable, optional
-            Told how it went.
-
-        Raises
-        ------
-        HysteresisError
-            It is refused; nothing is changed then.
-        """
+        """Follow a trajectory from the next sample on."""
         node = self._node
         if not node.active:
             raise _refused("trajectory", len(points["times"]), "refused: the node is not active")
@@ -249,14 +216,6 @@ class TrajectoryAction:
 
     A goal waits without being executed in rclpy's sense, and is executed at its end: a callback that waits would cost a
     thread, or a turn of the executor at every sample.
-
-    Parameters
-    ----------
-    node : ReferenceGeneratorNode
-    trajectories : Trajectories
-        What follows them.
-    kind : type
-        FollowJointTrajectory.
     """
 
     def __init__(self, node, trajectories: Trajectories, kind):

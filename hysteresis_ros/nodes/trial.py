@@ -29,22 +29,13 @@ from hysteresis_ros.recordings.files import load_run
 
 @dataclass(frozen=True)
 class Answers:
-    """How soon the nodes of an axis answer a measurement in real time.
+    """How soon the nodes of an axis answer a measurement in real time."""
 
-    Parameters
-    ----------
-    rate : float
-        Of the samples [Hz].
-    samples, late : int
-        Samples, and how many of their voltages came too late.
-    p50, p99, max : float or None
-        Time from a measurement to its voltage that half, 99 % and all of the samples do not exceed [s], as the recorder
-        hears both; None when no voltage came at all before the run was over.
-    """
-
-    rate: float
-    samples: int
+    rate: float  #: Of the samples [Hz].
+    samples: int  #: samples, late: Samples, and how many of their voltages came too late.
     late: int
+    #: p50, p99, max: Time from a measurement to its voltage that half, 99 % and all of the samples do not exceed [s],
+    #: as the recorder hears both; None when no voltage came at all before the run was over.
     p50: float | None
     p99: float | None
     max: float | None
@@ -52,41 +43,19 @@ class Answers:
 
 @dataclass(frozen=True)
 class Trial:
-    """Runs of an axis as nodes, recorded, in a ROS domain that nobody else uses.
+    """Runs of an axis as nodes, recorded, in a ROS domain that nobody else uses."""
 
-    Parameters
-    ----------
-    axis : AxisParameters
-        What runs.
-    samples : int
-        Length of a run.
-    composed : bool
-        All nodes in one process, instead of one for each.
-    """
-
-    axis: AxisParameters
-    samples: int
-    composed: bool
+    axis: AxisParameters  #: What runs.
+    samples: int  #: Length of a run.
+    composed: bool  #: All nodes in one process, instead of one for each.
 
     def message_rate(self) -> float:
-        """Return how many samples a second the nodes make in lockstep [Hz].
-
-        Raises
-        ------
-        GraphError
-            A node died.
-        """
+        """Return how many samples a second the nodes make in lockstep [Hz]."""
         with self._recorded("lockstep") as bag:
             return float(load_run(bag).metadata["timing"]["rate_hz"])
 
     def answers(self) -> Answers:
-        """Let the nodes run in real time and return how soon they answer.
-
-        Raises
-        ------
-        GraphError
-            A node died.
-        """
+        """Let the nodes run in real time and return how soon they answer."""
         with self._recorded("realtime") as path:
             bag = read_bag(path)
             late = int(load_run(path).metadata["late_commands"])

@@ -39,23 +39,13 @@ from hysteresis_ros.signals import (
 
 @dataclass
 class ChangeLog:
-    """What stands in the log of an axis.
+    """What stands in the log of an axis."""
 
-    Parameters
-    ----------
-    changes : list of dict
-        What was changed, in order: sample, node, action, parameters.
-    parameters : dict of str to dict
-        Flat dotted parameters that each node was configured with, by its name.
-    lacking : int
-        Entries that are missing between others, by their numbers.
-    stopped : bool
-        Whether the nodes have kept a log that does not end with the end of the run: somebody has stopped them.
-    """
-
-    changes: list[dict] = field(default_factory=list)
+    changes: list[dict] = field(default_factory=list)  #: What was changed, in order: sample, node, action, parameters.
+    #: Flat dotted parameters that each node was configured with, by its name.
     parameters: dict[str, dict] = field(default_factory=dict)
-    lacking: int = 0
+    lacking: int = 0  #: Entries that are missing between others, by their numbers.
+    #: Whether the nodes have kept a log that does not end with the end of the run: somebody has stopped them.
     stopped: bool = False
     _last: dict[str, int] = field(default_factory=dict)
 
@@ -82,15 +72,7 @@ class ChangeLog:
 
 
 def read_log(bag: Bag, prefix: str) -> ChangeLog:
-    """Return the log of an axis; what cannot be read is left out.
-
-    Parameters
-    ----------
-    bag : Bag
-        The bag.
-    prefix : str
-        Namespace of the axis.
-    """
+    """Return the log of an axis; what cannot be read is left out."""
     topic = bag.of_type(f"{prefix}/changes", cdr.STRING)
     log = ChangeLog()
     for text in cdr.decode_strings(topic.data, f"{prefix}/changes") if topic else ():
@@ -130,13 +112,7 @@ def namespaces(bag: Bag) -> tuple[str, ...]:
 
 
 def choose_namespace(bag: Bag, namespace: str | None) -> str:
-    """Return the namespace to read.
-
-    Raises
-    ------
-    RecordingError
-        There is no axis in the bag, several and none was chosen, or the chosen one is not there.
-    """
+    """Return the namespace to read."""
     found = namespaces(bag)
     listed = ", ".join(name or "/" for name in found)
     if not found and (not bag.complete or not len(bag)):
@@ -168,29 +144,6 @@ def align(bag: Bag, namespace: str | None = None, *, further: bool = False) -> R
     it. Where there are none, ``joint_states`` and the Float64 topics serve: by count when a topic has one message a
     sample, otherwise the last message before the next sample. Without a simulated plant nobody knows the true
     displacement: that column is then the measured one, and a note says so.
-
-    Parameters
-    ----------
-    bag : Bag
-        What :func:`hysteresis_ros.recordings.bag_reader.read_bag` gave.
-    namespace : str, optional
-        Which axis, when there are several.
-    further : bool
-        Also the signals beyond the columns of a run that ``~/state`` messages hold: all that a simulation gives; and of
-        a fused run in real time ``lateness``, how long after its time each sample began [s].
-
-    Returns
-    -------
-    Recording
-        Eight columns, or more with ``further``; ``metadata`` holds ``late_commands`` (as the plant last reported them),
-        ``missing_samples``, ``missing_changes``, ``missing`` (per signal), ``changes``, ``parameters`` (of each node as
-        it was configured), ``provenance`` (versions), ``files`` (that parameters name, packed), ``messages`` (per
-        topic), ``notes``, ``timing``, ``configuration``, ``namespace``, ``complete``, ``start_time_ns`` and ``source``.
-
-    Raises
-    ------
-    RecordingError
-        See :func:`choose_namespace`; or a message is damaged, or the configured joint is not in ``joint_states``.
     """
     prefix = choose_namespace(bag, namespace)
     notes = list(bag.notes)
@@ -324,11 +277,6 @@ def setpoints_per_sample(recording: Recording) -> np.ndarray:
     """Return the setpoint applied at each sample from the first on, shape (M,), for replay by the simulation.
 
     Samples that the recording misses get the setpoint before them: a setpoint holds until the next.
-
-    Raises
-    ------
-    RecordingError
-        The recording has no setpoints, or not the first one.
     """
     setpoint = recording["setpoint"]
     if not recording.has("setpoint"):

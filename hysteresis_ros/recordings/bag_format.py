@@ -89,29 +89,16 @@ def records_of(stream: BinaryIO, size: int) -> Iterator[tuple[int, int, int]]:
 
 @dataclass
 class McapIndex:
-    """The summary of a file in the making.
+    """The summary of a file in the making."""
 
-    Parameters
-    ----------
-    schemas, channels : dict
-        Records by their number.
-    chunks : list of bytes
-        Chunk index records: packed, because a long recording has very many.
-    attachments, metadata : list
-        Index records.
-    counts : dict of int to int
-        Messages by channel.
-    start, end : int
-        First and last log time [ns].
-    """
-
-    schemas: dict[int, Schema] = field(default_factory=dict)
+    schemas: dict[int, Schema] = field(default_factory=dict)  #: schemas, channels: Records by their number.
     channels: dict[int, Channel] = field(default_factory=dict)
+    #: Chunk index records: packed, because a long recording has very many.
     chunks: list[bytes] = field(default_factory=list)
-    attachments: list[AttachmentIndex] = field(default_factory=list)
+    attachments: list[AttachmentIndex] = field(default_factory=list)  #: attachments, metadata: Index records.
     metadata: list[MetadataIndex] = field(default_factory=list)
-    counts: dict[int, int] = field(default_factory=dict)
-    start: int = NEVER
+    counts: dict[int, int] = field(default_factory=dict)  #: Messages by channel.
+    start: int = NEVER  #: start, end: First and last log time [ns].
     end: int = 0
 
     @property
@@ -120,21 +107,7 @@ class McapIndex:
         return sum(self.counts.values())
 
     def chunk(self, begin: int, pieces: list, size: int, entries: dict[int, np.ndarray], compression: str = "") -> list:
-        """Note a chunk and return the pieces of its record and of the message indices behind it.
-
-        Parameters
-        ----------
-        begin : int
-            Where its record begins in the file.
-        pieces : list of bytes
-            What stands in it, compressed where it is.
-        size : int
-            Bytes that it holds, not compressed.
-        entries : dict of int to ndarray, shape (n, 2), uint64
-            For each channel log time and place in the chunk of its messages; none of them empty.
-        compression : str
-            Its name.
-        """
+        """Note a chunk and return the pieces of its record and of the message indices behind it."""
         times = [column[:, 0] for column in entries.values()]
         start = min((int(column.min()) for column in times), default=0)
         end = max((int(column.max()) for column in times), default=0)
@@ -217,44 +190,26 @@ VERSION = 9
 
 @dataclass
 class TopicInformation:
-    """What a bag says about a topic.
+    """What a bag says about a topic."""
 
-    Parameters
-    ----------
-    name, type_name, encoding, digest : str
-        Topic, message type, how messages are serialised, and the hash of the type; empty where it is not known.
-    qos : sequence of Qos
-        What its publishers offer.
-    count : int
-        Messages.
-    """
-
+    #: name, type_name, encoding, digest: Topic, message type, how messages are serialised, and the hash of the type;
+    #: empty where it is not known.
     name: str
     type_name: str
     encoding: str = "cdr"
     digest: str = ""
-    qos: Sequence[Qos] = ()
-    count: int = 0
+    qos: Sequence[Qos] = ()  #: What its publishers offer.
+    count: int = 0  #: Messages.
 
 
 @dataclass
 class FileInformation:
-    """What stands in one file of a bag.
+    """What stands in one file of a bag."""
 
-    Parameters
-    ----------
-    name : str
-        Its name in the folder.
-    start, end : int
-        Times of the first and the last message [ns].
-    topics : list of TopicInformation
-        Its topics.
-    """
-
-    name: str
-    start: int = NEVER
+    name: str  #: Its name in the folder.
+    start: int = NEVER  #: start, end: Times of the first and the last message [ns].
     end: int = 0
-    topics: list[TopicInformation] = field(default_factory=list)
+    topics: list[TopicInformation] = field(default_factory=list)  #: Its topics.
 
     @property
     def count(self) -> int:
@@ -263,15 +218,7 @@ class FileInformation:
 
 
 def mcap_file(name: str, index: McapIndex) -> FileInformation:
-    """Return what stands in an MCAP file, by its index.
-
-    Parameters
-    ----------
-    name : str
-        Of the file.
-    index : McapIndex
-        Of the whole file.
-    """
+    """Return what stands in an MCAP file, by its index."""
     found = FileInformation(name, index.start, index.end)
     for number, channel in index.channels.items():
         schema = index.schemas.get(channel.schema_id)
@@ -289,17 +236,7 @@ def mcap_file(name: str, index: McapIndex) -> FileInformation:
 
 
 def information(files: Sequence[FileInformation], storage: str, custom: dict[str, str] | None = None) -> dict:
-    """Return what ``metadata.yaml`` says about a bag.
-
-    Parameters
-    ----------
-    files : sequence of FileInformation
-        In the order of time.
-    storage : str
-        ``mcap`` or ``sqlite3``.
-    custom : dict of str to str, optional
-        Further pairs of words.
-    """
+    """Return what ``metadata.yaml`` says about a bag."""
     return {
         "version": VERSION,
         "storage_identifier": storage,

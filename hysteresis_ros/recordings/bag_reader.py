@@ -51,28 +51,14 @@ SMALL, RATIO, PART = 1 << 24, 200, 1 << 20
 
 @dataclass
 class StreamResult:
-    """How reading ended.
+    """How reading ended."""
 
-    Parameters
-    ----------
-    complete : bool
-        The end of the data section was reached.
-    size, whole : int
-        Bytes of the file, and bytes up to the last whole record.
-    salvaged : int
-        Messages taken from a chunk that was cut off.
-    damaged_chunks : int
-        Chunks inside the file that could not be unpacked.
-    words : dict of str to dict
-        What metadata records say, by their names.
-    """
-
-    complete: bool = False
-    size: int = 0
+    complete: bool = False  #: The end of the data section was reached.
+    size: int = 0  #: size, whole: Bytes of the file, and bytes up to the last whole record.
     whole: int = 0
-    salvaged: int = 0
-    damaged_chunks: int = 0
-    words: dict[str, dict[str, str]] = field(default_factory=dict)
+    salvaged: int = 0  #: Messages taken from a chunk that was cut off.
+    damaged_chunks: int = 0  #: Chunks inside the file that could not be unpacked.
+    words: dict[str, dict[str, str]] = field(default_factory=dict)  #: What metadata records say, by their names.
 
 
 @dataclass
@@ -114,11 +100,6 @@ def read_stream(path, sink) -> StreamResult:
 
     Neither index nor footer is needed. A file that ends anywhere gives everything before that point, messages inside
     a chunk that was cut off included.
-
-    Raises
-    ------
-    RecordingError
-        The file cannot be opened or is no MCAP.
     """
     path = pathlib.Path(path)
     result, records = StreamResult(), _Records(sink)
@@ -150,13 +131,7 @@ def read_stream(path, sink) -> StreamResult:
 
 
 def words_of(path: pathlib.Path) -> dict[str, dict[str, str]]:
-    """Return what the metadata records of an MCAP file with an index say, by their names; nothing of other files.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        The file.
-    """
+    """Return what the metadata records of an MCAP file with an index say, by their names; nothing of other files."""
     try:
         with path.open("rb") as stream:
             reader = SeekingReader(stream, record_size_limit=path.stat().st_size)
@@ -184,18 +159,7 @@ def _take(record, records: _Records, result: StreamResult) -> None:
 
 
 def chunk_content(record: bytes) -> bytes:
-    """Return what stands in a chunk, unpacked.
-
-    Parameters
-    ----------
-    record : bytes
-        Its record, without opcode and length.
-
-    Raises
-    ------
-    Exception
-        Of any kind: it is damaged.
-    """
+    """Return what stands in a chunk, unpacked."""
     return _content(Chunk.read(ReadDataStream(io.BytesIO(record))))
 
 
@@ -208,23 +172,12 @@ def _content(chunk: Chunk) -> bytes:
 
 
 def most(size: int) -> int:
-    """Return to how many bytes a chunk of so many may unpack; what says more is no recording.
-
-    Parameters
-    ----------
-    size : int
-    """
+    """Return to how many bytes a chunk of so many may unpack; what says more is no recording."""
     return max(SMALL, RATIO * size)
 
 
 def salvaged(tail: bytes) -> bytes:
-    """Return the records of a chunk whose end is missing, as far as they can be unpacked.
-
-    Parameters
-    ----------
-    tail : bytes
-        What follows the last whole record of a file.
-    """
+    """Return the records of a chunk whose end is missing, as far as they can be unpacked."""
     if len(tail) < RECORD.size + CHUNK.size or tail[0] != Opcode.CHUNK:
         return b""
     name_length = CHUNK.unpack_from(tail, RECORD.size)[4]
@@ -261,18 +214,7 @@ TABLES = ("schema", "metadata", "message_definitions", "topics", "messages")
 
 @contextlib.contextmanager
 def opened(path: pathlib.Path) -> Iterator[sqlite3.Connection]:
-    """Open a database to read it, also one that is shorter than its header says.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        The file. What waits in a write-ahead log or journal beside it is seen.
-
-    Raises
-    ------
-    RecordingError
-        It is no database of a bag.
-    """
+    """Open a database to read it, also one that is shorter than its header says."""
     beside = any(path.with_name(f"{path.name}-{end}").exists() for end in ("wal", "journal"))
     with contextlib.ExitStack() as stack:
         try:
@@ -311,20 +253,7 @@ def _of_whole_pages(path: pathlib.Path) -> Iterator[pathlib.Path]:
 
 
 class Rows:
-    """The rows of a table in their order, up to the first that cannot be read.
-
-    Parameters
-    ----------
-    connection : sqlite3.Connection
-        The database.
-    statement : str
-        What selects them.
-
-    Attributes
-    ----------
-    complete : bool
-        Whether the last one was reached.
-    """
+    """The rows of a table in their order, up to the first that cannot be read."""
 
     def __init__(self, connection: sqlite3.Connection, statement: str):
         self._connection, self._statement = connection, statement
@@ -338,18 +267,7 @@ class Rows:
 
 
 def read_database(path: pathlib.Path, sink) -> bool:
-    """Hand every message that can be read to ``sink(topic, type_name, time_ns, data)``, in the order of writing.
-
-    Returns
-    -------
-    bool
-        Whether all were read.
-
-    Raises
-    ------
-    RecordingError
-        It is no database of a bag.
-    """
+    """Hand every message that can be read to ``sink(topic, type_name, time_ns, data)``, in the order of writing."""
     with opened(path) as connection:
         topics = {number: words for number, *words in Rows(connection, "SELECT id, name, type FROM topics")}
         rows = Rows(connection, "SELECT topic_id, timestamp, data FROM messages ORDER BY rowid")
@@ -360,27 +278,7 @@ def read_database(path: pathlib.Path, sink) -> bool:
 
 
 def repair_database(source: pathlib.Path, target: pathlib.Path) -> FileInformation:
-    """Write what can be read of a bag in sqlite3 as a whole database.
-
-    Parameters
-    ----------
-    source : pathlib.Path
-        The damaged file; it stays as it is.
-    target : pathlib.Path
-        File to create.
-
-    Returns
-    -------
-    FileInformation
-        What stands in the new file.
-
-    Raises
-    ------
-    RecordingError
-        Nothing can be saved.
-    OSError
-        The new file cannot be written.
-    """
+    """Write what can be read of a bag in sqlite3 as a whole database."""
     with opened(source) as old, contextlib.closing(sqlite3.connect(target)) as new:
         try:
             with new:
@@ -447,24 +345,12 @@ KEPT_TYPES = frozenset({cdr.FLOAT64, cdr.STRING, cdr.JOINT_STATE, cdr.DIAGNOSTIC
 
 @dataclass
 class Topic:
-    """The messages of one topic in the order of the bag.
+    """The messages of one topic in the order of the bag."""
 
-    Parameters
-    ----------
-    type_name : str
-        Message type.
-    data : list of bytes
-        Serialised messages.
-    times : list of int
-        Times of reception [ns].
-    order : list of int
-        Place of each message among all messages of the bag.
-    """
-
-    type_name: str
-    data: list[bytes] = field(default_factory=list)
-    times: list[int] = field(default_factory=list)
-    order: list[int] = field(default_factory=list)
+    type_name: str  #: Message type.
+    data: list[bytes] = field(default_factory=list)  #: Serialised messages.
+    times: list[int] = field(default_factory=list)  #: Times of reception [ns].
+    order: list[int] = field(default_factory=list)  #: Place of each message among all messages of the bag.
 
     def received(self) -> np.ndarray:
         """Return the times of reception [ns], shape (N,), int64."""
@@ -476,37 +362,17 @@ class Topic:
 
 @dataclass
 class Bag:
-    """Everything this package can use of a bag.
+    """Everything this package can use of a bag."""
 
-    Parameters
-    ----------
-    path : pathlib.Path
-        Where it was read from.
-    topics : dict of str to Topic
-        By full topic name.
-    complete : bool
-        False when the bag was cut off or is damaged.
-    notes : list of str
-        What a reader must know about it.
-    words : dict of str to dict
-        What its metadata records say, by their names.
-    """
-
-    path: pathlib.Path
-    topics: dict[str, Topic] = field(default_factory=dict)
-    complete: bool = True
-    notes: list[str] = field(default_factory=list)
-    words: dict[str, dict[str, str]] = field(default_factory=dict)
+    path: pathlib.Path  #: Where it was read from.
+    topics: dict[str, Topic] = field(default_factory=dict)  #: By full topic name.
+    complete: bool = True  #: False when the bag was cut off or is damaged.
+    notes: list[str] = field(default_factory=list)  #: What a reader must know about it.
+    words: dict[str, dict[str, str]] = field(default_factory=dict)  #: What its metadata records say, by their names.
     _count: int = 0
 
     def add(self, name: str, type_name: str, time_ns: int, data: bytes) -> None:
-        """Append one message.
-
-        Raises
-        ------
-        RecordingError
-            Its time is none or its data are no bytes: in a database anything may stand in the place of anything.
-        """
+        """Append one message."""
         if not (isinstance(time_ns, int) and isinstance(data, (bytes, bytearray, memoryview))):
             raise RecordingError(f"{self.path}: a message on {name} is none, or has no time; the bag is damaged")
         topic = self.topics.get(name)
@@ -529,19 +395,7 @@ class Bag:
 
 
 def read_bag(path) -> Bag:
-    """Read a bag.
-
-    Parameters
-    ----------
-    path : path-like
-        A folder with ``metadata.yaml`` (MCAP or sqlite3, also split and compressed), a folder without it (its
-        ``.mcap`` or ``.db3`` files are read), or one such file; a whole file may be compressed (``.db3.zstd``).
-
-    Raises
-    ------
-    RecordingError
-        There is no such path, it holds no bag, or nothing in it can be read.
-    """
+    """Read a bag."""
     path = pathlib.Path(path)
     files = files_of(path)
     notes = []
@@ -561,18 +415,7 @@ def read_bag(path) -> Bag:
 
 
 def files_of(path: pathlib.Path) -> list[pathlib.Path]:
-    """Return the files in which the messages of a bag stand, in their order.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        A folder, or one file.
-
-    Raises
-    ------
-    RecordingError
-        There is no such path, or it is no bag.
-    """
+    """Return the files in which the messages of a bag stand, in their order."""
     if path.is_dir():
         files = _files_in(path, ".mcap") or _files_in(path, ".db3")
         within = _recordings_within(path, files)

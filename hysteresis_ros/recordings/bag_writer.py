@@ -64,15 +64,7 @@ ROSBAG2, SERIALISED = "rosbag2", "serialized_metadata"
 
 
 class Frames:
-    """The messages of one sample after another: a *frame* a sample, all of one size, as the bytes of a chunk.
-
-    Parameters
-    ----------
-    messages : sequence of (int, MessageForm)
-        The messages of a sample in order: channel and form.
-    rows : int
-        Most samples that are held.
-    """
+    """The messages of one sample after another: a *frame* a sample, all of one size, as the bytes of a chunk."""
 
     def __init__(self, messages: list[tuple[int, MessageForm]], rows: int):
         """Write what is the same in all frames."""
@@ -105,17 +97,7 @@ class Frames:
         self._times = np.zeros(rows, np.uint64)
 
     def add(self, stamps, times, values) -> None:
-        """Append samples, as many as there is room for at most.
-
-        Parameters
-        ----------
-        stamps : ndarray, shape (n,)
-            Stamps of the samples [ns].
-        times : ndarray, shape (n,)
-            When they were made [ns].
-        values : sequence of sequences of ndarray, shape (m, n)
-            For each message its groups of numbers.
-        """
+        """Append samples, as many as there is room for at most."""
         rows = slice(self.count, self.count + len(stamps))
         fields = self._fields[rows]
         self._times[rows] = times
@@ -153,15 +135,7 @@ class Frames:
 
 
 class ChunkStorage(McapWriter):
-    """The MCAP storage of ``rosbags``, with whole chunks and message indices made by NumPy.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        Folder of the bag.
-    compression : CompressionMode
-        Of its chunks.
-    """
+    """The MCAP storage of ``rosbags``, with whole chunks and message indices made by NumPy."""
 
     def __init__(self, path, compression):
         """Create the file."""
@@ -215,13 +189,7 @@ class ChunkStorage(McapWriter):
         self._write_chunk([self.chunk.bio.getvalue()], self._pending())
 
     def write_frames(self, frames: Frames) -> None:
-        """Write samples, after the messages that came one by one before.
-
-        Raises
-        ------
-        OSError
-            The disk is full; then nothing of it is in the file.
-        """
+        """Write samples, after the messages that came one by one before."""
         before = self.chunk.bio.getvalue()
         entries = self._pending()
         for channel, own in zip(frames.channels, frames.entries(len(before)), strict=True):
@@ -281,15 +249,7 @@ class ChunkStorage(McapWriter):
 
 
 class ChunkedWriter(Writer):
-    """The bag writer of ``rosbags`` with :class:`ChunkStorage`, in one file or, one after the other, in several.
-
-    Parameters
-    ----------
-    path : path-like
-        Folder to create.
-    numbered : bool
-        Name the files ``NAME_0.mcap``, ``NAME_1.mcap`` …, not ``NAME.mcap``.
-    """
+    """The bag writer of ``rosbags`` with :class:`ChunkStorage`, in one file or, one after the other, in several."""
 
     STORAGE_PLUGINS = MappingProxyType({**Writer.STORAGE_PLUGINS, StoragePlugin.MCAP: ChunkStorage})
 
@@ -311,13 +271,7 @@ class ChunkedWriter(Writer):
         return storage
 
     def next_file(self) -> None:
-        """Finish the file; what is not written yet comes into the next one.
-
-        Raises
-        ------
-        OSError
-            The disk is full.
-        """
+        """Finish the file; what is not written yet comes into the next one."""
         before = self.file
         after = ChunkStorage(self.path, CompressionMode.NONE)
         try:
@@ -337,13 +291,7 @@ class ChunkedWriter(Writer):
         file.close(self.version, text_of(information(self.files[-1:], "mcap", self.custom_data)))
 
     def close(self) -> None:
-        """Write what waits, the index and ``metadata.yaml``.
-
-        Raises
-        ------
-        OSError
-            The disk is full.
-        """
+        """Write what waits, the index and ``metadata.yaml``."""
         file, self.storage = self.file, None
         try:
             self._finish(file)
@@ -352,13 +300,7 @@ class ChunkedWriter(Writer):
         write_metadata(self.path, information(self.files, "mcap", self.custom_data))
 
     def write_frames(self, frames: Frames) -> None:
-        """Write samples.
-
-        Raises
-        ------
-        OSError
-            The disk is full; then nothing of it is in the file.
-        """
+        """Write samples."""
         if frames.count:
             self.file.write_frames(frames)
 
@@ -399,27 +341,6 @@ class BagWriter:
 
     With ``max_bag_size`` or ``max_bag_duration`` the folder holds ``NAME_0.mcap``, ``NAME_1.mcap`` …, as ``ros2 bag
     record`` splits: each is a whole file by itself, and the folder is read as one recording.
-
-    Parameters
-    ----------
-    path : path-like
-        Folder to create; it must not exist.
-    chunk_bytes : int
-        Size of a chunk before it is closed.
-    max_bag_size : int
-        Bytes that a file holds at most, as far as its chunks allow, before the next one begins; 0: any.
-    max_bag_duration : float
-        Seconds from the first message of a file to the first one of the next; 0: any.
-
-    Raises
-    ------
-    RecordingError
-        The folder exists or cannot be created.
-
-    Examples
-    --------
-    >>> with BagWriter("run") as bag:                                                        # doctest: +SKIP
-    ...     bag.write_float64("/setpoint", 5e-6, time_ns=0)
     """
 
     def __init__(self, path, *, chunk_bytes: int = CHUNK_BYTES, max_bag_size: int = 0, max_bag_duration: float = 0.0):
@@ -459,13 +380,7 @@ class BagWriter:
         return self._writer is None
 
     def add_topic(self, topic: str, type_name: str, durability: str = "volatile") -> None:
-        """Announce a topic; :meth:`write` does it by itself where volatile is right. A second time does nothing.
-
-        Raises
-        ------
-        RecordingError
-            The type is not known, or the topic has another one already.
-        """
+        """Announce a topic; :meth:`write` does it by itself where volatile is right. A second time does nothing."""
         if topic in self._connections:
             known = self._connections[topic][0]
             if known != type_name:
@@ -483,20 +398,7 @@ class BagWriter:
         self._connections[topic] = type_name, made
 
     def describe(self, name: str, words: dict[str, str]) -> None:
-        """Write words about the recording into each of its files, as a metadata record of MCAP.
-
-        Parameters
-        ----------
-        name : str
-            Of the record.
-        words : dict of str to str
-            What is said.
-
-        Raises
-        ------
-        RecordingError
-            The bag is closed or the disk is full.
-        """
+        """Write words about the recording into each of its files, as a metadata record of MCAP."""
         self._words[name] = words
         try:
             self._alive().file.write_words(name, words)
@@ -504,22 +406,7 @@ class BagWriter:
             raise self._failed(error) from None
 
     def write(self, topic: str, type_name: str, data: bytes, time_ns: int) -> None:
-        """Write one message that is serialised already.
-
-        Parameters
-        ----------
-        topic, type_name : str
-            Full topic name and type, such as ``/setpoint`` and ``std_msgs/msg/Float64``.
-        data : bytes
-            CDR with its four-byte header, as a raw subscription gives it.
-        time_ns : int
-            Time of reception [ns].
-
-        Raises
-        ------
-        RecordingError
-            The bag is closed, the disk is full, or see :meth:`add_topic`.
-        """
+        """Write one message that is serialised already."""
         connection = self._connections.get(topic)
         if connection is None or connection[0] != type_name:
             self.add_topic(topic, type_name)
@@ -545,13 +432,7 @@ class BagWriter:
         self._waiting.append(write)
 
     def write_frames(self, frames: Frames) -> None:
-        """Write the messages of many samples, and those that came one by one before, as a chunk of its own.
-
-        Raises
-        ------
-        RecordingError
-            The bag is closed or the disk is full.
-        """
+        """Write the messages of many samples, and those that came one by one before, as a chunk of its own."""
         try:
             writer = self._alive()
             if self._is_over(int(frames.times[0])) or self._is_full(frames.size * frames.count):
@@ -580,13 +461,7 @@ class BagWriter:
         self.write(topic, cdr.JOINT_STATE, encoder.encode(stamp_ns, positions), received)
 
     def flush(self) -> None:
-        """Close the open chunk and hand it to the operating system: a kill of this process no longer loses it.
-
-        Raises
-        ------
-        RecordingError
-            The bag is closed or the disk is full.
-        """
+        """Close the open chunk and hand it to the operating system: a kill of this process no longer loses it."""
         for write in self._waiting:
             write()
         writer = self._alive()
@@ -601,13 +476,7 @@ class BagWriter:
         self._open_bytes = 0
 
     def close(self) -> None:
-        """Write everything, the index and ``metadata.yaml``; doing it twice does nothing.
-
-        Raises
-        ------
-        RecordingError
-            The disk is full; what was flushed before stays readable.
-        """
+        """Write everything, the index and ``metadata.yaml``; doing it twice does nothing."""
         if self._writer is None:
             return
         try:
@@ -659,24 +528,7 @@ LOOK = 1.0
 
 
 class GuardedBag:
-    """Writes into a bag as long as that can be done, and hands what it has to the operating system in time.
-
-    Parameters
-    ----------
-    bag : BagWriter
-        The bag, just made.
-    flush_time : float
-        Seconds after which :meth:`tend` hands on what was written.
-
-    Attributes
-    ----------
-    bag : BagWriter or None
-        None when the recording is over.
-    stopped : str
-        Why nothing is recorded any more; empty while all is well and after a regular end.
-    free : int
-        Bytes that are free on its disk, as :meth:`tend` last saw.
-    """
+    """Writes into a bag as long as that can be done, and hands what it has to the operating system in time."""
 
     def __init__(self, bag: BagWriter, flush_time: float):
         self.bag: BagWriter | None = bag
@@ -688,13 +540,7 @@ class GuardedBag:
         self.free = free_space(self.path)
 
     def attempt(self, write) -> None:
-        """Call ``write(bag)`` unless the recording is over; what cannot be written ends it.
-
-        Parameters
-        ----------
-        write : callable
-            Raises RecordingError where the disk is full.
-        """
+        """Call ``write(bag)`` unless the recording is over; what cannot be written ends it."""
         if self.bag is None:
             return
         try:
@@ -703,13 +549,7 @@ class GuardedBag:
             self.stop(str(error))
 
     def tend(self, min_space: int) -> None:
-        """Hand on what was written, when it is time, and look at the disk.
-
-        Parameters
-        ----------
-        min_space : int
-            Free bytes below which the recording ends.
-        """
+        """Hand on what was written, when it is time, and look at the disk."""
         now = time.monotonic()
         if now - self._flushed >= self._flush_time:
             self._flushed = now
@@ -731,13 +571,7 @@ class GuardedBag:
             self.stopped += f"; its index is missing: hysteresis repair {self.path}"
 
     def finish(self) -> None:
-        """End the recording in order.
-
-        Raises
-        ------
-        RecordingError
-            There is no room for the end of the bag.
-        """
+        """End the recording in order."""
         bag, self.bag = self.bag, None
         if bag is not None:
             try:
@@ -758,20 +592,7 @@ def free_space(path: pathlib.Path) -> int:
 
 
 def require_space(path, least: int) -> None:
-    """Refuse to begin a recording where there is no room for it.
-
-    Parameters
-    ----------
-    path : path-like
-        Folder to be created.
-    least : int
-        Bytes that must be free.
-
-    Raises
-    ------
-    RecordingError
-        There are fewer.
-    """
+    """Refuse to begin a recording where there is no room for it."""
     path = pathlib.Path(path).absolute()
     there = next(parent for parent in path.parents if parent.exists())
     free = free_space(there)

@@ -54,21 +54,11 @@ def encode_string(text: str) -> bytes:
 
 @dataclass(frozen=True)
 class MessageForm:
-    """A message of fixed size as the form for others that differ in stamp and numbers only.
+    """A message of fixed size as the form for others that differ in stamp and numbers only."""
 
-    Parameters
-    ----------
-    data : bytes
-        CDR with its four-byte header; stamp and numbers are zero.
-    stamp : int
-        Where the header's stamp begins (int32 seconds, uint32 nanoseconds); -1 where there is none.
-    values : tuple of (int, int)
-        Where each group of float64 numbers begins, and how many it has.
-    """
-
-    data: bytes
-    stamp: int
-    values: tuple[tuple[int, int], ...]
+    data: bytes  #: CDR with its four-byte header; stamp and numbers are zero.
+    stamp: int  #: Where the header's stamp begins (int32 seconds, uint32 nanoseconds); -1 where there is none.
+    values: tuple[tuple[int, int], ...]  #: Where each group of float64 numbers begins, and how many it has.
 
 
 def float64_form() -> MessageForm:
@@ -77,17 +67,7 @@ def float64_form() -> MessageForm:
 
 
 def joint_state_form(names, frame_id: str = "", *, moving: bool = False) -> MessageForm:
-    """Return the form of sensor_msgs/JointState.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Names of the joints, or of the signals held in ``position``.
-    frame_id : str
-        Frame of the header.
-    moving : bool
-        Each name has a velocity and an effort besides its position; otherwise those are empty.
-    """
+    """Return the form of sensor_msgs/JointState."""
     types = typestore()
     kinds = types.types
     count = len(names)
@@ -110,15 +90,7 @@ def joint_state_form(names, frame_id: str = "", *, moving: bool = False) -> Mess
 
 
 class JointStateEncoder:
-    """Writes JointState messages of fixed names and varying stamp and positions.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Names of the joint or of the signals held in ``position``.
-    frame_id : str
-        Frame of the header.
-    """
+    """Writes JointState messages of fixed names and varying stamp and positions."""
 
     def __init__(self, names, frame_id: str = ""):
         """Serialise one message as the form for all."""
@@ -137,21 +109,11 @@ class JointStateEncoder:
 
 @dataclass(frozen=True)
 class JointStates:
-    """All JointState messages of a topic.
+    """All JointState messages of a topic."""
 
-    Parameters
-    ----------
-    stamps : array, shape (N,)
-        Header stamps [ns], int64.
-    names : tuple of str, length n
-        Names in ``position``.
-    positions : array, shape (N, n)
-        Values; NaN where a message lacks a name.
-    """
-
-    stamps: np.ndarray
-    names: tuple[str, ...]
-    positions: np.ndarray
+    stamps: np.ndarray  #: shape (N,); Header stamps [ns], int64.
+    names: tuple[str, ...]  #: Names in ``position``.
+    positions: np.ndarray  #: shape (N, n); Values; NaN where a message lacks a name.
 
     def take(self, rows) -> JointStates:
         """Return the messages of the given rows."""
@@ -189,13 +151,7 @@ def decode_diagnostics(raws, topic: str) -> list[tuple[int, str, int, str, dict[
 
 
 def decode_joint_states(raws, topic: str) -> JointStates:
-    """Return all JointState messages of a topic as arrays.
-
-    Raises
-    ------
-    RecordingError
-        A message is damaged; the error names the topic.
-    """
+    """Return all JointState messages of a topic as arrays."""
     if not raws:
         return JointStates(np.zeros(0, dtype=np.int64), (), np.zeros((0, 0)))
     first = _decode(raws[0], JOINT_STATE, topic)

@@ -30,30 +30,15 @@ LATENESS = {"lateness_p50_s": 50.0, "lateness_p99_s": 99.0, "lateness_p999_s": 9
 
 @dataclass(frozen=True, eq=False)
 class Recording:
-    """Signals sampled at common instants.
+    """Signals sampled at common instants."""
 
-    Parameters
-    ----------
-    time : array_like, shape (N,)
-        Instants [s], finite and strictly increasing.
-    signals : dict of str to array_like, shape (N,)
-        Named signals in SI units; NaN where a sample of a signal is missing.
-    units : dict of str to str, optional
-        Unit of each signal; those of :data:`hysteresis_ros.signals.UNITS` need not be given.
-    metadata : dict, optional
-        Whatever JSON can hold. Known keys: ``configuration`` (YAML text of the axis), ``notes`` (list of str),
-        ``missing_samples`` (int), ``timing`` (dict with ``rate_hz``, ``jitter_p99_s`` and, fused, ``lateness_…_s``),
-        ``namespace``, ``source``.
-
-    Raises
-    ------
-    RecordingError
-        A shape, a unit or the time axis is wrong; the message names the signal.
-    """
-
-    time: np.ndarray
-    signals: dict[str, np.ndarray]
+    time: np.ndarray  #: shape (N,); Instants [s], finite and strictly increasing.
+    signals: dict[str, np.ndarray]  #: shape (N,); Named signals in SI units; NaN where a sample of a signal is missing.
+    #: Unit of each signal; those of :data:`hysteresis_ros.signals.UNITS` need not be given.
     units: dict[str, str] = field(default_factory=dict)
+    #: Whatever JSON can hold. Known keys: ``configuration`` (YAML text of the axis), ``notes`` (list of str),
+    #: ``missing_samples`` (int), ``timing`` (dict with ``rate_hz``, ``jitter_p99_s`` and, fused, ``lateness_…_s``),
+    #: ``namespace``, ``source``.
     metadata: dict = field(default_factory=dict)
 
     def __post_init__(self):
@@ -95,13 +80,7 @@ class Recording:
 
     @classmethod
     def from_columns(cls, columns, metadata=None) -> Recording:
-        """Build a recording from a mapping that holds ``time`` among the columns, all of known names.
-
-        Raises
-        ------
-        RecordingError
-            ``time`` is missing, or see the class.
-        """
+        """Build a recording from a mapping that holds ``time`` among the columns, all of known names."""
         signals = dict(columns)
         if "time" not in signals:
             raise RecordingError(f"no column 'time'; the columns are {', '.join(signals) or 'none'}")
@@ -116,13 +95,7 @@ class Recording:
         return name == "time" or name in self.signals
 
     def __getitem__(self, name: str) -> np.ndarray:
-        """Return the signal ``name`` (or ``time``), shape (N,).
-
-        Raises
-        ------
-        RecordingError
-            There is no such signal; the message lists those there are.
-        """
+        """Return the signal ``name`` (or ``time``), shape (N,)."""
         if name == "time":
             return self.time
         try:
@@ -148,13 +121,7 @@ class Recording:
         return float(np.sum(distances) / np.sum(np.maximum(np.rint(distances / np.median(distances)), 1.0)))
 
     def sample_numbers(self) -> np.ndarray:
-        """Return the number of each sample, missing ones counted, shape (N,), int64; the first is 0.
-
-        Raises
-        ------
-        RecordingError
-            Nearly all samples are missing: a time among them is wrong.
-        """
+        """Return the number of each sample, missing ones counted, shape (N,), int64; the first is 0."""
         if len(self) < 2:
             return np.zeros(len(self), dtype=np.int64)
         numbers = np.rint((self.time - self.time[0]) / self.sample_time)
@@ -195,13 +162,7 @@ def _first(mask) -> int:
 
 
 def output_tolerance(plant: Mapping, compensator: Mapping) -> float:
-    """Return by how much [V] converters make differ what was asked and what was put out; infinite: nobody knows.
-
-    Parameters
-    ----------
-    plant, compensator : mapping
-        Flat dotted parameters of ``plant_simulator`` and ``hysteresis_compensator``.
-    """
+    """Return by how much [V] converters make differ what was asked and what was put out; infinite: nobody knows."""
     try:
         # a device rounds by itself, and says what it was given
         own = 0.0 if plant.get("driver") else _step(plant)
@@ -217,15 +178,6 @@ def note_output(signals: dict[str, np.ndarray], plant_voltage, plant_mode, toler
     converters do, ``voltage`` becomes what left, ``saturated`` 1, and what was asked for is kept as ``asked_voltage``,
     which a run without such samples does not have. A voltage that did not come in time is no limit: what left is the
     one before, and ``saturated`` stays.
-
-    Parameters
-    ----------
-    signals : dict of str to array
-        Those of a run; changed in place, the arrays are not.
-    plant_voltage, plant_mode : array_like, shape (N,)
-        What the plant put out [V] and what it did, NaN where it did not say.
-    tolerance : float
-        See :func:`output_tolerance`.
     """
     if "voltage" not in signals:
         return
@@ -249,19 +201,7 @@ def _step(parameters: Mapping) -> float:
 
 
 def requests_per_sample(recording: Recording) -> dict[str, np.ndarray]:
-    """Return what was asked of an inchworm beside setpoints, for replay by the simulation.
-
-    Parameters
-    ----------
-    recording : Recording
-        Of any axis.
-
-    Returns
-    -------
-    dict of str to array, shape (M,)
-        ``requests`` and ``speeds`` of each sample from the first on; empty for an axis without a sequencer. Samples
-        that the recording misses have none.
-    """
+    """Return what was asked of an inchworm beside setpoints, for replay by the simulation."""
     if not all(recording.has(name) for name in REQUESTS):
         return {}
     index = recording.sample_numbers()

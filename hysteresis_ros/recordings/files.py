@@ -36,11 +36,6 @@ def write_csv(recording: Recording, path) -> None:
 
     Numbers are written with as many digits as give the same float64 back. A plain table has no place for metadata:
     the configuration and the notes stay behind.
-
-    Raises
-    ------
-    RecordingError
-        The file cannot be written.
     """
     names = ["time", *recording.signals]
     units = {"time": "s", **recording.units}
@@ -54,11 +49,6 @@ def read_csv(path) -> Recording:
     """Read a CSV table whose header gives each column as ``name [unit]``; lines that start with ``#`` are skipped.
 
     SI units and their usual parts (µm, mm, nm, ms, µs, mV) are understood and become SI.
-
-    Raises
-    ------
-    RecordingError
-        The file is missing or unreadable, a header has no unit, a cell is no number, or there is no ``time``.
     """
     path = _existing(path)
     try:
@@ -94,11 +84,6 @@ def write_npz(recording: Recording, path) -> None:
     """Write a compressed NPZ: one array per column, and ``units`` and ``metadata`` as JSON text.
 
     ``numpy.load(path)["displacement"]`` gives a column without this package.
-
-    Raises
-    ------
-    RecordingError
-        The file cannot be written.
     """
     units = json.dumps({"time": "s", **recording.units}, ensure_ascii=False)
     metadata = json.dumps(recording.metadata, ensure_ascii=False)
@@ -118,13 +103,7 @@ def write_npz(recording: Recording, path) -> None:
 
 
 def read_npz(path) -> Recording:
-    """Read an NPZ written by :func:`write_npz`, or any with one-dimensional arrays of the known column names.
-
-    Raises
-    ------
-    RecordingError
-        The file is missing, unreadable, or its arrays are no recording.
-    """
+    """Read an NPZ written by :func:`write_npz`, or any with one-dimensional arrays of the known column names."""
     path = _existing(path)
     try:
         arrays = read_arrays(path)
@@ -176,23 +155,7 @@ def _reason(error) -> str:
 
 
 def load_run(path, namespace: str | None = None, *, further: bool = False) -> Recording:
-    """Read a run from ``.npz``, ``.csv``, a bag folder, a bare ``.mcap`` or a bare ``.db3`` file.
-
-    Parameters
-    ----------
-    path : path-like
-        The recording.
-    namespace : str, optional
-        Which axis of a bag; needed only when the bag holds several.
-    further : bool
-        Of a bag also the signals beyond the columns of a run (``applied``, ``switching``, ``disturbance`` …); tables
-        give whatever they hold.
-
-    Raises
-    ------
-    RecordingError
-        The recording is missing, unreadable, lacks the signals, or holds several axes and none was chosen.
-    """
+    """Read a run from ``.npz``, ``.csv``, a bag folder, a bare ``.mcap`` or a bare ``.db3`` file."""
     path = pathlib.Path(path)
     if path.suffix.lower() == ".npz":
         return read_npz(path)
@@ -205,22 +168,7 @@ def load_run(path, namespace: str | None = None, *, further: bool = False) -> Re
 
 
 def save_run(recording: Recording, path, configuration: str | None = None) -> None:
-    """Write a run as ``.npz``, ``.csv`` or ``.mcap``; the suffix decides.
-
-    Parameters
-    ----------
-    recording : Recording
-        The run.
-    path : path-like
-        Where to; an existing table is replaced, an existing bag is not.
-    configuration : str, optional
-        YAML text of the axis for a bag; the one in the recording's metadata by default.
-
-    Raises
-    ------
-    RecordingError
-        The suffix is another, or the file cannot be written.
-    """
+    """Write a run as ``.npz``, ``.csv`` or ``.mcap``; the suffix decides."""
     path = pathlib.Path(path)
     suffix = path.suffix.lower()
     if suffix == ".npz":

@@ -46,13 +46,7 @@ _AFTER = re.compile(r"^(?P<name>.+?)(?:\s*/\s*|\s+in\s+|\s*:\s*|,\s*|\s+)(?P<uni
 
 
 def named_column(cell: str) -> tuple[str, str | None]:
-    """Split a cell of a header into the column's name and the unit it declares, None where nothing tells it.
-
-    Parameters
-    ----------
-    cell : str
-        ``time [s]``, ``Spannung / V``, ``ai0:10um/V``, ``control_V`` …
-    """
+    """Split a cell of a header into the column's name and the unit it declares, None where nothing tells it."""
     cell = cell.strip()
     for pattern in (_BRACKETS, _AFTER):
         found = pattern.match(cell)
@@ -62,42 +56,18 @@ def named_column(cell: str) -> tuple[str, str | None]:
 
 
 def column_unit(name: str, header_unit: str | None = None) -> str | None:
-    """Return the unit a column declares: in its header, by a known signal name, or as suffix (``control_V``).
-
-    Parameters
-    ----------
-    name : str
-        Name of the column.
-    header_unit : str, optional
-        What stood beside the name.
-
-    Returns
-    -------
-    str or None
-        A unit that :func:`conversion` knows, or whatever stood in the header; None where nothing tells the unit.
-    """
+    """Return the unit a column declares: in its header, by a known signal name, or as suffix (``control_V``)."""
     suffix = name.rsplit("_", 1)[-1] if "_" in name else ""
     return header_unit or SIGNAL_UNITS.get(name) or (suffix if suffix[:1].isalpha() and conversion(suffix) else None)
 
 
 def si_unit(unit: str | None) -> str | None:
-    """Return the SI unit of a declared unit; what is unknown stays what it is.
-
-    Parameters
-    ----------
-    unit : str or None
-    """
+    """Return the SI unit of a declared unit; what is unknown stays what it is."""
     return None if unit is None else (conversion(unit) or (unit,))[0]
 
 
 def split_choice(choice: str) -> tuple[str, str | None]:
-    """Split ``name:unit`` into name and unit; the unit is None when there is no colon.
-
-    Raises
-    ------
-    RecordingError
-        The unit is unknown; the message lists the known ones.
-    """
+    """Split ``name:unit`` into name and unit; the unit is None when there is no colon."""
     name, colon, unit = choice.rpartition(":")
     if not colon:
         return choice, None
@@ -106,19 +76,7 @@ def split_choice(choice: str) -> tuple[str, str | None]:
 
 
 def known_conversion(name: str, unit: str) -> tuple[str, float]:
-    """Return what :func:`conversion` does, or refuse.
-
-    Parameters
-    ----------
-    name : str
-        The column, for the message.
-    unit : str
-
-    Raises
-    ------
-    RecordingError
-        The unit is unknown; the message lists the known ones.
-    """
+    """Return what :func:`conversion` does, or refuse."""
     found = conversion(unit)
     if found is None:
         raise RecordingError(f"column '{name}': unknown unit '{unit}'; known are {', '.join(UNITS)}, and 10um/V")
@@ -137,21 +95,11 @@ WRITTEN_TWICE = 0.4
 
 @dataclass(frozen=True, eq=False)
 class Clock:
-    """A time axis.
+    """A time axis."""
 
-    Parameters
-    ----------
-    time : ndarray, shape (N,)
-        [s], finite and strictly increasing.
-    kept : ndarray of bool, shape (M,), optional
-        Which rows of the table are samples; all where it is None.
-    notes, warnings : tuple of str
-        What was done to the instants.
-    """
-
-    time: np.ndarray
-    kept: np.ndarray | None = None
-    notes: tuple[str, ...] = ()
+    time: np.ndarray  #: shape (N,) [s], finite and strictly increasing.
+    kept: np.ndarray | None = None  #: shape (M,); Which rows of the table are samples; all where it is None.
+    notes: tuple[str, ...] = ()  #: notes, warnings: What was done to the instants.
     warnings: tuple[str, ...] = ()
 
 
@@ -161,17 +109,7 @@ def mend_clock(time: np.ndarray, signals) -> Clock:
     Rows without an instant are left out. Instants that were rounded until several rows share one are put on the uniform
     grid between them; a row that repeats the one before is left out, and so is one with its instant but other values.
 
-    Parameters
-    ----------
-    time : ndarray, shape (M,)
-        [s]
-    signals : list of ndarray, shape (M,)
-        The other columns, which tell a row that was written twice.
-
-    Raises
-    ------
-    RecordingError
-        Time goes back as no jitter makes it, with the row where it does; or it stands still.
+    Units: ``time`` [s].
     """
     warnings = []
     finite = np.isfinite(time)
@@ -238,45 +176,19 @@ _DELIMITERS = (";", "\t", ",", None)
 
 @dataclass(frozen=True)
 class Layout:
-    """How a text table is written.
-
-    Parameters
-    ----------
-    encoding : str
-    delimiter : str or None
-        None: blanks.
-    comma : bool
-        Decimal commas.
-    first : int
-        Lines before the first row.
-    names : tuple of str
-        Of the columns, ``1``, ``2`` … where nothing names them.
-    units : dict of str to (str or None)
-    notes : tuple of str
-        What a reader of the table should know.
-    """
+    """How a text table is written."""
 
     encoding: str
-    delimiter: str | None
-    comma: bool
-    first: int
-    names: tuple[str, ...]
+    delimiter: str | None  #: None: blanks.
+    comma: bool  #: Decimal commas.
+    first: int  #: Lines before the first row.
+    names: tuple[str, ...]  #: Of the columns, ``1``, ``2`` … where nothing names them.
     units: dict[str, str | None]
-    notes: tuple[str, ...]
+    notes: tuple[str, ...]  #: What a reader of the table should know.
 
 
 def find_layout(path: pathlib.Path) -> Layout:
-    """Return how a text table is written.
-
-    Parameters
-    ----------
-    path : Path
-
-    Raises
-    ------
-    RecordingError
-        The file cannot be read, holds no rows of numbers, or two of its columns have one name.
-    """
+    """Return how a text table is written."""
     encoding, lines = _head(path)
     kept = [line for line in lines if _cells_of(line)]
     if not kept:
@@ -302,29 +214,7 @@ def find_layout(path: pathlib.Path) -> Layout:
 def read_columns(
     path: pathlib.Path, layout: Layout, names, progress: Callable[[float], None] | None = None
 ) -> tuple[dict[str, np.ndarray], tuple[str, ...]]:
-    """Read the named columns of a text table; cells that are no numbers become NaN.
-
-    Parameters
-    ----------
-    path : Path
-    layout : Layout
-        From :func:`find_layout`.
-    names : sequence of str
-    progress : callable, optional
-        Called with the part of the file that was read.
-
-    Returns
-    -------
-    columns : dict of str to ndarray, shape (N,)
-        In the file's own units.
-    warnings : tuple of str
-        Damaged rows, with how many there are and where the first is.
-
-    Raises
-    ------
-    RecordingError
-        The file cannot be read, or too many of its rows have another number of cells.
-    """
+    """Read the named columns of a text table; cells that are no numbers become NaN."""
     wanted = [layout.names.index(name) for name in names]
     damaged: list[tuple[int, int]] = []
     blocks, rows, done = [], 0, 0
@@ -516,17 +406,7 @@ def is_hdf5(content: bytes) -> bool:
 
 
 def require_sound(content: bytes) -> None:
-    """Refuse a file of level 5 whose elements do not fit into each other; level 4 is let through.
-
-    Parameters
-    ----------
-    content : bytes
-
-    Raises
-    ------
-    ValueError
-        It is damaged; the message says what is.
-    """
+    """Refuse a file of level 5 whose elements do not fit into each other; level 4 is let through."""
     mark = content[HEADER - 4 : HEADER]
     if 0 in content[:4]:
         return
@@ -615,23 +495,7 @@ def _fields(count: int, parts: list, order: str) -> tuple[int, list]:
 
 
 def read_matlab(path: pathlib.Path) -> dict[str, np.ndarray]:
-    """Return the vectors of a ``.mat`` file of the most frequent length.
-
-    Parameters
-    ----------
-    path : Path
-        Level 4 or 5; since 7.3 MATLAB writes HDF5, which is refused.
-
-    Returns
-    -------
-    dict of str to ndarray, shape (N,)
-        ``name``, ``structure.field``, or ``name_1``, ``name_2`` … for the columns of a matrix.
-
-    Raises
-    ------
-    RecordingError
-        The file cannot be read, or holds no vectors.
-    """
+    """Return the vectors of a ``.mat`` file of the most frequent length."""
     import scipy.io  # a tenth of a second, which only those pay who open such a file
 
     try:
@@ -678,44 +542,25 @@ _TIME_NAMES = ("time", "t", "timestamp", "time_s", "t_s", "time_ms", "t_ms", "ti
 
 @dataclass(frozen=True, eq=False)
 class Table:
-    """A table that was opened: its columns' names and units; the numbers are read when they are asked for.
-
-    Parameters
-    ----------
-    path : Path
-    units : dict of str to (str or None)
-        Of each column what it declares (:func:`~hysteresis_ros.recordings.foreign_tables.column_unit`).
-    load : callable
-        ``load(names, progress)`` returns the columns, in the file's own units, and warnings.
-    notes : tuple of str
-        How the table is written.
-    """
+    """A table that was opened: its columns' names and units; the numbers are read when they are asked for."""
 
     path: pathlib.Path
+    #: Of each column what it declares (:func:`~hysteresis_ros.recordings.foreign_tables.column_unit`).
     units: dict[str, str | None]
-    load: Callable
-    notes: tuple[str, ...] = ()
+    load: Callable  #: ``load(names, progress)`` returns the columns, in the file's own units, and warnings.
+    notes: tuple[str, ...] = ()  #: How the table is written.
 
 
 @dataclass(frozen=True)
 class Selection:
-    """What is taken of a table.
+    """What is taken of a table."""
 
-    Parameters
-    ----------
-    choices : tuple of str
-        Columns as ``name`` or ``name:unit``; the unit may be left out where the column declares it.
-    time : str, optional
-        The time column, likewise; by default the one called ``time``, ``t``, ``time_s`` … or the only one in seconds.
-    sample_time : float, optional
-        Distance of two samples [s] for tables without a time column.
-    rows : (int, int or None)
-        First row and the one after the last; None: all from there, negative: from the end.
-    """
-
+    #: Columns as ``name`` or ``name:unit``; the unit may be left out where the column declares it.
     choices: tuple[str, ...]
+    #: The time column, likewise; by default the one called ``time``, ``t``, ``time_s`` … or the only one in seconds.
     time: str | None = None
-    sample_time: float | None = None
+    sample_time: float | None = None  #: Distance of two samples [s] for tables without a time column.
+    #: First row and the one after the last; None: all from there, negative: from the end.
     rows: tuple[int, int | None] = (0, None)
 
 
@@ -725,16 +570,6 @@ def open_table(path) -> Table:
     Text: comma, semicolon, tab or blanks between the columns, decimal points or commas, ``#`` starts a comment; lines
     before the table are passed over, the last of them may name the columns (``name`` or ``name [unit]``); without names
     they are called ``1``, ``2`` … Cells that are no numbers become NaN.
-
-    Parameters
-    ----------
-    path : path-like
-        ``.csv``, ``.txt``, ``.dat``, ``.tsv``, ``.asc``, ``.lvm``, ``.npz`` or ``.mat``.
-
-    Raises
-    ------
-    RecordingError
-        The file is missing or unreadable, or two columns have one name.
     """
     path = pathlib.Path(path)
     if not path.is_file():
@@ -749,38 +584,14 @@ def open_table(path) -> Table:
 
 
 def find_time(units: dict[str, str | None]) -> str | None:
-    """Return the name of the time column among ``units`` (names → declared units), or None.
-
-    Parameters
-    ----------
-    units : dict of str to (str or None)
-        Those of a :class:`Table`.
-    """
+    """Return the name of the time column among ``units`` (names → declared units), or None."""
     known = [name for telling in _TIME_NAMES for name in units if name.lower() == telling]
     seconds = [name for name, unit in units.items() if si_unit(unit) == "s"]
     return known[0] if known else (seconds[0] if len(seconds) == 1 else None)
 
 
 def choose_columns(table: Table, selection: Selection, progress=None) -> Recording:
-    """Read chosen columns of a table into a recording in SI units.
-
-    Parameters
-    ----------
-    table : Table
-    selection : Selection
-    progress : callable, optional
-        Called with the part of the file that was read.
-
-    Returns
-    -------
-    Recording
-        Its metadata hold ``notes`` and ``warnings``: what was found odd and what was done about it.
-
-    Raises
-    ------
-    RecordingError
-        A column is missing, has no unit or an unknown one, or there is no time.
-    """
+    """Read chosen columns of a table into a recording in SI units."""
     # a column called time or t without a unit is in seconds, as everywhere in this package
     declared = {name: unit or ("s" if name.lower() in _TIME_NAMES else None) for name, unit in table.units.items()}
     chosen = {name: (divisor, unit) for name, divisor, unit in (_chosen(table, c, declared) for c in selection.choices)}

@@ -22,15 +22,7 @@ BRANCH_LEVELS = 10
 
 
 def turning_points(u, reversal: float = REVERSAL) -> np.ndarray:
-    """Return the indices at which ``u``, shape (N,), turns by more than ``reversal`` of its range, ends included.
-
-    Parameters
-    ----------
-    u : array_like, shape (N,)
-        Input, finite.
-    reversal : float
-        Smallest reversal, as a part of the range of ``u``.
-    """
+    """Return the indices at which ``u``, shape (N,), turns by more than ``reversal`` of its range, ends included."""
     u = np.asarray(u, dtype=np.float64)
     if u.size < 2 or np.ptp(u) == 0.0:
         return np.arange(min(u.size, 1))
@@ -66,16 +58,6 @@ def loop_opening(u, y) -> float | None:
     difference of their outputs there. The largest over all inputs both branches reach, and over all pairs, counts.
     The first branch is left out where others follow, because it starts at rest (virgin curve) and closes no loop.
     The opening holds everything that makes branches differ: hysteresis, creep and the lag of the dynamics.
-
-    Parameters
-    ----------
-    u, y : array_like, shape (N,)
-        Input (reference or voltage) and displacement; samples with NaN are left out.
-
-    Returns
-    -------
-    float or None
-        None when the input does not go to and fro through at least ten levels.
     """
     u, y = np.asarray(u, dtype=np.float64), np.asarray(y, dtype=np.float64)
     finite = np.isfinite(u) & np.isfinite(y)

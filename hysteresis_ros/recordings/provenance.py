@@ -53,11 +53,6 @@ def in_force(recording: Recording) -> str:
     """Return the parameter file of what the nodes of a recording were really configured with.
 
     Their own log knows what a parameter file does not: values of the command line, and what was set before they began.
-
-    Parameters
-    ----------
-    recording : Recording
-        Of any axis; one without such a log gives the configuration in it.
     """
     known = recording.metadata.get("parameters", {})
     if not known.keys() >= LOGGED:
@@ -87,13 +82,7 @@ WHOLE, DIGEST = "base64:", "sha256:"
 
 
 def packed_files(paths: Iterable[pathlib.Path]) -> dict[str, str]:
-    """Return files as words, by their paths.
-
-    Parameters
-    ----------
-    paths : iterable of pathlib.Path
-        Those that cannot be read are left out: whoever needs them says so.
-    """
+    """Return files as words, by their paths."""
     words = {}
     for path in paths:
         with contextlib.suppress(OSError):
@@ -104,13 +93,7 @@ def packed_files(paths: Iterable[pathlib.Path]) -> dict[str, str]:
 
 
 def whole(words: Mapping[str, str]) -> dict[str, bytes]:
-    """Return the content of files by the paths they had, as far as it is there.
-
-    Parameters
-    ----------
-    words : mapping of str to str
-        As :func:`packed_files` gives them.
-    """
+    """Return the content of files by the paths they had, as far as it is there."""
     found = {}
     for name, text in words.items():
         if text.startswith(WHOLE):
@@ -120,15 +103,7 @@ def whole(words: Mapping[str, str]) -> dict[str, bytes]:
 
 
 def note_on_disk(name: str, content: bytes) -> str:
-    """Return in one line that the file on this disk is another one now; empty: it is not, or there is none.
-
-    Parameters
-    ----------
-    name : str
-        Path.
-    content : bytes
-        What the recording holds.
-    """
+    """Return in one line that the file on this disk is another one now; empty: it is not, or there is none."""
     with contextlib.suppress(OSError, ValueError):
         path = pathlib.Path(name)
         if path.is_file() and (path.stat().st_size != len(content) or path.read_bytes() != content):
@@ -137,20 +112,7 @@ def note_on_disk(name: str, content: bytes) -> str:
 
 
 def require_same(name: str, text: str) -> None:
-    """Refuse to repeat a run with a file of which the recording holds a digest only, unless it is that on this disk.
-
-    Parameters
-    ----------
-    name : str
-        Path.
-    text : str
-        Words of the file.
-
-    Raises
-    ------
-    RecordingError
-        It is not there, or another one.
-    """
+    """Refuse to repeat a run with a file of which the recording holds a digest only, unless it is that on this disk."""
     try:
         with pathlib.Path(name).open("rb") as stream:
             same = DIGEST + hashlib.file_digest(stream, "sha256").hexdigest() == text

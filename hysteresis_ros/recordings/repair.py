@@ -55,18 +55,7 @@ CHUNK_BYTES = 1024 * 1024
 
 
 def whole_mcap(path: pathlib.Path) -> FileInformation | None:
-    """Return what stands in a file by its own summary; None where that is missing or damaged.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-        The file.
-
-    Raises
-    ------
-    RecordingError
-        It cannot be read.
-    """
+    """Return what stands in a file by its own summary; None where that is missing or damaged."""
     try:
         stream = path.open("rb")
     except OSError as error:
@@ -95,25 +84,6 @@ def repair_mcap(source: pathlib.Path, target: pathlib.Path) -> FileInformation:
 
     Everything up to the last whole message stays: schemas, channels, messages, attachments, other metadata records.
     Chunks inside the file that cannot be unpacked are left out.
-
-    Parameters
-    ----------
-    source : pathlib.Path
-        The damaged file; it stays as it is.
-    target : pathlib.Path
-        File to create.
-
-    Returns
-    -------
-    FileInformation
-        What stands in the new file.
-
-    Raises
-    ------
-    RecordingError
-        Nothing can be saved.
-    OSError
-        One cannot be read or the other not be written.
     """
     with source.open("rb") as stream, target.open("xb") as out:
         size = stream.seek(0, io.SEEK_END)
@@ -239,20 +209,11 @@ def _stream(data: bytes) -> ReadDataStream:
 
 @dataclass(frozen=True)
 class Storage:
-    """How the files of a kind of bag are looked at and repaired.
+    """How the files of a kind of bag are looked at and repaired."""
 
-    Parameters
-    ----------
-    name : str
-        In metadata.yaml.
-    whole : callable
-        Returns what stands in a file that is whole, else None.
-    repair : callable
-        Writes what is left of a file as a whole one and returns what stands in it.
-    """
-
-    name: str
-    whole: Callable[[pathlib.Path], FileInformation | None]
+    name: str  #: In metadata.yaml.
+    whole: Callable[[pathlib.Path], FileInformation | None]  #: Returns what stands in a file that is whole, else None.
+    #: Writes what is left of a file as a whole one and returns what stands in it.
     repair: Callable[[pathlib.Path, pathlib.Path], FileInformation]
 
 
@@ -264,42 +225,18 @@ STORAGES = {
 
 @dataclass(frozen=True)
 class Repair:
-    """What became of a bag.
+    """What became of a bag."""
 
-    Parameters
-    ----------
-    path : pathlib.Path or None
-        The folder of the repaired bag; None where the bag was whole.
-    messages : int
-        Messages in it.
-    mended : tuple of str
-        Names of the files that were not whole.
-    lost : tuple of str
-        Why nothing of a file could be saved, for each such file.
-    """
-
-    path: pathlib.Path | None
-    messages: int
-    mended: tuple[str, ...] = ()
-    lost: tuple[str, ...] = ()
+    path: pathlib.Path | None  #: The folder of the repaired bag; None where the bag was whole.
+    messages: int  #: Messages in it.
+    mended: tuple[str, ...] = ()  #: Names of the files that were not whole.
+    lost: tuple[str, ...] = ()  #: Why nothing of a file could be saved, for each such file.
 
 
 def repair(path, output=None) -> Repair:
     """Make a bag whole: index, statistics and ``metadata.yaml`` of all that is left up to its last whole message.
 
     The bag itself stays as it is. The new one is there with all that belongs to it, or not at all.
-
-    Parameters
-    ----------
-    path : path-like
-        Folder of the bag, or its one file (``.mcap``, ``.db3``).
-    output : path-like, optional
-        Folder to create; by default the bag's name with ``_repaired`` beside it.
-
-    Raises
-    ------
-    RecordingError
-        There is no bag, nothing of it can be saved, or the new folder exists or cannot be written.
     """
     path = pathlib.Path(path)
     files = files_of(path)

@@ -44,33 +44,17 @@ NUMBERS = 3
 
 @dataclass(frozen=True)
 class AxisTopics:
-    """What the topics of an axis are called, and what of them its samples do not say.
+    """What the topics of an axis are called, and what of them its samples do not say."""
 
-    Parameters
-    ----------
-    namespace : str
-        Namespace of the axis.
-    joints : tuple of str
-        Names in ``joint_states``: one, and where a force is measured that joint; or of a motor four.
-    sample_rate : float
-        [Hz], from which velocities follow.
-    motor : bool
-        An inchworm motor with its sequencer, not an actuator with a reference generator.
-    force : float
-        Of an actuator: preload [N], the effort of the joint.
-    simulated : bool
-        The plant is simulated; of a device nobody knows the true displacement, and its state has none.
-    durability : str
-        Of the topics: ``volatile`` in real time, ``transient_local`` in lockstep.
-    """
-
-    namespace: str = ""
+    namespace: str = ""  #: Namespace of the axis.
+    #: Names in ``joint_states``: one, and where a force is measured that joint; or of a motor four.
     joints: tuple[str, ...] = ("piezo",)
-    sample_rate: float = 1000.0
-    motor: bool = False
-    force: float = 0.0
+    sample_rate: float = 1000.0  #: [Hz], from which velocities follow.
+    motor: bool = False  #: An inchworm motor with its sequencer, not an actuator with a reference generator.
+    force: float = 0.0  #: Of an actuator: preload [N], the effort of the joint.
+    #: The plant is simulated; of a device nobody knows the true displacement, and its state has none.
     simulated: bool = True
-    durability: str = "volatile"
+    durability: str = "volatile"  #: Of the topics: ``volatile`` in real time, ``transient_local`` in lockstep.
 
     @property
     def prefix(self) -> str:
@@ -104,28 +88,6 @@ class SampleWriter:
     flushed (:meth:`BagWriter.flush <hysteresis_ros.recordings.bag_writer.BagWriter.flush>`, which whoever owns the bag
     calls now and then, so that the last samples before a pause go to the disk as well). Other messages go into the same
     bag one by one, from the same thread.
-
-    Parameters
-    ----------
-    bag : BagWriter
-        Where to.
-    axis : AxisTopics
-        The axis.
-    block_bytes : int
-        Size of a chunk.
-    chunk_time : float
-        Longest time [s] that a sample waits while others come.
-
-    Raises
-    ------
-    RecordingError
-        The bag is closed, or has these topics with other types.
-
-    Examples
-    --------
-    >>> with BagWriter("run") as bag:                                                        # doctest: +SKIP
-    ...     samples = SampleWriter(bag, AxisTopics(joints=("extender",), sample_rate=3000.0))
-    ...     samples.write(stamps, table)
     """
 
     def __init__(
@@ -184,26 +146,7 @@ class SampleWriter:
         self._started = False
 
     def write(self, stamps, table, *, joints=None, times=None) -> None:
-        """Write samples.
-
-        Parameters
-        ----------
-        stamps : array_like, shape (n,)
-            Stamps of the samples [ns], int64.
-        table : array_like, shape (signals, n)
-            Rows as the loop leaves them (:func:`hysteresis_ros.signals.row_signals`), float64.
-        joints : array_like, shape (3 × joints, n), optional
-            Of a motor, and needed there: the positions [m] of its joints, their velocities [m/s], their efforts [N], in
-            the order in which the plant's array ``joints`` begins (:mod:`hysteresis_ros.models.inchworm`). Positions of
-            the clamps and forces on slider and extender are no signals of the row.
-        times : array_like, shape (n,), optional
-            When the samples were made [ns]; the stamps by default.
-
-        Raises
-        ------
-        RecordingError
-            A shape is wrong, the bag is closed, or the disk is full.
-        """
+        """Write samples."""
         stamps, table, joints, times = self._checked(stamps, table, joints, times)
         if not stamps.size:
             return
@@ -218,13 +161,7 @@ class SampleWriter:
             self.flush()
 
     def flush(self) -> None:
-        """Hand what waits to the operating system: a kill of this process no longer loses it.
-
-        Raises
-        ------
-        RecordingError
-            The bag is closed or the disk is full.
-        """
+        """Hand what waits to the operating system: a kill of this process no longer loses it."""
         frames = self._frames[self._tripped]
         if frames.count:
             self.bag.write_frames(frames)
@@ -311,28 +248,7 @@ def write_recording(
     joint: str | None = None,
     start_time_ns: int = 0,
 ) -> None:
-    """Write a run as the bag the nodes would have left.
-
-    Parameters
-    ----------
-    recording : Recording
-        The run; signals it lacks (``applied``, ``switching`` …) are left out of the topics.
-    path : path-like
-        ``NAME.mcap`` gives that one file, anything else a bag folder. It must not exist.
-    configuration : str, optional
-        YAML text of the axis for ``configuration``; the recording's own by default.
-    namespace : str
-        Namespace of the axis.
-    joint : str, optional
-        Name of the joint in ``joint_states``; by default the one in the configuration, or ``piezo``.
-    start_time_ns : int
-        Stamp of the sample at time 0 [ns].
-
-    Raises
-    ------
-    RecordingError
-        The path exists or cannot be written.
-    """
+    """Write a run as the bag the nodes would have left."""
     path = pathlib.Path(path)
     text = recording.configuration if configuration is None else configuration
     joint = joint or str(configured(text, "plant_simulator", namespace).get("joint", "piezo"))

@@ -381,13 +381,7 @@ def _missing(kind: str, values: Mapping[str, Any], rows: Mapping[str, ParameterR
 
 
 def _value(row: ParameterRow, text: str, gain: float | None):
-    """Return the text of a parameter in its type.
-
-    Raises
-    ------
-    ValueError
-        It is none; the text says what is allowed.
-    """
+    """Return the text of a parameter in its type."""
     if row.type is str:
         # nodes run elsewhere
         value: Any = str(pathlib.Path(text).expanduser().resolve()) if row.name == "file.path" else text
@@ -408,13 +402,7 @@ def _value(row: ParameterRow, text: str, gain: float | None):
 
 
 def _numbers(row: ParameterRow, texts: list[str], gain: float | None) -> list[float]:
-    """Return numbers in the unit of a parameter.
-
-    Raises
-    ------
-    ValueError
-        One is no number, or has another unit, or none where that is not clear.
-    """
+    """Return numbers in the unit of a parameter."""
     found = [quantity(text) for text in texts]
     voltages = {"V": gain} if gain is not None and row.unit == "m" else {}
     bare = [text for text, (number, unit) in zip(texts, found, strict=True) if number and not unit]

@@ -50,17 +50,7 @@ class Bench(ABC):
 
     @abstractmethod
     def run(self, axis: AxisParameters) -> Recording:
-        """Run an axis once, as long as its parameters say.
-
-        Parameters
-        ----------
-        axis : AxisParameters
-
-        Raises
-        ------
-        HysteresisError
-            It cannot be run, or failed; the outputs are safe then.
-        """
+        """Run an axis once, as long as its parameters say."""
 
     @property
     @abstractmethod
@@ -74,29 +64,12 @@ class OfflineBench(Bench):
     name = "offline"
 
     def run(self, axis: AxisParameters) -> Recording:
-        """Simulate.
-
-        Parameters
-        ----------
-        axis : AxisParameters
-        """
+        """Simulate."""
         return simulate(axis)
 
 
 def require_sound(recording: Recording, samples: int) -> Recording:
-    """Return a recording of regular samples in which each has its measurement; the few that miss are interpolated.
-
-    Parameters
-    ----------
-    recording : Recording
-    samples : int
-        How many were asked for.
-
-    Raises
-    ------
-    CommissioningError
-        The axis stopped itself, or too many measurements are missing.
-    """
+    """Return a recording of regular samples in which each has its measurement; the few that miss are interpolated."""
     if recording.has("tripped"):
         codes = recording["tripped"]
         stopped = np.flatnonzero(codes > 0.0)  # below zero: a sensor that is being homed
@@ -128,12 +101,7 @@ def _complete(recording: Recording, samples: int) -> Recording:
 
 
 def held_back(recording: Recording) -> list[str]:
-    """Return a line when voltages were late, none when the machine held the rate.
-
-    Parameters
-    ----------
-    recording : Recording
-    """
+    """Return a line when voltages were late, none when the machine held the rate."""
     count = int(np.nanmax(recording["late"])) if recording.has("late") else 0
     if not count:
         return []
@@ -144,18 +112,7 @@ def held_back(recording: Recording) -> list[str]:
 
 
 class GraphBench(Bench):
-    """Runs axes through their nodes in real time, fused where messages are too slow.
-
-    Parameters
-    ----------
-    external : bool
-        A node of the user's own, which runs already in the user's ROS domain, stands in the plant's place.
-
-    Raises
-    ------
-    HysteresisError
-        rclpy is not installed.
-    """
+    """Runs axes through their nodes in real time, fused where messages are too slow."""
 
     def __init__(self, external: bool):
         require_ros()
@@ -167,21 +124,7 @@ class GraphBench(Bench):
         return "external plant" if self._external else "nodes"
 
     def run(self, axis: AxisParameters) -> Recording:
-        """Run an axis once; its nodes bring the outputs to safe when they leave, also when it is interrupted.
-
-        Parameters
-        ----------
-        axis : AxisParameters
-
-        Raises
-        ------
-        GraphError
-            A node died or refused to start, such as one whose device is not there.
-        RecordingError
-            Nothing was recorded.
-        ConfigurationError
-            Its samples come faster than messages can carry them.
-        """
+        """Run an axis once; its nodes bring the outputs to safe when they leave, also when it is interrupted."""
         require_carried(axis)
         with contextlib.ExitStack() as stack:
             folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="hysteresis_"))

@@ -63,22 +63,12 @@ ERROR_AS_PREDICTED = 1.5
 
 
 def scan_stroke(situation: Situation) -> float:
-    """Return the displacement of the scan from peak to peak [m].
-
-    Parameters
-    ----------
-    situation : Situation
-    """
+    """Return the displacement of the scan from peak to peak [m]."""
     return situation.plan.scan_stroke or SCANNED * situation.figure("hysteresis", "stroke_m")
 
 
 def scan_period(situation: Situation) -> int:
-    """Return the samples of a triangle of the scan.
-
-    Parameters
-    ----------
-    situation : Situation
-    """
+    """Return the samples of a triangle of the scan."""
     return max(round(situation.rate / situation.plan.scan_frequency), 4)
 
 
@@ -88,21 +78,7 @@ def _reach(situation: Situation, configuration: Configuration) -> tuple[float, f
 
 
 def scan_reference(situation: Situation, configuration: Configuration, unjudged: int = UNJUDGED_PERIODS) -> np.ndarray:
-    """Return the scan [m]: the way to its low end, triangles, and the way back to rest.
-
-    Parameters
-    ----------
-    situation : Situation
-    configuration : Configuration
-        Of the designed axis.
-    unjudged : int
-        Triangles before those that are judged.
-
-    Raises
-    ------
-    CommissioningError
-        The stage does not reach as far.
-    """
+    """Return the scan [m]: the way to its low end, triangles, and the way back to rest."""
     low, high = _reach(situation, configuration)
     size, rate = scan_stroke(situation), situation.rate
     if size > high - low:
@@ -125,14 +101,7 @@ def _resting_reference(low: float, high: float) -> float:
 
 
 def steps_reference(situation: Situation, configuration: Configuration) -> np.ndarray:
-    """Return small steps in closed loop [m].
-
-    Parameters
-    ----------
-    situation : Situation
-    configuration : Configuration
-        Of the designed axis.
-    """
+    """Return small steps in closed loop [m]."""
     low, high = _reach(situation, configuration)
     rest, rate = _resting_reference(low, high), situation.rate
     far = high if high - rest >= rest - low else low
@@ -150,13 +119,7 @@ def closed_axis(
 ) -> AxisParameters:
     """Return the designed axis that follows a reference once.
 
-    Parameters
-    ----------
-    situation : Situation
-    configuration : Configuration
-    stage : str
-    reference : ndarray, shape (N,)
-        [m]
+    Units: ``reference`` [m].
     """
     path = write_samples(situation.folder.path / "waveforms" / f"{stage}.npz", reference, situation.rate)
     configuration = following(configuration, path)
@@ -167,41 +130,19 @@ def closed_axis(
 
 
 def predicted_scan(situation: Situation, configuration: Configuration) -> Recording:
-    """Return the scan as ``hysteresis simulate`` of the file has it.
-
-    Parameters
-    ----------
-    situation : Situation
-    configuration : Configuration
-        Of the designed axis.
-    """
+    """Return the scan as ``hysteresis simulate`` of the file has it."""
     return simulate(closed_axis(situation, configuration, "scan", scan_reference(situation, configuration)))
 
 
 def error_of(configuration: Configuration, namespace: str, recording: Recording) -> np.ndarray:
-    """Return reference less measurement [m], the reference as late as its preview, the sensor's zero taken off.
-
-    Parameters
-    ----------
-    configuration : Configuration
-        Of the axis.
-    namespace : str
-    recording : Recording
-    """
+    """Return reference less measurement [m], the reference as late as its preview, the sensor's zero taken off."""
     controller = single_axis(configuration, namespace).motion_controller
     wanted = delayed(recording["reference"], controller.feedforward.preview)
     return wanted - (recording["measured"] - controller.model.preload.offset)
 
 
 def judged_samples(situation: Situation, configuration: Configuration) -> slice:
-    """Return the samples of the scan that are judged: the last periods, as late as the preview.
-
-    Parameters
-    ----------
-    situation : Situation
-    configuration : Configuration
-        Of the designed axis.
-    """
+    """Return the samples of the scan that are judged: the last periods, as late as the preview."""
     period = scan_period(situation)
     begin = scan_begin(situation) + UNJUDGED_PERIODS * period
     preview = single_axis(configuration, situation.axis.namespace).motion_controller.feedforward.preview
@@ -209,75 +150,35 @@ def judged_samples(situation: Situation, configuration: Configuration) -> slice:
 
 
 def scan_begin(situation: Situation) -> int:
-    """Return the sample at which the first triangle begins.
-
-    Parameters
-    ----------
-    situation : Situation
-    """
+    """Return the sample at which the first triangle begins."""
     return 3 * max(round(STEP_HOLD * situation.rate), 1)
 
 
 def scan_error(situation: Situation, configuration: Configuration, recording: Recording) -> float:
-    """Return the RMS error [m] of the periods that are judged.
-
-    Parameters
-    ----------
-    situation : Situation
-    configuration : Configuration
-        Of the designed axis.
-    recording : Recording
-    """
+    """Return the RMS error [m] of the periods that are judged."""
     error = error_of(configuration, situation.axis.namespace, recording)
     return root_mean_square(error[judged_samples(situation, configuration)])
 
 
 def root_mean_square(error: np.ndarray) -> float:
-    """Return the RMS of an error [m].
-
-    Parameters
-    ----------
-    error : ndarray, shape (N,)
-        [m]
-    """
+    """Return the RMS of an error [m]."""
     return float(np.sqrt(np.mean(error**2)))
 
 
 def designed(situation: Situation) -> Configuration:
-    """Return the configuration of the designed axis.
-
-    Parameters
-    ----------
-    situation : Situation
-    """
+    """Return the configuration of the designed axis."""
     situation.figure("design", "predicted_rms_m")
     return load_configuration(situation.folder.path / COMMISSIONED)
 
 
 def loop_axis(situation: Situation) -> AxisParameters:
-    """Return the axis of the small steps in closed loop.
-
-    Parameters
-    ----------
-    situation : Situation
-    """
+    """Return the axis of the small steps in closed loop."""
     configuration = designed(situation)
     return closed_axis(situation, configuration, "loop", steps_reference(situation, configuration))
 
 
 def judge_loop(situation: Situation, recording: Recording) -> Outcome:
-    """Judge small steps: whether the loop comes to rest, as the simulation does.
-
-    Parameters
-    ----------
-    situation : Situation
-    recording : Recording
-
-    Raises
-    ------
-    CommissioningError
-        It rings, or stays away.
-    """
+    """Judge small steps: whether the loop comes to rest, as the simulation does."""
     configuration, namespace = designed(situation), situation.axis.namespace
     error = error_of(configuration, namespace, recording)
     expected = error_of(configuration, namespace, simulate(loop_axis(situation)))
@@ -304,24 +205,13 @@ def judge_loop(situation: Situation, recording: Recording) -> Outcome:
 
 
 def scan_axis(situation: Situation) -> AxisParameters:
-    """Return the axis of the scan.
-
-    Parameters
-    ----------
-    situation : Situation
-    """
+    """Return the axis of the scan."""
     configuration = designed(situation)
     return closed_axis(situation, configuration, "scan", scan_reference(situation, configuration))
 
 
 def judge_scan(situation: Situation, recording: Recording) -> Outcome:
-    """Judge the scan beside its prediction.
-
-    Parameters
-    ----------
-    situation : Situation
-    recording : Recording
-    """
+    """Judge the scan beside its prediction."""
     configuration, namespace = designed(situation), situation.axis.namespace
     simulated = predicted_scan(situation, configuration)
     found, expected = (scan_error(situation, configuration, run) for run in (recording, simulated))
@@ -357,14 +247,7 @@ def judge_scan(situation: Situation, recording: Recording) -> Outcome:
 
 
 def preload_offset(configuration: Configuration, namespace: str) -> float:
-    """Return what the preload adds to the measurement [m].
-
-    Parameters
-    ----------
-    configuration : Configuration
-        Of the designed axis.
-    namespace : str
-    """
+    """Return what the preload adds to the measurement [m]."""
     return float(single_axis(configuration, namespace).motion_controller.model.preload.offset)
 
 
@@ -387,22 +270,12 @@ def _played_reference(situation: Situation, configuration: Configuration) -> tup
 
 
 def response_peak(situation: Situation) -> float:
-    """Return how far the reference moves to both sides [m].
-
-    Parameters
-    ----------
-    situation : Situation
-    """
+    """Return how far the reference moves to both sides [m]."""
     return _played_reference(situation, designed(situation))[2]
 
 
 def response_axis(situation: Situation) -> AxisParameters:
-    """Return the axis whose reference is excited in closed loop.
-
-    Parameters
-    ----------
-    situation : Situation
-    """
+    """Return the axis whose reference is excited in closed loop."""
     configuration = designed(situation)
     return closed_axis(situation, configuration, "response", _played_reference(situation, configuration)[0])
 
@@ -414,12 +287,7 @@ def _measured_response(situation: Situation, recording: Recording) -> AxisRespon
 
 
 def measured_plant(situation: Situation) -> MeasuredPlant | None:
-    """Return what the plant was measured to be in closed loop, over its model; None where nothing was seen.
-
-    Parameters
-    ----------
-    situation : Situation
-    """
+    """Return what the plant was measured to be in closed loop, over its model; None where nothing was seen."""
     try:
         found = _measured_response(situation, situation.folder.recording("response"))
     except (IdentificationError, RecordingError):
@@ -430,13 +298,7 @@ def measured_plant(situation: Situation) -> MeasuredPlant | None:
 
 
 def judge_response(situation: Situation, recording: Recording) -> Outcome:
-    """Judge the closed loop by its margins, measured and predicted.
-
-    Parameters
-    ----------
-    situation : Situation
-    recording : Recording
-    """
+    """Judge the closed loop by its margins, measured and predicted."""
     try:
         found = _measured_response(situation, recording)
     except (IdentificationError, RecordingError) as error:
@@ -478,13 +340,7 @@ def _response_pictures(loop: MeasuredLoop, model: np.ndarray) -> list[Picture]:
 
 
 def at_or_after(events: np.ndarray, samples: int) -> np.ndarray:
-    """Tell which samples are events, or follow one by at most so many samples.
-
-    Parameters
-    ----------
-    events : ndarray of bool, shape (N,)
-    samples : int
-    """
+    """Tell which samples are events, or follow one by at most so many samples."""
     numbers = np.arange(len(events))
     last = np.maximum.accumulate(np.where(events, numbers, -samples - 1))
     return numbers - last <= samples
@@ -493,14 +349,7 @@ def at_or_after(events: np.ndarray, samples: int) -> np.ndarray:
 def not_learned(parameters: LearningParameters, rate: float, signals) -> dict[str, np.ndarray]:
     """Return the samples from which nothing is learned, by reason; the first reason of a sample counts.
 
-    Parameters
-    ----------
-    parameters : LearningParameters
-        Of the learning.
-    rate : float
-        Samples per second [Hz].
-    signals : mapping of str to ndarray, shape (N,)
-        Of a recording: ``command``, ``applied``, ``measured``, and where they are known ``skipped`` and ``seen``.
+    Units: ``rate`` [Hz].
     """
     # what was carried out is known a sample later
     shortfall = np.abs(signals["applied"] - signals["command"]) > parameters.shortfall
@@ -524,18 +373,7 @@ def not_learned(parameters: LearningParameters, rate: float, signals) -> dict[st
 def learned_line(parameters: LearningParameters, rate: float, signals, begin: int, count: int) -> str:
     """Say from how many periods was learned, and why from the others was not, or only in part.
 
-    Parameters
-    ----------
-    parameters : LearningParameters
-        Of the learning.
-    rate : float
-        Samples per second [Hz].
-    signals : mapping of str to ndarray, shape (N,)
-        See :func:`left_out`.
-    begin : int
-        First sample of the first period.
-    count : int
-        Periods.
+    Units: ``rate`` [Hz].
     """
     period = period_samples(parameters.period, rate)
     reasons = {
@@ -561,22 +399,12 @@ FILTER_DESIGN = "inversion"
 
 
 def learning_periods(situation: Situation) -> int:
-    """Return the periods of learning before those that are judged.
-
-    Parameters
-    ----------
-    situation : Situation
-    """
+    """Return the periods of learning before those that are judged."""
     return int(min(MOST_PERIODS, max(LONGEST_LEARNING * situation.plan.scan_frequency, FEWEST_PERIODS)))
 
 
 def learn_axis(situation: Situation) -> AxisParameters | Outcome:
-    """Return the axis that learns the scan, and write its file; or why nothing can be learned.
-
-    Parameters
-    ----------
-    situation : Situation
-    """
+    """Return the axis that learns the scan, and write its file; or why nothing can be learned."""
     configuration, namespace = designed(situation), situation.axis.namespace
     # what another attempt has learned belongs to another loop
     (situation.folder.path / LEARNING).unlink(missing_ok=True)
@@ -603,13 +431,7 @@ def _learning_axis(situation: Situation, configuration: Configuration) -> AxisPa
 
 
 def judge_learned(situation: Situation, recording: Recording) -> Outcome:
-    """Judge the scan after so many periods of learning, beside its prediction and the scan without.
-
-    Parameters
-    ----------
-    situation : Situation
-    recording : Recording
-    """
+    """Judge the scan after so many periods of learning, beside its prediction and the scan without."""
     configuration, count = _learning_configuration(situation), learning_periods(situation)
     learning = single_axis(configuration, situation.axis.namespace).motion_controller.learning
     simulated = simulate(_learning_axis(situation, configuration))
@@ -647,17 +469,7 @@ def judge_learned(situation: Situation, recording: Recording) -> Outcome:
 
 
 def in_time(skipped: np.ndarray) -> np.ndarray:
-    """Tell which periods have no missed deadline, and do not follow one that has: the axis answers to it for a while.
-
-    Parameters
-    ----------
-    skipped : ndarray, shape (periods, samples)
-        1 at each sample whose time was missed.
-
-    Returns
-    -------
-    ndarray of bool, shape (periods,)
-    """
+    """Tell which periods have no missed deadline, and do not follow one that has: the axis answers to it for a while."""
     late = np.any(skipped > 0.5, axis=1)
     return ~(late | np.concatenate([[False], late[:-1]]))
 
@@ -665,11 +477,7 @@ def in_time(skipped: np.ndarray) -> np.ndarray:
 def missed_line(error: float, kept: np.ndarray) -> str:
     """Say what the error is in the periods that no missed deadline has disturbed.
 
-    Parameters
-    ----------
-    error : float
-        Of those periods [m]; NaN: there is none.
-    kept : ndarray of bool, shape (periods,)
+    Units: ``error`` [m].
     """
     count = np.count_nonzero(kept)
     if not count:

@@ -57,10 +57,6 @@ def slow_data(situation: Situation) -> IdentificationData:
     """Return what the decaying cycles and the creep say, one behind the other, neighbours averaged.
 
     Where a resonance shows that nothing slow lags, the measurement is taken earlier by the delay that was found.
-
-    Parameters
-    ----------
-    situation : Situation
     """
     parts = [situation.folder.recording(stage) for stage in ("hysteresis", "creep")]
     late = situation.figure("resonance", "delay_s") if _is_quick(situation) else 0.0
@@ -84,14 +80,7 @@ def _averaged(values: np.ndarray, factor: int) -> np.ndarray:
 
 
 def fast_data(situation: Situation, recording: Recording) -> Fast:
-    """Return the multisine with the way to it.
-
-    Parameters
-    ----------
-    situation : Situation
-    recording : Recording
-        Of the stage.
-    """
+    """Return the multisine with the way to it."""
     steady, _ = steady_periods(situation, recording)
     time = np.arange(steady.stop) / situation.rate
     data = IdentificationData(time, recording["voltage"][: steady.stop], recording["measured"][: steady.stop])
@@ -99,17 +88,7 @@ def fast_data(situation: Situation, recording: Recording) -> Fast:
 
 
 def identify_stage(situation: Situation) -> Outcome:
-    """Identify the stage, choosing the model by held-out blocks unless one was asked for, and write it.
-
-    Parameters
-    ----------
-    situation : Situation
-
-    Raises
-    ------
-    CommissioningError
-        The fit did not converge, or the model is not fit for feedback.
-    """
+    """Identify the stage, choosing the model by held-out blocks unless one was asked for, and write it."""
     fast = fast_data(situation, situation.folder.recording("resonance"))
     reading = read_data(slow_data(situation), Columns(all_samples=True))
     slow = "creep" if _is_quick(situation) else "lag,creep"
@@ -187,13 +166,7 @@ def _loops(found: Identified) -> list[Picture]:
 
 
 def commissioned_text(situation: Situation, found: Identified) -> str:
-    """Return the parameter file of the axis with what was identified, its noise and the range of the plan.
-
-    Parameters
-    ----------
-    situation : Situation
-    found : Identified
-    """
+    """Return the parameter file of the axis with what was identified, its noise and the range of the plan."""
     plan, namespace = situation.plan, situation.axis.namespace
     identified = parse_configuration(found.text, "the identified model")
     limits = {"limits.minimum": plan.minimum, "limits.maximum": plan.maximum}
@@ -222,28 +195,13 @@ def commissioned_text(situation: Situation, found: Identified) -> str:
 
 
 def excited(situation: Situation) -> float:
-    """Return the largest change of the voltage [V/s] that the stage was moved with in open loop.
-
-    Parameters
-    ----------
-    situation : Situation
-    """
+    """Return the largest change of the voltage [V/s] that the stage was moved with in open loop."""
     recordings = (situation.folder.recording(stage) for stage in MOVED)
     return max(largest_change(one["voltage"], 1.0 / situation.rate) for one in recordings)
 
 
 def design_stage(situation: Situation) -> Outcome:
-    """Design controllers, let each make the scan on the identified stage, and write the best.
-
-    Parameters
-    ----------
-    situation : Situation
-
-    Raises
-    ------
-    CommissioningError
-        None keeps its margins.
-    """
+    """Design controllers, let each make the scan on the identified stage, and write the best."""
     configuration = load_configuration(situation.folder.path / IDENTIFIED)
     plants = {name: _plant(situation, name) for name in situation.found["identify"].figures["others"]}
     names = list(DESIGNS) if situation.controller == "auto" else [situation.controller]
@@ -301,13 +259,7 @@ def _plant(situation: Situation, name: str) -> dict:
 def _tried(
     situation: Situation, configuration: Configuration, plants: dict[str, dict], request: DesignRequest, words: str
 ) -> _Tried:
-    """Return a design that keeps its margins, with the file of an axis whose plant suits it least.
-
-    Raises
-    ------
-    HysteresisError
-        It misses what it is held to, or does not follow the scan.
-    """
+    """Return a design that keeps its margins, with the file of an axis whose plant suits it least."""
     namespace = situation.axis.namespace
     axis = single_axis(configuration, namespace)
     request = replace(request, noise=situation.figure("noise", "noise_rms_m") or None)

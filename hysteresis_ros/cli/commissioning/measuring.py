@@ -113,18 +113,7 @@ def _name_unit(value: float, expected: float) -> str:
 
 
 def judge_noise(situation: Situation, recording: Recording) -> Outcome:
-    """Judge the sensor at rest: noise, drift, zero.
-
-    Parameters
-    ----------
-    situation : Situation
-    recording : Recording
-
-    Raises
-    ------
-    CommissioningError
-        The reading cannot be that of a stage at rest.
-    """
+    """Judge the sensor at rest: noise, drift, zero."""
     time, measured = recording.time - recording.time[0], recording["measured"]
     drift, zero = np.polyfit(time, measured, 1)
     rest = measured - (zero + drift * time)
@@ -153,18 +142,7 @@ def judge_noise(situation: Situation, recording: Recording) -> Outcome:
 
 
 def judge_gain(situation: Situation, recording: Recording) -> Outcome:
-    """Judge a small step: whether the sensor sees it, in which direction, by how much, and whether it comes to rest.
-
-    Parameters
-    ----------
-    situation : Situation
-    recording : Recording
-
-    Raises
-    ------
-    CommissioningError
-        It does not move, moves the wrong way, by quite another amount, or rings.
-    """
+    """Judge a small step: whether the sensor sees it, in which direction, by how much, and whether it comes to rest."""
     plan, noise = situation.plan, situation.figure("noise", "noise_rms_m")
     time, voltage, measured = recording.time - recording.time[0], recording["voltage"], recording["measured"]
     step, count = step_size(plan, situation.safe), round(STEP_HOLD * situation.rate)
@@ -214,18 +192,7 @@ def judge_gain(situation: Situation, recording: Recording) -> Outcome:
 
 
 def steady_periods(situation: Situation, recording: Recording) -> tuple[slice, int]:
-    """Return the samples of the multisine without its first period, and how many there are in a period.
-
-    Parameters
-    ----------
-    situation : Situation
-    recording : Recording
-
-    Raises
-    ------
-    CommissioningError
-        The recording ends before.
-    """
+    """Return the samples of the multisine without its first period, and how many there are in a period."""
     period = round(PERIOD * situation.rate)
     first = round(REST * situation.rate) + round(WAY * situation.rate) + period
     last = first + (PERIODS - 1) * period
@@ -235,18 +202,7 @@ def steady_periods(situation: Situation, recording: Recording) -> tuple[slice, i
 
 
 def judge_resonance(situation: Situation, recording: Recording) -> Outcome:
-    """Judge a small multisine: resonance, damping, delay.
-
-    Parameters
-    ----------
-    situation : Situation
-    recording : Recording
-
-    Raises
-    ------
-    CommissioningError
-        The sensor hardly answers, or the limits cut the voltage.
-    """
+    """Judge a small multisine: resonance, damping, delay."""
     steady, period = steady_periods(situation, recording)
     voltage, measured = recording["voltage"][steady], recording["measured"][steady]
     whole = multisine_response(voltage, measured, 1.0 / situation.rate, period)
@@ -301,18 +257,7 @@ def _delay(found: FrequencyResponse, peak: int) -> float:
 
 
 def judge_hysteresis(situation: Situation, recording: Recording) -> Outcome:
-    """Judge the decaying cycles: stroke, and how far the loop is open.
-
-    Parameters
-    ----------
-    situation : Situation
-    recording : Recording
-
-    Raises
-    ------
-    CommissioningError
-        The stroke is quite another one, or the sensor ends within it.
-    """
+    """Judge the decaying cycles: stroke, and how far the loop is open."""
     voltage, measured = recording["voltage"], recording["measured"]
     plan, noise = situation.plan, situation.figure("noise", "noise_rms_m")
     stroke = float(np.ptp(measured))
@@ -340,13 +285,7 @@ def judge_hysteresis(situation: Situation, recording: Recording) -> Outcome:
 
 
 def judge_creep(situation: Situation, recording: Recording) -> Outcome:
-    """Judge a step that is held: how much of it comes late.
-
-    Parameters
-    ----------
-    situation : Situation
-    recording : Recording
-    """
+    """Judge a step that is held: how much of it comes late."""
     rate, plan = situation.rate, situation.plan
     begin = round(REST * rate) + round(CREEP_WAY * rate)
     end = begin + round(plan.creep_duration * rate)

@@ -77,53 +77,20 @@ $driver
 
 @dataclass(frozen=True)
 class NewAxis:
-    """What a person says of a new axis.
+    """What a person says of a new axis."""
 
-    Parameters
-    ----------
-    stroke : float
-        Displacement over the range of voltage [m].
-    minimum, maximum : float
-        Range of voltage [V].
-    sample_rate : float
-        [Hz]
-    driver : str
-        Name or path of a driver; empty: the simulated plant.
-    driver_options : tuple of str
-        ``NAME=VALUE`` each.
-    external : bool
-        A node of the user's own stands in the plant's place.
-    joint : str
-        Name in ``joint_states``.
-    """
-
-    stroke: float
-    minimum: float
+    stroke: float  #: Displacement over the range of voltage [m].
+    minimum: float  #: minimum, maximum: Range of voltage [V].
     maximum: float
-    sample_rate: float
-    driver: str = ""
-    driver_options: tuple[str, ...] = ()
-    external: bool = False
-    joint: str = "stage"
+    sample_rate: float  #: [Hz]
+    driver: str = ""  #: Name or path of a driver; empty: the simulated plant.
+    driver_options: tuple[str, ...] = ()  #: ``NAME=VALUE`` each.
+    external: bool = False  #: A node of the user's own stands in the plant's place.
+    joint: str = "stage"  #: Name in ``joint_states``.
 
 
 def parsed(option: str, text: str, unit: str) -> float:
-    """Return a quantity in SI.
-
-    Parameters
-    ----------
-    option : str
-        For the message.
-    text : str
-        ``70um``, ``2kHz``; a number without a unit is in SI, and a length needs one.
-    unit : str
-        SI unit.
-
-    Raises
-    ------
-    ConfigurationError
-        It is no number, or has another unit.
-    """
+    """Return a quantity in SI."""
     try:
         return quantity_in(text, unit)
     except ValueError as error:
@@ -131,18 +98,7 @@ def parsed(option: str, text: str, unit: str) -> float:
 
 
 def parsed_range(option: str, text: str, unit: str) -> tuple[float, float]:
-    """Return both ends of a range in SI, ``0:100V``, ``-30..120 V`` or ``100V`` (from 0).
-
-    Parameters
-    ----------
-    option, text, unit : str
-        See :func:`parsed`.
-
-    Raises
-    ------
-    ConfigurationError
-        It is no range.
-    """
+    """Return both ends of a range in SI, ``0:100V``, ``-30..120 V`` or ``100V`` (from 0)."""
     for mark in ("...", "…", "..", ":"):
         if mark in text:
             low, _, high = text.partition(mark)
@@ -156,17 +112,7 @@ def parsed_range(option: str, text: str, unit: str) -> tuple[float, float]:
 
 
 def new_text(axis: NewAxis) -> str:
-    """Return the text of the parameter file of a new axis.
-
-    Parameters
-    ----------
-    axis : NewAxis
-
-    Raises
-    ------
-    ConfigurationError
-        Options exclude each other, or a number is out of range.
-    """
+    """Return the text of the parameter file of a new axis."""
     if axis.external and axis.driver:
         raise ConfigurationError("--driver and --plant external exclude each other; give one of them")
     if axis.driver_options and not axis.driver:
@@ -242,19 +188,7 @@ def _scalar(text: str) -> str:
 
 
 def write_new(path, axis: NewAxis) -> None:
-    """Write the parameter file of a new axis, from which an axis can be built; an existing file is not touched.
-
-    Parameters
-    ----------
-    path : path-like
-        ``.yaml``
-    axis : NewAxis
-
-    Raises
-    ------
-    ConfigurationError, ParameterError
-        The file exists or cannot be written, a number is out of range, or the driver is not known.
-    """
+    """Write the parameter file of a new axis, from which an axis can be built; an existing file is not touched."""
     path = pathlib.Path(path)
     if path.suffix not in (".yaml", ".yml"):
         raise ConfigurationError(f"{path}: give a name that ends in .yaml")

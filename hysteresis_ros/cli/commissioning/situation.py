@@ -43,37 +43,16 @@ class CommissioningError(HysteresisError):
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a stage found.
+    """What a stage found."""
 
-    Parameters
-    ----------
-    lines : list of str
-        What a person is told.
-    figures : dict
-        By names with units.
-    pictures : list of Picture
-    seconds : float
-        How long the axis was driven.
-    """
-
-    lines: list[str]
-    figures: dict = field(default_factory=dict)
+    lines: list[str]  #: What a person is told.
+    figures: dict = field(default_factory=dict)  #: By names with units.
     pictures: list[Picture] = field(default_factory=list)
-    seconds: float = 0.0
+    seconds: float = 0.0  #: How long the axis was driven.
 
     @classmethod
     def from_mapping(cls, mapping: dict) -> Outcome:
-        """Return the outcome that :func:`dataclasses.asdict` gave.
-
-        Parameters
-        ----------
-        mapping : dict
-
-        Raises
-        ------
-        TypeError, KeyError
-            It is another mapping.
-        """
+        """Return the outcome that :func:`dataclasses.asdict` gave."""
         lines, figures, seconds = (mapping[name] for name in ("lines", "figures", "seconds"))
         if not (isinstance(lines, list) and isinstance(figures, dict) and isinstance(seconds, (int, float))):
             raise TypeError("an outcome with values of other types")
@@ -85,15 +64,7 @@ class Outcome:
 
 
 def verdict(ratio: float, most: float) -> str:
-    """Return in words whether something is as it was predicted.
-
-    Parameters
-    ----------
-    ratio : float
-        Found over predicted.
-    most : float
-        Up to which it is.
-    """
+    """Return in words whether something is as it was predicted."""
     return "as predicted" if ratio <= most else f"MORE than {most:g} x the prediction"
 
 
@@ -160,20 +131,7 @@ class Plan(Parameters):
 
 
 def plan_of(configuration: Configuration, axis: AxisParameters) -> Plan:
-    """Return the plan of a parameter file; where it has none, of the limits and the model of the compensator.
-
-    Parameters
-    ----------
-    configuration : Configuration
-    axis : AxisParameters
-
-    Raises
-    ------
-    ParameterError
-        The section has an unknown or wrong entry.
-    ConfigurationError
-        The safe voltage is out of the range, or the axis is an inchworm motor.
-    """
+    """Return the plan of a parameter file; where it has none, of the limits and the model of the compensator."""
     if axis.inchworm_sequencer is not None:
         raise ConfigurationError(
             f"{configuration.source}: an inchworm motor walks; commission its extender alone, in a file without "
@@ -201,23 +159,7 @@ STATE, IDENTIFIED, COMMISSIONED, LEARNING = "state.json", "identified.yaml", "co
 
 
 class Folder:
-    """What is kept between the stages of a commissioning.
-
-    Parameters
-    ----------
-    path : path-like
-    text : str
-        Text of the parameter file that is commissioned.
-    bench : str
-        Name of the bench.
-    resumed : bool
-        Go on with what is there; otherwise nothing may be there.
-
-    Raises
-    ------
-    ConfigurationError
-        Something is there already or cannot be made, or what is there belongs to another file or bench.
-    """
+    """What is kept between the stages of a commissioning."""
 
     def __init__(self, path, text: str, bench: str, resumed: bool):
         self.path = pathlib.Path(path)
@@ -260,17 +202,7 @@ class Folder:
         write_text(self.path / name, json.dumps(content, indent=1), ConfigurationError)
 
     def outcome(self, stage: str) -> Outcome | None:
-        """Return what a stage found; None when it is not done.
-
-        Parameters
-        ----------
-        stage : str
-
-        Raises
-        ------
-        ConfigurationError
-            What is kept cannot be read.
-        """
+        """Return what a stage found; None when it is not done."""
         path = self.path / f"{stage}.json"
         try:
             return Outcome.from_mapping(self._read(path)) if path.exists() else None
@@ -278,47 +210,20 @@ class Folder:
             raise ConfigurationError(f"{path}: is no outcome; do the stage again: --stage {stage}") from None
 
     def keep(self, stage: str, outcome: Outcome) -> None:
-        """Keep what a stage found: it is done.
-
-        Parameters
-        ----------
-        stage : str
-        outcome : Outcome
-        """
+        """Keep what a stage found: it is done."""
         self._write(f"{stage}.json", asdict(outcome))
 
     def forget(self, stages: Iterable[str]) -> None:
-        """Let stages count as not done.
-
-        Parameters
-        ----------
-        stages : iterable of str
-        """
+        """Let stages count as not done."""
         for stage in stages:
             (self.path / f"{stage}.json").unlink(missing_ok=True)
 
     def record(self, stage: str, recording: Recording) -> None:
-        """Keep the recording of a stage.
-
-        Parameters
-        ----------
-        stage : str
-        recording : Recording
-        """
+        """Keep the recording of a stage."""
         save_run(recording, self.path / f"{stage}.npz")
 
     def recording(self, stage: str) -> Recording:
-        """Return the recording of a stage that is done.
-
-        Parameters
-        ----------
-        stage : str
-
-        Raises
-        ------
-        CommissioningError
-            It is gone.
-        """
+        """Return the recording of a stage that is done."""
         path = self.path / f"{stage}.npz"
         if not path.exists():
             raise CommissioningError(f"{path}: is gone; do the stage again: --stage {stage}")
@@ -333,34 +238,19 @@ NOTHING = 1e-4
 
 @dataclass
 class Situation:
-    """What every stage knows.
+    """What every stage knows."""
 
-    Parameters
-    ----------
-    configuration : Configuration
-        The parameter file, with what the command line says of the plant.
-    axis : AxisParameters
-    plan : Plan
-    folder : Folder
-    model, controller : str
-        What to identify and to design, or ``auto``.
-    against : tuple of str, optional
-        Other models that a controller has to bear as well; by default what is nearly as good.
-    progress : callable
-        Called as ``progress(number, text)`` by what takes long.
-    found : dict of str to Outcome
-        What earlier stages found.
-    """
-
-    configuration: Configuration
+    configuration: Configuration  #: The parameter file, with what the command line says of the plant.
     axis: AxisParameters
     plan: Plan
     folder: Folder
-    model: str = "auto"
+    model: str = "auto"  #: model, controller: What to identify and to design, or ``auto``.
     controller: str = "auto"
+    #: Other models that a controller has to bear as well; by default what is nearly as good.
     against: tuple[str, ...] | None = None
+    #: Called as ``progress(number, text)`` by what takes long.
     progress: Callable[[int, str], None] = lambda number, text: None
-    found: dict[str, Outcome] = field(default_factory=dict)
+    found: dict[str, Outcome] = field(default_factory=dict)  #: What earlier stages found.
 
     @property
     def rate(self) -> float:
@@ -373,17 +263,7 @@ class Situation:
         return self.axis.hysteresis_compensator.safe_voltage
 
     def figure(self, stage: str, name: str) -> float:
-        """Return a figure of an earlier stage.
-
-        Parameters
-        ----------
-        stage, name : str
-
-        Raises
-        ------
-        CommissioningError
-            The stage is not done.
-        """
+        """Return a figure of an earlier stage."""
         if stage not in self.found:
             raise CommissioningError(f"the stage {stage} is not done yet: do it first (--stage {stage})")
         return self.found[stage].figures[name]
@@ -391,11 +271,7 @@ class Situation:
     def driven_axis(self, stage: str, voltages: np.ndarray) -> AxisParameters:
         """Return the axis that puts out voltages in open loop, within limits that hold nothing else.
 
-        Parameters
-        ----------
-        stage : str
-        voltages : ndarray, shape (N,)
-            [V]
+        Units: ``voltages`` [V].
         """
         room = NOTHING * self.plan.span
         low = max(float(voltages.min()) - room, self.plan.minimum)
@@ -430,13 +306,7 @@ class Situation:
         return bool(plant.driver) or plant.external_plant
 
     def within(self, configuration: Configuration, low: float, high: float) -> Configuration:
-        """Return a configuration whose plant and compensator put out nothing else than ``low`` … ``high`` [V].
-
-        Parameters
-        ----------
-        configuration : Configuration
-        low, high : float
-        """
+        """Return a configuration whose plant and compensator put out nothing else than ``low`` … ``high`` [V]."""
         limits = {"limits.minimum": low, "limits.maximum": high, "limits.slew_rate": self.plan.amplifier}
         for node in ("plant_simulator", "hysteresis_compensator"):
             configuration = configuration.override(node, **limits)

@@ -30,40 +30,22 @@ from hysteresis_ros.units import readable
 
 @dataclass(frozen=True)
 class Stage:
-    """A stage that moves the axis.
+    """A stage that moves the axis."""
 
-    Parameters
-    ----------
-    title : str
-        A few words.
-    words : callable
-        ``words(situation)``: what is about to move, and how far.
-    axis : callable
-        ``axis(situation)``: the axis to run, or what is found without moving it.
-    judge : callable
-        ``judge(situation, recording)``: what was found; raises an error when something looks wrong.
-    """
-
-    title: str
-    words: Callable[[Situation], str]
+    title: str  #: A few words.
+    words: Callable[[Situation], str]  #: ``words(situation)``: what is about to move, and how far.
+    #: ``axis(situation)``: the axis to run, or what is found without moving it.
     axis: Callable[[Situation], AxisParameters | Outcome]
+    #: ``judge(situation, recording)``: what was found; raises an error when something looks wrong.
     judge: Callable[[Situation, Recording], Outcome]
 
 
 @dataclass(frozen=True)
 class Computation:
-    """A stage in which nothing moves.
+    """A stage in which nothing moves."""
 
-    Parameters
-    ----------
-    title : str
-        A few words.
-    compute : callable
-        ``compute(situation)``: what was found.
-    """
-
-    title: str
-    compute: Callable[[Situation], Outcome]
+    title: str  #: A few words.
+    compute: Callable[[Situation], Outcome]  #: ``compute(situation)``: what was found.
 
 
 def _driven(stage: str, voltages: Callable[[Plan, float, float], np.ndarray]):
@@ -160,23 +142,10 @@ class Attendant(Protocol):
     """Who is asked before anything moves, and told what was found."""
 
     def may_move(self, stage: str, words: str) -> bool:
-        """Tell what is about to move and return whether it may.
-
-        Parameters
-        ----------
-        stage, words : str
-        """
+        """Tell what is about to move and return whether it may."""
 
     def told(self, stage: str, outcome: Outcome, done_before: bool) -> None:
-        """Hear what a stage found.
-
-        Parameters
-        ----------
-        stage : str
-        outcome : Outcome
-        done_before : bool
-            It was done in an earlier sitting.
-        """
+        """Hear what a stage found."""
 
 
 class NotAllowedError(CommissioningError):
@@ -184,17 +153,7 @@ class NotAllowedError(CommissioningError):
 
 
 def require_stages(stages: Iterable[str]) -> None:
-    """Refuse names that no stage has.
-
-    Parameters
-    ----------
-    stages : iterable of str
-
-    Raises
-    ------
-    CommissioningError
-        There is no such stage; the message says which there are.
-    """
+    """Refuse names that no stage has."""
     for stage in stages:
         if stage not in STAGES:
             there = f"there are {', '.join(STAGES)}{did_you_mean(stage, STAGES)}"
@@ -202,29 +161,7 @@ def require_stages(stages: Iterable[str]) -> None:
 
 
 def commission(situation: Situation, bench: Bench, attendant: Attendant, stages: Iterable[str] = ()) -> bool:
-    """Do the stages in their order, without those that are done.
-
-    Parameters
-    ----------
-    situation : Situation
-        What is found is put into it and kept in its folder.
-    bench : Bench
-    attendant : Attendant
-    stages : iterable of str
-        Names of those to be done, anew, and no others; all by default.
-
-    Returns
-    -------
-    bool
-        Whether all stages are done now.
-
-    Raises
-    ------
-    NotAllowedError
-        The attendant said no.
-    HysteresisError
-        Something looks wrong; outputs are safe, and what was done before is kept.
-    """
+    """Do the stages in their order, without those that are done."""
     asked = set(stages)
     names = list(STAGES)
     for place, name in enumerate(names):

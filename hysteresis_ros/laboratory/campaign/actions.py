@@ -45,16 +45,7 @@ ALL = "all"
 
 
 def kill(rig: Rig, mishap: Mishap, amount: float) -> None:
-    """Kill processes hard, and start them again.
-
-    Parameters
-    ----------
-    rig : Rig
-    mishap : Mishap
-        Its victim is a process, or :data:`ALL`.
-    amount : float
-        Seconds between; 0: until the voltage has had the time to become safe.
-    """
+    """Kill processes hard, and start them again."""
     victims = rig.group.names if mishap.victim == ALL else (mishap.victim,)
     for victim in victims:
         rig.group.send(victim, signal.SIGKILL)
@@ -71,13 +62,7 @@ def kill(rig: Rig, mishap: Mishap, amount: float) -> None:
 def stop(rig: Rig, mishap: Mishap, amount: float) -> None:
     """Stop processes for some time (SIGSTOP, SIGCONT).
 
-    Parameters
-    ----------
-    rig : Rig
-    mishap : Mishap
-        Its victim is a process, or :data:`ALL`.
-    amount : float
-        [s]
+    Units: ``amount`` [s].
     """
     victims = rig.group.names if mishap.victim == ALL else (mishap.victim,)
     for victim in victims:
@@ -129,12 +114,7 @@ def busy() -> Iterator[None]:
 def load(rig: Rig, mishap: Mishap, amount: float) -> None:
     """Keep all cores busy while the axis moves to and fro.
 
-    Parameters
-    ----------
-    rig : Rig
-    mishap : Mishap
-    amount : float
-        [s]
+    Units: ``amount`` [s].
     """
     until = time.monotonic() + amount
     with busy():
@@ -144,14 +124,7 @@ def load(rig: Rig, mishap: Mishap, amount: float) -> None:
 
 
 def fill(rig: Rig, mishap: Mishap, amount: float) -> None:
-    """Wait until the disk of a fused axis, which records all of its samples, is full.
-
-    Parameters
-    ----------
-    rig : Rig
-    mishap : Mishap
-    amount : float
-    """
+    """Wait until the disk of a fused axis, which records all of its samples, is full."""
 
     def is_full() -> bool:
         sizes = [path.stat().st_size for path in rig.group.bags[-1].glob("*.mcap")]
@@ -163,14 +136,7 @@ def fill(rig: Rig, mishap: Mishap, amount: float) -> None:
 
 
 def cut_recording(rig: Rig, mishap: Mishap, amount: float) -> None:
-    """Kill a process that records, read what it has left, and start it again.
-
-    Parameters
-    ----------
-    rig : Rig
-    mishap : Mishap
-    amount : float
-    """
+    """Kill a process that records, read what it has left, and start it again."""
     if rig.way != FUSED:
         rig.group.start(RECORDER)
         rig.witness.until(lambda: rig.witness.is_active(RECORDER), START)
@@ -187,14 +153,7 @@ def cut_recording(rig: Rig, mishap: Mishap, amount: float) -> None:
 
 
 def set_clock(rig: Rig, mishap: Mishap, amount: float) -> None:
-    """Let the time of day jump, while the axis moves.
-
-    Parameters
-    ----------
-    rig : Rig
-    mishap : Mishap
-    amount : float
-    """
+    """Let the time of day jump, while the axis moves."""
     assert isinstance(rig.beside, Clock)
     for offset in OFFSETS:
         rig.beside.set(offset)
@@ -205,13 +164,7 @@ def set_clock(rig: Rig, mishap: Mishap, amount: float) -> None:
 def misbehave(rig: Rig, mishap: Mishap, amount: float) -> None:
     """Let a device go wrong, and wait until it does not any more.
 
-    Parameters
-    ----------
-    rig : Rig
-    mishap : Mishap
-        Its victim is the fault.
-    amount : float
-        [s]
+    Units: ``amount`` [s].
     """
     assert isinstance(rig.beside, Device)
     rig.beside.go_wrong(mishap.victim, amount)
@@ -230,15 +183,7 @@ def _lasts(mishap: Mishap, bounds: Bounds) -> float:
 
 
 def scheduled(axis: AxisParameters, mishap: Mishap, amount: float, bounds: Bounds) -> AxisParameters:
-    """Return a fused axis to whose measurement it is done by itself.
-
-    Parameters
-    ----------
-    axis : AxisParameters
-    mishap : Mishap
-    amount : float
-    bounds : Bounds
-    """
+    """Return a fused axis to whose measurement it is done by itself."""
     rate = axis.plant_simulator.sample_rate
     value = {"late": max(round(amount * rate), 1), "spike": amount * bounds.stroke, "drop": amount}.get(mishap.fault)
     end = "" if value is None else f":{value:.9g}"
@@ -246,15 +191,7 @@ def scheduled(axis: AxisParameters, mishap: Mishap, amount: float, bounds: Bound
 
 
 def measure(rig: Rig, mishap: Mishap, amount: float) -> None:
-    """Let the measurement go wrong for some time.
-
-    Parameters
-    ----------
-    rig : Rig
-    mishap : Mishap
-        Its victim is what a relay does, its fault what the loop does.
-    amount : float
-    """
+    """Let the measurement go wrong for some time."""
     lasts = _lasts(mishap, rig.bounds)
     if rig.relay is not None:
         rig.relay.set(mishap.victim, amount)
@@ -294,15 +231,7 @@ GARBAGE, GARBAGE_EVERY = (math.nan, math.inf, -math.inf, 1e300, -1.0), 7
 
 
 def flood(rig: Rig, mishap: Mishap, amount: float) -> None:
-    """Publish setpoints as fast as that, garbage among them, while all cores are busy.
-
-    Parameters
-    ----------
-    rig : Rig
-    mishap : Mishap
-    amount : float
-        Setpoints per second.
-    """
+    """Publish setpoints as fast as that, garbage among them, while all cores are busy."""
     rig.asked += [rig.bounds.low, rig.bounds.high]
     message, sent, begun = Float64(), 0, time.monotonic()
     with busy():
@@ -316,16 +245,7 @@ def flood(rig: Rig, mishap: Mishap, amount: float) -> None:
 
 
 def second_sender(rig: Rig, mishap: Mishap, amount: float) -> None:
-    """Publish anything on a topic of the axis, as another graph or a tool would.
-
-    Parameters
-    ----------
-    rig : Rig
-    mishap : Mishap
-        Its victim is the topic.
-    amount : float
-        Messages per second.
-    """
+    """Publish anything on a topic of the axis, as another graph or a tool would."""
     kind = JointState if mishap.victim == "joint_states" else Float64
     publisher = rig.witness.node.create_publisher(kind, mishap.victim, 10)
     until, count = time.monotonic() + LONG, 0
@@ -351,14 +271,7 @@ def _other(rig: Rig, topic: str):
 
 
 def second_graph(rig: Rig, mishap: Mishap, amount: float) -> None:
-    """Start the same axis again beside the one that runs.
-
-    Parameters
-    ----------
-    rig : Rig
-    mishap : Mishap
-    amount : float
-    """
+    """Start the same axis again beside the one that runs."""
     folder = rig.group.log.parent / f"second{len(list(rig.group.log.parent.glob('second*')))}"
     folder.mkdir()
     second = Group(rig.axis, rig.way, folder)
@@ -372,15 +285,7 @@ def second_graph(rig: Rig, mishap: Mishap, amount: float) -> None:
 
 
 def storm(rig: Rig, mishap: Mishap, amount: float) -> None:
-    """Change parameters while the axis moves: numbers a little, and to nonsense; all as they were in the end.
-
-    Parameters
-    ----------
-    rig : Rig
-    mishap : Mishap
-    amount : float
-        How often.
-    """
+    """Change parameters while the axis moves: numbers a little, and to nonsense; all as they were in the end."""
     nodes = ("motion_controller", "hysteresis_compensator", "plant_simulator")
     before = {node: _numbers(rig, node) for node in nodes}
     refused = unanswered = 0
@@ -421,15 +326,7 @@ def _set(rig: Rig, node: str, values: dict[str, float]) -> bool | None:
 
 
 def anything(rig: Rig, mishap: Mishap, amount: float) -> None:
-    """Ask nodes for transitions and services in any order; in the end all are active and started.
-
-    Parameters
-    ----------
-    rig : Rig
-    mishap : Mishap
-    amount : float
-        How often.
-    """
+    """Ask nodes for transitions and services in any order; in the end all are active and started."""
     unanswered = 0
     for _ in range(int(amount)):
         node = str(rig.random.choice(NODE_NAMES[:4]))

@@ -39,35 +39,19 @@ SLACK = 0.5
 
 @dataclass(frozen=True)
 class Bounds:
-    """What the figures of an axis must stay within; times are those of the wall clock.
+    """What the figures of an axis must stay within; times are those of the wall clock."""
 
-    Parameters
-    ----------
-    minimum, maximum, safe : float
-        Voltages [V]: limits, and the safe one.
-    step : float
-        Largest change of the voltage between two samples [V], one bit of the converter included.
-    sample_time : float
-        Between two samples, in the axis' own time, that of the stamps [s].
-    low, high : float
-        Where the axis is sent [m].
-    stroke : float
-        From the lowest to the highest reference [m].
-    timeouts : dict of str to float
-        Of :data:`hysteresis_ros.laboratory.campaign.mishaps.TIMEOUTS` [s], the voltage's return to safe included.
-    beyond : float
-        So far the displacement may leave the places between rest and what was asked for, as a part of the stroke.
-    """
-
-    minimum: float
+    minimum: float  #: minimum, maximum, safe: Voltages [V]: limits, and the safe one.
     maximum: float
     safe: float
-    step: float
-    sample_time: float
-    low: float
+    step: float  #: Largest change of the voltage between two samples [V], one bit of the converter included.
+    sample_time: float  #: Between two samples, in the axis' own time, that of the stamps [s].
+    low: float  #: low, high: Where the axis is sent [m].
     high: float
-    stroke: float
+    stroke: float  #: From the lowest to the highest reference [m].
+    #: Of :data:`hysteresis_ros.laboratory.campaign.mishaps.TIMEOUTS` [s], the voltage's return to safe included.
     timeouts: dict[str, float]
+    #: So far the displacement may leave the places between rest and what was asked for, as a part of the stroke.
     beyond: float
 
 
@@ -84,23 +68,7 @@ def at_rate(configuration: Configuration, rate: float) -> Configuration:
 
 
 def prepared(configuration: Configuration, way: str, namespace: str) -> AxisParameters:
-    """Return the axis of a configuration as a campaign runs it: simulated, held at setpoints, its slew rate limited.
-
-    Parameters
-    ----------
-    configuration : Configuration
-    way : str
-        Of :data:`hysteresis_ros.laboratory.campaign.mishaps.WAYS`.
-    namespace : str
-        In which it shall run.
-
-    Raises
-    ------
-    ConfigurationError
-        It holds several axes, or an inchworm motor.
-    ParameterError
-        A parameter is wrong.
-    """
+    """Return the axis of a configuration as a campaign runs it: simulated, held at setpoints, its slew rate limited."""
     mode = "fused" if way == FUSED else "realtime"
     simulated = configuration.override("", time_mode=mode, autostart=True, exit_at_end=True, external_plant=False)
     simulated = simulated.override("plant_simulator", driver="", real_time_factor=1.0)
@@ -120,12 +88,7 @@ def prepared(configuration: Configuration, way: str, namespace: str) -> AxisPara
 
 
 def bounds_of(axis: AxisParameters) -> Bounds:
-    """Return what the figures of a prepared axis must stay within.
-
-    Parameters
-    ----------
-    axis : AxisParameters
-    """
+    """Return what the figures of a prepared axis must stay within."""
     plant, source, compensator = axis.plant_simulator, axis.reference_generator, axis.hysteresis_compensator
     assert source is not None
     limits, factor = plant.limits, plant.real_time_factor
@@ -153,44 +116,25 @@ def bounds_of(axis: AxisParameters) -> Bounds:
 
 @dataclass(frozen=True)
 class Samples:
-    """What the plant did.
+    """What the plant did."""
 
-    Parameters
-    ----------
-    time : ndarray, shape (N,)
-        When it was seen [s], on one clock with everything else.
-    stamp : ndarray, shape (N,)
-        Of the sample [s].
-    voltage, displacement : ndarray, shape (N,)
-        What the plant put out [V], and where it was [m].
-    life : ndarray, shape (N,)
-        Which life of the plant it is: one that begins again knows nothing of the voltage before.
-    """
-
-    time: np.ndarray
-    stamp: np.ndarray
-    voltage: np.ndarray
+    time: np.ndarray  #: shape (N,); When it was seen [s], on one clock with everything else.
+    stamp: np.ndarray  #: shape (N,); Of the sample [s].
+    voltage: np.ndarray  #: voltage, displacement: shape (N,); What the plant put out [V], and where it was [m].
     displacement: np.ndarray
+    #: shape (N,); Which life of the plant it is: one that begins again knows nothing of the voltage before.
     life: np.ndarray
 
     @classmethod
     def of(cls, rows) -> Samples:
-        """Return the samples of rows with these five numbers.
-
-        Parameters
-        ----------
-        rows : iterable of sequence of float
-        """
+        """Return the samples of rows with these five numbers."""
         table = np.array([tuple(row) for row in rows], dtype=np.float64).reshape(-1, 5).T
         return cls(*table)
 
     def between(self, begun: float, ended: float) -> Samples:
         """Return those that were seen in a time.
 
-        Parameters
-        ----------
-        begun, ended : float
-            [s]
+        Units: ``begun`` [s], ``ended`` [s].
         """
         within = (self.time >= begun) & (self.time <= ended)
         columns = (self.time, self.stamp, self.voltage, self.displacement, self.life)
@@ -199,50 +143,26 @@ class Samples:
 
 @dataclass(frozen=True)
 class Trace:
-    """One mishap, once, in one way of running.
-
-    Parameters
-    ----------
-    mishap, way : str
-    amount : float
-        Of what was done.
-    load : float
-        Of the machine meanwhile, processes that want to run.
-    begun, ended, recovered : float
-        When it began and ended, and when the axis followed a setpoint again [s]; NaN: it did not.
-    asked : tuple of float
-        Lowest and highest place that was asked for, rest included [m].
-    samples : Samples
-        From a moment before until the recovery.
-    broken : tuple of str
-        What else did not happen as it must: processes that died, tracebacks, calls without an answer.
-    said : str
-        The gravest that the nodes said of themselves on ``/diagnostics``.
-    notes : tuple of str
-        What a reader of the table should know.
-    """
+    """One mishap, once, in one way of running."""
 
     mishap: str
     way: str
-    amount: float
-    load: float
+    amount: float  #: Of what was done.
+    load: float  #: Of the machine meanwhile, processes that want to run.
+    #: begun, ended, recovered: When it began and ended, and when the axis followed a setpoint again [s]; NaN: it did
+    #: not.
     begun: float
     ended: float
     recovered: float
-    asked: tuple[float, float]
-    samples: Samples
+    asked: tuple[float, float]  #: Lowest and highest place that was asked for, rest included [m].
+    samples: Samples  #: From a moment before until the recovery.
+    #: What else did not happen as it must: processes that died, tracebacks, calls without an answer.
     broken: tuple[str, ...] = ()
-    said: str = ""
-    notes: tuple[str, ...] = ()
+    said: str = ""  #: The gravest that the nodes said of themselves on ``/diagnostics``.
+    notes: tuple[str, ...] = ()  #: What a reader of the table should know.
 
     def with_samples(self, samples: Samples) -> Trace:
-        """Return the same with what a recording holds in the place of what was seen.
-
-        Parameters
-        ----------
-        samples : Samples
-            Of a whole run.
-        """
+        """Return the same with what a recording holds in the place of what was seen."""
         last = self.recovered if np.isfinite(self.recovered) else np.inf
         return replace(self, samples=samples.between(self.begun, last))
 
@@ -255,60 +175,30 @@ ROUNDING = 1e-9
 
 @dataclass(frozen=True)
 class Figures:
-    """What a mishap came to, once or at worst.
+    """What a mishap came to, once or at worst."""
 
-    Parameters
-    ----------
-    lowest, highest : float
-        Voltages that the plant put out [V].
-    step : float
-        Largest change between two samples, as a part of what is allowed.
-    beyond : float
-        How far the displacement left the places between rest and what was asked for, as a part of the stroke.
-    safe : float
-        Time from the beginning until the voltage was safe and stayed so [s]; NaN where it need not be, infinite where
-        it was not.
-    recovery : float
-        Time from the end until the axis followed a setpoint again [s]; infinite: it did not.
-    """
-
-    lowest: float
+    lowest: float  #: lowest, highest: Voltages that the plant put out [V].
     highest: float
-    step: float
+    step: float  #: Largest change between two samples, as a part of what is allowed.
+    #: How far the displacement left the places between rest and what was asked for, as a part of the stroke.
     beyond: float
+    #: Time from the beginning until the voltage was safe and stayed so [s]; NaN where it need not be, infinite where
+    #: it was not.
     safe: float
-    recovery: float
+    recovery: float  #: Time from the end until the axis followed a setpoint again [s]; infinite: it did not.
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What a mishap came to, and what of its claims did not hold.
-
-    Parameters
-    ----------
-    trace : Trace
-    figures : Figures
-    failures : tuple of str
-        Empty: all held.
-    """
+    """What a mishap came to, and what of its claims did not hold."""
 
     trace: Trace
     figures: Figures
-    failures: tuple[str, ...]
+    failures: tuple[str, ...]  #: Empty: all held.
 
 
 def largest_step(samples: Samples, bounds: Bounds, stalls: bool = False) -> float:
-    """Return the largest change of the voltage as a part of what is allowed in the time between two samples.
-
-    Parameters
-    ----------
-    samples : Samples
-        Where some are missing the stamps say how many steps are allowed; another life of the plant begins anew.
-    bounds : Bounds
-    stalls : bool
-        Whether a sample may take longer than its stamps say, as one in which a device does not answer: what counts is
-        when it was seen then.
-    """
+    """Return the largest change of the voltage as a part of what is allowed in the time between two samples."""
     if samples.time.size < 2:
         return 0.0
     follow = np.diff(samples.life) == 0
@@ -319,17 +209,7 @@ def largest_step(samples: Samples, bounds: Bounds, stalls: bool = False) -> floa
 
 
 def time_to_safe(samples: Samples, begun: float, ended: float, bounds: Bounds, part: float = SAFE) -> float:
-    """Return the time from the beginning until the voltage is safe and stays so until the end [s]; infinite: never.
-
-    Parameters
-    ----------
-    samples : Samples
-    begun, ended : float
-        [s]
-    bounds : Bounds
-    part : float
-        Of the range, within which a voltage is safe.
-    """
+    """Return the time from the beginning until the voltage is safe and stays so until the end [s]; infinite: never."""
     inside = samples.between(begun, ended)
     if not inside.time.size:
         return math.inf
@@ -341,14 +221,7 @@ def time_to_safe(samples: Samples, begun: float, ended: float, bounds: Bounds, p
 
 
 def judged(trace: Trace, mishap: Mishap, bounds: Bounds) -> Verdict:
-    """Return what a mishap came to.
-
-    Parameters
-    ----------
-    trace : Trace
-    mishap : Mishap
-    bounds : Bounds
-    """
+    """Return what a mishap came to."""
     samples = trace.samples
     voltage = samples.voltage if samples.time.size else np.array([math.nan])
     low, high = trace.asked
@@ -392,12 +265,7 @@ def _failures(figures: Figures, trace: Trace, mishap: Mishap, bounds: Bounds):
 
 
 def worst(verdicts: list[Verdict]) -> Figures:
-    """Return the worst figures of several.
-
-    Parameters
-    ----------
-    verdicts : list of Verdict
-    """
+    """Return the worst figures of several."""
     found = [verdict.figures for verdict in verdicts]
     safe = [figures.safe for figures in found if not math.isnan(figures.safe)]
     return Figures(

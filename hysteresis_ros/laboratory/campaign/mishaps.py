@@ -37,66 +37,29 @@ ALWAYS = (
 
 @dataclass(frozen=True)
 class Mishap:
-    """One thing that goes wrong.
+    """One thing that goes wrong."""
 
-    Parameters
-    ----------
-    name : str
-        As it is chosen by.
-    group : str
-        Under which heading it stands.
-    done : str
-        What is done, in words.
-    claim : str
-        What must happen beyond :data:`ALWAYS`; empty: nothing.
-    action : str
-        Who does it, of ``nodes/campaign``.
-    victim : str
-        To whom: a node or a topic.
-    amounts : tuple of float
-        Of the action, in its unit; it is done once with each.
-    ways : tuple of str
-        Of :data:`WAYS`, in which it can be done.
-    elsewhere : str
-        Why it cannot be done in the others.
-    safe : str
-        Of :data:`TIMEOUTS`: the voltage must be safe within this time-out and the time of its return; empty: it need
-        not be.
-    bounded : bool
-        Whether the displacement must stay between the rest position and what was asked for, by a part of the stroke.
-    fault : str
-        Of :data:`hysteresis_ros.loop.faults.FAULTS`: who does it where the nodes are fused; empty: the action, too.
-    graph : str
-        Of :data:`GRAPHS`, or empty; a mishap shares its axis only with others of the same.
-    """
-
-    name: str
-    group: str
-    done: str
-    claim: str
-    action: str
-    victim: str = ""
-    amounts: tuple[float, ...] = (0.0,)
-    ways: tuple[str, ...] = WAYS
-    elsewhere: str = ""
+    name: str  #: As it is chosen by.
+    group: str  #: Under which heading it stands.
+    done: str  #: What is done, in words.
+    claim: str  #: What must happen beyond :data:`ALWAYS`; empty: nothing.
+    action: str  #: Of ``laboratory/campaign/actions.py``.
+    victim: str = ""  #: To whom: a node or a topic.
+    amounts: tuple[float, ...] = (0.0,)  #: Of the action, in its unit; it is done once with each.
+    ways: tuple[str, ...] = WAYS  #: Of :data:`WAYS`, in which it can be done.
+    elsewhere: str = ""  #: Why it cannot be done in the others.
+    #: Of :data:`TIMEOUTS`: the voltage must be safe within this time-out and the time of its return; empty: it need
+    #: not be.
     safe: str = ""
+    #: Whether the displacement must stay between the rest position and what was asked for, by a part of the stroke.
     bounded: bool = True
+    #: Of :data:`hysteresis_ros.loop.faults.FAULTS`: who does it where the nodes are fused; empty: the action, too.
     fault: str = ""
-    graph: str = ""
+    graph: str = ""  #: Of :data:`GRAPHS`, or empty; a mishap shares its axis only with others of the same.
 
 
 def chosen_ways(text: str) -> list[str]:
-    """Return the ways of running that a text names, with commas between them.
-
-    Parameters
-    ----------
-    text : str
-
-    Raises
-    ------
-    ConfigurationError
-        One of them is none.
-    """
+    """Return the ways of running that a text names, with commas between them."""
     found = [word.strip() for word in text.split(",") if word.strip()]
     for word in found:
         if word not in WAYS:
@@ -334,17 +297,7 @@ CATALOGUE: dict[str, Mishap] = {
 
 
 def chosen(names: tuple[str, ...]) -> tuple[Mishap, ...]:
-    """Return the mishaps of these names or groups, in the order of the catalogue; all when there are none.
-
-    Parameters
-    ----------
-    names : tuple of str
-
-    Raises
-    ------
-    ConfigurationError
-        There is none of a name.
-    """
+    """Return the mishaps of these names or groups, in the order of the catalogue; all when there are none."""
     groups = {mishap.group for mishap in CATALOGUE.values()}
     for name in names:
         if name not in CATALOGUE and name not in groups:

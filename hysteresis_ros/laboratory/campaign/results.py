@@ -30,23 +30,12 @@ from hysteresis_ros.laboratory.campaign.mishaps import ALWAYS, Mishap
 
 @dataclass(frozen=True)
 class Conditions:
-    """What a reader of figures must know.
-
-    Parameters
-    ----------
-    date : str
-    machine : str
-        System, processors, versions.
-    load : float
-        Processes that want to run, mean of a minute.
-    transports : str
-        Of DDS, as the environment says.
-    """
+    """What a reader of figures must know."""
 
     date: str
-    machine: str
-    load: float
-    transports: str
+    machine: str  #: System, processors, versions.
+    load: float  #: Processes that want to run, mean of a minute.
+    transports: str  #: Of DDS, as the environment says.
 
 
 def conditions() -> Conditions:
@@ -69,34 +58,15 @@ def conditions() -> Conditions:
 
 @dataclass(frozen=True)
 class Results:
-    """What campaigns came to.
+    """What campaigns came to."""
 
-    Parameters
-    ----------
-    config : str
-        Which axis.
-    verdicts : tuple of Verdict
-    before, after : Conditions
-        At the beginning and the end.
-    """
-
-    config: str
+    config: str  #: Which axis.
     verdicts: tuple[Verdict, ...]
-    before: Conditions
+    before: Conditions  #: before, after: At the beginning and the end.
     after: Conditions
 
     def and_of(self, other: Results) -> Results:
-        """Return these and those of another campaign.
-
-        Parameters
-        ----------
-        other : Results
-
-        Raises
-        ------
-        ConfigurationError
-            It was of another axis.
-        """
+        """Return these and those of another campaign."""
         if other.config != self.config:
             raise ConfigurationError(f"figures of {other.config} do not belong beside those of {self.config}")
         first = min((self.before, other.before), key=lambda when: when.date)
@@ -104,13 +74,7 @@ class Results:
         return Results(self.config, other.verdicts + self.verdicts, first, last)
 
     def save(self, path: pathlib.Path) -> None:
-        """Write them as JSON; of the samples only what they came to.
-
-        Parameters
-        ----------
-        path : pathlib.Path
-            The file.
-        """
+        """Write them as JSON; of the samples only what they came to."""
         rows = [
             {"figures": asdict(one.figures), "failures": one.failures, "trace": _without_samples(one.trace)}
             for one in self.verdicts
@@ -124,17 +88,7 @@ def _without_samples(trace: Trace) -> dict:
 
 
 def load_results(path: pathlib.Path) -> Results:
-    """Read what :meth:`Results.save` has written.
-
-    Parameters
-    ----------
-    path : pathlib.Path
-
-    Raises
-    ------
-    ConfigurationError
-        It cannot be read, or holds something else.
-    """
+    """Read what :meth:`Results.save` has written."""
     try:
         table = json.loads(path.read_text(encoding="utf-8"))
         verdicts = tuple(
@@ -193,12 +147,7 @@ def _figures(figures: Figures) -> str:
 
 
 def line(verdict: Verdict) -> str:
-    """Return in a line what a mishap came to.
-
-    Parameters
-    ----------
-    verdict : Verdict
-    """
+    """Return in a line what a mishap came to."""
     trace = verdict.trace
     name = f"{trace.way}, {trace.mishap}{f' ({trace.amount:g})' if trace.amount else ''}"
     said = f"; said: {trace.said}" if trace.said else ""
@@ -226,15 +175,7 @@ def _cell(mishap: Mishap, way: str, verdicts: list[Verdict]) -> str:
 
 
 def page(mishaps: Iterable[Mishap], ways: Sequence[str], results: Results) -> str:
-    """Return the page of a campaign.
-
-    Parameters
-    ----------
-    mishaps : iterable of Mishap
-        Those that were done.
-    ways : sequence of str
-    results : Results
-    """
+    """Return the page of a campaign."""
     verdicts, before, after = results.verdicts, results.before, results.after
     lines = [HEAD.format(always=ALWAYS)]
     loads = [verdict.trace.load for verdict in verdicts] or [before.load]

@@ -46,22 +46,7 @@ LAST_WORDS = 30
 
 
 class Group:
-    """The processes of one axis.
-
-    Parameters
-    ----------
-    axis : AxisParameters
-    way : str
-        Of :data:`hysteresis_ros.laboratory.campaign.mishaps.WAYS`.
-    folder : pathlib.Path
-        For parameter files, recordings and what the processes print.
-    remap : tuple of str
-        Remappings ``node:topic:=other``.
-    prefix : tuple of str
-        Before the command line of each process.
-    environment : dict of str to str, optional
-        Variables of the processes beside those of this one.
-    """
+    """The processes of one axis."""
 
     def __init__(
         self,
@@ -85,13 +70,7 @@ class Group:
             self.start(name)
 
     def start(self, name: str) -> None:
-        """Start a process; one that was ended is started anew.
-
-        Parameters
-        ----------
-        name : str
-            Of :attr:`names`, or :data:`RECORDER`.
-        """
+        """Start a process; one that was ended is started anew."""
         axis, more = self._axis, []
         if self._way == FUSED or name == RECORDER:
             self.bags.append(self._folder / f"bag{len(self.bags)}")
@@ -104,13 +83,7 @@ class Group:
             self._processes[name] = started(command, self._environment, stdout=log, stderr=subprocess.STDOUT)
 
     def send(self, name: str, number: signal.Signals) -> None:
-        """Send a signal to a process; ``SIGKILL`` is waited for.
-
-        Parameters
-        ----------
-        name : str
-        number : signal.Signals
-        """
+        """Send a signal to a process; ``SIGKILL`` is waited for."""
         if number == signal.SIGKILL:
             self._ended.add(name)
         self._processes[name].send_signal(number)
@@ -148,13 +121,7 @@ class Group:
         return found
 
     def printed(self, since: int = 0) -> str:
-        """Return what the processes have printed.
-
-        Parameters
-        ----------
-        since : int
-            Bytes that are left out.
-        """
+        """Return what the processes have printed."""
         with open(self.log, "rb") as log:
             log.seek(since)
             return log.read().decode("utf-8", "replace")
@@ -199,11 +166,6 @@ class Clock:
 
     Libraries that are put before the C library's clocks (libfaketime 0.9.10) let every sleep of Python 3.11 fail, and
     the clock of the machine is everybody's: so it is Python's own that is replaced, before anything else is imported.
-
-    Parameters
-    ----------
-    folder : pathlib.Path
-        For the files from which they know it.
     """
 
     def __init__(self, folder: pathlib.Path):
@@ -220,10 +182,7 @@ class Clock:
     def set(self, offset: int) -> None:
         """Let the time of day be off by so much from now on.
 
-        Parameters
-        ----------
-        offset : int
-            [s]
+        Units: ``offset`` [s].
         """
         with open(self._file, "r+b" if self._file.exists() else "wb") as file:
             file.write(struct.pack("q", offset))
@@ -233,18 +192,7 @@ class Clock:
 
 
 class Device:
-    """An emulated controller in the simulated plant's place, with a plant inside.
-
-    Parameters
-    ----------
-    config : str
-        Whose plant it has.
-
-    Raises
-    ------
-    HysteresisError
-        It does not start.
-    """
+    """An emulated controller in the simulated plant's place, with a plant inside."""
 
     def __init__(self, config: str):
         with socket.socket() as probe:
@@ -267,26 +215,14 @@ class Device:
             return probe.connect_ex(("127.0.0.1", self._port)) == 0
 
     def driven(self, axis: AxisParameters) -> AxisParameters:
-        """Return an axis that drives it.
-
-        Parameters
-        ----------
-        axis : AxisParameters
-        """
+        """Return an axis that drives it."""
         plant = axis.plant_simulator
         back = (plant.limits.maximum - plant.limits.minimum) / plant.safe_slew_rate
         gcs = replace(plant.gcs, port=self._port, safe_time=back)
         return replace(axis, plant_simulator=replace(plant, driver="gcs", gcs=gcs))
 
     def go_wrong(self, fault: str, seconds: float) -> None:
-        """Let something go wrong from now on.
-
-        Parameters
-        ----------
-        fault : str
-            Of ``hysteresis emulate --help``.
-        seconds : float
-        """
+        """Let something go wrong from now on."""
         assert self._process.stdin is not None
         self._process.stdin.write(f"{fault}:0:{seconds:g}\n")
         self._process.stdin.flush()
@@ -311,28 +247,7 @@ TRACEBACK = "Traceback (most recent call last)"
 
 
 class Rig:
-    """An axis that runs, and a witness.
-
-    Parameters
-    ----------
-    axis : AxisParameters
-        Prepared, see :func:`hysteresis_ros.laboratory.campaign.judging.prepared`.
-    way : str
-        Of :data:`hysteresis_ros.laboratory.campaign.mishaps.WAYS`.
-    folder : pathlib.Path
-    random : numpy.random.Generator
-    relayed : bool
-        Whether a relay stands between the plant and the others.
-    beside : Device or Clock, optional
-        That ends with it.
-    **options
-        Of :class:`~hysteresis_ros.laboratory.campaign.rig.Group`.
-
-    Raises
-    ------
-    HysteresisError
-        The axis does not start.
-    """
+    """An axis that runs, and a witness."""
 
     def __init__(
         self,
@@ -379,10 +294,7 @@ class Rig:
     def ask(self, setpoint: float) -> None:
         """Publish a setpoint, and remember that it was asked for.
 
-        Parameters
-        ----------
-        setpoint : float
-            [m]
+        Units: ``setpoint`` [m].
         """
         self.asked.append(setpoint)
         self.witness.ask(setpoint)
@@ -392,13 +304,7 @@ class Rig:
         return float(self.random.uniform(self.bounds.low, self.bounds.high))
 
     def follows(self, seconds: float = RECOVERY) -> bool:
-        """Send the axis to the farther end, and tell whether it gets there and stays.
-
-        Parameters
-        ----------
-        seconds : float
-            At most.
-        """
+        """Send the axis to the farther end, and tell whether it gets there and stays."""
         low, high = self.bounds.low, self.bounds.high
         target = low if self.witness.displacement > 0.5 * (low + high) else high
         since = math.inf
@@ -420,28 +326,14 @@ class Rig:
         return self.witness.until(there, seconds)
 
     def runs(self, nodes=None) -> bool:
-        """Wait until nodes are active; tell whether they are.
-
-        Parameters
-        ----------
-        nodes : iterable of str, optional
-            All of the axis by default.
-        """
+        """Wait until nodes are active; tell whether they are."""
         names = nodes or ("plant_simulator", "reference_generator", "motion_controller", "hysteresis_compensator")
         return all(self.witness.until(lambda node=node: self.witness.is_active(node), START) for node in names)
 
     # -- mishaps ---------------------------------------------------------------------------------------------------
 
     def endure(self, mishap: Mishap, amount: float, action) -> Trace:
-        """Let something happen amid a move, and return what was seen.
-
-        Parameters
-        ----------
-        mishap : Mishap
-        amount : float
-        action : callable
-            ``action(rig, mishap, amount)`` does it.
-        """
+        """Let something happen amid a move, and return what was seen."""
         self.broken, self.notes, self.asked, self.starts = [], [], [self.rest, self.witness.displacement], 0
         witness, printed = self.witness, self.group.log.stat().st_size
         witness.rows.clear()

@@ -30,47 +30,18 @@ from hysteresis_ros.laboratory.campaign.rig import Clock, Device, Rig, small_dis
 
 @dataclass(frozen=True)
 class Campaign:
-    """What is to be done, to which axis.
+    """What is to be done, to which axis."""
 
-    Parameters
-    ----------
-    config : str
-        Path or name of the configuration.
-    mishaps : tuple of Mishap
-    ways : tuple of str
-    rounds : int
-        How often each is done, at other moments.
-    seed : int
-        Of the moments.
-    folder : pathlib.Path
-        For files that are not kept.
-    rate : float
-        Sample rate [Hz]; 0: that of the configuration.
-    """
-
-    config: str
+    config: str  #: Path or name of the configuration.
     mishaps: tuple[Mishap, ...]
     ways: tuple[str, ...]
-    rounds: int
-    seed: int
-    folder: pathlib.Path
-    rate: float = 0.0
+    rounds: int  #: How often each is done, at other moments.
+    seed: int  #: Of the moments.
+    folder: pathlib.Path  #: For files that are not kept.
+    rate: float = 0.0  #: Sample rate [Hz]; 0: that of the configuration.
 
     def run(self, tell: Callable[[Verdict], None]) -> list[Verdict]:
-        """Do it all; return what came of it.
-
-        Parameters
-        ----------
-        tell : callable
-            Gets each verdict as soon as it is known; of a fused axis that is when its recording is complete.
-
-        Raises
-        ------
-        ConfigurationError, ParameterError
-            The configuration cannot be run so.
-        HysteresisError
-            An axis does not start.
-        """
+        """Do it all; return what came of it."""
         found: list[Verdict] = []
         for way in self.ways:
             configuration = at_rate(load_configuration(self.config), self.rate)

@@ -41,13 +41,7 @@ DEPTH = 5000
 
 
 class Witness:
-    """Looks on, from a thread of its own, until it is closed.
-
-    Parameters
-    ----------
-    namespace : str
-        Of the axis.
-    """
+    """Looks on, from a thread of its own, until it is closed."""
 
     def __init__(self, namespace: str):
         self.namespace = namespace
@@ -101,13 +95,7 @@ class Witness:
     # -- waiting and asking ----------------------------------------------------------------------------------------
 
     def until(self, condition, seconds: float = PATIENCE) -> bool:
-        """Wait until a condition holds; False when it does not within so many seconds.
-
-        Parameters
-        ----------
-        condition : callable
-        seconds : float
-        """
+        """Wait until a condition holds; False when it does not within so many seconds."""
         deadline = time.monotonic() + seconds
         while not condition():
             if time.monotonic() > deadline:
@@ -116,13 +104,7 @@ class Witness:
         return True
 
     def sample(self, rate: float) -> float:
-        """Return at which sample an axis in real time is by now, as far as its plant has said so.
-
-        Parameters
-        ----------
-        rate : float
-            Its samples per second.
-        """
+        """Return at which sample an axis in real time is by now, as far as its plant has said so."""
         when, count = self._counted
         return count + rate * (time.time() - when) if count else 0.0
 
@@ -134,25 +116,12 @@ class Witness:
     def ask(self, setpoint: float) -> None:
         """Publish a setpoint.
 
-        Parameters
-        ----------
-        setpoint : float
-            [m]
+        Units: ``setpoint`` [m].
         """
         self.setpoints.publish(Float64(data=setpoint))
 
     def call(self, kind, service: str, request=None, seconds: float = PATIENCE):
-        """Return the answer of a service of the axis; None when there is none in time.
-
-        Parameters
-        ----------
-        kind : type
-        service : str
-            Below the namespace.
-        request : object, optional
-        seconds : float
-            At most so long for each of finding it and its answer.
-        """
+        """Return the answer of a service of the axis; None when there is none in time."""
         name = f"{self.namespace}/{service}"
         client = self._clients.get(name)
         if client is None:
@@ -163,23 +132,11 @@ class Witness:
         return future.result() if self.until(future.done, seconds) else None
 
     def trigger(self, node: str, action: str) -> bool:
-        """Call a service without arguments; tell whether it was answered, with whatever.
-
-        Parameters
-        ----------
-        node, action : str
-        """
+        """Call a service without arguments; tell whether it was answered, with whatever."""
         return self.call(Trigger, f"{node}/{action}") is not None
 
     def transition(self, node: str, number: int) -> bool:
-        """Ask for a transition of the lifecycle; tell whether it was answered, with whatever.
-
-        Parameters
-        ----------
-        node : str
-        number : int
-            Of ``lifecycle_msgs/msg/Transition``.
-        """
+        """Ask for a transition of the lifecycle; tell whether it was answered, with whatever."""
         request = ChangeState.Request()
         request.transition.id = number
         return self.call(ChangeState, f"{node}/change_state", request) is not None
@@ -191,13 +148,7 @@ class Witness:
         return answer is not None and answer.current_state.id == State.PRIMARY_STATE_ACTIVE
 
     def gravest(self, since: float) -> str:
-        """Return what the nodes said gravest of themselves since a time; empty when all was well.
-
-        Parameters
-        ----------
-        since : float
-            [s since 1970]
-        """
+        """Return what the nodes said gravest of themselves since a time; empty when all was well."""
         found = [(level, text) for when, level, text in list(self.said) if when >= since and level]
         return max(found, key=lambda entry: entry[0])[1] if found else ""
 
@@ -221,20 +172,7 @@ FOREIGN = "gripper"
 class Relay:
     """Passes ``joint_states`` on, changed by whatever :attr:`change` is.
 
-    Parameters
-    ----------
-    witness : Witness
-        In whose node and thread it works.
-    stroke : float
-        Of the axis [m].
-    random : numpy.random.Generator
-
-    Attributes
-    ----------
-    change : str
-        Name of what is done to the messages; empty: nothing.
-    amount : float
-        Of it.
+    Units: ``stroke`` [m].
     """
 
     def __init__(self, witness: Witness, stroke: float, random):
@@ -250,13 +188,7 @@ class Relay:
         self.set("")
 
     def set(self, change: str, amount: float = 0.0) -> None:
-        """Do something else from now on.
-
-        Parameters
-        ----------
-        change : str
-        amount : float
-        """
+        """Do something else from now on."""
         self._kept = None
         self._do = getattr(self, f"_{change}") if change else self._publisher.publish
         self.amount = amount

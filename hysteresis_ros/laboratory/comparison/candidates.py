@@ -43,54 +43,24 @@ BY_FORCE = ("iff",)
 
 
 def has_resonance(axis: AxisParameters) -> bool:
-    """Tell whether the controller's model has a resonance to damp.
-
-    Parameters
-    ----------
-    axis : AxisParameters
-    """
+    """Tell whether the controller's model has a resonance to damp."""
     node = axis.motion_controller
     poles = node.model.dynamics.matrices.poles.astype(complex)
     return any(damping < DAMPED for _, damping in modes(poles, 1.0 / node.sample_rate))
 
 
 def has_force(axis: AxisParameters) -> bool:
-    """Tell whether the controller of an axis knows of a force in the stack.
-
-    Parameters
-    ----------
-    axis : AxisParameters
-    """
+    """Tell whether the controller of an axis knows of a force in the stack."""
     return axis.motion_controller.model.force.there
 
 
 def damped_pid(given) -> dict:
-    """Return a PID in front of the first kind of damping whose loops are what every design is held to.
-
-    Parameters
-    ----------
-    given : comparison.candidates.Given
-
-    Raises
-    ------
-    ConfigurationError
-        No kind is.
-    """
+    """Return a PID in front of the first kind of damping whose loops are what every design is held to."""
     return _kept(given, KINDS)
 
 
 def forced_pid(given) -> dict:
-    """Return a PID in front of a damping by the measured force.
-
-    Parameters
-    ----------
-    given : comparison.candidates.Given
-
-    Raises
-    ------
-    ConfigurationError
-        Its loops are not what every design is held to.
-    """
+    """Return a PID in front of a damping by the measured force."""
     return _kept(given, BY_FORCE)
 
 
@@ -137,15 +107,9 @@ MISMATCHED = Requirements(sensitivity_peak=3.0, gain_margin=0.0, delay_margin=0.
 
 @dataclass(frozen=True)
 class Known:
-    """What is known of an axis: a configuration whose plant is what compensator and controller believe of it.
+    """What is known of an axis: a configuration whose plant is what compensator and controller believe of it."""
 
-    Parameters
-    ----------
-    configuration : Configuration
-        One axis.
-    """
-
-    configuration: Configuration
+    configuration: Configuration  #: One axis.
 
     @property
     def axis(self) -> AxisParameters:
@@ -153,21 +117,7 @@ class Known:
         return single_axis(self.configuration)
 
     def designed(self, candidate: Candidate, task: Task | None = None) -> AxisParameters:
-        """Return the axis with a candidate's parameters.
-
-        Parameters
-        ----------
-        candidate : Candidate
-        task : Task, optional
-            The reference.
-
-        Raises
-        ------
-        ParameterError
-            The axis cannot be built.
-        ConfigurationError
-            Nothing that learns the reference contracts.
-        """
+        """Return the axis with a candidate's parameters."""
         found = self.configuration.override("motion_controller", **candidate.motion_controller)
         found = found.override("hysteresis_compensator", **candidate.hysteresis_compensator)
         if task is None:
@@ -181,20 +131,7 @@ class Known:
 
 
 def known(configuration: Configuration, bits: int) -> Known:
-    """Return what is known of the axis of a configuration, whatever its plant is.
-
-    Parameters
-    ----------
-    configuration : Configuration
-        One axis.
-    bits : int
-        Of the converters; 0: unlimited.
-
-    Raises
-    ------
-    ParameterError
-        A parameter is wrong.
-    """
+    """Return what is known of the axis of a configuration, whatever its plant is."""
     limited = configuration.override("hysteresis_compensator", limits__bits=bits)
     text = believed_axis(single_axis(limited)).configuration_text()
     return Known(parse_configuration(text, configuration.source))
@@ -202,63 +139,28 @@ def known(configuration: Configuration, bits: int) -> Known:
 
 @dataclass(frozen=True)
 class Candidate:
-    """One combination of controller and compensator.
+    """One combination of controller and compensator."""
 
-    Parameters
-    ----------
-    controller, compensator : str
-        Names in the table.
-    motion_controller, hysteresis_compensator : dict
-        Parameters that differ from the configuration's.
-    refused : str
-        Why it cannot be designed; empty when it can.
-    margins : Margins or None
-        Of its loop on its own model.
-    marked : str
-        Which of the margins that every design is held to its loop misses, or what it does not bear when gain and times
-        of its model are off by the mismatch; empty when nothing.
-    learning : str
-        By which design each reference is learned from period to period; empty: it is not.
-    """
-
-    controller: str
+    controller: str  #: controller, compensator: Names in the table.
     compensator: str
+    #: motion_controller, hysteresis_compensator: Parameters that differ from the configuration's.
     motion_controller: dict = field(default_factory=dict)
     hysteresis_compensator: dict = field(default_factory=dict)
-    refused: str = ""
-    margins: Margins | None = None
+    refused: str = ""  #: Why it cannot be designed; empty when it can.
+    margins: Margins | None = None  #: Of its loop on its own model.
+    #: Which of the margins that every design is held to its loop misses, or what it does not bear when gain and times
+    #: of its model are off by the mismatch; empty when nothing.
     marked: str = ""
-    learning: str = ""
+    learning: str = ""  #: By which design each reference is learned from period to period; empty: it is not.
 
 
 def names(axis: AxisParameters) -> list[tuple[str, str]]:
-    """Return the names of all combinations for an axis, (controller, compensator).
-
-    Parameters
-    ----------
-    axis : AxisParameters
-    """
+    """Return the names of all combinations for an axis, (controller, compensator)."""
     return [(controller, compensator) for compensator in compensators(axis) for controller in controllers(axis)]
 
 
 def candidates(given: Known, conditions: Conditions, tasks, only=None) -> list[Candidate]:
-    """Return every combination, designed or refused by name.
-
-    Parameters
-    ----------
-    given : Known
-    conditions : Conditions
-        The noise and the mismatch that the designs reckon with.
-    tasks : sequence of Task
-        The references, for the tuning and for how fast disturbances change.
-    only : collection of (str, str), optional
-        Names of the combinations (controller, compensator) to design; all by default.
-
-    Raises
-    ------
-    ParameterError
-        The configuration is wrong.
-    """
+    """Return every combination, designed or refused by name."""
     axis, found, gains = given.axis, [], {}
     learners = {learner(*one): one[1] for one in LEARNERS}
     for compensator, changed in compensators(axis).items():
@@ -305,28 +207,14 @@ def compensators(axis: AxisParameters) -> dict[str, dict]:
 
 @dataclass(frozen=True)
 class Given:
-    """What a design may know.
+    """What a design may know."""
 
-    Parameters
-    ----------
-    configuration : Configuration
-        One axis.
-    axis : AxisParameters
-    conditions : Conditions
-    tasks : tuple of Task
-        The references.
-    compensator : dict
-        Parameters of the compensator that differ from the configuration's.
-    gains : dict
-        Gains that were tuned already, by law and compensator.
-    """
-
-    configuration: Configuration
+    configuration: Configuration  #: One axis.
     axis: AxisParameters
     conditions: Conditions
-    tasks: tuple[Task, ...]
-    compensator: dict
-    gains: dict
+    tasks: tuple[Task, ...]  #: The references.
+    compensator: dict  #: Parameters of the compensator that differ from the configuration's.
+    gains: dict  #: Gains that were tuned already, by law and compensator.
 
     @property
     def dynamics(self):
@@ -335,13 +223,7 @@ class Given:
         return part(node, ControllerParameters).before_damping(1.0 / node.sample_rate).model.dynamics
 
     def preview(self) -> dict:
-        """Return the feedforward with the shortest preview that inverts the model well.
-
-        Raises
-        ------
-        ParameterError
-            As :func:`.inversion.designed_preview`.
-        """
+        """Return the feedforward with the shortest preview that inverts the model well."""
         return {"feedforward.type": "inverse_dynamics", "feedforward.preview": designed_preview(self.dynamics)}
 
     def change(self) -> float:
@@ -351,13 +233,7 @@ class Given:
         return float(max(self.conditions.mismatch, LEAST_MISMATCH) * moved)
 
     def kalman(self, disturbance: str = "none") -> dict:
-        """Return a filter for the noise, and for disturbances as fast as the mismatch makes them.
-
-        Parameters
-        ----------
-        disturbance : str
-            Model of the disturbance that it estimates.
-        """
+        """Return a filter for the noise, and for disturbances as fast as the mismatch makes them."""
         stroke = max(task.high - task.low for task in self.tasks)
         noise = max(self.conditions.noise, LEAST_NOISE * stroke) / self.dynamics.output_scale
         change = self.change()
@@ -378,11 +254,6 @@ class Given:
 
         Without feedforward, also for a controller beside one: with all that is believed true the feedforward leaves it
         nothing to do, and no gain would be worse than another.
-
-        Parameters
-        ----------
-        kind : str
-            Type of the controller.
         """
         key = (kind, *self.compensator.items())
         if key not in self.gains:
@@ -400,11 +271,6 @@ def controllers(axis: AxisParameters) -> dict:
 
     A design takes :class:`Given` and returns the parameters of the motion controller that differ from the
     configuration's.
-
-    Parameters
-    ----------
-    axis : AxisParameters
-        Dampings are tried where its model has a resonance to damp.
     """
     declared = {name: design for name, (_, design) in ROWS.items()}
     learning = {learner(*one): declared[one[0]] for one in LEARNERS}
@@ -415,12 +281,5 @@ def controllers(axis: AxisParameters) -> dict:
 
 
 def learner(controller: str, kind: str) -> str:
-    """Return what a controller is called over which something learns.
-
-    Parameters
-    ----------
-    controller : str
-    kind : str
-        Design of the learning.
-    """
+    """Return what a controller is called over which something learns."""
     return f"{controller} + learning by {kind.replace('_', '-')}"

@@ -55,38 +55,17 @@ WITH_CREEP = " with creep"
 
 @dataclass(frozen=True)
 class Table:
-    """Candidates on one set of plants.
-
-    Parameters
-    ----------
-    title : str
-    summary : str
-        Of stroke and plants, in a line.
-    tasks : tuple of str
-        Names of the references.
-    rows : tuple of Row
-        Best first; then those without a rank, refused ones last.
-    yardstick : Row
-        What they are compared with.
-    assumptions : tuple of str
-        What the table rests on, in sentences.
-    """
+    """Candidates on one set of plants."""
 
     title: str
-    summary: str
-    tasks: tuple[str, ...]
-    rows: tuple[Row, ...]
-    yardstick: Row
-    assumptions: tuple[str, ...]
+    summary: str  #: Of stroke and plants, in a line.
+    tasks: tuple[str, ...]  #: Names of the references.
+    rows: tuple[Row, ...]  #: Best first; then those without a rank, refused ones last.
+    yardstick: Row  #: What they are compared with.
+    assumptions: tuple[str, ...]  #: What the table rests on, in sentences.
 
     def row(self, controller: str, compensator: str) -> Row:
-        """Return the row of a combination.
-
-        Raises
-        ------
-        ConfigurationError
-            There is none.
-        """
+        """Return the row of a combination."""
         for row in self.rows:
             if row.name == (controller, compensator):
                 return row
@@ -95,21 +74,13 @@ class Table:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Both tables.
-
-    Parameters
-    ----------
-    conditions : Conditions
-    around, others : Table or None
-        Of plants around the configured one, and of plants of other classes; None where none were drawn.
-    configuration : Configuration
-        What the first is about.
-    """
+    """Both tables."""
 
     conditions: Conditions
+    #: around, others: Of plants around the configured one, and of plants of other classes; None where none were drawn.
     around: Table | None
     others: Table | None
-    configuration: Configuration
+    configuration: Configuration  #: What the first is about.
 
     @property
     def tables(self) -> tuple[Table, ...]:
@@ -121,11 +92,6 @@ class Comparison:
         """The first row around the configured plant that has a rank on the plants of other classes too.
 
         One that learns is none: what learns is designed for the period of one reference.
-
-        Raises
-        ------
-        ConfigurationError
-            There is none.
         """
         for row in self.around.rows if self.around is not None else ():
             learns = row.candidate is not None and row.candidate.learning  # for each reference something else
@@ -143,23 +109,11 @@ def _ranked_in(table: Table, row: Row) -> bool:
 
 
 class Tried(NamedTuple):
-    """What was tried on one plant of another class and what is around it.
+    """What was tried on one plant of another class and what is around it."""
 
-    Parameters
-    ----------
-    seed : int
-        Of the plant.
-    kind : str
-        Class of its hysteresis.
-    stroke : float
-        What errors are parts of [m].
-    rows : list of Row
-    yardstick : Row
-    """
-
-    seed: int
-    kind: str
-    stroke: float
+    seed: int  #: Of the plant.
+    kind: str  #: Class of its hysteresis.
+    stroke: float  #: What errors are parts of [m].
     rows: list[Row]
     yardstick: Row
 
@@ -167,18 +121,7 @@ class Tried(NamedTuple):
 def table_around(
     axis: AxisParameters, conditions: Conditions, trial: Trial, rows: Sequence[Row], yardstick: Row
 ) -> Table:
-    """Return the table of the plants around the configured one.
-
-    Parameters
-    ----------
-    axis : AxisParameters
-        The configured one.
-    conditions : Conditions
-    trial : Trial
-    rows : sequence of Row
-        In any order.
-    yardstick : Row
-    """
+    """Return the table of the plants around the configured one."""
     limits, per_cent = axis.hysteresis_compensator.limits, 100.0 * conditions.mismatch
     task = trial.tasks[0]
     middle = 0.5 * (task.low + task.high)
@@ -201,14 +144,7 @@ def table_around(
 
 
 def table_of_others(conditions: Conditions, tried: Sequence[Tried]) -> Table:
-    """Return the table of the plants of other classes.
-
-    Parameters
-    ----------
-    conditions : Conditions
-    tried : sequence of Tried
-        In any order.
-    """
+    """Return the table of the plants of other classes."""
     tried = sorted(tried)
     plants = [f"plant {one.seed}" for one in tried]
     by_name = [{row.name: row for row in one.rows} for one in tried]
@@ -240,12 +176,7 @@ def table_of_others(conditions: Conditions, tried: Sequence[Tried]) -> Table:
 
 
 def judgement(conditions: Conditions) -> tuple[str, ...]:
-    """Return how every row is judged, in sentences.
-
-    Parameters
-    ----------
-    conditions : Conditions
-    """
+    """Return how every row is judged, in sentences."""
     return (
         "errors are those of the true displacement at ten instants a sample, in % of the stroke",
         "RMS and worst: against the reference delayed by the row's own constant delay, one for both references and all "
@@ -273,17 +204,6 @@ def reachable(plants: Sequence[ModelledPlant], source: str) -> tuple[float, floa
     """Return the ends [m] of the range that every plant reaches within its limits, preload offset left out.
 
     Each plant rests :data:`REST` seconds at its highest, then at its lowest voltage.
-
-    Parameters
-    ----------
-    plants : sequence of ModelledPlant
-    source : str
-        Of the configuration, for the message.
-
-    Raises
-    ------
-    ConfigurationError
-        There is no such range.
     """
     lows, highs = [], []
     for plant in plants:
@@ -301,14 +221,7 @@ def reachable(plants: Sequence[ModelledPlant], source: str) -> tuple[float, floa
 
 
 def drawn_around(configuration: Configuration, conditions: Conditions) -> list[ModelledPlant]:
-    """Return plants around the configured one, each with noise of its own, behind converters.
-
-    Parameters
-    ----------
-    configuration : Configuration
-        One axis.
-    conditions : Conditions
-    """
+    """Return plants around the configured one, each with noise of its own, behind converters."""
     found = []
     for seed in range(conditions.seed, conditions.seed + conditions.draws):
         plant = mismatched(configuration, conditions.mismatch, seed).override(
@@ -319,14 +232,7 @@ def drawn_around(configuration: Configuration, conditions: Conditions) -> list[M
 
 
 def trial_around(configuration: Configuration, conditions: Conditions) -> Trial:
-    """Return the trial on plants around the configured one.
-
-    Parameters
-    ----------
-    configuration : Configuration
-        One axis.
-    conditions : Conditions
-    """
+    """Return the trial on plants around the configured one."""
     plants = drawn_around(configuration, conditions)
     low, high = reachable(plants, configuration.source)
     given, tasks = known(configuration, conditions.bits), make_tasks(conditions, (low, high))
@@ -337,12 +243,6 @@ def trial_on_other(seed: int, conditions: Conditions) -> Trial:
     """Return the trial on a plant of another class, and on what may have become of it since it was recorded.
 
     All but the plants follows from the recording: the references too, within what the model reaches less the mismatch.
-
-    Parameters
-    ----------
-    seed : int
-        Of the plant and of the noise in its recording.
-    conditions : Conditions
     """
     bench = conditions_bench(conditions)
     plant = drawn(seed, bench)
@@ -392,31 +292,7 @@ def compare(
     workers: int | None = None,
     progress: Callable[[str], None] = lambda text: None,
 ) -> Comparison:
-    """Run every candidate on every plant and rank them.
-
-    Parameters
-    ----------
-    configuration : Configuration
-        One axis: the plant around which plants are drawn, and the models that compensator and controller know.
-    conditions : Conditions, optional
-        The usual ones by default.
-    namespace : str, optional
-        Which axis of several.
-    only : collection of (str, str), optional
-        Names of the combinations (controller, compensator) to run; all by default.
-    workers : int, optional
-        Processes that share the work; by default as many as there are processors.
-    progress : callable
-        Called with what is finished, in words.
-
-    Raises
-    ------
-    ConfigurationError
-        The configuration holds several axes, or that of an inchworm, or the plants reach no common range; or
-        ``only`` asks for a combination that the axis does not have.
-    ParameterError
-        A parameter is wrong, or a reference is too fast for the sample rate.
-    """
+    """Run every candidate on every plant and rank them."""
     conditions = conditions or Conditions()
     axis = single_axis(configuration, namespace)
     if axis.reference_generator is None:

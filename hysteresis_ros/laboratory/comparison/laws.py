@@ -34,19 +34,12 @@ GROUP = "hysteresis_ros.compared"
 
 @dataclass(frozen=True, eq=False)
 class ComparedLaw:
-    """The rows that a controller has in the table of ``hysteresis compare``.
+    """The rows that a controller has in the table of ``hysteresis compare``."""
 
-    Parameters
-    ----------
-    name : str
-        ``type`` of the motion controller.
-    rows : mapping of str to callable
-        Name in the table → ``design(given)``, which returns the parameters of the motion controller that differ from
-        the configuration's, ``type`` among them; given is
-        :class:`hysteresis_ros.laboratory.comparison.candidates.Given`.
-    """
-
-    name: str
+    name: str  #: ``type`` of the motion controller.
+    #: Name in the table → ``design(given)``, which returns the parameters of the motion controller that differ from
+    #: the configuration's, ``type`` among them; given is
+    #: :class:`hysteresis_ros.laboratory.comparison.candidates.Given`.
     rows: Mapping[str, Callable[[Any], dict]]
 
 

@@ -59,37 +59,19 @@ from hysteresis_ros.references.waveforms import Waveform, WaveformParameters
 
 @dataclass(frozen=True)
 class Row:
-    """One candidate: its results, or why it was refused.
+    """One candidate: its results, or why it was refused."""
 
-    Parameters
-    ----------
-    controller, compensator : str
-        Names in the table.
-    results : dict of str to Result
-        By name of the task; empty for a refused candidate.
-    delays : tuple of float
-        The constant delay that it is judged with [s], one for each design.
-    refused : str
-        Why there are no results.
-    marked : str
-        What its own margins miss: it is run and shown, not ranked.
-    better : dict of str to float
-        By name of the task: how many times as large the yardstick's error is, on the plants where that is least.
-    errors : dict of str to (array, array)
-        Time [s] and error [part of the stroke] on the plant on which the candidate did worst, by name of the task.
-    candidate : Candidate or None
-        Its parameters, where there is one design.
-    """
-
-    controller: str
+    controller: str  #: controller, compensator: Names in the table.
     compensator: str
-    results: dict[str, Result] = field(default_factory=dict)
-    delays: tuple[float, ...] = ()
-    refused: str = ""
-    marked: str = ""
+    results: dict[str, Result] = field(default_factory=dict)  #: By name of the task; empty for a refused candidate.
+    delays: tuple[float, ...] = ()  #: The constant delay that it is judged with [s], one for each design.
+    refused: str = ""  #: Why there are no results.
+    marked: str = ""  #: What its own margins miss: it is run and shown, not ranked.
+    #: By name of the task: how many times as large the yardstick's error is, on the plants where that is least.
     better: dict[str, float] = field(default_factory=dict)
+    #: Time [s] and error [part of the stroke] on the plant on which the candidate did worst, by name of the task.
     errors: dict[str, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict)
-    candidate: Candidate | None = None
+    candidate: Candidate | None = None  #: Its parameters, where there is one design.
 
     @property
     def name(self) -> tuple[str, str]:
@@ -122,43 +104,20 @@ class Row:
 
 @dataclass(frozen=True)
 class Trial:
-    """What a set of candidates is tried on.
+    """What a set of candidates is tried on."""
 
-    Parameters
-    ----------
-    given : Known
-        All that their designs get, with conditions and tasks.
-    conditions : Conditions
-    tasks : tuple of Task
-    stroke : float
-        What errors are parts of [m].
-    plants : tuple of DrawnPlant
-        What they run on.
-    """
-
-    given: Known
+    given: Known  #: All that their designs get, with conditions and tasks.
     conditions: Conditions
     tasks: tuple[Task, ...]
-    stroke: float
-    plants: tuple[DrawnPlant, ...]
+    stroke: float  #: What errors are parts of [m].
+    plants: tuple[DrawnPlant, ...]  #: What they run on.
 
     def rows(self, only=None) -> list[Row]:
-        """Return a row for each candidate, in the order of their design.
-
-        Parameters
-        ----------
-        only : collection of (str, str), optional
-            Names of the combinations to try; all by default.
-        """
+        """Return a row for each candidate, in the order of their design."""
         return [self.row(candidate) for candidate in candidates(self.given, self.conditions, self.tasks, only)]
 
     def row(self, candidate: Candidate) -> Row:
-        """Return what a candidate is worth.
-
-        Parameters
-        ----------
-        candidate : Candidate
-        """
+        """Return what a candidate is worth."""
         row = Row(candidate.controller, candidate.compensator, candidate=candidate, marked=candidate.marked)
         if candidate.refused:
             return replace(row, refused=candidate.refused)
@@ -173,14 +132,7 @@ class Trial:
         )
 
     def judged(self, row: Row, runs: dict[Task, list[Followed]]) -> Row:
-        """Return a row with what its runs are worth.
-
-        Parameters
-        ----------
-        row : Row
-        runs : dict of Task to list of Followed
-            On each of the plants.
-        """
+        """Return a row with what its runs are worth."""
         delay = best_delay(runs, self.conditions.longest_delay)
         results, errors = judged(runs, delay, self.stroke), {}
         for task, found in runs.items():
@@ -191,28 +143,13 @@ class Trial:
 
 
 def run(axis: AxisParameters, plant: DrawnPlant, task: Task) -> Followed:
-    """Return how an axis follows a reference on a plant.
-
-    Parameters
-    ----------
-    axis : AxisParameters
-        With the task's reference; nothing of its own plant is used but the sample rate.
-    plant : DrawnPlant
-    task : Task
-    """
+    """Return how an axis follows a reference on a plant."""
     loop = Axis(axis, plant.in_loop())
     return followed(loop.run(loop.default_setpoints(round(task.duration * plant.sample_rate))), plant, task)
 
 
 def compared_with(rows: Sequence[Row], yardstick: Row) -> list[Row]:
-    """Return the rows with how much better they are than the yardstick on the worst plant of each.
-
-    Parameters
-    ----------
-    rows : sequence of Row
-    yardstick : Row
-        Of the same plants.
-    """
+    """Return the rows with how much better they are than the yardstick on the worst plant of each."""
     return [
         replace(
             row, better={name: yardstick.results[name].worst / result.worst for name, result in row.results.items()}
@@ -222,16 +159,7 @@ def compared_with(rows: Sequence[Row], yardstick: Row) -> list[Row]:
 
 
 def joined(rows: Sequence[Row], plants: Sequence[str], name: tuple[str, str]) -> Row:
-    """Return the rows of one combination, each designed on one plant's recording, as one.
-
-    Parameters
-    ----------
-    rows : sequence of Row
-    plants : sequence of str
-        What the plants are called.
-    name : (str, str)
-        What controller and compensator are called.
-    """
+    """Return the rows of one combination, each designed on one plant's recording, as one."""
     pairs = list(zip(rows, plants, strict=True))
     refused = "; ".join(f"{plant}: {row.refused}" for row, plant in pairs if row.refused)
     if refused:
@@ -261,12 +189,7 @@ GAIN_MARGIN = 2.0
 
 
 def yardstick(trial: Trial) -> Row:
-    """Return the row of the yardstick: tuned on the first of the plants by what the table ranks, run on all of them.
-
-    Parameters
-    ----------
-    trial : Trial
-    """
+    """Return the row of the yardstick: tuned on the first of the plants by what the table ranks, run on all of them."""
     gains = _tuned(trial)
     found = Candidate(CONTROLLER, COMPENSATOR, {f"pid.{name}": value for name, value in gains.to_mapping().items()})
     runs = {}
@@ -325,34 +248,16 @@ GAIN, OPENING, TIMES, CREEP = range(4)
 
 @dataclass(frozen=True)
 class Bench:
-    """What the data sheets of amplifier, converters and sensor say.
+    """What the data sheets of amplifier, converters and sensor say."""
 
-    Parameters
-    ----------
-    sample_rate : float
-        [Hz]
-    voltage : float
-        Highest voltage of the amplifier [V]; the lowest is 0.
-    bits : int
-        Of the converter; 0: unlimited.
-    noise, resolution : float
-        Of the sensor [m].
-    """
-
-    sample_rate: float = 2000.0
-    voltage: float = 100.0
-    bits: int = 16
-    noise: float = 5e-9
+    sample_rate: float = 2000.0  #: [Hz]
+    voltage: float = 100.0  #: Highest voltage of the amplifier [V]; the lowest is 0.
+    bits: int = 16  #: Of the converter; 0: unlimited.
+    noise: float = 5e-9  #: noise, resolution: Of the sensor [m].
     resolution: float = 1e-9
 
     def node(self, seed: int) -> PlantNodeParameters:
-        """Return limits and sensor as the parameters of a plant.
-
-        Parameters
-        ----------
-        seed : int
-            Of the noise.
-        """
+        """Return limits and sensor as the parameters of a plant."""
         return PlantNodeParameters.from_mapping(
             {
                 "sample_rate": self.sample_rate,
@@ -369,14 +274,7 @@ class Bench:
 
 
 def drawn(seed: int, bench: Bench) -> ForeignPlant:
-    """Return a plant of another class; the class of its hysteresis goes round with the seed.
-
-    Parameters
-    ----------
-    seed : int
-        Equal seeds give equal plants.
-    bench : Bench
-    """
+    """Return a plant of another class; the class of its hysteresis goes round with the seed."""
     random = np.random.default_rng((seed, 1))
     sample_time = 1.0 / bench.sample_rate
 
@@ -408,13 +306,6 @@ def around(plant: ForeignPlant, mismatch: float, seed: int) -> list[ForeignPlant
 
     Gain, opening of the hysteresis, all times of lag, delay and modes, and the creep deviate each by up to the
     mismatch; a corner is where the first three do so fully, and the creep with the gain.
-
-    Parameters
-    ----------
-    plant : ForeignPlant
-    mismatch : float
-    seed : int
-        Of the draws.
     """
     random = np.random.default_rng((seed, 2))
     signs = [(*corner, corner[0]) for corner in itertools.product((-1.0, 1.0), repeat=3)]
@@ -440,12 +331,7 @@ def _deviated(actuator: ForeignParameters, factors) -> ForeignParameters:
 
 
 def excitation(bench: Bench) -> np.ndarray:
-    """Return the voltages [V] that a user would record with: minor loops, then many frequencies, then steps.
-
-    Parameters
-    ----------
-    bench : Bench
-    """
+    """Return the voltages [V] that a user would record with: minor loops, then many frequencies, then steps."""
     rate = bench.sample_rate
     sample_time, parts = 1.0 / rate, []
     for name, changes in (
@@ -463,15 +349,7 @@ def excitation(bench: Bench) -> np.ndarray:
 
 
 def recorded(plant: ForeignPlant, bench: Bench, seed: int) -> Recording:
-    """Return what converter and sensor see of a plant under the excitation.
-
-    Parameters
-    ----------
-    plant : ForeignPlant
-    bench : Bench
-    seed : int
-        Of the noise.
-    """
+    """Return what converter and sensor see of a plant under the excitation."""
     sample_time, node = 1.0 / bench.sample_rate, bench.node(seed)
     voltage = Limits(node.limits, sample_time).simulate(excitation(bench))
     # what is measured at a sample follows from the voltages before it
@@ -482,18 +360,7 @@ def recorded(plant: ForeignPlant, bench: Bench, seed: int) -> Recording:
 
 
 def identified(recording: Recording, bench: Bench) -> Known:
-    """Return what is known of a plant from a recording of it, by the default identification.
-
-    Parameters
-    ----------
-    recording : Recording
-    bench : Bench
-
-    Raises
-    ------
-    IdentificationError
-        The recording cannot be used.
-    """
+    """Return what is known of a plant from a recording of it, by the default identification."""
     found = identify(recording)
     configuration = parse_configuration(found.text, "the identified model")
     limits = {"limits__minimum": 0.0, "limits__maximum": bench.voltage}
@@ -501,10 +368,5 @@ def identified(recording: Recording, bench: Bench) -> Known:
 
 
 def conditions_bench(conditions: Conditions) -> Bench:
-    """Return the usual bench under these conditions.
-
-    Parameters
-    ----------
-    conditions : Conditions
-    """
+    """Return the usual bench under these conditions."""
     return Bench(bits=conditions.bits, noise=conditions.noise)

@@ -33,15 +33,7 @@ _BACKGROUND = "#b8b8b8"
 
 
 def ranking_figure(labels: list[str], values: dict[str, list[np.ndarray]]):
-    """Return the figure of the errors of all combinations [% of stroke], best on top.
-
-    Parameters
-    ----------
-    labels : list of str
-        Combinations, best first.
-    values : dict of str to list of array
-        Reference → for each combination the errors on the plants [% of stroke].
-    """
+    """Return the figure of the errors of all combinations [% of stroke], best on top."""
     figure, axes = new_figure(1.2 + 0.26 * len(labels), len(values))
     places = np.arange(len(labels))[::-1]
     for number, (axis, (name, rows)) in enumerate(zip(axes, values.items(), strict=True)):
@@ -72,13 +64,7 @@ def _label_decades(axis) -> None:
 
 
 def errors_figure(errors: dict[str, tuple[np.ndarray, np.ndarray]]):
-    """Return the figure of errors over time, each in a panel of its own scale [% of stroke].
-
-    Parameters
-    ----------
-    errors : dict of str to (array, array)
-        Label → time [s] and error as a part of the stroke, shape (N,) each.
-    """
+    """Return the figure of errors over time, each in a panel of its own scale [% of stroke]."""
     figure, axes = new_figure(1.9 * len(errors), 1, rows=len(errors))
     for number, (axis, (name, (time, error))) in enumerate(zip(axes, errors.items(), strict=True)):
         axis.axhline(0.0, color=_BACKGROUND, linewidth=0.8)
@@ -91,27 +77,7 @@ def errors_figure(errors: dict[str, tuple[np.ndarray, np.ndarray]]):
 
 
 def write_ranking_page(path, title: str, *, tables, **contents) -> None:
-    """Write a page with tables of ranked combinations that needs nothing beside it.
-
-    Parameters
-    ----------
-    path : path-like
-        HTML file.
-    title : str
-        Heading.
-    tables : sequence of dict
-        ``title`` and ``summary`` (str), ``blocks`` (list of (name, list of (heading, unit))), ``rows`` (list of dict
-        with ``cells`` and ``plain``), ``notes`` (list of (heading, list of str)), ``figures`` (captions and figures).
-    **contents : object
-        ``ranking`` (str), ``judged`` (list of str), ``configuration`` (str).
-
-    Raises
-    ------
-    MissingExtraError
-        Matplotlib or Jinja2 is not installed.
-    RecordingError
-        The file cannot be written.
-    """
+    """Write a page with tables of ranked combinations that needs nothing beside it."""
     drawn = [
         {**table, "plots": [dict(caption=caption, source=data_uri(figure)) for caption, figure in table["figures"]]}
         for table in tables
@@ -231,15 +197,7 @@ def unstable(table: Table) -> list[str]:
 
 
 def write_comparison_page(comparison: Comparison, path) -> None:
-    """Write the comparison as a page with plots.
-
-    Raises
-    ------
-    MissingExtraError
-        Matplotlib or Jinja2 is not installed.
-    RecordingError
-        The file cannot be written.
-    """
+    """Write the comparison as a page with plots."""
     tables = [
         dict(
             title=table.title,
@@ -329,13 +287,7 @@ def _plain(value):
 
 
 def figures(table: Table) -> list:
-    """Return the plots of a table, captions and figures: ranking, then the error of chosen rows on each reference.
-
-    Raises
-    ------
-    MissingExtraError
-        Matplotlib is not installed.
-    """
+    """Return the plots of a table, captions and figures: ranking, then the error of chosen rows on each reference."""
     done = [row for row in (*table.rows, table.yardstick) if row.results and not row.unstable]
     values = {task: [100.0 * row.results[task].rms for row in done] for task in table.tasks}
     found = [
@@ -361,13 +313,7 @@ def chosen_rows(table: Table) -> list[Row]:
 
 
 def best_text(comparison: Comparison) -> str:
-    """Return the configuration with the best combination, every parameter written out.
-
-    Raises
-    ------
-    ConfigurationError
-        No combination has a rank.
-    """
+    """Return the configuration with the best combination, every parameter written out."""
     best = comparison.best
     chosen = comparison.configuration.override("motion_controller", **best.candidate.motion_controller)
     chosen = chosen.override("hysteresis_compensator", **best.candidate.hysteresis_compensator)

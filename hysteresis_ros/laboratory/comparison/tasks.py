@@ -45,46 +45,20 @@ ALLOWED_DELAY = 0.1
 
 @dataclass(frozen=True)
 class Conditions:
-    """What every candidate has to live with.
+    """What every candidate has to live with."""
 
-    Parameters
-    ----------
-    mismatch : float
-        Largest relative deviation of each parameter of the plants.
-    noise : float
-        Sensor noise [m rms].
-    bits : int
-        Resolution of the converter; 0: unlimited.
-    draws : int
-        Number of plants around the configured one.
-    others : int
-        Number of plants of other classes.
-    seed : int
-        Seed of the first plant; the others follow.
-    robust : bool
-        Whether sliding modes are designed for the worst of plants as far from the model as the mismatch, and a sample
-        later.
-    sine_frequency, triangle_frequency : float
-        Frequencies of the two references [Hz].
-    sine_stroke, triangle_stroke : float
-        Their peak-to-peak parts of the stroke.
-
-    Raises
-    ------
-    ParameterError
-        A value is out of range.
-    """
-
-    mismatch: float = 0.05
-    noise: float = 5e-9
-    bits: int = 16
-    draws: int = 20
-    others: int = 4
-    seed: int = 1
+    mismatch: float = 0.05  #: Largest relative deviation of each parameter of the plants.
+    noise: float = 5e-9  #: Sensor noise [m rms].
+    bits: int = 16  #: Resolution of the converter; 0: unlimited.
+    draws: int = 20  #: Number of plants around the configured one.
+    others: int = 4  #: Number of plants of other classes.
+    seed: int = 1  #: Seed of the first plant; the others follow.
+    #: Whether sliding modes are designed for the worst of plants as far from the model as the mismatch, and a sample
+    #: later.
     robust: bool = False
-    sine_frequency: float = 1.0
+    sine_frequency: float = 1.0  #: sine_frequency, triangle_frequency: Frequencies of the two references [Hz].
     triangle_frequency: float = 10.0
-    sine_stroke: float = 0.9
+    sine_stroke: float = 0.9  #: sine_stroke, triangle_stroke: Their peak-to-peak parts of the stroke.
     triangle_stroke: float = 0.2
 
     def __post_init__(self):
@@ -116,15 +90,7 @@ class Conditions:
     def require_slow(self, sample_rate: float) -> None:
         """Refuse references that are too fast for the samples.
 
-        Parameters
-        ----------
-        sample_rate : float
-            [Hz]
-
-        Raises
-        ------
-        ParameterError
-            A frequency is above a tenth of the sample rate.
+        Units: ``sample_rate`` [Hz].
         """
         for name in ("sine", "triangle"):
             frequency = getattr(self, f"{name}_frequency")
@@ -135,28 +101,14 @@ class Conditions:
 
 @dataclass(frozen=True)
 class Task:
-    """A reference that the candidates follow.
+    """A reference that the candidates follow."""
 
-    Parameters
-    ----------
-    name : str
-        In words.
-    waveform : str
-        ``sine`` or ``triangle``.
-    frequency : float
-        [Hz]
-    low, high : float
-        Ends [m].
-    periods : int
-        Least number of them before the first judged sample.
-    """
-
-    name: str
-    waveform: str
-    frequency: float
-    low: float
+    name: str  #: In words.
+    waveform: str  #: ``sine`` or ``triangle``.
+    frequency: float  #: [Hz]
+    low: float  #: low, high: Ends [m].
     high: float
-    periods: int = SETTLING_PERIODS
+    periods: int = SETTLING_PERIODS  #: Least number of them before the first judged sample.
 
     @property
     def settling(self) -> float:
@@ -186,10 +138,7 @@ class Task:
     def reference(self, time) -> np.ndarray:
         """Return the reference [m] at any instants, also between the samples.
 
-        Parameters
-        ----------
-        time : array_like
-            [s] since the start.
+        Units: ``time`` [s].
         """
         turns = self.frequency * np.asarray(time)
         middle, half = 0.5 * (self.low + self.high), 0.5 * (self.high - self.low)
@@ -201,11 +150,7 @@ class Task:
 def make_tasks(conditions: Conditions, reach: tuple[float, float]) -> tuple[Task, ...]:
     """Return the two references within a range of displacements.
 
-    Parameters
-    ----------
-    conditions : Conditions
-    reach : (float, float)
-        Ends [m].
+    Units: ``reach`` [m].
     """
     low, high = reach
     middle, stroke = 0.5 * (low + high), high - low
@@ -241,24 +186,15 @@ class DrawnPlant(ABC):
     def between(self, voltage) -> np.ndarray:
         """Return the displacement [m] from rest, shape (N, INSTANTS).
 
-        Parameters
-        ----------
-        voltage : array, shape (N,)
-            What its amplifier put out from each sample to the next [V]; row k holds what follows the k-th.
+        Units: ``voltage`` [V].
         """
 
 
 @dataclass(frozen=True)
 class ModelledPlant(DrawnPlant):
-    """A plant of the classes that parameter files know.
+    """A plant of the classes that parameter files know."""
 
-    Parameters
-    ----------
-    parameters : PlantNodeParameters
-        Of type actuator.
-    """
-
-    parameters: PlantNodeParameters
+    parameters: PlantNodeParameters  #: Of type actuator.
 
     @property
     def sample_rate(self) -> float:
@@ -284,16 +220,9 @@ class ModelledPlant(DrawnPlant):
 
 @dataclass(frozen=True)
 class ForeignPlant(DrawnPlant):
-    """A plant of another class than any model, behind the limits and the sensor of a modelled one.
+    """A plant of another class than any model, behind the limits and the sensor of a modelled one."""
 
-    Parameters
-    ----------
-    parameters : PlantNodeParameters
-        Limits, sensor and sample rate; nothing else of it is used.
-    actuator : ForeignParameters
-    """
-
-    parameters: PlantNodeParameters
+    parameters: PlantNodeParameters  #: Limits, sensor and sample rate; nothing else of it is used.
     actuator: ForeignParameters
 
     @property
@@ -339,29 +268,14 @@ THIN = 4000
 
 
 class Followed(NamedTuple):
-    """A run of one task on one plant.
+    """A run of one task on one plant."""
 
-    Parameters
-    ----------
-    time : array, shape (N,)
-        Judged instants [s].
-    displacement : array, shape (N,)
-        True one there [m].
-    effort : float
-        RMS rate of the voltage [V/s], as in :func:`hysteresis_ros.analysis.metrics.compute_metrics`.
-    chattering : float
-        ``chattering_m`` of the command [m rms], as there.
-    saturated : float
-        Part of the judged samples at a limit.
-    unstable : bool
-        Whether the plant tripped, did not do in one period what it did in the one before, or went from limit to limit.
-    """
-
-    time: np.ndarray
-    displacement: np.ndarray
-    effort: float
-    chattering: float
-    saturated: float
+    time: np.ndarray  #: shape (N,); Judged instants [s].
+    displacement: np.ndarray  #: shape (N,); True one there [m].
+    effort: float  #: RMS rate of the voltage [V/s], as in :func:`hysteresis_ros.analysis.metrics.compute_metrics`.
+    chattering: float  #: ``chattering_m`` of the command [m rms], as there.
+    saturated: float  #: Part of the judged samples at a limit.
+    #: Whether the plant tripped, did not do in one period what it did in the one before, or went from limit to limit.
     unstable: bool
 
     def error(self, task: Task, delay: float) -> np.ndarray:
@@ -380,15 +294,7 @@ class Followed(NamedTuple):
 
 
 def followed(signals: dict[str, np.ndarray], plant: DrawnPlant, task: Task) -> Followed:
-    """Look at a run between its samples.
-
-    Parameters
-    ----------
-    signals : dict of str to array
-        Of an :class:`~hysteresis_ros.loop.axis.Axis` that followed the task on this plant from rest.
-    plant : DrawnPlant
-    task : Task
-    """
+    """Look at a run between its samples."""
     sample_time = 1.0 / plant.sample_rate
     judged = signals["time"] >= task.settling - 0.5 * sample_time
     starts = signals["time"][judged][:, np.newaxis]
@@ -413,31 +319,17 @@ def followed(signals: dict[str, np.ndarray], plant: DrawnPlant, task: Task) -> F
 
 @dataclass(frozen=True)
 class Result:
-    """One candidate on one task, over all plants.
+    """One candidate on one task, over all plants."""
 
-    Parameters
-    ----------
-    rms, maximum : array, shape (plants,)
-        RMS and largest error against the reference delayed by the row's own constant delay, as parts of the stroke.
-    undelayed : array, shape (plants,)
-        RMS error against the reference itself, as parts of the stroke.
-    effort : array, shape (plants,)
-        RMS rate of the voltage [V/s].
-    chattering : array, shape (plants,)
-        Of the command [m rms].
-    saturated : float
-        Part of the judged samples at a limit, the largest of the plants.
-    unstable : int
-        Plants that it made unstable.
-    """
-
+    #: rms, maximum: shape (plants,); RMS and largest error against the reference delayed by the row's own constant
+    #: delay, as parts of the stroke.
     rms: np.ndarray
     maximum: np.ndarray
-    undelayed: np.ndarray
-    effort: np.ndarray
-    chattering: np.ndarray
-    saturated: float
-    unstable: int
+    undelayed: np.ndarray  #: shape (plants,); RMS error against the reference itself, as parts of the stroke.
+    effort: np.ndarray  #: shape (plants,); RMS rate of the voltage [V/s].
+    chattering: np.ndarray  #: shape (plants,); Of the command [m rms].
+    saturated: float  #: Part of the judged samples at a limit, the largest of the plants.
+    unstable: int  #: Plants that it made unstable.
 
     @property
     def worst(self) -> float:
@@ -446,15 +338,7 @@ class Result:
 
 
 def best_delay(runs: dict[Task, Sequence[Followed]], longest: float) -> float:
-    """Return the constant delay [s] with which the score of the runs is least: one for all references and plants.
-
-    Parameters
-    ----------
-    runs : dict of Task to sequence of Followed
-        Of one candidate, on each of the plants.
-    longest : float
-        The longest one allowed [s].
-    """
+    """Return the constant delay [s] with which the score of the runs is least: one for all references and plants."""
     delays = np.linspace(0.0, longest, DELAYS)
     coarse = {task: np.array([run.thin.mean_squares(task, delays) for run in found]) for task, found in runs.items()}
     best = min(max(int(np.argmin(_scores(coarse))), 1), DELAYS - 2)
@@ -482,14 +366,7 @@ def _parabola(places, values, fine) -> np.ndarray:
 def judged(runs: dict[Task, Sequence[Followed]], delay: float, stroke: float) -> dict[str, Result]:
     """Return the results of the runs of one candidate, by name of the task.
 
-    Parameters
-    ----------
-    runs : dict of Task to sequence of Followed
-        On each of the plants.
-    delay : float
-        The row's constant delay [s].
-    stroke : float
-        What errors are parts of [m].
+    Units: ``delay`` [s], ``stroke`` [m].
     """
     found = {}
     for task, followed_ in runs.items():
@@ -507,12 +384,7 @@ def judged(runs: dict[Task, Sequence[Followed]], delay: float, stroke: float) ->
 
 
 def merged(results: Sequence[dict[str, Result]]) -> dict[str, Result]:
-    """Return the results of one combination on several plants, each with what is around it, as those on all of them.
-
-    Parameters
-    ----------
-    results : sequence of dict of str to Result
-    """
+    """Return the results of one combination on several plants, each with what is around it, as those on all of them."""
     arrays = ("rms", "maximum", "undelayed", "effort", "chattering")
     found = {}
     for task in results[0]:

@@ -60,17 +60,7 @@ GARBAGE = b"\xff\x00=\xb5 1e9\n"
 class DeviceFaults:
     """The faults of a device, and when they are there.
 
-    Parameters
-    ----------
-    clock : callable
-        Returns the time [s].
-    texts : iterable of str
-        Faults from the beginning on.
-
-    Raises
-    ------
-    ConfigurationError
-        One is unknown or not written as above.
+    Units: ``clock`` [s].
     """
 
     def __init__(self, clock: Callable[[], float], texts: Iterable[str] = ()):
@@ -81,13 +71,7 @@ class DeviceFaults:
             self.add(text)
 
     def add(self, text: str) -> None:
-        """Add a fault, its times counted from now on; ``none`` ends all.
-
-        Raises
-        ------
-        ConfigurationError
-            It is unknown or not written as above.
-        """
+        """Add a fault, its times counted from now on; ``none`` ends all."""
         if text == "none":
             self._entries = []
             return
@@ -108,12 +92,7 @@ class DeviceFaults:
         self._entries.append((name, begin, begin + duration, rest[0] if rest else kind.value or 0.0))
 
     def value(self, name: str) -> float | None:
-        """Return the value of a fault that is there now (0 where it has none), None of one that is not.
-
-        Parameters
-        ----------
-        name : str
-        """
+        """Return the value of a fault that is there now (0 where it has none), None of one that is not."""
         now = self._clock()
         return next((value for kind, begin, end, value in self._entries if kind == name and begin <= now < end), None)
 
@@ -132,30 +111,14 @@ class DeviceFaults:
 
 
 class Garbler:
-    """The lines of a link, with what goes wrong with them.
-
-    Parameters
-    ----------
-    faults : DeviceFaults
-
-    Attributes
-    ----------
-    closed : bool
-        Whether the link is closed behind what was returned last.
-    """
+    """The lines of a link, with what goes wrong with them."""
 
     def __init__(self, faults: DeviceFaults):
         self._faults, self.closed = faults, False
         self._last = self._answer = b""
 
     def garble(self, answer: bytes) -> bytes:
-        """Return what is sent in the place of an answer.
-
-        Parameters
-        ----------
-        answer : bytes
-            Whole lines.
-        """
+        """Return what is sent in the place of an answer."""
         sent = []
         for line in answer.splitlines(keepends=True):
             happens = self._faults.take_line()
@@ -195,10 +158,7 @@ LIMITS = (-30.0, 130.0)
 def assumed_stage(cycle: float) -> ActuatorParameters:
     """Return the stage that stands behind an emulated device by default.
 
-    Parameters
-    ----------
-    cycle : float
-        Time between two samples of the plant [s].
+    Units: ``cycle`` [s].
     """
     omega = 2.0 * math.pi * RESONANCE
     continuous = [[0.0, omega], [-omega, -2.0 * DAMPING * omega]]
@@ -224,25 +184,7 @@ def assumed_stage(cycle: float) -> ActuatorParameters:
 class EmulatedPlant:
     """An actuator that makes its samples by a clock, as many as are due whenever it is asked.
 
-    Parameters
-    ----------
-    parameters : ActuatorParameters
-    cycle : float
-        Time between two samples [s].
-    clock : callable
-        Returns the time [s].
-
-    Attributes
-    ----------
-    measured : float
-        Last reading of the sensor [m].
-    cycles : int
-        Samples so far.
-    limits : LimitsParameters
-    gain : float
-        Displacement of a volt, about [m/V].
-    control : callable
-        ``control(measured)`` returns the voltage [V] for the next sample; it may keep and record what it likes.
+    Units: ``cycle`` [s], ``clock`` [s], ``measured`` [m], ``gain`` [m/V].
     """
 
     def __init__(self, parameters: ActuatorParameters, cycle: float, clock: Callable[[], float] = time.monotonic):
@@ -282,16 +224,7 @@ INTEGRAL_RATE = 60.0
 class Servo:
     """An integrator that takes a plant to a place, or the voltage that somebody wants.
 
-    Parameters
-    ----------
-    plant : EmulatedPlant
-
-    Attributes
-    ----------
-    voltage : float
-        What the amplifier is told [V].
-    way : float
-        Where the servo wants the plant to be at the moment [m].
+    Units: ``voltage`` [V], ``way`` [m].
     """
 
     def __init__(self, plant: EmulatedPlant):
@@ -304,10 +237,7 @@ class Servo:
     def put_out(self, voltage: float) -> float:
         """Put out a voltage within the amplifier's range, and return it.
 
-        Parameters
-        ----------
-        voltage : float
-            [V]
+        Units: ``voltage`` [V].
         """
         limits = self._plant.limits
         self.voltage = min(max(voltage, limits.minimum), limits.maximum)
@@ -316,12 +246,7 @@ class Servo:
     def follow(self, target: float, velocity: float) -> float:
         """Go a sample further towards a place, and return the voltage.
 
-        Parameters
-        ----------
-        target : float
-            [m]
-        velocity : float
-            How fast the place may be approached [m/s].
+        Units: ``target`` [m], ``velocity`` [m/s].
         """
         plant = self._plant
         reach = velocity * plant.cycle
@@ -336,39 +261,18 @@ CYCLE = 2.0e-4
 
 @dataclass(frozen=True)
 class Bench:
-    """The plant behind a device, and what goes wrong with that.
-
-    Parameters
-    ----------
-    plant : ActuatorParameters
-    cycle : float
-        Time between two of its samples [s].
-    faults : tuple of str
-        As :class:`~hysteresis_ros.laboratory.emulation.bench.DeviceFaults` takes them.
-    """
+    """The plant behind a device, and what goes wrong with that."""
 
     plant: ActuatorParameters = field(default_factory=lambda: assumed_stage(CYCLE))
-    cycle: float = CYCLE
-    faults: tuple[str, ...] = ()
+    cycle: float = CYCLE  #: Time between two of its samples [s].
+    faults: tuple[str, ...] = ()  #: As :class:`~hysteresis_ros.laboratory.emulation.bench.DeviceFaults` takes them.
 
 
 @dataclass(frozen=True)
 class Running:
-    """A device that runs.
+    """A device that runs."""
 
-    Parameters
-    ----------
-    where : str
-        What it is and where it is found.
-    driver : Parameters
-        With which its driver is opened.
-    faults : DeviceFaults
-        Faults may be added while it runs.
-    device : object
-        The device itself, to look at what it really does.
-    """
-
-    where: str
-    driver: Parameters
-    faults: DeviceFaults
-    device: object = None
+    where: str  #: What it is and where it is found.
+    driver: Parameters  #: With which its driver is opened.
+    faults: DeviceFaults  #: Faults may be added while it runs.
+    device: object = None  #: The device itself, to look at what it really does.

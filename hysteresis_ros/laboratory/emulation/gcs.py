@@ -93,13 +93,7 @@ def command(*names: str) -> Callable[[Command], Command]:
 
 
 def real(text: str) -> float:
-    """Return the number that a word is.
-
-    Raises
-    ------
-    Refusal
-        It is none, or not finite.
-    """
+    """Return the number that a word is."""
     try:
         value = float(text)
     except ValueError:
@@ -110,13 +104,7 @@ def real(text: str) -> float:
 
 
 def whole(text: str, low: int, high: int) -> int:
-    """Return the whole number within a range that a word is.
-
-    Raises
-    ------
-    Refusal
-        It is none.
-    """
+    """Return the whole number within a range that a word is."""
     value = real(text)
     if value != int(value) or not low <= value <= high:
         raise Refusal(OUT_OF_RANGE)
@@ -124,26 +112,14 @@ def whole(text: str, low: int, high: int) -> int:
 
 
 def axis_of(controller: Controller, name: str) -> Axis:
-    """Return the axis of a name.
-
-    Raises
-    ------
-    Refusal
-        There is none.
-    """
+    """Return the axis of a name."""
     if name not in controller.axes:
         raise Refusal(WRONG_AXIS)
     return controller.axes[name]
 
 
 def pairs_of(controller: Controller, words: list[str]) -> Iterator[tuple[Axis, float]]:
-    """Go through pairs of axis and number, all of which are looked at before the first is given.
-
-    Raises
-    ------
-    Refusal
-        A word is missing, names no axis or is no number.
-    """
+    """Go through pairs of axis and number, all of which are looked at before the first is given."""
     if not words or len(words) % 2:
         raise Refusal(WRONG_COUNT)
     pairs = [(axis_of(controller, name), real(text)) for name, text in zip(words[::2], words[1::2], strict=True)]
@@ -151,13 +127,7 @@ def pairs_of(controller: Controller, words: list[str]) -> Iterator[tuple[Axis, f
 
 
 def require_free(controller: Controller) -> None:
-    """Refuse while something is wrong with the controller, or it does something else.
-
-    Raises
-    ------
-    Refusal
-        It is so.
-    """
+    """Refuse while something is wrong with the controller, or it does something else."""
     lasting = controller.faults.value("error")
     if lasting is not None:
         raise Refusal(int(lasting))
@@ -173,20 +143,7 @@ SHAPES = {"SIN_P": 6, "RAMP": 7, "LIN": 6}
 
 
 def segment(kind: str, numbers: list[float]) -> list[float]:
-    """Return the points of a segment.
-
-    Parameters
-    ----------
-    kind : str
-        ``PNT``, ``SIN_P``, ``RAMP`` or ``LIN``.
-    numbers : list of float
-        As they follow in the command.
-
-    Raises
-    ------
-    Refusal
-        The type is unknown, or numbers are missing or out of range.
-    """
+    """Return the points of a segment."""
     if kind == "PNT":
         if len(numbers) < 3 or numbers[1] != len(numbers) - 2:
             raise Refusal(WRONG_COUNT)
@@ -760,23 +717,13 @@ _SINGLE = re.compile(rb"[\x00-\x09\x0b-\x1f]")
 
 
 class Session:
-    """What a controller says to one master.
-
-    Parameters
-    ----------
-    controller : Controller
-    """
+    """What a controller says to one master."""
 
     def __init__(self, controller: Controller):
         self._controller, self._rest = controller, b""
 
     def feed(self, data: bytes) -> bytes:
-        """Return the answers to bytes that came, whatever they are.
-
-        Parameters
-        ----------
-        data : bytes
-        """
+        """Return the answers to bytes that came, whatever they are."""
         answers, self._rest = [], self._rest + data
         while match := re.search(rb"[\x00-\x1f]", self._rest):
             before, mark, self._rest = self._rest[: match.start()], match.group(), self._rest[match.end() :]
@@ -799,13 +746,7 @@ class Session:
         return " \n".join(lines).encode("latin-1") + b"\n" if lines else b""
 
     def answer(self, line: str) -> list[str]:
-        """Return the lines with which a command is answered; none when it sets something, or is refused.
-
-        Parameters
-        ----------
-        line : str
-            Without its LF.
-        """
+        """Return the lines with which a command is answered; none when it sets something, or is refused."""
         words, controller = line.split(), self._controller
         if not words:
             return []
@@ -829,12 +770,7 @@ class Session:
         )
 
     def answer_single(self, character: str) -> bytes:
-        """Return the answer to a command of one character.
-
-        Parameters
-        ----------
-        character : str
-        """
+        """Return the answer to a command of one character."""
         controller = self._controller
         controller.tick()
         axes = list(controller.axes.values())
@@ -865,18 +801,7 @@ class EmulatedControllerParameters(Parameters):
 
 @contextlib.contextmanager
 def start(given: EmulatedControllerParameters, bench: Bench) -> Iterator[Running]:
-    """Run an emulated controller.
-
-    Parameters
-    ----------
-    given : EmulatedControllerParameters
-    bench : Bench
-
-    Raises
-    ------
-    ConfigurationError
-        Its address cannot be had, or a fault is written wrongly.
-    """
+    """Run an emulated controller."""
     faults = DeviceFaults(time.monotonic, bench.faults)
     controller = Controller(MODELS[given.model], bench.plant, bench.cycle, faults)
     address = given.host, given.port

@@ -54,13 +54,7 @@ BY_WAVE, BY_MOTION, AT_ONCE = 0, 1, 4
 
 
 class Recorder:
-    """Tables of what an axis did in each sample, or in each so many of them.
-
-    Parameters
-    ----------
-    axes : list of str
-        Names of the axes; a table of the position of each stands there at the beginning.
-    """
+    """Tables of what an axis did in each sample, or in each so many of them."""
 
     def __init__(self, axes: list[str]):
         self.configuration = [(name, POSITION) for name in axes]
@@ -74,12 +68,7 @@ class Recorder:
         return POINTS // len(self.tables)
 
     def resize(self, count: int) -> None:
-        """Have so many tables.
-
-        Parameters
-        ----------
-        count : int
-        """
+        """Have so many tables."""
         first = self.configuration[0][0]
         self.configuration = (self.configuration + [(first, 0)] * count)[:count]
         self.tables, self.running = [[] for _ in range(count)], False
@@ -91,14 +80,7 @@ class Recorder:
         self.running = any(option for _, option in self.configuration)
 
     def record(self, axis: str, signals: dict[int, float]) -> None:
-        """Take a sample of an axis.
-
-        Parameters
-        ----------
-        axis : str
-        signals : dict of int to float
-            What can be recorded.
-        """
+        """Take a sample of an axis."""
         if self._seen[axis] % self.rate == 0:
             for (name, option), table in zip(self.configuration, self.tables, strict=True):
                 if name == axis and option and len(table) < self.points:
@@ -112,15 +94,7 @@ class Recorder:
     def lines(self, start: int, count: int, tables: list[int], cycle: float) -> list[str]:
         """Return recorded points as a GCS array.
 
-        Parameters
-        ----------
-        start : int
-            First point, from 1.
-        count : int
-        tables : list of int
-            Numbers of the tables, from 1.
-        cycle : float
-            Time between two samples [s].
+        Units: ``cycle`` [s].
         """
         columns = [self.tables[number - 1][start - 1 : start - 1 + count] for number in tables]
         length = min(map(len, columns))
@@ -143,15 +117,7 @@ VELOCITY, WINDOW, SETTLED = 1.0e-3, 20.0e-9, 5.0e-3
 
 
 class Axis:
-    """An axis with its servo.
-
-    Parameters
-    ----------
-    name : str
-    plant : EmulatedPlant
-    recorder : Recorder
-        Of the whole controller.
-    """
+    """An axis with its servo."""
 
     def __init__(self, name: str, plant: EmulatedPlant, recorder: Recorder):
         self.name, self.plant, self._recorder = name, plant, recorder
@@ -193,12 +159,7 @@ class Axis:
         return bool(self.wave)
 
     def switch(self, servo: bool) -> None:
-        """Switch the servo on where the axis is, or off with the voltage that is put out.
-
-        Parameters
-        ----------
-        servo : bool
-        """
+        """Switch the servo on where the axis is, or off with the voltage that is put out."""
         if servo and not self.servo:
             self._hold_here()
         if self.servo and not servo:
@@ -212,24 +173,14 @@ class Axis:
     def move(self, target: float) -> None:
         """Let the servo go to a place.
 
-        Parameters
-        ----------
-        target : float
-            [m]
+        Units: ``target`` [m].
         """
         self.target, self._inside = target, 0
 
     def generate(self, wave: list[float], cycles: int, rate: int) -> None:
         """Start the wave generator.
 
-        Parameters
-        ----------
-        wave : list of float
-            Open-loop values [V], or positions [m] with the servo on.
-        cycles : int
-            How often it is played; 0: until it is stopped.
-        rate : int
-            Samples that a point is held.
+        Units: ``wave`` [V].
         """
         self.wave, self._cycles, self._rate, self._played = wave, cycles, rate, 0
 
@@ -305,16 +256,7 @@ MODELS = {
 class Controller:
     """A controller with its axes.
 
-    Parameters
-    ----------
-    model : Model
-    plant : ActuatorParameters
-        Of each axis.
-    cycle : float
-        Time between two samples of the servo [s].
-    faults : DeviceFaults
-    clock : callable
-        Returns the time [s].
+    Units: ``cycle`` [s], ``clock`` [s].
     """
 
     def __init__(

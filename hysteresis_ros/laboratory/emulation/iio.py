@@ -48,19 +48,7 @@ class EmulatedConvertersParameters(Parameters):
 
 
 class Converters:
-    """The files of a DAC and an ADC with a plant between them.
-
-    Parameters
-    ----------
-    given : EmulatedConvertersParameters
-    bench : Bench
-    faults : DeviceFaults
-
-    Raises
-    ------
-    ConfigurationError
-        The folder is there already, or cannot be made.
-    """
+    """The files of a DAC and an ADC with a plant between them."""
 
     def __init__(self, given: EmulatedConvertersParameters, bench: Bench, faults: DeviceFaults):
         self._given, self._faults = given, faults
@@ -131,18 +119,7 @@ class Converters:
 
 @contextlib.contextmanager
 def start(given: EmulatedConvertersParameters, bench: Bench) -> Iterator[Running]:
-    """Run emulated converters from a thread of their own.
-
-    Parameters
-    ----------
-    given : EmulatedConvertersParameters
-    bench : Bench
-
-    Raises
-    ------
-    ConfigurationError
-        The folder cannot be made, or a fault is written wrongly.
-    """
+    """Run emulated converters from a thread of their own."""
     faults = DeviceFaults(time.monotonic, bench.faults)
     converters, leaving = Converters(given, bench, faults), threading.Event()
 

@@ -68,13 +68,7 @@ class _Refusal(Exception):
 
 
 class Amplifier:
-    """The emulated amplifier.
-
-    Parameters
-    ----------
-    plant : EmulatedPlant
-    faults : DeviceFaults
-    """
+    """The emulated amplifier."""
 
     def __init__(self, plant: EmulatedPlant, faults: DeviceFaults):
         self.plant, self.faults = plant, faults
@@ -103,13 +97,7 @@ class Amplifier:
         return limits.minimum * scale, limits.maximum * scale
 
     def answer(self, line: str) -> str:
-        """Return the answer to a line: words, or nothing for what was set.
-
-        Parameters
-        ----------
-        line : str
-            Without its end.
-        """
+        """Return the answer to a line: words, or nothing for what was set."""
         self.tick()
         if not line.strip():
             return f"{NAME}>"
@@ -191,23 +179,13 @@ class Amplifier:
 
 
 class Session:
-    """What an amplifier says to one master.
-
-    Parameters
-    ----------
-    amplifier : Amplifier
-    """
+    """What an amplifier says to one master."""
 
     def __init__(self, amplifier: Amplifier):
         self._amplifier, self._rest = amplifier, b""
 
     def feed(self, data: bytes) -> bytes:
-        """Return the answers to bytes that came, whatever they are.
-
-        Parameters
-        ----------
-        data : bytes
-        """
+        """Return the answers to bytes that came, whatever they are."""
         *lines, self._rest = _TELNET.sub(b"", self._rest + data).split(b"\r")
         answers = [self._framed(line.strip(b"\n\x00 ")) for line in lines]
         if len(self._rest) > LONGEST:
@@ -230,18 +208,7 @@ class EmulatedAmplifierParameters(Parameters):
 
 @contextlib.contextmanager
 def start(given: EmulatedAmplifierParameters, bench: Bench) -> Iterator[Running]:
-    """Run an emulated amplifier.
-
-    Parameters
-    ----------
-    given : EmulatedAmplifierParameters
-    bench : Bench
-
-    Raises
-    ------
-    ConfigurationError
-        Its address cannot be had, or a fault is written wrongly.
-    """
+    """Run an emulated amplifier."""
     faults = DeviceFaults(time.monotonic, bench.faults)
     amplifier = Amplifier(EmulatedPlant(bench.plant, bench.cycle), faults)
     if given.link == "serial":

@@ -40,20 +40,7 @@ class Session(Protocol):
 
 
 class DeviceServer(socketserver.ThreadingTCPServer):
-    """The link of an emulated device.
-
-    Parameters
-    ----------
-    address : tuple of (str, int)
-        Name or address, and port; 0: a free one.
-    session : callable
-        Returns what answers a new master.
-    tick : callable
-        Lets the device's time go on.
-    faults : DeviceFaults
-    masters : int
-        So many may be connected; others are hung up on at once.
-    """
+    """The link of an emulated device."""
 
     allow_reuse_address = True
     daemon_threads = True
@@ -125,21 +112,7 @@ def serving(
     faults: DeviceFaults,
     masters: int = 1,
 ) -> Iterator[DeviceServer]:
-    """Serve an emulated device from a thread of its own, as long as the context lasts.
-
-    Parameters
-    ----------
-    address : tuple of (str, int)
-    session, tick : callable
-    faults : DeviceFaults
-    masters : int
-        All as of :class:`DeviceServer`.
-
-    Raises
-    ------
-    ConfigurationError
-        Nobody may listen at the address.
-    """
+    """Serve an emulated device from a thread of its own, as long as the context lasts."""
     try:
         server = DeviceServer(address, session, tick, faults, masters)
     except (OSError, OverflowError) as error:
@@ -158,16 +131,7 @@ def serving(
 
 @contextlib.contextmanager
 def serving_serial(session: Session, tick: Callable[[], None], faults: DeviceFaults) -> Iterator[str]:
-    """Serve an emulated device from a thread of its own, as long as the context lasts; give the path of its port.
-
-    Parameters
-    ----------
-    session : Session
-        What is said to whoever opens the port.
-    tick : callable
-        Lets the device's time go on.
-    faults : DeviceFaults
-    """
+    """Serve an emulated device from a thread of its own, as long as the context lasts; give the path of its port."""
     ours, theirs = os.openpty()
     tty.setraw(theirs)
     leaving, garbler = threading.Event(), Garbler(faults)

@@ -45,15 +45,7 @@ SILENCE = 1.0
 
 
 class AxisLink:
-    """Says and hears what a record needs; its methods may be called from any thread.
-
-    Parameters
-    ----------
-    node : Node
-        Which somebody else spins.
-    settings : MotorSettings
-        Of the record.
-    """
+    """Says and hears what a record needs; its methods may be called from any thread."""
 
     def __init__(self, node: Node, settings: MotorSettings):
         self._settings = settings
@@ -115,16 +107,7 @@ class AxisLink:
 
 
 def profile(axes: list[AxisParameters], context: Context, used_by: Callable[[Any], Profile]) -> Profile:
-    """Return what the server of motor records uses.
-
-    Parameters
-    ----------
-    axes : list of AxisParameters
-        All it has records of.
-    context : rclpy.context.Context
-    used_by : callable
-        ``used_by(node)`` returns what a node uses.
-    """
+    """Return what the server of motor records uses."""
     node = rclpy.create_node(RECORDS, context=context, start_parameter_services=False)
     try:
         for axis in axes:

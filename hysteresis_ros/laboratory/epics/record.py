@@ -31,41 +31,22 @@ DWELL = 0.1
 
 @dataclass(frozen=True)
 class MotorSettings:
-    """A motor record and the axis behind it.
+    """A motor record and the axis behind it."""
 
-    Parameters
-    ----------
-    name : str
-        Of the record, with its prefix.
-    namespace, source, joint : str
-        Where the axis is, which node takes its setpoints, and the joint that is moved.
-    low, high : float
-        Range of setpoints [m].
-    velocity, acceleration : float
-        Largest ones of the approach [m/s], [m/s²]; 0: unlimited.
-    tolerance, dwell : float
-        A move has arrived when it is so near [m] for so long [s].
-    timeout : float
-        Time for a move beyond what its speed takes [s].
-    unit : str
-        Engineering unit, one of length.
-    precision : int
-        Digits behind the point.
-    """
-
-    name: str
+    name: str  #: Of the record, with its prefix.
+    #: namespace, source, joint: Where the axis is, which node takes its setpoints, and the joint that is moved.
     namespace: str
     source: str
     joint: str
-    low: float
+    low: float  #: low, high: Range of setpoints [m].
     high: float
-    velocity: float
+    velocity: float  #: velocity, acceleration: Largest ones of the approach [m/s], [m/s²]; 0: unlimited.
     acceleration: float
-    tolerance: float
+    tolerance: float  #: tolerance, dwell: A move has arrived when it is so near [m] for so long [s].
     dwell: float
-    timeout: float
-    unit: str
-    precision: int
+    timeout: float  #: Time for a move beyond what its speed takes [s].
+    unit: str  #: Engineering unit, one of length.
+    precision: int  #: Digits behind the point.
 
     @property
     def metres(self) -> float:
@@ -75,31 +56,13 @@ class MotorSettings:
 
 @dataclass(frozen=True)
 class RecordOptions:
-    """What a person wants of motor records.
+    """What a person wants of motor records."""
 
-    Parameters
-    ----------
-    prefix : str
-        Of their names.
-    unit : str
-        Engineering unit.
-    precision : int
-        Digits behind the point.
-    timeout : float
-        Time for a move beyond what its speed takes [s].
-    tolerance : float, optional
-        A move has arrived when it is so near, in engineering units; by default what the axis says.
-
-    Raises
-    ------
-    ConfigurationError
-        The unit is none of length, or a number is no sensible one.
-    """
-
-    prefix: str
-    unit: str
-    precision: int
-    timeout: float
+    prefix: str  #: Of their names.
+    unit: str  #: Engineering unit.
+    precision: int  #: Digits behind the point.
+    timeout: float  #: Time for a move beyond what its speed takes [s].
+    #: A move has arrived when it is so near, in engineering units; by default what the axis says.
     tolerance: float | None = None
 
     def __post_init__(self) -> None:
@@ -209,20 +172,7 @@ class Axis(Protocol):
 
 
 class MotorRecord:
-    """A motor record.
-
-    Parameters
-    ----------
-    settings : MotorSettings
-    axis : Axis
-
-    Attributes
-    ----------
-    fields : dict
-        Values of the fields that change, by their names.
-    alarm : Alarm
-        Of the record.
-    """
+    """A motor record."""
 
     def __init__(self, settings: MotorSettings, axis: Axis):
         self.settings, self._axis = settings, axis
@@ -270,14 +220,7 @@ class MotorRecord:
     def put(self, field: str, value, now: float):
         """Write a field, and return the value it has then.
 
-        Parameters
-        ----------
-        field : str
-            Its name.
-        value : float, int or str
-            Of a menu: the word.
-        now : float
-            [s]
+        Units: ``now`` [s].
         """
         if field not in FIXED:
             write = getattr(self, f"_put_{field.lower()}", None)

@@ -84,13 +84,7 @@ class Position(PvpropertyDouble):
 
 
 class Motor(PVGroup):
-    """A motor record on Channel Access.
-
-    Parameters
-    ----------
-    settings : MotorSettings
-    axis : Axis
-    """
+    """A motor record on Channel Access."""
 
     motor = pvproperty(value=0.0, name="", dtype=Position, record="motor", put=_write_value)
 
@@ -106,13 +100,7 @@ class Motor(PVGroup):
         self._telling = asyncio.Lock()
 
     async def write(self, field: str, value):
-        """Write a field as a client does; who waits for a move waits until it is over.
-
-        Raises
-        ------
-        SkipWrite
-            The record has said itself what the field is now: said twice, ophyd takes the second for news of old limits.
-        """
+        """Write a field as a client does; who waits for a move waits until it is over."""
         taken = self.record.put(field, value, time.monotonic())
         await self.tell()
         if field in MOVING:
@@ -190,18 +178,7 @@ class RefusedWrites(logging.Filter):
 
 
 async def serve(motors: list[Motor], interfaces: list[str], over: Callable[[], bool], ready: Callable[[], object]):
-    """Serve records until it is over.
-
-    Parameters
-    ----------
-    motors : list of Motor
-    interfaces : list of str
-        Addresses on which it listens.
-    over : callable
-        Tells whether to leave.
-    ready : callable
-        Called once clients are answered.
-    """
+    """Serve records until it is over."""
     logging.getLogger("caproto").setLevel(logging.ERROR)  # a busy moment is no news
     logging.getLogger("caproto.circ").addFilter(RefusedWrites())
     records = {name: channel for motor in motors for name, channel in motor.pvdb.items()}

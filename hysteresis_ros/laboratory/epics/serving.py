@@ -46,15 +46,7 @@ def interfaces(given: str | None) -> list[str]:
 
 
 def server_environment(addresses: Sequence[str], port: int | None) -> dict[str, str]:
-    """Return the environment of the server: nothing of a server on this machine's own address leaves it.
-
-    Parameters
-    ----------
-    addresses : sequence of str
-        On which it listens.
-    port : int, optional
-        For searches and connections; that of the environment, or 5064.
-    """
+    """Return the environment of the server: nothing of a server on this machine's own address leaves it."""
     environment = node_environment()
     if list(addresses) == [LOOPBACK]:
         environment.setdefault("EPICS_CAS_AUTO_BEACON_ADDR_LIST", "NO")
@@ -70,23 +62,7 @@ def serve(
     port: int | None,
     leave: Callable[[], bool],
 ) -> int:
-    """Serve motor records until somebody wants to leave or the server ends; return its exit code.
-
-    Parameters
-    ----------
-    motors : sequence of MotorSettings
-    axes : sequence of AxisParameters
-        Which are started, and brought down at the end; none: they run already.
-    addresses : sequence of str
-        On which it listens.
-    port : int, optional
-    leave : callable
-
-    Raises
-    ------
-    GraphError
-        A node of an axis that was started has died.
-    """
+    """Serve motor records until somebody wants to leave or the server ends; return its exit code."""
     require_ros()
     require_caproto()
     # clients find axes that are being started once they can be moved

@@ -33,12 +33,7 @@ _COLOURS = ("#b8b8b8", "#d1495b", "#1f6fb2", "#2a9d8f", "#e09f3e")
 def traces_comparison(runs: dict[str, Recording], window: tuple[float, float]):
     """Return the figure of the displacements of several runs of one reference [µm, s]: whole, and a part of it.
 
-    Parameters
-    ----------
-    runs : dict of str to Recording
-        Label and run; the reference is that of the first one, delayed by its preview.
-    window : (float, float)
-        Beginning and end of the part shown larger [s].
+    Units: ``window`` [s].
     """
     figure, axes = new_figure(3.8, 2)
     first = next(iter(runs.values()))
@@ -56,13 +51,7 @@ def traces_comparison(runs: dict[str, Recording], window: tuple[float, float]):
 
 
 def loops_comparison(loops: dict[str, tuple[np.ndarray, np.ndarray]]):
-    """Return the figure of loops beside each other [µm]; each title says how far its loop is open.
-
-    Parameters
-    ----------
-    loops : dict of str to (array, array)
-        Label; reference and displacement, shape (N,) each [m].
-    """
+    """Return the figure of loops beside each other [µm]; each title says how far its loop is open."""
     figure, axes = new_figure(4.4, len(loops))
     for axis, (label, (reference, displacement)), colour in zip(axes, loops.items(), _COLOURS[1:], strict=False):
         low, high = np.min(reference) * _MICRO, np.max(reference) * _MICRO
@@ -76,13 +65,7 @@ def loops_comparison(loops: dict[str, tuple[np.ndarray, np.ndarray]]):
 
 
 def loops_overlay(panels: dict[str, dict[str, tuple[np.ndarray, np.ndarray]]]):
-    """Return the figure of loops on top of each other [V, µm], one panel beside the other.
-
-    Parameters
-    ----------
-    panels : dict of str to dict of str to (array, array)
-        Title of a panel → label → voltage [V] and displacement [m], shape (N,) each.
-    """
+    """Return the figure of loops on top of each other [V, µm], one panel beside the other."""
     figure, axes = new_figure(4.4, len(panels))
     for axis, (title, loops) in zip(axes, panels.items(), strict=True):
         for number, ((label, (voltage, displacement)), colour) in enumerate(
@@ -97,13 +80,7 @@ def loops_overlay(panels: dict[str, dict[str, tuple[np.ndarray, np.ndarray]]]):
 
 
 def prediction_figure(run: Recording):
-    """Return the figure of a model beside the truth over time, and of its error [µm, s].
-
-    Parameters
-    ----------
-    run : Recording
-        ``displacement`` is the truth, ``estimated`` the model's.
-    """
+    """Return the figure of a model beside the truth over time, and of its error [µm, s]."""
     figure, (whole, error) = new_figure(3.6, 2)
     for name, colour, width in (("displacement", _COLOURS[0], 2.4), ("estimated", _COLOURS[2], 1.0)):
         label = "truth" if name == "displacement" else "model"
@@ -119,12 +96,7 @@ def prediction_figure(run: Recording):
 def response_figure(frequency, measured, fitted):
     """Return the Bode plot of a measured frequency response and a fit [Hz, dB, degrees].
 
-    Parameters
-    ----------
-    frequency : array, shape (F,)
-        [Hz]
-    measured, fitted : complex array, shape (F,)
-        No unit.
+    Units: ``frequency`` [Hz].
     """
     figure, (gain, phase) = new_figure(3.6, 2)
     for label, values, colour, width in (
@@ -141,15 +113,7 @@ def response_figure(frequency, measured, fitted):
 
 
 def errors_comparison(errors: dict[str, tuple[np.ndarray, np.ndarray]], smaller: tuple[str, ...] = ()):
-    """Return the figure of errors over time [µm, s], all of them and once more without the large ones.
-
-    Parameters
-    ----------
-    errors : dict of str to (array, array)
-        Label; time [s] and error [m], shape (N,) each.
-    smaller : tuple of str
-        Labels of the panel at the right; empty: there is none.
-    """
+    """Return the figure of errors over time [µm, s], all of them and once more without the large ones."""
     figure, axes = new_figure(3.6, 2 if smaller else 1)
     for axis, chosen in zip(axes, (tuple(errors), smaller), strict=False):
         axis.axhline(0.0, color=_REFERENCE, linewidth=0.8)
@@ -164,12 +128,7 @@ def errors_comparison(errors: dict[str, tuple[np.ndarray, np.ndarray]], smaller:
 def responses_comparison(frequency, responses: dict[str, np.ndarray]):
     """Return the Bode plot of several frequency responses on a logarithmic axis [Hz, dB, degrees].
 
-    Parameters
-    ----------
-    frequency : array, shape (F,)
-        [Hz], above 0.
-    responses : dict of str to complex array, shape (F,)
-        Label and response.
+    Units: ``frequency`` [Hz].
     """
     figure, (gain, phase) = new_figure(3.6, 2)
     for number, ((label, values), colour) in enumerate(zip(responses.items(), _COLOURS, strict=False)):
@@ -183,13 +142,7 @@ def responses_comparison(frequency, responses: dict[str, np.ndarray]):
 
 
 def history_figure(histories: dict[str, np.ndarray]):
-    """Return the figure of errors over the evaluations of trainings, on a logarithmic axis.
-
-    Parameters
-    ----------
-    histories : dict of str to array, shape (K,)
-        Label; rms error of ±1 at each evaluation.
-    """
+    """Return the figure of errors over the evaluations of trainings, on a logarithmic axis."""
     figure, (axis,) = new_figure(3.0)
     for (label, values), colour in zip(histories.items(), _COLOURS[1:], strict=False):
         axis.semilogy(np.arange(1, len(values) + 1), values, color=colour, linewidth=1.3, label=label)
@@ -200,49 +153,20 @@ def history_figure(histories: dict[str, np.ndarray]):
 
 @dataclass(frozen=True)
 class ClaimsPage:
-    """What stands on a page of claims.
+    """What stands on a page of claims."""
 
-    Parameters
-    ----------
-    title, summary : str
-        Heading, and the result in one line.
-    headings : sequence of str
-        Heads of the columns.
-    groups : dict of str to list of (sequence of str, bool or None)
-        Heading of a group → the cells of its rows, and whether the claim of each row holds.
-    remarks, assumptions : sequence of str
-        Shown below; assumptions are numbered from 1.
-    configuration : str
-        Text of the configuration, shown at the end.
-    """
-
-    title: str
+    title: str  #: title, summary: Heading, and the result in one line.
     summary: str
-    headings: Sequence[str]
+    headings: Sequence[str]  #: Heads of the columns.
+    #: Heading of a group → the cells of its rows, and whether the claim of each row holds.
     groups: dict[str, list[tuple[Sequence[str], bool | None]]]
-    remarks: Sequence[str]
+    remarks: Sequence[str]  #: remarks, assumptions: Shown below; assumptions are numbered from 1.
     assumptions: Sequence[str]
-    configuration: str = ""
+    configuration: str = ""  #: Text of the configuration, shown at the end.
 
 
 def write_claims_page(path, page: ClaimsPage, plots) -> None:
-    """Write a page with a table of claims, plots, remarks and assumptions that needs nothing beside it.
-
-    Parameters
-    ----------
-    path : path-like
-        HTML file.
-    page : ClaimsPage
-    plots : sequence of (str, figure)
-        Captions and figures.
-
-    Raises
-    ------
-    MissingExtraError
-        Matplotlib or Jinja2 is not installed.
-    RecordingError
-        The file cannot be written.
-    """
+    """Write a page with a table of claims, plots, remarks and assumptions that needs nothing beside it."""
     sources = [dict(caption=caption, source=data_uri(figure)) for caption, figure in plots]
     write_page(path, render_page("claims.html.j2", **vars(page), plots=sources))
 
@@ -268,50 +192,22 @@ HEADINGS = ("row", "quantity", "paper", "here", "unit", "tolerance", "holds", "a
 
 @dataclass(frozen=True)
 class Claim:
-    """One claim and what was found; SI units (``%`` stays per cent).
+    """One claim and what was found; SI units (``%`` stays per cent)."""
 
-    Parameters
-    ----------
-    id : str
-        Name of the row, unique in an experiment.
-    group : str
-        Heading under which the row stands.
-    quantity : str
-        What is measured, under which conditions.
-    measured : float
-        What was found.
-    unit : str
-        One of :data:`SHOWN`.
-    paper : float, str or None
-        The paper's value, in words where it gives no number; None where it says nothing.
-    low, high : float or None
-        Inclusive range in which the claim holds; both None: a row for information.
-    derived : bool
-        The value beside ``paper`` was worked out for the assumed plant; the paper itself does not print it.
-    assumptions : tuple of str
-        What the paper leaves open and was assumed, in sentences.
-    reason : str
-        Why the row comes out as it does, where that needs saying.
-    details : dict of str to float
-        The cases of which ``measured`` is the worst, where there are several.
-
-    Raises
-    ------
-    ParameterError
-        ``measured`` is not finite or the unit is unknown.
-    """
-
-    id: str
-    group: str
-    quantity: str
-    measured: float
-    unit: str
+    id: str  #: Name of the row, unique in an experiment.
+    group: str  #: Heading under which the row stands.
+    quantity: str  #: What is measured, under which conditions.
+    measured: float  #: What was found.
+    unit: str  #: One of :data:`SHOWN`.
+    #: The paper's value, in words where it gives no number; None where it says nothing.
     paper: float | str | None = None
-    low: float | None = None
+    low: float | None = None  #: low, high: Inclusive range in which the claim holds; both None: a row for information.
     high: float | None = None
+    #: The value beside ``paper`` was worked out for the assumed plant; the paper itself does not print it.
     derived: bool = False
-    assumptions: tuple[str, ...] = ()
-    reason: str = ""
+    assumptions: tuple[str, ...] = ()  #: What the paper leaves open and was assumed, in sentences.
+    reason: str = ""  #: Why the row comes out as it does, where that needs saying.
+    #: The cases of which ``measured`` is the worst, where there are several.
     details: dict[str, float] = field(default_factory=dict)
 
     def __post_init__(self):

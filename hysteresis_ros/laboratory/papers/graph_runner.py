@@ -32,16 +32,6 @@ class GraphRunner:
 
     A runner for :func:`hysteresis_ros.laboratory.papers.runs.through`. An axis that has been run already is not run
     again: lockstep repeats bit for bit.
-
-    Parameters
-    ----------
-    on_run : callable, optional
-        Called before each run with its number from 1 on, how many are known, and the axis.
-
-    Raises
-    ------
-    HysteresisError
-        rclpy is not installed.
     """
 
     def __init__(self, on_run: Callable[[int, int, AxisParameters], None] = lambda number, known, axis: None):
@@ -53,20 +43,7 @@ class GraphRunner:
         self._lock = threading.Lock()
 
     def prepare(self, axes: Iterable[AxisParameters], jobs: int) -> None:
-        """Run axes that will be asked for, several graphs side by side: most of a short run is starting processes.
-
-        Parameters
-        ----------
-        axes : iterable of AxisParameters
-            Equal ones are run once.
-        jobs : int
-            Number of graphs at a time.
-
-        Raises
-        ------
-        GraphError, RecordingError
-            A run failed; those that have begun are finished first.
-        """
+        """Run axes that will be asked for, several graphs side by side: most of a short run is starting processes."""
         distinct = list({axis.configuration_text(): axis for axis in axes}.values())
         self._known = len(distinct)
         with ThreadPoolExecutor(jobs) as pool:
@@ -79,20 +56,7 @@ class GraphRunner:
                 raise
 
     def __call__(self, axis: AxisParameters) -> Recording:
-        """Run an axis, whose parameters say how long, from rest.
-
-        Returns
-        -------
-        Recording
-            The time and signals of :func:`hysteresis_ros.loop.simulation.simulate`, bit for bit.
-
-        Raises
-        ------
-        GraphError
-            A node died or refused to start; the message names the run.
-        RecordingError
-            The recording is not complete.
-        """
+        """Run an axis, whose parameters say how long, from rest."""
         text = axis.configuration_text()
         if text not in self._found:
             with self._lock:

@@ -67,51 +67,24 @@ class Noting:
 
 
 def run(configuration: Configuration, duration: float) -> Recording:
-    """Return the run of the only axis of ``configuration``, ``duration`` seconds from rest.
-
-    Raises
-    ------
-    ConfigurationError
-        The configuration holds several axes, or the duration is not positive.
-    ParameterError
-        A parameter is wrong.
-    """
+    """Return the run of the only axis of ``configuration``, ``duration`` seconds from rest."""
     return _runner.get()(single_axis(configuration).with_duration(duration))
 
 
 @dataclass(frozen=True)
 class StepFigures:
-    """What a run of steps between 0 and one level shows; the worst of its steps.
+    """What a run of steps between 0 and one level shows; the worst of its steps."""
 
-    Parameters
-    ----------
-    settling : float
-        2 % settling time [s], around the value finally reached; the length of the hold where a step does not settle.
-    peak : float
-        Largest displacement [m].
-    residual : float
-        Largest magnitude finally reached at zero reference after a motion [m].
-    level_error : float
-        Largest magnitude of the error finally left at the upper level [m].
-    late_vibration : float
-        Farthest displacement from the value finally reached, from half the hold on [m].
-    """
-
+    #: 2 % settling time [s], around the value finally reached; the length of the hold where a step does not settle.
     settling: float
-    peak: float
-    residual: float
-    level_error: float
-    late_vibration: float
+    peak: float  #: Largest displacement [m].
+    residual: float  #: Largest magnitude finally reached at zero reference after a motion [m].
+    level_error: float  #: Largest magnitude of the error finally left at the upper level [m].
+    late_vibration: float  #: Farthest displacement from the value finally reached, from half the hold on [m].
 
 
 def step_figures(run: Recording) -> StepFigures:
-    """Judge a run of steps by its true displacement less the preload's offset.
-
-    Raises
-    ------
-    RecordingError
-        The reference does not step up and back to zero.
-    """
+    """Judge a run of steps by its true displacement less the preload's offset."""
     displacement = run["displacement"] - axis_settings(run).offset
     reference = judged_reference(run)
     responses = step_responses(run.time, reference, displacement)
@@ -134,11 +107,6 @@ def loop_width(run: Recording) -> float:
 
     A reference of sample k first shows in the displacement of sample k + 1; the two are compared. With a preview the
     delayed reference is, at the same sample.
-
-    Raises
-    ------
-    RecordingError
-        The reference does not go to and fro.
     """
     late = 0 if axis_settings(run).preview else 1
     reference, displacement = judged_reference(run)[: len(run) - late], run["displacement"][late:]
@@ -151,23 +119,7 @@ def loop_width(run: Recording) -> float:
 def picard_width(stack: PolynomialParameters, v_max: float, stroke: float, steps: int, rate_times_gain: float) -> float:
     """Return the opening between the branches of one loop after Picard steps (eq. 16) that know nothing of the past.
 
-    Parameters
-    ----------
-    stack : PolynomialParameters
-        The branches, plant and model alike.
-    v_max : float
-        Peak of the loop [V].
-    stroke : float
-        Displacement from 0 to which is wanted [m]; the nominal gain is ``stroke / v_max``.
-    steps : int
-        Number of steps; 0: the voltage is displacement / gain.
-    rate_times_gain : float
-        R g of the steps.
-
-    Returns
-    -------
-    float
-        Largest opening at equal wanted displacement, in % of the stroke.
+    Units: ``v_max`` [V], ``stroke`` [m].
     """
     wanted = np.linspace(0.0, stroke, 1001)
     reached = []

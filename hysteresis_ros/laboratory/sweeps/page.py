@@ -29,21 +29,11 @@ POINTS = 5000
 
 
 class Column(NamedTuple):
-    """A metric.
+    """A metric."""
 
-    Parameters
-    ----------
-    label : str
-        With its unit for people.
-    values : ndarray, shape (runs,)
-        In SI.
-    factor : float
-        Units for people in one SI unit.
-    """
-
-    label: str
-    values: np.ndarray
-    factor: float
+    label: str  #: With its unit for people.
+    values: np.ndarray  #: shape (runs,); In SI.
+    factor: float  #: Units for people in one SI unit.
 
     @property
     def shown(self) -> np.ndarray:
@@ -52,14 +42,7 @@ class Column(NamedTuple):
 
 
 def share_figure(column: Column, ends: Sequence[float]):
-    """Return the figure of the empirical distribution of a metric.
-
-    Parameters
-    ----------
-    column : Column
-    ends : sequence of float
-        Bounds, in SI.
-    """
+    """Return the figure of the empirical distribution of a metric."""
     figure, (axis,) = new_figure(3.2)
     known = np.sort(column.shown[np.isfinite(column.values)])
     share = 100.0 * np.arange(1, known.size + 1) / len(column.values)  # runs without a value are not below anything
@@ -71,15 +54,7 @@ def share_figure(column: Column, ends: Sequence[float]):
 
 
 def scatter_figure(column: Column, parameters: dict[str, np.ndarray], ends: Sequence[float]):
-    """Return the figure of a metric over each parameter.
-
-    Parameters
-    ----------
-    column : Column
-    parameters : dict of str to ndarray, shape (runs,)
-    ends : sequence of float
-        Bounds, in SI.
-    """
+    """Return the figure of a metric over each parameter."""
     columns = min(len(parameters), 3)
     rows = -(-len(parameters) // columns)
     figure, axes = new_figure(2.7 * rows, columns, rows)
@@ -100,20 +75,7 @@ def scatter_figure(column: Column, parameters: dict[str, np.ndarray], ends: Sequ
 
 
 def levels_figure(column: Column, label: str, levels, spread: Sequence[np.ndarray], shares: Sequence[tuple]):
-    """Return the figure of a metric at each level of a parameter, and of the yield there.
-
-    Parameters
-    ----------
-    column : Column
-    label : str
-        Of the parameter.
-    levels : sequence
-        Its levels.
-    spread : sequence of ndarray
-        The metric of the runs at each of them, in SI.
-    shares : sequence of (float, float, float)
-        Yield there with its interval, 0 … 1; empty: there are no bounds.
-    """
+    """Return the figure of a metric at each level of a parameter, and of the yield there."""
     figure, axes = new_figure(3.2, 2 if shares else 1)
     numbers = all(isinstance(level, (int, float, np.number)) for level in levels)
     places = np.array(levels, dtype=float) if numbers else np.arange(len(levels))
@@ -139,13 +101,7 @@ def levels_figure(column: Column, label: str, levels, spread: Sequence[np.ndarra
 
 
 def influence_figure(found: Mapping[str, tuple[Sequence[str], dict[str, np.ndarray]]]):
-    """Return the figure of sensitivities, one panel for each metric.
-
-    Parameters
-    ----------
-    found : mapping of str to (sequence of str, dict of str to ndarray)
-        Metric → what varied, and columns of :class:`hysteresis_ros.laboratory.sweeps.summary.Sensitivity`.
-    """
+    """Return the figure of sensitivities, one panel for each metric."""
     count = max(len(labels) for labels, _ in found.values())
     figure, axes = new_figure((0.9 + 0.5 * count) * len(found), 1, len(found))
     for axis, (metric, (labels, columns)) in zip(axes, found.items(), strict=True):
@@ -167,26 +123,7 @@ def influence_figure(found: Mapping[str, tuple[Sequence[str], dict[str, np.ndarr
 
 
 def write_sweep_page(path, title: str, *, figures: Sequence[tuple[str, object]], **contents) -> None:
-    """Write a page that needs nothing beside it.
-
-    Parameters
-    ----------
-    path : path-like
-        HTML file.
-    title : str
-        Heading.
-    figures : sequence of (str, Figure)
-        Captions and figures.
-    **contents : object
-        ``lines`` and ``asked`` (lists of str), ``configuration`` (str).
-
-    Raises
-    ------
-    MissingExtraError
-        Matplotlib or Jinja2 is not installed.
-    RecordingError
-        The file cannot be written.
-    """
+    """Write a page that needs nothing beside it."""
     plots = [dict(caption=caption, source=data_uri(figure)) for caption, figure in figures]
     write_page(path, render_page("sweep.html.j2", title=title, plots=plots, **contents))
 
@@ -196,23 +133,7 @@ MOST_DRAWN = 6
 
 
 def write(summary: Summary, path, title: str) -> None:
-    """Write the page of a sweep.
-
-    Parameters
-    ----------
-    summary : Summary
-    path : path-like
-        HTML file.
-    title : str
-        What was swept.
-
-    Raises
-    ------
-    MissingExtraError
-        Matplotlib or Jinja2 is not installed.
-    RecordingError
-        The file cannot be written.
-    """
+    """Write the page of a sweep."""
     results = summary.results
     write_sweep_page(
         path,
@@ -225,12 +146,7 @@ def write(summary: Summary, path, title: str) -> None:
 
 
 def figures(summary: Summary) -> list[tuple[str, object]]:
-    """Return captions and figures of a sweep.
-
-    Parameters
-    ----------
-    summary : Summary
-    """
+    """Return captions and figures of a sweep."""
     results, found = summary.results, []
     drawn = {label: values for label, values in results.parameters.items() if values.dtype.kind in "if"}
     chosen = dict(list(drawn.items())[:MOST_DRAWN])

@@ -54,15 +54,9 @@ WAYS = "write 0.1:2:log20, 1um:5um:lin10, 12,14,16, ±5%, uniform(A,B), logunifo
 
 @dataclass(frozen=True)
 class Levels:
-    """Values one by one.
+    """Values one by one."""
 
-    Parameters
-    ----------
-    values : tuple
-        In the parameter's type and unit.
-    """
-
-    values: tuple
+    values: tuple  #: In the parameter's type and unit.
 
     does = VALUE
 
@@ -72,37 +66,19 @@ class Levels:
         return tuple(range(len(self.values)))
 
     def at(self, place: float):
-        """Return the value of a level.
-
-        Parameters
-        ----------
-        place : float
-            Its number.
-        """
+        """Return the value of a level."""
         return self.values[int(place)]
 
 
 @dataclass(frozen=True)
 class Spread:
-    """A distribution.
+    """A distribution."""
 
-    Parameters
-    ----------
-    kind : str
-        One of :data:`SPREADS`.
-    first, second : float
-        Ends, or mean and standard deviation.
-    does : str
-        Whether it is of values, of factors or of offsets.
-    whole : bool
-        Of whole numbers, both ends included.
-    """
-
-    kind: str
-    first: float
+    kind: str  #: One of :data:`SPREADS`.
+    first: float  #: first, second: Ends, or mean and standard deviation.
     second: float
-    does: str = VALUE
-    whole: bool = False
+    does: str = VALUE  #: Whether it is of values, of factors or of offsets.
+    whole: bool = False  #: Of whole numbers, both ends included.
 
     @property
     def ends(self) -> tuple[float, ...]:
@@ -110,13 +86,7 @@ class Spread:
         return (0.5,) if self.kind == "normal" else (0.0, 1.0)
 
     def at(self, place: float) -> float:
-        """Return the value at a place of the distribution (the inverse of its distribution function).
-
-        Parameters
-        ----------
-        place : float
-            Part of the values below it, 0 … 1.
-        """
+        """Return the value at a place of the distribution (the inverse of its distribution function)."""
         if self.whole:
             return int(min(self.first + math.floor(place * (self.second - self.first + 1.0)), self.second))
         if self.kind == "normal":
@@ -127,19 +97,7 @@ class Spread:
 
 
 def parse_range(text: str, row: ParameterRow) -> Levels | Spread:
-    """Return what a parameter varies over.
-
-    Parameters
-    ----------
-    text : str
-    row : ParameterRow
-        Of the parameter; of an array that of its elements.
-
-    Raises
-    ------
-    ValueError
-        It is none of the ways in which that can be said; the text says which there are.
-    """
+    """Return what a parameter varies over."""
     text = text.strip()
     around, stepped, distributed = (pattern.match(text) for pattern in (_AROUND, _STEPPED, _DISTRIBUTED))
     if row.type in (str, bool):
@@ -224,15 +182,7 @@ def _whole(value: float, row: ParameterRow):
 
 
 def refused(text: str, value, allowed: str) -> ParameterError:
-    """Return the error of a variation.
-
-    Parameters
-    ----------
-    text : str
-        What varies.
-    value : object
-    allowed : str
-    """
+    """Return the error of a variation."""
     return ParameterError([Problem(f"--vary {text}", value, allowed)])
 
 
@@ -253,24 +203,13 @@ _PLACE = re.compile(r"^(?P<name>.*?)(?:\[(?P<place>\d+)\])?$")
 
 @dataclass(frozen=True)
 class Variation:
-    """A parameter, and what it varies over.
+    """A parameter, and what it varies over."""
 
-    Parameters
-    ----------
-    node, name : str
-        Node and dotted name; of the plant also one of :data:`DEVIATIONS`.
-    row : ParameterRow
-        Its line of the table.
-    over : Levels or Spread
-    place : int, optional
-        Which element of an array.
-    """
-
-    node: str
+    node: str  #: node, name: Node and dotted name; of the plant also one of :data:`DEVIATIONS`.
     name: str
-    row: ParameterRow
+    row: ParameterRow  #: Its line of the table.
     over: Levels | Spread
-    place: int | None = None
+    place: int | None = None  #: Which element of an array.
 
     @property
     def label(self) -> str:
@@ -283,15 +222,7 @@ class Variation:
         return self.node == PLANT and self.name in DEVIATIONS
 
     def setting(self, present, place: float):
-        """Return the new value of the parameter, and the number that stands for it in the results.
-
-        Parameters
-        ----------
-        present : object
-            Its value before.
-        place : float
-            Number of a level, or place in a distribution.
-        """
+        """Return the new value of the parameter, and the number that stands for it in the results."""
         drawn = self.over.at(place)
         if isinstance(present, tuple) and self.place is None:  # ranges of whole arrays are factors
             return tuple(drawn * value for value in present), drawn
@@ -307,21 +238,7 @@ class Variation:
 
 
 def parse_variations(texts: Sequence[str], axis: AxisParameters) -> tuple[Variation, ...]:
-    """Return what varies.
-
-    Parameters
-    ----------
-    texts : sequence of str
-        Each ``NODE.PARAMETER=RANGE``, see :mod:`hysteresis_ros.laboratory.sweeps.plan`; ``plant_simulator=±5%`` lets
-        each of :data:`DEVIATIONS` vary so.
-    axis : AxisParameters
-        As configured.
-
-    Raises
-    ------
-    ParameterError
-        A node or parameter does not exist, varies twice, or a range has an end that is not allowed.
-    """
+    """Return what varies."""
     found: list[Variation] = []
     for text in texts:
         target, mark, words = text.partition("=")
@@ -411,16 +328,7 @@ def _require_fitting(target: str, words: str, one: Variation, present) -> None:
 
 
 def settings(axis: AxisParameters, variations: Sequence[Variation], point) -> tuple[dict[str, dict[str, Any]], list]:
-    """Return the values of a run by nodes and names, and the numbers that stand for them in the results.
-
-    Parameters
-    ----------
-    axis : AxisParameters
-        As configured.
-    variations : sequence of Variation
-    point : sequence of float
-        Place of each.
-    """
+    """Return the values of a run by nodes and names, and the numbers that stand for them in the results."""
     numbers: list = []
     changes: dict[str, dict[str, Any]] = {}
     for one, place in zip(variations, point, strict=True):
@@ -431,21 +339,7 @@ def settings(axis: AxisParameters, variations: Sequence[Variation], point) -> tu
 
 
 def varied(axis: AxisParameters, variations: Sequence[Variation], point) -> AxisParameters:
-    """Return an axis with other parameters.
-
-    Parameters
-    ----------
-    axis : AxisParameters
-        As configured; nothing but what varies changes, so the models of the controller's side stay as they are.
-    variations : sequence of Variation
-    point : sequence of float
-        Place of each.
-
-    Raises
-    ------
-    ParameterError
-        One is out of range, or they do not fit together.
-    """
+    """Return an axis with other parameters."""
     changes, _ = settings(axis, variations, point)
     for one in variations:
         known = changes["" if one.deviates else one.node]
@@ -476,23 +370,12 @@ MORRIS_LEVELS = 4
 
 @dataclass(frozen=True)
 class Plan:
-    """The points of a sweep.
-
-    Parameters
-    ----------
-    variations : tuple of Variation
-    runs : int
-        How many.
-    seed : int
-        Of the draws.
-    design : str
-        ``random``, or ``sobol`` or ``morris`` for a sensitivity.
-    """
+    """The points of a sweep."""
 
     variations: tuple[Variation, ...]
-    runs: int
-    seed: int = 1
-    design: str = RANDOM
+    runs: int  #: How many.
+    seed: int = 1  #: Of the draws.
+    design: str = RANDOM  #: ``random``, or ``sobol`` or ``morris`` for a sensitivity.
 
     @property
     def counts(self) -> tuple[int, ...]:
@@ -510,13 +393,7 @@ class Plan:
         return len(self.variations) - len(self.counts)
 
     def points(self, numbers: Sequence[int] | np.ndarray) -> np.ndarray:
-        """Return the points of some runs, shape (runs, variations): numbers of levels and places in distributions.
-
-        Parameters
-        ----------
-        numbers : sequence of int, or ndarray
-            Ascending, without gaps.
-        """
+        """Return the points of some runs, shape (runs, variations): numbers of levels and places in distributions."""
         numbers = np.arange(int(numbers[0]), int(numbers[-1]) + 1)
         found = np.empty((len(numbers), len(self.variations)))
         if self.design != RANDOM:
@@ -556,22 +433,7 @@ class Plan:
 
 
 def make_plan(variations: tuple[Variation, ...], runs: int | None = None, seed: int = 1, design: str = RANDOM) -> Plan:
-    """Return the plan of a sweep.
-
-    Parameters
-    ----------
-    variations : tuple of Variation
-    runs : int, optional
-        How many; by default all levels once, or :data:`DRAWS` where there are distributions. A sensitivity takes the
-        largest number that its design has below.
-    seed : int
-    design : str
-
-    Raises
-    ------
-    ConfigurationError
-        Nothing varies, there are more levels than runs, or too few runs for a sensitivity.
-    """
+    """Return the plan of a sweep."""
     if not variations:
         raise ConfigurationError("nothing varies: give --vary NODE.PARAMETER=RANGE")
     plan = Plan(variations, 0, seed, design)

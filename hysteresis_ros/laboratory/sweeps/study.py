@@ -80,15 +80,6 @@ def judged_motor(
 
     All are those of :func:`~hysteresis_ros.analysis.inchworm.inchworm_figures`; of the moves to a place the worst one
     counts, and a run in which one did not arrive has neither time nor final error.
-
-    Parameters
-    ----------
-    signals : dict of str to array
-        What the axis has done.
-    settings : InchwormSequencerParameters
-        Of its sequencer.
-    names : sequence of str
-        Of :data:`MOTOR_METRICS`.
     """
     recording = Recording(signals["time"], {name: signals[name] for name in signals if name != "time"}, {}, {})
     found = figures_of(inchworm_run(recording, settings), recording)
@@ -118,20 +109,7 @@ BETWEEN = (
 
 
 def require_metrics(names: Sequence[str], axis: AxisParameters | None = None) -> tuple[str, ...]:
-    """Return the names of metrics, each once.
-
-    Parameters
-    ----------
-    names : sequence of str
-        None at all: the metric that an axis is judged by otherwise.
-    axis : AxisParameters, optional
-        Whose metrics they are to be.
-
-    Raises
-    ------
-    ConfigurationError
-        There is no such metric, or the axis has none.
-    """
+    """Return the names of metrics, each once."""
     known, whose = METRICS, ""
     if axis is not None and axis.inchworm_sequencer is not None:
         known, whose = MOTOR_METRICS, " of an inchworm motor"
@@ -153,15 +131,6 @@ def judged(axis: Axis, signals: dict[str, np.ndarray], names: Sequence[str]) -> 
     All else is defined at the samples (:func:`~hysteresis_ros.analysis.metrics.compute_metrics`), as are the errors of
     a plant that is seen by a camera, and whatever is asked of an inchworm motor
     (:func:`~hysteresis_ros.laboratory.sweeps.study.judged_motor`).
-
-    Parameters
-    ----------
-    axis : Axis
-        Its plant is put to rest again.
-    signals : dict of str to array
-        What it has done.
-    names : sequence of str
-        Of its kind of axis.
     """
     if isinstance(axis.source, SequencerSource):
         return judged_motor(signals, axis.source.sequencer.parameters, names)
@@ -217,41 +186,21 @@ KEPT = 31 * 2**20
 
 
 class Runs(NamedTuple):
-    """What became of some runs that follow each other.
+    """What became of some runs that follow each other."""
 
-    Parameters
-    ----------
-    first : int
-        Number of the first of them.
-    rows : list of list of float
-        Metrics of each, and whether its axis tripped.
-    refused : dict of int to str
-        Number of each run whose axis cannot be built, and why.
-    """
-
-    first: int
-    rows: list[list[float]]
-    refused: dict[int, str]
+    first: int  #: Number of the first of them.
+    rows: list[list[float]]  #: Metrics of each, and whether its axis tripped.
+    refused: dict[int, str]  #: Number of each run whose axis cannot be built, and why.
 
 
 @dataclass(frozen=True, eq=False)
 class Study:
-    """What each run of a sweep is.
+    """What each run of a sweep is."""
 
-    Parameters
-    ----------
-    axis : AxisParameters
-        As configured.
-    variations : tuple of Variation
-    metrics : tuple of str
-    version : str
-        Of the package whose code is to make the runs.
-    """
-
-    axis: AxisParameters
+    axis: AxisParameters  #: As configured.
     variations: tuple[Variation, ...]
     metrics: tuple[str, ...]
-    version: str = hysteresis_ros.__version__
+    version: str = hysteresis_ros.__version__  #: Of the package whose code is to make the runs.
 
     @property
     def samples(self) -> int:
@@ -264,19 +213,7 @@ class Study:
         return all(one.node == PLANT for one in self.variations)
 
     def runs(self, first: int, points: np.ndarray) -> Runs:
-        """Make some runs, each of an axis at rest.
-
-        Parameters
-        ----------
-        first : int
-            Number of the first of them.
-        points : ndarray, shape (runs, variations)
-
-        Raises
-        ------
-        ConfigurationError
-            This package is of another version than the one that asks.
-        """
+        """Make some runs, each of an axis at rest."""
         if self.version != hysteresis_ros.__version__:
             raise ConfigurationError(
                 f"version {hysteresis_ros.__version__} of the package is installed where this should run, "
@@ -334,14 +271,6 @@ def _leaves(arrays: tuple | np.ndarray) -> Iterator[np.ndarray]:
 
 
 def make_runs(study: Study, first: int, points: np.ndarray) -> Runs:
-    """Make some runs of a study, one after the other, in whatever thread of whatever process.
-
-    Parameters
-    ----------
-    study : Study
-    first : int
-        Number of the first of them.
-    points : ndarray, shape (runs, variations)
-    """
+    """Make some runs of a study, one after the other, in whatever thread of whatever process."""
     with _ONE_AT_A_TIME:
         return study.runs(first, points)

@@ -48,26 +48,14 @@ _UNITS = {
 
 @dataclass(frozen=True)
 class Bound:
-    """What a metric may be.
-
-    Parameters
-    ----------
-    metric : str
-    low, high : float
-        Ends, included, in the unit of the metric.
-    """
+    """What a metric may be."""
 
     metric: str
-    low: float
+    low: float  #: low, high: Ends, included, in the unit of the metric.
     high: float
 
     def met(self, values: np.ndarray) -> np.ndarray:
-        """Return whether each value lies within; NaN does not.
-
-        Parameters
-        ----------
-        values : ndarray
-        """
+        """Return whether each value lies within; NaN does not."""
         return (values >= self.low) & (values <= self.high)
 
     def __str__(self) -> str:
@@ -82,19 +70,11 @@ class Bound:
 
 @dataclass(frozen=True)
 class Yield:
-    """How many runs meet all bounds.
+    """How many runs meet all bounds."""
 
-    Parameters
-    ----------
-    good, runs : int
-        How many meet them, and of how many.
-    low, high : float
-        Interval of the share.
-    """
-
-    good: int
+    good: int  #: good, runs: How many meet them, and of how many.
     runs: int
-    low: float
+    low: float  #: low, high: Interval of the share.
     high: float
 
     @property
@@ -108,17 +88,7 @@ class Yield:
 
 
 def parse_bound(text: str) -> Bound:
-    """Return a bound in words: ``rms_error_m=10nm`` at most, ``stroke_m=9um:11um`` between, ``stroke_m=9um:`` at least.
-
-    Parameters
-    ----------
-    text : str
-
-    Raises
-    ------
-    ConfigurationError
-        There is no such metric, or it is no bound.
-    """
+    """Return a bound in words: ``rms_error_m=10nm`` at most, ``stroke_m=9um:11um`` between, ``stroke_m=9um:`` at least."""
     name, mark, words = text.partition("=")
     (metric,) = require_metrics([name.strip()])
     low, colon, high = words.rpartition(":")
@@ -145,15 +115,7 @@ def _value(metric: str, text: str) -> float:
 
 
 def interval(good: int, runs: int, confidence: float = 0.95) -> tuple[float, float]:
-    """Return the interval of a share.
-
-    Parameters
-    ----------
-    good, runs : int
-        How many were seen, and of how many.
-    confidence : float
-        Probability with which it covers the true share at least.
-    """
+    """Return the interval of a share."""
     missed = 0.5 * (1.0 - confidence)
     low = float(scipy.special.betaincinv(good, runs - good + 1, missed)) if good else 0.0
     high = float(scipy.special.betaincinv(good + 1, runs - good, 1.0 - missed)) if good < runs else 1.0
@@ -161,26 +123,13 @@ def interval(good: int, runs: int, confidence: float = 0.95) -> tuple[float, flo
 
 
 def yield_of(met: np.ndarray, confidence: float = 0.95) -> Yield:
-    """Return a yield.
-
-    Parameters
-    ----------
-    met : ndarray of bool, shape (runs,)
-        Whether each run meets all bounds.
-    confidence : float
-    """
+    """Return a yield."""
     good = int(np.count_nonzero(met))
     return Yield(good, len(met), *interval(good, len(met), confidence))
 
 
 def met(results, bounds: Sequence[Bound]) -> np.ndarray:
-    """Return whether each run came to its end and meets all bounds, shape (runs,).
-
-    Parameters
-    ----------
-    results : Results
-    bounds : sequence of Bound
-    """
+    """Return whether each run came to its end and meets all bounds, shape (runs,)."""
     found = results.good
     for bound in bounds:
         found = found & bound.met(results.metrics[bound.metric])
@@ -192,34 +141,18 @@ EXTRA = 'needs the extra: pip install "hysteresis_ros[sweep]"'
 
 @dataclass(frozen=True, eq=False)
 class Sensitivity:
-    """Sensitivity of one metric.
-
-    Parameters
-    ----------
-    metric : str
-    labels : tuple of str
-        What varies.
-    columns : dict of str to ndarray, shape (variations,)
-        Of Sobol ``first`` and ``total``, parts of the variance; of Morris ``mean`` (of the sizes of the effects) and
-        ``deviation``, in SI. With ``…_interval`` half the width of each interval.
-    why : str
-        Why there is none.
-    """
+    """Sensitivity of one metric."""
 
     metric: str
-    labels: tuple[str, ...]
+    labels: tuple[str, ...]  #: What varies.
+    #: shape (variations,); Of Sobol ``first`` and ``total``, parts of the variance; of Morris ``mean`` (of the sizes
+    #: of the effects) and ``deviation``, in SI. With ``…_interval`` half the width of each interval.
     columns: dict[str, np.ndarray]
-    why: str = ""
+    why: str = ""  #: Why there is none.
 
 
 def require_library() -> None:
-    """Refuse a sensitivity where SALib is not installed.
-
-    Raises
-    ------
-    ConfigurationError
-        It is not.
-    """
+    """Refuse a sensitivity where SALib is not installed."""
     try:
         import SALib  # noqa: F401
     except ImportError:
@@ -227,17 +160,7 @@ def require_library() -> None:
 
 
 def sensitivity(plan: Plan, metric: str, values: np.ndarray, confidence: float = 0.95) -> Sensitivity:
-    """Return on which variations a metric hangs.
-
-    Parameters
-    ----------
-    plan : Plan
-        Of that design.
-    metric : str
-    values : ndarray, shape (runs,)
-    confidence : float
-        Of the intervals.
-    """
+    """Return on which variations a metric hangs."""
     labels = tuple(one.label for one in plan.variations)
     missing = int(np.count_nonzero(~np.isfinite(values)))
     if missing:
@@ -275,23 +198,13 @@ SIX = 6  # digits of a parameter for people
 
 @dataclass(frozen=True, eq=False)
 class Summary:
-    """A sweep, summed up.
-
-    Parameters
-    ----------
-    results : Results
-    plan : Plan
-    bounds : tuple of Bound
-    confidence : float
-        Of all intervals.
-    sensitivities : tuple of Sensitivity
-        Of each metric, worked out here where the plan is made for it.
-    """
+    """A sweep, summed up."""
 
     results: Results
     plan: Plan
     bounds: tuple[Bound, ...] = ()
-    confidence: float = 0.95
+    confidence: float = 0.95  #: Of all intervals.
+    #: Of each metric, worked out here where the plan is made for it.
     sensitivities: tuple[Sensitivity, ...] = field(init=False)
 
     def __post_init__(self):
@@ -328,23 +241,13 @@ class Summary:
         return found
 
     def worst(self, metric: str) -> int | None:
-        """Return the number of the run with the largest size of a metric; None where none has any.
-
-        Parameters
-        ----------
-        metric : str
-        """
+        """Return the number of the run with the largest size of a metric; None where none has any."""
         values = np.abs(self.results.metrics[metric])
         return int(np.nanargmax(values)) if np.any(np.isfinite(values)) else None
 
 
 def lines(summary: Summary) -> list[str]:
-    """Return a sweep in lines for people.
-
-    Parameters
-    ----------
-    summary : Summary
-    """
+    """Return a sweep in lines for people."""
     results, plan = summary.results, summary.plan
     drawn = f", {plan.combinations} levels" if plan.counts else ""
     text = [f"{len(results)} runs, seed {plan.seed}, {plan.design}{drawn}: {', '.join(results.about['labels'])}"]
@@ -359,12 +262,7 @@ def lines(summary: Summary) -> list[str]:
 
 
 def refusals(results: Results) -> list[str]:
-    """Return what was wrong with runs whose axis could not be built: how many, and the first one; empty: none was.
-
-    Parameters
-    ----------
-    results : Results
-    """
+    """Return what was wrong with runs whose axis could not be built: how many, and the first one; empty: none was."""
     numbers = np.flatnonzero(results.refused != "")
     if not numbers.size:
         return []
@@ -438,12 +336,7 @@ def _sensitivity_lines(found: Sensitivity, confidence: float) -> list[str]:
 
 
 def to_json(summary: Summary) -> dict:
-    """Return everything JSON can hold, in SI.
-
-    Parameters
-    ----------
-    summary : Summary
-    """
+    """Return everything JSON can hold, in SI."""
     results = summary.results
     metrics = {}
     for name, values in results.metrics.items():

@@ -38,25 +38,7 @@ KIND = "hysteresis sweep 1"
 
 
 class Journal:
-    """The file of a sweep that is not finished.
-
-    Parameters
-    ----------
-    path : path-like
-        Of the results; the journal stands beside them.
-    about : dict
-        What sweep it is.
-
-    Attributes
-    ----------
-    found : list of Runs
-        What stands in it already.
-
-    Raises
-    ------
-    ConfigurationError
-        It is of another sweep, in use, no journal, or cannot be written.
-    """
+    """The file of a sweep that is not finished."""
 
     def __init__(self, path, about: dict[str, Any]):
         self.path = pathlib.Path(f"{path}{SUFFIX}")
@@ -102,17 +84,7 @@ class Journal:
         return found
 
     def add(self, runs: Runs) -> None:
-        """Add some runs.
-
-        Parameters
-        ----------
-        runs : Runs
-
-        Raises
-        ------
-        ConfigurationError
-            It cannot be written; what stands in it stays.
-        """
+        """Add some runs."""
         self._write(runs._asdict())
 
     def _write(self, content: dict[str, Any]) -> None:
@@ -139,19 +111,7 @@ class Journal:
 
 
 def require_same(path, found: dict[str, Any], asked: dict[str, Any]) -> None:
-    """Refuse a file of another sweep.
-
-    Parameters
-    ----------
-    path : path-like
-    found, asked : dict
-        What sweep it is, and what is asked for; how many runs may differ where a longer sweep begins with the shorter.
-
-    Raises
-    ------
-    ConfigurationError
-        Names what differs first.
-    """
+    """Refuse a file of another sweep."""
     for name, value in asked.items():
         if found.get(name) != value:
             here, there = (str(text) if len(str(text)) < 100 else "another" for text in (value, found.get(name)))
@@ -168,27 +128,13 @@ EXTRA = 'needs the extra: pip install "hysteresis_ros[sweep]"'
 
 @dataclass(frozen=True, eq=False)
 class Results:
-    """The runs of a sweep.
+    """The runs of a sweep."""
 
-    Parameters
-    ----------
-    about : dict
-        What sweep it was: configuration, variations, seed, design, metrics, version.
-    parameters : dict of str to ndarray, shape (runs,)
-        What each run stood for, by labels.
-    metrics : dict of str to ndarray, shape (runs,)
-        In SI; NaN where a metric has no meaning.
-    tripped : ndarray of bool, shape (runs,)
-        Whether the axis stopped itself.
-    refused : ndarray of str, shape (runs,)
-        Why an axis could not be built; empty: it was.
-    """
-
-    about: dict[str, Any]
-    parameters: dict[str, np.ndarray]
-    metrics: dict[str, np.ndarray]
-    tripped: np.ndarray
-    refused: np.ndarray
+    about: dict[str, Any]  #: What sweep it was: configuration, variations, seed, design, metrics, version.
+    parameters: dict[str, np.ndarray]  #: shape (runs,); What each run stood for, by labels.
+    metrics: dict[str, np.ndarray]  #: shape (runs,); In SI; NaN where a metric has no meaning.
+    tripped: np.ndarray  #: shape (runs,); Whether the axis stopped itself.
+    refused: np.ndarray  #: shape (runs,); Why an axis could not be built; empty: it was.
 
     def __len__(self) -> int:
         """Return how many runs there are."""
@@ -207,17 +153,7 @@ class Results:
 
 
 def require_kind(path) -> None:
-    """Refuse a file that results cannot be written to, before they are made.
-
-    Parameters
-    ----------
-    path : path-like
-
-    Raises
-    ------
-    ConfigurationError
-        Its ending is neither ``.parquet`` nor ``.npz``, or what writes it is not installed.
-    """
+    """Refuse a file that results cannot be written to, before they are made."""
     suffix = pathlib.Path(path).suffix
     if suffix not in (PARQUET, NPZ):
         raise ConfigurationError(f"{path}: results are written as F.parquet or F.npz; choose one of them")
@@ -229,19 +165,7 @@ def require_kind(path) -> None:
 
 
 def save(results: Results, path) -> None:
-    """Write results, whole or not at all.
-
-    Parameters
-    ----------
-    results : Results
-    path : path-like
-        ``.parquet`` or ``.npz``.
-
-    Raises
-    ------
-    ConfigurationError
-        It cannot be written.
-    """
+    """Write results, whole or not at all."""
     path = pathlib.Path(path)
     text = json.dumps(results.about)
     remedy = "all runs are kept in its journal: make room, and give the same command again"
@@ -258,18 +182,7 @@ def save(results: Results, path) -> None:
 
 
 def load(path) -> Results:
-    """Read results.
-
-    Parameters
-    ----------
-    path : path-like
-        ``.parquet`` or ``.npz``.
-
-    Raises
-    ------
-    ConfigurationError
-        It cannot be read, or holds no results of a sweep.
-    """
+    """Read results."""
     require_kind(path)
     try:
         columns, text = (_npz if pathlib.Path(path).suffix == NPZ else _parquet)(path)
@@ -303,13 +216,7 @@ FEW = 3_000_000
 
 
 def about(study: Study, plan: Plan) -> dict:
-    """Return what sweep it is, as its files say.
-
-    Parameters
-    ----------
-    study : Study
-    plan : Plan
-    """
+    """Return what sweep it is, as its files say."""
     return {
         "version": study.version,
         "configuration": study.axis.configuration_text(),
@@ -331,29 +238,7 @@ def sweep(
     scheduler: str | None = None,
     progress: Callable[[int], None] = lambda done: None,
 ) -> Results:
-    """Make the runs of a sweep that are not made yet.
-
-    Parameters
-    ----------
-    study : Study
-    plan : Plan
-    path : path-like, optional
-        Where the results go, ``.parquet`` or ``.npz``; until all are there a journal stands beside it, from which the
-        same sweep goes on.
-    workers : int, optional
-        Processes; by default as many as there are processors, where there is enough to do.
-    scheduler : str, optional
-        Address of a Dask scheduler whose workers make the runs instead.
-    progress : callable
-        Called with how many runs are made.
-
-    Raises
-    ------
-    ConfigurationError
-        The results are of another sweep or cannot be written, or the runs have no end.
-    HysteresisError
-        Who made the runs has ended, or there is nobody.
-    """
+    """Make the runs of a sweep that are not made yet."""
     if not study.samples:
         raise ConfigurationError("the configuration has no end (samples: 0, endless waveform): give --duration S")
     table = _Table(study, plan)

@@ -60,27 +60,13 @@ def _host_name(host: str) -> str:
 
 @dataclass(frozen=True)
 class Access:
-    """What a request must bring.
+    """What a request must bring."""
 
-    Parameters
-    ----------
-    address : str
-        On which the server listens.
-    token : str
-        Empty: none is asked for.
-    """
-
-    address: str
-    token: str
+    address: str  #: On which the server listens.
+    token: str  #: Empty: none is asked for.
 
     def refuses_host(self, host: str) -> str:
-        """Return why a request's ``Host`` is refused, empty when it is not.
-
-        Parameters
-        ----------
-        host : str
-            With or without a port.
-        """
+        """Return why a request's ``Host`` is refused, empty when it is not."""
         name = _host_name(host)
         if is_loopback(self.address):
             return "" if name and is_loopback(name) else f"Host {host!r}: this page is called by localhost or 127.0.0.1"
@@ -93,26 +79,13 @@ class Access:
         return ""
 
     def refuses_token(self, given: str) -> str:
-        """Return why a token is refused, empty when it is not.
-
-        Parameters
-        ----------
-        given : str
-            Out of the address or the cookie.
-        """
+        """Return why a token is refused, empty when it is not."""
         if hmac.compare_digest(given.encode("utf-8", "replace"), self.token.encode()):
             return ""
         return "this page needs the token of the address that `hysteresis watch` has printed"
 
     def refuses_origin(self, headers: Mapping[str, str]) -> str:
-        """Return why what would change something is refused, empty when it is not: only this server's page may ask.
-
-        Parameters
-        ----------
-        headers : mapping of str to str
-            Of the request. Programs that are no browsers give no origin; they are let in with the word that no
-            page can put into a header, ``X-Hysteresis``.
-        """
+        """Return why what would change something is refused, empty when it is not: only this server's page may ask."""
         origin = headers.get("Origin", "")
         if origin:
             own = f"http://{headers.get('Host', '')}"
@@ -133,17 +106,7 @@ class Control:
         self._since = 0.0
 
     def ask(self, page: int, place: str, by_force: bool = False) -> bool:
-        """Give the control to a page when nobody has it, or by force; tell whether the page has it now.
-
-        Parameters
-        ----------
-        page : int
-            Number of the page.
-        place : str
-            Where it is, for the others.
-        by_force : bool
-            Take it away from another page.
-        """
+        """Give the control to a page when nobody has it, or by force; tell whether the page has it now."""
         if self._holder is None or (by_force and self._holder != page):
             self._holder, self._place, self._since = page, place, time.time()
         return self._holder == page
@@ -188,21 +151,11 @@ class RequestError(HysteresisError):
 
 
 class Request(NamedTuple):
-    """What a page asks for.
+    """What a page asks for."""
 
-    Parameters
-    ----------
-    number : int
-        Which the answer repeats.
-    action : str
-        A key of :data:`ACTIONS`.
-    values : dict
-        Checked.
-    """
-
-    number: int
-    action: str
-    values: dict[str, Any]
+    number: int  #: Which the answer repeats.
+    action: str  #: A key of :data:`ACTIONS`.
+    values: dict[str, Any]  #: Checked.
 
 
 def _number(name: str, given: Any, low: float, high: float, unit: str = "") -> float:
@@ -285,18 +238,7 @@ FREE = ("view", "control", "stop")
 
 
 def read_request(text: str) -> Request:
-    """Return what a page asks for.
-
-    Parameters
-    ----------
-    text : str
-        JSON: ``{"id": 1, "do": "setpoint", "value": "5um"}``.
-
-    Raises
-    ------
-    RequestError
-        It is no request; the sentence says why. Its ``number`` is that of the request where it has one, else -1.
-    """
+    """Return what a page asks for."""
     number = -1
     try:
         try:

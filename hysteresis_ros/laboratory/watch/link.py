@@ -56,22 +56,7 @@ FLUSH = 0.25
 
 
 class PageRecording:
-    """One bag, from the press of a button to the next.
-
-    Parameters
-    ----------
-    folder : pathlib.Path
-        In which the bag is made, named by the time.
-    axis : AxisParameters
-        What is written as its configuration.
-    joints : tuple of str
-        Names in ``joint_states``.
-
-    Raises
-    ------
-    RecordingError
-        There is no room, or the folder cannot be written.
-    """
+    """One bag, from the press of a button to the next."""
 
     def __init__(self, folder: pathlib.Path, axis: AxisParameters, joints: tuple[str, ...]):
         plant, prefix = axis.plant_simulator, axis.namespace
@@ -106,24 +91,12 @@ class PageRecording:
         return self._samples.sample_count
 
     def write(self, block: Block) -> None:
-        """Write samples.
-
-        Parameters
-        ----------
-        block : Block
-        """
+        """Write samples."""
         self._bag.attempt(lambda bag: self._samples.write(block.stamps, block.table, joints=block.joints))
         self._bag.tend(self._space)
 
     def say(self, topic: str, text: str) -> None:
-        """Write a text.
-
-        Parameters
-        ----------
-        topic : str
-            ``changes`` or ``marker``.
-        text : str
-        """
+        """Write a text."""
         self._bag.attempt(lambda bag: bag.write_string(f"{self._prefix}/{topic}", text, time.time_ns()))
 
     def finish(self) -> None:
@@ -163,22 +136,7 @@ DEPTH = 1000
 
 
 class AxisLink:
-    """Hears and asks in a thread of its own, :meth:`run`; the other methods may be called from any thread.
-
-    Parameters
-    ----------
-    namespace : str
-        Of the axis.
-    folder : pathlib.Path
-        Where recordings go.
-    context : rclpy.context.Context, optional
-        The default one by default.
-
-    Raises
-    ------
-    HysteresisError
-        The namespace is none.
-    """
+    """Hears and asks in a thread of its own, :meth:`run`; the other methods may be called from any thread."""
 
     def __init__(self, namespace: str, folder: pathlib.Path, context: Context | None = None):
         self.namespace, self.folder = namespace, folder
@@ -204,12 +162,7 @@ class AxisLink:
     # -- the thread ------------------------------------------------------------------------------------------------
 
     def run(self, over: threading.Event) -> None:
-        """Hear and do what was asked for, until it is over; the main function of a thread.
-
-        Parameters
-        ----------
-        over : threading.Event
-        """
+        """Hear and do what was asked for, until it is over; the main function of a thread."""
         try:
             looked = -math.inf
             while not over.is_set():
@@ -263,12 +216,7 @@ class AxisLink:
             answer.set_exception(HysteresisError(f"{type(error).__name__}: {error}"))
 
     def ask(self, job: Callable[[], Any]) -> Future:
-        """Let the thread do something; return the future of what it returns or raises.
-
-        Parameters
-        ----------
-        job : callable
-        """
+        """Let the thread do something; return the future of what it returns or raises."""
         answer: Future = Future()
         self._jobs.put((job, answer))
         return answer
@@ -304,12 +252,7 @@ class AxisLink:
         self.connect_to(self._axis)
 
     def connect_to(self, axis: AxisParameters) -> None:
-        """Make all topics and services that are needed of an axis.
-
-        Parameters
-        ----------
-        axis : AxisParameters
-        """
+        """Make all topics and services that are needed of an axis."""
         motor = axis.inchworm_sequencer is not None
         nodes = node_names(motor)
         for subscription in self._states:
@@ -417,19 +360,7 @@ class AxisLink:
     # -- what is asked for, in the thread ----------------------------------------------------------------------------
 
     def change(self, node: str, values: dict[str, str]) -> str:
-        """Set parameters of a node, all or none; return what to say.
-
-        Parameters
-        ----------
-        node : str
-            Its kind.
-        values : dict of str to str
-
-        Raises
-        ------
-        HysteresisError
-            There is no such node or parameter, or the node refuses; with its reason.
-        """
+        """Set parameters of a node, all or none; return what to say."""
         known = self.values.get(node)
         if known is None:
             raise AbsentError(f"no node {node}; there are {', '.join(self.values) or 'none'}")
@@ -462,24 +393,14 @@ class AxisLink:
         return "the reference holds; start lets it go on"
 
     def call(self, service: str) -> str:
-        """Ask the source of references for one of its services; return what it says.
-
-        Parameters
-        ----------
-        service : str
-        """
+        """Ask the source of references for one of its services; return what it says."""
         answer = self._client.ask(Trigger, f"{self.source}/{service}")
         if not answer.success:
             raise HysteresisError(f"{self.source} refuses to {service}: {answer.message}")
         return answer.message
 
     def record(self, on: bool) -> str:
-        """Begin or end a recording; return what to say.
-
-        Parameters
-        ----------
-        on : bool
-        """
+        """Begin or end a recording; return what to say."""
         if not on:
             if self.recording is None:
                 return "nothing is being recorded"
@@ -500,31 +421,18 @@ class AxisLink:
     # -- what is asked for, at once ----------------------------------------------------------------------------------
 
     def move(self, metres: float) -> None:
-        """Publish a setpoint [m].
-
-        Parameters
-        ----------
-        metres : float
-        """
+        """Publish a setpoint [m]."""
         self._setpoints.publish(Float64(data=metres))
 
     def walk(self, speed: float) -> None:
         """Publish the speed at which a motor is to walk.
 
-        Parameters
-        ----------
-        speed : float
-            [m/s]
+        Units: ``speed`` [m/s].
         """
         self._speeds.publish(Float64(data=speed))
 
     def mark(self, text: str) -> None:
-        """Publish a marker, and write it into the recording; in the thread.
-
-        Parameters
-        ----------
-        text : str
-        """
+        """Publish a marker, and write it into the recording; in the thread."""
         self._markers.publish(String(data=text))
         self._write(MARKER, text)
 
@@ -550,16 +458,7 @@ class AxisLink:
 
 
 def profile(axes: list[AxisParameters], context: Context, used_by: Callable[[Any], Profile]) -> Profile:
-    """Return what the page of an axis uses, whatever the number of its process.
-
-    Parameters
-    ----------
-    axes : list of AxisParameters
-        The one axis of the page.
-    context : rclpy.context.Context
-    used_by : callable
-        ``used_by(node)`` returns what a node uses.
-    """
+    """Return what the page of an axis uses, whatever the number of its process."""
     (axis,) = axes
     link = AxisLink(axis.namespace, pathlib.Path(), context)
     try:

@@ -27,20 +27,7 @@ POINTS = 320
 
 
 class History:
-    """The last samples of some signals.
-
-    Parameters
-    ----------
-    rows : int
-        Signals.
-    samples : int
-        How many are kept at least; the memory is twice as large, so that a part of it is always in one piece.
-
-    Attributes
-    ----------
-    end : int
-        Samples that were ever put in; the next one has this number.
-    """
+    """The last samples of some signals."""
 
     def __init__(self, rows: int, samples: int):
         self._keeps = int(min(samples, MOST_SAMPLES))
@@ -54,12 +41,7 @@ class History:
         return self.end - min(self._filled, self._keeps)
 
     def append(self, table: np.ndarray) -> None:
-        """Put samples in.
-
-        Parameters
-        ----------
-        table : ndarray, shape (rows, N)
-        """
+        """Put samples in."""
         self.end += table.shape[1]
         table = table[:, -self._keeps :]
         if self._filled + table.shape[1] > self._table.shape[1]:
@@ -70,32 +52,13 @@ class History:
         self._filled += table.shape[1]
 
     def part(self, first: int, last: int) -> np.ndarray:
-        """Return samples, shape (rows, last − first), as a view.
-
-        Parameters
-        ----------
-        first, last : int
-            Numbers between :attr:`begin` and :attr:`end`; the last one is not included.
-        """
+        """Return samples, shape (rows, last − first), as a view."""
         behind = self.end - self._filled
         return self._table[:, first - behind : last - behind]
 
 
 def places_of_extremes(table: np.ndarray, length: int) -> np.ndarray:
-    """Return where in each bin the least and the greatest value stand, in the order in which they came.
-
-    Parameters
-    ----------
-    table : ndarray, shape (rows, bins × length)
-        Values; NaN are passed over.
-    length : int
-        Samples of a bin.
-
-    Returns
-    -------
-    ndarray, shape (rows, bins, 2)
-        Columns of the table.
-    """
+    """Return where in each bin the least and the greatest value stand, in the order in which they came."""
     rows = table.shape[0]
     bins = table.reshape(rows, -1, length)
     missing = np.isnan(bins)
@@ -106,33 +69,13 @@ def places_of_extremes(table: np.ndarray, length: int) -> np.ndarray:
 
 
 def extremes(table: np.ndarray, length: int) -> np.ndarray:
-    """Return of each bin the least and the greatest value, in the order in which they came, shape (rows, bins, 2).
-
-    Parameters
-    ----------
-    table : ndarray, shape (rows, bins × length)
-        Values; a bin of nothing but NaN is NaN.
-    length : int
-        Samples of a bin.
-    """
+    """Return of each bin the least and the greatest value, in the order in which they came, shape (rows, bins, 2)."""
     places = places_of_extremes(table, length)
     return np.take_along_axis(table, places.reshape(len(table), -1), axis=1).reshape(places.shape)
 
 
 def outline(table: np.ndarray, length: int) -> np.ndarray:
-    """Return points of a curve through several signals, of each bin those where a signal is least or greatest.
-
-    Parameters
-    ----------
-    table : ndarray, shape (rows, bins × length)
-    length : int
-        Samples of a bin.
-
-    Returns
-    -------
-    ndarray, shape (rows, points)
-        As many for each bin: all its samples, where it has no more than two for each signal.
-    """
+    """Return points of a curve through several signals, of each bin those where a signal is least or greatest."""
     rows = len(table)
     if length <= 2 * rows:
         return table
@@ -143,19 +86,7 @@ def outline(table: np.ndarray, length: int) -> np.ndarray:
 def amplitude_density(values: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the amplitude density of a signal by Welch's method, thinned to the screen: no peak is lost.
 
-    Parameters
-    ----------
-    values : ndarray, shape (N,)
-        NaN are taken for the mean.
-    rate : float
-        Samples per second [Hz].
-
-    Returns
-    -------
-    frequency : ndarray, shape (M,)
-        [Hz], without 0; empty where there are too few samples.
-    density : ndarray, shape (M,)
-        Of the signal's unit by √Hz.
+    Units: ``rate`` [Hz].
     """
     segment = min(LONGEST, 2 ** int(np.log2(max(values.size // SEGMENTS, 1))))
     known = np.isfinite(values)

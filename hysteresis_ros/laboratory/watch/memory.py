@@ -35,15 +35,7 @@ MOST_PENDING = 20_000
 
 
 class Collector:
-    """Rows of samples out of the ``~/state`` of the nodes, which belong together by their stamps.
-
-    Parameters
-    ----------
-    nodes : sequence of str
-        Who says something of a sample.
-    motor : bool
-        An inchworm motor.
-    """
+    """Rows of samples out of the ``~/state`` of the nodes, which belong together by their stamps."""
 
     def __init__(self, nodes, motor: bool):
         self._row = len(signals.row_signals(motor))
@@ -54,14 +46,7 @@ class Collector:
         self._done, self._count = -1, 0
 
     def add(self, node: str, message: JointState) -> None:
-        """Take what a node says of a sample.
-
-        Parameters
-        ----------
-        node : str
-        message : JointState
-            Of its ``~/state``.
-        """
+        """Take what a node says of a sample."""
         stamp = message.header.stamp.sec * SECOND + message.header.stamp.nanosec
         if stamp <= self._done:
             if self._done - stamp < PART_PATIENCE:
@@ -107,12 +92,7 @@ SILENT = 1.5
 class Memory:
     """The last samples; filled by one thread, read by another.
 
-    Parameters
-    ----------
-    rate : float
-        Samples per second [Hz].
-    preview : int
-        Samples by which the controller's feedforward gets the reference before it is followed.
+    Units: ``rate`` [Hz].
     """
 
     def __init__(self, rate: float = 1000.0, preview: int = 0):
@@ -121,15 +101,7 @@ class Memory:
         self.restart(rate, preview)
 
     def restart(self, rate: float, preview: int = 0, motor: bool = False) -> None:
-        """Forget everything: another run begins.
-
-        Parameters
-        ----------
-        rate : float
-        preview : int
-        motor : bool
-            Of an inchworm motor.
-        """
+        """Forget everything: another run begins."""
         with self.lock:
             self.epoch += 1
             self.rate, self.motor = rate, motor
@@ -142,12 +114,7 @@ class Memory:
             self._arrivals: list[tuple[float, int]] = []
 
     def add(self, block: Block) -> bool:
-        """Put samples in; tell whether they follow the last ones. Where not, nothing is done: begin anew.
-
-        Parameters
-        ----------
-        block : Block
-        """
+        """Put samples in; tell whether they follow the last ones. Where not, nothing is done: begin anew."""
         count = block.numbers.size
         if not count:
             return True
@@ -199,36 +166,20 @@ class Memory:
         return sum(count for _, count in arrivals[1:]) / max(arrivals[-1][0] - arrivals[0][0], 1e-9)
 
     def last(self, name: str, seconds: float) -> np.ndarray:
-        """Return the last values of a signal.
-
-        Parameters
-        ----------
-        name : str
-            Of :data:`hysteresis_ros.laboratory.watch.views.SHOWN`.
-        seconds : float
-        """
+        """Return the last values of a signal."""
         with self.lock:
             begin = max(self.history.begin, self.history.end - round(seconds * self.rate))
             return self.history.part(begin, self.history.end)[self._names.index(name)].copy()
 
     def frame(self, view: View) -> bytes | None:
-        """Return the next frame of a page.
-
-        Parameters
-        ----------
-        view : View
-        """
+        """Return the next frame of a page."""
         with self.lock:
             return view.frame(self.history)
 
     def view(self, window: float, columns: int) -> View:
         """Return a new view.
 
-        Parameters
-        ----------
-        window : float
-            [s]
-        columns : int
+        Units: ``window`` [s].
         """
         return View(window, columns, self.rate, self.epoch, self.motor)
 
@@ -269,12 +220,7 @@ MOTOR_VALUES = (
 
 
 def motor_facts(axis: AxisParameters) -> dict | None:
-    """Return what of a motor stays as it is, None where the axis is none.
-
-    Parameters
-    ----------
-    axis : AxisParameters
-    """
+    """Return what of a motor stays as it is, None where the axis is none."""
     sequencer = axis.inchworm_sequencer
     if sequencer is None:
         return None
@@ -289,12 +235,7 @@ def motor_facts(axis: AxisParameters) -> dict | None:
 
 
 def motor_values(memory: Memory) -> dict[str, float | None] | None:
-    """Return the last values of :data:`TOLD`, SI, None for what nobody knows; None where the axis is no motor.
-
-    Parameters
-    ----------
-    memory : Memory
-    """
+    """Return the last values of :data:`TOLD`, SI, None for what nobody knows; None where the axis is no motor."""
     if not memory.motor:
         return None
     values = {name: memory.value(signals.place(name)) for name in MOTOR_VALUES}

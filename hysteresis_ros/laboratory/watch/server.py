@@ -58,15 +58,7 @@ FILES = {
 
 
 class Page:
-    """One page that is open.
-
-    Parameters
-    ----------
-    number : int
-    socket : aiohttp.web.WebSocketResponse
-    place : str
-        Where it is.
-    """
+    """One page that is open."""
 
     def __init__(self, number: int, socket: web.WebSocketResponse, place: str):
         self.number, self.socket, self.place = number, socket, place
@@ -82,15 +74,7 @@ class Page:
 
 
 class Server:
-    """Serves the pages of one axis.
-
-    Parameters
-    ----------
-    link : AxisLink
-        To the axis.
-    access : Access
-        Who may come in.
-    """
+    """Serves the pages of one axis."""
 
     def __init__(self, link: AxisLink, access: Access):
         self.link, self.access = link, access
@@ -145,14 +129,6 @@ class Server:
 
         Connections that have asked for nothing within :data:`FIRST_REQUEST` seconds, and those beyond
         :data:`CONNECTIONS`, are closed; aiohttp waits for the whole head of a request without end.
-
-        Parameters
-        ----------
-        bind : str
-        port : int
-            0: any that is free.
-        patience : float
-            Seconds that open pages get at the end.
         """
         runner = web.AppRunner(self.application(), access_log=None, shutdown_timeout=patience)
         await runner.setup()
@@ -342,13 +318,7 @@ class Server:
         return f"walks at {1e6 * speed:g} µm/s" if speed else "holds where it is until the next setpoint"
 
     async def _given(self, name: str, value: float, unit: str, give: Callable[[float], None]) -> None:
-        """Give the source of references a value, and wait until it has taken it.
-
-        Raises
-        ------
-        HysteresisError
-            It refuses, nobody is there, or the axis would not move; in its words.
-        """
+        """Give the source of references a value, and wait until it has taken it."""
         link = self.link
         if not link.memory.is_live:
             raise HysteresisError(f"the axis is silent: nobody would take the {name}")
@@ -398,13 +368,7 @@ class Server:
         return await self.stop()
 
     async def stop(self) -> str:
-        """Stop the axis, and say so once it stands.
-
-        Raises
-        ------
-        HysteresisError
-            Nothing says that it stands; what to do.
-        """
+        """Stop the axis, and say so once it stands."""
         deadline = time.monotonic() + STOP
         while time.monotonic() < deadline:
             self.link.stop()

@@ -36,21 +36,11 @@ PATIENCE = 5.0
 
 @dataclass(frozen=True)
 class PageOptions:
-    """Where pages are served, and where they record.
+    """Where pages are served, and where they record."""
 
-    Parameters
-    ----------
-    port : int or None
-        Of the first axis, the next ones follow; None: :data:`PORT`, or any that is free.
-    bind : str
-        Address to listen on.
-    folder : str
-        For recordings.
-    """
-
-    port: int | None = None
-    bind: str = LOOPBACK
-    folder: str = "."
+    port: int | None = None  #: Of the first axis, the next ones follow; None: :data:`PORT`, or any that is free.
+    bind: str = LOOPBACK  #: Address to listen on.
+    folder: str = "."  #: For recordings.
 
 
 def require_aiohttp() -> None:
@@ -60,19 +50,7 @@ def require_aiohttp() -> None:
 
 
 class Pages:
-    """The processes that serve the pages of axes, in a ``with`` statement.
-
-    Parameters
-    ----------
-    namespaces : sequence of str
-        Of the axes.
-    options : PageOptions
-
-    Raises
-    ------
-    HysteresisError
-        aiohttp or ROS is missing, the address is none of this machine, a port is in use, or the folder is none.
-    """
+    """The processes that serve the pages of axes, in a ``with`` statement."""
 
     def __init__(self, namespaces: Sequence[str], options: PageOptions):
         if namespaces:

@@ -45,29 +45,14 @@ MEMORY = 60.0
 
 @dataclass
 class Part:
-    """How far a page has got, in whole bins of samples.
+    """How far a page has got, in whole bins of samples."""
 
-    Parameters
-    ----------
-    length : int
-        Samples of a bin.
-    bins : int
-        How many the page shows.
-    next : int
-        Bin that it has to get next; -1: it has none.
-    """
-
-    length: int
-    bins: int
-    next: int = -1
+    length: int  #: Samples of a bin.
+    bins: int  #: How many the page shows.
+    next: int = -1  #: Bin that it has to get next; -1: it has none.
 
     def due(self, history: History) -> tuple[bool, int, np.ndarray]:
-        """Return whether the page begins anew, the first bin that is due, and the samples of all that are due.
-
-        Parameters
-        ----------
-        history : History
-        """
+        """Return whether the page begins anew, the first bin that is due, and the samples of all that are due."""
         end = history.end // self.length
         begin = max(-(-history.begin // self.length), end - self.bins)
         fresh = not begin <= self.next <= end
@@ -79,18 +64,7 @@ class Part:
 class View:
     """What one page looks at.
 
-    Parameters
-    ----------
-    window : float
-        Seconds over time.
-    columns : int
-        Of the screen.
-    rate : float
-        Samples per second [Hz].
-    epoch : int
-        Of the history.
-    motor : bool
-        Of an inchworm motor.
+    Units: ``rate`` [Hz].
     """
 
     def __init__(self, window: float, columns: int, rate: float, epoch: int, motor: bool = False):
@@ -105,13 +79,7 @@ class View:
         self._loop = Part(length, -(-samples // length))
 
     def frame(self, history: History) -> bytes | None:
-        """Return the next frame, None when there is nothing new.
-
-        Parameters
-        ----------
-        history : History
-            With the rows :data:`SHOWN`, or :data:`MOTOR_SHOWN`.
-        """
+        """Return the next frame, None when there is nothing new."""
         fresh, first, table = self._time.due(history)
         loop_fresh, _, loop = self._loop.due(history)
         if not table.shape[1] and not loop.shape[1] and not fresh:
@@ -140,16 +108,7 @@ class View:
 
 
 def names_in_use(cls: type[Parameters], values: Mapping, prefix: str = "") -> Iterator[str]:
-    """Yield the names of the parameters that something hangs on: of several models and laws only those of the chosen.
-
-    Parameters
-    ----------
-    cls : type of Parameters
-    values : mapping
-        Flat dotted names to values.
-    prefix : str
-        Before the names.
-    """
+    """Yield the names of the parameters that something hangs on: of several models and laws only those of the chosen."""
     for item in fields(cls):
         nested, chooser = item.metadata.get("group"), item.metadata.get("variant_of")
         if nested is None:
@@ -168,15 +127,7 @@ def _hangs_on_nothing(node: str, name: str, values: Mapping) -> bool:
 
 
 def table_of(node: str, values: Mapping) -> list[dict]:
-    """Return what a page shows of the parameters of a node that may change while it runs.
-
-    Parameters
-    ----------
-    node : str
-        Its kind.
-    values : mapping
-        Flat dotted names to values.
-    """
+    """Return what a page shows of the parameters of a node that may change while it runs."""
     shared = {row.name for row in NodeParameters.table()}
     used = {
         name
@@ -201,19 +152,7 @@ def table_of(node: str, values: Mapping) -> list[dict]:
 
 
 def axis_of(namespace: str, values: Mapping[str, Mapping]) -> AxisParameters:
-    """Return the parameters of an axis out of those of its nodes.
-
-    Parameters
-    ----------
-    namespace : str
-    values : mapping of str to mapping
-        Of each node.
-
-    Raises
-    ------
-    ParameterError
-        They are not those of this version.
-    """
+    """Return the parameters of an axis out of those of its nodes."""
     typed = {
         node: NODE_PARAMETERS[node].from_mapping({name: value for name, value in own.items() if _is_ours(node, name)})
         for node, own in values.items()
@@ -229,11 +168,6 @@ def limits_of(values: Mapping[str, Mapping]) -> dict[str, list[float]]:
     """Return the ranges that a page draws, of the reference [m] and of the voltage [V], and that of setpoints [m].
 
     A setpoint leaves room for the waveform around it, as the source of references does.
-
-    Parameters
-    ----------
-    values : mapping of str to mapping
-        Of each node.
     """
     source = values.get(MOTOR_SOURCE) or values.get("reference_generator", {})
     compensator = values.get("hysteresis_compensator", {})

@@ -25,15 +25,7 @@ COMMANDS = {"status": status, "get": get, "set": set_, "call": call, "echo": ech
 
 
 def done(request: dict, make_client: Callable[[str, float], Client] = Client) -> int:
-    """Do what is asked for, and return the exit code.
-
-    Parameters
-    ----------
-    request : dict
-        ``command``, ``namespace``, ``timeout`` [s] and the arguments of the command.
-    make_client : callable
-        Takes namespace and timeout.
-    """
+    """Do what is asked for, and return the exit code."""
     arguments = dict(request)
     command = COMMANDS[arguments.pop("command")]
     try:

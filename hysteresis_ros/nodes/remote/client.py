@@ -38,18 +38,7 @@ class AbsentError(HysteresisError):
 class Client:
     """A node that asks others; use it in a ``with`` statement.
 
-    Parameters
-    ----------
-    namespace : str
-        Of the axis; names without a slash in front are looked for there.
-    timeout : float
-        Longest wait for somebody [s].
-    context : rclpy.context.Context, optional
-        An initialised one; a new one in the domain of the environment by default.
-    make_executor : callable, optional
-        Returns what takes the messages, of the default context; rclpy's own executor by default.
-    name : str, optional
-        Of the node behind ``_hysteresis_``; the number of the process by default.
+    Units: ``timeout`` [s].
     """
 
     def __init__(
@@ -102,14 +91,7 @@ class Client:
             self._context.try_shutdown()
 
     def until(self, condition: Callable[[], Any], seconds: float | None = None) -> Any:
-        """Hear and look until a condition holds; return what it says in the end.
-
-        Parameters
-        ----------
-        condition : callable
-        seconds : float, optional
-            At most so long; the client's timeout by default.
-        """
+        """Hear and look until a condition holds; return what it says in the end."""
         deadline = time.monotonic() + (self.timeout if seconds is None else seconds)
         while True:
             found = condition()
@@ -146,13 +128,7 @@ class Client:
         return known
 
     def find(self, name: str) -> str:
-        """Return the full name of a node when it is there.
-
-        Raises
-        ------
-        AbsentError
-            It is not; names who is.
-        """
+        """Return the full name of a node when it is there."""
         wanted = self.full_name(name)
         if not self.until(lambda: wanted in self.nodes()):
             raise AbsentError(f"no node {wanted} within {self.timeout:g} s; {self.who_is_there(wanted)}")
@@ -166,36 +142,11 @@ class Client:
         return f"there are {', '.join(found)}{did_you_mean(wanted, found) if wanted else ''}"
 
     def make_client(self, kind, service: str):
-        """Return what asks for a service, kept: finding a service takes longer than its answer.
-
-        Parameters
-        ----------
-        kind : type
-            Of the service.
-        service : str
-            Full name.
-        """
+        """Return what asks for a service, kept: finding a service takes longer than its answer."""
         return self._clients.get(service) or self._clients.setdefault(service, self.node.create_client(kind, service))
 
     def ask(self, kind, service: str, request=None, seconds: float | None = None):
-        """Return the answer of a service.
-
-        Parameters
-        ----------
-        kind : type
-            Of the service.
-        service : str
-            Full name.
-        request : object, optional
-            An empty one by default.
-        seconds : float, optional
-            At most so long for each of finding it and its answer; the client's timeout by default.
-
-        Raises
-        ------
-        AbsentError
-            Nobody offers it, or nobody answers.
-        """
+        """Return the answer of a service."""
         client = self.make_client(kind, service)
         allowed = self.timeout if seconds is None else seconds
         owner = service.rsplit("/", 1)[0]
@@ -208,13 +159,7 @@ class Client:
 
 
 def axis_nodes(names) -> dict[str, list[str]]:
-    """Return the namespaces in which there are nodes of an axis, with the names of these.
-
-    Parameters
-    ----------
-    names : iterable of str
-        Full names of nodes.
-    """
+    """Return the namespaces in which there are nodes of an axis, with the names of these."""
     found: dict[str, list[str]] = {}
     for full in names:
         namespace, _, name = full.rpartition("/")

@@ -47,18 +47,7 @@ WORDS = 0.5
 
 
 def call(client: Client, node: str, action: str) -> None:
-    """Ask a node for a service or a transition of its lifecycle, and print what it answers.
-
-    Parameters
-    ----------
-    client : Client
-    node, action : str
-
-    Raises
-    ------
-    HysteresisError
-        It has no such service, or refuses; its reason.
-    """
+    """Ask a node for a service or a transition of its lifecycle, and print what it answers."""
     full = client.find(node)
     if action in TRANSITIONS:
         _change(client, full, action)
@@ -77,14 +66,7 @@ def call(client: Client, node: str, action: str) -> None:
 
 
 def lifecycle_states(client: Client, names: list[str]) -> dict[str, str]:
-    """Return the state of each node's lifecycle, all asked at once; of one that does not answer ``silent``.
-
-    Parameters
-    ----------
-    client : Client
-    names : list of str
-        Full names of nodes.
-    """
+    """Return the state of each node's lifecycle, all asked at once; of one that does not answer ``silent``."""
     asked = {name: client.node.create_client(GetState, f"{name}/get_state") for name in names}
     client.until(lambda: all(one.service_is_ready() for one in asked.values()))
     ready = {name: one for name, one in asked.items() if one.service_is_ready()}
@@ -150,25 +132,13 @@ REPORTED = 1.6
 
 @dataclass
 class NodeStatus:
-    """What is known of one node.
+    """What is known of one node."""
 
-    Parameters
-    ----------
-    name : str
-        Full name.
-    state : str
-        Of its lifecycle; ``absent`` where there is no such node, ``silent`` where it does not answer.
-    level, message : str
-        Its health, empty where it has said nothing.
-    rate : float or None
-        Samples per second [Hz].
-    """
-
-    name: str
-    state: str
-    level: str = ""
+    name: str  #: Full name.
+    state: str  #: Of its lifecycle; ``absent`` where there is no such node, ``silent`` where it does not answer.
+    level: str = ""  #: level, message: Its health, empty where it has said nothing.
     message: str = ""
-    rate: float | None = None
+    rate: float | None = None  #: Samples per second [Hz].
 
     @property
     def is_well(self) -> bool:
@@ -178,36 +148,16 @@ class NodeStatus:
 
 @dataclass
 class AxisStatus:
-    """What is known of one axis.
-
-    Parameters
-    ----------
-    namespace : str
-    nodes : list of NodeStatus
-    plant : str
-        Who publishes ``joint_states`` in the place of ``plant_simulator``; empty where that is there.
-    last : dict of str to float
-        Last values in SI.
-    """
+    """What is known of one axis."""
 
     namespace: str
     nodes: list[NodeStatus]
-    plant: str = ""
-    last: dict[str, float] = field(default_factory=dict)
+    plant: str = ""  #: Who publishes ``joint_states`` in the place of ``plant_simulator``; empty where that is there.
+    last: dict[str, float] = field(default_factory=dict)  #: Last values in SI.
 
 
 def survey(client: Client) -> list[AxisStatus]:
-    """Return what is known of the axes that are there, of all namespaces or of the client's.
-
-    Parameters
-    ----------
-    client : Client
-
-    Raises
-    ------
-    AbsentError
-        There is none.
-    """
+    """Return what is known of the axes that are there, of all namespaces or of the client's."""
     reports: dict[str, tuple] = {}
 
     def hear(message: DiagnosticArray) -> None:
@@ -247,14 +197,7 @@ def survey(client: Client) -> list[AxisStatus]:
 
 
 def _complete(client: Client, there: Callable[[], dict[str, list[str]]]) -> dict[str, list[str]]:
-    """Return the nodes of each axis as soon as none is missing and no other one comes; later only what is there.
-
-    Parameters
-    ----------
-    client : Client
-    there : callable
-        Returns the nodes that are there now.
-    """
+    """Return the nodes of each axis as soon as none is missing and no other one comes; later only what is there."""
     known: dict[str, list[str]] = {}
     since = time.monotonic()
 
@@ -318,14 +261,7 @@ def _listen(client: Client, space: str, names: list[str]) -> dict[str, float]:
 
 
 def status(client: Client, as_json: bool) -> int:
-    """Print what is known of each axis; return 0 when all is well, 1 when something is not.
-
-    Parameters
-    ----------
-    client : Client
-    as_json : bool
-        As JSON, in SI.
-    """
+    """Print what is known of each axis; return 0 when all is well, 1 when something is not."""
     found = survey(client)
     if as_json:
         table = {axis.namespace or "/": _figures(axis) for axis in found}
@@ -364,14 +300,7 @@ def _lines(axis: AxisStatus):
 
 
 def get(client: Client, node: str, names: list[str]) -> None:
-    """Print parameters of a node as YAML, all of them when none is named.
-
-    Parameters
-    ----------
-    client : Client
-    node : str
-    names : list of str
-    """
+    """Print parameters of a node as YAML, all of them when none is named."""
     full = client.find(node)
     known = _names(client, full)
     _refuse_unknown(full, names, known)
@@ -382,16 +311,7 @@ def get(client: Client, node: str, names: list[str]) -> None:
 
 
 def values_of(client: Client, full: str, names: list[str] | None = None) -> dict:
-    """Return parameters of a node, as plain values.
-
-    Parameters
-    ----------
-    client : Client
-    full : str
-        Full name of a node that is there.
-    names : list of str, optional
-        All that have a value by default.
-    """
+    """Return parameters of a node, as plain values."""
     asked = _names(client, full) if names is None else names
     answer = client.ask(GetParameters, f"{full}/get_parameters", GetParameters.Request(names=asked))
     found = [plain_value(value) for value in answer.values]
@@ -399,26 +319,13 @@ def values_of(client: Client, full: str, names: list[str] | None = None) -> dict
 
 
 def plain_value(value):
-    """Return a parameter's value as plain Python: arrays are lists.
-
-    Parameters
-    ----------
-    value : rcl_interfaces.msg.ParameterValue
-    """
+    """Return a parameter's value as plain Python: arrays are lists."""
     plain = parameter_value_to_python(value)
     return plain if plain is None or isinstance(plain, (str, bool, int, float)) else list(plain)
 
 
 def set_(client: Client, node: str, values: dict[str, str]) -> None:
-    """Set parameters of a node, all of them or, when one is refused, none; and say so.
-
-    Parameters
-    ----------
-    client : Client
-    node : str
-    values : dict of str to str
-        As people write them: YAML, or a number with its unit.
-    """
+    """Set parameters of a node, all of them or, when one is refused, none; and say so."""
     full = client.find(node)
     _refuse_unknown(full, list(values), _names(client, full))
     change(client, full, values)
@@ -426,21 +333,7 @@ def set_(client: Client, node: str, values: dict[str, str]) -> None:
 
 
 def change(client: Client, full: str, values: dict[str, str]) -> None:
-    """Set parameters of a node, all of them or, when one is refused, none.
-
-    Parameters
-    ----------
-    client : Client
-    full : str
-        Full name of a node that is there.
-    values : dict of str to str
-        As people write them: YAML, or a number with its unit.
-
-    Raises
-    ------
-    HysteresisError
-        The node refuses; its reason.
-    """
+    """Set parameters of a node, all of them or, when one is refused, none."""
     from hysteresis_ros.loop.parameters import NODE_PARAMETERS  # half a second, which no other command needs
 
     table = NODE_PARAMETERS.get(full.rsplit("/", 1)[-1])
@@ -484,21 +377,7 @@ def _value(row: ParameterRow | None, name: str, text: str):
 
 
 def echo(client: Client, topic: str, count: int | None) -> None:
-    """Print the messages of a topic, one a line where they are short.
-
-    Parameters
-    ----------
-    client : Client
-    topic : str
-        Relative names are looked for in the namespace.
-    count : int or None
-        Messages after which to end; None: goes on until nobody publishes any more.
-
-    Raises
-    ------
-    AbsentError
-        Nobody publishes it, nothing comes, or who published has left before as many messages came as were asked for.
-    """
+    """Print the messages of a topic, one a line where they are short."""
     name = client.full_name(topic)
     publishers = client.until(lambda: client.node.get_publishers_info_by_topic(name))
     if not publishers:
@@ -530,13 +409,7 @@ def _nobody(client: Client, name: str) -> str:
 
 
 def _message_type(name: str):
-    """Return the class of a message type ``package/msg/Type``.
-
-    Raises
-    ------
-    HysteresisError
-        It is not installed here.
-    """
+    """Return the class of a message type ``package/msg/Type``."""
     package, _, kind = name.partition("/msg/")
     try:
         return getattr(importlib.import_module(f"{package}.msg"), kind)
@@ -557,13 +430,7 @@ def _matching(publishers) -> QoSProfile:
 
 
 def formatted(message) -> str:
-    """Return a message as people read it.
-
-    Parameters
-    ----------
-    message : object
-        Of any type.
-    """
+    """Return a message as people read it."""
     if isinstance(message, JointState):
         return _joints(message)
     if isinstance(message, DiagnosticArray):
@@ -613,18 +480,7 @@ def setpoint(client: Client, value: float) -> None:
 
     The source answers: a setpoint cannot get lost without a word, as it can on a topic.
 
-    Parameters
-    ----------
-    client : Client
-    value : float
-        [m]
-
-    Raises
-    ------
-    HysteresisError
-        It was refused, or the axis cannot move; the sentence says which.
-    AbsentError
-        The source is not there or does not answer: the setpoint is not known to be taken.
+    Units: ``value`` [m].
     """
     source = _source(client)
     state: dict[str, float] = {}
@@ -645,13 +501,7 @@ def setpoint(client: Client, value: float) -> None:
 
 
 def _source(client: Client) -> str:
-    """Return the node that takes the setpoints of an axis: by its name, whoever else subscribes to the topic.
-
-    Raises
-    ------
-    AbsentError
-        It is not there; names who subscribes to the topic.
-    """
+    """Return the node that takes the setpoints of an axis: by its name, whoever else subscribes to the topic."""
     wanted = [client.full_name(name) for name in SOURCES]
 
     def there() -> list[str]:
@@ -682,15 +532,7 @@ def _require_active(client: Client, source: str) -> None:
 
 
 def stands(source: str, state: dict[str, float]) -> str:
-    """Return why a source does not move although it has the setpoint, and what to do; empty when it does.
-
-    Parameters
-    ----------
-    source : str
-        Full name of the node.
-    state : dict of str to float
-        Its ``~/state``.
-    """
+    """Return why a source does not move although it has the setpoint, and what to do; empty when it does."""
     from hysteresis_ros.loop.watch import STOPPED, TRIPPED
     from hysteresis_ros.references import inchworm_layout as at
 
@@ -709,13 +551,7 @@ def stands(source: str, state: dict[str, float]) -> str:
 
 
 def _require_moving(client: Client, source: str, value: float, state: dict[str, float]) -> None:
-    """Wait for a sample that was made with the setpoint, and refuse an axis that does not move.
-
-    Raises
-    ------
-    HysteresisError
-        It stands still; why.
-    """
+    """Wait for a sample that was made with the setpoint, and refuse an axis that does not move."""
 
     state.clear()
 

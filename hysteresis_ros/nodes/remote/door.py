@@ -47,13 +47,7 @@ def is_of_this_user(connection: socket.socket) -> bool:
 
 
 def ask_session(request: dict) -> int | None:
-    """Let the session do what is asked for, print what it prints, and return the exit code; None where none answers.
-
-    Parameters
-    ----------
-    request : dict
-        As :mod:`hysteresis_ros.nodes.remote` takes it.
-    """
+    """Let the session do what is asked for, print what it prints, and return the exit code; None where none answers."""
     if not sys.platform.startswith("linux"):
         return None
     with socket.socket(socket.AF_UNIX) as connection:

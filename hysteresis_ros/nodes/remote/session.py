@@ -43,15 +43,7 @@ INTRODUCED = 5.0
 
 
 class _Printed:
-    """What stands for a standard stream: each thread prints to the command that it serves.
-
-    Parameters
-    ----------
-    name : str
-        ``out`` or ``err``.
-    usual : file
-        Of what no command prints.
-    """
+    """What stands for a standard stream: each thread prints to the command that it serves."""
 
     def __init__(self, name: str, usual):
         self._name, self._usual = name, usual
@@ -70,12 +62,7 @@ class _Printed:
 
 
 class Session:
-    """Serves commands, one thread each.
-
-    Parameters
-    ----------
-    context : rclpy.context.Context
-    """
+    """Serves commands, one thread each."""
 
     def __init__(self, context: Context):
         self._context, self._begun, self._numbers = context, time.monotonic(), itertools.count()

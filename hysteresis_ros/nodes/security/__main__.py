@@ -82,15 +82,7 @@ EXTERNAL = "driver"
 
 
 def used_by(node, name: str = "", namespace: str = "") -> Profile:
-    """Return what a node uses now.
-
-    Parameters
-    ----------
-    node : rclpy.node.Node
-        Who looks: itself, or another one.
-    name, namespace : str
-        Who is looked at; ``node`` itself by default.
-    """
+    """Return what a node uses now."""
     name, namespace = name or node.get_name(), namespace or node.get_namespace()
 
     def names(ask) -> list[str]:
@@ -104,23 +96,7 @@ def used_by(node, name: str = "", namespace: str = "") -> Profile:
 def enclaves_of(
     axes: list[AxisParameters], *, composed: bool = False, record: bool = False, remap: tuple[str, ...] = ()
 ) -> list[Enclave]:
-    """Return the enclaves of the processes that a graph of these axes has, and of who steers and watches it.
-
-    Parameters
-    ----------
-    axes : list of AxisParameters
-    composed : bool
-        The nodes of an axis in one process, as they always are when it is fused.
-    record : bool
-        With a recorder.
-    remap : tuple of str
-        ``FROM:=TO`` each, as the nodes get them.
-
-    Raises
-    ------
-    HysteresisError
-        A node cannot be made of its parameters, or a remapping is none.
-    """
+    """Return the enclaves of the processes that a graph of these axes has, and of who steers and watches it."""
     stay_on_this_machine()
     context = Context()
     rclpy.init(args=["--ros-args", "--log-level", "warn"], context=context)

@@ -43,73 +43,36 @@ INTERNAL = ("/rosout", "/parameter_events", "*/get_type_description")
 
 
 def enclave_of(namespace: str, name: str) -> str:
-    """Return the enclave whose key a process has; without security it is a name and no more.
-
-    Parameters
-    ----------
-    namespace : str
-        Of the axis, empty for the root.
-    name : str
-        Of the executable.
-    """
+    """Return the enclave whose key a process has; without security it is a name and no more."""
     return f"{namespace}/{name}"
 
 
 @dataclass(frozen=True)
 class Profile:
-    """What one node uses, as sorted full names.
+    """What one node uses, as sorted full names."""
 
-    Parameters
-    ----------
-    namespace, node : str
-        Where it is, ``/`` for the root, and its name.
-    publishes, hears : tuple of str
-        Topics.
-    serves, asks : tuple of str
-        Services.
-    executes, calls : tuple of str
-        Actions.
-    """
-
-    namespace: str
+    namespace: str  #: namespace, node: Where it is, ``/`` for the root, and its name.
     node: str
-    publishes: tuple[str, ...] = ()
+    publishes: tuple[str, ...] = ()  #: publishes, hears: Topics.
     hears: tuple[str, ...] = ()
-    serves: tuple[str, ...] = ()
+    serves: tuple[str, ...] = ()  #: serves, asks: Services.
     asks: tuple[str, ...] = ()
-    executes: tuple[str, ...] = ()
+    executes: tuple[str, ...] = ()  #: executes, calls: Actions.
     calls: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
 class Enclave:
-    """What one process is allowed.
+    """What one process is allowed."""
 
-    Parameters
-    ----------
-    path : str
-        Name of the enclave, a path that begins with a slash.
-    profiles : tuple of Profile
-        Of the nodes in it.
-    """
-
-    path: str
-    profiles: tuple[Profile, ...]
+    path: str  #: Name of the enclave, a path that begins with a slash.
+    profiles: tuple[Profile, ...]  #: Of the nodes in it.
 
 
 def profile(
     namespace: str, node: str, topics: tuple[Iterable, Iterable], services: tuple[Iterable, Iterable]
 ) -> Profile:
-    """Return the profile of a node whose actions are still the topics and services they consist of.
-
-    Parameters
-    ----------
-    namespace, node : str
-    topics : tuple of list of str
-        Published, and heard.
-    services : tuple of list of str
-        Served, and asked.
-    """
+    """Return the profile of a node whose actions are still the topics and services they consist of."""
     (publishes, hears), (serves, asks) = topics, services
 
     def actions(names) -> tuple[str, ...]:
@@ -142,15 +105,6 @@ def operator(namespace: str, nodes: tuple[Profile, ...], own: Profile) -> Profil
     """Return what whoever steers an axis may: say what its nodes hear from outside, hear all, ask for all services.
 
     What one node of the axis says to another, such as ``command`` and ``voltage``, is no part of it.
-
-    Parameters
-    ----------
-    namespace : str
-        Of the axis.
-    nodes : tuple of Profile
-        Of the axis.
-    own : Profile
-        What a command uses for itself.
     """
     said = _all(nodes, "publishes")
     return Profile(
@@ -166,28 +120,13 @@ def operator(namespace: str, nodes: tuple[Profile, ...], own: Profile) -> Profil
 
 
 def monitor(namespace: str, nodes: tuple[Profile, ...], own: Profile) -> Profile:
-    """Return what whoever only watches an axis may: hear what its nodes say.
-
-    Parameters
-    ----------
-    namespace : str
-        Of the axis.
-    nodes : tuple of Profile
-        Of the axis.
-    own : Profile
-        What a command uses for itself.
-    """
+    """Return what whoever only watches an axis may: hear what its nodes say."""
     hears = tuple(sorted({*own.hears, *_all(nodes, "publishes")}))
     return Profile(namespace or "/", MONITOR, own.publishes, hears, own.serves)
 
 
 def policy_text(enclaves: Iterable[Enclave]) -> str:
-    """Return the text of a policy file.
-
-    Parameters
-    ----------
-    enclaves : iterable of Enclave
-    """
+    """Return the text of a policy file."""
     policy = xml.Element("policy", version=VERSION)
     places = xml.SubElement(policy, "enclaves")
     for enclave in enclaves:

@@ -41,37 +41,17 @@ FURTHER = {"none": (auwal.GAIN,), "pid": (auwal.FILTERED,), "combined": (auwal.F
 
 @dataclass(frozen=True, eq=False)
 class Tuning:
-    """PID gains found by Nelder-Mead from the paper's initial guess.
+    """PID gains found by Nelder-Mead from the paper's initial guess."""
 
-    Parameters
-    ----------
-    trajectory : ndarray, shape (iterations + 1, 3)
-        K_P, K_I and K_D after each iteration, model units.
-    costs : ndarray, shape (iterations + 1,)
-        IAE after each iteration [m s].
-    published : float
-        IAE with the paper's gains [m s].
-    published_peak, peak : float
-        Sensitivity peaks on G2 of the paper's gains and of those found.
-    """
-
-    trajectory: np.ndarray
-    costs: np.ndarray
-    published: float
-    published_peak: float
+    trajectory: np.ndarray  #: shape (iterations + 1, 3); K_P, K_I and K_D after each iteration, model units.
+    costs: np.ndarray  #: shape (iterations + 1,); IAE after each iteration [m s].
+    published: float  #: IAE with the paper's gains [m s].
+    published_peak: float  #: published_peak, peak: Sensitivity peaks on G2 of the paper's gains and of those found.
     peak: float
 
 
 def tune(configuration: Configuration, iterations: int = auwal.TUNING_ITERATIONS) -> Tuning:
-    """Tune the PID on the paper's triangle and the paper's plant, offline as the paper does.
-
-    Parameters
-    ----------
-    configuration : Configuration
-        The axis.
-    iterations : int
-        Of the simplex.
-    """
+    """Tune the PID on the paper's triangle and the paper's plant, offline as the paper does."""
     parameters = single_axis(auwal.driven(auwal.at_rate(configuration, auwal.SLOW_RATE), "pid"))
     control = part(parameters.motion_controller, ControllerParameters)
     axis = Axis(parameters)
@@ -101,13 +81,7 @@ def tune(configuration: Configuration, iterations: int = auwal.TUNING_ITERATIONS
 
 
 def tuning_claims(found: Tuning) -> list[Claim]:
-    """Return the rows of the PID's tuning.
-
-    Parameters
-    ----------
-    found : Tuning
-        What :func:`tune` returns.
-    """
+    """Return the rows of the PID's tuning."""
     group = "Tuning of the PID by Nelder-Mead (section 4.1, table III)"
     assumed = (auwal.TRIANGLE, auwal.CORRECTED, auwal.UNLIMITED, auwal.FILTERED, "sampled at 100 Hz for the tuning")
     gains = ", ".join(f"{value:.4g}" for value in found.trajectory[-1])
@@ -163,13 +137,7 @@ def paper_runs(configuration: Configuration) -> dict[str, Recording]:
 
 
 def comparison_claims(runs: dict[str, Recording]) -> list[Claim]:
-    """Return the rows of the paper's table of integrals of the absolute error, and of what beats them.
-
-    Parameters
-    ----------
-    runs : dict of str to Recording
-        What :func:`paper_runs` returns.
-    """
+    """Return the rows of the paper's table of integrals of the absolute error, and of what beats them."""
     group = "Hysteresis minimisation (section 5, last table)"
     found = {method: auwal.iae(run) for method, run in runs.items()}
     claims = []

@@ -45,20 +45,11 @@ PUBLISHED_MASS_SPRING_DAMPER = {"m": 0.1348, "b": 0.4313, "K": 8.6957}
 
 @dataclass(frozen=True)
 class PaperB:
-    """Bouc-Wen parameters from 400 noisy samples.
-
-    Parameters
-    ----------
-    model : BoucWenIdentification
-    errors : dict
-        Relative error of each parameter.
-    iterations : int
-        Of the simplex (the paper's: 262).
-    """
+    """Bouc-Wen parameters from 400 noisy samples."""
 
     model: BoucWenIdentification
-    errors: dict[str, float]
-    iterations: int
+    errors: dict[str, float]  #: Relative error of each parameter.
+    iterations: int  #: Of the simplex (the paper's: 262).
 
 
 def paper_b(noise: float = 10e-9, seed: int = 0, peak: float = 150.0) -> PaperB:
@@ -90,13 +81,7 @@ STEPS = 20000
 
 @dataclass(frozen=True, eq=False)
 class Identified:
-    """The transfer function found from the synthetic recording, and what is left of it.
-
-    Parameters
-    ----------
-    fit : TransferFunctionFit
-    validation : Validation
-    """
+    """The transfer function found from the synthetic recording, and what is left of it."""
 
     fit: TransferFunctionFit
     validation: Validation

@@ -39,20 +39,7 @@ LIMITED, HONEST = "limited", "honest"
 
 
 def reproduce(configuration: Configuration | None = None) -> Reproduction:
-    """Repeat the paper's experiments and judge every claim.
-
-    Parameters
-    ----------
-    configuration : Configuration, optional
-        The axis; ``config/auwal2017.yaml`` by default.
-
-    Raises
-    ------
-    ConfigurationError
-        The configuration does not come with the package, or holds several axes.
-    ParameterError
-        A parameter is wrong.
-    """
+    """Repeat the paper's experiments and judge every claim."""
     configuration = load_configuration("auwal2017") if configuration is None else configuration
     runs = control.paper_runs(configuration)
     limited_claims, limited = honest.limit_claims(configuration)
@@ -75,13 +62,7 @@ def reproduce(configuration: Configuration | None = None) -> Reproduction:
 
 
 def figures(found: Reproduction) -> list:
-    """Return the plots of a reproduction: captions and figures; needs Matplotlib.
-
-    Raises
-    ------
-    MissingExtraError
-        Matplotlib is not installed.
-    """
+    """Return the plots of a reproduction: captions and figures; needs Matplotlib."""
     paper = {method: found.runs[method] for method in honest.ALL}
     limited = {method: found.runs[f"{LIMITED} {method}"] for method in honest.ALL}
     together = {method: found.runs[f"{HONEST} {method}"] for method in honest.ALL}

@@ -52,14 +52,7 @@ SLOW = "20 kHz with one sample of delay; gains by `hysteresis design`, resonance
 def scanner(frequency: float, sample_time: float, delay: float = 0.0) -> LinearParameters:
     """Return the scanner with its resonance at a frequency.
 
-    Parameters
-    ----------
-    frequency : float
-        [Hz]
-    sample_time : float
-        [s]
-    delay : float
-        [s]
+    Units: ``frequency`` [Hz], ``sample_time`` [s], ``delay`` [s].
     """
     omega = 2.0 * np.pi * frequency
     A, B = zero_order_hold(
@@ -72,11 +65,7 @@ def scanner(frequency: float, sample_time: float, delay: float = 0.0) -> LinearP
 def integral(gain: float, dynamics: LinearParameters) -> ControllerParameters:
     """Return integral control.
 
-    Parameters
-    ----------
-    gain : float
-        [1/s]
-    dynamics : LinearParameters
+    Units: ``gain`` [1/s].
     """
     return ControllerParameters(type="pid", model=ModelParameters(dynamics=dynamics), pid=PidParameters(Ki=float(gain)))
 
@@ -87,13 +76,7 @@ def tracking(gain: float, k: float, dynamics: LinearParameters) -> ControllerPar
     Here the law's output enters behind C₂, so the law has the pole of C₂ as well: gain k/(γ s (s + N)), N = −k D_f, is
     a PID with derivative filter N.
 
-    Parameters
-    ----------
-    gain : float
-        Of the integrator [1/s].
-    k : float
-        Of integral resonant control [1/s].
-    dynamics : LinearParameters
+    Units: ``gain`` [1/s], ``k`` [1/s].
     """
     N, forward = -k * FEEDTHROUGH, 1.0 + 1.0 / FEEDTHROUGH
     whole = float(gain * k / forward)
@@ -105,11 +88,7 @@ def tracking(gain: float, k: float, dynamics: LinearParameters) -> ControllerPar
 def judged(parameters: ControllerParameters, frequency: float = RESONANCE) -> Margins:
     """Return the margins of a controller with the resonance elsewhere.
 
-    Parameters
-    ----------
-    parameters : ControllerParameters
-    frequency : float
-        [Hz]
+    Units: ``frequency`` [Hz].
     """
     model = parameters.model.dynamics
     T = model.sample_time
@@ -121,10 +100,7 @@ def judged(parameters: ControllerParameters, frequency: float = RESONANCE) -> Ma
 def best_k(frequency: float = RESONANCE) -> float:
     """Return the k [1/s] with which the resonance is damped most, by the roots of its characteristic polynomial.
 
-    Parameters
-    ----------
-    frequency : float
-        [Hz]
+    Units: ``frequency`` [Hz].
     """
     omega = 2.0 * np.pi * frequency
 
@@ -138,15 +114,7 @@ def best_k(frequency: float = RESONANCE) -> float:
 
 
 def largest(good: Callable[[float], bool], low: float, high: float) -> float:
-    """Return the largest gain up to which something is good.
-
-    Parameters
-    ----------
-    good : callable
-        Of a gain.
-    low, high : float
-        A gain that is good, and one that is not.
-    """
+    """Return the largest gain up to which something is good."""
     for _ in range(STEPS):
         middle = float(np.sqrt(low * high))
         try:
@@ -157,12 +125,7 @@ def largest(good: Callable[[float], bool], low: float, high: float) -> float:
 
 
 def designed(configuration: Configuration) -> dict[str, ControllerParameters]:
-    """Return integral control with 2 dB, damping and tracking with 7 dB, and such that 140 Hz stay stable.
-
-    Parameters
-    ----------
-    configuration : Configuration
-    """
+    """Return integral control with 2 dB, damping and tracking with 7 dB, and such that 140 Hz stay stable."""
     return _designed(single_axis(configuration).motion_controller.model.dynamics)
 
 

@@ -49,20 +49,7 @@ STIFF = (
 
 
 def reproduce(configuration: Configuration | None = None) -> Reproduction:
-    """Repeat what the abstract claims and judge every claim.
-
-    Parameters
-    ----------
-    configuration : Configuration, optional
-        The axis; ``config/fleming2010.yaml`` by default.
-
-    Raises
-    ------
-    ConfigurationError
-        The configuration does not come with the package, or holds several axes.
-    ParameterError
-        A parameter is wrong.
-    """
+    """Repeat what the abstract claims and judge every claim."""
     configuration = load_configuration("fleming2010") if configuration is None else configuration
     designed = fleming.designed(configuration)
     runs = {name: _scan(configuration, designed[name]) for name in RUNS}
@@ -71,13 +58,7 @@ def reproduce(configuration: Configuration | None = None) -> Reproduction:
 
 
 def figures(found: Reproduction) -> list:
-    """Return the plots of a reproduction: captions and figures; needs Matplotlib.
-
-    Raises
-    ------
-    MissingExtraError
-        Matplotlib is not installed.
-    """
+    """Return the plots of a reproduction: captions and figures; needs Matplotlib."""
     designed = fleming.designed(parse_configuration(found.configuration, found.name))
     frequency = np.geomspace(1.0, 5e3, 1500)
     responses = {}

@@ -40,14 +40,7 @@ STIFFNESS = 0.41e6  # of the propulsion part [N/m], stated in the paper
 def stack_truth(opening: float = 0.15, stroke: float = 12.45e-6, fading: float = 1.0) -> PrandtlIshlinskiiParameters:
     """Return a Prandtl-Ishlinskii stack of 40 plays for 0 … 120 V (assumption; not the class that is fitted).
 
-    Parameters
-    ----------
-    opening : float
-        Opening of the loop to 120 V, as a part of the stroke.
-    stroke : float
-        Displacement at 120 V [m].
-    fading : float
-        The density of plays falls as exp(-fading r/120 V); 0 would be Rayleigh's law, which polynomials hit exactly.
+    Units: ``stroke`` [m].
     """
     radii = 3.0 * np.arange(40)
     weights = np.exp(-fading * radii / 120.0)
@@ -69,44 +62,25 @@ def stack_truth(opening: float = 0.15, stroke: float = 12.45e-6, fading: float =
 
 @dataclass(frozen=True)
 class PaperK:
-    """Polynomial model of a Prandtl-Ishlinskii stack with noise; errors on a decreasing triangle it has not seen.
-
-    Parameters
-    ----------
-    model : PolynomialIdentification
-    stroke, maximum, rms : float
-        Of the decreasing triangle: its range, largest and rms error [m]; the paper's largest error is 0.125 µm.
-    preload_curve : PreloadIdentification
-        W(L0) from noisy points 0 … 6 N.
-    preload : float
-        What a recording under 5.88 N gives [N].
-    voltage, truth, predicted : ndarray, shape (N,)
-        The decreasing triangle [V], the stack's displacement and the model's [m], at ``SAMPLE_TIME``.
-    """
+    """Polynomial model of a Prandtl-Ishlinskii stack with noise; errors on a decreasing triangle it has not seen."""
 
     model: PolynomialIdentification
+    #: stroke, maximum, rms: Of the decreasing triangle: its range, largest and rms error [m]; the paper's largest
+    #: error is 0.125 µm.
     stroke: float
     maximum: float
     rms: float
-    preload_curve: PreloadIdentification
-    preload: float
+    preload_curve: PreloadIdentification  #: W(L0) from noisy points 0 … 6 N.
+    preload: float  #: What a recording under 5.88 N gives [N].
+    #: voltage, truth, predicted: shape (N,); The decreasing triangle [V], the stack's displacement and the model's
+    #: [m], at ``SAMPLE_TIME``.
     voltage: np.ndarray
     truth: np.ndarray
     predicted: np.ndarray
 
 
 def paper_k(noise: float = 5e-9, seed: int = 0, **truth) -> PaperK:
-    """Identify the polynomial model (K2) and the preload curve (K3) from simulated recordings.
-
-    Parameters
-    ----------
-    noise : float
-        Of the displacement [m rms].
-    seed : int
-        Of the noise.
-    **truth
-        Handed to :func:`stack_truth`.
-    """
+    """Identify the polynomial model (K2) and the preload curve (K3) from simulated recordings."""
     random = np.random.default_rng(seed)
     stack = stack_truth(**truth)
 
@@ -141,26 +115,7 @@ def paper_k(noise: float = 5e-9, seed: int = 0, **truth) -> PaperK:
 
 
 def paper_k_dynamics(noise: float = 0.02, samples: int = 60000, seed: int = 0) -> tuple[int, float, float]:
-    """Identify the stack's structure from a noisy recording by the paper's method (K4).
-
-    Parameters
-    ----------
-    noise : float
-        Standard deviation of the sensor's noise, as a part of the signal's.
-    samples : int
-        Length of the recording at 3 kHz; the input is white.
-    seed : int
-        Of input and noise.
-
-    Returns
-    -------
-    order : int
-        As suggested.
-    frequency : float
-        Of the first pole pair [Hz].
-    damping : float
-        Of the first pole pair.
-    """
+    """Identify the stack's structure from a noisy recording by the paper's method (K4)."""
     values = load_configuration("kim2009").node("plant_simulator")
     rate = values["sample_rate"]
     structure = {name: tuple(values[f"dynamics.{name}"]) for name in "ABC"}
@@ -222,15 +177,7 @@ def prediction(case: PaperK) -> Recording:
 
 
 def identification_claims(case: PaperK, excited: Recording) -> list[Claim]:
-    """Return the rows of loops, preload and frequency response.
-
-    Parameters
-    ----------
-    case : PaperK
-        Loops and preload, identified.
-    excited : Recording
-        A run of :func:`run_excitation`.
-    """
+    """Return the rows of loops, preload and frequency response."""
     return [*_static_claims(case), *_dynamic_claims(excited)]
 
 

@@ -43,14 +43,7 @@ FASTEST = 3.0e-4
 
 
 def inchworm(configuration: Configuration | None = None, plant=None, sequencer=None, controller=None, compensator=None):
-    """Return the axis of ``config/inchworm_travel.yaml``, or of ``configuration``, with some parameters changed.
-
-    Parameters
-    ----------
-    configuration : Configuration, optional
-    plant, sequencer, controller, compensator : dict, optional
-        Parameters of the nodes, with double underscores for dots.
-    """
+    """Return the axis of ``config/inchworm_travel.yaml``, or of ``configuration``, with some parameters changed."""
     configuration = configuration or load_configuration("inchworm_travel")
     for node, values in (
         ("plant_simulator", plant),
@@ -65,30 +58,14 @@ def inchworm(configuration: Configuration | None = None, plant=None, sequencer=N
 
 @dataclass(frozen=True)
 class Move:
-    """What came of one setpoint.
+    """What came of one setpoint."""
 
-    Parameters
-    ----------
-    setpoint : float
-        [m].
-    error : float
-        RMS of displacement less setpoint over the last part of the move [m].
-    overshoot : float
-        Largest displacement beyond the setpoint in the direction of the move [m].
-    duration : float
-        Time until the sequencer says it has arrived, to the next eighth of a second [s].
-    steps : int
-        Steps made.
-    arrived : bool
-        False when it did not arrive in time, or with an error.
-    """
-
-    setpoint: float
-    error: float
-    overshoot: float
-    duration: float
-    steps: int
-    arrived: bool
+    setpoint: float  #: [m].
+    error: float  #: RMS of displacement less setpoint over the last part of the move [m].
+    overshoot: float  #: Largest displacement beyond the setpoint in the direction of the move [m].
+    duration: float  #: Time until the sequencer says it has arrived, to the next eighth of a second [s].
+    steps: int  #: Steps made.
+    arrived: bool  #: False when it did not arrive in time, or with an error.
 
 
 def move(axis: Axis, setpoint: float, hold: float = 0.25, longest: float = 60.0) -> Move:
@@ -110,14 +87,7 @@ def move(axis: Axis, setpoint: float, hold: float = 0.25, longest: float = 60.0)
 def honest_moves(seed: int, plant=None, setpoints=(5e-3, 0.0)) -> list[Move]:
     """Move an extender that is not what the models say; errors are of 50 ms, from 50 ms after the arrival on.
 
-    Parameters
-    ----------
-    seed : int
-        Of the plant, drawn around the configured one (see :mod:`hysteresis_ros.loop.simulation`).
-    plant : dict, optional
-        Changed parameters of the plant.
-    setpoints : sequence of float
-        [m], one after the other.
+    Units: ``setpoints`` [m].
     """
     creeping = load_configuration("inchworm_travel").override("plant_simulator", **CREEP)
     axis = inchworm(mismatched(creeping, MISMATCH, seed), plant=plant)
@@ -137,21 +107,7 @@ def speed(axis: Axis, samples: int = 20000) -> float:
 
 
 def step_errors(inverse: str, steps: int = 200, seed: int = 1, learning: bool = True, plant=None) -> np.ndarray:
-    """Return commanded less achieved lengths [m] of open-loop steps of 10 … 100 % of the stroke in both directions.
-
-    Parameters
-    ----------
-    inverse : str
-        Inverse of the hysteresis compensator, ``none`` for no compensation.
-    steps : int
-        Number of steps.
-    seed : int
-        Seed of the lengths.
-    learning : bool
-        Learn the step length meanwhile.
-    plant : dict, optional
-        Changed parameters of the plant.
-    """
+    """Return commanded less achieved lengths [m] of open-loop steps of 10 … 100 % of the stroke in both directions."""
     sequencer = {"fine__enabled": False, "fine__tolerance": 0.4e-6, "learning__enabled": learning}
     axis = inchworm(
         plant=plant, sequencer=sequencer, controller={"type": "open_loop"}, compensator={"inverse__type": inverse}
@@ -182,36 +138,17 @@ def step_errors(inverse: str, steps: int = 200, seed: int = 1, learning: bool = 
 
 @dataclass(frozen=True)
 class Sequences:
-    """What came of random sequences.
+    """What came of random sequences."""
 
-    Parameters
-    ----------
-    count : int
-        How many.
-    both_open : int
-        Samples at which both clamps were commanded below the threshold voltage.
-    least_force : float
-        Least over all samples of the larger normal force of the two clamps [N].
-    beyond_limits : int
-        Samples at which a voltage was outside of its limits.
-    farthest : float
-        Largest motion beyond what a sequence asked for: start, targets, and the distance of its walking [m].
-    unsafe_stops : int
-        Stops after which the two clamps did not both close within the longest phase.
-    slowest_stop : float
-        Longest time from a stop to both clamps above the threshold voltage [s].
-    errors : int
-        Sequences that ended with an error of the sequencer.
-    """
-
-    count: int
-    both_open: int
-    least_force: float
-    beyond_limits: int
+    count: int  #: How many.
+    both_open: int  #: Samples at which both clamps were commanded below the threshold voltage.
+    least_force: float  #: Least over all samples of the larger normal force of the two clamps [N].
+    beyond_limits: int  #: Samples at which a voltage was outside of its limits.
+    #: Largest motion beyond what a sequence asked for: start, targets, and the distance of its walking [m].
     farthest: float
-    unsafe_stops: int
-    slowest_stop: float
-    errors: int
+    unsafe_stops: int  #: Stops after which the two clamps did not both close within the longest phase.
+    slowest_stop: float  #: Longest time from a stop to both clamps above the threshold voltage [s].
+    errors: int  #: Sequences that ended with an error of the sequencer.
 
 
 def random_inputs(random, samples: int, rate: float):
@@ -235,14 +172,7 @@ def random_inputs(random, samples: int, rate: float):
 def walking_distance(speeds, before: float, rate: float) -> tuple[float, float]:
     """Return how far continuous walking may lead backward and forward [m], as two distances.
 
-    Parameters
-    ----------
-    speeds : array, shape (N,)
-        Speed asked for at each sample [m/s]; NaN leaves it as it is.
-    before : float
-        Speed in force before [m/s].
-    rate : float
-        Samples per second [Hz].
+    Units: ``speeds`` [m/s], ``before`` [m/s], ``rate`` [Hz].
     """
     given = np.concatenate([[before], speeds])
     last = np.maximum.accumulate(np.where(np.isnan(given), 0, np.arange(len(given))))

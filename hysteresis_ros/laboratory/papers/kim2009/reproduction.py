@@ -54,20 +54,7 @@ MODEL_GROUP = "Model and gains (sections 2.4 and 4.2)"
 
 
 def reproduce(configuration: Configuration | None = None) -> Reproduction:
-    """Repeat the paper's experiments and judge every claim.
-
-    Parameters
-    ----------
-    configuration : Configuration, optional
-        The axis; ``config/kim2009.yaml`` by default.
-
-    Raises
-    ------
-    ConfigurationError
-        The configuration does not come with the package, or holds several axes.
-    ParameterError
-        A parameter is wrong.
-    """
+    """Repeat the paper's experiments and judge every claim."""
     configuration = load_configuration("kim2009") if configuration is None else configuration
     axis = single_axis(configuration)
     perfect = kim.ideal(configuration)
@@ -106,13 +93,7 @@ def reproduce(configuration: Configuration | None = None) -> Reproduction:
 
 
 def figures(found: Reproduction) -> list:
-    """Return the plots of a reproduction: captions and figures; needs Matplotlib.
-
-    Raises
-    ------
-    MissingExtraError
-        Matplotlib is not installed.
-    """
+    """Return the plots of a reproduction: captions and figures; needs Matplotlib."""
     moves = {name: found.runs[name] for name in STEP_RUNS}
     honest = {name: found.runs[name] for name in HONEST_RUNS}
     # the first step leads up, the second one back to 0 V

@@ -33,15 +33,7 @@ LONG = 1.5
 
 
 def uncontrolled_claims(perfect: Configuration, run: Recording) -> list[Claim]:
-    """Return the rows of the uncontrolled steps, without and with hysteresis.
-
-    Parameters
-    ----------
-    perfect : Configuration
-        The axis with a compensator that knows the plant.
-    run : Recording
-        The uncontrolled run with hysteresis.
-    """
+    """Return the rows of the uncontrolled steps, without and with hysteresis."""
     group = f"(a) Uncontrolled steps of {kim.STEP:g} V, {kim.STEP_TIME:g} s each (figure 12)"
     free = kim.open_loop(kim.uncompensated(perfect))
     linear = kim.without_hysteresis(free)
@@ -124,13 +116,7 @@ def _rows(
 
 
 def sliding_mode_claims(alone: Recording, compensated: Recording) -> list[Claim]:
-    """Return the rows of sliding mode control with perfect knowledge.
-
-    Parameters
-    ----------
-    alone, compensated : Recording
-        Runs without and with the hysteresis compensator.
-    """
+    """Return the rows of sliding mode control with perfect knowledge."""
     assumed = (kim.MODEL, kim.LAW, kim.STACK, kim.AMPLIFIED)
     fed_back = dict(LEFT, reason="less than uncontrolled (a.hysteresis.residual): the feedback takes a part of it away")
     without = "(c) Sliding mode control without compensator (figure 15)"
@@ -142,13 +128,7 @@ def sliding_mode_claims(alone: Recording, compensated: Recording) -> list[Claim]
 
 
 def honest_step_claims(configuration: Configuration) -> list[Claim]:
-    """Return the rows of (c) and (d) with a compensator that is off, noise and converters.
-
-    Parameters
-    ----------
-    configuration : Configuration
-        The axis.
-    """
+    """Return the rows of (c) and (d) with a compensator that is off, noise and converters."""
     assumed = (kim.MODEL, kim.LAW, kim.STACK, kim.AMPLIFIED, kim.REAL)
     axes = kim.off_both_ways(kim.real, configuration)
     alone = [step_figures(kim.run_steps(kim.uncompensated(axis))) for axis in axes]
@@ -165,13 +145,7 @@ def honest_step_claims(configuration: Configuration) -> list[Claim]:
 
 
 def estimating_claims(configuration: Configuration) -> list[Claim]:
-    """Return the rows of the Kalman filter that estimates a disturbance: perfect knowledge, then honest conditions.
-
-    Parameters
-    ----------
-    configuration : Configuration
-        The axis.
-    """
+    """Return the rows of the Kalman filter that estimates a disturbance: perfect knowledge, then honest conditions."""
     reason = (
         "the law's own pole Φ takes most of the 0.02 s; what the compensator leaves is a disturbance that changes with "
         "the step, and finding it prolongs the approach; a larger variance helps only a little (rows settling_fast)"
@@ -224,12 +198,7 @@ def _picard_words(rate: float, steps: int) -> str:
 def branch_claims(stack: PolynomialParameters, stroke: float) -> list[Claim]:
     """Return the rows of Picard's iteration on the bare branches.
 
-    Parameters
-    ----------
-    stack : PolynomialParameters
-        The branches.
-    stroke : float
-        Displacement of the full voltage [m].
+    Units: ``stroke`` [m].
     """
     group = f"(b) Picard steps on the branches of the loop to {kim.MAXIMUM_VOLTAGE:g} V, without memory"
     return [
@@ -253,12 +222,7 @@ def branch_claims(stack: PolynomialParameters, stroke: float) -> list[Claim]:
 def element_claims(perfect: Configuration, stroke: float) -> list[Claim]:
     """Return the rows of the triangle through an axis whose plant is its hysteresis element alone.
 
-    Parameters
-    ----------
-    perfect : Configuration
-        The axis with a compensator that knows the plant.
-    stroke : float
-        Height of the triangle [m].
+    Units: ``stroke`` [m].
     """
     group = f"(b) Open-loop triangle of {kim.TRIANGLE_FREQUENCY:g} Hz through the axis, hysteresis element alone"
     element = kim.without_dynamics(perfect)
@@ -300,14 +264,7 @@ def element_claims(perfect: Configuration, stroke: float) -> list[Claim]:
 def dynamics_claims(perfect: Configuration, stroke: float, none: float, exact: float) -> list[Claim]:
     """Return the rows of the triangle through the whole axis.
 
-    Parameters
-    ----------
-    perfect : Configuration
-        The axis with a compensator that knows the plant.
-    stroke : float
-        Height of the triangle [m].
-    none, exact : float
-        Loop widths at the paper's frequency without and with the exact inverse [%].
+    Units: ``stroke`` [m], ``none`` [%], ``exact`` [%].
     """
     fast = f"{kim.TRIANGLE_FREQUENCY:g} Hz"
     group = "(b) Open-loop triangle through the axis, dynamics included"
@@ -337,12 +294,7 @@ def dynamics_claims(perfect: Configuration, stroke: float, none: float, exact: f
 def honest_triangle_claims(configuration: Configuration, stroke: float) -> list[Claim]:
     """Return the rows of the triangle with a compensator that does not know the plant so well, noise and converters.
 
-    Parameters
-    ----------
-    configuration : Configuration
-        The axis.
-    stroke : float
-        Displacement of the full voltage [m]; the triangle is as high as the worse of the models reaches.
+    Units: ``stroke`` [m].
     """
     element = kim.without_dynamics(configuration)
     height = (1.0 - kim.MISMATCH) * stroke
@@ -389,28 +341,14 @@ OPENING = "opening of the compensator's loop off by +5 %, sensor noise 5 nm rms,
 
 @dataclass(frozen=True)
 class Condition:
-    """One thing that is not ideal.
+    """One thing that is not ideal."""
 
-    Parameters
-    ----------
-    name : str
-        Middle of the rows' names.
-    words : str
-    changes : callable
-        Configuration → the axes of which the worst is shown.
-    assumed : tuple of str
-    mismatch : float
-        By how much two axes are off both ways; 0: a single axis.
-    reasons : tuple of (str, str)
-        Row, and why it does not hold.
-    """
-
-    name: str
+    name: str  #: Middle of the rows' names.
     words: str
-    changes: Callable[[Configuration], list[Configuration]]
+    changes: Callable[[Configuration], list[Configuration]]  #: Configuration → the axes of which the worst is shown.
     assumed: tuple[str, ...] = (ALONE,)
-    mismatch: float = 0.0
-    reasons: tuple[tuple[str, str], ...] = ()
+    mismatch: float = 0.0  #: By how much two axes are off both ways; 0: a single axis.
+    reasons: tuple[tuple[str, str], ...] = ()  #: Row, and why it does not hold.
 
 
 def _both(configuration: Configuration, **values) -> Configuration:
@@ -502,13 +440,7 @@ CONDITIONS = (
 
 
 def condition_claims(configuration: Configuration) -> list[Claim]:
-    """Return three rows a condition: settling and what is finally left under the paper's law, and with the estimator.
-
-    Parameters
-    ----------
-    configuration : Configuration
-        The axis.
-    """
+    """Return three rows a condition: settling and what is finally left under the paper's law, and with the estimator."""
     rows = []
     for condition in CONDITIONS:
         axes = condition.changes(configuration)
@@ -569,12 +501,7 @@ def _left(figures) -> float:
 def task_claims(configuration: Configuration, stroke: float) -> list[Claim]:
     """Return the rows of other tasks: half the step, several cycles, triangles of several frequencies and heights.
 
-    Parameters
-    ----------
-    configuration : Configuration
-        The axis.
-    stroke : float
-        Height of the full triangle [m].
+    Units: ``stroke`` [m].
     """
     real = kim.real(configuration, kim.MISMATCH)
     half = step_figures(kim.run_steps(real, size=0.5 * kim.STEP))

@@ -67,38 +67,17 @@ def _finer(plant) -> InchwormPlantParameters:
 
 @dataclass(frozen=True)
 class Deviation:
-    """How far the slider is from a constant speed while it is carried, and from standing while the extender returns.
+    """How far the slider is from a constant speed while it is carried, and from standing while the extender returns."""
 
-    Parameters
-    ----------
-    off_path : float
-        RMS of path less slider over whole cycles [m]; the path has the speed that was asked for, and begins in each
-        cycle where the slider stands.
-    ripple : float
-        The same with the mean speed and place of the slider: what is left repeats with the cycle [m].
-    speed_error : float
-        Mean speed less that asked for, as a part of it.
-    """
-
+    #: RMS of path less slider over whole cycles [m]; the path has the speed that was asked for, and begins in each
+    #: cycle where the slider stands.
     off_path: float
-    ripple: float
-    speed_error: float
+    ripple: float  #: The same with the mean speed and place of the slider: what is left repeats with the cycle [m].
+    speed_error: float  #: Mean speed less that asked for, as a part of it.
 
 
 class Walker:
-    """An inchworm motor that walks over the phase, simulated between the samples, with voltages a sample late.
-
-    Parameters
-    ----------
-    seed : int
-        Of the plant, drawn around the configured one; 0: the configured one.
-    kick : float
-        See :func:`contacts`.
-    told : bool
-        Whether the sequencer knows of the sample of delay.
-    inverse : bool
-        Whether the compensator inverts hysteresis and creep.
-    """
+    """An inchworm motor that walks over the phase, simulated between the samples, with voltages a sample late."""
 
     def __init__(self, seed: int = 1, kick: float = 0.0, told: bool = True, inverse: bool = True):
         configuration = load_configuration("inchworm_travel").override("plant_simulator", **CREEP)

@@ -65,18 +65,7 @@ SOFTENED = "“much smaller” taken as at least 50 % lower"
 
 
 def controllers(configuration: Configuration | None = None) -> dict[str, Configuration]:
-    """Return the axis with each of the controllers that are compared, by name.
-
-    Parameters
-    ----------
-    configuration : Configuration, optional
-        The axis with the better identification; ``config/wang2014.yaml`` by default.
-
-    Raises
-    ------
-    ConfigurationError
-        A configuration does not come with the package.
-    """
+    """Return the axis with each of the controllers that are compared, by name."""
     found = {name: load_configuration(path) for name, path in CONFIGURATIONS.items()}
     return found if configuration is None else {**found, BETTER: configuration}
 
@@ -96,14 +85,7 @@ def real(configuration: Configuration) -> Configuration:
 def play(configuration: Configuration, duration: float, **waveform) -> Recording:
     """Return a run in which a voltage is played to the plant without any model.
 
-    Parameters
-    ----------
-    configuration : Configuration
-        The axis.
-    duration : float
-        [s]
-    **waveform
-        Parameters of the waveform; its amplitude in V.
+    Units: ``duration`` [s].
     """
     values = {f"waveform__{name}": value for name, value in waveform.items()}
     values["waveform__amplitude"] = SCALE * waveform["amplitude"]
@@ -117,14 +99,7 @@ def play(configuration: Configuration, duration: float, **waveform) -> Recording
 def record(configuration: Configuration, duration: float, **waveform) -> tuple[np.ndarray, np.ndarray]:
     """Return voltage [V] and measured displacement [m], shape (N,) each, of :func:`play`.
 
-    Parameters
-    ----------
-    configuration : Configuration
-        The axis.
-    duration : float
-        [s]
-    **waveform
-        Parameters of the waveform; its amplitude in V.
+    Units: ``duration`` [s].
     """
     found = play(configuration, duration, **waveform)
     return found["voltage"], found["measured"]
@@ -167,16 +142,7 @@ def wider_plant(configuration: Configuration, mismatch: float) -> Configuration:
 def run_sine(configuration: Configuration, frequency: float, amplitude: float, cycles: float | None = None):
     """Return a run along a sine from rest.
 
-    Parameters
-    ----------
-    configuration : Configuration
-        The axis.
-    frequency : float
-        [Hz]
-    amplitude : float
-        [m]
-    cycles : float, optional
-        :data:`CYCLES` of the frequency by default.
+    Units: ``frequency`` [Hz], ``amplitude`` [m].
     """
     cycles = CYCLES[frequency] if cycles is None else cycles
     values = dict(waveform__type="sine", waveform__frequency=frequency, waveform__amplitude=amplitude)

@@ -49,16 +49,7 @@ FED_BACK = "PID: K_p 0.5, K_i 30 /s; sliding mode: Φ 0.7, rejection pole 0.5, d
 class Figures:
     """Errors of one run, in % of the amplitude of its reference.
 
-    Parameters
-    ----------
-    configuration : Configuration
-        The axis.
-    recording : Recording
-        Its run.
-    frequency, amplitude : float
-        Of the reference [Hz], [m].
-    start : float, optional
-        From when on is judged [s]; after the first cycle by default.
+    Units: ``frequency`` [Hz], ``amplitude`` [Hz], ``start`` [s].
     """
 
     def __init__(self, configuration, recording: Recording, frequency, amplitude, start=None):
@@ -85,15 +76,7 @@ def _assumed(key: str, *more: str) -> tuple[str, ...]:
 
 
 def tracking_claims(axes: dict[str, Configuration], runs: dict[str, Recording]) -> list[Claim]:
-    """Return the rows of W6 and W7: every controller at three frequencies, at full and at half amplitude.
-
-    Parameters
-    ----------
-    axes : dict of str to Configuration
-        The axis with each of the controllers.
-    runs : dict of str to Recording
-        Filled with the runs: keys as the ids of the rows.
-    """
+    """Return the rows of W6 and W7: every controller at three frequencies, at full and at half amplitude."""
     rows = []
     for part, words in ((1.0, "full"), (0.5, "half")):
         for name, frequency in wang.FREQUENCIES.items():
@@ -177,13 +160,7 @@ def _honest_row(name, group, quantity, values, key, *more, reference=None) -> Cl
 
 
 def honest_claims(axes: dict[str, Configuration]) -> list[Claim]:
-    """Return the rows of conditions that the paper leaves out, for every controller.
-
-    Parameters
-    ----------
-    axes : dict of str to Configuration
-        The axis with each of the controllers.
-    """
+    """Return the rows of conditions that the paper leaves out, for every controller."""
     frequency = wang.FREQUENCIES[HONEST]
     rows = []
 
@@ -242,13 +219,7 @@ def honest_claims(axes: dict[str, Configuration]) -> list[Claim]:
 
 
 def sweep_claims(axes: dict[str, Configuration]) -> list[Claim]:
-    """Return the rows of frequencies from 0.02 to 10 Hz; at the highest the amplitude is a half.
-
-    Parameters
-    ----------
-    axes : dict of str to Configuration
-        The axis with each of the controllers.
-    """
+    """Return the rows of frequencies from 0.02 to 10 Hz; at the highest the amplitude is a half."""
     rows = []
     for frequency, cycles in SWEEP.items():
         part = 1.0 if frequency <= 2.0 else 0.5
@@ -272,13 +243,7 @@ def sweep_claims(axes: dict[str, Configuration]) -> list[Claim]:
 
 
 def feedback_claims(axes: dict[str, Configuration]) -> list[Claim]:
-    """Return the rows of feedback and feedforward together, on plants that are off.
-
-    Parameters
-    ----------
-    axes : dict of str to Configuration
-        The axis with each of the controllers.
-    """
+    """Return the rows of feedback and feedforward together, on plants that are off."""
     frequency = wang.FREQUENCIES[HONEST]
     conditions = {
         "real": ("as identified", lambda axis: axis),

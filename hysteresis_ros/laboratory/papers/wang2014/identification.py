@@ -58,27 +58,15 @@ def polymer_truth(plays: int = 40) -> PrandtlIshlinskiiParameters:
 
 @dataclass(frozen=True)
 class PaperW:
-    """Duhem model of a modified Prandtl-Ishlinskii element; errors in parts of the full range.
+    """Duhem model of a modified Prandtl-Ishlinskii element; errors in parts of the full range."""
 
-    Parameters
-    ----------
-    identified, published : DuhemIdentification
-        With α from a decaying loop, and with the paper's α = 80.
-    inverse : DuhemIdentification
-        W4.
-    opening : float
-        Of the loop.
-    compensated : float
-        Largest error of the truth behind the inverse along the major loop.
-    decaying, decaying_published : float
-        Rms error on decaying loops that were not used: with the identified α and with the paper's.
-    """
-
-    identified: DuhemIdentification
+    identified: DuhemIdentification  #: identified, published: With α from a decaying loop, and with the paper's α = 80.
     published: DuhemIdentification
-    inverse: DuhemIdentification
-    opening: float
-    compensated: float
+    inverse: DuhemIdentification  #: W4.
+    opening: float  #: Of the loop.
+    compensated: float  #: Largest error of the truth behind the inverse along the major loop.
+    #: decaying, decaying_published: Rms error on decaying loops that were not used: with the identified α and with the
+    #: paper's.
     decaying: float
     decaying_published: float
 
@@ -134,33 +122,15 @@ DIGITS = 10
 
 @dataclass(frozen=True)
 class Models:
-    """What was identified.
+    """What was identified."""
 
-    Parameters
-    ----------
-    published : DuhemHammerstein
-        Steps W1, W2, W3 and W5 with α = 80, from the three sines.
-    inverse : DuhemParameters
-        W4: from the displacement of the hysteresis [m] to the voltage.
-    minor : DuhemParameters
-        α from loops of decreasing amplitude.
-    minor_alpha : float
-        Its α, for a normalised input.
-    minor_dynamics : LinearParameters
-        Behind it, from a sweep.
-    plays : PrandtlIshlinskiiParameters
-        From loops of decreasing amplitude.
-    plays_dynamics : LinearParameters
-        Behind it, from a sweep.
-    """
-
-    published: DuhemHammerstein
-    inverse: DuhemParameters
-    minor: DuhemParameters
-    minor_alpha: float
-    minor_dynamics: LinearParameters
-    plays: PrandtlIshlinskiiParameters
-    plays_dynamics: LinearParameters
+    published: DuhemHammerstein  #: Steps W1, W2, W3 and W5 with α = 80, from the three sines.
+    inverse: DuhemParameters  #: W4: from the displacement of the hysteresis [m] to the voltage.
+    minor: DuhemParameters  #: α from loops of decreasing amplitude.
+    minor_alpha: float  #: Its α, for a normalised input.
+    minor_dynamics: LinearParameters  #: Behind it, from a sweep.
+    plays: PrandtlIshlinskiiParameters  #: From loops of decreasing amplitude.
+    plays_dynamics: LinearParameters  #: Behind it, from a sweep.
 
 
 def record_decreasing(configuration: Configuration):
@@ -180,16 +150,7 @@ def record_sweep(configuration: Configuration):
 def identify_published(sines, sample_time: float) -> tuple[DuhemHammerstein, DuhemParameters]:
     """Go through the paper's steps W1-W5 with α = 80.
 
-    Parameters
-    ----------
-    sines : sequence of (voltage, displacement)
-    sample_time : float
-        [s]
-
-    Returns
-    -------
-    DuhemHammerstein, DuhemParameters
-        Model with G1 and G2, and the inverse Duhem equation from the displacement before G2 [m].
+    Units: ``sample_time`` [s].
     """
     found = identify_duhem_hammerstein(sines, sample_time, alpha=wang.PUBLISHED_ALPHA, size=UNITS, minimum_phase=True)
     prepared = found.prepared
@@ -210,18 +171,7 @@ def identify_published(sines, sample_time: float) -> tuple[DuhemHammerstein, Duh
 def identify_minor(sines, decreasing, sweep, sample_time: float) -> tuple[DuhemParameters, float, LinearParameters]:
     """Identify α with f and g from minor loops, and the linear part from a sweep.
 
-    Parameters
-    ----------
-    sines : sequence of (voltage, displacement)
-        The paper's recordings: the major loop.
-    decreasing, sweep : (voltage, displacement)
-    sample_time : float
-        [s]
-
-    Returns
-    -------
-    DuhemParameters, float, LinearParameters
-        Model with the whole gain, its α for a normalised input, linear part of unit gain.
+    Units: ``sample_time`` [s].
     """
     found = identify_duhem_hammerstein(sines, sample_time, minor=decreasing, size=UNITS)
     model = replace(found.hysteresis.parameters, input_start=0.0, output_start=0.0)
@@ -236,16 +186,7 @@ def identify_minor(sines, decreasing, sweep, sample_time: float) -> tuple[DuhemP
 def identify_plays(decreasing, sweep, sample_time: float) -> tuple[PrandtlIshlinskiiParameters, LinearParameters]:
     """Identify plays and dead zones from loops of decreasing amplitude, and the linear part from a sweep.
 
-    Parameters
-    ----------
-    decreasing, sweep : (voltage, displacement)
-    sample_time : float
-        [s]
-
-    Returns
-    -------
-    PrandtlIshlinskiiParameters, LinearParameters
-        Model with the whole gain, linear part of unit gain.
+    Units: ``sample_time`` [s].
     """
     found = fit_prandtl_ishlinskii(*decreasing, sample_time, play_count=PLAYS, zone_count=ZONES, linear=("lag",))
     model = found.hysteresis.prandtl_ishlinskii
@@ -262,18 +203,7 @@ def _dynamics(w, y, sample_time) -> tuple[LinearParameters, float]:
 
 
 def identify(configuration: Configuration) -> Models:
-    """Make all recordings and identify everything.
-
-    Parameters
-    ----------
-    configuration : Configuration
-        The axis; only its plant counts.
-
-    Raises
-    ------
-    IdentificationError
-        A model cannot be identified.
-    """
+    """Make all recordings and identify everything."""
     plant = wang.real(configuration)
     sample_time = 1.0 / plant.node("plant_simulator")["sample_rate"]
     sines, decreasing, sweep = wang.record_sines(plant), record_decreasing(plant), record_sweep(plant)
@@ -301,15 +231,7 @@ class _Watched(LoopOperator):
 
 
 def training_history(loop: MajorLoop, alpha: float) -> np.ndarray:
-    """Return the smallest rms error so far, of ±1, at each evaluation of a training of f and g, shape (K,).
-
-    Parameters
-    ----------
-    loop : MajorLoop
-        Branches, normalised to ±1.
-    alpha : float
-        α for the normalised input.
-    """
+    """Return the smallest rms error so far, of ±1, at each evaluation of a training of f and g, shape (K,)."""
     watched = _Watched(loop, alpha)
     fit_networks(watched, watched.target, UNITS, np.random.default_rng(0), loop.noise)
     return np.minimum.accumulate(watched.history)
@@ -345,14 +267,7 @@ _LINEAR = ("A", "B", "C", "D", "output_scale", "input_scale", "sample_time")
 
 
 def files(models: Models, text: str) -> dict[str, str]:
-    """Return the texts of the four parameter files: that of ``wang2014`` with other models in their places.
-
-    Parameters
-    ----------
-    models : Models
-    text : str
-        Text of ``wang2014.yaml``; everything but the identified numbers stays.
-    """
+    """Return the texts of the four parameter files: that of ``wang2014`` with other models in their places."""
     published = models.published
     linear_gain = published.linear_only.model.dc_gain
     duhem80, dynamics80 = published.parameters
@@ -396,17 +311,7 @@ def files(models: Models, text: str) -> dict[str, str]:
 
 
 def replace_identified(text: str, mark: str, lines: str) -> str:
-    """Return the text of a file with other lines in one of its identified parts.
-
-    Parameters
-    ----------
-    text : str
-        Of a parameter file with ``# identified: mark`` and ``# end: mark``.
-    mark : str
-        Name of the part.
-    lines : str
-        What stands between the two from now on.
-    """
+    """Return the text of a file with other lines in one of its identified parts."""
     begin, end = f"# identified: {mark}\n", f"# end: {mark}\n"
     before, rest = text.split(begin)
     inside, after = rest.split(end)

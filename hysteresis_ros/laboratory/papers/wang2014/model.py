@@ -48,13 +48,7 @@ VARIANTS = {
 
 
 class Element:
-    """The truth's hysteresis element alone: what a slow recording without noise would show.
-
-    Parameters
-    ----------
-    configuration : Configuration
-        The axis.
-    """
+    """The truth's hysteresis element alone: what a slow recording without noise would show."""
 
     def __init__(self, configuration: Configuration):
         self.parameters = single_axis(configuration).plant_simulator.hysteresis
@@ -81,15 +75,7 @@ class Element:
 
 
 def closed_form_errors(loop: MajorLoop, alpha: float) -> dict[str, float]:
-    """Return the rms error, of ±1, with which the Duhem equation runs along a loop by W3 and its misreadings.
-
-    Parameters
-    ----------
-    loop : MajorLoop
-        Branches, normalised to ±1.
-    alpha : float
-        α for the normalised input.
-    """
+    """Return the rms error, of ±1, with which the Duhem equation runs along a loop by W3 and its misreadings."""
     from scipy.interpolate import CubicSpline  # imported here because only fits need it
 
     rising, falling = (CubicSpline(loop.grid, branch) for branch in (loop.rising, loop.falling))
@@ -108,13 +94,7 @@ def closed_form_errors(loop: MajorLoop, alpha: float) -> dict[str, float]:
 
 
 def shape_claims(configuration: Configuration) -> list[Claim]:
-    """Return the rows of W3: the functions f and g, and what α does to minor loops.
-
-    Parameters
-    ----------
-    configuration : Configuration
-        The axis.
-    """
+    """Return the rows of W3: the functions f and g, and what α does to minor loops."""
     element = Element(configuration)
     loop = element.loop()
     group = "W3: Duhem functions from the branches of the loop to ±1 V (equations 10-13)"
@@ -219,15 +199,7 @@ def _wrong_way(element: Element, alpha: float) -> float:
 
 
 def preparation_claims(axes: dict[str, Configuration], full, half) -> list[Claim]:
-    """Return the rows of W2: how well loops of three frequencies coincide, and what normalising hides.
-
-    Parameters
-    ----------
-    axes : dict of str to Configuration
-        The axis with each of the controllers.
-    full, half : sequence of (voltage, displacement)
-        Recordings of the three sines at full and at half amplitude.
-    """
+    """Return the rows of W2: how well loops of three frequencies coincide, and what normalising hides."""
     group = "W2: preparation of the recordings (equations 7 and 8)"
     sample_time = 1.0 / axes[wang.PAPER].node("plant_simulator")["sample_rate"]
     openings = _openings(full, sample_time)
@@ -278,12 +250,7 @@ def _openings(records, sample_time) -> list[float]:
 def predict(configuration: Configuration, voltage) -> np.ndarray:
     """Return what a controller's models say about a voltage [m], shape (N,): hysteresis, then linear part, from rest.
 
-    Parameters
-    ----------
-    configuration : Configuration
-        The axis; its compensator and its controller hold the models.
-    voltage : array_like, shape (N,)
-        [V]
+    Units: ``voltage`` [V].
     """
     sample_time = 1.0 / configuration.node("plant_simulator")["sample_rate"]
     passed = hysteresis_output(configuration, voltage)
@@ -295,12 +262,7 @@ def predict(configuration: Configuration, voltage) -> np.ndarray:
 def hysteresis_output(configuration: Configuration, voltage) -> np.ndarray:
     """Return what a compensator's model of the hysteresis makes of a voltage [m], shape (N,), from rest.
 
-    Parameters
-    ----------
-    configuration : Configuration
-        The axis.
-    voltage : array_like, shape (N,)
-        [V]
+    Units: ``voltage`` [V].
     """
     parameters = part(single_axis(configuration).hysteresis_compensator, CompensatorParameters)
     return hysteresis_block(parameters.hysteresis, 1.0).simulate(voltage)
@@ -314,27 +276,14 @@ def controller_dynamics(configuration: Configuration) -> LinearParameters:
 def linear_response(dynamics: LinearParameters, frequency) -> np.ndarray:
     """Return the frequency response of a linear part in SI, shape (F,), without unit.
 
-    Parameters
-    ----------
-    dynamics : LinearParameters
-        With ``sample_time``.
-    frequency : array_like, shape (F,)
-        [Hz]
+    Units: ``frequency`` [Hz].
     """
     z = np.exp(2j * np.pi * dynamics.sample_time * np.asarray(frequency))
     return dynamics.state_space.response(z)[:, 0, 0] * (dynamics.output_scale / dynamics.resolved_input_scale)
 
 
 def model_claims(axes: dict[str, Configuration], full, half) -> list[Claim]:
-    """Return the rows of W1 and W5: errors of all models at three frequencies, at full and at half amplitude.
-
-    Parameters
-    ----------
-    axes : dict of str to Configuration
-        The axis with each of the controllers, whose models are judged.
-    full, half : sequence of (voltage, displacement)
-        Recordings of the three sines at full and at half amplitude.
-    """
+    """Return the rows of W1 and W5: errors of all models at three frequencies, at full and at half amplitude."""
     rows = []
     rate = axes[wang.BETTER].node("plant_simulator")["sample_rate"]
     for records, words, height in ((full, "full", wang.VOLTAGE), (half, "half", 0.5 * wang.VOLTAGE)):

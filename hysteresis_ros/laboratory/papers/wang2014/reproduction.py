@@ -45,20 +45,7 @@ MEASURED = "measured"
 
 
 def reproduce(configuration: Configuration | None = None) -> Reproduction:
-    """Repeat the paper's experiments and judge every claim.
-
-    Parameters
-    ----------
-    configuration : Configuration, optional
-        The axis with the better identification; ``config/wang2014.yaml`` by default.
-
-    Raises
-    ------
-    ConfigurationError
-        A configuration does not come with the package, or holds several axes.
-    ParameterError
-        A parameter is wrong.
-    """
+    """Repeat the paper's experiments and judge every claim."""
     axes = wang.controllers(configuration)
     better = axes[wang.BETTER]
     clean = wang.ideal(better)
@@ -81,13 +68,7 @@ def reproduce(configuration: Configuration | None = None) -> Reproduction:
 
 
 def figures(found: Reproduction) -> list:
-    """Return the plots of a reproduction: captions and figures; needs Matplotlib.
-
-    Raises
-    ------
-    MissingExtraError
-        Matplotlib is not installed.
-    """
+    """Return the plots of a reproduction: captions and figures; needs Matplotlib."""
     axes = wang.controllers()
     better = axes[wang.BETTER]
     cases = {key: f"full.{SHOWN}.{key}" for key in axes}
