@@ -79,23 +79,24 @@ def test_pipes_and_files_are_closed_when_it_ends(cold, tmp_path):
     assert len(os.listdir("/proc/self/fd")) <= before + (0 if cold else 1)
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"env": {**os.environ, "NUMBA_DISABLE_JIT": "1"}},
-        {"env": {**os.environ, "PYTHONPATH": "elsewhere"}},
-        {"cwd": "elsewhere"},
-    ],
-    ids=["other variable", "other package in the path", "modules beside it"],
-)
-def test_what_could_import_otherwise_is_started_truly(change, tmp_path, monkeypatch):
-    (tmp_path / "elsewhere/hysteresis_ros").mkdir(parents=True)
-    (tmp_path / "elsewhere/yaml.py").write_text("")
+@pytest.mark.parametrize("case", ["other variable", "other package in the path", "modules beside it"])
+def test_what_could_import_otherwise_is_started_truly(case, tmp_path, monkeypatch):
+    home = str(preloaded_support._home())
+    beside, other = tmp_path / "beside", tmp_path / "other"
+    beside.mkdir()
+    (beside / "yaml.py").write_text("")
+    (other / "hysteresis_ros").mkdir(parents=True)
+    environment, folder = {**os.environ, "PYTHONPATH": home}, tmp_path
+    if case == "other variable":
+        environment["NUMBA_DISABLE_JIT"] = "1"
+    elif case == "modules beside it":
+        folder = beside
+    else:
+        environment["PYTHONPATH"] = os.pathsep.join([str(other), home])
     forked = []
-    monkeypatch.setattr(preloaded_support._Starter, "fork", lambda self, *request: forked.append(request))
-    change = {name: str(tmp_path / value) if name == "cwd" else value for name, value in change.items()}
-    if change.get("env", {}).get("PYTHONPATH"):
-        change["env"]["PYTHONPATH"] = str(tmp_path / change["env"]["PYTHONPATH"])
-        change["env"]["PYTHONSAFEPATH"] = "1"
-    subprocess.run([*MAIN, "--help"], capture_output=True, **change)
+    fork = preloaded_support._Starter.fork
+    monkeypatch.setattr(preloaded_support._Starter, "fork", lambda self, *a: forked.append(a) or fork(self, *a))
+    subprocess.run([*MAIN, "--help"], capture_output=True, env=environment, cwd=folder)
     assert not forked
+    subprocess.run([*MAIN, "--help"], capture_output=True, env={**os.environ, "PYTHONPATH": home}, cwd=tmp_path)
+    assert len(forked) == 1
