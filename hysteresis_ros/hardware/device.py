@@ -14,6 +14,7 @@ from __future__ import annotations
 import contextlib
 import importlib.util
 import math
+import threading
 from collections.abc import Callable, Iterator, Sequence
 
 from hysteresis_ros.configuration import Parameters
@@ -62,6 +63,9 @@ class Device:
         self._driver = declared.driver()
         self._open = True
         self._written: float | None = None
+        #: Held while the device is made safe or closed; the event ends that it is made safe in the background.
+        self._calling, self._over = threading.RLock(), threading.Event()
+        self._over.set()
         try:
             with self._named("cannot be opened", ParameterError):
                 self.capabilities = self._driver.open(parameters, sample_rate)
@@ -171,7 +175,7 @@ class Device:
         if not self._open:
             return
         try:
-            with self._named("cannot be made safe"):
+            with self._calling, self._named("cannot be made safe"):
                 self._driver.make_safe()
         except DriverError as error:
             if self.left_at is None:
@@ -182,6 +186,39 @@ class Device:
             raise DriverError(error.device, problem, remedy) from error
         self._written = None
 
+    def insist(self, every: float, wanted: Callable[[], bool], done: Callable[[], None]) -> None:
+        """Make the device safe in the background, again and again until it is; nobody else uses it meanwhile.
+
+        Parameters
+        ----------
+        every : float
+            Between two attempts [s].
+        wanted : callable
+            Whether it is still to be made safe.
+        done : callable
+            Called when it is.
+        """
+        if self._over.is_set():
+            over = self._over = threading.Event()
+            threading.Thread(target=self._insist, args=(over, every, wanted, done), daemon=True).start()
+
+    def _insist(self, over: threading.Event, every: float, wanted: Callable[[], bool], done: Callable[[], None]):
+        while not over.wait(every):
+            with self._calling:
+                if over.is_set():
+                    return
+                with contextlib.suppress(DriverError):  # what it says is known
+                    if wanted():
+                        self.make_safe()
+                        done()
+                    over.set()
+
+    def desist(self) -> None:
+        """Make the device safe in the background no more; an attempt that is under way is waited for."""
+        self._over.set()
+        with self._calling:
+            pass
+
     def close(self) -> str:
         """Let go of the device, which is made safe before if it was written to since; once it is closed, nothing.
 
@@ -191,6 +228,7 @@ class Device:
             What is wrong with the device that is left, for instance that its output is still at a voltage; empty when
             nothing is.
         """
+        self.desist()
         if not self._open:
             return ""
         wrong = ""

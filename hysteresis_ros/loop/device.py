@@ -251,6 +251,9 @@ tell_joints.kinds[DevicePlantArrays] = no_joints
 
 _TOLD = interpreted(told_force)
 
+#: Seconds between two attempts to make a device safe whose output could not be taken off.
+INSIST = 1.0
+
 
 class DrivenPlant(Plant):
     """One actuator that is a device, driven from Python.
@@ -260,6 +263,8 @@ class DrivenPlant(Plant):
 
     #: Nothing of it is compiled.
     kernels = (None,) * 3
+    #: Seconds between two attempts to make the device safe.
+    insists_every = INSIST
 
     _failure = ""
     #: What was wrong when a device could not be made safe, and the voltage [V] that it has been left at.
@@ -287,7 +292,8 @@ class DrivenPlant(Plant):
     @property
     def failure(self) -> str:
         """What is wrong with a device that has stopped the axis, and the voltage that it may still put out."""
-        return f"{self._failure}; and it {self._left}" if self._left else self._failure
+        left = self._left  # it ends in the background
+        return f"{self._failure}; and it {left}" if left else self._failure
 
     def _require(self, can: Capabilities) -> None:
         """Raise a DriverError unless the device is what the axis needs."""
@@ -419,6 +425,8 @@ class DrivenPlant(Plant):
 
     def _acknowledge(self) -> None:
         """Forget what was wrong: a person has seen it. What is still wrong shows at the next sample."""
+        if self._device is not None:
+            self._device.desist()
         self._failure = self._left = ""
 
     def _try_device(self) -> None:
@@ -505,7 +513,14 @@ class DrivenPlant(Plant):
             self._device.make_safe()
         except DriverError as error:
             self._left, self._left_at = error.problem, left_at
+            self._device.insist(self.insists_every, self._is_left, self._made_safe)
             raise
+        self._left = ""
+
+    def _is_left(self) -> bool:
+        return bool(self._left)
+
+    def _made_safe(self) -> None:
         self._left = ""
 
     def close(self) -> str:
@@ -590,8 +605,17 @@ class CompiledPlant(DrivenPlant):
         text = f"driver {self.parameters.driver}: cannot be {what}: {error}"
         if not safe_code:
             return text
+        self._device.insist(self.insists_every, self._is_left, self._made_safe)
         left = f"the output is still at {self.arrays.voltages[0]:.6g} {self.capabilities.voltage_unit}"
         return f"{text}; and it cannot be made safe: {explain(safe_code).problem}: {left}"
+
+    def _is_left(self) -> bool:
+        answer, trip = self.arrays.answer, self._watch_x.trip
+        return super()._is_left() or bool(trip[TRIP] == DEVICE_FAILED and answer[SAFE_CODE])
+
+    def _made_safe(self) -> None:
+        super()._made_safe()
+        self.arrays.answer[SAFE_CODE] = 0
 
     def make_safe(self) -> None:
         """Bring the device to its safe state."""

@@ -466,6 +466,10 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
         """Say why this node does not work though nobody has stopped it; empty when it does."""
         return "" if self.active else "inactive: activate it first"
 
+    def stopped(self) -> str:
+        """Say what ``~/stop`` has done."""
+        return "stopped"
+
     def missing_partner(self) -> str:
         """Name who has not delivered what the present sample needs; empty when nobody is awaited."""
         return ""
@@ -605,14 +609,20 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
             self.pace.restart()
             self.on_running(running)
         response = self._answer_service(response, "running" if running else "stopped")
+        if response.success and not running:
+            response.message = self.stopped()
         hindrance = self.hindrance() if running and response.success else ""
         if hindrance:
             response.success, response.message = False, f"not running: {hindrance}"
         return response
 
     def _on_reset(self, request, response):
+        before = ""
         if self.parameters is not None:
             self.runner.require_rest()
+            before = self.hindrance()
+            lost = self.runner.missing_partners()
+            before = f"{lost} is lost" if lost else before
             self.failure, self.exit_code = "", 0
             self.masters.release()
             self.pace.restart()
@@ -620,7 +630,12 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
             if self.runner.by_message:
                 self.reset_blocks()
             self.runner.begin_again()
-        return self._answer_service(response, "reset")
+        answer = self._answer_service(response, "reset")
+        if answer.success:
+            stopped = "; stopped: ~/start lets it go on" if not self.running else ""
+            still = f"; before it did not work: {before}; if that is still so, it does not now" if before else ""
+            answer.message = f"reset{stopped}{still}"
+        return answer
 
     def _answer_service(self, response, done: str):
         response.success = self.parameters is not None

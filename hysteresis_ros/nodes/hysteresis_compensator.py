@@ -24,7 +24,7 @@ from hysteresis_ros.models import adaptation as adapting
 from hysteresis_ros.models.block import interpreted
 from hysteresis_ros.nodes.responder import Input, Responder
 from hysteresis_ros.nodes.spin import run
-from hysteresis_ros.nodes.timing import AMPLIFIER, LimitedTime
+from hysteresis_ros.nodes.timing import AMPLIFIER, LimitedTime, limited_in_all
 
 #: Seconds that the way to the safe voltage may take when the node leaves; what is left then is one step.
 LEAVING_TIME = 0.3
@@ -60,7 +60,7 @@ class HysteresisCompensatorNode(Responder):
         self._laws = Laws(**laws)
         self.refused = 0
         self._mode = RUNNING
-        self._limited = LimitedTime()
+        self._limited, self._told = LimitedTime(), True
         self.compile()
 
     def step(self) -> None:
@@ -69,6 +69,7 @@ class HysteresisCompensatorNode(Responder):
 
     def begin(self) -> None:
         """In real time go on from the voltage that is there."""
+        self._told = False
         if self.runner.by_message and not self.runner.exact and self.sample and self.running:
             self.part.start()
 
@@ -198,6 +199,24 @@ class HysteresisCompensatorNode(Responder):
         if self.running:
             self.part.start()
 
+    def _limited_counts(self) -> dict[str, int]:
+        return {AMPLIFIER: self.compensator.limits.limited_samples}
+
+    def release(self) -> None:
+        """Say at the end for how long of the run the limits kept the voltage from what was asked; once."""
+        if self.part is None or self._told:
+            return
+        self._told = True
+        limited = limited_in_all(self._limited_counts(), self.sample, self.parameters.sample_rate)
+        if limited:
+            self.get_logger().warning(limited)
+
+    def stopped(self) -> str:
+        """Say what ``~/stop`` has done."""
+        if self.rests:
+            return "stopped"
+        return f"stopped: the voltage goes to safe_voltage = {self.parameters.safe_voltage:g} V"
+
     def health(self):
         """Report saturation, silence and refused commands."""
         values = {
@@ -215,8 +234,7 @@ class HysteresisCompensatorNode(Responder):
             adapted = f"adaptation {names[state]}" if state > adapting.ADAPTING else ""
             values |= {"adaptation": names[state], "adapted_gain": f"{gain:.5g}"}
         refused = self.since_report("refused", self.refused)
-        counts = {AMPLIFIER: self.compensator.limits.limited_samples}
-        limited = self._limited.report(counts, self.parameters.sample_rate)
+        limited = self._limited.report(self._limited_counts(), self.parameters.sample_rate)
         if not self.sample and not self.runner.exact:
             return 2, "no command has come yet", values
         if self.silent or self.runner.latched:

@@ -253,6 +253,7 @@ class Master:
         if free and (identity or masters.count(self.topic) < 2):
             if self.identity not in (None, identity):
                 masters.tell_of_change(self, identity)
+                masters.replaced(self)
             if self.identity != identity:
                 self.identity, self._was_there, self.name = identity, False, ""
             self.find()
@@ -408,6 +409,11 @@ class Masters:
             f"nothing has come from it for {self.patience:g} s, and it "
             + ("is the same node" if not master.released else "was allowed by ~/reset")
         )
+
+    def replaced(self, master: Master) -> None:
+        """Let the runner know that another process of a node feeds an input, unless a person has allowed it."""
+        if not master.released:
+            self._node.runner.replaced(master.topic, master.name)
 
     def warn(self, master: Master) -> None:
         """Say that somebody else's message was refused."""

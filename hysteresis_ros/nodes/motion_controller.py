@@ -255,6 +255,12 @@ class MotionControllerNode(Responder):
         """Whether it is stopped and its command safe."""
         return not self.running and self.command == self.parameters.safe_command
 
+    def stopped(self) -> str:
+        """Say what ``~/stop`` has done."""
+        if self.rests:
+            return "stopped"
+        return f"stopped: the command goes to safe_command = {self.parameters.safe_command:g} m"
+
     @property
     def rejected(self) -> int:
         """Measurements so far that were not used."""

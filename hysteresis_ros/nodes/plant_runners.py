@@ -21,6 +21,7 @@ from std_msgs.msg import String
 from hysteresis_ros.nodes.lockstep import STARTUP_TIMEOUT, TOGETHER, Lockstep
 from hysteresis_ros.nodes.qos import latched_qos
 from hysteresis_ros.nodes.realtime import (
+    ANOTHER_PROCESS,
     AT_WORK,
     GONE,
     HEARD,
@@ -29,6 +30,7 @@ from hysteresis_ros.nodes.realtime import (
     LOST,
     PLANT,
     PRESENCES,
+    STARTED,
     STARTING,
     RealTime,
 )
@@ -97,8 +99,8 @@ class LockstepPlant(Lockstep):
         self.say("paused" if held else "running")
         self.advance()
 
-    def align(self) -> None:
-        """In lockstep every voltage is that of the present sample."""
+    def go_on(self) -> None:
+        """In lockstep every voltage is that of the present sample, and every node hears of the start with the next."""
 
     is_quiet = True
 
@@ -203,7 +205,9 @@ class RealTimePlant(RealTime):
     def connect(self) -> None:
         """Listen to who comes and goes."""
         super().connect()
+        self._known: set[str] = set()
         self._gone: set[str] = set()
+        self._coming: set[str] = set()
         self._lost: dict[str, str] = {}
         self.node.subscriber(String, "run_state", self._on_presence, latched_qos(PRESENCES))
 
@@ -215,7 +219,10 @@ class RealTimePlant(RealTime):
             if who in CLOSERS and state == GONE:
                 self._gone.add(who)
             elif who in CLOSERS:
-                self._gone.discard(who)
+                self._known.add(who)
+                if who in self._gone:
+                    self._gone.discard(who)
+                    self._coming.add(who)
                 self.settle()
         elif state in (LOST, HEARD) and node.active and node.running and reporter != node.kind:
             if state == LOST:
@@ -242,8 +249,22 @@ class RealTimePlant(RealTime):
     def _is_silent(self, input_, now: float) -> bool:
         """Tell whether the voltages of a node that was at work have stopped for the time-out."""
         limit = max(self.node.patience * self.period * self.node.parameters.sample_rate, LEAST_MISSED * self.period)
-        at_work = input_.count >= AT_WORK and input_.received - input_.first >= STARTING
+        if input_.received - input_.first < STARTING:
+            limit = max(limit, STARTING)
+        at_work = input_.count >= (1 if input_.partner in self._known else AT_WORK)
         return at_work and now - input_.received > limit
+
+    def replaced(self, topic: str, name: str) -> None:
+        """Another process of a node sends voltages: the one before is lost unless it has said that it stops."""
+        node = self.node
+        for input_ in node.inputs:
+            partner = input_.partner
+            if input_.full_name != topic or not input_.count or partner in self._gone or partner in self._coming:
+                continue
+            if node.active and node.running and not node.part.lost:
+                node.warn("lost", f"{name or partner} is lost: {ANOTHER_PROCESS}", every=0.0, error=True)
+                with node.lock:
+                    node.lose(name or partner)
 
     def _look_for_losses(self) -> None:
         """Stop the axis when voltages have stopped, unless somebody has said so; called with the lock held."""
@@ -259,6 +280,11 @@ class RealTimePlant(RealTime):
     def align(self) -> None:
         """Begin to count voltages anew before the next sample, which waits until none is under way."""
         self._unaligned = True
+
+    def go_on(self) -> None:
+        """Begin to count voltages anew, and say that a person has started the axis; called with the lock held."""
+        self.align()
+        self._presence.publish(String(data=f"{STARTED} {PLANT}"))
 
     def settle(self) -> None:
         """Begin to count voltages anew while samples go on."""
@@ -328,6 +354,7 @@ class RealTimePlant(RealTime):
             self.align()
         elif node.part.silent:
             self.settle()
+        self._coming.discard(input_.partner)
         given = self._given[input_.topic] = min(self._given.get(input_.topic, 0) + 1, self._asked)
         node.receive(input_, message.data)
         if input_.received:

@@ -42,7 +42,7 @@ from hysteresis_ros.nodes.qos import latched_qos, setpoint_qos
 from hysteresis_ros.nodes.responder import TRIPPED_FRAME
 from hysteresis_ros.nodes.samples import output_of
 from hysteresis_ros.nodes.spin import run
-from hysteresis_ros.nodes.timing import AMPLIFIER, LimitedTime
+from hysteresis_ros.nodes.timing import AMPLIFIER, LimitedTime, limited_in_all
 from hysteresis_ros.recordings.dataset import output_tolerance
 
 #: How far the stamps of a sample may be from the wall clock [ns] before they go on from there.
@@ -365,7 +365,7 @@ class PlantSimulatorNode(AxisNode):
             with self.lock:
                 if not self.runner.missing_partners():
                     self.part.start()
-                    self.runner.align()
+                    self.runner.go_on()
                     self.log_change("start")
         elif self.running:
             self.fused.go_on()
@@ -375,6 +375,12 @@ class PlantSimulatorNode(AxisNode):
             if self.hindrance():
                 answer.success, answer.message = False, f"not running: {self.hindrance()}"
         return answer
+
+    def stopped(self) -> str:
+        """Say what ``~/stop`` has done: fused it is an emergency stop, elsewhere the time stands still."""
+        if self.is_fused:
+            return f"stopped: the voltage goes to safe_voltage = {self.parameters.safe_voltage:g} V"
+        return f"stopped: no samples are made, and the voltage stays at {self.part.held():.6g} V"
 
     def hindrance(self) -> str:
         """Say why the axis does not run though nobody has stopped it; empty when it does."""
@@ -498,6 +504,10 @@ class PlantSimulatorNode(AxisNode):
         """Late samples so far: their voltage did not come in time, or a loop has skipped them."""
         return self.runner.late_samples
 
+    def _limited_counts(self) -> dict[str, int]:
+        """Return in how many samples the output was limited, by what; of a motor three amplifiers count together."""
+        return {"safe_slew_rate": self.held_back} | ({} if self.is_motor else {AMPLIFIER: self.part.limited_samples})
+
     def health(self):
         """Report the voltage, late commands and saturation."""
         values = {
@@ -514,9 +524,7 @@ class PlantSimulatorNode(AxisNode):
             **self.runner.timeliness(),
         }
         late = self.since_report("late", self.late)
-        # of a motor the samples of three amplifiers are counted together, which are no time
-        counts = {"safe_slew_rate": self.held_back} | ({} if self.is_motor else {AMPLIFIER: self.part.limited_samples})
-        limited = self._limited.report(counts, self.parameters.sample_rate)
+        limited = self._limited.report(self._limited_counts(), self.parameters.sample_rate)
         return *verdict(self.part, self.runner, self.inputs, late, limited), values
 
     # -- the end -------------------------------------------------------------------------------------------------
@@ -538,6 +546,9 @@ class PlantSimulatorNode(AxisNode):
         factor = rate / self.parameters.sample_rate
         text = f"{self.sample} samples in {wall:.3f} s: {rate:.1f} Hz, real-time factor {factor:.3g}"
         self.get_logger().info(f"{text}, {self.late} late samples")
+        limited = limited_in_all(self._limited_counts(), self.sample, self.parameters.sample_rate)
+        if limited:
+            self.get_logger().warning(limited)
 
     def begin(self) -> None:
         """Start the time of the axis."""

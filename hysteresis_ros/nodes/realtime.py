@@ -16,7 +16,9 @@ late again and again is not waited for until he is back.
 
 A partner of which nothing comes for the time-out of the node that needs it, and for a few samples, is *lost*, unless
 it has said that it stops. The node keeps its own part safe, and says so to the plant, which stops the axis, latched: it
-goes on when the partner is back and a person calls ``~/start``. That is so whichever node is lost, and at any rate.
+goes on when the partner is back and a person calls ``~/start``. That is so whichever node is lost, and at any rate. In
+the first seconds of a partner, in which a busy machine leaves gaps, its silence has to last as long as these; a partner
+that comes back as another process without having said that it stops was lost at any time.
 """
 
 from __future__ import annotations
@@ -38,13 +40,20 @@ WATCHDOG_PERIOD = 0.01
 #: What nodes say about themselves, at work or not any more: ``here NODE``, ``gone NODE``; and about their partners,
 #: silent for too long or heard again: ``lost PARTNER NODE NAME``, ``heard PARTNER NODE NAME``, NAME being its full one.
 HERE, GONE, LOST, HEARD = "here", "gone", "lost", "heard"
+#: And what the plant says when a person has started a stopped axis: ``started NODE``.
+STARTED = "started"
+#: Measurements of an axis that is stopped which may come after the plant has said so: they were under way.
+UNDER_WAY = 2
 
 #: Messages kept about the nodes that come and go.
 PRESENCES = 20
 
-#: Messages and seconds after which a partner is one that can be lost, and samples for which it is silent at least.
-#: While the nodes of an axis start, a busy machine leaves gaps: they are held over as any late message is.
+#: Messages after which a partner that has not said what it is can be lost; seconds in which the nodes of an axis start,
+#: for which a partner that has just begun is silent before it is lost; and samples for which any partner is.
 AT_WORK, STARTING, LEAST_MISSED = 10, 2.0, 3
+
+#: How it is known that a partner was lost that is there.
+ANOTHER_PROCESS = "another process of it has come, and the one before has not said that it stops"
 
 #: The node that owns the time; without its measurements nobody else can be expected to send anything.
 PLANT = "plant_simulator"
@@ -195,6 +204,9 @@ class RealTime(Runner):
     def announce(self, failure: str) -> None:
         """Everybody goes on without this node, as long as their time-outs let them."""
 
+    def replaced(self, topic: str, name: str) -> None:
+        """Another process of the same node feeds an input from now on; whoever awaits the input overrides it."""
+
     def matched(self) -> bool:
         """Tell whether every publisher of the loop has found its partner."""
         return self.node.all_matched()
@@ -244,6 +256,8 @@ class RealTimeResponder(RealTime):
         elif state == HERE and who in self._gone:
             self._gone.discard(who)
             self._coming.add(who)
+        if state == STARTED and who == PLANT:
+            self._going = UNDER_WAY
         if state in (HERE, LOST, HEARD):
             self._known.add(who if state == HERE else reporter)
 
@@ -255,6 +269,7 @@ class RealTimeResponder(RealTime):
         self._lost: dict[str, str] = {}
         self._returned: set[str] = set()
         self.latched, self._has_tripped, self._stopped = "", False, False
+        self._going = 0
 
     def begin(self) -> None:
         """Look after measurements that stop."""
@@ -419,11 +434,13 @@ class RealTimeResponder(RealTime):
         node, excused = self.node, self._gone | self._coming
         heard, counts = self._heard_at, self._heard_count
 
-        def silent(place: int, since: float) -> bool:
-            at_work = counts[place] >= AT_WORK and heard[place] - self._first_at[place] >= STARTING
-            return at_work and now - max(heard[place], since) > self.loss_time
+        def silent(place: int, partner: str, since: float) -> bool:
+            lasts = heard[place] - self._first_at[place] >= STARTING
+            limit = self.loss_time if lasts else max(self.loss_time, STARTING)
+            at_work = counts[place] >= (1 if partner in self._known else AT_WORK)
+            return at_work and now - max(heard[place], since) > limit
 
-        if silent(0, self._awake):
+        if silent(0, PLANT, self._awake):
             name = node.masters.publisher_of("joint_states")
             return {} if PLANT in excused else {PLANT: name or PLANT}
         if counts[0] and now - heard[0] > PAUSED * self.loss_time:
@@ -435,7 +452,7 @@ class RealTimeResponder(RealTime):
             if not input_.previous
             and (input_.topic == node.trigger or input_.partner in self._known)
             and input_.partner not in excused
-            and silent(1 + place, since)
+            and silent(1 + place, input_.partner, since)
         }
 
     def _look_for_losses(self, now: float) -> None:
@@ -443,30 +460,52 @@ class RealTimeResponder(RealTime):
         missing = self._missing(now)
         for partner, name in missing.items():
             if partner not in self._lost or not self.latched:
-                self._lost[partner] = name
-                self._returned.discard(partner)
-                self._latch(name)
-                self.say_of(LOST, partner, name)
+                self._lose(partner, name, f"nothing has come from it for {self.loss_time:.3g} s")
         for partner in self._returned.difference(missing):
             self._returned.discard(partner)
             self.say_of(HEARD, partner, self._lost.pop(partner))
 
-    def _latch(self, name: str) -> None:
+    def _lose(self, partner: str, name: str, why: str) -> None:
         node = self.node
-        self.latched, self._has_tripped = name, False
+        self._lost[partner] = self.latched = name
+        self._has_tripped = False
+        self._returned.discard(partner)
         node.row[signals.TRIPPED] = 1.0
-        text = f"{name} is lost: nothing has come from it for {self.loss_time:.3g} s; safe until ~/start"
-        node.warn("lost", f"{text} of plant_simulator", every=0.0, error=True)
+        text = f"{name} is lost: {why}; safe until ~/start of plant_simulator"
+        node.warn("lost", text, every=0.0, error=True)
+        self.say_of(LOST, partner, name)
+
+    def replaced(self, topic: str, name: str) -> None:
+        """Another process of the same node feeds an input: the one before is lost unless it has said that it stops."""
+        node = self.node
+        partners = {node.resolve_topic_name("joint_states"): (0, PLANT)}
+        for place, input_ in enumerate(node.inputs):
+            if not input_.previous:
+                partners[node.resolve_topic_name(input_.topic)] = (1 + place, input_.partner)
+        place, partner = partners.get(topic, (0, ""))
+        excused = not partner or partner in self._gone or partner in self._coming or partner in self._lost
+        if node.active and not excused and self._heard_count[place]:
+            self._lose(partner, name or partner, ANOTHER_PROCESS)
 
     def follow_trip(self, tripped: bool) -> None:
         """Go on with the axis when the plant, which had been stopped for the loss, is started again."""
         self._stopped = tripped
+        self._going = max(self._going - 1, 0) if tripped else 0
         if self.latched and tripped:
             self._has_tripped = True
         elif self.latched and self._has_tripped and self.unlatch():
             self._has_tripped = False
             for partner, name in self._lost.items():  # the plant was reset, and has forgotten it
                 self.say_of(LOST, partner, name)
+
+    @property
+    def goes_on(self) -> bool:
+        """Whether the plant has said that the axis goes on, and no measurement has come yet that shows it."""
+        return self._going > 0
+
+    def missing_partners(self) -> str:
+        """Name the nodes that are lost; empty: none is."""
+        return " and ".join(self._lost.values())
 
     def unlatch(self) -> str:
         """Let the part go on after the loss of a partner; return why it cannot, empty: it does."""

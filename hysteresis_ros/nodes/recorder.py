@@ -50,7 +50,7 @@ SILENCE = 0.3
 def sampled_topics(inchworm: bool, external: bool = False):
     """Return the topics with exactly one message a sample, their types, and who publishes them.
 
-    A plant of somebody else has no state.
+    A plant of somebody else need not publish its state.
     """
     source = "inchworm_sequencer" if inchworm else "reference_generator"
     more = ("origin", "front_clamp/voltage", "rear_clamp/voltage") if inchworm else ()
@@ -147,6 +147,9 @@ class RecorderNode(AxisNode):
         for index, (topic, message_type, partner) in enumerate(self._topics if self.runner.by_message else ()):
             heard = chosen_qos(qos, self.parameters.measurement_reliability) if topic == "joint_states" else qos
             self._record(topic, message_type, heard, durability, index, partner)
+        if self.parameters.external_plant and self.runner.by_message:
+            # what it says that it put out, where it does
+            self._record(f"{PLANT}/state", JointState, qos, durability)
         self.subscribe_end()
         # from who takes them: whoever publishes one and leaves may be discovered here too late
         source = MOTOR_SOURCE if self._is_inchworm else SOURCE

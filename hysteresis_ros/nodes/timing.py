@@ -200,13 +200,30 @@ class LimitedTime:
         while len(self._counts) > 2 and now - self._counts[1][0] >= LATELY:
             self._counts.popleft()
         began, before = self._counts[0]
-        seconds = {name: (count - before.get(name, 0)) / sample_rate for name, count in counts.items()}
-        total = sum(seconds.values())
+        lately = {name: count - before.get(name, 0) for name, count in counts.items()}
+        total = sum(lately.values()) / sample_rate
         if total <= MOMENT:
             return ""
-        by = " and ".join(name for name, part in sorted(seconds.items(), key=lambda item: -item[1]) if part > 0.0)
+        by = _causes(lately)
         whole = f" of the last {now - began:.3g} s" if now - began >= total else ""
         return f"{LIMITED} {total:.3g} s{whole}, by {by}"
+
+
+def limited_in_all(counts: dict[str, int], samples: int, sample_rate: float) -> str:
+    """Return for how long of a run limits kept the output from what was asked; empty: for no more than a moment.
+
+    Units: ``sample_rate`` [Hz].
+    """
+    limited = sum(counts.values())
+    if limited <= MOMENT * sample_rate:
+        return ""
+    whole = f"{LIMITED} {limited / sample_rate:.3g} s of {samples / sample_rate:.3g} s, by {_causes(counts)}"
+    return f"{whole}: what was asked did not leave for the actuator then"
+
+
+def _causes(counts: dict[str, int]) -> str:
+    """Return what limited the output, the most frequent first."""
+    return " and ".join(name for name, count in sorted(counts.items(), key=lambda item: -item[1]) if count > 0)
 
 
 class Runner:
@@ -220,6 +237,8 @@ class Runner:
     absent: tuple[str, ...] = ()
     #: Partner whose loss keeps this node's part of the loop safe until a person lets it go on; empty: none.
     latched = ""
+    #: Whether the plant has said that the axis goes on, and no measurement has come yet that shows it.
+    goes_on = False
 
     def __init__(self, node):
         self.node = node

@@ -144,6 +144,17 @@ def test_a_relative_sensor_is_homed_at_the_safe_voltage_at_the_start_and_when_as
     ):
         plant.home()
     plant.halt()
+    run(plant, [60.0])
+    with pytest.raises(ParameterError, match="home is the place at safe_voltage"):  # stopped, and not there yet
+        plant.home()
+    run(plant, [60.0] * 400)
+    plant.start()
+    run(plant, [5.0] * 10)
+    assert plant.held() == 5.0
+    with pytest.raises(ParameterError, match="stop the axis"):  # there, and not stopped: the next sample may move it
+        plant.home()
+    assert not plant.sensor.homing
+    plant.halt()
     run(plant, [60.0] * 400)
     plant.home()
     assert plant.sensor.homing and plant.halted

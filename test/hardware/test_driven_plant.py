@@ -12,11 +12,13 @@
 from __future__ import annotations
 
 import math
+import threading
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from driven_support import Device, parameters, run
+from waiting import until
 
 from hysteresis_ros import signals as at
 from hysteresis_ros.configuration import load_configuration
@@ -81,6 +83,71 @@ def test_a_device_that_cannot_be_made_safe_either_is_said_to_be_so(device):
     assert plant.failure.endswith("and it cannot be made safe: OSError: silent")
     with pytest.raises(DriverError, match="cannot be made safe"):
         plant.make_safe()
+
+
+def test_a_device_that_could_not_be_made_safe_is_made_safe_as_soon_as_it_can_be_unasked(device):
+    plant = DrivenPlant(parameters(safe_voltage=5.0))
+    plant.insists_every = 0.01
+    run(plant, [60.0] * 50)
+    device.failing = "read safe"
+    run(plant, [60.0] * 3)
+    heard = device.last.heard
+    attempts = heard.count("safe")
+    until(lambda: heard.count("safe") > attempts + 3, what="further attempts")
+    assert "still at 60 V" in plant.failure and plant.held() == 60.0
+    device.failing = "read"
+    until(lambda: "still" not in plant.failure, what="the end of the message")
+    assert "unplugged" in plant.failure and plant.tripped and plant.held() == 5.0
+    assert run(plant, [60.0])[0, at.PLANT_VOLTAGE] == 5.0
+    attempts = heard.count("safe")
+    pause = threading.Event()
+    assert not pause.wait(0.1) and heard.count("safe") == attempts, "it is safe, and let alone"
+
+
+@pytest.mark.parametrize("seen", ["start", "reset", "close"])
+def test_a_device_that_a_person_has_seen_is_not_made_safe_behind_their_back(device, seen):
+    plant = DrivenPlant(parameters())
+    plant.insists_every = 0.01
+    run(plant, [60.0] * 50)
+    device.failing = "read safe"
+    run(plant, [60.0] * 3)
+    heard = device.last.heard
+    until(lambda: heard.count("safe") > 4, what="further attempts")
+    device.failing = "" if seen != "close" else "safe"
+    getattr(plant, seen)()
+    after = heard.count("safe")
+    if seen != "close":
+        run(plant, [60.0] * 400)
+        assert plant.held() == 60.0
+    pause = threading.Event()
+    assert not pause.wait(0.1) and heard.count("safe") == after
+
+
+@pytest.mark.parametrize(("begun", "safe"), [(60.0, 5.0), (-20.0, 5.0), (12.1, 12.0)])
+def test_each_step_to_the_safe_voltage_is_one_of_the_safe_slew_rate_and_the_last_is_there(device, begun, safe):
+    plant = DrivenPlant(parameters(safe_voltage=safe, limits__minimum=-30.0))
+    run(plant, [begun] * 200)
+    heard = device.last.heard
+    heard.clear()
+    while plant.step_to_safe():
+        assert len(heard) < 10_000
+    step = 1000.0 / 3000.0  # safe_slew_rate over sample_rate
+    whole = math.floor(abs(safe - begun) / step)
+    expected = [begun + math.copysign(step, safe - begun) * (k + 1) for k in range(whole)]
+    np.testing.assert_allclose(heard[:whole], expected, rtol=0.0, atol=1e-9)
+    assert heard[-1] == safe and len(heard) - whole in (0, 1) and not plant.step_to_safe()
+
+
+def test_a_device_that_fails_on_its_way_to_safe_is_left_alone(device):
+    plant = DrivenPlant(parameters())
+    run(plant, [60.0] * 50)
+    assert plant.step_to_safe()
+    device.failing = "write"
+    plant.step_to_safe()
+    heard = list(device.last.heard)
+    assert heard[-1] == "safe" and plant.failure
+    device.failing = ""
+    assert not plant.step_to_safe() and device.last.heard == heard
 
 
 def test_at_the_end_it_goes_to_its_safe_voltage_step_by_step(device):

@@ -20,6 +20,8 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 
 RATE = float(sys.argv[1])
+#: The highest voltage [V] that its amplifier puts out; it reports what it puts out when this is given.
+HIGHEST = float(sys.argv[2]) if len(sys.argv) > 2 else None
 
 
 class Stage(Node):
@@ -30,13 +32,14 @@ class Stage(Node):
         self.voltage = self.play = self.position = 0.0
         self.gone = threading.Event()
         self.samples = self.create_publisher(JointState, "joint_states", 100)
+        self.states = self.create_publisher(JointState, "plant_simulator/state", 100) if HIGHEST is not None else None
         self.create_subscription(Float64, "voltage", self.hear, 10)
         self.thread = threading.Thread(target=self.measure)
         self.thread.start()
 
     def hear(self, message):
         """Hold a voltage."""
-        self.voltage = message.data
+        self.voltage = message.data if HIGHEST is None else min(message.data, HIGHEST)
 
     def measure(self):
         """Say the position at each sample."""
@@ -48,9 +51,14 @@ class Stage(Node):
             message.position[0] = self.position
             message.header.stamp = self.get_clock().now().to_msg()
             self.samples.publish(message)
+            measured = message.header.stamp
             deadline += 1.0 / RATE
             # a device keeps its own time: this is its clock
             self.gone.wait(max(deadline - time.monotonic(), 0.0))
+            if self.states is not None:  # what it holds until the next sample
+                state = JointState(name=["voltage"], position=[self.voltage])
+                state.header.stamp = measured
+                self.states.publish(state)
 
 
 rclpy.init()

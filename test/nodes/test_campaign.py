@@ -27,6 +27,7 @@ from waiting import until  # noqa: E402
 
 from hysteresis_ros.configuration import config_path, load_configuration  # noqa: E402
 from hysteresis_ros.laboratory.campaign import rig  # noqa: E402
+from hysteresis_ros.laboratory.campaign import run as campaign  # noqa: E402
 from hysteresis_ros.laboratory.campaign.actions import (  # noqa: E402
     ACTIONS,  # noqa: E402
     SCHEDULE,
@@ -177,3 +178,28 @@ def test_a_group_whose_disk_is_full_may_say_so_when_it_leaves_and_no_other(tmp_p
         made = rig.Group(axis, COMPOSED, folder, prefix=prefix)
         until(lambda made=made: "there" in made.printed(), what="a process that is there")
         assert made.codes() == [None] and made.close() == expected and made.codes() == [1]
+
+
+def test_each_mishap_is_done_at_its_own_rate_and_the_others_at_that_of_the_campaign(monkeypatch, tmp_path):
+    done: list = []
+    folders: list = []
+
+    class Series:
+        def __init__(self, axis, way, config, folder, random):
+            self.axis = axis
+            folders.append((way, folder))
+
+        def of(self, mishaps, rounds):
+            done.extend((mishap.name, self.axis.plant_simulator.sample_rate) for mishap in mishaps)
+            return ()
+
+    monkeypatch.setattr(campaign, "_Series", Series)
+    names = ("kill motion_controller", "lose motion_controller at 10 Hz", "lose motion_controller at 3000 Hz")
+    mishaps = tuple(CATALOGUE[name] for name in names)
+    own = load_configuration("picma_stage").node("plant_simulator")["sample_rate"]
+    for rate, expected in ((50.0, 50.0), (0.0, own)):
+        done.clear()
+        folders.clear()
+        campaign.Campaign("picma_stage", mishaps, ("fused", "processes"), 1, 1, tmp_path, rate).run(print)
+        assert done == list(zip(names, (expected, 10.0, 3000.0), strict=True))
+        assert len(set(folders)) == len(folders) == 3

@@ -55,8 +55,34 @@ def axis(tmp_path):
     return str(path)
 
 
-def stage(processes, rate: float = RATE):
-    return processes.start([sys.executable, str(STAGE), str(rate)], "stage")
+def stage(processes, rate: float = RATE, *more: str):
+    return processes.start([sys.executable, str(STAGE), str(rate), *more], "stage")
+
+
+def test_what_it_says_that_it_put_out_is_the_voltage_of_the_recording(processes, observer, tmp_path, axis):
+    from sensor_msgs.msg import JointState
+    from std_msgs.msg import Float64
+
+    stage(processes, RATE, "30.0")
+    joints = observer.listen(JointState, "/joint_states")
+    until(lambda: joints, what="the stage")
+    bag = tmp_path / "bag"
+    up = processes.command("up", axis, "--plant", "external", "--record", str(bag), "--processes")
+    setpoint = observer.talk(Float64, "/setpoint")
+    until(lambda: setpoint.get_subscription_count() == 2, what="generator and recorder")
+    since = len(joints)
+    until(lambda: len(joints) > since + 200, what="a run that has begun")
+    setpoint.publish(Float64(data=5.0e-6))  # 50 V are asked for
+    until(lambda: abs(joints[-1].position[0] - 2.75e-6) < 1e-9, what="the stage where 30 V bring it")
+    since = len(joints)
+    until(lambda: len(joints) > since + 50, what="samples there")
+    assert up.leave(signal.SIGINT)[0] == 0, up.output
+    recorded = load_run(bag, further=True)
+    there = recorded["measured"] > 2.7e-6
+    assert np.count_nonzero(there) >= 50 and np.nanmax(recorded["voltage"]) == pytest.approx(30.0)
+    assert np.nanmedian(recorded["asked_voltage"][there]) == pytest.approx(50.0)
+    assert np.nanmean(recorded["saturated"][there]) > 0.8
+    assert "the output was limited" in up.output
 
 
 def test_the_rest_follows_setpoints_through_it_and_the_recording_goes_into_a_report(

@@ -85,8 +85,11 @@ def test_an_emergency_stop_is_latched_until_the_plant_is_started(steered, observ
     if how == "estop":
         steered.stop_at_once()
     else:
-        assert observer.trigger(f"/{PLANT}/stop").success
+        answer = observer.trigger(f"/{PLANT}/stop")
+        assert answer.success and answer.message == "stopped: the voltage goes to safe_voltage = 0 V"
     until(lambda: steered.now("tripped") != 0.0, what="the stop")
+    answer = observer.trigger(f"/{CONTROLLER}/start")
+    assert not answer.success and "the plant has stopped the axis" in answer.message
     steered.safe()
     steered.ask(4e-6)  # moves nothing
     seen = len(steered.states)
@@ -94,7 +97,9 @@ def test_an_emergency_stop_is_latched_until_the_plant_is_started(steered, observ
     steered.safe()
     assert steered.joints[-1].header.frame_id == "tripped"
     assert "emergency stop" in steered.run.output
-    assert observer.trigger(f"/{PLANT}/start").success
+    for node in (PLANT, CONTROLLER, COMPENSATOR):  # at once, before the next sample is shown
+        answer = observer.trigger(f"/{node}/start")
+        assert answer.success and answer.message == "running"
     steered.at(4e-6)
     steered.verified()
     run = load_run(steered.bag, further=True)

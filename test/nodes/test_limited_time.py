@@ -15,9 +15,9 @@ import pytest
 
 pytest.importorskip("rclpy", reason="rclpy is not installed: no nodes")
 
-from nodes_support import axis_parameters, compose  # noqa: E402
+from nodes_support import axis_parameters, compose, write_axis  # noqa: E402
 
-from hysteresis_ros.nodes.timing import AMPLIFIER, LimitedTime  # noqa: E402
+from hysteresis_ros.nodes.timing import AMPLIFIER, LimitedTime, limited_in_all  # noqa: E402
 from hysteresis_ros.signals import COMMAND, PLANT_VOLTAGE, VOLTAGE  # noqa: E402
 
 RATE = 100.0
@@ -105,3 +105,23 @@ def test_status_says_it_first():
     nodes[1].message = "voltage saturated"
     lines = list(_lines(AxisStatus("/left", nodes)))
     assert lines[1].split()[0] == "plant_simulator" and lines[2].endswith("warning: voltage saturated")
+
+
+def test_of_a_whole_run_more_than_a_moment_is_said():
+    assert limited_in_all({AMPLIFIER: 20}, 1000, 200.0) == ""
+    said = limited_in_all({"safe_slew_rate": 60, AMPLIFIER: 100}, 1000, 200.0)
+    assert said.startswith(f"output limited for 0.8 s of 5 s, by {AMPLIFIER} and safe_slew_rate: ")
+
+
+@pytest.mark.parametrize("how", ["--processes", "--composed", "--fused"])
+@pytest.mark.parametrize("cut", [True, False])
+def test_a_run_that_nobody_recorded_says_at_its_end_that_it_was_cut(processes, tmp_path, how, cut):
+    axis = axis_parameters(sample_rate=200.0, overrides={"plant_simulator": {"late_limit": -1}})
+    path = write_axis(tmp_path / "axis.yaml", axis)
+    slew = 100.0 if cut else 1e6  # a triangle of 10 Hz over some 60 V asks for 1200 V/s
+    overlay = tmp_path / "slew.yaml"
+    overlay.write_text(f"/**/hysteresis_compensator:\n  ros__parameters: {{limits: {{slew_rate: {slew}}}}}\n")
+    words = ["--reference", "triangle", "--frequency", "10", "--amplitude", "3e-6m", "--duration", "3"]
+    up = processes.command("up", path, "--params-file", str(overlay), how, *words)
+    assert up.wait(300.0) == 0, up.output  # fused may be compiled first
+    assert ("output limited for" in up.output and "what was asked did not leave" in up.output) == cut, up.output

@@ -11,8 +11,10 @@
 
 from __future__ import annotations
 
+import re
 import signal
 import time
+import urllib.request
 
 import pytest
 
@@ -50,7 +52,7 @@ class Graph:
         from sensor_msgs.msg import JointState
 
         self.path = write_axis(folder / "axis.yaml", axis_at(rate))
-        self.processes, self.observer = processes, observer
+        self.processes, self.observer, self.rate = processes, observer, rate
         self.states = observer.listen(JointState, "/plant_simulator/state")
         self.nodes = {name: processes.node(name, self.path) for name in NODES}
         self.until_at(SETPOINT)
@@ -65,7 +67,11 @@ class Graph:
         return int(self.states[-1].position[4])
 
     def until_at(self, place: float) -> None:
-        until(lambda: abs(self.place() - place) < 1e-8, what=f"the axis at {place:g} m")
+        try:
+            until(lambda: abs(self.place() - place) < 1e-8, what=f"the axis at {place:g} m")
+        except AssertionError as error:
+            said = "\n".join(f"{name}:\n{node.output}" for name, node in self.nodes.items())
+            raise AssertionError(f"{error}\n{said}") from None
 
     def more(self, samples: int) -> None:
         since = len(self.states)
@@ -77,11 +83,20 @@ class Graph:
         until(lambda: time.monotonic() > begun + STARTING + 0.5, what="the nodes to be at work")
         self.more(AT_WORK)
 
+    def be_patient(self) -> None:
+        """Let no part go to safe when a machine that starts further processes stands still for a while."""
+        waits = {"plant_simulator": "voltage", "hysteresis_compensator": "command", "motion_controller": "measurement"}
+        for node, what in waits.items():
+            assert self.observer.set_parameters(f"/{node}", **{f"{what}_timeout": 20.0}) == (True, "")
+
     def until_safe(self) -> None:
         until(lambda: self.tripped() and abs(self.voltage()) < 0.01, what="the axis stopped, and its voltage safe")
 
     def start(self):
-        return self.observer.trigger("/plant_simulator/start")
+        return self.start_of("plant_simulator")
+
+    def start_of(self, node: str):
+        return self.observer.trigger(f"/{node}/start")
 
 
 @pytest.fixture
@@ -104,6 +119,43 @@ def test_a_killed_node_stops_the_axis_until_a_person_starts_it(graph, victim):
     if victim == "reference_generator":  # it stays where it found the axis until it is asked
         # the sample after the start says to it that the axis goes on
         until(lambda: graph.observer.trigger("/reference_generator/start").success, what="that it works")
+    graph.until_at(SETPOINT)
+
+
+@pytest.mark.parametrize("graph", [10.0, 200.0], indirect=True)
+@pytest.mark.parametrize("victim", NODES)
+def test_a_node_killed_as_soon_as_the_axis_runs_stops_it_too(graph, victim):
+    """In the time in which nodes start silence has to last longer; it is a loss for that."""
+    graph.nodes[victim].kill()
+    others = [graph.nodes[name] for name in NODES if name != victim]
+    until(lambda: any(f"{victim} is lost" in other.output for other in others), what="the loss")
+    if victim != "plant_simulator":
+        graph.until_safe()
+        assert graph.tripped() == PARTNER_LOST and not graph.start().success
+    graph.states.clear()
+    graph.nodes[victim] = graph.processes.node(victim, graph.path)
+    until(lambda: graph.states and graph.tripped(), what="the axis stopped")
+    until(lambda: "active" in graph.nodes[victim].output, what="the restarted node")
+    graph.more(20)
+    assert graph.tripped() and max(abs(state.position[2]) for state in graph.states) < 0.01
+    until(lambda: graph.start().success, what="the start")
+
+
+@pytest.mark.parametrize("graph", [10.0], indirect=True)
+@pytest.mark.parametrize("victim", ["motion_controller", "hysteresis_compensator"])
+def test_a_node_that_is_back_before_its_silence_was_noticed_was_lost(graph, victim):
+    """At most as long as nodes start: what comes from another process of it is no continuation."""
+    began = len(graph.states)
+    graph.nodes[victim].kill()
+    graph.nodes[victim] = graph.processes.node(victim, graph.path)
+    graph.until_safe()
+    until(lambda: "active" in graph.nodes[victim].output, what="the restarted node")
+    graph.more(20)
+    assert graph.tripped() == PARTNER_LOST and abs(graph.voltage()) < 0.01
+    stopped = next(number for number, state in enumerate(graph.states[began:]) if state.position[4])
+    held = [state.position[2] for state in graph.states[began + stopped :]]
+    assert all(abs(after) <= abs(before) + 1e-9 for before, after in zip(held[:-1], held[1:], strict=True))
+    until(lambda: graph.start().success, what="the start")
     graph.until_at(SETPOINT)
 
 
@@ -163,9 +215,10 @@ def test_a_pause_of_the_controller_gives_the_axis_to_nobody(graph, domain, pause
 
 
 @pytest.mark.parametrize("graph", [10.0, 200.0], indirect=True)
-@pytest.mark.parametrize("joining", ["recorder", "second observer", "motion_controller"])
+@pytest.mark.parametrize("joining", ["recorder", "second observer", "page", "motion_controller"])
 def test_a_node_that_joins_costs_no_sample(graph, domain, tmp_path, joining):
     """Stamps count the samples: all periods between them are one, but for what a busy machine loses by itself."""
+    graph.be_patient()
     graph.at_work()
     since = len(graph.states)
     other = None
@@ -173,6 +226,11 @@ def test_a_node_that_joins_costs_no_sample(graph, domain, tmp_path, joining):
         other = Observer(domain)
         heard = other.listen(*state_topic())
         until(lambda: heard, what="the second observer")
+    elif joining == "page":
+        page = graph.processes.command("watch", "--port", "0", "--folder", str(tmp_path))
+        address = until(lambda: re.search(r"http://\S+(?=/)", page.output), what="the page")[0]
+        until(lambda: "html" in urllib.request.urlopen(address, timeout=10.0).read().decode(), what="its text")
+        until(lambda: graph.observer.node.count_subscribers("/plant_simulator/state") > 1, what="that the page listens")
     elif joining == "recorder":
         graph.processes.node("recorder", graph.path, "-p", f"path:={tmp_path / 'bag'}")
         until(lambda: (tmp_path / "bag").exists(), what="the recorder")
@@ -184,15 +242,92 @@ def test_a_node_that_joins_costs_no_sample(graph, domain, tmp_path, joining):
     if other is not None:
         other.close()
     assert longest_gap(graph.states[since - 1 :]) < 0.3
-    if joining != "motion_controller":
+    if joining != "motion_controller":  # of an axis at rest the voltage does not change at all
         assert max(abs(state.position[0] - SETPOINT) for state in graph.states[since:]) < 1e-8
+        assert max(abs(state.position[2] - 60.0) for state in graph.states[since:]) < 0.1
     graph.until_at(SETPOINT)
+
+
+@pytest.mark.parametrize("graph", [10.0, 200.0], indirect=True)
+def test_a_node_that_joins_a_moving_axis_makes_no_larger_step_of_its_voltage(graph, domain, tmp_path):
+    """The path asks for 12 V/s, the limit is 24 V/s: a sample that waits makes up for it at no more than that."""
+    graph.be_patient()
+    for node in ("hysteresis_compensator", "plant_simulator"):
+        assert graph.observer.set_parameters(f"/{node}", limits__slew_rate=24.0, safe_slew_rate=24.0) == (True, "")
+    ways = {"waveform__type": "triangle", "waveform__amplitude": 1.2e-6, "waveform__frequency": 0.25}
+    assert graph.observer.trigger("/reference_generator/stop").success
+    assert graph.observer.set_parameters("/reference_generator", **ways) == (True, "")
+    assert graph.start_of("reference_generator").success
+    until(lambda: abs(graph.place() - SETPOINT) > 5e-7, what="an axis that moves")
+    since = len(graph.states)
+    other = Observer(domain)
+    heard = other.listen(*state_topic())
+    graph.processes.node("recorder", graph.path, "-p", f"path:={tmp_path / 'bag'}")
+    until(lambda: heard and (tmp_path / "bag").exists(), what="both")
+    graph.more(20)
+    other.close()
+    states = graph.states[since:]
+    limits = axis_at(graph.rate).plant_simulator.limits
+    bit = (limits.maximum - limits.minimum) / (2**limits.bits - 1) if limits.bits else 0.0
+    for before, after in zip(states[:-1], states[1:], strict=True):
+        allowed = bit + 24.0 * max(stamp_of(after) - stamp_of(before), 1.0 / graph.rate)
+        assert abs(after.position[2] - before.position[2]) <= allowed * (1.0 + 1e-6)
+    assert longest_gap(states) < 0.3 and not graph.tripped()
+    assert max(state.position[2] for state in states) - min(state.position[2] for state in states) > 1.0, "it moved"
+
+
+@pytest.mark.parametrize("graph", [10.0], indirect=True)
+def test_services_answer_what_has_happened_also_between_two_samples(graph):
+    from std_msgs.msg import Bool
+
+    estop = graph.observer.talk(Bool, "/estop")
+    until(lambda: estop.get_subscription_count() > 0, what="the plant at estop")
+    for _ in range(3):
+        estop.publish(Bool(data=True))
+        graph.until_safe()
+        until(lambda: not graph.start_of("motion_controller").success, what="a controller that knows it")
+        assert "the plant has stopped the axis" in graph.start_of("reference_generator").message
+        assert graph.start().success
+        for node in NODES[1:]:  # their next sample comes 0.1 s later at the earliest
+            answer = graph.start_of(node)
+            assert answer.success and answer.message == "running", f"{node}: {answer.message}"
+        graph.until_at(SETPOINT)
+    trigger = graph.observer.trigger
+    assert trigger("/hysteresis_compensator/stop").message == "stopped: the voltage goes to safe_voltage = 0 V"
+    until(lambda: abs(graph.voltage()) < 1e-9, what="the safe voltage")
+    assert trigger("/hysteresis_compensator/stop").message == "stopped"
+    assert trigger("/hysteresis_compensator/reset").message == "reset; stopped: ~/start lets it go on"
+    assert trigger("/hysteresis_compensator/start").message == "running"
+    graph.until_at(SETPOINT)
+    assert trigger("/motion_controller/stop").message == "stopped: the command goes to safe_command = 0 m"
+    assert trigger("/motion_controller/start").message == "running"
+    graph.until_at(SETPOINT)
+    stopped = trigger("/plant_simulator/stop")
+    assert stopped.success and stopped.message == "stopped: no samples are made, and the voltage stays at 60 V"
+    assert trigger("/plant_simulator/start").message == "running"
+    graph.more(3)
+
+
+@pytest.mark.parametrize("graph", [10.0], indirect=True)
+def test_a_reset_says_that_a_partner_is_still_lost(graph):
+    graph.at_work()
+    graph.nodes["motion_controller"].kill()
+    graph.until_safe()
+    answer = graph.observer.trigger("/plant_simulator/reset")
+    assert answer.message == (
+        "reset; before it did not work: /motion_controller is lost; if that is still so, it does not now"
+    )
+    graph.until_safe()
 
 
 def longest_gap(states) -> float:
     """Return the longest time between two samples, by their stamps [s]."""
-    stamps = [state.header.stamp.sec + 1e-9 * state.header.stamp.nanosec for state in states]
+    stamps = [stamp_of(state) for state in states]
     return max(after - before for before, after in zip(stamps[:-1], stamps[1:], strict=True))
+
+
+def stamp_of(state) -> float:
+    return state.header.stamp.sec + 1e-9 * state.header.stamp.nanosec
 
 
 def command_topic():

@@ -51,6 +51,8 @@ class FakeNode:
     def __init__(self):
         self.names = {OURS: "compensator", THEIRS: "stranger"}
         self.publishers, self.warned, self.told, self.loop_topics, self._reported = 2, [], [], [], {}
+        self.replaced = []
+        self.runner = SimpleNamespace(replaced=lambda topic, name: self.replaced.append((topic, name)))
 
     def resolve_topic_name(self, topic):
         return f"/{topic}"
@@ -114,7 +116,7 @@ def test_a_silent_publisher_gives_its_input_to_nobody_else_before_a_person_allow
     pass_time(led, 0.1)
     led.master.take(2.0, THEIRS)
     assert led.taken[-1] == 2.0 and "/voltage is taken from /stranger now" in led.node.told[0]
-    assert "allowed by ~/reset" in led.node.told[0]
+    assert "allowed by ~/reset" in led.node.told[0] and not led.node.replaced
     led.master.take(1.0, OURS)  # now it is the second one
     assert led.taken[-1] == 2.0
 
@@ -129,6 +131,7 @@ def test_the_same_node_restarted_follows_a_silent_one(led):
         led.master.take(3.0, again)
     assert led.taken[0] == 1.0 and set(led.taken[1:]) == {3.0}
     assert "is the same node" in led.node.told[0]
+    assert led.node.replaced == [("/voltage", "/compensator")]  # the runner hears of it: the first one may be lost
 
 
 @pytest.mark.parametrize("known", ["at once", "later"])

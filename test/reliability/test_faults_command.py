@@ -12,6 +12,7 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 import subprocess
 import sys
 
@@ -44,6 +45,13 @@ def test_wrong_input_is_refused_in_one_line(words, expected):
     assert expected in result.output
 
 
+def test_the_loss_of_a_node_is_tried_at_three_rates_by_default():
+    output = run("--list", "--only", "Processes").output
+    for node in ("motion_controller", "hysteresis_compensator", "reference_generator"):
+        for rate in (10, 200, 3000):
+            assert f"lose {node} at {rate} Hz [processes]: SIGKILL at {rate} Hz" in output
+
+
 def test_what_would_be_done_is_listed():
     result = run("--list", "--only", "Machine")
     assert result.exit_code == 0
@@ -61,3 +69,14 @@ def test_a_stopped_process_is_judged_and_written_down(tmp_path):
     assert "4 mishaps: all held" in done.stdout and "Traceback" not in done.stderr
     row = next(row for row in page.read_text(encoding="utf-8").splitlines() if row.startswith("| **stop all**"))
     assert "| held: " in row and "step 1.00" in row and "back after" in row
+
+
+@pytest.mark.skipif(importlib.util.find_spec("rclpy") is None, reason="rclpy is not installed: no nodes")
+def test_a_node_is_lost_at_the_rate_that_was_asked_for(tmp_path):
+    figures = tmp_path / "figures.json"
+    words = ["--ways", "processes", "--only", "kill motion_controller", "--rate", "10", "--json", str(figures)]
+    command = [sys.executable, "-m", "hysteresis_ros.cli.main", "faults", *words]
+    done = subprocess.run(command, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "1 mishaps: all held" in done.stdout and "it trips, and goes on with ~/start" in done.stdout
+    assert json.loads(figures.read_text(encoding="utf-8"))["config"] == "picma_stage at 10 Hz"

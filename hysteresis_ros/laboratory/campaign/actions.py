@@ -33,7 +33,9 @@ from hysteresis_ros.laboratory.campaign.judging import SLACK, Bounds
 from hysteresis_ros.laboratory.campaign.mishaps import FUSED, Mishap
 from hysteresis_ros.laboratory.campaign.rig import AXIS, RECORDER, ROOM, START, Clock, Device, Group, Rig
 from hysteresis_ros.loop.parameters import AxisParameters
+from hysteresis_ros.loop.plant import PARTNER_LOST
 from hysteresis_ros.nodes.launcher import node_environment, started
+from hysteresis_ros.nodes.realtime import STARTING
 from hysteresis_ros.recordings.align import read_recording
 
 #: Part of the stroke by which an axis that nobody asks may creep.
@@ -57,6 +59,19 @@ def kill(rig: Rig, mishap: Mishap, amount: float) -> None:
         moved = rig.witness.displacement - place
         if abs(moved) > UNASKED * rig.bounds.stroke and not rig.witness.tripped:
             rig.broken.append(f"started again, it sends the axis by {1e6 * moved:.2g} µm unasked")
+
+
+def lose(rig: Rig, mishap: Mishap, amount: float) -> None:
+    """Kill a process hard: the axis must be stopped, and stay so when the process is started again."""
+    witness, patience = rig.witness, rig.bounds.timeouts[mishap.safe] + STARTING
+    rig.group.send(mishap.victim, signal.SIGKILL)
+    time.sleep(rig.bounds.timeouts[mishap.safe] + SLACK)
+    if not witness.until(lambda: witness.tripped == PARTNER_LOST, patience):
+        rig.broken.append(f"the axis is not stopped, latched, {patience:.2g} s after its voltage had to be safe")
+    _again(rig, (mishap.victim,))
+    time.sleep(SLACK)
+    if witness.tripped != PARTNER_LOST:
+        rig.broken.append("the axis went on without ~/start when the node was started again")
 
 
 def stop(rig: Rig, mishap: Mishap, amount: float) -> None:
@@ -345,6 +360,7 @@ def anything(rig: Rig, mishap: Mishap, amount: float) -> None:
 #: Each is called with the rig, the mishap and the amount.
 ACTIONS = {
     "kill": kill,
+    "lose": lose,
     "stop": stop,
     "flood": flood,
     "second sender": second_sender,

@@ -11,6 +11,7 @@
 
 from __future__ import annotations
 
+import itertools
 import pathlib
 
 import click
@@ -29,7 +30,7 @@ from hysteresis_ros.cli.options import ConfigurationName
     type=click.FloatRange(1.0, 1e5),
     default=None,
     metavar="HZ",
-    help="Sample rate in the place of the file's; losses of nodes are the same at 10, 200 and 3000.",
+    help="Sample rate in the place of the file's; nodes are lost at 10, 200 and 3000 Hz besides.",
 )
 @click.option("--list", "listed", is_flag=True, help="Print what would be done, and do nothing.")
 @click.option("-o", "output", type=click.Path(path_type=pathlib.Path), help="Page (Markdown) for it all.")
@@ -61,9 +62,9 @@ def faults(config, ways, only, rounds, seed, rate, listed, output, figures, add)
     from hysteresis_ros.laboratory.campaign.judging import at_rate, prepared
     from hysteresis_ros.nodes.launcher import run_apart
 
-    configuration = at_rate(load_configuration(config), rate or 0.0)
-    for way in wanted:
-        prepared(configuration, way, "/faults")
+    configuration = load_configuration(config)
+    for way, tried in itertools.product(wanted, {mishap.rate or rate or 0.0 for mishap in mishaps}):
+        prepared(at_rate(configuration, tried), way, "/faults")
     request = {"config": config, "ways": wanted, "only": [mishap.name for mishap in mishaps]}
     request |= {"rounds": rounds, "seed": seed, "rate": rate or 0.0, "add": [str(path.absolute()) for path in add]}
     files = {"output": output, "json": figures}

@@ -56,6 +56,7 @@ class Mishap:
     #: Of :data:`hysteresis_ros.loop.faults.FAULTS`: who does it where the nodes are fused; empty: the action, too.
     fault: str = ""
     graph: str = ""  #: Of :data:`GRAPHS`, or empty; a mishap shares its axis only with others of the same.
+    rate: float = 0.0  #: Sample rate [Hz] at which it is done; 0: that of the campaign.
 
 
 def chosen_ways(text: str) -> list[str]:
@@ -80,6 +81,9 @@ _KILLED = {
     "plant_simulator": ("", ""),
     "reference_generator": ("", "started again, it sends the axis nowhere unasked"),
 }
+#: What is lost at each of these sample rates [Hz], and whose time-out makes the voltage safe.
+_LOST = {"motion_controller": COMMAND, "hysteresis_compensator": VOLTAGE, "reference_generator": MEASUREMENT}
+LOSS_RATES = (10.0, 200.0, 3000.0)
 #: [s]
 STOPPED = (0.05, 0.3, 1.0, 3.0)
 
@@ -110,6 +114,20 @@ def _of_processes():
             ways=(PROCESSES,),
             elsewhere=ONE_PROCESS,
         )
+    for rate in LOSS_RATES:
+        for node, safe in _LOST.items():
+            yield Mishap(
+                f"lose {node} at {rate:g} Hz",
+                "Processes",
+                f"SIGKILL at {rate:g} Hz; started again when the axis has stopped",
+                "the axis is stopped, latched, and the node that is started again moves nothing before ~/start",
+                "lose",
+                node,
+                ways=(PROCESSES,),
+                elsewhere=ONE_PROCESS,
+                safe=safe,
+                rate=rate,
+            )
     yield Mishap(
         "kill all",
         "Processes",

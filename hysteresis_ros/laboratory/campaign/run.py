@@ -11,6 +11,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import os
 import pathlib
@@ -38,16 +39,18 @@ class Campaign:
     rounds: int  #: How often each is done, at other moments.
     seed: int  #: Of the moments.
     folder: pathlib.Path  #: For files that are not kept.
-    rate: float = 0.0  #: Sample rate [Hz]; 0: that of the configuration.
+    rate: float = 0.0  #: Sample rate [Hz] of mishaps that have none of their own; 0: that of the configuration.
 
     def run(self, tell: Callable[[Verdict], None]) -> list[Verdict]:
         """Do it all; return what came of it."""
         found: list[Verdict] = []
-        for way in self.ways:
-            configuration = at_rate(load_configuration(self.config), self.rate)
-            axis = prepared(configuration, way, f"/faults_{os.getpid()}_{way}")
-            mishaps = [mishap for mishap in self.mishaps if way in mishap.ways]
-            series = _Series(axis, way, self.config, self.folder, np.random.default_rng(self.seed))
+        rates = dict.fromkeys(mishap.rate or self.rate for mishap in self.mishaps)
+        for way, rate in itertools.product(self.ways, rates):
+            mishaps = [one for one in self.mishaps if way in one.ways and (one.rate or self.rate) == rate]
+            if not mishaps:
+                continue
+            axis = prepared(at_rate(load_configuration(self.config), rate), way, f"/faults_{os.getpid()}_{way}")
+            series = _Series(axis, way, self.config, self.folder / f"{rate:g}", np.random.default_rng(self.seed))
             for verdict in series.of(mishaps, self.rounds):
                 tell(verdict)
                 found.append(verdict)
@@ -106,7 +109,7 @@ class _Series:
         """Start an axis with what a mishap needs."""
         self._rigs += 1
         folder, axis, options = self._folder / f"{self._way}{self._rigs}", self._axis, {}
-        folder.mkdir()
+        folder.mkdir(parents=True)
         if mishap.fault and self._way == FUSED:
             axis = scheduled(axis, mishap, amount, self._bounds)
         elif mishap.graph == RELAY:
