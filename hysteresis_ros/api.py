@@ -196,7 +196,18 @@ class DesignedFile:  # numpydoc ignore=PR02
         return "\n".join(self.lines)
 
     def save(self, path: str | os.PathLike[str]) -> None:
-        """Write the parameter file whole or not at all."""
+        """Write the parameter file whole or not at all.
+
+        Parameters
+        ----------
+        path : path-like
+            A ``.yaml`` file.
+
+        Raises
+        ------
+        HysteresisError
+            It cannot be written.
+        """
         write_file(path, self.text)
 
 

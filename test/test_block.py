@@ -26,7 +26,7 @@ from hysteresis_ros.models.block import Block, compiled, composite, interpreted,
 if block.COMPILED:
     from numba.core import event
 
-PACKAGE = pathlib.Path(block.__file__).parent
+PACKAGE = pathlib.Path(block.__file__).parents[1]
 
 
 @kernel
@@ -183,7 +183,7 @@ def test_everything_runs_without_numba():
     code = """
 import sys
 sys.modules["numba"] = None
-from hysteresis_ros import block
+from hysteresis_ros.models import block
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.loop.reach import single_axis
 from hysteresis_ros.loop.simulation import simulate

@@ -101,7 +101,7 @@ def test_compiled_for_another_processor_functions_are_the_same_bits(tmp_path):
     # Numba compiles for the processor it is on; a generic one has no vector extensions and no fused multiply-add
     script = """
 import numpy as np
-from hysteresis_ros import elementary
+from hysteresis_ros.models import elementary
 x = np.linspace(-6.0, 6.0, 2001)
 for name in ("sin", "cos", "exp", "expm1", "log", "log1p", "tanh"):
     print([getattr(elementary, name)(value) for value in x.tolist()])

@@ -10,7 +10,7 @@
 """What a driver is: five methods between an axis and a device, its declaration, and the steps of taking a device.
 
 The package keeps the time. Once a sample it reads the positions and, when the sample is over, writes the voltages that
-are held until the next one. It watches over them (:mod:`hysteresis_ros.loop.driven`) and never calls two methods at a
+are held until the next one. It watches over them (:mod:`hysteresis_ros.loop.device`) and never calls two methods at a
 time; a method returns within a small part of a sample.
 """
 

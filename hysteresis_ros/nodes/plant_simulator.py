@@ -10,7 +10,7 @@
 """Node ``plant_simulator``: ``voltage`` [V] → ``joint_states``; it owns the time of the axis.
 
 What it simulates is a part of the loop (:mod:`hysteresis_ros.loop.plant`): an inchworm has three voltages and four
-joints. With a driver a device takes its place (:mod:`hysteresis_ros.loop.driven`). Its runner decides when a sample
+joints. With a driver a device takes its place (:mod:`hysteresis_ros.loop.device`). Its runner decides when a sample
 is processed (:mod:`hysteresis_ros.nodes.plant_runners`).
 """
 

@@ -257,6 +257,6 @@ def test_designed_gains_need_no_scipy(tmp_path):
     )
     import hysteresis_ros.models.block
 
-    root = os.path.dirname(os.path.dirname(hysteresis_ros.models.block.__file__))
+    root = os.path.dirname(os.path.dirname(os.path.dirname(hysteresis_ros.models.block.__file__)))
     environment = os.environ | {"PYTHONPATH": root, "NUMBA_DISABLE_JIT": "1"}
     assert subprocess.run([sys.executable, "-c", script], env=environment, cwd=tmp_path).returncode == 0

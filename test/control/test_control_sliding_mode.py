@@ -268,7 +268,7 @@ def test_compiled_and_interpreted_controllers_give_the_same_bits(parameters, mod
         | {"kalman.disturbance": "ramp", "kalman.L": ramp_gain},
     ]
     given = json.dumps([parameters(case).to_mapping() for case in cases])
-    root = os.path.dirname(os.path.dirname(hysteresis_ros.models.block.__file__))
+    root = os.path.dirname(os.path.dirname(os.path.dirname(hysteresis_ros.models.block.__file__)))
     outputs = [
         subprocess.run(
             [sys.executable, "-c", SCRIPT],

@@ -10,7 +10,7 @@
 """The controllers and compensators that are compared, each designed on what is known of an axis: its models alone.
 
 Designs take :class:`Known`. It is made of a configuration, of which the plant's section is left out, and no plant that
-was drawn (:mod:`hysteresis_ros.laboratory.comparison.plants`) fits into it.
+was drawn (:mod:`hysteresis_ros.laboratory.comparison.tasks`) fits into it.
 """
 
 from __future__ import annotations
