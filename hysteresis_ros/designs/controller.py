@@ -312,9 +312,10 @@ def design_axis(
     first, robust = _gains(control, request, sample_time, quiet, around)
     tuned = None
     if request.criterion:
-        tuned = _tuned(axis, first.parameters, request)
+        tuned = _tuned(axis, first.parameters, request, request.criterion)
         law, _ = design_of(request.controller)
-        final = replace(first.parameters, **{law.name: tuned.gains})
+        gains: dict = {law.name: tuned.gains}
+        final = replace(first.parameters, **gains)
         first = Designed(final, margins(final, sample_time))
     found = certain_design(first, design, request, response, sample_time)
     damped = None
@@ -342,13 +343,13 @@ def _gains(
     return design_gains(control, name, sample_time, request.bandwidth, q, aimed=aimed, plants=plants), None
 
 
-def _tuned(axis: AxisParameters, parameters: ControllerParameters, request: DesignRequest) -> Tuned:
+def _tuned(axis: AxisParameters, parameters: ControllerParameters, request: DesignRequest, criterion: str) -> Tuned:
     """Return gains tuned on the waveform of the axis, from those of a design on."""
     law, _ = design_of(request.controller)
     start = getattr(parameters, law.name)
     changed = {"feedforward": parameters.feedforward, "damping": parameters.damping, law.name: start}
     fed = replace(axis, motion_controller=replace(axis.motion_controller, type=law.name, **changed))
-    return tune(fed, law.name, request.criterion, start=start, duration=request.duration)
+    return tune(fed, law.name, criterion, start=start, duration=request.duration)
 
 
 def _check_request(axis: AxisParameters, request: DesignRequest) -> None:

@@ -94,7 +94,7 @@ def response_run(
         )
     rate, limits = axis.plant_simulator.sample_rate, axis.hysteresis_compensator.limits
     gain = hysteresis_block(axis.hysteresis_compensator.hysteresis, 1.0 / rate).gain if place == "voltage" else 1.0
-    generator = axis.reference_generator
+    generator = axis.generator
     ends = (limits.minimum, limits.maximum) if place == "voltage" else (generator.minimum, generator.maximum)
     shape = _prefilter(axis, 1.0 / rate) if (asked.loop, place) == ("closed", "command") else None
     unit = "V" if place == "voltage" else "m"

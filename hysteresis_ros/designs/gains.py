@@ -48,7 +48,7 @@ from hysteresis_ros.models.sensor import ForceSensorParameters, SensorParameters
 class Designed:
     """A design: parameters with gains, and what they are worth on the model."""
 
-    parameters: object
+    parameters: ControllerParameters
     margins: Margins
 
 
@@ -259,7 +259,7 @@ def _setpoints(axis: Axis, parameters: AxisParameters, duration: float | None) -
     samples = axis.default_samples() if duration is None else parameters.plant_simulator.samples
     if samples < 2:
         raise ConfigurationError("the waveform has no end (samples: 0): say how long to simulate with --duration S")
-    return np.full(samples, parameters.reference_generator.initial_setpoint)
+    return np.full(samples, parameters.generator.initial_setpoint)
 
 
 def _error(signals: dict, control: ControllerParameters) -> np.ndarray:
@@ -290,6 +290,8 @@ def tune(
     if duration is not None:
         parameters = parameters.with_duration(duration)
     tuning = LAWS[kind].tuning
+    if tuning is None:
+        raise ConfigurationError(f"{kind}: has no gains that are tuned on a criterion")
     required = required or tuning.required
     first = start or getattr(tuning.start(control.before_damping(sample_time), sample_time), kind)
 
@@ -309,7 +311,7 @@ def tune(
     def cost(values) -> float:
         candidate = with_gains(control, gains(values))
         own = candidate.before_damping(sample_time)
-        if not judge(*tuning.loop(own, sample_time), sample_time).meets(required):
+        if not judge(*tuning.loop(own, sample_time), sample_time=sample_time).meets(required):
             return np.inf
         try:
             axis.controller.install(controller_block(candidate, sample_time))

@@ -748,6 +748,27 @@ class AxisParameters:
             )
         return replace(changed, reference_generator=replace(self.reference_generator, samples=samples))
 
+    @property
+    def generator(self) -> ReferenceNodeParameters:
+        """Parameters of the reference generator, for what needs one; raises ConfigurationError where there is none."""
+        if self.reference_generator is None:
+            raise ConfigurationError("an inchworm motor has no reference_generator: its sequencer is the source")
+        return self.reference_generator
+
+    @property
+    def sequencer(self) -> InchwormSequencerNodeParameters:
+        """Parameters of the sequencer, for what needs one; raises ConfigurationError where there is none."""
+        if self.inchworm_sequencer is None:
+            raise ConfigurationError("the axis has no inchworm_sequencer: it is not an inchworm motor")
+        return self.inchworm_sequencer
+
+    @property
+    def camera(self) -> DisplacementCameraNodeParameters:
+        """Parameters of the camera, for what needs one; raises ConfigurationError where there is none."""
+        if self.displacement_camera is None:
+            raise ConfigurationError("the axis has no displacement_camera: its plant gives the measurement")
+        return self.displacement_camera
+
     def with_recorder(self, path: str) -> AxisParameters:
         """Return the same axis, which begins when its recorder is there."""
         plant, source = self.plant_simulator, self.reference_generator
