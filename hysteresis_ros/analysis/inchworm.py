@@ -21,7 +21,7 @@ from hysteresis_ros.errors import HysteresisError, RecordingError
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.provenance import configured, described
 from hysteresis_ros.references import inchworm_layout as at
-from hysteresis_ros.references.inchworm_parameters import InchwormSequencerParameters
+from hysteresis_ros.references.inchworm_parameters import GaitParameters, InchwormSequencerParameters
 from hysteresis_ros.signals import MOTOR_SOURCE as SEQUENCER
 
 #: What a run needs beside ``setpoint`` and ``displacement`` (or ``measured``): signals of the sequencer.
@@ -84,7 +84,7 @@ class InchwormRun:
     signals: dict  #: shape (N,); All signals.
     steps: Steps
     moves: tuple
-    gait: object  #: Of the configuration.
+    gait: GaitParameters | None  #: Of the configuration.
     tolerance: float  #: Distance at which the motor has arrived [m].
     notes: tuple  #: What a reader must know.
 
@@ -129,8 +129,10 @@ def find_steps(time, signals) -> Steps:
         index,
         time[index],
         np.sign(signals["steps"][index] - signals["steps"][index - 1]),
-        *(signals[name][index] for name in ("step_commanded", "step_achieved", "slip")),
-        signals["missed"][index] > signals["missed"][index - 1],
+        commanded=signals["step_commanded"][index],
+        achieved=signals["step_achieved"][index],
+        slip=signals["slip"][index],
+        missed=signals["missed"][index] > signals["missed"][index - 1],
     )
 
 
@@ -148,7 +150,8 @@ def find_moves(signals, slider, tolerance: float, home: float | None = None) -> 
     changed = (np.diff(setpoint) != 0.0) | (np.diff(speed) != 0.0) | (request[1:] != 0.0)
     starts = [0, *(np.flatnonzero(changed) + 1).tolist()]
     modes = {at.STOP_REQUEST: "stop", at.RELEASE_REQUEST: "release"}
-    mode, goal, found = "move", float(setpoint[0]), []
+    mode, found = "move", []
+    goal: float | None = float(setpoint[0])
     for first, last in zip(starts, [*starts[1:], size], strict=True):
         asked = int(request[first])
         if first and setpoint[first] != setpoint[first - 1]:
@@ -162,7 +165,7 @@ def find_moves(signals, slider, tolerance: float, home: float | None = None) -> 
         kind = mode
         if mode == "move":
             kind = "walk" if speed[first] != 0.0 else "hold" if goal is None else "move"
-        if first == 0 and kind == "move" and abs(goal - slider[0]) <= tolerance:
+        if first == 0 and kind == "move" and goal is not None and abs(goal - slider[0]) <= tolerance:
             continue
         aim = goal if kind == "move" else None
         found.append(Move(first, last, kind, aim, None if aim is None else _arrival(signals["arrived"], first, last)))
@@ -346,13 +349,14 @@ def _outcome(run: InchwormRun, move: Move) -> str:
 
 
 def _walking(run: InchwormRun, steps: Steps) -> dict:
-    found = {"walking_speed_m_s": None, "walking_speed_percent": None}
+    found: dict[str, float | None] = {"walking_speed_m_s": None, "walking_speed_percent": None}
     full = steps.index[steps.extension >= FULL_PART * np.median(steps.extension)] if steps.index.size else steps.index
     if full.size > 1:
         moved = abs(float(run.slider[full[-1]] - run.slider[full[0]]))
-        found["walking_speed_m_s"] = moved / float(run.time[full[-1]] - run.time[full[0]])
+        speed = moved / float(run.time[full[-1]] - run.time[full[0]])
+        found["walking_speed_m_s"] = speed
         if run.gait is not None:
-            found["walking_speed_percent"] = 100.0 * found["walking_speed_m_s"] / run.gait.speed
+            found["walking_speed_percent"] = 100.0 * speed / run.gait.speed
     return found
 
 

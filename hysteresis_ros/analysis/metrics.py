@@ -235,7 +235,7 @@ def compute_metrics(recording: Recording, settings: AxisSettings | None = None, 
     good = np.isfinite(reference) & np.isfinite(displacement)
     if not np.any(good):
         raise RecordingError("no sample of the recording has both reference and displacement")
-    figures = {name: None for name, *_ in FIGURES}
+    figures: dict = {name: None for name, *_ in FIGURES}
     off = stopped(recording)[good]
     time, reference, displacement = time[good], reference[good], displacement[good]
     found = find_parts(reference, displacement, off)
@@ -249,7 +249,8 @@ def compute_metrics(recording: Recording, settings: AxisSettings | None = None, 
         lost = float(np.sum(np.diff(time)[off[1:]]))
         text = f"errors, steps and loops do not count {lost:.4g} s of shutdown: the axis was stopped"
         notes["recording"] = [*notes["recording"], text]
-    figures.update(chattering_figures(time, reference, *_signals(recording, good), notes))
+    command, voltage = _signals(recording, good)
+    figures.update(chattering_figures(time, reference, command, voltage, notes))
     figures["saturated_percent"] = _saturated(recording, notes)
     figures.update(sampling_figures(recording, notes))
     figures = {name: _plain(value) for name, value in figures.items()} | {"notes": notes}
@@ -303,7 +304,7 @@ def actual_name(recording: Recording) -> str:
 
 def _without_reference(recording: Recording, displacement, notes: dict) -> dict:
     """Return what there is to say of a run whose reference nobody knows, as of identification."""
-    figures = {name: None for name, *_ in FIGURES}
+    figures: dict = {name: None for name, *_ in FIGURES}
     notes["recording"] = [*notes["recording"], "no reference in the recording: nothing says how far off the axis was"]
     for name in figures:
         if "error" in name or name in ("iae_m_s", "overshoot_percent", "settling_time_s", "loop_width_percent"):

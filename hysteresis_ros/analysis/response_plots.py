@@ -48,10 +48,10 @@ def response_figures(found: Shown) -> list[tuple[str, object]]:
     figures = [("Frequency response", figure)]
     if found.loop is not None:
         figure, (axis,) = new_figure(3.8)
-        _sensitivities(axis, found)
+        _sensitivities(axis, found.loop, found.model_loop)
         figures.append(("Sensitivity and complementary sensitivity", figure))
         figure, (axis,) = new_figure(6.0)
-        _nyquist(axis, found)
+        _nyquist(axis, found.loop, found.model_loop)
         figures.append(("Nyquist", figure))
     return figures
 
@@ -69,13 +69,14 @@ def write_response_picture(path, found: Shown) -> None:
     """Write all plots as one picture."""
     require_picture(path)
     rows = _rows(found)
-    looped = found.loop is not None
+    loop = found.loop
+    looped = loop is not None
     figure, axes = new_figure(3.2 * rows + (9.2 if looped else 0.0), rows=rows + 2 * looped)
     _bode(axes[:rows], found)
-    if looped:
+    if loop is not None:
         axes[0].get_gridspec().set_height_ratios([1.0] * (rows + 1) + [2.0])
-        _sensitivities(axes[rows], found)
-        _nyquist(axes[rows + 1], found)
+        _sensitivities(axes[rows], loop, found.model_loop)
+        _nyquist(axes[rows + 1], loop, found.model_loop)
     with replacing(path, RecordingError) as beside:
         figure.savefig(beside, format="png")
 
@@ -135,13 +136,12 @@ def _band(axis, f, size, radius, label: str | None = None) -> None:
     )
 
 
-def _sensitivities(axis, found: Shown) -> None:
+def _sensitivities(axis, loop: MeasuredLoop, model: np.ndarray | None) -> None:
     """Draw |S| and |T| with their bands, and the bound of every design."""
-    loop = found.loop
     curves = ((loop.sensitivity, "sensitivity S", _MEASURED), (loop.complementary, "complementary T", _SECOND))
-    if found.model_loop is not None:
-        S = 1.0 / (1.0 + found.model_loop)
-        for place, values in enumerate((S, found.model_loop * S)):
+    if model is not None:
+        S = 1.0 / (1.0 + model)
+        for place, values in enumerate((S, model * S)):
             label = "model" if place == 0 else None
             axis.plot(loop.frequency, np.abs(values), color=_MODEL, linewidth=1.0, label=label)
     for values, label, colour in curves:
@@ -155,9 +155,8 @@ def _sensitivities(axis, found: Shown) -> None:
     add_legend(axis)
 
 
-def _nyquist(axis, found: Shown) -> None:
+def _nyquist(axis, loop: MeasuredLoop, model: np.ndarray | None) -> None:
     """Draw L around −1 with the circles of its lines, the unit circle and that of M_s."""
-    loop = found.loop
     turn = np.exp(1j * np.linspace(0.0, 2.0 * np.pi, 400))
     bound = REQUIRED.sensitivity_peak
     axis.plot(turn.real, turn.imag, color="#bbbbbb", linewidth=0.8)
@@ -168,8 +167,8 @@ def _nyquist(axis, found: Shown) -> None:
     for place in near[np.abs(loop.loop[near]) > 0.05]:
         around = loop.loop[place] + loop.radius[place] * turn[::16]
         axis.fill(around.real, around.imag, color=_MEASURED, alpha=0.1, linewidth=0.0)
-    if found.model_loop is not None:
-        axis.plot(found.model_loop.real, found.model_loop.imag, color=_MODEL, linewidth=1.0, label="model")
+    if model is not None:
+        axis.plot(model.real, model.imag, color=_MODEL, linewidth=1.0, label="model")
     axis.plot(
         loop.loop.real,
         loop.loop.imag,

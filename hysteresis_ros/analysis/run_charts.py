@@ -71,6 +71,8 @@ class Judged:
     @property
     def counted(self) -> np.ndarray:
         """Which samples have an error that counts, shape (N,)."""
+        if self.error is None:
+            return np.zeros(len(self.recording), dtype=bool)
         return np.isfinite(self.error) & (np.arange(len(self.recording)) >= self.start)
 
 
@@ -98,7 +100,7 @@ def largest_error(run: Judged) -> float:
 def traces_chart(run: Judged) -> Chart:
     """Return the chart of setpoint, reference (as late as judged), displacement and estimate over time [µm, s]."""
     recording, preview = run.recording, run.settings.preview
-    styles = {
+    styles: dict[str, dict] = {
         "setpoint": dict(dash=(4.0, 3.0), width=1.1),
         "estimated": dict(width=2.4),
         "displacement": dict(width=1.2),
@@ -354,7 +356,9 @@ def last_branches(recording: Recording, reference) -> tuple[slice, slice] | None
 
 def trace_retrace_chart(run: Judged) -> Chart | None:
     """Return the chart of the error of trace and retrace over the reference [nm, µm]; None where there are none."""
-    branches = None if run.error is None else last_branches(run.recording, run.reference)
+    if run.error is None or run.reference is None:
+        return None
+    branches = last_branches(run.recording, run.reference)
     if branches is None:
         return None
     found = {}

@@ -32,7 +32,7 @@ from hysteresis_ros.errors import RecordingError
 from hysteresis_ros.recordings.dataset import Recording
 
 #: Of each chart the lines that are laid over those of other runs, and how each is drawn; more would be too many.
-OVERLAID = {
+OVERLAID: dict[str, dict[str, tuple[float, ...]]] = {
     "traces": {"displacement": ()},
     "error": {"error": ()},
     "loops": {"after compensation": (), "before compensation": (2.0, 2.0)},
@@ -252,13 +252,15 @@ def format_motors(figures: dict[str, dict]) -> str:
 def laid_over(runs: dict[str, Recording]) -> list[Chart]:
     """Return position and final error of several runs over each other, each from its first sample on."""
     found: dict[str, Chart] = {}
+    lines: dict[str, list[Line]] = {}
     for number, (label, run) in enumerate(runs.items()):
         colour = SIDE_BY_SIDE[number % len(SIDE_BY_SIDE)]
         for chart in inchworm_charts(inchworm_run(replace(run, time=run.time - run.time[0]))):
             if chart.name in OVERLAID_OF_MOTORS:
                 (line,) = [line for line in chart.lines if line.label == OVERLAID_OF_MOTORS[chart.name]]
-                first = found.setdefault(chart.name, replace(chart, lines=[], kind="overlay"))
-                first.lines.append(replace(line, label=label, colour=colour, width=1.2))
+                own = lines.setdefault(chart.name, [])
+                found.setdefault(chart.name, replace(chart, lines=own, kind="overlay"))
+                own.append(replace(line, label=label, colour=colour, width=1.2))
     return [found[name] for name in OVERLAID_OF_MOTORS if name in found]
 
 
