@@ -65,11 +65,11 @@ class Axis:
         self.plant = plant or PLANTS[parameters.plant_simulator.type](parameters.plant_simulator)
         self.camera = None
         if isinstance(self.plant, SeenPlant):
-            self.camera = self.plant.eye.part = CameraPart(parameters.displacement_camera)
+            self.camera = self.plant.eye.part = CameraPart(parameters.camera)
         if self.motor:
-            self.source = SequencerSource(parameters.inchworm_sequencer)
+            self.source: SequencerSource | GeneratorSource = SequencerSource(parameters.sequencer)
         else:
-            self.source = GeneratorSource(parameters.reference_generator)
+            self.source = GeneratorSource(parameters.generator)
         self.controller = ControllerPart(parameters.motion_controller)
         self.compensator = CompensatorPart(parameters.hysteresis_compensator)
         if self.plant.begins_safe or parameters.plant_simulator.time_mode == "fused":
@@ -105,8 +105,8 @@ class Axis:
         """The kernels of the present blocks."""
         compensator = self.compensator.compensator
         waveform = self.source.waveform or compensator.hysteresis_kernel
-        own = self.controller.kernel, compensator.hysteresis_kernel, compensator.inverse_kernel
-        return Laws(*self.plant.kernels, waveform, *own)
+        model, inverse = compensator.hysteresis_kernel, compensator.inverse_kernel
+        return Laws(*self.plant.kernels, waveform, self.controller.kernel, model, inverse)
 
     @property
     def parts(self) -> Parts:

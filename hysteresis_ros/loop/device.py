@@ -93,15 +93,17 @@ def link_to(compiled: Compiled | None) -> np.ndarray:
     """Return the array that leads to a device, or to none."""
     link = np.zeros(LINKS, dtype=np.int64)
     if compiled is not None:
-        link[:SELF] = compiled[:SELF]
+        link[:SELF] = compiled.read, compiled.write, compiled.make_safe, compiled.device
         link[SELF] = link.ctypes.data
     return link
 
 
 if COMPILED:
     from llvmlite import ir
-    from numba import types
-    from numba.extending import intrinsic
+    from numba import extending, types
+
+    #: Numba hands the typing context in itself: who calls gives the other arguments only.
+    intrinsic: Any = extending.intrinsic
 
     def _caller(count: int) -> Any:
         """Return what calls ``int32_t function(void *, …)`` of so many pointers.
@@ -262,7 +264,7 @@ class DrivenPlant(Plant):
     """
 
     #: Nothing of it is compiled.
-    kernels = (None,) * 3
+    kernels = None, None, None
     #: Seconds between two attempts to make the device safe.
     insists_every = INSIST
 
@@ -326,9 +328,16 @@ class DrivenPlant(Plant):
             raise DriverError(device, problem, "raise sample_rate, or the watchdog's time")
 
     @property
+    def _opened(self) -> Device:
+        """The device, which is there once :meth:`_open` has been called."""
+        if self._device is None:
+            raise RuntimeError(f"driver {self.parameters.driver} is not open")
+        return self._device
+
+    @property
     def capabilities(self) -> Capabilities:
         """What the device is able to do."""
-        return self._device.capabilities
+        return self._opened.capabilities
 
     @property
     def measures_force(self) -> bool:
@@ -377,7 +386,7 @@ class DrivenPlant(Plant):
         row[at.MEASURED] = row[at.FORCE] = math.nan
         if not self._failure:
             try:
-                position, *forces = self._device.read()
+                position, *forces = self._opened.read()
                 row[at.MEASURED] = self.sensor.step(position)
                 row[at.FORCE] = _TOLD(self._watch_p, self._watch_x, forces[0] if forces else math.nan)
             except DriverError as error:
@@ -394,7 +403,7 @@ class DrivenPlant(Plant):
     def _put_out(self, voltage: float) -> None:
         if not self._failure:
             try:
-                self._device.write((self.amplifier.value(self.limits.step(voltage)),))
+                self._opened.write((self.amplifier.value(self.limits.step(voltage)),))
             except DriverError as error:
                 self._fail(error)
 
@@ -432,8 +441,8 @@ class DrivenPlant(Plant):
     def _try_device(self) -> None:
         """Read and write the device once at its safe voltage: a person who starts the axis hears if it still fails."""
         try:
-            self._device.read()
-            self._device.write((self.amplifier.value(self.limits.x[OUTPUT]),))
+            self._opened.read()
+            self._opened.write((self.amplifier.value(self.limits.x[OUTPUT]),))
         except DriverError as error:
             self._fail(error)
 
@@ -497,7 +506,7 @@ class DrivenPlant(Plant):
         """Put the voltage out again, for the device's watchdog."""
         if not self._failure:
             try:
-                self._device.write((self.amplifier.value(self.limits.x[OUTPUT]),))
+                self._opened.write((self.amplifier.value(self.limits.x[OUTPUT]),))
             except DriverError as error:
                 self._fail(error)
 
@@ -510,10 +519,10 @@ class DrivenPlant(Plant):
         left_at = self._left_at if self._left else float(self.limits.x[OUTPUT])
         self._at_rest()
         try:
-            self._device.make_safe()
+            self._opened.make_safe()
         except DriverError as error:
             self._left, self._left_at = error.problem, left_at
-            self._device.insist(self.insists_every, self._is_left, self._made_safe)
+            self._opened.insist(self.insists_every, self._is_left, self._made_safe)
             raise
         self._left = ""
 
@@ -525,7 +534,7 @@ class DrivenPlant(Plant):
 
     def close(self) -> str:
         """Let go of the device; return what is wrong with it as it is left, empty when nothing is."""
-        return self._device.close()
+        return self._opened.close()
 
 
 def _without_grid(limits: LimitsParameters) -> LimitsParameters:
@@ -553,7 +562,7 @@ class CompiledPlant(DrivenPlant):
     """One actuator that is a device, read and written by machine code."""
 
     # places where others have the law of a simulated plant
-    kernels = (limits,) * 3
+    kernels = limits, limits, limits
 
     given = (at.MEASURED, at.TRIPPED, at.FORCE)
 
@@ -564,17 +573,19 @@ class CompiledPlant(DrivenPlant):
         super().__init__(parameters)
         compiled = joints = None
         if linked:
-            compiled, joints = self._device.compiled(), self.capabilities
+            compiled, joints = self._opened.compiled(), self.capabilities
             if compiled is None:
                 self.close()
                 problem = "is written in Python, which would wait for its lock in each sample"
                 remedy = "run the axis without --fused, or give the driver a compiled form (docs/hardware.md)"
                 raise DriverError(f"driver {parameters.driver}:", problem, remedy)
         sizes = (joints.joints + joints.forces, joints.voltages) if joints is not None else (1, 1)
+        positions, voltages = map(np.zeros, sizes)
         self.arrays = DevicePlantArrays(
             link_to(compiled),
             np.zeros(ANSWERS, dtype=np.int64),
-            *map(np.zeros, sizes),
+            positions,
+            voltages,
             self.limits.p,
             self.limits.x,
             self.sensor.p,
@@ -599,13 +610,16 @@ class CompiledPlant(DrivenPlant):
         if self._watch_x.trip[TRIP] != DEVICE_FAILED or self._failure or not self._linked:
             return self._failure
         failed, code, safe_code = (int(self.arrays.answer[place]) for place in (FAILED, CODE, SAFE_CODE))
-        explain = self._device.compiled().explain
+        compiled = self._opened.compiled()
+        if compiled is None:
+            raise RuntimeError(f"driver {self.parameters.driver} has lost its compiled form")
+        explain = compiled.explain
         what = "written" if failed not in (READING, NONSENSE) else "read"
         error = nonsense(self.parameters.driver) if failed == NONSENSE else explain(code)
         text = f"driver {self.parameters.driver}: cannot be {what}: {error}"
         if not safe_code:
             return text
-        self._device.insist(self.insists_every, self._is_left, self._made_safe)
+        self._opened.insist(self.insists_every, self._is_left, self._made_safe)
         left = f"the output is still at {self.arrays.voltages[0]:.6g} {self.capabilities.voltage_unit}"
         return f"{text}; and it cannot be made safe: {explain(safe_code).problem}: {left}"
 
@@ -620,7 +634,7 @@ class CompiledPlant(DrivenPlant):
     def make_safe(self) -> None:
         """Bring the device to its safe state."""
         if self._linked:
-            self._device.note(float(self.arrays.voltages[0]))
+            self._opened.note(float(self.arrays.voltages[0]))
             super().make_safe()
 
     def close(self) -> str:

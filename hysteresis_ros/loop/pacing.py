@@ -402,6 +402,6 @@ def lateness(own: Pace) -> Lateness:
     """Return the figures of all samples so far."""
     state, histogram = own.state, own.histogram.copy()
     largest, samples = float(state[LATEST]) * 1e-9, int(state[HEAD])
-    found = [min(quantile(histogram, part), largest) for part in (0.5, 0.99, 0.999)]
+    p50, p99, p999 = (min(quantile(histogram, part), largest) for part in (0.5, 0.99, 0.999))
     cost, highest = float(state[BUSY]) * 1e-9 / max(samples, 1), float(state[BUSIEST]) * 1e-9
-    return Lateness(*found, largest, int(state[MISSED]), samples, cost, highest)
+    return Lateness(p50, p99, p999, largest, int(state[MISSED]), samples, cost, highest)

@@ -17,6 +17,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 from hysteresis_ros.configuration import (
     Configuration,
@@ -684,7 +685,8 @@ class AxisParameters:
         absent = {"reference_generator" if inchworm else "inchworm_sequencer"}
         if not configuration.describes("displacement_camera", namespace):
             absent.add("displacement_camera")
-        parts, problems = dict.fromkeys(absent), []
+        parts: dict[str, NodeParameters | None] = dict.fromkeys(absent)
+        problems: list[Problem] = []
         for name, parameters_class in NODE_PARAMETERS.items():
             if name in absent:
                 continue
@@ -700,37 +702,38 @@ class AxisParameters:
     @classmethod
     def of_nodes(cls, namespace: str, parts: Mapping[str, NodeParameters | None]) -> AxisParameters:
         """Put the parameters of nodes together."""
-        parts = {"inchworm_sequencer": None, "reference_generator": None, "displacement_camera": None, **parts}
-        problems = []
-        inchworm = parts["inchworm_sequencer"] is not None
-        plant = parts["plant_simulator"]
-        camera = parts["displacement_camera"]
+        absent = dict.fromkeys(("inchworm_sequencer", "reference_generator", "displacement_camera"))
+        found: dict[str, Any] = {**absent, **parts}  # of each node the class that NODE_PARAMETERS names
+        problems: list[Problem] = []
+        inchworm = found["inchworm_sequencer"] is not None
+        plant, controller = found["plant_simulator"], found["motion_controller"]
+        camera, compensator = found["displacement_camera"], found["hysteresis_compensator"]
         for name in (*node_names(inchworm), *(["displacement_camera"] if camera is not None else [])):
             for shared in ("sample_rate", "time_mode", "joint", "force_joint", "faults", "external_plant"):
-                value, awaited = getattr(parts[name], shared), getattr(plant, shared)
+                value, awaited = getattr(found[name], shared), getattr(plant, shared)
                 if value != awaited:
                     allowed = f"must equal the plant_simulator's {awaited!r}; give it once, under '/**'"
                     problems.append(Problem(f"{name}: {shared}", value, allowed))
         sample_time = 1.0 / plant.sample_rate
         for name, dynamics, place in (
             ("plant_simulator", plant.dynamics, "dynamics"),
-            ("motion_controller", parts["motion_controller"].model.dynamics, "model.dynamics"),
-            ("hysteresis_compensator", parts["hysteresis_compensator"].adaptation.dynamics, "adaptation.dynamics"),
+            ("motion_controller", controller.model.dynamics, "model.dynamics"),
+            ("hysteresis_compensator", compensator.adaptation.dynamics, "adaptation.dynamics"),
         ):
             try:
                 dynamics.require_sample_time(sample_time, f"{name}: {place}.sample_time")
             except ParameterError as error:
                 problems += error.problems
         problems += _fault_problems(plant, inchworm)
-        problems += _short_timeouts(parts)
-        problems += _inchworm_mismatches(plant, parts)
+        problems += _short_timeouts(found)
+        problems += _inchworm_mismatches(plant, found)
         problems += _camera_mismatches(plant, camera)
-        problems += _force_problems(plant, parts["motion_controller"])
-        problems += _adaptation_problems(parts["motion_controller"], parts["hysteresis_compensator"])
+        problems += _force_problems(plant, controller)
+        problems += _adaptation_problems(controller, compensator)
         if problems:
             raise ParameterError(problems)
-        parts["motion_controller"] = _with_range(parts["motion_controller"], parts["hysteresis_compensator"], plant)
-        return cls(namespace=namespace, **parts)
+        found["motion_controller"] = _with_range(controller, compensator, plant)
+        return cls(namespace=namespace, **found)
 
     def with_duration(self, duration: float) -> AxisParameters:
         """Return the same axis with a run of ``duration`` seconds of its own time."""

@@ -22,7 +22,7 @@ frames are messages. Both run in Python: a frame takes a thousand times as long 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -292,7 +292,8 @@ tell_joints.kinds[ActuatorPlantArrays], tell_joints.kinds[MotorPlantArrays] = no
 class Plant:
     """What the plants of an axis have in common: the watch over their voltages."""
 
-    arrays: ActuatorPlantArrays | MotorPlantArrays  #: All arrays of the plant in the loop.
+    arrays: Any  #: All arrays of the plant in the loop, of the class by which :data:`sense` finds its kernel.
+    kernels: tuple[Any, Any, Any]  #: Those of the hysteresis of its actuators; where there is none, another stands in.
 
     def __init__(self, parameters: PlantNodeParameters):
         self.parameters = parameters
@@ -631,7 +632,7 @@ class SeenPlant(ActuatorPlant):
     def __init__(self, parameters: PlantNodeParameters):
         super().__init__(parameters)
         self.eye = Eye(SimulatedCamera(parameters.camera, 1.0 / parameters.sample_rate))
-        self.arrays = SeenPlantArrays(*self.arrays, self.eye)
+        self.arrays = SeenPlantArrays(self.actuator.ps, self.actuator.xs, self._watch_p, self._watch_x, self.eye)
 
     @property
     def travel(self) -> tuple[float, float]:

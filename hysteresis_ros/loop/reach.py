@@ -66,7 +66,7 @@ def check_reach(axis: AxisParameters) -> None:
     """Refuse a reference that the axis cannot follow."""
     if axis.plant_simulator.type != "actuator":
         return  # the reference of a motor that walks is its sequencer's
-    given = part(axis.reference_generator, ReferenceParameters)
+    given = part(axis.generator, ReferenceParameters)
     try:
         generator = ReferenceGenerator(given, 1.0 / axis.plant_simulator.sample_rate)
     except ParameterError as error:
@@ -87,7 +87,7 @@ def reach_warnings(axis: AxisParameters) -> tuple[str, ...]:
     ]
     if axis.inchworm_sequencer is not None:
         return (*found, *inchworm_warnings(axis.plant_simulator, axis.inchworm_sequencer))
-    given = part(axis.reference_generator, ReferenceParameters)
+    given = part(axis.generator, ReferenceParameters)
     low, high = reachable_displacements(axis)
     slack = TOLERANCE * (high - low)
     for name, beyond in (("minimum", given.minimum < low - slack), ("maximum", given.maximum > high + slack)):

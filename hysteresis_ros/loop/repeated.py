@@ -53,7 +53,8 @@ def recorded_axis(recorded: Recording, name: str) -> Iterator[tuple[AxisParamete
             f"{name}: holds no configuration, so nobody knows what it is a run of; verify the bag that "
             "'up --record' writes, or the .npz of 'simulate -o'"
         )
-    configuration, notes = parse_configuration(text, name), []
+    configuration = parse_configuration(text, name)
+    notes: list[str] = []
     words = recorded.metadata.get("files", {})
     contents = whole(words)
     namespace = recorded.metadata.get("namespace")

@@ -134,7 +134,9 @@ def simulate(
         raise ConfigurationError("the configuration has no end (samples: 0, endless waveform): give --duration S")
     setpoints = axis.default_setpoints(samples) if setpoints is None else _padded(setpoints, samples, setpoints[-1])
     asked = {"requests": (requests, 0.0), "speeds": (speeds, np.nan), "skipped": (skipped, 0.0)}
-    given = {name: _padded(values, samples, rest) for name, (values, rest) in asked.items() if values is not None}
+    given: dict[str, Any] = {
+        name: _padded(values, samples, rest) for name, (values, rest) in asked.items() if values is not None
+    }
     if answers:
         given["answers"] = {name: _padded(values, samples, np.nan) for name, values in answers.items()}
     if any(drift):
@@ -195,7 +197,7 @@ def differences(recorded: Recording, parameters: AxisParameters) -> dict[str, in
 
     What a device measured is not computed again, but everything that followed from it.
     """
-    given = requests_per_sample(recorded) | {"skipped": recorded.signals.get("skipped")}
+    given: dict[str, Any] = requests_per_sample(recorded) | {"skipped": recorded.signals.get("skipped")}
     if parameters.plant_simulator.driver:
         nothing = {"measured": 0.0, "tripped": 0.0, "force": np.nan}
         absent = {name: np.full(len(recorded), value) for name, value in nothing.items()}

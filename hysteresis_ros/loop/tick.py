@@ -19,12 +19,12 @@ its own, into which its messages are put.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from hysteresis_ros import signals as at
-from hysteresis_ros.loop.compensator import CompensationArrays, compensate, note_output
+from hysteresis_ros.loop.compensator import AdaptiveArrays, CompensationArrays, compensate, note_output
 from hysteresis_ros.loop.controller import ControllerArrays, carried_out, control
-from hysteresis_ros.loop.plant import ActuatorPlantArrays, MotorPlantArrays, actuate, sense
+from hysteresis_ros.loop.plant import actuate, sense
 from hysteresis_ros.loop.source import GeneratorSourceArrays, SequencerSourceArrays, refer
 from hysteresis_ros.models.block import kernels_of
 
@@ -45,10 +45,10 @@ class Laws(NamedTuple):
 class Parts(NamedTuple):
     """The arrays of an axis, part by part."""
 
-    plant: ActuatorPlantArrays | MotorPlantArrays
+    plant: Any  #: Of the class by which :data:`sense` finds the kernel of the plant.
     source: GeneratorSourceArrays | SequencerSourceArrays
     controller: ControllerArrays
-    compensator: CompensationArrays
+    compensator: CompensationArrays | AdaptiveArrays
 
 
 #: Which part of each sample :func:`ticks` makes: all of it, or one step after the other: measuring, answering, and
