@@ -228,7 +228,7 @@ def _with_zeros_inside(table, right, orders: ArxOrders, radius: float):
     squares with weights ≥ 0, solved exactly for both signs of the gain.
     """
     na, nb, _ = orders
-    corners = {
+    spanned = {
         1: [np.array([1.0])],
         2: [np.array([1.0, radius]), np.array([1.0, -radius])],
         3: [
@@ -237,7 +237,7 @@ def _with_zeros_inside(table, right, orders: ArxOrders, radius: float):
             np.array([1.0, 0.0, -(radius**2)]),
         ],
     }[nb]
-    corners = np.column_stack(corners)
+    corners = np.column_stack(spanned)
     best, solution = np.inf, None
     for sign in (1.0, -1.0):
         mixed = np.concatenate([table[:, :na], sign * table[:, na : na + nb] @ corners, table[:, na + nb :]], axis=1)

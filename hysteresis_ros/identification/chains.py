@@ -80,11 +80,11 @@ def fit_stage(
         return _unit_stage(model, offset, sum(orders[:2]) + 1, numbers, None, found.warnings)
     if kind == "frequency_response":
         w, y = np.asarray(w, dtype=float)[skip:], np.asarray(y, dtype=float)[skip:]
-        found = identify_matrix_fraction(welch_response(w, y, sample_time))
-        model = found.model
+        fraction = identify_matrix_fraction(welch_response(w, y, sample_time))
+        model = fraction.model
         offset = float(np.mean(y) - model.dc_gain * np.mean(w))
         numbers = {"order": float(model.order)}
-        return _unit_stage(model, offset, 2 * model.order + 1, numbers, None, tuple(found.warnings))
+        return _unit_stage(model, offset, 2 * model.order + 1, numbers, None, tuple(fraction.warnings))
     raise IdentificationError(f"linear = {kind!r}: must be one of {', '.join(STAGES)}")
 
 
@@ -194,19 +194,20 @@ def described(part: LinearPart) -> tuple[dict[str, float], list[str]]:
 
 def with_stage(data: IdentificationData, request: Request, fit: FittedHysteresis) -> Identification:
     """Fit dynamics of higher order behind the hysteresis; their gain goes to the hysteresis."""
+    stage = request.stage
+    if stage is None:
+        raise IdentificationError("no stage was asked for: give one of the linear stages")
     hysteresis, _ = grounded(fit.hysteresis, data.sample_time)
     skip = request.skip if request.skip is not None else automatic_skip(data)
-    request.progress(0, request.stage)
+    request.progress(0, stage)
     moved = hysteresis_block(hysteresis, data.sample_time).simulate(data.input)
     initial = request.initial or "estimate"
-    found: LinearStage = fit_stage(
-        moved, data.output, data.sample_time, request.stage, skip, request.intersample, initial
-    )
+    found: LinearStage = fit_stage(moved, data.output, data.sample_time, stage, skip, request.intersample, initial)
     chain = chain_of(data, request, hysteresis.scaled(found.gain), None, found.dynamics, False, found.offset)
     chain = replace(chain, initial=initial, transfer_function=found.transfer_function)
     return Identification(
         model=request.model,
-        linear=request.stage,
+        linear=stage,
         chain=chain,
         fitted=fit.fitted + found.fitted,
         numbers=found.numbers,

@@ -182,8 +182,8 @@ def major_loop(inputs, outputs) -> MajorLoop:
     """
     low, high = min(u.min() for u in inputs), max(u.max() for u in inputs)
     near = NEAR_END * (high - low)
-    kept = {True: [], False: []}
-    spare = {True: [], False: []}
+    kept: dict[bool, list] = {True: [], False: []}
+    spare: dict[bool, list] = {True: [], False: []}
     for u, y in zip(inputs, outputs, strict=True):
         branches = split_branches(u)
         require_both_directions(branches, "loop model")
@@ -391,6 +391,8 @@ def fit_networks(operator: LoopOperator, target, units: int, random, noise: floa
             best = shapes
         if best.rms <= max(SMALL_RESIDUAL, noise):
             break
+    if best is None:
+        raise IdentificationError("no training was begun")
     return best
 
 
@@ -432,6 +434,8 @@ def fit_shapes(operator: LoopOperator, target, kind: str, size: int | None, rand
             best = shapes
         if best.rms <= enough:
             break
+    if best is None:
+        raise IdentificationError(f"{len(target)} points of the loop are too few for any shape; record more samples")
     return best
 
 
@@ -525,7 +529,8 @@ def _identify(names, signals, *, alpha, minor, shape, size, seed) -> DuhemIdenti
     if loop.opening < 1e-3:
         warnings.append(f"the loop opens by {100.0 * loop.opening:.2g} % of its range only; there is hardly hysteresis")
     if minor is not None:
-        minor = checked_signals(*minor, names)
+        input_, output = minor
+        minor = checked_signals(input_, output, names)
     else:
         minor = next((pair for pair in pairs if _has_minor_loops(pair[0])), None)
 

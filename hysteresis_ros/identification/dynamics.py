@@ -34,6 +34,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -113,17 +114,21 @@ def segment_spectra(w, y, sample_time: float, first: int = 0, late: int = 0) -> 
     starts = range(0, w.size - length + 1, length // 2)
     place = np.arange(2, length // 2)
     turned = np.exp(-2j * np.pi * place * late / length)
-    edges = [0]
-    while edges[-1] < place.size:
-        edges.append(edges[-1] + max(int(RESOLUTION * place[edges[-1]]), 1))
-    edges = np.array(edges[:-1])
-    sums = [np.zeros((FOLDS, edges.size)), np.zeros((FOLDS, edges.size)), np.zeros((FOLDS, edges.size), dtype=complex)]
+    found = [0]
+    while found[-1] < place.size:
+        found.append(found[-1] + max(int(RESOLUTION * place[found[-1]]), 1))
+    edges = np.array(found[:-1])
+    shape = FOLDS, edges.size
+    input_, output, cross = np.zeros(shape), np.zeros(shape), np.zeros(shape, dtype=complex)
     for number, start in enumerate(starts):
         W, Y = (np.fft.rfft(window * signal[start : start + length])[place] for signal in (w, y))
-        for total, value in zip(sums, (np.abs(W) ** 2, np.abs(Y) ** 2, Y * turned * np.conj(W)), strict=True):
-            total[number * FOLDS // len(starts)] += np.add.reduceat(value, edges)
+        fold = number * FOLDS // len(starts)
+        input_[fold] += np.add.reduceat(np.abs(W) ** 2, edges)
+        output[fold] += np.add.reduceat(np.abs(Y) ** 2, edges)
+        cross[fold] += np.add.reduceat(Y * turned * np.conj(W), edges)
     frequencies = np.add.reduceat(place.astype(float), edges) / np.diff(np.append(edges, place.size))
-    return SegmentSpectra(frequencies / (length * sample_time), *sums, float(w.size), len(starts), sample_time)
+    lines = frequencies / (length * sample_time)
+    return SegmentSpectra(lines, input_, output, cross, float(w.size), len(starts), sample_time)
 
 
 #: Most modes that are looked for.
@@ -265,7 +270,7 @@ class ModalSearch:
             shares = np.reshape(coefficients[1:], (-1, 2))
             gain = float(coefficients[0] + shares[:, 0].sum())
             both = zip(pairs, shares / gain, strict=True)
-            modes = tuple(Mode(*pair, float(share[0]), float(share[1])) for pair, share in both)
+            modes = tuple(Mode(pair[0], pair[1], float(share[0]), float(share[1])) for pair, share in both)
         return LinearPart(lag=lag, delay=delay, modes=modes, hold=self.T), gain
 
     def columns(self, structure: ModalStructure, values) -> np.ndarray:
@@ -276,7 +281,7 @@ class ModalSearch:
                 :, None
             ]
         found = [_lag_column(lag, self.f, self.T, delay)[:, None]]
-        found += [mode_columns(*pair, self.f, self.T, delay) for pair in pairs]
+        found += [mode_columns(pair[0], pair[1], self.f, self.T, delay) for pair in pairs]
         return np.concatenate(found, axis=1)
 
     def solve(self, columns):
@@ -452,7 +457,8 @@ def _with_mode(search: ModalSearch, trial: ModalTrial) -> ModalTrial:
         extra = mode_columns(*place, search.f, search.T, delay)
         residual = search.solve(np.concatenate([columns, extra], axis=1))[1]
         found.append((float(residual @ residual), place))
-    starts, taken = [], []
+    starts: list[np.ndarray] = []
+    taken: list[float] = []
     for _, (frequency, damping) in sorted(found):
         if len(starts) < FOLLOWED and all(abs(np.log(frequency / other)) > 0.2 for other in taken):
             taken.append(frequency)
@@ -596,7 +602,9 @@ class TurnSearch:
             if sharp and not any(mode.damping < SHARP for mode in part.modes):
                 break
             before = fit.linear_part
-            creep = dict(creep_rate=before.creep_rate, longest_time=before.longest_time, settled=before.settled)
+            creep: dict[str, Any] = dict(
+                creep_rate=before.creep_rate, longest_time=before.longest_time, settled=before.settled
+            )
             kept = {"like": fit.structure} if found and fit.structure is not None else {}
             try:
                 fit = self.fit(SETTLED, linear=Known(replace(part, **creep)), **kept)
@@ -630,7 +638,7 @@ def with_fast_dynamics(chain: PlantModel, fast: IdentificationData, skip: int) -
         )
     slow = chain.continuous
     creeping = LinearPart(creep_rate=slow.creep_rate, longest_time=slow.longest_time)
-    kept = dict(transfer_function=None, sample_time=fast.sample_time)
+    kept: dict[str, Any] = dict(transfer_function=None, sample_time=fast.sample_time)
     bare = replace(chain, dynamics=LinearParameters(), linear_part=creeping, synchronous=True, initial="zero", **kept)
     moved = predict(bare, fast.input, fast.sample_time, "zoh")
     # what is measured at a sample answers voltages before it

@@ -24,6 +24,7 @@ from __future__ import annotations
 import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, fields
+from typing import Any
 
 import numpy as np
 
@@ -120,7 +121,8 @@ class Plan:
         found, names = read_json(text), {item.name for item in fields(cls)}
         if not isinstance(found, dict) or not names >= set(found) >= names - {"lines", "loop", "at"}:
             raise ValueError("no plan of an excitation")
-        plan = cls(**{name: tuple(value) if isinstance(value, list) else value for name, value in found.items()})
+        values: dict[str, Any] = {n: tuple(value) if isinstance(value, list) else value for n, value in found.items()}
+        plan = cls(**values)
         if not plan._sound():
             raise ValueError("a plan of an excitation that no recording can have")
         return plan

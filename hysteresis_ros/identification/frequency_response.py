@@ -33,6 +33,7 @@ from __future__ import annotations
 
 import pathlib
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import scipy
@@ -75,7 +76,9 @@ class FrequencyResponse:
             there = f"{self.frequency[0]:.6g} … {self.frequency[-1]:.6g} Hz"
             raise DataError("band", f"no line in {low:g} … {high:g} Hz; the response has {there}")
         names = ("frequency", "response", "total_variance", "noise_variance", "coherence")
-        kept = {name: None if getattr(self, name) is None else getattr(self, name)[keep] for name in names}
+        kept: dict[str, Any] = {
+            name: None if getattr(self, name) is None else getattr(self, name)[keep] for name in names
+        }
         others = tuple(text for text in self.warnings if not text.startswith("coherence"))
         return replace(self, **kept, warnings=(*others, *_poor_coherence(kept["coherence"])))
 
@@ -414,7 +417,7 @@ def _multisine(plan: Plan, sample_time: float, signals, unit: str) -> Analysis:
     tables = [signal.reshape(shape)[:, plan.settle :, None, :] for signal in signals]
     N = plan.samples[0]
     excitation = tables[2] if len(tables) > 2 else None
-    found = multisine_response(*tables[:2], sample_time, input_unit=unit, excitation=excitation)
+    found = multisine_response(tables[0], tables[1], sample_time, input_unit=unit, excitation=excitation)
     harmonics = np.rint(found.frequency * N * sample_time).astype(int)
     if plan.lines:
         # the loop's own quantisation may reach lines that were not excited
@@ -425,14 +428,15 @@ def _multisine(plan: Plan, sample_time: float, signals, unit: str) -> Analysis:
         return Analysis(found, None, plan.kind)
     U, Y = (np.fft.rfft(table[:, :, 0], axis=2)[..., : (N + 1) // 2] / N for table in tables[:2])
     levels = detected(U, Y, harmonics, found.single)
-    if found.total_variance is None and np.isfinite(levels.odd).all():
-        total = found.noise_variance + (levels.odd**2)[:, None, None] / plan.realisations
+    noise = found.noise_variance
+    if found.total_variance is None and noise is not None and np.isfinite(levels.odd).all():
+        total = noise + (levels.odd**2)[:, None, None] / plan.realisations
         found = replace(found, total_variance=total, warnings=())
     return Analysis(found, levels, plan.kind)
 
 
 def _stepped(plan: Plan, sample_time: float, signals, unit: str) -> Analysis:
-    frequency, spectra, levels = [], [], []
+    lines, spectra, levels = [], [], []
     begin = 0
     for samples, cycles in zip(plan.samples, plan.lines, strict=True):
         whole = (plan.settle + plan.periods) * samples
@@ -441,13 +445,13 @@ def _stepped(plan: Plan, sample_time: float, signals, unit: str) -> Analysis:
         ]
         begin += whole
         transformed = [np.fft.rfft(block, axis=1)[:, : (samples + 1) // 2] / samples for block in blocks]
-        frequency.append(cycles / (samples * sample_time))
+        lines.append(cycles / (samples * sample_time))
         spectra.append([one[:, cycles] for one in transformed])
         U, Y = transformed[:2]
         levels.append(harmonic_levels(U, Y, cycles, Y[:, cycles].sum() / U[:, cycles].sum()))
     # (signals, 1, P, 1, F)
     table = np.array(spectra).transpose(1, 2, 0)[:, None, :, None, :]
-    frequency = np.array(frequency)
+    frequency = np.array(lines)
     response, _, noise = averaged(frequency, table[0], table[1], table[-1] if len(table) > 2 else table[0])
     degrees = float(plan.periods - 1)
     found = FrequencyResponse(frequency, response, sample_time, None, noise, None, unit, degrees=degrees)
@@ -457,7 +461,7 @@ def _stepped(plan: Plan, sample_time: float, signals, unit: str) -> Analysis:
 def _noise(plan: Plan, sample_time: float, signals, unit: str) -> Analysis:
     segment = plan.samples[0]
     excitation = signals[2] if len(signals) > 2 else None
-    found = welch_response(*signals[:2], sample_time, segment=segment, input_unit=unit, excitation=excitation)
+    found = welch_response(signals[0], signals[1], sample_time, segment=segment, input_unit=unit, excitation=excitation)
     if plan.lines:
         low, high = (line / (segment * sample_time) for line in plan.lines)
         found = found.band(low * (1.0 - 1e-9), high * (1.0 + 1e-9))
@@ -478,7 +482,9 @@ ANALYSES = {"multisine": _multisine, "stepped": _stepped, "noise": _noise}
 def _at(found: FrequencyResponse, kept) -> FrequencyResponse:
     """Return the lines of a response that are kept."""
     names = ("frequency", "response", "total_variance", "noise_variance", "coherence")
-    parts = {name: None if getattr(found, name) is None else getattr(found, name)[kept] for name in names}
+    parts: dict[str, Any] = {
+        name: None if getattr(found, name) is None else getattr(found, name)[kept] for name in names
+    }
     return replace(found, **parts)
 
 
@@ -579,12 +585,14 @@ def _response_of(held: dict[str, np.ndarray]) -> Analysis:
         frequency, values, float(sample_time[0]), input_unit=input_unit, output_unit=output_unit
     )
     shapes = {"total_variance": (-1, 1, 1), "noise_variance": (-1, 1, 1), "coherence": (-1, 1)}
-    spreads = {name: _real(held, name, frequency.size).reshape(shape) for name, shape in shapes.items() if name in held}
+    spreads: dict[str, Any] = {
+        name: _real(held, name, frequency.size).reshape(shape) for name, shape in shapes.items() if name in held
+    }
     degrees = float(_real(held, "degrees", 1)[0]) if "degrees" in held else None
     if degrees is not None and not (degrees > 0.0 and {"total_variance", "noise_variance"} & set(spreads)):
         raise ValueError("degrees of freedom of no variance")
     levels = [_real(held, name, frequency.size) for name in LEVELS] if all(name in held for name in LEVELS) else None
-    return Analysis(replace(response, **spreads, degrees=degrees), levels and Distortion(*levels), kind)
+    return Analysis(replace(response, **spreads, degrees=degrees), Distortion(*levels) if levels else None, kind)
 
 
 def _real(held: dict[str, np.ndarray], name: str, size: int | None = None) -> np.ndarray:
@@ -629,7 +637,7 @@ def response_columns(found: Analysis) -> dict[str, np.ndarray]:
 
 def _npz(stream, found: Analysis, columns, figures) -> None:
     response = found.response
-    arrays = {"kind": np.array(found.kind), "response": response.single}
+    arrays: dict[str, Any] = {"kind": np.array(found.kind), "response": response.single}
     arrays |= {name: np.asarray(getattr(response, name)) for name in NEEDED if name not in arrays}
     for name in SPREADS:
         value = getattr(response, name)

@@ -281,7 +281,7 @@ class PartSearch:
 
 def split_values(base: LinearPart, values: dict) -> tuple[LinearPart, dict]:
     """Return the linear part with its own among the values, and the values of the shape."""
-    own = {name: float(values[name]) for name in ("lag", "delay", "creep_rate") if name in values}
+    own: dict[str, Any] = {name: float(values[name]) for name in ("lag", "delay", "creep_rate") if name in values}
     return replace(base, **own), {name: float(value) for name, value in values.items() if name not in own}
 
 
@@ -311,7 +311,7 @@ def finished(fit, voltage, displacement, sample_time, kept=None) -> HammersteinF
     data = fit.data
     hysteresis: HysteresisParameters = fit.parameters()
     first = data.first * data.factor
-    used = slice(first, None) if kept is None else np.flatnonzero(kept[first:]) + first
+    used: Any = slice(first, None) if kept is None else np.flatnonzero(kept[first:]) + first
     synchronous = fit.part.synchronous(sample_time)
     drift = float(fit.constants[1]) / (len(data.voltage) * data.sample_time) if data.drifts else 0.0
 
@@ -337,9 +337,10 @@ def finished(fit, voltage, displacement, sample_time, kept=None) -> HammersteinF
     constant = float(error[used].mean())
     error = error[first:] - constant
     # what the half sample and the table leave of a constant belongs to the offset
-    chosen = hysteresis.chosen
+    chosen: Any = hysteresis.chosen  # of the class of its model
     chosen = replace(chosen, offset=chosen.offset + constant / part.settled_gain)
-    hysteresis = replace(hysteresis, **{hysteresis.type: chosen})
+    own: dict[str, Any] = {hysteresis.type: chosen}
+    hysteresis = replace(hysteresis, **own)
     return HammersteinFit(
         hysteresis=hysteresis,
         creep=part.creep,

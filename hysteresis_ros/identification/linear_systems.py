@@ -259,7 +259,8 @@ class CanonicalSimulation:
             fine = _reconstructed(u, initial == "periodic")
             Ad, B0, B1 = self.discrete(self.sample_time / FINER)
             return self._run(Ad, B0, B1, fine, initial)[::FINER][: len(u)]
-        return self._run(*self.discrete(self.sample_time), u, initial)
+        Ad, B0, B1 = self.discrete(self.sample_time)
+        return self._run(Ad, B0, B1, u, initial)
 
     def _run(self, Ad, B0, B1, u, initial):
         following = np.append(u[1:], u[0] if initial == "periodic" else u[-1])

@@ -24,6 +24,7 @@ References
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -142,7 +143,7 @@ def identify_matrix_fraction(
     if order is not None and not 1 <= order <= highest:
         raise FitError(f"order = {order}: must be within 1 … {highest}, what degree {degree} and the lines allow")
     orders = np.arange(1, highest + 1)
-    best = [min((c for c in candidates if len(c.models) >= n), key=lambda c, n=n: c.misfits[n - 1]) for n in orders]
+    best = [min((c for c in candidates if len(c.models) >= n), key=_misfit_with(int(n))) for n in orders]
     misfit = np.array([candidate.misfits[n - 1] for n, candidate in zip(orders, best, strict=True)])
     size = response_misfit(None, data, deviation)
     enough = misfit <= max((1.0 + tolerance) * misfit.min(), ROUNDING * size)
@@ -176,6 +177,11 @@ class _Candidate(NamedTuple):
     values: np.ndarray
     models: list[LinearModel]
     misfits: list[float]
+
+
+def _misfit_with(order: int) -> Callable[[_Candidate], float]:
+    """Return what tells the misfit of a candidate with a model of an order."""
+    return lambda candidate: candidate.misfits[order - 1]
 
 
 def _candidates(data, deviation, degrees, most: int, feedthrough: bool, iterations: int) -> list[_Candidate]:

@@ -18,6 +18,7 @@ from __future__ import annotations
 import datetime
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -298,9 +299,9 @@ def _chain(section: dict, plant: ActuatorParameters, inverse: InverseParameters,
 def _linear_part(section: dict, plant: ActuatorParameters) -> LinearPart | None:
     names = {"lag", "delay", "creep_rate", "longest_time"}
     found = {name: section.get(f"continuous.{name}") for name in names}
-    if any(value is None for value in found.values()):
+    values: dict[str, Any] = {name: float(value) for name, value in found.items() if value is not None}
+    if len(values) < len(found):
         return None if plant.dynamics.order or plant.creep.type != "none" else LinearPart()
-    values = {name: float(value) for name, value in found.items()}
     numbers = [section.get(f"continuous.modes.{name}", ()) for name in MODE_NUMBERS]
     return LinearPart(
         **values,
@@ -311,5 +312,5 @@ def _linear_part(section: dict, plant: ActuatorParameters) -> LinearPart | None:
 
 
 def _transfer_function(section: dict):
-    parts = [section.get(f"continuous.{name}") for name in ("numerator", "denominator")]
+    parts: list[Any] = [section.get(f"continuous.{name}") for name in ("numerator", "denominator")]
     return None if None in parts else tuple(tuple(map(float, part)) for part in parts)

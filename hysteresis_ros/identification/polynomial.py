@@ -28,6 +28,7 @@ K3, eqs 3-5: the preload curve W(L0) from displacement against preload.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -93,7 +94,7 @@ def loop_table(voltage, displacement, branches):
 def _one_loop(voltage, displacement, v_max, fall, rise) -> LoopCoefficients:
     """Fit D, the upper corner X and the bends: x = D + (X - D) V/V_max + C2 V (V - V_max) on each branch."""
     parts = [(2, fall)] + ([(3, rise)] if rise is not None else [])
-    rows, wanted = [], []
+    rows, outputs = [], []
     for column, branch in parts:
         v, x = voltage[branch.samples], displacement[branch.samples]
         below = v <= v_max
@@ -101,8 +102,8 @@ def _one_loop(voltage, displacement, v_max, fall, rise) -> LoopCoefficients:
         matrix = np.zeros((v.size, 4))
         matrix[:, 0], matrix[:, 1], matrix[:, column] = 1.0 - v / v_max, v / v_max, v * (v - v_max)
         rows.append(matrix)
-        wanted.append(x[below])
-    matrix, wanted = np.concatenate(rows), np.concatenate(wanted)
+        outputs.append(x[below])
+    matrix, wanted = np.concatenate(rows), np.concatenate(outputs)
     found = np.linalg.lstsq(matrix, wanted, rcond=None)[0]
     corner, top, c_f2, c_r2 = found
     rms = float(np.sqrt(np.mean((matrix @ found - wanted) ** 2)))
@@ -114,7 +115,7 @@ def _one_loop(voltage, displacement, v_max, fall, rise) -> LoopCoefficients:
 
 def distinct_peaks(v, reversal) -> list[float]:
     """Return the values V_max takes, those that hardly differ once."""
-    peaks = []
+    peaks: list[float] = []
     for branch in split_branches(v, reversal):
         if branch.high > (1.0 + DIFFERENT_PEAKS) * (peaks[-1] if peaks else 0.0):
             peaks.append(branch.high)
@@ -241,8 +242,8 @@ def _through_loops(loops, virgin, basis) -> np.ndarray:
                 wanted.append(loop.D + v * (c1 + v * c2))
     v, x = virgin
     weight = np.sqrt(len(wanted) / max(v.size, 1))  # as much as all loops together
-    rows = np.concatenate([np.array(rows), weight * (np.vander(v, 3, increasing=True) @ basis[:3])])
-    return np.linalg.lstsq(rows, np.concatenate([wanted, weight * x]), rcond=None)[0]
+    table = np.concatenate([np.array(rows), weight * (np.vander(v, 3, increasing=True) @ basis[:3])])
+    return np.linalg.lstsq(table, np.concatenate([wanted, weight * x]), rcond=None)[0]
 
 
 def _weights(matrix, wanted, criterion):
@@ -321,14 +322,16 @@ def identify_polynomial(
         weight, criterion = np.ones(x.size), "rms"
     else:
         weight, criterion = _weights(matrix, x, criterion)
-        theta = np.linalg.lstsq(*_with_prior(weight, matrix, x), rcond=None)[0]
+        table, wanted = _with_prior(weight, matrix, x)
+        theta = np.linalg.lstsq(table, wanted, rcond=None)[0]
     warnings += _undetermined(matrix)
     low = min(float(voltage.min()), 0.0)
     slopes, converged = _slopes(basis, low / v_unit), True
     worst = float(np.min(slopes @ theta))
     if not worst > 0.0:
         mean = np.ptp(x) / np.ptp(v)
-        theta, converged = _monotone(theta, *_with_prior(weight, matrix, x), slopes, SMALLEST_SLOPE * mean)
+        table, wanted = _with_prior(weight, matrix, x)
+        theta, converged = _monotone(theta, table, wanted, slopes, SMALLEST_SLOPE * mean)
         warnings.append(_not_monotone(worst * x_unit / v_unit, converged))
     residual, scale = matrix @ theta - x, _scale(v_unit, x_unit)
     parameters = _parameters(scale * (basis @ theta), low, v_unit)
@@ -406,9 +409,8 @@ def _scale(v_unit: float, x_unit: float) -> np.ndarray:
 def _parameters(coefficients, low: float, high: float) -> PolynomialParameters:
     """Return the model of the 21 coefficients for voltages ``low … high`` [V]."""
     named = zip(_NAMES, coefficients.reshape(7, 3), strict=True)
-    return PolynomialParameters(
-        **{name: tuple(row.tolist()) for name, row in named}, voltage_low=low, voltage_high=high
-    )
+    rows: dict[str, Any] = {name: tuple(row.tolist()) for name, row in named}
+    return PolynomialParameters(**rows, voltage_low=low, voltage_high=high)
 
 
 def _covariance(matrix, basis, residual) -> np.ndarray:

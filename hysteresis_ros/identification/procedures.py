@@ -23,6 +23,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -181,7 +182,7 @@ def duhem(data: IdentificationData, request: Request) -> Identification:
     found = identify_duhem(v, x, **request.options)
     warnings = list(found.warnings)
     # its output is all that it remembers, so the recording itself shows where it starts
-    first = dict(input_start=float(data.input[0]), output_start=float(static.output[0]))
+    first: dict[str, Any] = dict(input_start=float(data.input[0]), output_start=float(static.output[0]))
     hysteresis = HysteresisParameters(type="duhem", duhem=replace(found.parameters, **first))
     fitted = sum(len(shape) for shape in found.parameters.shapes) + 1
     converged = found.converged
@@ -190,7 +191,8 @@ def duhem(data: IdentificationData, request: Request) -> Identification:
         request.progress(1, "inverse")
         rest = grounded(hysteresis, data.sample_time)[1]
         backward = identify_inverse_duhem(v, x - rest, **request.options)
-        inverse = InverseParameters(type="duhem", duhem=backward.parameters)
+        own: dict[str, Any] = {"duhem": backward.parameters}  # a group that the inverse declares
+        inverse = InverseParameters(type="duhem", **own)
         converged = converged and backward.converged
         warnings += [f"inverse: {text}" for text in backward.warnings]
     fit = FittedHysteresis(hysteresis, fitted, warnings=tuple(warnings), converged=converged)
@@ -232,6 +234,8 @@ RELATIVE_STEP = 1e-6
 def parametric(data, request: Request) -> Identification:
     """Identify a model with ``guess`` and ``free`` on data whose lag and creep were undone."""
     model = MODELS[request.model]
+    if model.guess is None:
+        raise IdentificationError(f"{model.name}: has no initial values to search from")
     static = separated(data, request)
     try:
         start = replace(model.guess(static.voltage, static.displacement), **request.options).validated()
@@ -246,8 +250,8 @@ def parametric(data, request: Request) -> Identification:
         static, fit, lambda found: model.block(found[1][0], 1.0)
     )
     hysteresis = HysteresisParameters(type=model.name, **{model.name: found})
-    fit = FittedHysteresis(hysteresis, len(model.free) + 1, deviations, search.warnings, converged)
-    return static_result(data, request, fit, static, offset)
+    fitted = FittedHysteresis(hysteresis, len(model.free) + 1, deviations, search.warnings, converged)
+    return static_result(data, request, fitted, static, offset)
 
 
 class _ParametricSearch:
@@ -395,9 +399,9 @@ def bouc_wen_mechanical(data: IdentificationData, request: Request) -> Identific
             request = replace(request, initial="periodic")
             note = "the input had repeated before, which fits better than rest at 0 V"
             return replace(_repeated(fit, data, skip), start=note)
-    note = {"zero": "at rest at 0 V before the recording", "periodic": "the input had repeated before"}
+    notes = {"zero": "at rest at 0 V before the recording", "periodic": "the input had repeated before"}
     asked = "as asked for: " if request.initial else ""
-    return replace(result, start=asked + note[request.initial or "zero"])
+    return replace(result, start=asked + notes[request.initial or "zero"])
 
 
 def _oscillator(data: IdentificationData, request: Request, before: Identification | None) -> Identification:
@@ -406,6 +410,8 @@ def _oscillator(data: IdentificationData, request: Request, before: Identificati
     trials, seed = options.pop("trials", None), options.pop("seed", 0)
     if before is not None:
         start, trials = before.chain.hysteresis.chosen, 0
+        if not isinstance(start, BoucWenMechanicalParameters):
+            raise TypeError(f"{type(start).__name__}: no oscillator")
     else:
         start = replace(_oscillator_guess(data, request), **options)
 
@@ -432,7 +438,9 @@ def _oscillator(data: IdentificationData, request: Request, before: Identificati
     chain = chain_of(data, request, hysteresis, LinearPart(), LinearParameters(), False, offset)
     found = FittedHysteresis(hysteresis, len(OSCILLATOR_FREE) + 1, fit.deviations, fit.warnings, fit.converged)
     result = identified(replace(chain, initial=initial), request, found, LinearPart())
-    unit = {} if data.input_unit == "V" else {"assumptions": (f"the input is in {data.input_unit}, written as V",)}
+    unit: dict[str, Any] = (
+        {} if data.input_unit == "V" else {"assumptions": (f"the input is in {data.input_unit}, written as V",)}
+    )
     numbers = {"starts_agreeing": float(fit.agreeing)} if before is None else before.numbers
     warnings = result.warnings if before is None else tuple(dict.fromkeys((*before.warnings, *result.warnings)))
     return replace(result, numbers=numbers, warnings=warnings, linear="inside the equation", **unit)

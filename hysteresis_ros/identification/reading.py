@@ -127,7 +127,7 @@ def _read(source, columns: Columns, progress) -> Reading:
         data = data.part(*ranged)
     data = steadied(data)
     if columns.resample is not None:
-        data = resample(data, None if columns.resample == "auto" else columns.resample)
+        data = resample(data, None if isinstance(columns.resample, str) else columns.resample)
     else:
         data = uninterrupted(data)
     if columns.negate:

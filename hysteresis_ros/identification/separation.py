@@ -21,6 +21,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 import scipy
@@ -253,7 +254,7 @@ def _separated(data: IdentificationData, request: Request) -> Separated:
     # creep is always looked for: without it the search takes slow drifts for the noise a lag has to rise above
     looked_for = tuple(dict.fromkeys((*parts, "creep"))) if parts else ()
     options = dict(skip=skip, history=start.history, progress=request.report_residual)
-    searches = ((fit_preisach, {}), (fit_prandtl_ishlinskii, {"zone_count": 0}))
+    searches: tuple[tuple[Any, dict], ...] = ((fit_preisach, {}), (fit_prandtl_ishlinskii, {"zone_count": 0}))
     fits = [
         found_with(partial(search, **options, **settings), voltage, displacement, data.sample_time, looked_for, skip)
         for search, settings in (searches if parts else searches[1:])

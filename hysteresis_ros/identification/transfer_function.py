@@ -301,7 +301,7 @@ def _starts(problem: _Problem, u, y, search: Search) -> list[np.ndarray]:
     random = np.random.default_rng(search.seed)
     # frequencies the data can tell: from one period in it to half the sample rate
     band = np.log([2 * np.pi / (sample_time * len(y)), np.pi / sample_time])
-    grid = np.exp(np.linspace(*band, 6))
+    grid = np.exp(np.linspace(band[0], band[1], 6))
     for frequency, damping in itertools.product(grid, (0.05, 0.7)):
         pairs = [_pair(min(frequency * 4.0**i, problem.fastest / 4), damping) for i in range(poles // 2)]
         found.append(problem.theta(np.array([*itertools.chain(*pairs), *[-frequency] * (poles % 2)], dtype=complex)))
