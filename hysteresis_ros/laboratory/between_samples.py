@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import functools
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy
@@ -50,7 +50,8 @@ def between_samples(parameters: LinearParameters, sample_time: float, rest: floa
 
     Units: ``sample_time`` [s].
     """
-    modes = modes_of(replace(parameters, **{name: tuple(map(float, getattr(parameters, name))) for name in "ABCD"}))
+    matrices: dict[str, Any] = {name: tuple(map(float, getattr(parameters, name))) for name in "ABCD"}
+    modes = modes_of(replace(parameters, **matrices))
     if modes is None:
         dynamics = LinearDynamics(parameters, sample_time)
         dynamics.settle(rest)

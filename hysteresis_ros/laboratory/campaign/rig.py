@@ -25,6 +25,7 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -218,8 +219,9 @@ class Device:
         """Return an axis that drives it."""
         plant = axis.plant_simulator
         back = (plant.limits.maximum - plant.limits.minimum) / plant.safe_slew_rate
-        gcs = replace(plant.gcs, port=self._port, safe_time=back)
-        return replace(axis, plant_simulator=replace(plant, driver="gcs", gcs=gcs))
+        plant, given = replace(plant, driver="gcs"), {"port": self._port, "safe_time": back}
+        own: dict[str, Any] = {"gcs": replace(plant.driver_parameters, **given)}  # the group that the driver declares
+        return replace(axis, plant_simulator=replace(plant, **own))
 
     def go_wrong(self, fault: str, seconds: float) -> None:
         """Let something go wrong from now on."""

@@ -18,6 +18,7 @@ import pathlib
 import time
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -108,7 +109,8 @@ class _Series:
     def _rig(self, mishap: Mishap, amount: float) -> Rig:
         """Start an axis with what a mishap needs."""
         self._rigs += 1
-        folder, axis, options = self._folder / f"{self._way}{self._rigs}", self._axis, {}
+        folder, axis = self._folder / f"{self._way}{self._rigs}", self._axis
+        options: dict[str, Any] = {}
         folder.mkdir(parents=True)
         if mishap.fault and self._way == FUSED:
             axis = scheduled(axis, mishap, amount, self._bounds)

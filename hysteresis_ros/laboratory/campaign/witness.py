@@ -17,6 +17,7 @@ import math
 import threading
 import time
 from collections import deque
+from typing import Any
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray
@@ -54,7 +55,7 @@ class Witness:
         self.tripped = 0.0
         self._counted = (0.0, 0)
         self._names: list[str] = []
-        self._clients: dict[str, object] = {}
+        self._clients: dict[str, Any] = {}
         qos = QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=DEPTH)
         self.node.create_subscription(JointState, "plant_simulator/state", self._on_plant, qos)
         self.node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, qos)

@@ -161,7 +161,8 @@ def names(axis: AxisParameters) -> list[tuple[str, str]]:
 
 def candidates(given: Known, conditions: Conditions, tasks, only=None) -> list[Candidate]:
     """Return every combination, designed or refused by name."""
-    axis, found, gains = given.axis, [], {}
+    axis, found = given.axis, []
+    gains: dict = {}
     learners = {learner(*one): one[1] for one in LEARNERS}
     for compensator, changed in compensators(axis).items():
         for controller, design in controllers(axis).items():

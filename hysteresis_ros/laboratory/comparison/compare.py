@@ -42,6 +42,7 @@ from hysteresis_ros.laboratory.comparison.tasks import (
     ALLOWED_DELAY,
     LEARNING_PERIODS,
     Conditions,
+    ForeignPlant,
     ModelledPlant,
     make_tasks,
 )
@@ -152,8 +153,8 @@ def table_of_others(conditions: Conditions, tried: Sequence[Tried]) -> Table:
     for name in dict.fromkeys(name for found in by_name for name in found):
         # where no creep was found, the compensator with it is the one without
         plain = name[0], name[1].removesuffix(WITH_CREEP)
-        each = [found.get(name, found.get(plain)) for found in by_name]
-        if None not in each:
+        each = [row for found in by_name if (row := found.get(name, found.get(plain))) is not None]
+        if len(each) == len(by_name):
             rows.append(joined(each, plants, name))
     yardstick = joined([one.yardstick for one in tried], plants, tried[0].yardstick.name)
     around = 8 + DRAWS
@@ -266,7 +267,10 @@ def _yardstick_around(trial: Trial) -> tuple[str, Row]:
 
 def _rows_on_other(seed: int, conditions: Conditions, only) -> tuple[str, Tried]:
     trial = trial_on_other(seed, conditions)
-    measure, kind = yardstick(trial), trial.plants[0].actuator.hysteresis
+    plant = trial.plants[0]
+    if not isinstance(plant, ForeignPlant):
+        raise TypeError(f"{type(plant).__name__}: no plant of another class")
+    measure, kind = yardstick(trial), plant.actuator.hysteresis
     rows = compared_with(trial.rows(only), measure)
     return f"plant {seed} of another class ({kind})", Tried(seed, kind, trial.stroke, rows, measure)
 

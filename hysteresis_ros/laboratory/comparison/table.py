@@ -315,6 +315,8 @@ def chosen_rows(table: Table) -> list[Row]:
 def best_text(comparison: Comparison) -> str:
     """Return the configuration with the best combination, every parameter written out."""
     best = comparison.best
+    if best.candidate is None:
+        raise ConfigurationError("the best row is of no combination: there is nothing to write")
     chosen = comparison.configuration.override("motion_controller", **best.candidate.motion_controller)
     chosen = chosen.override("hysteresis_compensator", **best.candidate.hysteresis_compensator)
     figures_ = ", ".join(f"{task}: {100.0 * result.worst:.3g} % RMS" for task, result in best.results.items())

@@ -15,9 +15,9 @@ No candidate gets one of the plants, see :mod:`hysteresis_ros.laboratory.compari
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -249,7 +249,8 @@ class _ForeignInLoop(ActuatorPlant):
     def __init__(self, parameters: PlantNodeParameters, actuator: ForeignParameters):
         # what the file has for creep and dynamics is a model of these
         super().__init__(replace(parameters, creep=CreepParameters(), dynamics=LinearParameters()))
-        block, chain = Foreign(actuator, 1.0 / parameters.sample_rate), self.actuator
+        block: Any = Foreign(actuator, 1.0 / parameters.sample_rate)  # in the place of any hysteresis
+        chain = self.actuator
         chain.hysteresis, chain.hysteresis_kernel = block, block.kernel
         chain.ps, chain.xs = chain.ps._replace(hysteresis=block.p), chain.xs._replace(hysteresis=block.x)
         chain.reset()
@@ -337,7 +338,7 @@ class Result:
         return float(np.max(self.rms))
 
 
-def best_delay(runs: dict[Task, Sequence[Followed]], longest: float) -> float:
+def best_delay(runs: Mapping[Task, Sequence[Followed]], longest: float) -> float:
     """Return the constant delay [s] with which the score of the runs is least: one for all references and plants."""
     delays = np.linspace(0.0, longest, DELAYS)
     coarse = {task: np.array([run.thin.mean_squares(task, delays) for run in found]) for task, found in runs.items()}
@@ -363,7 +364,7 @@ def _parabola(places, values, fine) -> np.ndarray:
     return np.polyval(np.polyfit(places - middle, values, 2), fine - middle)
 
 
-def judged(runs: dict[Task, Sequence[Followed]], delay: float, stroke: float) -> dict[str, Result]:
+def judged(runs: Mapping[Task, Sequence[Followed]], delay: float, stroke: float) -> dict[str, Result]:
     """Return the results of the runs of one candidate, by name of the task.
 
     Units: ``delay`` [s], ``stroke`` [m].
@@ -389,6 +390,7 @@ def merged(results: Sequence[dict[str, Result]]) -> dict[str, Result]:
     found = {}
     for task in results[0]:
         each = [result[task] for result in results]
-        joined = [np.concatenate([getattr(result, name) for result in each]) for name in arrays]
-        found[task] = Result(*joined, max(one.saturated for one in each), sum(one.unstable for one in each))
+        joined: dict[str, Any] = {name: np.concatenate([getattr(result, name) for result in each]) for name in arrays}
+        saturated, unstable = max(one.saturated for one in each), sum(one.unstable for one in each)
+        found[task] = Result(**joined, saturated=saturated, unstable=unstable)
     return found

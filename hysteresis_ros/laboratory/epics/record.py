@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from hysteresis_ros import signals
 from hysteresis_ros.errors import ConfigurationError
@@ -91,7 +91,7 @@ def at_rest(axis: AxisParameters) -> AxisParameters:
 
 def motor_settings(axis: AxisParameters, options: RecordOptions) -> MotorSettings:
     """Return the settings of an axis' motor record."""
-    common = {
+    common: dict[str, Any] = {
         "name": options.name(axis),
         "namespace": axis.namespace,
         "joint": axis.plant_simulator.joint,
@@ -112,7 +112,7 @@ def motor_settings(axis: AxisParameters, options: RecordOptions) -> MotorSetting
             dwell=DWELL,
             **common,
         )
-    own = axis.reference_generator
+    own = axis.generator
     approach = GeneratorSource(own).generator.approach.p
     stroke = own.maximum - own.minimum
     velocity, acceleration, _ = effective_limits(own.approach, stroke)
@@ -187,7 +187,7 @@ class MotorRecord:
         low, high, unit = settings.low / settings.metres, settings.high / settings.metres, settings.metres
         tweak = float(f"{0.01 * (high - low):.1g}")
         speed = settings.velocity
-        self.fields = {
+        self.fields: dict[str, Any] = {
             **dict.fromkeys(("VAL", "DVAL", "RBV", "DRBV", "OFF", "RLV", "DIFF"), 0.0),
             **dict.fromkeys(("STOP", "TWF", "TWR", "SSET", "SUSE", "SYNC", "LVIO", "HLS", "LLS", "MOVN", "MISS"), 0),
             **{"DHLM": high, "DLLM": low, "HLM": high, "LLM": low, "TWV": tweak, "RDBD": settings.tolerance / unit},

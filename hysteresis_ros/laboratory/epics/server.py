@@ -80,7 +80,7 @@ class Position(PvpropertyDouble):
 
     async def verify_value(self, value):
         """Give what a client writes to the record."""
-        return await self.putter(self, float(value[0] if isinstance(value, Iterable) else value))
+        return await self.putter(self, float(list(value)[0] if isinstance(value, Iterable) else value))
 
 
 class Motor(PVGroup):
@@ -170,7 +170,7 @@ class RefusedWrites(logging.Filter):
     def filter(self, record) -> bool:
         """Take the traceback out of the record of a write that was refused."""
         if record.exc_info and str(record.msg).startswith("Invalid write request"):
-            user, host, *_ = (*record.args, "", "")
+            user, host, *_ = (*tuple(record.args or ()), "", "")
             error = record.exc_info[1]
             record.msg, record.args = "write of %s on %s refused: %s: %s", (user, host, type(error).__name__, error)
             record.exc_info = record.exc_text = None

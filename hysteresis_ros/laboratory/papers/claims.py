@@ -229,10 +229,8 @@ class Claim:
     @property
     def tolerance(self) -> str:
         """The tolerance in words, in the unit shown; empty for a row for information."""
-        if self.low is None and self.high is None:
-            return ""
         if self.low is None:
-            return f"≤ {self._bound(self.high)}"
+            return "" if self.high is None else f"≤ {self._bound(self.high)}"
         if self.high is None:
             return f"≥ {self._bound(self.low)}"
         return f"{self._bound(self.low)} … {self._bound(self.high)}"
@@ -338,7 +336,7 @@ class Reproduction:
 
     def page(self) -> ClaimsPage:
         """Return what stands on the HTML page, but for the plots."""
-        groups = {
+        groups: dict[str, list[tuple[Sequence[str], bool | None]]] = {
             name: [(self.cells(claim), claim.holds) for claim in claims] for name, claims in self.groups().items()
         }
         return ClaimsPage(

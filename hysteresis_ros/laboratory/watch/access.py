@@ -247,10 +247,10 @@ def read_request(text: str) -> Request:
             raise RequestError(f"{shortened(text)}: is no JSON") from None
         if not isinstance(given, dict):
             raise RequestError(f"{shortened(text)}: must be an object with 'id' and 'do'")
-        number = given.get("id")
-        if isinstance(number, bool) or not isinstance(number, int) or not 0 <= number < 2**53:
-            number = -1
-            raise RequestError(f"id = {shortened(given.get('id'))}: must be a whole number")
+        asked = given.get("id")
+        if isinstance(asked, bool) or not isinstance(asked, int) or not 0 <= asked < 2**53:
+            raise RequestError(f"id = {shortened(asked)}: must be a whole number")
+        number = asked
         action = given.get("do")
         if not isinstance(action, str) or action not in ACTIONS:
             hint = did_you_mean(str(action), ACTIONS)

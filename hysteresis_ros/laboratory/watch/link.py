@@ -201,7 +201,10 @@ class AxisLink:
         hear(ParameterEvent, "/parameter_events", self._on_parameters, qos_profile_parameter_events)
         hear(String, name("changes"), self._on_change, loop_qos(True, DEPTH))
         for source in (signals.SOURCE, signals.MOTOR_SOURCE):
-            hear(String, name(f"{source}/refused"), lambda message: self._refused(message.data), setpoint_qos())
+            hear(String, name(f"{source}/refused"), self._on_refused, setpoint_qos())
+
+    def _on_refused(self, message: Any) -> None:
+        self._refused(message.data)
 
     @staticmethod
     def _do(job: Callable[[], Any], answer: Future) -> None:

@@ -21,6 +21,7 @@ import sys
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
+from typing import Any
 
 from hysteresis_ros.errors import HysteresisError
 from hysteresis_ros.laboratory.watch.access import is_loopback
@@ -71,7 +72,7 @@ class Pages:
         for request in self._requests:
             # a process of its own: the pip wheels of ROS restart the interpreter on import
             command = [sys.executable, "-m", "hysteresis_ros.laboratory.watch", request]
-            options = {"env": node_environment(), "start_new_session": True, "preexec_fn": guard}
+            options: dict[str, Any] = {"env": node_environment(), "start_new_session": True, "preexec_fn": guard}
             self._processes.append(subprocess.Popen(command, **options))
         return self
 

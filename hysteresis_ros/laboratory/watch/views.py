@@ -69,7 +69,8 @@ class View:
 
     def __init__(self, window: float, columns: int, rate: float, epoch: int, motor: bool = False):
         self.window, self.columns, self.rate, self.epoch = window, columns, rate, epoch
-        self._shown, loop = (MOTOR_SHOWN, MOTOR_LOOP) if motor else (SHOWN, LOOP)
+        self._shown: tuple[str, ...] = MOTOR_SHOWN if motor else SHOWN
+        loop = MOTOR_LOOP if motor else LOOP
         self._loop_rows = [self._shown.index(name) for name in loop]
         samples = max(round(window * rate), 1)
         length = max(-(-samples // columns), 1)
@@ -176,7 +177,7 @@ def limits_of(values: Mapping[str, Mapping]) -> dict[str, list[float]]:
         "voltage": [compensator.get("limits.minimum"), compensator.get("limits.maximum")],
     }
     found["slider"] = _setpoints(values.get("reference_generator", {}), *found["setpoint"])
-    return {name: pair for name, pair in found.items() if None not in pair}
+    return {name: [low, high] for name, (low, high) in found.items() if low is not None and high is not None}
 
 
 def _setpoints(source: Mapping, low: float | None, high: float | None) -> list[float | None]:

@@ -12,6 +12,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -142,7 +143,7 @@ def comparison_claims(runs: dict[str, Recording]) -> list[Claim]:
     found = {method: auwal.iae(run) for method, run in runs.items()}
     claims = []
     for method, published in auwal.IAE.items():
-        band = dict(low=0.99 * published, high=1.01 * published)
+        band: dict[str, Any] = dict(low=0.99 * published, high=1.01 * published)
         words = f"{auwal.METHODS[method]}: IAE"
         assumed = (*ASSUMED, *FURTHER.get(method, ()))
         claims.append(
@@ -212,7 +213,7 @@ def limit_claims(configuration: Configuration) -> tuple[list[Claim], dict[str, R
     claims = [Claim("limited.none", group, words, found["none"], "m*s", assumptions=(*assumed, auwal.GAIN))]
     for method in ("pid", "inverse"):
         expected = auwal.LIMITED_IAE[method]
-        band = dict(low=0.97 * expected, high=1.03 * expected)
+        band: dict[str, Any] = dict(low=0.97 * expected, high=1.03 * expected)
         words = f"{auwal.METHODS[method]}: IAE"
         claims.append(
             Claim(
@@ -277,7 +278,7 @@ def mismatch_claims(configuration: Configuration) -> list[Claim]:
             }
             found[method] = {words: auwal.reduction(auwal.iae(run), without) for words, run in runs.items()}
         low, high = auwal.OFF.get((name, size), (None, None))
-        expected = dict(paper=f"{low:g} … {high:g}", derived=True, low=low, high=high) if low else {}
+        expected: dict[str, Any] = dict(paper=f"{low:g} … {high:g}", derived=True, low=low, high=high) if low else {}
         words = f"{symbols[name]} off by ±{100.0 * size:g} %: less IAE than without"
         for method, values in found.items():
             least = min(values.values())
@@ -306,7 +307,7 @@ def condition_claims(configuration: Configuration) -> tuple[list[Claim], dict[st
     limits, noise, creep = (auwal.STACK_LIMITS,), (auwal.STACK_LIMITS, auwal.NOISY), (auwal.CREEPING,)
     period = 1.0 / auwal.HONEST_FREQUENCY
     claims = []
-    for name, words, axis, assumed, shape in (
+    for name, words, axis, further, shape in (
         ("limits", "limits alone", slow, limits, {}),
         ("half", "half the height", slow, limits, dict(height=HALF * auwal.HEIGHT)),
         ("cycles", "five cycles", slow, limits, dict(cycles=5)),
@@ -316,8 +317,9 @@ def condition_claims(configuration: Configuration) -> tuple[list[Claim], dict[st
         runs = {m: auwal.run_triangle(auwal.driven(axis, m), period=period, **shape) for m in WAYS}
         dithered = "noise through the derivative dithers the voltage by volts, and dither shrinks the hysteresis"
         fails = f"{dithered}: the PID's error is smaller with it; {BETTER}" if name == "noise" else ""
-        claims += _ways(f"slow.{name}", group, words, runs, (*BASE, *assumed), fails)
-    runs, errors = {}, {method: {} for method in ALL}
+        claims += _ways(f"slow.{name}", group, words, runs, (*BASE, *further), fails)
+    runs = {}
+    errors: dict[str, dict[str, float]] = {method: {} for method in ALL}
     for sign, value in (("−", -0.05), ("+", 0.05)):
         mistaken = auwal.off(everything, "d_e", value)
         for method in ALL:
@@ -385,9 +387,11 @@ def frequency_claims(configuration: Configuration) -> list[Claim]:
         "need more voltage than there is"
     )
     claims = []
-    triangles = [("0.02", "triangle of 0.02 Hz", slow, dict(period=50.0))]
+    triangles: list[tuple[str, str, Configuration, dict[str, Any]]] = [
+        ("0.02", "triangle of 0.02 Hz", slow, dict(period=50.0))
+    ]
     for frequency, cycles in FAST.items():
-        shape = dict(period=1.0 / frequency, cycles=cycles)
+        shape: dict[str, Any] = dict(period=1.0 / frequency, cycles=cycles)
         triangles.append((f"{frequency:g}", f"triangle of {frequency:g} Hz", fast, shape))
         if frequency == 1.0:
             half = dict(height=HALF * auwal.HEIGHT, **shape)

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import functools
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -144,7 +145,7 @@ def transfer_function_claims() -> list[Claim]:
         ("frequency", "natural frequency (1.28 Hz)", reduced.frequency, "rad/s", auwal.NATURAL_FREQUENCY, 0.02),
         ("damping", "damping ratio", reduced.damping, "1", auwal.DAMPING, 0.005),
     ):
-        band = dict(low=expected - room, high=expected + room)
+        band: dict[str, Any] = dict(low=expected - room, high=expected + room)
         kept = ("reduction: dominant pole pair and DC gain kept, damping fitted to the step response",)
         claims.append(
             Claim(
@@ -176,6 +177,8 @@ def transfer_function_claims() -> list[Claim]:
 
 def _validation_claims(group: str) -> list[Claim]:
     found = identified().validation
+    if found.autocorrelation is None or found.cross_correlation is None:
+        raise ValueError("the recording is too short for tests of its residual")
     tests = (
         ("autocorrelation", "residual: largest autocorrelation beyond lag 0", found.autocorrelation),
         ("cross_correlation", "residual: largest correlation with the input", found.cross_correlation),

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
@@ -58,7 +59,7 @@ def scanner(frequency: float, sample_time: float, delay: float = 0.0) -> LinearP
     A, B = zero_order_hold(
         [[0.0, 1.0], [-omega * omega, -2.0 * DAMPING * omega]], [[0.0], [omega * omega]], sample_time
     )
-    matrices = {"A": tuple(A.ravel().tolist()), "B": tuple(B[:, 0].tolist()), "C": (1.0, 0.0)}
+    matrices: dict[str, Any] = {"A": tuple(A.ravel().tolist()), "B": tuple(B[:, 0].tolist()), "C": (1.0, 0.0)}
     return LinearParameters(**matrices, sample_time=sample_time, delay=delay)
 
 
@@ -67,7 +68,8 @@ def integral(gain: float, dynamics: LinearParameters) -> ControllerParameters:
 
     Units: ``gain`` [1/s].
     """
-    return ControllerParameters(type="pid", model=ModelParameters(dynamics=dynamics), pid=PidParameters(Ki=float(gain)))
+    own: dict[str, Any] = {"pid": PidParameters(Ki=float(gain))}  # a group that the law declares
+    return ControllerParameters(type="pid", model=ModelParameters(dynamics=dynamics), **own)
 
 
 def tracking(gain: float, k: float, dynamics: LinearParameters) -> ControllerParameters:
@@ -80,9 +82,9 @@ def tracking(gain: float, k: float, dynamics: LinearParameters) -> ControllerPar
     """
     N, forward = -k * FEEDTHROUGH, 1.0 + 1.0 / FEEDTHROUGH
     whole = float(gain * k / forward)
-    pid = PidParameters(Kp=-whole / N**2, Ki=whole / N, Kd=whole / N**3, derivative_filter=N)
+    own: dict[str, Any] = {"pid": PidParameters(Kp=-whole / N**2, Ki=whole / N, Kd=whole / N**3, derivative_filter=N)}
     damping = DampingParameters.from_mapping({"type": "irc", "irc.k": k, "irc.feedthrough": FEEDTHROUGH})
-    return ControllerParameters(type="pid", model=ModelParameters(dynamics=dynamics), pid=pid, damping=damping)
+    return ControllerParameters(type="pid", model=ModelParameters(dynamics=dynamics), damping=damping, **own)
 
 
 def judged(parameters: ControllerParameters, frequency: float = RESONANCE) -> Margins:

@@ -12,6 +12,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -118,7 +119,7 @@ def paper_k_dynamics(noise: float = 0.02, samples: int = 60000, seed: int = 0) -
     """Identify the stack's structure from a noisy recording by the paper's method (K4)."""
     values = load_configuration("kim2009").node("plant_simulator")
     rate = values["sample_rate"]
-    structure = {name: tuple(values[f"dynamics.{name}"]) for name in "ABC"}
+    structure: dict[str, Any] = {name: tuple(values[f"dynamics.{name}"]) for name in "ABC"}
     random = np.random.default_rng(seed)
     u = random.standard_normal(samples)
     y = LinearDynamics(LinearParameters(**structure, output_scale=1e-6), 1.0 / rate).simulate(u)

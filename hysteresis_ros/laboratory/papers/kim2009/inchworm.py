@@ -23,9 +23,12 @@ import numpy as np
 
 from hysteresis_ros.configuration import Configuration, load_configuration
 from hysteresis_ros.loop.axis import Axis
+from hysteresis_ros.loop.plant import MotorPlant
 from hysteresis_ros.loop.reach import single_axis
 from hysteresis_ros.loop.simulation import mismatched
+from hysteresis_ros.loop.source import SequencerSource
 from hysteresis_ros.references import inchworm_layout as at
+from hysteresis_ros.references.inchworm_sequencer import InchwormSequencer
 
 #: The load and the clamps of the harder case: 2 N and 20 % less normal force.
 LOADED = {
@@ -68,10 +71,24 @@ class Move:
     arrived: bool  #: False when it did not arrive in time, or with an error.
 
 
+def sequencer_of(axis: Axis) -> InchwormSequencer:
+    """Return the sequencer of a motor."""
+    if not isinstance(axis.source, SequencerSource):
+        raise TypeError(f"{type(axis.source).__name__}: no sequencer of an inchworm motor")
+    return axis.source.sequencer
+
+
+def _place(axis: Axis) -> float:
+    """Return where the slider of a motor is [m]."""
+    if not isinstance(axis.plant, MotorPlant):
+        raise TypeError(f"{type(axis.plant).__name__}: no inchworm motor")
+    return axis.plant.motor.displacement
+
+
 def move(axis: Axis, setpoint: float, hold: float = 0.25, longest: float = 60.0) -> Move:
     """Go to ``setpoint`` [m] and stay there for ``hold`` [s] after a wait of as long."""
-    rate, x = axis.sample_rate, axis.source.sequencer.x
-    way = np.sign(setpoint - axis.plant.motor.displacement)
+    rate, x = axis.sample_rate, sequencer_of(axis).x
+    way = np.sign(setpoint - _place(axis))
     steps, beyond, elapsed, arrived = x[at.TOTAL_STEPS], 0.0, 0.0, False
     while elapsed < longest and not arrived and not x[at.ERROR]:
         table = axis.run(np.full(round(rate / 8), setpoint))
@@ -97,13 +114,13 @@ def honest_moves(seed: int, plant=None, setpoints=(5e-3, 0.0)) -> list[Move]:
 
 def speed(axis: Axis, samples: int = 20000) -> float:
     """Return the mean speed [m/s] of walking to a far setpoint."""
-    far = axis.parameters.inchworm_sequencer.maximum
+    far = axis.parameters.sequencer.maximum
     axis.run(np.full(2000, far))
-    before = axis.plant.motor.displacement
-    period = int(axis.source.sequencer.p[at.CYCLE_SAMPLES])
+    before = _place(axis)
+    period = int(sequencer_of(axis).p[at.CYCLE_SAMPLES])
     samples -= samples % period
     axis.run(np.full(samples, far))
-    return (axis.plant.motor.displacement - before) * axis.sample_rate / samples
+    return (_place(axis) - before) * axis.sample_rate / samples
 
 
 def step_errors(inverse: str, steps: int = 200, seed: int = 1, learning: bool = True, plant=None) -> np.ndarray:
@@ -113,18 +130,16 @@ def step_errors(inverse: str, steps: int = 200, seed: int = 1, learning: bool = 
         plant=plant, sequencer=sequencer, controller={"type": "open_loop"}, compensator={"inverse__type": inverse}
     )
     random = np.random.default_rng(seed)
-    stroke = axis.source.sequencer.parameters.gait.stroke
+    stroke = sequencer_of(axis).parameters.gait.stroke
     wait = round(0.06 * axis.sample_rate)
     axis.run(np.zeros(1000))
-    errors = []
+    errors: list[float] = []
     while len(errors) < steps:
-        x = axis.source.sequencer.x
+        x = sequencer_of(axis).x
         if x[at.MODE] == at.FAILED:
-            raise RuntimeError(
-                f"the motor stopped with the error {axis.source.sequencer.error} after {len(errors)} steps"
-            )
+            raise RuntimeError(f"the motor stopped with the error {sequencer_of(axis).error} after {len(errors)} steps")
         before = x[at.TOTAL_STEPS]
-        start = axis.plant.motor.displacement
+        start = _place(axis)
         way = random.choice([-1.0, 1.0]) if abs(start) < 1e-4 else -np.sign(start)
         setpoint = start + way * stroke * random.uniform(0.1, 0.99)
         table = axis.run(np.full(wait, setpoint))
@@ -186,10 +201,10 @@ def sequences(count: int, seconds: float = 0.4, seed: int = 1, plant=None) -> Se
     Every sequence goes on from where the one before left the motor; every tenth starts from rest.
     """
     axis = inchworm(plant=plant)
-    gait = axis.source.sequencer.parameters.gait
+    gait = sequencer_of(axis).parameters.gait
     rate, threshold = axis.sample_rate, gait.threshold_voltage
     limits = axis.parameters.plant_simulator.limits
-    home = axis.source.sequencer.parameters.home_position
+    home = sequencer_of(axis).parameters.home_position
     longest = round(max(gait.extend, gait.contract) * rate) + round(gait.grip * rate)
     random = np.random.default_rng(seed)
     both_open = beyond = unsafe = errors = slowest = 0
@@ -200,8 +215,8 @@ def sequences(count: int, seconds: float = 0.4, seed: int = 1, plant=None) -> Se
         setpoints, requests, speeds, faults = random_inputs(random, round(seconds * rate), rate)
         if number % 10:
             requests[0] = at.START_REQUEST
-        start, target = axis.plant.motor.displacement, axis.source.sequencer.x[at.TARGET]
-        walked = walking_distance(speeds, axis.source.sequencer.x[at.SPEED], rate)
+        start, target = _place(axis), sequencer_of(axis).x[at.TARGET]
+        walked = walking_distance(speeds, sequencer_of(axis).x[at.SPEED], rate)
         axis.inject(faults)
         table = axis.run(setpoints, requests, speeds)
         front, rear = table["front_voltage"], table["rear_voltage"]
@@ -252,9 +267,7 @@ def main(arguments=None) -> int:
             print(f"  overshoot {max(one.overshoot for one in moves) * 1e6:.3f} um at worst")
             print(f"  {np.mean([one.duration for one in moves]):.1f} s and {moves[-1].steps} steps a move")
             print(f"  {real_time:.0f} simulated seconds a second of processor time")
-            print(
-                "  learned:", ", ".join(f"{name} {value:.4g}" for name, value in axis.source.sequencer.learned.items())
-            )
+            print("  learned:", ", ".join(f"{name} {value:.4g}" for name, value in sequencer_of(axis).learned.items()))
     for title, plant in (("no load", None), ("2 N against, clamps 20 % weaker", LOADED)):
         moves = [one for seed in range(1, chosen.plants + 1) for one in honest_moves(seed, plant)]
         print(
@@ -265,7 +278,7 @@ def main(arguments=None) -> int:
             print(f"  overshoot {max(one.overshoot for one in moves) * 1e6:.3f} um at worst")
             print(f"  {min(one.steps for one in moves)} to {max(one.steps for one in moves)} steps a move")
     axis = inchworm()
-    gait = axis.source.sequencer.parameters.gait
+    gait = sequencer_of(axis).parameters.gait
     reached = speed(axis)
     print(f"speed {reached * 1e3:.4f} mm/s, {reached / gait.speed:.4f} of stroke times frequency")
     for name, plant in (("equal model", None), ("plant 3 % off", {"hysteresis__polynomial__scale": 1.03})):

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -26,7 +27,7 @@ from hysteresis_ros.recordings.dataset import Recording
 
 #: What the rows "left at 0 V" and "error on the upper level" are judged by.
 REMOVED = dict(paper="removed", high=kim.GOOD_RESIDUAL)
-LEFT = dict(paper=kim.RESIDUAL, low=0.8 * kim.RESIDUAL, high=1.2 * kim.RESIDUAL)
+LEFT: dict[str, Any] = dict(paper=kim.RESIDUAL, low=0.8 * kim.RESIDUAL, high=1.2 * kim.RESIDUAL)
 EXACT = dict(high=kim.GOOD_RESIDUAL)
 #: Held long enough for the uncontrolled vibration to settle [s].
 LONG = 1.5
@@ -384,6 +385,13 @@ _DIGIT = (
 _CREEPS = "the law has no integral action and follows its model, which does not creep; the estimator follows the plant"
 
 _CREEP = dict(creep__type="logarithmic", creep__logarithmic__rate=CREEP_RATE)
+
+
+def _off_both_ways(mismatch: float) -> Callable[[Configuration], list[Configuration]]:
+    """Return the change of an axis to those with the resonance of the plant off by ``mismatch`` in both directions."""
+    return lambda axis: kim.off_both_ways(other_structure, axis, mismatch)
+
+
 CONDITIONS = (
     Condition(
         "limits_positive",
@@ -409,7 +417,7 @@ CONDITIONS = (
         Condition(
             f"structure_{100.0 * mismatch:g}",
             f"resonance of the plant off by ±{100.0 * mismatch:g} %",
-            lambda axis, mismatch=mismatch: kim.off_both_ways(other_structure, axis, mismatch),
+            _off_both_ways(mismatch),
             assumed=(ALONE, STRUCTURE),
             mismatch=mismatch,
         )
@@ -508,7 +516,7 @@ def task_claims(configuration: Configuration, stroke: float) -> list[Claim]:
     many = step_figures(kim.run_steps(real, cycles=STEP_CYCLES))
     group = "Other steps, honest conditions, (d): with compensator, coefficients off by +5 %"
     assumed = (kim.MODEL, kim.LAW, kim.STACK, kim.AMPLIFIED, kim.REAL)
-    removed = dict(paper="removed", high=kim.GOOD_RESIDUAL)
+    removed: dict[str, Any] = dict(paper="removed", high=kim.GOOD_RESIDUAL)
     settling = kim.CONTROLLED_SETTLING
     rows = []
     for name, words, figures in (

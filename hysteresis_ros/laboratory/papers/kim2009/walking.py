@@ -18,13 +18,14 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 import scipy
 
 from hysteresis_ros.configuration import load_configuration
 from hysteresis_ros.control.law import APPLIED, COMMAND, FEEDFORWARD
-from hysteresis_ros.laboratory.papers.kim2009.inchworm import CREEP, MISMATCH
+from hysteresis_ros.laboratory.papers.kim2009.inchworm import CREEP, MISMATCH, sequencer_of
 from hysteresis_ros.loop.axis import Axis
 from hysteresis_ros.loop.reach import single_axis
 from hysteresis_ros.loop.simulation import mismatched
@@ -91,7 +92,7 @@ class Walker:
         self.axis = Axis(single_axis(configuration.override("plant_simulator", **contacts(kick))))
         parameters = self.axis.parameters.plant_simulator
         self.motor = Inchworm(_finer(parameters), 1.0 / parameters.sample_rate / INSTANTS)
-        self.sequencer = self.axis.source.sequencer
+        self.sequencer = sequencer_of(self.axis)
         self._late = (0.0, 100.0, 100.0)
 
     def sample(self) -> np.ndarray:
@@ -165,7 +166,7 @@ def compared(seed: int, parts=PARTS, cycles: float = LEARNED, **motor) -> dict[f
 
 
 #: The motors whose figures are printed.
-CASES = {
+CASES: dict[str, dict[str, Any]] = {
     "rigid contacts": {},
     "kick of 1 nm/N": {"kick": 1.0e-9},
     "kick of 2 nm/N": {"kick": 2.0e-9},

@@ -12,6 +12,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -98,7 +99,7 @@ def _tracking_rows(prefix: str, frequency: str, found: dict[str, Figures]) -> li
     rows = []
     for key, figures in found.items():
         words = wang.WORDS[key]
-        common = dict(group=group, unit="%", assumptions=_assumed(key, *more))
+        common: dict[str, Any] = dict(group=group, unit="%", assumptions=_assumed(key, *more))
         name = f"{prefix}.{frequency}.{key}"
         rows += [
             Claim(f"{name}.rms", quantity=f"{words}: rms, % of amplitude", measured=figures.rms, **common),

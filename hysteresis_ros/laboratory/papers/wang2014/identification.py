@@ -20,6 +20,7 @@ from __future__ import annotations
 import argparse
 import pathlib
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -82,7 +83,7 @@ def paper_w(shape: str = "network", size: int | None = None, seed: int = 0) -> P
     major = np.tile(cycle, 3)
     decaying = np.concatenate([cycle, np.tile(cycle, 6) * np.linspace(1.0, 0.02, 6000)])
     unseen = np.concatenate([cycle, np.tile(cycle, 10) * np.exp(-np.arange(10000) / 4000.0)])
-    arguments = dict(minor=(decaying, passed(decaying)), shape=shape, size=size, seed=seed)
+    arguments: dict[str, Any] = dict(minor=(decaying, passed(decaying)), shape=shape, size=size, seed=seed)
     identified = identify_duhem(major, passed(major), **arguments)
     published = identify_duhem(major, passed(major), alpha=PUBLISHED_ALPHA, **arguments)
     inverse = identify_inverse_duhem(major, passed(major), **arguments)
@@ -188,7 +189,8 @@ def identify_plays(decreasing, sweep, sample_time: float) -> tuple[PrandtlIshlin
 
     Units: ``sample_time`` [s].
     """
-    found = fit_prandtl_ishlinskii(*decreasing, sample_time, play_count=PLAYS, zone_count=ZONES, linear=("lag",))
+    u, y = decreasing
+    found = fit_prandtl_ishlinskii(u, y, sample_time, play_count=PLAYS, zone_count=ZONES, linear=("lag",))
     model = found.hysteresis.prandtl_ishlinskii
     passed = PrandtlIshlinskiiHysteresis(model, sample_time).simulate(sweep[0])
     dynamics, gain = _dynamics(passed, sweep[1], sample_time)

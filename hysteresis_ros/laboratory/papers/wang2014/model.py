@@ -301,7 +301,7 @@ def model_claims(axes: dict[str, Configuration], full, half) -> list[Claim]:
 def _model_row(prefix, group, frequency, key, error, linear) -> Claim:
     """Return the row of a model's error [% of the amplitude], beside the rms of the linear one's."""
     judged = key == wang.PAPER and prefix.endswith("full") or key == wang.BETTER
-    assumed = (wang.TRUTH, wang.DYNAMICS, wang.RECORDED)
+    assumed: tuple[str, ...] = (wang.TRUTH, wang.DYNAMICS, wang.RECORDED)
     if key == wang.BETTER:
         assumed = (*assumed, wang.SAME_CLASS)
     return Claim(
