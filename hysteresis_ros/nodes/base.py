@@ -28,6 +28,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
+from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, ReliabilityPolicy
 from sensor_msgs.msg import JointState
 from std_msgs.msg import String, UInt64
@@ -45,6 +46,9 @@ from hysteresis_ros.nodes.qos import diagnostics_qos, latched_qos, loop_qos
 from hysteresis_ros.nodes.realtime import RealTime
 from hysteresis_ros.nodes.timing import OVERRUN, Pace
 from hysteresis_ros.signals import CONFIGURED, ENDED
+
+#: The method of rclpy that answers ``change_state``.
+_CHANGE_STATE = "_LifecycleNodeMixin__on_change_state"
 
 
 class GuardedLifecycleNode(GuardedServices, LifecycleNode):
@@ -68,7 +72,7 @@ class GuardedLifecycleNode(GuardedServices, LifecycleNode):
             self.get_logger().warning(f"transition {wanted.id} refused: {now} now, which allows {names}")
             response.success = False
             return response
-        return super()._LifecycleNodeMixin__on_change_state(request, response)
+        return getattr(super(), _CHANGE_STATE)(request, response)
 
     @property
     def autostart(self) -> bool:
@@ -84,8 +88,21 @@ class GuardedLifecycleNode(GuardedServices, LifecycleNode):
         return self.trigger_activate() == TransitionCallbackReturn.SUCCESS
 
 
-class Endpoints:
-    """What a node of an axis makes publishers, subscriptions and timers with."""
+class Endpoints(Node):
+    """What a node makes publishers, subscriptions and timers with; stands before rclpy's class of the node."""
+
+    parameters: Any  #: Typed parameters of this kind of node; None while it is not configured.
+    runner: Any  #: What decides when a sample is dealt with; None before the node is configured.
+    steady: Clock
+    partners: Partners
+    masters: Masters
+    compatibility: Compatibility
+    _topic_handles: list
+    _loop_publishers: list
+    _work_timers: list
+    _warned: dict[str, int]
+    _state: JointState
+    _state_publisher: Any
 
     def qos(self):
         """Quality of service of the topics between the nodes."""
@@ -376,7 +393,7 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
         self.parameters = None
         self.runner = None
         #: With time_mode fused: the axis of which this node is one, in this process.
-        self.fused = None
+        self.fused: Any = None
         self.changes = ChangeLog(name)
         self.active = False
         #: Whether the process is about to end.
@@ -388,10 +405,10 @@ class AxisNode(TabledParameters, Endpoints, GuardedLifecycleNode):
         self.pace = Pace()
         self.sample = 0
         self.end_of_run = -1
-        self._topic_handles: list = []
-        self._loop_publishers: list = []
-        self._work_timers: list = []
-        self._warned: dict[str, int] = {}
+        self._topic_handles = []
+        self._loop_publishers = []
+        self._work_timers = []
+        self._warned = {}
         self._reported: dict[str, int] = {}
         self.active_since = 0.0
         self.compatibility = Compatibility(self)

@@ -22,6 +22,7 @@ import time
 from sensor_msgs.msg import Image, JointState
 
 from hysteresis_ros.hardware.tracker import FrameError, grey_image, nowhere
+from hysteresis_ros.loop.parameters import DisplacementCameraNodeParameters
 from hysteresis_ros.loop.plant import CameraPart
 from hysteresis_ros.nodes.base import AxisNode
 from hysteresis_ros.nodes.responder import TRIPPED_FRAME
@@ -34,6 +35,8 @@ STATE = ("displacement", "pixels", "uncertainty", "contrast", "blur")
 
 class DisplacementCameraNode(AxisNode):
     """Makes ``joint_states`` of images, one of each."""
+
+    parameters: DisplacementCameraNodeParameters
 
     def __init__(self, **options):
         self.part = None

@@ -213,13 +213,15 @@ class FusedAxis:
     def await_samples(self, count: int) -> None:
         """Wait until the loop has made so many more samples, while it makes any."""
         loop = self.loop
+        if loop is None:
+            return
         first, patience = loop.sample, time.monotonic() + RETURN
         while loop.running and not loop.is_blocked and loop.sample < first + count and time.monotonic() < patience:
             time.sleep(1e-3)
 
     def reset(self, node) -> None:
         """Let the part of a node begin again with everything at rest, of the plant all parts; samples count on."""
-        if self.loop is None:
+        if self.loop is None or self.axis is None:
             return
         whole = node.kind == "plant_simulator"
         if whole:

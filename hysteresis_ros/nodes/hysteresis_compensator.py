@@ -18,6 +18,7 @@ import time
 from hysteresis_ros import signals
 from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.loop.compensator import CompensatorPart, adapted_text, compensate
+from hysteresis_ros.loop.parameters import CompensatorNodeParameters
 from hysteresis_ros.loop.tick import Laws
 from hysteresis_ros.loop.watch import MODE_NAMES, RUNNING, STALE, TRIPPED
 from hysteresis_ros.models import adaptation as adapting
@@ -40,6 +41,7 @@ class HysteresisCompensatorNode(Responder):
     voltage returns to ``safe_voltage``.
     """
 
+    parameters: CompensatorNodeParameters
     identity = ("inverse.type", "hysteresis.type")
     inputs = (Input("command", signals.COMMAND, "motion_controller"),)
     outputs = (("voltage", signals.VOLTAGE), ("applied", signals.APPLIED))

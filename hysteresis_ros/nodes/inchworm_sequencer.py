@@ -21,6 +21,7 @@ from collections import deque
 from std_msgs.msg import Float64
 
 from hysteresis_ros import signals
+from hysteresis_ros.loop.parameters import InchwormSequencerNodeParameters
 from hysteresis_ros.loop.source import SequencerSource, sequenced
 from hysteresis_ros.models.block import interpreted
 from hysteresis_ros.nodes.qos import setpoint_qos
@@ -58,6 +59,7 @@ class InchwormSequencerNode(ReferenceSource):
     the node closes whatever is open and leaves its voltage on.
     """
 
+    parameters: InchwormSequencerNodeParameters
     # in this order: whoever hears a reference has heard its origin
     outputs = (
         ("origin", signals.ORIGIN),

@@ -287,7 +287,7 @@ class Master:
         if len(self._looked) > MOST_RIVALS:
             self._looked.clear()
         self._looked[identity] = now  # for each: a flood of one must not keep another one from being looked at
-        if not over and masters.is_there(self.topic, self.identity):
+        if not over and self.identity is not None and masters.is_there(self.topic, self.identity):
             return False
         return self.released or bool(self.name and masters.full_name(self.topic, identity) == self.name)
 

@@ -26,6 +26,7 @@ from hysteresis_ros.control.laws.pid import INTEGRAL
 from hysteresis_ros.control.learning import MODES
 from hysteresis_ros.errors import ParameterError, Problem
 from hysteresis_ros.loop.controller import ControllerPart, carried_out, control
+from hysteresis_ros.loop.parameters import ControllerNodeParameters
 from hysteresis_ros.loop.tick import ANSWERED, Laws
 from hysteresis_ros.loop.watch import FOLLOWING, HOLDING, MODE_NAMES, REJECTED, RUNNING, STALE, STOPPED, TRIPPED
 from hysteresis_ros.models.block import interpreted
@@ -156,6 +157,7 @@ class MotionControllerNode(Responder):
     joint less the ``origin`` that comes with every reference.
     """
 
+    parameters: ControllerNodeParameters
     identity = ("type",)
     outputs = (("command", signals.COMMAND),)
     share = 0.85

@@ -178,7 +178,7 @@ class GuardedServices(Node):
                 reason = f"{shortened(request.parameters[0].name)}: {_of(error)}"
                 return [SetParametersResult(successful=False, reason=reason)]
 
-        answer.is_guarded = True
+        vars(answer)["is_guarded"] = True
         return answer
 
 
@@ -231,8 +231,10 @@ _TYPES = {
 }
 
 
-class TabledParameters:
+class TabledParameters(Node):
     """What a node with :attr:`interface` tells others of its parameters; stands before rclpy's class of the node."""
+
+    interface: ParameterInterface
 
     def describe_parameter(self, name: str):
         """Describe a parameter with its range and whether it can be changed."""

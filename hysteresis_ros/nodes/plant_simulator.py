@@ -31,6 +31,7 @@ from std_msgs.msg import Bool, Float64, UInt64
 from hysteresis_ros import signals
 from hysteresis_ros.errors import ConfigurationError, HysteresisError
 from hysteresis_ros.loop.device import fused_plant_of, plant_of
+from hysteresis_ros.loop.parameters import PlantNodeParameters
 from hysteresis_ros.loop.plant import actuate, sense
 from hysteresis_ros.loop.tick import MEASURED, Laws
 from hysteresis_ros.loop.watch import RUNNING
@@ -183,6 +184,7 @@ class PlantSimulatorNode(AxisNode):
     ``realtime``: publishes at its rate from a thread with absolute deadlines and holds the last voltages.
     """
 
+    parameters: PlantNodeParameters
     identity = ("type", "driver", "hysteresis.type")
     share = 0.95
     triggers = (*AxisNode.triggers, "home")

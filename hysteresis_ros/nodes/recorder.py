@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import contextlib
 import time
+from typing import Any
 
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticArray
@@ -23,6 +24,7 @@ from std_msgs.msg import Float64, String, UInt64
 from hysteresis_ros.configuration import parse_configuration
 from hysteresis_ros.errors import ConfigurationError, RecordingError
 from hysteresis_ros.files import BoundsError, read_json, read_text
+from hysteresis_ros.loop.parameters import RecorderNodeParameters
 from hysteresis_ros.loop.repeated import named_files
 from hysteresis_ros.nodes.base import AxisNode
 from hysteresis_ros.nodes.qos import chosen_qos, diagnostics_qos, latched_qos, loop_qos, setpoint_qos
@@ -73,13 +75,15 @@ class RecorderNode(AxisNode):
 
     identity = ("path",)
     has_state = False
+    parameters: RecorderNodeParameters
 
     def __init__(self, **options):
         super().__init__("recorder", **options)
         self.recording: GuardedBag | None = None
         self._arrived = False
         self._samples: SampleWriter | None = None
-        self._reader = self._fused_plant = None
+        self._reader: Any = None
+        self._fused_plant: Any = None
         self._lost = 0
         #: Entries that were taken of each log of changes in this process.
         self._entries_taken: dict[str, int] = {}
@@ -116,9 +120,24 @@ class RecorderNode(AxisNode):
         return min(0.1, 0.5 * self.parameters.chunk_time)
 
     @property
+    def _opened(self) -> GuardedBag:
+        """What :meth:`build` has opened."""
+        if self.recording is None:
+            raise RuntimeError("the recorder is not configured")
+        return self.recording
+
+    @property
     def bag(self) -> BagWriter | None:
         """The bag; None before it is made, when it is finished, and when it could not go on."""
         return None if self.recording is None else self.recording.bag
+
+    @property
+    def _unfinished(self) -> BagWriter:
+        """The bag; raises RecordingError when nothing can be added to it any more."""
+        bag = self.bag
+        if bag is None:
+            raise RecordingError(f"{self._opened.path} is finished; start another recorder with another path")
+        return bag
 
     @property
     def is_fused(self) -> bool:
@@ -169,9 +188,7 @@ class RecorderNode(AxisNode):
 
     def begin(self) -> None:
         """Write the configuration first, then tell the plant that it may begin."""
-        bag = self.bag
-        if bag is None:
-            raise RecordingError(f"{self.recording.path} is finished; start another recorder with another path")
+        bag = self._unfinished
         if self._configuration:
             self._announce.publish(String(data=self._configuration))
             bag.add_topic(self._announce.topic_name, "std_msgs/msg/String", "transient_local")
@@ -204,7 +221,7 @@ class RecorderNode(AxisNode):
 
         written = self.resolve_topic_name(topic)
         subscription = self.subscriber(message_type, heard or topic, write, qos, raw=True, partner=partner)
-        self.bag.add_topic(written, type_name, durability)
+        self._unfinished.add_topic(written, type_name, durability)
         if index >= 0:
             self._sampled.append(written)
         return subscription.topic_name
@@ -284,7 +301,7 @@ class RecorderNode(AxisNode):
         stamps = self._fused_plant.stamps.of_all(np.arange(taken.first, taken.first + count))
         self._samples.force = self._fused_plant.parameters.preload.force
         given = {"joints": taken.joints, "times": taken.times}
-        self.recording.attempt(lambda _: self._samples.write(stamps, taken.table, **given))
+        self._opened.attempt(lambda _: self._samples.write(stamps, taken.table, **given))
         self._counts = [taken.first + count - self._lost] * len(self._topics)
         self._arrived = True
 
@@ -298,7 +315,7 @@ class RecorderNode(AxisNode):
             texts, self._entries_taken[node.kind] = node.changes.since(self._entries_taken.get(node.kind, 0))
             new += texts
         for text in new:
-            self.recording.attempt(lambda bag, text=text: bag.write_string(topic, text, time.time_ns()))
+            self._opened.attempt(lambda bag, text=text: bag.write_string(topic, text, time.time_ns()))
             self._note_change(text)
 
     def _send_acknowledgement(self) -> None:
@@ -310,9 +327,10 @@ class RecorderNode(AxisNode):
         self.take_samples()
         if self._arrived:
             self._last_arrival, self._arrived = now, False
-        self.recording.tend(self.parameters.min_space)
-        if self.recording.stopped:
-            self.warn("stopped", f"recording ended: {self.recording.stopped}", every=60.0, error=True)
+        recording = self._opened
+        recording.tend(self.parameters.min_space)
+        if recording.stopped:
+            self.warn("stopped", f"recording ended: {recording.stopped}", every=60.0, error=True)
         if not self._began:
             # real-time topics keep nothing for a late reader: let the plant begin when all publishers are there
             self._began = now > self._patience or all(map(self.count_publishers, (*self._sampled, self._taken)))
@@ -378,8 +396,12 @@ class RecorderNode(AxisNode):
     def health(self):
         """Report what has been written, and whether nothing comes."""
         stale = self.pace.age > max(STALE, 3.0 / self.parameters.sample_rate) and self.end_of_run < 0
-        recording = self.recording
-        values = {"messages": recording.message_count, "acknowledged": self._acknowledged, "stale": stale}
+        recording = self._opened
+        values: dict[str, Any] = {
+            "messages": recording.message_count,
+            "acknowledged": self._acknowledged,
+            "stale": stale,
+        }
         values |= {"recording": self.bag is not None, "free_space_mb": f"{recording.free / 1e6:.0f}"}
         if recording.stopped:
             return 2, f"recording ended: {recording.stopped}", values

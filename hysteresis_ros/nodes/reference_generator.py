@@ -26,6 +26,7 @@ from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64, UInt64
 
 from hysteresis_ros import signals
+from hysteresis_ros.loop.parameters import ReferenceNodeParameters
 from hysteresis_ros.loop.source import GeneratorSource, generate
 from hysteresis_ros.loop.tick import Laws
 from hysteresis_ros.loop.watch import FOLLOWING, HOLDING, RUNNING
@@ -206,6 +207,7 @@ _GENERATE = interpreted(generate)
 class ReferenceGeneratorNode(ReferenceSource):
     """Answers every ``joint_states`` with one ``reference`` [m]; takes ``setpoint`` [m] at any time."""
 
+    parameters: ReferenceNodeParameters
     identity = ("waveform.type",)
     #: Without measurements there is nothing to answer: no samples are counted.
     patience = math.inf
@@ -232,7 +234,8 @@ class ReferenceGeneratorNode(ReferenceSource):
     def after_step(self) -> None:
         """Look at moves that somebody waits for, and at the setpoint that a trajectory may have put in force."""
         self.setpoint = self.row[signals.SETPOINT]
-        self.trajectories.look()
+        if self.trajectories is not None:
+            self.trajectories.look()
         if self.runner.by_message:
             self.look_at((self.row,))
         if self.action is not None:
@@ -264,7 +267,8 @@ class ReferenceGeneratorNode(ReferenceSource):
         """Go to work, and look after the plant of somebody else."""
         super().begin()
         self.forget_settled()
-        self.trajectories.begin()
+        if self.trajectories is not None:
+            self.trajectories.begin()
         if self._run is not None:
             self._run.begin()
 

@@ -17,6 +17,7 @@ import pathlib
 import tempfile
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -76,7 +77,7 @@ class Trial:
         plant = replace(self.axis.plant_simulator, samples=self.samples, late_limit=-1)
         axis = replace(self.axis, namespace=f"/doctor_{os.getpid()}", plant_simulator=plant).with_time_mode(time_mode)
         with tempfile.TemporaryDirectory(prefix="hysteresis_") as folder, Domain() as domain:
-            options = {"composed": self.composed, "record": pathlib.Path(folder) / "bag"}
+            options: dict[str, Any] = {"composed": self.composed, "record": pathlib.Path(folder) / "bag"}
             with Graph([axis], **options, environment=domain.environment) as graph:
                 graph.wait()
             yield graph.bags[0]

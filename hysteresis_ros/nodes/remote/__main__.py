@@ -21,7 +21,14 @@ from hysteresis_ros.nodes.remote.client import AbsentError, Client
 from hysteresis_ros.nodes.remote.commands import call, echo, get, set_, setpoint, status
 
 #: What can be asked for; each gets the client and the further arguments.
-COMMANDS = {"status": status, "get": get, "set": set_, "call": call, "echo": echo, "setpoint": setpoint}
+COMMANDS: dict[str, Callable[..., int | None]] = {
+    "status": status,
+    "get": get,
+    "set": set_,
+    "call": call,
+    "echo": echo,
+    "setpoint": setpoint,
+}
 
 
 def done(request: dict, make_client: Callable[[str, float], Client] = Client) -> int:

@@ -484,12 +484,11 @@ def setpoint(client: Client, value: float) -> None:
     """
     source = _source(client)
     state: dict[str, float] = {}
-    client.node.create_subscription(
-        JointState,
-        f"{source}/state",
-        lambda message: state.update(zip(message.name, message.position, strict=False)),
-        10,
-    )
+
+    def hear(message: JointState) -> None:
+        state.update(zip(message.name, message.position, strict=False))
+
+    client.node.create_subscription(JointState, f"{source}/state", hear, 10)
     _require_active(client, source)
     argument = Parameter("setpoint", Parameter.Type.DOUBLE, value).to_parameter_msg()
     request = SetParametersAtomically.Request(parameters=[argument])

@@ -96,19 +96,19 @@ class Session:
     def _client(self, namespace: str, timeout: float, connection: socket.socket) -> Client:
         """Return a client that stops with the command that it serves."""
 
-        def hear() -> None:
-            if select.select([connection], [], [], 0.0)[0]:  # the command says nothing more: it has left
-                raise BrokenPipeError
-            usual()
+        class Served(Client):
+            def hear(self) -> None:
+                if select.select([connection], [], [], 0.0)[0]:  # the command says nothing more: it has left
+                    raise BrokenPipeError
+                super().hear()
 
-        client = Client(
+        client = Served(
             namespace,
             timeout,
             self._context,
             lambda: SingleThreadedExecutor(context=self._context),
             name=f"{os.getpid()}_{next(self._numbers)}",
         )
-        usual, client.hear = client.hear, hear
         if time.monotonic() - self._begun > INTRODUCED:
             client.settles = 0.0
         return client
