@@ -218,6 +218,6 @@ def with_stage(data: IdentificationData, request: Request, fit: FittedHysteresis
 
 
 def automatic_skip(data: IdentificationData) -> int:
-    """Return how many samples pass before the voltage has been near both ends of its range and the past is wiped out."""
+    """Return how many samples pass before the voltage has been near both ends of its range: that wipes out the past."""
     found = condense(data.input, data.output, data.sample_time)
     return found.first * found.factor

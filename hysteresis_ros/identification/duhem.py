@@ -41,6 +41,7 @@ from hysteresis_ros.identification.preprocessing import (
     require_both_directions,
     split_branches,
 )
+from hysteresis_ros.identification.thresholds import NETWORK_SIZE
 from hysteresis_ros.models.hysteresis.duhem import DuhemHysteresis, DuhemParameters
 from hysteresis_ros.models.linear import LinearParameters
 
@@ -263,9 +264,8 @@ SIZE_WEIGHT = 1e-5
 #: Numbers of units and of knots that are tried, until the residual is small or stops falling.
 UNITS = (4, 8, 12, 18, 24)
 KNOTS = (8, 12, 18, 26, 38, 56)
-#: Residual (rms, of half the range) that is small enough, and the part by which a larger model must be better.
+#: Residual (rms, of half the range) that is small enough.
 SMALL_RESIDUAL = 4e-5
-SIZE_WORTH_IT = 0.8
 TRAINING_STARTS = 2
 TRAINING_STEPS = 150
 #: Networks with this residual are trained, whether or not a further step would still lower it a little.
@@ -428,7 +428,7 @@ def fit_shapes(operator: LoopOperator, target, kind: str, size: int | None, rand
         if 6 * number > len(target):
             break
         shapes = fit(number)
-        if best is not None and shapes.rms > SIZE_WORTH_IT * best.rms and best.rms < 1e-3:
+        if best is not None and shapes.rms > NETWORK_SIZE.bound(best.rms) and best.rms < 1e-3:
             break
         if best is None or shapes.rms < best.rms:
             best = shapes

@@ -45,6 +45,7 @@ from hysteresis_ros.identification.linear_part import Known, LinearPart, Mode
 from hysteresis_ros.identification.plant_model import PlantModel
 from hysteresis_ros.identification.prediction import predict
 from hysteresis_ros.identification.preprocessing import condense
+from hysteresis_ros.identification.thresholds import FAST_DYNAMICS
 from hysteresis_ros.models.creep import Creep
 from hysteresis_ros.models.hysteresis import hysteresis_block
 from hysteresis_ros.models.linear import LinearParameters
@@ -494,8 +495,6 @@ TURNS = 2
 #: Up to this harmonic of the drive loops have a shape of their own; a resonance there needs this part of the voltage's
 #: power within this part of its frequency.
 HARMONICS, LEAST_POWER, BAND = 10, 1e-3, 0.1
-#: Dynamics found later are taken when they lower the RMS residual by this part.
-DYNAMICS_WORTH_IT = 0.03
 #: Damping below which a mode is a resonance, which no lag stands for.
 SHARP = 0.3
 
@@ -555,7 +554,7 @@ class TurnSearch:
             )
         best, *others = found
         for fit in others:  # the simplest comes first
-            best = fit if fit.rmse < (1.0 - DYNAMICS_WORTH_IT) * best.rmse else best
+            best = fit if FAST_DYNAMICS.improves(fit.rmse, best.rmse) else best
         return best
 
     def fit(self, longest: int | None = None, **options) -> HammersteinFit:

@@ -24,7 +24,6 @@ import numpy as np
 
 from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.identification.hammerstein import (
-    STRUCTURE_WORTH_IT,
     HammersteinFit,
     PartSearch,
     finished,
@@ -35,8 +34,8 @@ from hysteresis_ros.identification.hammerstein import (
     without_drift,
     without_outliers,
 )
-from hysteresis_ros.identification.prandtl_ishlinskii import ALONE
 from hysteresis_ros.identification.preprocessing import Condensed, condense, simple_loops
+from hysteresis_ros.identification.thresholds import LOOPS_OF_ONE_SIZE, STRUCTURE
 from hysteresis_ros.identification.weights import radii, smooth_weights
 from hysteresis_ros.models.block import compiled
 from hysteresis_ros.models.hysteresis import HysteresisParameters
@@ -106,7 +105,7 @@ def _chosen(data: Condensed, play_count: int, freedom: str, linear, progress) ->
             rivals.append(GeneralisedPlays(plain.data, play_count, names).settle(plain, progress))
     if freedom != "auto":
         return rivals[-1]
-    chosen, errors = survivor(rivals, worth_it=ALONE if simple_loops(data) else STRUCTURE_WORTH_IT)
+    chosen, errors = survivor(rivals, thresholds=(LOOPS_OF_ONE_SIZE if simple_loops(data) else STRUCTURE,))
     chosen.numbers["held_out_rmse_m"] = errors[rivals.index(chosen)]
     return chosen
 

@@ -13,7 +13,7 @@ Lag and creep widen every loop. Taken for hysteresis they spoil the prediction a
 they are separated: for each trial of the few parameters of the linear part the many weights of the hysteresis
 follow from constrained linear least squares (variable projection), and what is left decides between the trials. A
 lag, a delay and creep are accepted one after the other when they make the residual smaller by
-:data:`PART_WORTH_IT`. Then outliers are left out, and the residual is measured with the kernels of the nodes.
+:data:`.thresholds.LINEAR_PART`. Then outliers are left out, and the residual is measured with the kernels of the nodes.
 
 Structures with more freedom are compared on what they were not fitted to: each part of a recording is predicted
 from the rest of it. A part is several stretches spread over the recording: one stretch alone could be the only one
@@ -22,6 +22,7 @@ with large loops, and what is asked is not how a structure extrapolates.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple
 
@@ -30,13 +31,21 @@ import numpy as np
 from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.identification.linear_part import Known, LinearPart
 from hysteresis_ros.identification.preprocessing import (
-    DRIFTING,
-    MOST_OUTLIERS,
     ROUNDS,
     Condensed,
     cleaning_notes,
     inliers,
     outliers_matter,
+)
+from hysteresis_ros.identification.thresholds import (
+    DELAY_OR_LAG,
+    DRIFT,
+    LINEAR_PART,
+    MOST_OUTLIERS,
+    SETTLED_START,
+    STANDARD_ERRORS,
+    STRUCTURE,
+    Threshold,
 )
 from hysteresis_ros.models.actuator import ActuatorParameters
 from hysteresis_ros.models.creep import Creep, CreepParameters
@@ -45,14 +54,9 @@ from hysteresis_ros.models.limits import LimitsParameters
 from hysteresis_ros.models.linear import LinearDynamics, LinearParameters
 from hysteresis_ros.recordings.loops import turning_points
 
-#: Parts of the linear model are kept when they lower the RMS residual by this part.
-PART_WORTH_IT = 0.01
 #: Largest lag and delay, as parts of the mean time between two reversals; largest creep rate a decade.
 LONGEST_LAG = 0.6
 LARGEST_RATE = 0.05
-SETTLED_WORTH_IT = 0.05
-#: A delay instead of a lag, or beside it, has to lower the residual by this part.
-TOLD_APART = 0.05
 MOST_EVALUATIONS = 40
 #: Points of a stretch of voltage before the recording.
 FINE = 65
@@ -184,14 +188,14 @@ def search_linear_part(search: PartSearch, linear):
             continue
         # at rest at 0 V before, as nodes start, unless the data clearly wants rest under its first voltage; and with
         # straight lines between the samples unless it wants a held voltage
-        bases, worth = [base], PART_WORTH_IT
+        bases, threshold = [base], LINEAR_PART
         if part == "lag" and not base.hold:
             bases.append(held)
         if part == "creep" and not base.settled:
-            bases, worth = [base, replace(base, settled=True)], SETTLED_WORTH_IT
+            bases, threshold = [base, replace(base, settled=True)], SETTLED_START
         trials = [search.run([*kept, part], found.values, start) for start in bases]
-        better = int(len(trials) == 2 and trials[1].spread < (1.0 - worth) * trials[0].spread)
-        if trials[better].spread < (1.0 - PART_WORTH_IT) * found.spread:
+        better = int(len(trials) == 2 and threshold.improves(trials[1].spread, trials[0].spread))
+        if LINEAR_PART.improves(trials[better].spread, found.spread):
             kept.append(part)
             base, found = bases[better], trials[better]
     if "lag" in kept and "delay" in linear:
@@ -206,9 +210,10 @@ def _told_apart(search: PartSearch, kept, base: LinearPart, found: PartTrial):
     delayed = search.run([*others, "delay"], {**found.values, "delay": late}, base)
     lagging = search.run([*others, "lag"], {**found.values, "lag": late}, base) if "delay" in kept else found
     # lags are what stages have: a delay has to be seen, and both to be better than either
-    if delayed.spread < (1.0 - TOLD_APART) * lagging.spread and delayed.spread < (1.0 + PART_WORTH_IT) * found.spread:
+    as_good = delayed.spread < (1.0 + LINEAR_PART.part) * found.spread
+    if DELAY_OR_LAG.improves(delayed.spread, lagging.spread) and as_good:
         return [*others, "delay"], delayed
-    if "delay" in kept and lagging.spread < (1.0 + TOLD_APART) * found.spread:
+    if "delay" in kept and lagging.spread < (1.0 + DELAY_OR_LAG.part) * found.spread:
         return [*others, "lag"], lagging
     return kept, found
 
@@ -398,9 +403,6 @@ def without_outliers(once, voltage, displacement) -> HammersteinFit:
 
 #: Parts that are left out one after the other, and stretches of each.
 PARTS, STRETCHES_OF_A_PART = 5, 4
-#: A more flexible structure must lower the RMS error on them by this part, and by so many standard errors.
-STRUCTURE_WORTH_IT = 0.03
-STANDARD_ERRORS = 1.0
 
 
 def held_out(fit, stretches: int = STRETCHES_OF_A_PART) -> np.ndarray:
@@ -422,10 +424,11 @@ def _parts(places, stretches: int) -> list[np.ndarray]:
     return [np.concatenate(found[part::PARTS]) for part in range(PARTS)]
 
 
-def survivor(fits, stretches: int = STRETCHES_OF_A_PART, worth_it=STRUCTURE_WORTH_IT):
+def survivor(fits, stretches: int = STRETCHES_OF_A_PART, thresholds: Sequence[Threshold] = (STRUCTURE,)):
     """Return the fit to keep, and the RMS errors on parts held out [m] of all."""
     chosen, least, sizes = fits[0], None, []
-    for fit, part_of_it in zip(fits, np.broadcast_to(worth_it, len(fits)), strict=True):
+    rows = list(thresholds) * (len(fits) if len(thresholds) == 1 else 1)
+    for fit, threshold in zip(fits, rows, strict=True):
         errors = held_out(fit, stretches)
         sizes.append(float(np.sqrt(np.mean(errors**2))))
         if least is None:
@@ -434,11 +437,11 @@ def survivor(fits, stretches: int = STRETCHES_OF_A_PART, worth_it=STRUCTURE_WORT
         gain = least**2 - errors**2
         gains = np.array([np.mean(gain[part]) for part in _parts(np.arange(len(gain)), stretches)])
         sure = gains.mean() > STANDARD_ERRORS * gains.std(ddof=1) / np.sqrt(PARTS)
-        if sizes[-1] < (1.0 - part_of_it) * np.sqrt(np.mean(least**2)) and sure:
+        if threshold.improves(sizes[-1], np.sqrt(np.mean(least**2))) and sure:
             chosen, least = fit, errors
     return chosen, sizes
 
 
 def without_drift(fit, data):
-    """Return ``fit(data)``, or the same with a drift beside it if that survives: a drift has to go on in whole blocks."""
-    return survivor([fit(data), fit(replace(data, drifts=True))], stretches=1, worth_it=DRIFTING)[0]
+    """Return ``fit(data)``, or the same with a drift beside it if whole blocks held out show that drift too."""
+    return survivor([fit(data), fit(replace(data, drifts=True))], stretches=1, thresholds=(DRIFT,))[0]

@@ -17,7 +17,7 @@ with the radius, ``w(r) = B exp(-κ r/h)`` (h: half the range of the voltage), a
 ``s(u) = u + a (u² - 1)/2 + b (u³ - u)/2`` of their sum u, scaled to -1 … 1 over the recording. The map bends both
 branches alike, which plays cannot. ρ, κ, a and b are searched with the linear part, scale and constant follow by
 least squares. Loops of one amplitude hardly tell κ from the map: it is held at :data:`PRIOR_DECAY`, what stacks of
-other makers show, unless the recording lowers the residual by :data:`SETTLED` with another one. The density is
+other makers show, unless another one lowers the residual by :data:`.thresholds.DENSITY_DECAY`. The density is
 realised by plays, the map by dead zones, so nodes run the model as any other one of this kind.
 
 *Free weights*: a weight ≥ 0 of its own for each play, by linear least squares (:mod:`.weights`). *Modified*: dead
@@ -41,7 +41,6 @@ import numpy as np
 
 from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.identification.hammerstein import (
-    STRUCTURE_WORTH_IT,
     HammersteinFit,
     PartSearch,
     finished,
@@ -54,6 +53,13 @@ from hysteresis_ros.identification.hammerstein import (
 )
 from hysteresis_ros.identification.linear_part import LinearPart
 from hysteresis_ros.identification.preprocessing import Condensed, condense, simple_loops
+from hysteresis_ros.identification.thresholds import (
+    ANOTHER_KIND,
+    DENSITY_DECAY,
+    LOOPS_OF_ONE_SIZE,
+    NOTABLE_AMBIGUITY,
+    STRUCTURE,
+)
 from hysteresis_ros.identification.weights import radii, smooth_weights
 from hysteresis_ros.models.hysteresis import HysteresisParameters, hysteresis_block
 from hysteresis_ros.models.hysteresis.prandtl_ishlinskii import PrandtlIshlinskiiParameters
@@ -198,8 +204,6 @@ def _monotone(zone_weights, thresholds):
 #: κ where the data cannot tell: the prior, and the range in which it is searched.
 PRIOR_DECAY = 1.9
 DECAY_RANGE = (-1.0, 8.0)
-#: Another κ is taken when it lowers the RMS residual by this part.
-SETTLED = 0.03
 #: Start and range of the other numbers; within them the map rises everywhere.
 DENSITY_SHAPE = (
     ("elastic_share", 0.6, 0.02, 1.0),
@@ -230,7 +234,7 @@ class SmoothDensity:
         found = held
         free = PartSearch(self.solve, self.data, (*DENSITY_SHAPE, ("decay", PRIOR_DECAY, *DECAY_RANGE)), progress)
         settled = free.run(kept, held.values, base)
-        self.settled = bool(settled.spread < (1.0 - SETTLED) * held.spread)
+        self.settled = DENSITY_DECAY.improves(settled.spread, held.spread)
         if self.settled:
             found, search = settled, free
         self.kept, self.base, self.found = kept, base, found
@@ -332,10 +336,6 @@ class SmoothDensity:
 
 PLAYS = 20
 ZONES = 5
-#: Where all loops are of one size nothing held out is new, and freedom has to lower the error by this part.
-ALONE = 0.3
-#: A model of another kind has to err by less than this part there: it holds no prior.
-OF_ANOTHER_KIND = 0.5
 #: How the weights of the plays may run over the radius.
 DENSITIES = ("auto", "exponential", "free")
 
@@ -396,10 +396,10 @@ def _chosen(data: Condensed, play_count: int, zone_count: int | None, density: s
     zones = FreeWeights(rivals[0].data, play_count, ZONES).behind(part)
     rivals.append(zones)
     alone = simple_loops(data) and density == "auto"
-    worth = [ALONE if alone else STRUCTURE_WORTH_IT] * len(rivals)
+    thresholds = [LOOPS_OF_ONE_SIZE if alone else STRUCTURE] * len(rivals)
     rivals += others(rivals[0], progress) if others else []
-    worth += [OF_ANOTHER_KIND if alone else STRUCTURE_WORTH_IT] * (len(rivals) - len(worth))
-    chosen, errors = survivor(rivals, worth_it=worth)
+    thresholds += [ANOTHER_KIND if alone else STRUCTURE] * (len(rivals) - len(thresholds))
+    chosen, errors = survivor(rivals, thresholds=thresholds)
     if chosen is zones:
         zones.fit(linear, progress)
     chosen.numbers["held_out_rmse_m"] = errors[rivals.index(chosen)]
@@ -413,8 +413,6 @@ TRIED_PLAYS = 20
 SWINGS, POINTS = 16, 40
 #: The small loop, as a part of the range.
 SMALL = 0.1
-#: A doubt of this part of the stroke is warned of.
-NOTABLE = 0.002
 EXCITATION = "loops of decaying amplitude settle it (hysteresis excite --recipe decaying)"
 
 
@@ -444,7 +442,7 @@ class Ambiguity:
     @property
     def warnings(self) -> tuple[str, ...]:
         """What is to be doubted, and what would settle it; empty where the recording does."""
-        if self.error < NOTABLE * self.stroke:
+        if self.error < NOTABLE_AMBIGUITY * self.stroke:
             return ()
         low, high = (100.0 * (gain - 1.0) for gain in self.gain)
         return (
@@ -464,7 +462,7 @@ def find_ambiguity(data: Condensed, part: LinearPart, chosen: HysteresisParamete
     own = _response(chosen, voltage, data.sample_time)
     decays, gains, errors = [], [1.0], [0.0]
     for fit in fits:
-        if fit.rms > (1.0 + SETTLED) * least:
+        if fit.rms > (1.0 + DENSITY_DECAY.part) * least:
             continue
         try:
             other = _response(fit.parameters(), voltage, data.sample_time)

@@ -38,6 +38,7 @@ from hysteresis_ros.identification.linear_systems import (
 )
 from hysteresis_ros.identification.plant_model import PlantModel
 from hysteresis_ros.identification.preprocessing import wiped_out
+from hysteresis_ros.identification.thresholds import PAST_WHILE_PREDICTING
 from hysteresis_ros.identification.validation import Validation, validate
 from hysteresis_ros.models.compensator import Compensator, CompensatorParameters
 from hysteresis_ros.models.hysteresis import hysteresis_block
@@ -128,9 +129,8 @@ def undo_lag(y, lag: float, delay: float, sample_time: float) -> np.ndarray:
 
 #: Where the state of a prediction may start.
 INITIAL = ("zero", "periodic", "estimate")
-#: Voltages that may have been before, as parts of the largest; one is believed when it lowers the error by this part.
+#: Voltages that may have been before, as parts of the largest.
 PASTS = (-1.0, -0.75, -0.5, -0.25, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5)
-HISTORY_WORTH_IT = 0.1
 #: Points a sample at which a band-limited voltage is followed.
 BANDLIMITED_POINTS = 8
 #: Sample times this near to each other are the same.
@@ -192,7 +192,7 @@ def _estimated_history(chain: PlantModel, voltage, intersample, measured) -> tup
     ends = parts[max(place - 1, 0)], parts[min(place + 1, len(parts) - 1)]
     found = scipy.optimize.minimize_scalar(remanent, bounds=ends, method="bounded", options={"maxiter": 10})
     best = min((remanent(parts[place]), parts[place]), (float(found.fun), float(found.x)))
-    return (best[1] * largest, float(voltage[0])) if best[0] < (1.0 - HISTORY_WORTH_IT) * error() else ()
+    return (best[1] * largest, float(voltage[0])) if PAST_WHILE_PREDICTING.improves(best[0], error()) else ()
 
 
 def at_rate(chain: PlantModel, sample_time: float) -> PlantModel:

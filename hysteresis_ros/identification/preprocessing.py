@@ -27,6 +27,7 @@ import scipy
 
 from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.identification.data import GRID_TOLERANCE, DataError, IdentificationData
+from hysteresis_ros.identification.thresholds import DRIFT, MOST_OUTLIERS, OUTLIERS_MATTER, OUTLYING
 from hysteresis_ros.identification.weights import plays
 from hysteresis_ros.recordings.loops import REVERSAL, turning_points
 from hysteresis_ros.units import readable
@@ -310,17 +311,10 @@ def _highest_frequency(values, sample_time: float) -> float:
     return float(frequencies[there[-1]]) if there.size else 0.0
 
 
-#: Outliers are further off than this many standard deviations (of the bulk, from the median) …
-OUTLYING = 5.0
-#: … and are at most this part of the samples; a model that misses more of them is the wrong model.
-MOST_OUTLIERS = 0.1
-#: They are left out, and the fit is repeated, where they make up this part of the squared error.
-MATTERING = 0.01
 #: A stretch of samples of which most are far off are no outliers.
 STRETCH = 11
-#: A drift must lower the error on blocks held out by this part: it is no part of the model, and the shape of loops may
-#: look like a little of it. Number of the blocks.
-DRIFTING, BLOCKS = 0.2, 5
+#: Blocks that are held out one after the other to judge a drift.
+BLOCKS = 5
 #: How often a model without terms of its own for these is fitted at most.
 ROUNDS = 3
 
@@ -377,11 +371,11 @@ def _within(error, first: int) -> np.ndarray:
 def outliers_matter(error, added, used) -> bool:
     """Tell whether samples far off make up a notable part of the squared error."""
     share = float(np.sum(error[added] ** 2)) / max(float(np.sum(error[used] ** 2)), 1e-300)
-    return share >= MATTERING
+    return share >= OUTLIERS_MATTER
 
 
 def drift_of(error, kept) -> float:
-    """Return by how much an error, shape (N,), grows from sample to sample; 0 where that predicts no blocks held out."""
+    """Return the growth of an error, shape (N,), per sample; 0 where a drift does not predict blocks held out."""
     place = kept / len(error)
     line = np.column_stack([np.ones(len(kept)), place])
     left = {1: 0.0, 2: 0.0}
@@ -390,7 +384,7 @@ def drift_of(error, kept) -> float:
         for columns in left:
             found = np.linalg.lstsq(line[others, :columns], error[kept][others], rcond=None)[0]
             left[columns] += float(np.sum((error[kept][block] - line[block, :columns] @ found) ** 2))
-    if not left[2] < (1.0 - DRIFTING) ** 2 * left[1]:
+    if not left[2] < DRIFT.bound(1.0) ** 2 * left[1]:
         return 0.0
     return float(np.linalg.lstsq(line, error[kept], rcond=None)[0][1]) / len(error)
 

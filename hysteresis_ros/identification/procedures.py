@@ -49,7 +49,8 @@ from hysteresis_ros.identification.prediction import predict
 from hysteresis_ros.identification.preisach import WIDTHS, Density, fit_preisach
 from hysteresis_ros.identification.preprocessing import ROUNDS, Cleaned, cleaned, condense
 from hysteresis_ros.identification.restarted_nelder_mead import SimplexSettings
-from hysteresis_ros.identification.separation import PAST_WORTH_IT, Separated, find_start, remembered, separated
+from hysteresis_ros.identification.separation import Separated, find_start, remembered, separated
+from hysteresis_ros.identification.thresholds import LAG_OF_A_GAIN, PAST_WHILE_FITTING, SAME_DRIFT
 from hysteresis_ros.identification.transfer_function import Structure, fit_transfer_function
 from hysteresis_ros.identification.validation import parameter_covariance
 from hysteresis_ros.models.declaration import HysteresisModel
@@ -321,12 +322,6 @@ class _ParametricSearch:
         return dict(zip(self.model.free, (np.sqrt(np.diag(covariance)) * size).tolist(), strict=True))
 
 
-#: A lag must lower the residual by this part to be taken without being asked for.
-LAG_WORTH_IT = 0.02
-#: Drifts that differ by less than this part are one.
-SAME_DRIFT = 0.01
-
-
 def _repeated(fit, data: IdentificationData, skip: int) -> Identification:
     """Return what ``fit(data, before)`` finds once what it shows to be outliers and drift was taken out of the data."""
     clean, result = Cleaned(data, 0.0, 0), fit(data, None)
@@ -370,7 +365,7 @@ def _proportional(data: IdentificationData, request: Request) -> Identification:
     # a lag where it helps: output error of one pole against none
     best = float(np.std((y - gain * u - constant)[skip:]))
     found = fit_transfer_function(u, y, data.sample_time, Structure(1, 0, "linear", "rest", offset=True), skip=skip)
-    if not np.sqrt(found.mse) < (1.0 - LAG_WORTH_IT) * best or not found.dc_gain > 0.0:
+    if not LAG_OF_A_GAIN.improves(np.sqrt(found.mse), best) or not found.dc_gain > 0.0:
         return _proportional(data, replace(request, parts=()))
     part = LinearPart(lag=float(-1.0 / found.poles[0].real), settled=True)
     hysteresis = HysteresisParameters(
@@ -395,7 +390,7 @@ def bouc_wen_mechanical(data: IdentificationData, request: Request) -> Identific
             predict(result.chain, data.input, data.sample_time, initial=start) for start in ("zero", "periodic")
         ]
         rest, repeated = (float(np.std((data.output - values)[skip:])) for values in predicted)
-        if repeated < (1.0 - PAST_WORTH_IT) * rest:
+        if PAST_WHILE_FITTING.improves(repeated, rest):
             request = replace(request, initial="periodic")
             note = "the input had repeated before, which fits better than rest at 0 V"
             return replace(_repeated(fit, data, skip), start=note)

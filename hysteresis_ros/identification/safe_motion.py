@@ -112,7 +112,7 @@ def safe_approach(slew: float, span: float, stroke: float, resonance: float = 0.
 
 
 def with_safe_motion(text: str, source: str, namespace: str = "", excited: float = 0.0, amplifier: float = 0.0) -> str:
-    """Return the text of a parameter file with the limits of voltage and setpoint that it lacks, each with its reason."""
+    """Return the text of a parameter file with the limits of voltage and setpoint it lacks, each with its reason."""
     configuration, namespace = parse_configuration(text, source), normalised_namespace(namespace)
     if configuration.describes("inchworm_sequencer", namespace):
         return text  # a motor that walks has speeds of its own

@@ -36,6 +36,7 @@ from hysteresis_ros.identification.prandtl_ishlinskii import FreeWeights, fit_pr
 from hysteresis_ros.identification.prediction import undo
 from hysteresis_ros.identification.preisach import fit_preisach
 from hysteresis_ros.identification.preprocessing import Cleaned, Condensed, cleaned, condense, wiped_out
+from hysteresis_ros.identification.thresholds import PAST_WHILE_FITTING
 from hysteresis_ros.models.creep import Creep, creep, creep_inverse
 
 #: Plays and dead zones of the trials, and to how many samples they make the data coarser.
@@ -43,8 +44,8 @@ TRIED_PLAYS, TRIED_ZONES = 10, 3
 COARSE = 1500
 #: Pasts are judged without this part of the samples, which may be outliers.
 TRIMMED = 0.1
-#: Another past than rest is believed when it lowers the residual by this part.
-PAST_WORTH_IT = 0.1
+#: A recording is bipolar when its voltage goes below 0 V by this part of its largest.
+BIPOLAR = 0.1
 #: Rest explains a beginning whose error is below so many times that of what follows, or below this part of the stroke.
 AS_WELL, AT_REST = 1.5, 0.01
 #: A recording is closed when input and output come back to their start within this part of their range.
@@ -117,7 +118,7 @@ def _remembered(data: IdentificationData, trials: _PastTrials) -> Start:
     voltage, error = trials.remanent()
     found.append((error, Start("estimate", 0, (voltage, float(data.input[0])), remanence(voltage))))
     best = min(found, key=lambda row: row[0])
-    return best[1] if best[0] < (1.0 - PAST_WORTH_IT) * rest else found[0][1]
+    return best[1] if PAST_WHILE_FITTING.improves(best[0], rest) else found[0][1]
 
 
 def remanence(voltage: float) -> str:
@@ -158,7 +159,7 @@ class _PastTrials:
         """Return the voltage [V] whose remanence fits best, and its error [m]."""
         voltage = self.data.input
         largest, first = float(np.max(np.abs(voltage))), float(voltage[0])
-        both = float(np.min(voltage)) < -PAST_WORTH_IT * largest
+        both = float(np.min(voltage)) < -BIPOLAR * largest
         parts = TRIED_PASTS if both else tuple(part for part in TRIED_PASTS if part > 0.0)
         place, lag = int(np.searchsorted(parts, 1.0)), None
 

@@ -18,8 +18,8 @@ from __future__ import annotations
 
 import numpy as np
 
-#: The residual may grow by this part for the sake of smooth weights.
-DISCREPANCY = 0.01
+from hysteresis_ros.identification.thresholds import SMOOTHER_WEIGHTS
+
 #: Added to the normal equations of columns of unit length.
 GRAM_FLOOR = 1e-13
 #: Strengths that are tried, from hardly any to nearly straight.
@@ -66,7 +66,7 @@ def smooth_weights(regressors, free, target, roughness, strength: float | None =
     trials = [(strength, *solver.solve(strength)) for strength in STRENGTHS]
     smallest = min(np.std(residual) for *_, residual in trials)
     strength, weights, coefficients, residual = [
-        trial for trial in trials if np.std(trial[-1]) <= (1.0 + DISCREPANCY) * smallest
+        trial for trial in trials if np.std(trial[-1]) <= (1.0 + SMOOTHER_WEIGHTS) * smallest
     ][-1]
     return weights, coefficients, residual, strength
 

@@ -35,12 +35,12 @@ from hysteresis_ros.identification.parameter_file import (
     write_file,
 )
 from hysteresis_ros.identification.plant_model import Identification, PlantModel
-from hysteresis_ros.identification.prandtl_ishlinskii import NOTABLE
 from hysteresis_ros.identification.prediction import InverseValidation, at_rate, judge, predict
 from hysteresis_ros.identification.preprocessing import wiped_out
 from hysteresis_ros.identification.reading import Columns, read_data
 from hysteresis_ros.identification.response_check import ResponseCheck, check_response
 from hysteresis_ros.identification.safe_motion import largest_change
+from hysteresis_ros.identification.thresholds import FREER_MODEL, NO_PRIOR, NOTABLE_AMBIGUITY
 from hysteresis_ros.identification.validation import Validation
 from hysteresis_ros.models.hysteresis import MODELS
 
@@ -48,10 +48,10 @@ from hysteresis_ros.models.hysteresis import MODELS
 HELD_OUT_PART = 1.0 / 3.0
 #: Fewest samples to compare on.
 FEWEST_COMPARED = 50
-#: Taken where the recording does not settle smaller loops, unless another error is below this part of its own.
-PRIOR_MODEL, MUCH_BETTER = "prandtl_ishlinskii", 0.5
-#: Models of more freedom than the others have to err by this part less.
-FREER_MODELS, FREER_WORTH_IT = ("generalised_play",), 0.03
+#: Taken where the recording does not settle smaller loops, unless another one is much better.
+PRIOR_MODEL = "prandtl_ishlinskii"
+#: Models of more freedom than the others.
+FREER_MODELS = ("generalised_play",)
 
 
 def choose_model(data: IdentificationData, linear: str | None, progress=None, **conditions):
@@ -80,14 +80,15 @@ def choose_model(data: IdentificationData, linear: str | None, progress=None, **
         raise IdentificationError(
             f"model {registry.AUTO}: no model can be fitted to two thirds of this data; {reasons[0]}"
         )
-    best = min(found, key=lambda name: found[name] / ((1.0 - FREER_WORTH_IT) if name in FREER_MODELS else 1.0))
-    if doubts.get(PRIOR_MODEL, 0.0) > NOTABLE * data.stroke and found[best] > MUCH_BETTER * found[PRIOR_MODEL]:
+    best = min(found, key=lambda name: found[name] / (FREER_MODEL.bound(1.0) if name in FREER_MODELS else 1.0))
+    unsettled = doubts.get(PRIOR_MODEL, 0.0) > NOTABLE_AMBIGUITY * data.stroke
+    if unsettled and found[best] > NO_PRIOR.bound(found[PRIOR_MODEL]):
         best = PRIOR_MODEL
     return best, found
 
 
 def held_out_error(data: IdentificationData, model: str, separations=(None, None), **request) -> tuple[float, float]:
-    """Return the RMS error [m] of a model on the thirds it was not fitted to, and what the data cannot tell of it [m]."""
+    """Return the RMS error [m] of a model on the thirds it was not fitted to, and its ambiguity there [m]."""
     edge = round(HELD_OUT_PART * len(data))
     known = wiped_out(data.input) or 0
     squares: list[np.ndarray] = []
