@@ -17,7 +17,6 @@ fitted to (:mod:`.held_out`).
 
 from __future__ import annotations
 
-from copy import copy
 from dataclasses import replace
 
 import numpy as np
@@ -25,18 +24,16 @@ import numpy as np
 from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.identification.hammerstein import (
     HammersteinFit,
-    PartSearch,
     finished,
-    search_linear_part,
-    split_values,
     stretches,
     survivor,
     without_drift,
     without_outliers,
 )
+from hysteresis_ros.identification.play_fit import PlayFit
 from hysteresis_ros.identification.preprocessing import Condensed, condense, simple_loops
 from hysteresis_ros.identification.thresholds import LOOPS_OF_ONE_SIZE, STRUCTURE
-from hysteresis_ros.identification.weights import radii, smooth_weights
+from hysteresis_ros.identification.weights import radii
 from hysteresis_ros.models.block import compiled
 from hysteresis_ros.models.hysteresis import HysteresisParameters
 from hysteresis_ros.models.hysteresis.generalised_play import (
@@ -56,8 +53,6 @@ LONGEST_RATE = 0.1
 BENDS = {"bend": (0.0, -0.5, 0.5), "spread": (0.05, 0.0, 0.7)}
 #: Speeds differ by this factor, of swings over this part of the range.
 DIFFERENT, LEAST_SWING = 2.0, 0.1
-#: Strength of the smoothness while the linear part is searched.
-SEARCH_STRENGTH = 1e-2
 #: The slope without hysteresis is at least this part of the whole.
 LEAST_SLOPE = 1e-6
 
@@ -128,17 +123,17 @@ def speeds_differ(data: Condensed) -> bool:
     return bool(speeds.size > 1 and speeds.max() > DIFFERENT * speeds.min())
 
 
-class GeneralisedPlays:
+class GeneralisedPlays(PlayFit):
     """Plays with some freedom on one set of data."""
 
     def __init__(self, data: Condensed, play_count: int, names: tuple[str, ...] = ()):
-        self.data, self.play_count, self.names = data, play_count, names
+        super().__init__(data)
+        self.play_count, self.names = play_count, names
         self.radii = radii(data.voltage_range, play_count, data.reach) + 0.25 * data.voltage_range / play_count
         self.roughness = np.diff(np.eye(len(self.radii) + 1), 2, axis=0)[1:] * play_count**0.5
         half_cycle = data.sample_time * len(data.voltage) / max(len(turning_points(data.voltage)) - 1, 1)
         ranges = {"rate": (0.02 * half_cycle, 0.0, LONGEST_RATE * half_cycle), **BENDS}
         self.extra = tuple((name, *ranges[name]) for name in names)
-        self.numbers: dict[str, float] = {}
 
     def shaped(self, shape, weights, slope: float, offset: float = 0.0) -> GeneralisedPlayParameters:
         """Return parameters of a shape.
@@ -169,53 +164,11 @@ class GeneralisedPlays:
         compiled(follow_plays)(block.p, block.x, data.voltage, outputs)
         return np.column_stack([data.voltage, outputs - rest])
 
-    def solve(self, part, shape, strength: float | None = SEARCH_STRENGTH) -> np.ndarray:
-        """Return the residual [m] of the best weights."""
-        data = self.data
-        moved = data.counted(part.apply(self.columns(shape), data.sample_time))
-        target = data.counted(data.displacement)
-        self.weights, self.constants, residual, self.strength = smooth_weights(
-            moved, data.counted(data.constants), target, self.roughness, strength
-        )
-        return residual
-
-    def fit(self, linear, progress):
-        """Search the linear part and the shape."""
-        search = PartSearch(self.solve, self.data, self.extra, progress)
-        self.kept, self.base, found = search_linear_part(search, linear)
-        return self._finish(search, found)
-
-    def settle(self, before: GeneralisedPlays, progress):
-        """Search the shape, and the numbers of the linear part that another fit found."""
-        self.kept, self.base = before.kept, before.base
-        search = PartSearch(self.solve, self.data, self.extra, progress)
-        return self._finish(search, search.run(self.kept, before.found.values, self.base))
-
-    def _finish(self, search: PartSearch, found):
-        self.found = found
-        self.part, self.shape = split_values(self.base, found.values)
-        self.deviations, self.converged = found.deviations or {}, found.converged
-        self.warnings = tuple(search.at_ends(self.kept, found.values))
-        self.rms = float(np.std(self.solve(self.part, self.shape, None)))
-        return self
-
     def like(self, data: Condensed):
         """Return the same structure for other data, not fitted yet."""
         other = GeneralisedPlays(data, self.play_count, self.names)
         other.numbers = dict(self.numbers)
         return other
-
-    def refitted(self, data: Condensed):
-        """Return the model with weights for other samples of the recording, of the same shape."""
-        other = copy(self)
-        other.data = data
-        other.solve(self.part, self.shape, self.strength)
-        return other
-
-    def output(self) -> np.ndarray:
-        """Return the modelled displacement [m], shape (N,)."""
-        moved = self.part.apply(self.columns(self.shape), self.data.sample_time)
-        return moved @ self.weights + self.data.constants @ self.constants
 
     def parameters(self) -> HysteresisParameters:
         """Return the numbers as parameters of the block; plays without weight are left out."""

@@ -159,17 +159,6 @@ def stretches(history) -> np.ndarray:
     return np.concatenate([np.zeros(0), *(np.linspace(low, high, FINE)[1:] for low, high in ends)])
 
 
-def fit_linear_part(solve, data: Condensed, extra=(), linear=("lag", "delay", "creep"), progress=None):
-    """Find the linear part and the shape parameters between which ``solve`` leaves the smallest residual.
-
-    Units: ``solve`` [m].
-    """
-    search = PartSearch(solve, data, tuple(extra), progress)
-    kept, base, found = search_linear_part(search, linear)
-    part, shape = split_values(base, found.values)
-    return part, shape, found.deviations or {}, tuple(search.at_ends(kept, found.values)), found.converged
-
-
 def search_linear_part(search: PartSearch, linear):
     """Accept lag, creep and delay one after the other, each where it lowers the residual."""
     known, linear = (linear.part, linear.parts) if isinstance(linear, Known) else (LinearPart(), linear)

@@ -44,7 +44,6 @@ from hysteresis_ros.identification.hammerstein import (
     HammersteinFit,
     PartSearch,
     finished,
-    fit_linear_part,
     search_linear_part,
     split_values,
     survivor,
@@ -52,6 +51,7 @@ from hysteresis_ros.identification.hammerstein import (
     without_outliers,
 )
 from hysteresis_ros.identification.linear_part import LinearPart
+from hysteresis_ros.identification.play_fit import SEARCH_STRENGTH, PlayFit
 from hysteresis_ros.identification.preprocessing import Condensed, condense, simple_loops
 from hysteresis_ros.identification.thresholds import (
     ANOTHER_KIND,
@@ -70,48 +70,37 @@ SEARCH_STEPS = 2
 LOWEST_SLOPE = 0.2
 #: The penalty on the slopes that dead zones add, in residual RMS over stroke: keeps unneeded ones near zero.
 ZONE_RIDGE = 1e-3
-#: Strength of the smoothness while the linear part is searched.
-SEARCH_STRENGTH = 1e-2
 
 
-class FreeWeights:
+class FreeWeights(PlayFit):
     """Free weights of plays, and dead zones behind them, on one set of data."""
 
     def __init__(self, data: Condensed, play_count: int, zone_count: int):
-        self.data = data
+        super().__init__(data)
         self.radii = radii(data.voltage_range, play_count, data.reach)
         self.plays = data.plays(self.radii)
         self.roughness = np.diff(np.eye(len(self.radii)), 2, axis=0)[1:] * play_count**0.5
         self.play_count, self.zone_count = play_count, zone_count
-        self.numbers: dict[str, float] = {}
 
-    def behind(self, part):
-        """Settle the weights for a linear part that is known."""
-        self.part = part
-        self.rms = float(np.std(self._solve(part, None, GAUSS_NEWTON_STEPS)))
-        return self
+    def columns(self, shape) -> np.ndarray:
+        """Return the plays, shape (N, m)."""
+        return self.plays
 
-    def fit(self, linear, progress):
-        """Search the linear part, then settle the weights."""
+    def solve(self, part, shape) -> np.ndarray:
+        """Return the residual [m] for one trial of the search, with few steps for the dead zones."""
+        return self.solve_weights(part, shape, SEARCH_STRENGTH, SEARCH_STEPS)
 
-        def solve(part, _):
-            return self._solve(part, SEARCH_STRENGTH, SEARCH_STEPS)
-
-        part, _, self.deviations, self.warnings, self.converged = fit_linear_part(
-            solve, self.data, linear=linear, progress=progress
-        )
-        return self.behind(part)
+    def solve_weights(self, part, shape, strength: float | None = None, steps: int = GAUSS_NEWTON_STEPS) -> np.ndarray:
+        """Return the residual [m] of the best weights of plays and dead zones."""
+        residual = super().solve_weights(part, shape, strength)
+        self.thresholds = self.zone_weights = np.zeros(0)
+        if self.zone_count:
+            residual = self._bend(part, self.data.counted(self.data.displacement), self.strength, residual, steps)
+        return residual
 
     def like(self, data: Condensed):
         """Return the same structure for other data, not fitted yet."""
         return FreeWeights(data, self.play_count, self.zone_count)
-
-    def refitted(self, data: Condensed):
-        """Return the model with weights for other samples of the recording, behind the same linear part."""
-        other = copy(self)
-        other.data = data
-        other._solve(self.part, self.strength, GAUSS_NEWTON_STEPS)
-        return other
 
     def output(self) -> np.ndarray:
         """Return the modelled displacement [m], shape (N,)."""
@@ -119,18 +108,6 @@ class FreeWeights:
         if self.zone_count:
             x = x + _zones(x, self.thresholds) @ self.zone_weights
         return self.part.apply(x, self.data.sample_time) + self.data.constants @ self.constants
-
-    def _solve(self, part, strength: float | None, steps: int):
-        data = self.data
-        target = data.counted(data.displacement)
-        moved = data.counted(part.apply(self.plays, data.sample_time))
-        constants = data.counted(data.constants)
-        weights, free, residual, used = smooth_weights(moved, constants, target, self.roughness, strength)
-        self.weights, self.constants, self.strength = weights, free, used
-        self.thresholds = self.zone_weights = np.zeros(0)
-        if self.zone_count:
-            residual = self._bend(part, target, used, residual, steps)
-        return residual
 
     def _bend(self, part, target, strength, residual, steps):
         """Gauss-Newton on plays' and dead zones' weights; each step solves for both at once."""

@@ -18,20 +18,17 @@ linear least squares (:mod:`.weights`), κ is searched with the linear part. Ray
 
 from __future__ import annotations
 
-from copy import copy
-
 import numpy as np
 
 from hysteresis_ros.identification.hammerstein import (
     HammersteinFit,
     finished,
-    fit_linear_part,
     without_drift,
     without_outliers,
 )
-from hysteresis_ros.identification.prandtl_ishlinskii import SEARCH_STRENGTH
-from hysteresis_ros.identification.preprocessing import condense
-from hysteresis_ros.identification.weights import plays, radii, smooth_weights
+from hysteresis_ros.identification.play_fit import PlayFit
+from hysteresis_ros.identification.preprocessing import Condensed, condense
+from hysteresis_ros.identification.weights import plays, radii
 from hysteresis_ros.models.hysteresis import HysteresisParameters
 from hysteresis_ros.models.hysteresis.preisach import PreisachParameters
 
@@ -68,11 +65,14 @@ def fit_preisach(
     return without_outliers(once, voltage, displacement)
 
 
-class Density:
+class Density(PlayFit):
     """Weights over the width of elementary loops, and their dependence on the bias."""
 
-    def __init__(self, data, widths: int, nodes: int):
-        self.data, self.nodes = data, nodes
+    extra = (("bias", 0.0, -LARGEST_BIAS, LARGEST_BIAS),)
+
+    def __init__(self, data: Condensed, widths: int, nodes: int):
+        super().__init__(data)
+        self.nodes = nodes
         low, high = min(float(data.voltage.min()), 0.0), max(float(data.voltage.max()), 0.0)
         margin = BEYOND * (high - low)
         self.low, self.high = (low - margin if low < 0.0 else 0.0), high + margin
@@ -87,9 +87,9 @@ class Density:
         offset = np.asarray(voltage, dtype=float) - self.centre
         return voltage + bias * (offset**2 / self.half - self.half)
 
-    def columns(self, bias: float) -> np.ndarray:
+    def columns(self, shape) -> np.ndarray:
         """Regressors, shape (N, 1 + widths): the voltage, and the plays behind g, after saturation at the lower end."""
-        voltage = self.data.voltage
+        voltage, bias = self.data.voltage, shape["bias"]
         g = self.bent(voltage, bias)
         bottom, rest = self.bent(np.array([self.low, 0.0]), bias)
         # fallen to the lower end and risen to 0 V: where the Preisach block starts
@@ -97,51 +97,11 @@ class Density:
         before = plays(self.bent(np.array([0.0, *self.data.history]), bias), self.radii, start)[-1]
         return np.column_stack([voltage, plays(g, self.radii, before) - start])
 
-    def solve(self, part, shape, strength=SEARCH_STRENGTH):
-        """Return the residual [m] of the best weights."""
-        data = self.data
-        target = data.counted(data.displacement)
-        self.bias = shape["bias"]
-        moved = data.counted(part.apply(self.columns(self.bias), data.sample_time))
-        self.weights, self.constants, residual, self.strength = smooth_weights(
-            moved, data.counted(data.constants), target, self.roughness, strength
-        )
-        return residual
-
-    def fit(self, linear, progress):
-        """Search the linear part and the bias, then settle the weights."""
-        extra = [("bias", 0.0, -LARGEST_BIAS, LARGEST_BIAS)]
-        self.part, self.shape, self.deviations, self.warnings, self.converged = fit_linear_part(
-            self.solve, self.data, extra, linear, progress
-        )
-        self.solve(self.part, self.shape, None)
-        self.numbers: dict[str, float] = {}
-        return self
-
-    def behind(self, part):
-        """Settle the weights for a linear part that is known, with a density that does not depend on the bias."""
-        self.part, self.shape = part, {"bias": 0.0}
-        self.solve(part, self.shape, None)
-        return self
-
-    def refitted(self, data):
-        """Return the model with weights for other samples of the recording, behind the same linear part."""
-        other = copy(self)
-        other.data = data
-        other.solve(self.part, self.shape, self.strength)
-        return other
-
-    def output(self) -> np.ndarray:
-        """Return the modelled displacement [m], shape (N,)."""
-        return self.part.apply(self.columns(self.bias), self.data.sample_time) @ self.weights + (
-            self.data.constants @ self.constants
-        )
-
     def parameters(self) -> HysteresisParameters:
         """Return slope and Everett map E(a, b) = Σ w max(0, g(a) - g(b) - 2 r)."""
         nodes = self.nodes
         voltages = np.linspace(self.low, self.high, nodes)
-        grid = self.bent(voltages, self.bias)
+        grid = self.bent(voltages, self.shape["bias"])
         table = np.zeros((nodes, nodes))
         for weight, radius in zip(self.weights[1:], self.radii, strict=True):
             table += weight * np.maximum(grid[:, None] - grid[None, :] - 2.0 * radius, 0.0)

@@ -1,0 +1,106 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Fits whose output is linear in the weights of plays: one search, one solution for the weights, many models.
+
+A model gives the columns of its plays for a shape (:meth:`PlayFit.columns`), the numbers of the shape that are searched
+(:attr:`PlayFit.extra`) and what its weights mean (:meth:`PlayFit.parameters`). The linear part and the shape are
+searched; for each trial the weights ≥ 0 and the constants follow by linear least squares (:mod:`.weights`).
+"""
+
+from __future__ import annotations
+
+from copy import copy
+
+import numpy as np
+
+from hysteresis_ros.identification.hammerstein import PartSearch, PartTrial, search_linear_part, split_values
+from hysteresis_ros.identification.preprocessing import Condensed
+from hysteresis_ros.identification.weights import smooth_weights
+from hysteresis_ros.models.hysteresis import HysteresisParameters
+
+#: Strength of the smoothness while the linear part and the shape are searched.
+SEARCH_STRENGTH = 1e-2
+
+
+class PlayFit:
+    """A model of plays on one set of data."""
+
+    #: Numbers of the shape that are searched: name, start, and ends of the range.
+    extra: tuple[tuple[str, float, float, float], ...] = ()
+    #: Differences of neighbouring weights that are penalised, one row each.
+    roughness: np.ndarray
+
+    def __init__(self, data: Condensed):
+        self.data = data
+        self.numbers: dict[str, float] = {}
+
+    def columns(self, shape: dict[str, float]) -> np.ndarray:
+        """Return the regressors for a shape, shape (N, m), in the order of the weights, zero at rest."""
+        raise NotImplementedError
+
+    def parameters(self) -> HysteresisParameters:
+        """Return the numbers as parameters of the block."""
+        raise NotImplementedError
+
+    def like(self, data: Condensed) -> PlayFit:
+        """Return the same structure for other data, not fitted yet."""
+        raise NotImplementedError
+
+    def solve(self, part, shape) -> np.ndarray:
+        """Return the residual [m] of the weights for one trial of the search."""
+        return self.solve_weights(part, shape, SEARCH_STRENGTH)
+
+    def solve_weights(self, part, shape, strength: float | None = None) -> np.ndarray:
+        """Return the residual [m] of the best weights; a strength of None is chosen by the residual."""
+        data = self.data
+        moved = data.counted(part.apply(self.columns(shape), data.sample_time))
+        target = data.counted(data.displacement)
+        self.weights, self.constants, residual, self.strength = smooth_weights(
+            moved, data.counted(data.constants), target, self.roughness, strength
+        )
+        return residual
+
+    def fit(self, linear, progress):
+        """Search the linear part and the shape, then settle the weights."""
+        search = PartSearch(self.solve, self.data, self.extra, progress)
+        self.kept, self.base, found = search_linear_part(search, linear)
+        return self._finish(search, found)
+
+    def settle(self, before, progress):
+        """Search the shape, and the numbers of the linear part whose structure another fit found."""
+        self.kept, self.base = before.kept, before.base
+        search = PartSearch(self.solve, self.data, self.extra, progress)
+        return self._finish(search, search.run(self.kept, before.found.values, self.base))
+
+    def behind(self, part):
+        """Settle the weights for a known linear part, with the shape at its start."""
+        self.part, self.shape = part, {name: start for name, start, *_ in self.extra}
+        self.rms = float(np.std(self.solve_weights(self.part, self.shape)))
+        return self
+
+    def _finish(self, search: PartSearch, found: PartTrial):
+        self.found = found
+        self.part, self.shape = split_values(self.base, found.values)
+        self.deviations, self.converged = found.deviations or {}, found.converged
+        self.warnings = tuple(search.at_ends(self.kept, found.values))
+        self.rms = float(np.std(self.solve_weights(self.part, self.shape)))
+        return self
+
+    def refitted(self, data: Condensed):
+        """Return the model with weights for other samples of the recording, of the same shape and linear part."""
+        other = copy(self)
+        other.data = data
+        other.solve_weights(self.part, self.shape, self.strength)
+        return other
+
+    def output(self) -> np.ndarray:
+        """Return the modelled displacement [m], shape (N,)."""
+        moved = self.part.apply(self.columns(self.shape), self.data.sample_time)
+        return moved @ self.weights + self.data.constants @ self.constants
