@@ -24,14 +24,13 @@ import numpy as np
 from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.identification.hammerstein import (
     HammersteinFit,
-    finished,
+    robust_fit,
     stretches,
     survivor,
     without_drift,
-    without_outliers,
 )
 from hysteresis_ros.identification.play_fit import PlayFit
-from hysteresis_ros.identification.preprocessing import Condensed, condense, simple_loops
+from hysteresis_ros.identification.preprocessing import Condensed, simple_loops
 from hysteresis_ros.identification.thresholds import LOOPS_OF_ONE_SIZE, STRUCTURE
 from hysteresis_ros.identification.weights import radii
 from hysteresis_ros.models.block import compiled
@@ -75,18 +74,14 @@ def fit_generalised_play(
     """
     if freedom != "auto" and freedom not in FREEDOMS:
         raise IdentificationError(f"freedom = {freedom!r}: must be one of auto, {', '.join(FREEDOMS)}")
-    found: list[GeneralisedPlays] = []
 
-    def once(kept):
-        data = condense(voltage, displacement, sample_time, skip, kept=kept, history=history)
-        if not found:
-            found.append(_chosen(data, play_count, freedom, linear, progress))
-        else:  # without outliers, the same structure
-            before = found.pop()
-            found.append(before.like(replace(data, drifts=before.data.drifts)).settle(before, progress))
-        return finished(found[0], voltage, displacement, sample_time, kept)
+    def choose(data):
+        return _chosen(data, play_count, freedom, linear, progress)
 
-    return without_outliers(once, voltage, displacement)
+    def again(before, data):
+        return before.like(data).settle(before, progress)
+
+    return robust_fit(voltage, displacement, sample_time, choose, again, skip=skip, history=history)[0]
 
 
 def _chosen(data: Condensed, play_count: int, freedom: str, linear, progress) -> GeneralisedPlays:

@@ -34,6 +34,7 @@ from hysteresis_ros.identification.preprocessing import (
     ROUNDS,
     Condensed,
     cleaning_notes,
+    condense,
     inliers,
     outliers_matter,
 )
@@ -367,11 +368,30 @@ def _retimed(part: LinearPart, sample_time: float, cost) -> LinearPart:
     return replace(part, lag=float(found.x)) if found.fun < cost(part) else part
 
 
-def without_outliers(once, voltage, displacement) -> HammersteinFit:
-    """Return the fit after samples far off were left out, and count them.
+def robust_fit(
+    voltage, displacement, sample_time: float, choose, again=None, *, skip=None, history=(), before=None
+) -> tuple[HammersteinFit, Any]:
+    """Return the fit after outliers were left out, with their number, and the structure that was fitted.
 
-    Units: ``voltage`` [V], ``displacement`` [V].
+    ``choose(data)`` finds a structure on blocks of the recording; ``again(before, data)`` fits the same structure
+    without the outliers, with the same decision about a drift. Without ``again`` the structure is chosen anew.
     """
+    structure = before
+
+    def once(kept):
+        nonlocal structure
+        data = condense(voltage, displacement, sample_time, skip, kept=kept, history=history)
+        if structure is None or again is None:
+            structure = choose(data)
+        else:
+            structure = again(structure, replace(data, drifts=structure.data.drifts))
+        return finished(structure, voltage, displacement, sample_time, kept)
+
+    return _without_outliers(once, voltage, displacement), structure
+
+
+def _without_outliers(once, voltage, displacement) -> HammersteinFit:
+    """Repeat ``once(kept)`` without the samples that are far off, until they no longer matter."""
     kept, fit = None, once(None)
     for _ in range(ROUNDS):
         drift = fit.drift * fit.sample_time * np.arange(len(voltage))

@@ -43,16 +43,15 @@ from hysteresis_ros.errors import IdentificationError
 from hysteresis_ros.identification.hammerstein import (
     HammersteinFit,
     PartSearch,
-    finished,
+    robust_fit,
     search_linear_part,
     split_values,
     survivor,
     without_drift,
-    without_outliers,
 )
 from hysteresis_ros.identification.linear_part import LinearPart
 from hysteresis_ros.identification.play_fit import SEARCH_STRENGTH, PlayFit
-from hysteresis_ros.identification.preprocessing import Condensed, condense, simple_loops
+from hysteresis_ros.identification.preprocessing import Condensed, simple_loops
 from hysteresis_ros.identification.thresholds import (
     ANOTHER_KIND,
     DENSITY_DECAY,
@@ -341,20 +340,18 @@ def fit_prandtl_ishlinskii(
     if density == "exponential" and zone_count is not None:
         raise IdentificationError("zone_count goes with density=free; an exponential density has a map of its own")
 
-    found: list = [] if like is None else [like]
+    def choose(data):
+        return _chosen(data, play_count, zone_count, density, linear, progress, rivals)
 
-    def once(kept):
-        data = condense(voltage, displacement, sample_time, skip, kept=kept, history=history)
-        if not found:
-            found.append(_chosen(data, play_count, zone_count, density, linear, progress, rivals))
-        else:  # without outliers, or behind other dynamics: the same structure
-            before = found.pop()
-            found.append(before.like(replace(data, drifts=before.data.drifts)).fit(linear, progress))
-            found[0].numbers = {**before.numbers, **found[0].numbers}
-        return finished(found[0], voltage, displacement, sample_time, kept)
+    def again(before, data):  # without outliers, or behind other dynamics
+        fit = before.like(data).fit(linear, progress)
+        fit.numbers = {**before.numbers, **fit.numbers}
+        return fit
 
-    fit = without_outliers(once, voltage, displacement)
-    return replace(fit, structure=found[0])
+    fit, structure = robust_fit(
+        voltage, displacement, sample_time, choose, again, skip=skip, history=history, before=like
+    )
+    return replace(fit, structure=structure)
 
 
 def _chosen(data: Condensed, play_count: int, zone_count: int | None, density: str, linear, progress, others):

@@ -20,14 +20,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from hysteresis_ros.identification.hammerstein import (
-    HammersteinFit,
-    finished,
-    without_drift,
-    without_outliers,
-)
+from hysteresis_ros.identification.hammerstein import HammersteinFit, robust_fit, without_drift
 from hysteresis_ros.identification.play_fit import PlayFit
-from hysteresis_ros.identification.preprocessing import Condensed, condense
+from hysteresis_ros.identification.preprocessing import Condensed
 from hysteresis_ros.identification.weights import plays, radii
 from hysteresis_ros.models.hysteresis import HysteresisParameters
 from hysteresis_ros.models.hysteresis.preisach import PreisachParameters
@@ -57,12 +52,10 @@ def fit_preisach(
     Units: ``voltage`` [V], ``displacement`` [V], ``sample_time`` [s].
     """
 
-    def once(kept):
-        data = condense(voltage, displacement, sample_time, skip, kept=kept, history=history)
-        fit = without_drift(lambda data: Density(data, widths, nodes).fit(linear, progress), data)
-        return finished(fit, voltage, displacement, sample_time, kept)
+    def choose(data):
+        return without_drift(lambda data: Density(data, widths, nodes).fit(linear, progress), data)
 
-    return without_outliers(once, voltage, displacement)
+    return robust_fit(voltage, displacement, sample_time, choose, skip=skip, history=history)[0]
 
 
 class Density(PlayFit):
