@@ -15,6 +15,7 @@ import os
 import pathlib
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -24,8 +25,10 @@ from hysteresis_ros.configuration import dump_configuration, parse_configuration
 from hysteresis_ros.identification.chains import automatic_skip
 from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.parameter_file import example_text
+from hysteresis_ros.identification.plant_model import Estimator, IdentifiedModel
 from hysteresis_ros.identification.prediction import predict
 from hysteresis_ros.identification.registry import identify
+from hysteresis_ros.identification.workflow import HysteresisEstimator, validate
 from hysteresis_ros.loop.reach import single_axis
 from hysteresis_ros.loop.simulation import mismatched, simulate
 from hysteresis_ros.models.block import COMPILED
@@ -136,6 +139,7 @@ def test_its_block_keeps_the_contract_of_blocks(model):
 
 INTERPRETED = """
 import sys
+from dataclasses import replace
 import numpy as np
 from hysteresis_ros.models.hysteresis import MODELS
 wave = np.load(sys.argv[1])
@@ -321,6 +325,28 @@ def recording(model) -> IdentificationData:
 
 def measured(voltage, displacement) -> IdentificationData:
     return IdentificationData(np.arange(len(voltage)) * T, voltage, displacement)
+
+
+@pytest.mark.slow
+@models
+def test_what_an_estimator_finds_predicts_is_judged_and_becomes_an_axis(model, tmp_path):
+    data = replace(recording(model), source="loops")
+    options = {"trials": 4} if "trials" in model.options else {}
+    estimator = HysteresisEstimator(model.name, linear="none", options=options)
+    assert isinstance(estimator, Estimator)
+    found = estimator.fit(data)
+    assert isinstance(found, IdentifiedModel)
+    predicted = found.predict(data.input, measured=data.output)
+    np.testing.assert_array_equal(predicted, found.predicted - found.identification.drift * data.time)
+    score = found.score(data)
+    assert score.figures["rmse_m"] < 0.01 * data.stroke
+    axis = single_axis(found.to_axis())
+    assert axis.plant_simulator.hysteresis.type == model.name
+    # the same as through the file
+    found.save(tmp_path / "axis.yaml")
+    filed = validate(tmp_path / "axis.yaml", data)
+    assert filed.figures["rmse_m"] == pytest.approx(score.figures["rmse_m"], rel=1e-6)
+    assert filed.figures["identified_from"] == score.figures["identified_from"] == data.source
 
 
 @models

@@ -16,9 +16,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
+from hysteresis_ros.configuration import Configuration
+from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.hammerstein import HammersteinFit
 from hysteresis_ros.identification.linear_part import LinearPart
 from hysteresis_ros.models.creep import CreepParameters
@@ -132,6 +135,43 @@ class Identification:
     drift: float = 0.0  #: What grew in the recording beside all that the voltage moves [m/s]; no part of the model.
     #: shape (K, n); Names and values of the parameters after each iteration of the best run.
     trajectory: tuple[tuple[str, ...], np.ndarray] | None = None
+
+
+@runtime_checkable
+class IdentifiedModel(Protocol):
+    """What an estimator returns, whatever the model: it predicts, is judged, and becomes the parameters of an axis."""
+
+    def predict(self, voltage, sample_time: float | None = None) -> np.ndarray:
+        """Return the displacement [m], shape (N,), under a voltage [V] of shape (N,).
+
+        ``sample_time`` [s] is that of the recording by default.
+        """
+        ...
+
+    def score(self, data) -> Any:
+        """Return the comparison of the prediction with a recording: errors, residual tests, inverse."""
+        ...
+
+    def to_axis(self) -> Configuration:
+        """Return the parameters of an axis: plant, compensator, controller and reference."""
+        ...
+
+
+@runtime_checkable
+class Estimator(Protocol):
+    """What finds a model: its structure and options are chosen, the data is not."""
+
+    def fit(self, data) -> IdentifiedModel:
+        """Return the model that fits a recording."""
+        ...
+
+
+class Procedure(Protocol):
+    """The fit of one hysteresis model, which its declaration names by ``identify="my_package.my_fit:identify"``."""
+
+    def __call__(self, data: IdentificationData, request: Request) -> Identification:
+        """Return the plant that fits the data, with deviations, warnings and whether the search converged."""
+        ...
 
 
 def group_delay(dynamics: LinearParameters) -> float:

@@ -16,12 +16,12 @@ no initial values are compared on the thirds of a recording left out of the fit.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TypedDict, Unpack
 
 import numpy as np
 
-from hysteresis_ros.configuration import Parameters
+from hysteresis_ros.configuration import Configuration, Parameters, parse_configuration
 from hysteresis_ros.errors import HysteresisError, IdentificationError
 from hysteresis_ros.identification import registry
 from hysteresis_ros.identification.chains import automatic_skip, described
@@ -171,6 +171,67 @@ class Compared:
     figures: dict
     warnings: tuple[str, ...]
 
+    def predict(
+        self,
+        voltage,
+        sample_time: float | None = None,
+        *,
+        intersample: str | None = None,
+        initial: str | None = None,
+        measured=None,
+    ) -> np.ndarray:
+        """Predict the displacement under another voltage.
+
+        Parameters
+        ----------
+        voltage : array_like, shape (N,)
+            [V]
+        sample_time : float, optional
+            [s]; by default that of the recording the model comes from.
+        intersample : str, optional
+            The input between its samples: ``zoh``, ``linear`` or ``bandlimited``; by default as it was identified.
+        initial : str, optional
+            The state at the start: ``zero``, ``periodic`` or ``estimate``; by default what suits the model.
+        measured : array_like, shape (N,), optional
+            Displacement [m] from which ``initial = "estimate"`` takes what was before the first sample.
+
+        Returns
+        -------
+        ndarray, shape (N,)
+            Displacement [m], with the zero of the sensor.
+
+        Raises
+        ------
+        IdentificationError
+            The dynamics are not known at this sample time, or a condition does not go with the model.
+        """
+        step = self.plant.sample_time if sample_time is None else sample_time
+        return predict(self.plant, voltage, step, intersample, initial, measured)
+
+    def score(self, data, *, inverse: bool = True, **conditions: Unpack[Conditions]) -> Compared:
+        """Compare the model with another recording.
+
+        Parameters
+        ----------
+        data : path-like, Recording, Reading or IdentificationData
+            A recording that the model has not seen.
+        inverse : bool
+            Whether to compare the voltage that the inverse finds, too.
+        **conditions
+            See :class:`Conditions`.
+
+        Returns
+        -------
+        Compared
+            Prediction, errors, figures and warnings.
+
+        Raises
+        ------
+        IdentificationError, DataError
+            The recording cannot be read or compared.
+        """
+        return validate(self, data, inverse=inverse, **conditions)
+
 
 @dataclass(frozen=True, eq=False)
 class Identified(Compared):
@@ -218,6 +279,16 @@ class Identified(Compared):
     def reason(self) -> str:
         """Why the fit ended without a result to rely on; empty when it converged."""
         return "" if self.converged else NOT_CONVERGED
+
+    def to_axis(self) -> Configuration:
+        """Return the parameters of an axis with this model, those of the parameter file.
+
+        Returns
+        -------
+        Configuration
+            Plant, compensator, controller, reference, and the section that says where the numbers come from.
+        """
+        return parse_configuration(self.text, "the identified model")
 
     def save(self, path) -> None:
         """Write the parameter file whole or not at all.
@@ -277,6 +348,53 @@ def identify(
     return _finished(result, data, skip, given.get("offset") == "free", reading.report.warnings, fast)
 
 
+@dataclass(frozen=True)
+class HysteresisEstimator:
+    """An identification of one model, ready for any recording.
+
+    Parameters
+    ----------
+    model : str
+        Name of the model, ``usual`` or ``auto``.
+    linear : str, optional
+        What may stand behind the hysteresis; ``auto`` by default.
+    options : dict, optional
+        Options of the model.
+    inverse : str, optional
+        Type of the compensator's inverse; by default the first that the model offers.
+    conditions : dict
+        See :class:`Conditions`.
+    """
+
+    model: str = registry.USUAL
+    linear: str | None = None
+    options: dict | None = None
+    inverse: str | None = None
+    conditions: Conditions = field(default_factory=Conditions)
+
+    def fit(self, data) -> Identified:
+        """Identify the model from a recording.
+
+        Parameters
+        ----------
+        data : path-like, Recording, Reading or IdentificationData
+            Voltage and displacement.
+
+        Returns
+        -------
+        Identified
+            The model with ``predict``, ``score`` and ``to_axis``.
+
+        Raises
+        ------
+        IdentificationError, DataError
+            The recording cannot be read, or no model fits it.
+        """
+        return identify(
+            data, self.model, linear=self.linear, options=self.options, inverse=self.inverse, **self.conditions
+        )
+
+
 def _finished(
     result: Identification, data: IdentificationData, skip: int, free: bool, read, fast: Fast | None
 ) -> Identified:
@@ -330,9 +448,16 @@ def validate(
     inverse: bool = True,
     **conditions: Unpack[Conditions],
 ) -> Compared:
-    """Simulate the plant of a parameter file under a recorded voltage and compare with what was measured."""
+    """Simulate a plant under a recorded voltage and compare with what was measured.
+
+    ``parameters`` is a parameter file, or the result of :func:`identify` or :func:`validate`.
+    """
     given = _checked(conditions)
-    plant, section = load_chain(parameters, namespace)
+    if isinstance(parameters, Compared):
+        plant, identified_from = parameters.plant, parameters.figures.get("identified_from", parameters.data.source)
+    else:
+        plant, section = load_chain(parameters, namespace)
+        identified_from = section.get("source")
     reading = read_data(source, Columns(whole=True))
     data = reading.data
     if plant.invertible:
@@ -364,7 +489,7 @@ def validate(
         "autocorrelation_bound": found.autocorrelation.bound,
         "lags_outside": found.autocorrelation.outside,
     }
-    figures = {**finite(figures), "identified_from": section.get("source"), "data": data.source}
+    figures = {**finite(figures), "identified_from": identified_from, "data": data.source}
     return Compared(data, plant, predicted, found, back, figures, tuple(notes))
 
 
