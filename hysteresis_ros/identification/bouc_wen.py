@@ -67,7 +67,7 @@ class BoucWenIdentification:
     maximum: float
     search: SimplexSearch  #: Trajectories of the parameters, one run for each start.
     converged: bool  #: The simplex converged.
-    warnings: tuple[str, ...]  #: What to doubt.
+    warnings: tuple[str, ...]  #: Sentences about what is uncertain.
 
     @property
     def standard_errors(self) -> dict[str, float]:
@@ -165,7 +165,7 @@ class _Normalised:
 
 
 def _doubts(parameters: BoucWenParameters, search: SimplexSearch, deviations) -> tuple[str, ...]:
-    """Return what to doubt: outside the valid class, a search that was cut off, numbers without support."""
+    """Return warnings: outside the valid class, a search that was cut off, numbers without support."""
     warnings = [problem.allowed for problem in parameters.problems()]
     warnings += parameters.warnings()
     if not search.converged:

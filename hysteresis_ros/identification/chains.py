@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""From a fitted hysteresis and what stands behind it to the chain of blocks that the nodes run.
+"""From a fitted hysteresis and the dynamics behind it to the chain of blocks that the nodes run.
 
 Lag, delay, modes and creep are found with the hysteresis; other dynamics of second and higher order
 (:data:`STAGES`) are fitted here, behind a hysteresis that was identified before them.

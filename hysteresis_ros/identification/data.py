@@ -447,7 +447,7 @@ class IdentificationData:
 
     @property
     def stroke(self) -> float:
-        """Peak-to-peak output in its SI unit, missing samples left out; NaN when there is none."""
+        """Peak-to-peak output in its SI unit, missing samples left out; NaN without any sample."""
         finite = self.output[np.isfinite(self.output)]
         return float(np.ptp(finite)) if finite.size else float("nan")
 
@@ -504,7 +504,7 @@ def from_recording(
 
 
 def _refuse_inchworm(path, columns, input, output) -> None:
-    """Raise DataError for an inchworm's run of which nobody says what to take: a slider that walks is no actuator."""
+    """Raise DataError for an inchworm's run without named columns: a walking slider is not an actuator."""
     if "front_voltage" in columns and "rear_voltage" in columns and not (input and output):
         raise DataError(
             "inchworm",

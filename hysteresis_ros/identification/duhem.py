@@ -154,7 +154,7 @@ class MajorLoop:
     grid: np.ndarray  #: shape (n,); Inputs.
     rising: np.ndarray  #: rising, falling: shape (n,); Outputs at the inputs ``grid``.
     falling: np.ndarray
-    input_low: float  #: input_low, input_high, output_low, output_high: What -1 and +1 stand for.
+    input_low: float  #: input_low, input_high, output_low, output_high: Values that -1 and +1 represent.
     input_high: float
     output_low: float
     output_high: float
@@ -468,7 +468,7 @@ class DuhemIdentification:
     maximum: float
     minor_rms: float  #: Residual of the recording α comes from, in parts of the full range; NaN without minor loops.
     converged: bool  #: The training of f and g and the search for α ended by themselves; α does not lie at a bound.
-    warnings: tuple[str, ...]  #: What to doubt.
+    warnings: tuple[str, ...]  #: Sentences about what is uncertain.
 
 
 def identify_duhem(
@@ -684,7 +684,7 @@ def identify_duhem_hammerstein(
     prepared = prepare_loops(recordings, sample_time, delays)
     if minor is not None:
         alone = prepare_loops([minor], sample_time)
-        # the first reversals of both are the same large ones: their amplitudes stand for the gain of the linear part
+        # the first reversals of both are the same large ones: their amplitudes give the gain of the linear part
         minor = (alone.voltage[0], alone.displacement[0] * (prepared.gains[0] / alone.gains[0]))
     hysteresis = identify_duhem(prepared.voltage, prepared.displacement, minor=minor, **duhem)
     block = DuhemHysteresis(hysteresis.parameters, sample_time)

@@ -19,7 +19,7 @@ are predicted better, by more than its numbers explain (Bayesian information cri
 
 Slow recordings: the hysteresis is found together with lag, delay and creep first, on coarse data; then the
 dynamics are chosen anew at the full rate behind it. Fast ones: the dynamics between voltage and displacement come
-first, because a hysteresis that has to stand for a resonance leads nowhere. Either way hysteresis and dynamics are
+first, because a hysteresis cannot represent a resonance. Either way hysteresis and dynamics are
 then settled in turns. A second recording, small and fast, may give the dynamics behind a hysteresis that a slow
 one gave.
 
@@ -495,12 +495,12 @@ TURNS = 2
 #: Up to this harmonic of the drive loops have a shape of their own; a resonance there needs this part of the voltage's
 #: power within this part of its frequency.
 HARMONICS, LEAST_POWER, BAND = 10, 1e-3, 0.1
-#: Damping below which a mode is a resonance, which no lag stands for.
+#: Damping below which a mode is a resonance, which a lag cannot represent.
 SHARP = 0.3
 
 
 def found_with(fit_function, voltage, displacement, sample_time: float, parts, skip: int | None = None):
-    """Fit a hysteresis with what may stand behind it.
+    """Fit a hysteresis with the dynamics behind it.
 
     Units: ``voltage`` [V], ``displacement`` [V], ``sample_time`` [s].
     """
@@ -576,7 +576,7 @@ class TurnSearch:
         return choose_dynamics(spectra, parts, most_modes=0).part
 
     def excited(self, frequency: float) -> bool:
-        """Return whether a resonance there can be told from the shape of the loops.
+        """Return whether a resonance there can be distinguished from the shape of the loops.
 
         Among the first harmonics of the drive the hysteresis moves by itself: the voltage has to have power there.
         """
@@ -627,8 +627,8 @@ def output_of(fit: HammersteinFit, voltage) -> np.ndarray:
 def with_fast_dynamics(chain: PlantModel, fast: IdentificationData, skip: int) -> tuple[PlantModel, float]:
     """Return the chain at the rate of the fast recording with its dynamics, and the gain of small movements.
 
-    Lag, delay and modes stand one behind the other: small loops are less steep than large ones, and zeros of the
-    dynamics would stand for that.
+    Lag, delay and modes are in series, without zeros: small loops are less steep than large ones, and zeros would fit
+    that instead of the dynamics.
     """
     if not chain.invertible:
         raise IdentificationError(

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Excitations of a frequency-response analyser, and where in a recording their periods stand.
+"""Excitations of a frequency-response analyser, and where their periods are in a recording.
 
 A multisine of random phases on odd harmonics, of which one in each group is left out at random, shows what an axis does
 beyond a linear response: even distortion falls on the even lines, odd distortion on the odd ones that were left out
@@ -87,7 +87,7 @@ class Experiment:
 
 @dataclass(frozen=True)
 class Plan:
-    """Where in a recording what was excited stands."""
+    """Where the excited periods are in a recording."""
 
     kind: str
     first: int  #: First sample of the excitation.

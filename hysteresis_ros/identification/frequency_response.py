@@ -489,7 +489,7 @@ def _at(found: FrequencyResponse, kept) -> FrequencyResponse:
 
 
 def plan_of_recording(excitation, sample_time: float, period: float | None = None, kind: str | None = None) -> Plan:
-    """Return a plan for a recording of which nobody says how it was excited.
+    """Return a plan for a recording without a description of its excitation.
 
     Units: ``sample_time`` [s], ``period`` [s].
     """
@@ -596,7 +596,7 @@ def _response_of(held: dict[str, np.ndarray]) -> Analysis:
 
 
 def _real(held: dict[str, np.ndarray], name: str, size: int | None = None) -> np.ndarray:
-    """Return an array of real numbers as a vector; ValueError when it is none, or has another size."""
+    """Return an array of real numbers as a vector; ValueError when it is not one, or has another size."""
     array = held[name]
     if (
         array.dtype.kind not in "iuf"

@@ -167,7 +167,7 @@ def search_linear_part(search: PartSearch, linear):
     if unknown:
         raise IdentificationError(f"linear part {', '.join(unknown)}: must be of lag, delay, creep, or empty")
     data = search.data
-    # a remanent actuator has stood still; one at rest at 0 V gives zero, and its creep is told from that
+    # a remanent actuator was at rest before; one at rest at 0 V is at zero, from which its creep is identified
     settled = known.settled or bool(data.history)
     base = replace(known, longest_time=max(1.0, len(data.voltage) * data.sample_time), settled=settled)
     held = replace(base, hold=data.sample_time / data.factor)

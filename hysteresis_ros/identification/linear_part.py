@@ -7,11 +7,11 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What stands behind the hysteresis in a Hammerstein model: creep, a first-order lag, modes beside it and a delay.
+"""The linear dynamics behind the hysteresis in a Hammerstein model: creep, a first-order lag, modes, and a delay.
 
-Between samples the displacement is taken as straight, so that lags shorter than a sample are told apart; dynamics that
-were found for the held voltage itself (``hold``) are exact for it. The filters act on whole columns of regressors at
-once (their response is convolved by FFT), which makes fits of hysteresis and dynamics together cheap.
+Between samples the displacement is taken as straight, so that lags shorter than a sample are distinguished; dynamics
+that were found for the held voltage itself (``hold``) are exact for it. The filters act on whole columns of regressors
+at once (their response is convolved by FFT), which makes fits of hysteresis and dynamics together cheap.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ import scipy
 from hysteresis_ros.models.creep import CreepParameters, LogarithmicCreepParameters
 from hysteresis_ros.models.linear import LinearDynamics, LinearParameters, zero_order_hold
 
-#: A lag below this part of the sample time is none.
+#: A lag below this part of the sample time is neglected.
 SHORTEST_LAG = 0.02
-#: A creep rate below this is none.
+#: A creep rate below this is neglected.
 SMALLEST_RATE = 1e-5
 #: Responses that are kept.
 RESPONSES = 16

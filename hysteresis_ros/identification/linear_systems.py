@@ -182,7 +182,7 @@ def upsample(u, factor: int, method: str = "bandlimited", periodic: bool = False
     if periodic:
         spectrum = np.fft.rfft(u)
         if u.size % 2 == 0:
-            spectrum[-1] *= 0.5  # the Nyquist bin stands for two frequencies of the finer grid
+            spectrum[-1] *= 0.5  # the Nyquist bin represents two frequencies of the finer grid
         return np.fft.irfft(spectrum, u.size * factor) * factor
     margin = min(MARGIN, u.size - 1)
     # mirrored about the ends, so that level and slope go on

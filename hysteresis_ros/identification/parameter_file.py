@@ -94,7 +94,7 @@ def sections(result: Identification) -> dict[str, dict]:
     lowest, highest = _reach(chain, low, high)
     stroke = highest - lowest
     commands = {"command_minimum": min(lowest - stroke, 0.0), "command_maximum": max(highest + stroke, 0.0)}
-    # a remanent actuator is not at zero at 0 V: the reference starts where it stands
+    # a remanent actuator is not at zero at 0 V: the reference starts where the actuator is
     start = {"initial_setpoint": lowest} if lowest > 0.0 else {}
     return {
         "/**": {"sample_rate": rate_of(chain.sample_time)},
@@ -238,7 +238,7 @@ def example_text(model: HysteresisModel) -> str:
 
 
 def model_warnings(result: Identification) -> tuple[str, ...]:
-    """Return the doubts about the parameters themselves (outside the valid class), as their blocks state them."""
+    """Return the warnings about the parameters themselves (outside the valid class), as their blocks state them."""
     chain = result.chain
     return (*chain.hysteresis.chosen.warnings(), *chain.creep.warnings(), *chain.dynamics.warnings())
 

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The identified plant, a chain of blocks that the nodes run; what an identification is asked for, and what it gives.
+"""The identified plant, a chain of blocks that the nodes run; the request of an identification and its result.
 
 voltage → hysteresis → creep → linear dynamics → + offset.
 """
@@ -33,12 +33,12 @@ from hysteresis_ros.units import readable
 
 @dataclass(frozen=True)
 class Request:
-    """What is asked for."""
+    """One identification as requested: the model, what may follow it, and the conditions."""
 
     model: str
-    parts: tuple[str, ...]  #: Of ``lag``, ``delay``, ``creep``: what may stand behind the hysteresis.
+    parts: tuple[str, ...]  #: Parts that may follow the hysteresis, of ``lag``, ``delay``, ``creep``, ``modes``.
     stage: str | None  #: Dynamics of higher order instead.
-    options: dict  #: Of the model.
+    options: dict  #: Options of the model, by name.
     inverse: str  #: Type of the compensator's inverse.
     skip: int | None  #: First samples left out of the error; None: those before the past is wiped out.
     intersample: str
@@ -120,7 +120,7 @@ class Identification:
     """Result of any identification."""
 
     model: str  #: Name of the model in the registry.
-    linear: str  #: What stands behind the hysteresis, in words.
+    linear: str  #: The dynamics behind the hysteresis, in words.
     #: The model; its hysteresis gives zero at rest at 0 V, or what the past had left there when the recording began.
     chain: PlantModel
     fitted: int  #: How many numbers were fitted.

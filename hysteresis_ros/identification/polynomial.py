@@ -170,7 +170,7 @@ class PolynomialIdentification:
     maximum: float
     criterion: str  #: ``rms`` or ``maximum``: what was made small.
     converged: bool  #: False when a monotone model had to be forced and was not found.
-    warnings: tuple[str, ...]  #: What to doubt.
+    warnings: tuple[str, ...]  #: Sentences about what is uncertain.
 
     @property
     def standard_errors(self) -> dict[str, tuple[float, ...]]:
@@ -366,7 +366,7 @@ def _check_request(voltage, method: str, criterion: str) -> None:
 
 
 def _free_numbers(v, voltage, reversal) -> tuple[int, list[str]]:
-    """Return how many numbers the path (in parts of its peak) lets free, and what to doubt."""
+    """Return how many numbers the path (in parts of its peak) leaves free, and warnings."""
     count, warnings = len(FREE), []
     peaks = distinct_peaks(v, reversal)
     if len(peaks) < 3:
@@ -433,7 +433,7 @@ class PreloadIdentification:
     rms: float  #: Residual [m].
     stiffness: float  #: -1/(B1 + B2 L0 of mid-range) [N/m], at the middle of the recorded preloads.
     largest_force: float  #: Largest preload of the data [N].
-    warnings: tuple[str, ...]  #: What to doubt.
+    warnings: tuple[str, ...]  #: Sentences about what is uncertain.
 
 
 def identify_preload(force, displacement, *, in_use: float = 0.0) -> PreloadIdentification:

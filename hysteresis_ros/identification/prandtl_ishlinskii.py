@@ -380,7 +380,7 @@ def _chosen(data: Condensed, play_count: int, zone_count: int | None, density: s
     return chosen
 
 
-#: κ that are tried, and plays that stand for each density.
+#: κ that are tried, and plays that represent each density.
 TRIED_DECAYS = (-1.0, 0.0, 1.0, 1.5, 1.9, 2.5, 3.2, 4.2, 6.0)
 TRIED_PLAYS = 20
 #: Half swings of the loops they are compared on, which fall to nothing, and points of each.

@@ -135,7 +135,7 @@ PASTS = (-1.0, -0.75, -0.5, -0.25, 0.25, 0.5, 0.75, 1.0, 1.25, 1.5)
 BANDLIMITED_POINTS = 8
 #: Sample times this near to each other are the same.
 SAME_RATE = 1e-4
-#: Free responses of more states than these are not told apart.
+#: Free responses of more states than these are not distinguished.
 MOST_FREE = 12
 
 

@@ -194,7 +194,7 @@ def _decimated(values, factor):
     return np.convolve(np.concatenate([head, values, tail]), taps, mode="valid")[::factor]
 
 
-#: Recordings of more samples than this are condensed, and have no more afterwards but for sweeps …
+#: Recordings of more samples than this are reduced, and have no more afterwards except for sweeps …
 MOST_SAMPLES = 100_000
 #: … nor fewer than these, where its signals would allow it.
 FEWEST_REDUCED = 6000
@@ -223,7 +223,7 @@ ABOVE_FLOOR = 3.0
 def reduced(data: IdentificationData, whole: bool = False) -> IdentificationData:
     """Return a stretch of long data, with neighbouring samples averaged, and a note about both; short data as it is.
 
-    Each sample stands for the middle of those that were averaged; :attr:`IdentificationData.factor` says how many.
+    Each sample is at the middle of those that were averaged; :attr:`IdentificationData.factor` says how many.
     """
     if len(data) <= MOST_SAMPLES:
         return data
@@ -352,11 +352,10 @@ def cleaning_notes(drift: float, outliers: int) -> tuple[str, ...]:
 
 
 def inliers(error, first: int) -> np.ndarray:
-    """Return which samples are no outliers, shape (N,) of bool; those before ``first`` are none.
+    """Return which samples are no outliers, shape (N,) of bool; those before ``first`` count as none.
 
     Far off are single samples and short stretches: what is far off for long is what a fit has no shape for.
     """
-    # what is far off for long is what the fit has no shape for
     alone = error - scipy.ndimage.median_filter(error, STRETCH, mode="nearest")
     return _within(error, first) | _within(alone, first)
 

@@ -132,10 +132,10 @@ def _read(source, columns: Columns, progress) -> Reading:
         data = uninterrupted(data)
     if columns.negate:
         data = replace(data, output=-data.output, notes=(*data.notes, "output counted in the other direction"))
-    return Reading(*(data.checked() if columns.all_samples else _condensed(data, columns.whole)), guessed)
+    return Reading(*(data.checked() if columns.all_samples else _reduced(data, columns.whole)), guessed)
 
 
-def _condensed(data: IdentificationData, whole: bool) -> tuple[IdentificationData, DataReport]:
+def _reduced(data: IdentificationData, whole: bool) -> tuple[IdentificationData, DataReport]:
     """Return checked data without the samples that say nothing new, and the report of all."""
     data = data.trimmed()
     if len(data) <= MOST_SAMPLES:
@@ -192,7 +192,7 @@ def _guess(table: Table, columns: Columns, error: DataError) -> tuple[dict[str, 
 
 
 def _most_telling(free: dict[str, str | None], names, unit: str) -> str | None:
-    """Return the one column of that unit, or without any, whose name tells most; None when that is in doubt."""
+    """Return the one column of that unit, or without any, with the most telling name; None when two are equal."""
     fitting = [name for name in free if free[name] == unit] or [name for name in free if free[name] is None]
     ranked = sorted(fitting, key=lambda name: _rank(name, names))
     best = [name for name in ranked if _rank(name, names) == _rank(ranked[0], names)]
@@ -200,7 +200,7 @@ def _most_telling(free: dict[str, str | None], names, unit: str) -> str | None:
 
 
 def _rank(name: str, names) -> int:
-    """Return how early one of the telling names stands in a column's name."""
+    """Return how early one of the telling names occurs in a column's name."""
     words = name.lower().replace("-", "_").replace(" ", "_").split("_")
     for place, telling in enumerate(names):
         if telling in words or (len(telling) > 3 and telling in name.lower()):

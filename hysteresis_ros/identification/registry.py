@@ -12,7 +12,7 @@
 Before any fit the sign is checked: which way the output moves when the input rises slowly, judged by the gain of
 slow movement, at which neither lag nor resonance turns the phase. What else moves the output (other inputs,
 vibration, drift) is noise here: the gain is that of the narrowest band, from the lowest frequency on, in which it
-stands out of its standard deviation.
+exceeds its standard deviation clearly.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from hysteresis_ros.units import readable
 
 #: Part of the input's power in the first band; each further one holds twice as many frequencies.
 FIRST_BAND = 0.01
-#: The gain is told where it is so many standard deviations away from zero.
+#: The sign of the gain is certain where it is this many standard deviations away from zero.
 CERTAIN = 3.0
 
 
@@ -44,13 +44,13 @@ class SlowGain(NamedTuple):
     highest: float  #: End of the band it was seen in [Hz].
 
     @property
-    def told(self) -> bool:
+    def certain(self) -> bool:
         """Whether its sign is certain."""
         return abs(self.gain) > CERTAIN * self.deviation
 
 
 def slow_gain(u, y, sample_time: float) -> SlowGain:
-    """Return the gain of the slowest movement that can be told from what else moves the output; else of all of it.
+    """Return the gain of the slowest movement that exceeds the disturbances of the output; else of all movement.
 
     Units: ``sample_time`` [s].
     """
@@ -64,14 +64,14 @@ def slow_gain(u, y, sample_time: float) -> SlowGain:
         gain = float(np.real(Y[:end] @ np.conj(U[:end]))) / size
         left = np.abs(Y[:end] - gain * U[:end]) ** 2
         found = SlowGain(gain, float(np.sqrt(0.5 * (power[:end] @ left))) / size, end / (len(u) * sample_time))
-        if found.told:
+        if found.certain:
             break
     return found
 
 
-#: Name that stands for the model which predicts best.
+#: Name that selects the model which predicts best.
 AUTO = "auto"
-#: Name that stands for what is tried without being asked: a first model, whose parts, options and inverses count, and
+#: Name of what is tried by default: a first model, whose parts, options and inverses count, and
 #: its rivals.
 USUAL, FIRST, RIVALS = "usual", "prandtl_ishlinskii", "hysteresis_ros.identification.procedures:usual"
 #: Words for sets of parts.
@@ -89,7 +89,7 @@ def find_model(name: str) -> HysteresisModel:
 
 
 def linear_words(model: HysteresisModel) -> tuple[str, ...]:
-    """Return what may stand behind a model: parts and stages."""
+    """Return what may follow a model: parts and stages."""
     return (*model.parts, *(STAGES if model.stages else ()))
 
 
@@ -175,7 +175,7 @@ def identify(
 def _refuse_falling(data: IdentificationData) -> None:
     """Refuse an output that falls with rising input: no model of this package describes it."""
     found = slow_gain(data.input, data.output, data.sample_time)
-    if found.told and found.gain < 0.0:
+    if found.certain and found.gain < 0.0:
         size, deviation = (readable(value, data.output_unit) for value in (-found.gain, found.deviation))
         raise IdentificationError(
             f"the output {data.output_name} falls with rising input {data.input_name}, by {size}/{data.input_unit} "

@@ -44,7 +44,7 @@ BANDS, NARROW_BANDS = 6, 24
 #: The response counts as known where two standard deviations are below this part of it.
 KNOWN = 0.5
 #: An error that is larger than that and certain is a resonance that the model lacks or has elsewhere: its mean over a
-#: narrow band is so many times below its peak, where its damping is as low as is assumed of one that nobody saw.
+#: narrow band is so many times below its peak, where its damping is as low as is assumed of an unobserved one.
 PEAK = np.log(2.0) / NARROW_BANDS / (np.pi * DAMPING)
 #: A deviation of so many times two standard deviations is known too.
 CLEARLY = 2.0
@@ -54,7 +54,7 @@ OVERLAP = 2.0
 GAP = 1.5
 #: All of the response is known where the content reaches this part of the sample rate: a loop acts up to there.
 WHOLE = 0.5
-#: The residual rings where its spectrum stands out of its surroundings (a band against two octaves) by this factor.
+#: The residual rings where its spectrum exceeds its surroundings (a band against two octaves) by this factor.
 STANDS_OUT = 8.0
 NARROW, WIDE = 1.0 / 20.0, 1.0
 #: What is left of a movement that the model explains to more than this part does not count.
@@ -157,7 +157,7 @@ def check_response(chain: PlantModel, data: IdentificationData, skip: int = 0) -
     response = plant.response(z)[:, 0, 0] * z ** int(chain.synchronous)
     uncertainty, shown = _uncertainty(spectra, response)
     ringing = _ringing(spectra, response)
-    # what nobody has looked at speaks neither for nor against a model, what rings there speaks against it
+    # a band without excitation says nothing about a model, ringing there speaks against it
     rings_there = any(frequency > uncertainty.known_to for frequency in ringing)
     shown = replace(shown, known_to=uncertainty.known_to if rings_there else np.inf)
     exact = ResponseUncertainty(np.ones(1), np.zeros(1), np.inf)
@@ -230,7 +230,7 @@ def _foreign(spectra: SegmentSpectra, output) -> float:
 
 
 def _ringing(spectra: SegmentSpectra, response) -> tuple[float, ...]:
-    """Return where the spectrum of the residual stands out, and that of the input does not."""
+    """Return where the spectrum of the residual has peaks and that of the input does not."""
     left, given = spectra.errors(response).sum(axis=0), spectra.input.sum(axis=0)
     tiny = np.finfo(float).tiny
     outstanding = [spectra.smooth(power, NARROW) / (spectra.smooth(power, WIDE) + tiny) for power in (left, given)]

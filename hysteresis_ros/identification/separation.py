@@ -209,11 +209,11 @@ def _refuse_open(data: IdentificationData) -> None:
 
 @dataclass(frozen=True, eq=False)
 class Separated:
-    """A recording without what stands behind a hysteresis and beside it."""
+    """A recording without the dynamics behind a hysteresis and without drift."""
 
     cleaned: Cleaned  #: The recording without outliers and drift.
     output: np.ndarray  #: shape (N,); Lag and creep undone too [m].
-    part: LinearPart  #: What stands behind the hysteresis.
+    part: LinearPart  #: The linear part behind the hysteresis.
     start: Start  #: How the recording is taken to begin.
     warnings: tuple[str, ...]  #: What is to be doubted of the separation.
     constant: float = 0.0  #: What was taken out of the output before creep was undone [m].
@@ -251,7 +251,7 @@ def _separated(data: IdentificationData, request: Request) -> Separated:
     start = find_start(data, request.skip, request.initial, whole=True)
     voltage, displacement, skip = start.signals(data)
     if request.skip is None and request.initial is None and start.kind == "zero":
-        skip = None  # lag, creep and drift are told better without the beginning, which says more of the model
+        skip = None  # lag, creep and drift are identified better without the beginning, which shows more of the model
     # creep is always looked for: without it the search takes slow drifts for the noise a lag has to rise above
     looked_for = tuple(dict.fromkeys((*parts, "creep"))) if parts else ()
     options = dict(skip=skip, history=start.history, progress=request.report_residual)

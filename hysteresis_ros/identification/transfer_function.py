@@ -325,7 +325,7 @@ def _result(problem: _Problem, best, scales: tuple[float, float], starts, units)
     denominator = problem.denominator(best.x)
     numerator = solution[: problem.zeros + 1][::-1] * scale_y / scale_u
     predicted = table @ solution
-    covariance, doubts = _covariance(problem, denominator, table, solution, residual, scale_y / scale_u)
+    covariance, warnings = _covariance(problem, denominator, table, solution, residual, scale_y / scale_u)
     mse = float(np.mean(residual**2)) * scale_y**2
     structure = problem.structure
     return TransferFunctionFit(
@@ -342,14 +342,14 @@ def _result(problem: _Problem, best, scales: tuple[float, float], starts, units)
         intersample=structure.intersample,
         starts=starts,
         converged=bool(best.status > 0),
-        warnings=(*doubts, *_warnings(problem, best, numerator, denominator)),
+        warnings=(*warnings, *_warnings(problem, best, numerator, denominator)),
         input_unit=units[0],
         output_unit=units[1],
     )
 
 
 def _covariance(problem: _Problem, denominator, table, solution, residual, gain: float):
-    """Return the covariance of the coefficients, NaN where the data does not tell them apart, and what to doubt."""
+    """Return the covariance of the coefficients, NaN where the data does not distinguish them, and warnings."""
     predicted = table @ solution
     # the derivative by each coefficient of the denominator, the linear part kept
     derivatives = []
@@ -366,12 +366,12 @@ def _covariance(problem: _Problem, denominator, table, solution, residual, gain:
     except DataError:
         return np.full((count, count), np.nan), ["the data does not tell all coefficients apart: lower the order"]
     weak = np.sqrt(np.diag(covariance))[problem.zeros + 1 :] > np.abs(denominator[1:])
-    doubts = ["the denominator is weakly determined (deviations above 100 %): lower the order"] if weak.any() else []
-    return covariance, doubts
+    warnings = ["the denominator is weakly determined (deviations above 100 %): lower the order"] if weak.any() else []
+    return covariance, warnings
 
 
 def _warnings(problem: _Problem, best, numerator, denominator):
-    """Yield what to doubt about the search and the transfer function it found."""
+    """Yield warnings about the search and the transfer function it found."""
     at_bound = (best.x - problem.low < 1e-3) | (problem.high - best.x < 1e-3)
     if at_bound.any():
         yield "a pole is at its bound, slower or faster than the data can tell: lower the order"

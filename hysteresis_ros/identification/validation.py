@@ -42,7 +42,7 @@ class CorrelationTest:
     largest: float  #: Largest absolute correlation of the lags tested.
     #: Half width of the region that all tested lags together keep within with that probability (Bonferroni).
     joint_bound: float
-    #: Of a statistic over all lags together at least this large by chance (Ljung-Box); NaN where there is none.
+    #: Of a statistic over all lags together at least this large by chance (Ljung-Box); NaN without such a statistic.
     probability: float
 
     @property

@@ -160,7 +160,7 @@ class Compared:
         By names with units: ``rmse_m``, ``rmse_percent_of_stroke``, ``fit_percent``, ``inverse_rmse_v`` and more; None
         for what is not finite. This is what ``--json`` prints.
     warnings : tuple of str
-        What is to be doubted, in sentences.
+        What is uncertain, in sentences.
     """
 
     data: IdentificationData
@@ -252,7 +252,7 @@ class Identified(Compared):
     figures : dict
         By names with units, as of a :class:`Compared`.
     warnings : tuple of str
-        What is to be doubted, in sentences.
+        What is uncertain, in sentences.
     identification : Identification
         The result with deviations, assumptions and, for searches, the path of the parameters.
     text : str
@@ -323,7 +323,7 @@ def identify(
     reading = read_data(source)
     data = reading.data
     skip = _averaged(given.get("skip"), data)
-    # between samples that are averages the input ran on, whoever held it
+    # between samples that are averages the input moved, even if it was held between those of the recording
     intersample, initial = given.get("intersample") or ("zoh" if data.factor == 1 else "linear"), given.get("initial")
     tried: dict[str, float] = {}
     if model == registry.AUTO:
@@ -357,7 +357,7 @@ class HysteresisEstimator:
     model : str
         Name of the model, ``usual`` or ``auto``.
     linear : str, optional
-        What may stand behind the hysteresis; ``auto`` by default.
+        What may follow the hysteresis; ``auto`` by default.
     options : dict, optional
         Options of the model.
     inverse : str, optional

@@ -56,14 +56,14 @@ def test_both_resonances_are_found_below_a_neighbour_that_shares_one():
 def test_the_gain_of_slow_movement_is_told_behind_resonances_and_crosstalk(gain):
     data = driven(gain)
     found = slow_gain(data.input, data.output, STEP)
-    assert found.told and np.sign(found.gain) == np.sign(gain)
+    assert found.certain and np.sign(found.gain) == np.sign(gain)
     assert abs(found.gain - gain) < 4.0 * found.deviation
     assert found.highest < 500.0
 
 
 def test_where_the_neighbour_hides_the_gain_nothing_is_said_of_its_sign():
     data = driven(gain=-1e-9)
-    assert not slow_gain(data.input, data.output, STEP).told
+    assert not slow_gain(data.input, data.output, STEP).certain
 
 
 def test_an_output_that_falls_is_refused_with_its_gain():
@@ -86,7 +86,7 @@ def test_a_sine_upside_down_is_refused_behind_a_lag(lag):
     wave = np.cos(phase - 2.0 * np.pi * lag / 200.0)
     for sign in (1.0, -1.0):
         found = slow_gain(np.cos(phase), sign * wave, 1e-3)
-        assert found.told and found.gain == pytest.approx(sign * np.cos(2.0 * np.pi * lag / 200.0), abs=1e-3)
+        assert found.certain and found.gain == pytest.approx(sign * np.cos(2.0 * np.pi * lag / 200.0), abs=1e-3)
 
 
 def test_what_else_moves_the_output_is_warned_of_with_its_share():
