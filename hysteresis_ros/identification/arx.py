@@ -29,6 +29,7 @@ import scipy
 
 from hysteresis_ros.identification.data import CONSTANT, DataError, finite_array, refuse_short
 from hysteresis_ros.identification.linear_systems import FitError, LinearModel, pole_zero_warnings
+from hysteresis_ros.identification.validation import parameter_covariance
 
 #: Regressors whose condition number is beyond this do not determine the parameters.
 RANK = 1e10
@@ -125,7 +126,6 @@ def fit_arx(
         )
     residual = right - table @ solution
     variance = float(residual @ residual / (len(right) - unknowns))
-    triangle = scipy.linalg.solve_triangular(np.linalg.qr(table, mode="r"), np.eye(unknowns))
     scales = np.r_[np.ones(na), np.full(nb, scale_y / scale_u)]
     mse = float(residual @ residual / len(right)) * scale_y**2
     denominator, numerator = np.r_[1.0, solution[:na]], solution[na : na + nb] * scale_y / scale_u
@@ -137,7 +137,7 @@ def fit_arx(
         numerator=numerator,
         delay=delay,
         offset=float(solution[-1] * scale_y) if offset else 0.0,
-        covariance=(variance * triangle @ triangle.T)[: na + nb, : na + nb] * np.outer(scales, scales),
+        covariance=parameter_covariance(table, residual)[: na + nb, : na + nb] * np.outer(scales, scales),
         residual_variance=variance * scale_y**2,
         samples=len(right),
         fpe=mse * (1 + unknowns / len(right)) / (1 - unknowns / len(right)),

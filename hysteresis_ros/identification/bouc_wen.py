@@ -32,6 +32,7 @@ from hysteresis_ros.identification.restarted_nelder_mead import (
     SimplexSettings,
     restarted_nelder_mead,
 )
+from hysteresis_ros.identification.validation import covariance_or_infinite
 from hysteresis_ros.models.block import compiled, run_kernel
 from hysteresis_ros.models.hysteresis.bouc_wen import STATES, BoucWenParameters, bouc_wen
 from hysteresis_ros.models.hysteresis.bouc_wen_mechanical import (
@@ -186,11 +187,7 @@ def _covariance(residual, theta, error, free_offset) -> np.ndarray:
         ahead = residual(theta + step).copy()
         columns.append((ahead - residual(theta - step)) / (2.0 * step[i]))
     jacobian = np.stack(columns, axis=1)
-    variance = float(error @ error) / max(error.size - theta.size - int(free_offset), 1)
-    try:
-        return variance * np.linalg.inv(jacobian.T @ jacobian)
-    except np.linalg.LinAlgError:
-        return np.full((theta.size, theta.size), np.inf)
+    return covariance_or_infinite(jacobian, error, int(free_offset))
 
 
 def _in_units(search: SimplexSearch, units) -> SimplexSearch:
@@ -407,8 +404,7 @@ class _OscillatorProblem:
             delta=values["beta_delta"] / beta,
             intersample=self.intersample if self.intersample != "bandlimited" else "linear",
         )
-        variance = 2.0 * found.cost / max(len(self.y) - len(OSCILLATOR_FREE), 1)
-        covariance = np.linalg.pinv(found.jac.T @ found.jac) * variance * np.outer(self.scale, self.scale)
+        covariance = covariance_or_infinite(found.jac, found.fun) * np.outer(self.scale, self.scale)
         deviations = dict(zip(OSCILLATOR_FREE, np.sqrt(np.diag(covariance)).tolist(), strict=True))
         warnings = list(parameters.warnings())
         if agreeing < 2 <= starts:

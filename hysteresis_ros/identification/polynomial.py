@@ -39,6 +39,7 @@ from hysteresis_ros.identification.preprocessing import (
     require_both_directions,
     split_branches,
 )
+from hysteresis_ros.identification.validation import parameter_covariance
 from hysteresis_ros.models.actuator import PreloadParameters
 from hysteresis_ros.models.block import compiled, run_kernel
 from hysteresis_ros.models.declaration import DISPLACEMENT
@@ -452,8 +453,7 @@ def identify_preload(force, displacement, *, in_use: float = 0.0) -> PreloadIden
     matrix = np.vander(force / unit, 3, increasing=True)
     found = np.linalg.lstsq(matrix, displacement, rcond=None)[0]
     residual = matrix @ found - displacement
-    variance = float(residual @ residual) / max(force.size - 3, 1)
-    covariance = variance * np.linalg.inv(matrix.T @ matrix) / np.outer(powers, powers)
+    covariance = parameter_covariance(matrix, residual) / np.outer(powers, powers)
     a1, b1, b2 = (found / powers).tolist()
     warnings = []
     ends = b1 + 2.0 * b2 * np.array([force.min(), force.max()])

@@ -223,11 +223,14 @@ def input_cross_correlation(u, residual, lags: int = LAGS, confidence: float = C
     return _correlation_test(every, correlation, slice(None), np.sqrt(spread / N), confidence)
 
 
-def parameter_covariance(jacobian, residual) -> np.ndarray:
-    """Return the covariance σ² (JᵀJ)⁻¹ of fitted parameters, shape (d, d), for white residuals."""
+def parameter_covariance(jacobian, residual, others: int = 0) -> np.ndarray:
+    """Return the covariance σ² (JᵀJ)⁻¹ of fitted parameters, shape (d, d), for white residuals.
+
+    ``others`` counts fitted numbers without a column, such as a constant that was removed from all columns.
+    """
     J, e = np.asarray(jacobian, dtype=float), np.asarray(residual, dtype=float)
     N, d = J.shape
-    refuse_short(N, d + 1, f"the covariance of {d} parameters")
+    refuse_short(N, d + others + 1, f"the covariance of {d} parameters")
     length = np.linalg.norm(J, axis=0)
     if np.any(length == 0.0):
         raise DataError("rank", f"parameter {int(np.argmin(length))} has no influence on the prediction")
@@ -235,7 +238,15 @@ def parameter_covariance(jacobian, residual) -> np.ndarray:
     if values[-1] < 1e-12 * values[0]:
         raise DataError("rank", f"the {d} parameters cannot be told apart from this data")
     root = Vt.T / values / length[:, None]
-    return float(e @ e) / (N - d) * root @ root.T
+    return float(e @ e) / (N - d - others) * root @ root.T
+
+
+def covariance_or_infinite(jacobian, residual, others: int = 0) -> np.ndarray:
+    """Return :func:`parameter_covariance`; infinite where the data does not determine the parameters."""
+    try:
+        return parameter_covariance(jacobian, residual, others)
+    except DataError:
+        return np.full((np.shape(jacobian)[1],) * 2, np.inf)
 
 
 def _check_confidence(confidence):
