@@ -52,6 +52,7 @@ if TYPE_CHECKING:
         mismatched,
     )
     from hysteresis_ros.laboratory.studies import Ranking, Reproduction, compare, reproduce
+    from hysteresis_ros.loop.faults import Fault
     from hysteresis_ros.models import inverse_classes as inverses
 
 #: The version; setup.py reads it from here, package.xml repeats it.
@@ -64,6 +65,7 @@ __all__ = [
     "Design",
     "DesignedLearning",
     "Experiment",
+    "Fault",
     "HysteresisError",
     "Identified",
     "Ranking",
@@ -101,6 +103,7 @@ _MODULES = {
 }
 #: Where the names stand that are not in :mod:`hysteresis_ros.api`.
 _PLACES = {
+    "Fault": "hysteresis_ros.loop.faults",
     **dict.fromkeys(("Swept", "sweep"), "hysteresis_ros.laboratory.swept"),
     **dict.fromkeys(("Ranking", "Reproduction", "compare", "reproduce"), "hysteresis_ros.laboratory.studies"),
     **dict.fromkeys(

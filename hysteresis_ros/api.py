@@ -44,6 +44,7 @@ from hysteresis_ros.identification.parameter_file import write_file
 from hysteresis_ros.identification.reading import Columns, Reading, read_data
 from hysteresis_ros.identification.registry import USUAL
 from hysteresis_ros.identification.workflow import Compared, Conditions, Identified
+from hysteresis_ros.loop.faults import Fault
 from hysteresis_ros.loop.reach import reach_warnings, single_axis
 from hysteresis_ros.loop.simulation import simulate as simulate_axis
 from hysteresis_ros.recordings.dataset import Recording
@@ -387,7 +388,7 @@ def simulate(
     setpoints: ArrayLike | None = None,
     requests: ArrayLike | None = None,
     speeds: ArrayLike | None = None,
-    faults: Sequence[str] = (),
+    faults: Sequence[str | Fault] = (),
     namespace: str | None = None,
 ) -> Run:
     """Run an axis offline from rest: bit for bit what its nodes do in lockstep.
@@ -407,9 +408,9 @@ def simulate(
         Of an inchworm: what was asked of it at each sample.
     speeds : array_like, shape (N,), optional
         Of an inchworm: speed at which it is to walk at each sample [m/s]; NaN asks nothing.
-    faults : sequence of str
-        What is to go wrong, each ``NAME:START:DURATION[:VALUE]`` with times in seconds, for instance
-        ``"stale:0.1:0.3"``; ``docs/topics.md`` lists them.
+    faults : sequence of Fault or str
+        What is to go wrong: ``hr.Fault("stale", 0.1, 0.3)``, or the same as the commands write it, ``"stale:0.1:0.3"``:
+        ``NAME:START:DURATION[:VALUE]`` with times in seconds. ``docs/topics.md`` lists the names.
     namespace : str, optional
         Which axis of a configuration with several.
 
@@ -435,7 +436,7 @@ def simulate(
     """
     axis = single_axis(configuration_of(config), namespace)
     if faults:
-        axis = axis.with_faults(tuple(faults))
+        axis = axis.with_faults(tuple(map(str, faults)))
     for text in reach_warnings(axis):
         warnings.warn(text, stacklevel=2)
     return Run.of(simulate_axis(axis, duration=duration, setpoints=setpoints, requests=requests, speeds=speeds))

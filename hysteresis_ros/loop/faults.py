@@ -39,7 +39,7 @@ LONGEST_DELAY = 10000
 
 
 @dataclass(frozen=True)
-class Fault:
+class FaultKind:
     """One kind of fault."""
 
     target: int  #: target, action: What it acts on, and what it does to it.
@@ -53,79 +53,139 @@ class Fault:
 
 
 FAULTS = {
-    "stale": Fault(MEASUREMENT, LOST, "no measurement comes"),
-    "nan": Fault(MEASUREMENT, LOST, "the measurement is not a number"),
-    "spike": Fault(MEASUREMENT, SPIKE, f"one measurement in {SPIKE_PERIOD} is off by the value", 1e-6, "m"),
-    "frozen": Fault(MEASUREMENT, FREEZE, "the measurement stays as it is at the beginning"),
-    "late": Fault(
+    "stale": FaultKind(MEASUREMENT, LOST, "no measurement comes"),
+    "nan": FaultKind(MEASUREMENT, LOST, "the measurement is not a number"),
+    "spike": FaultKind(MEASUREMENT, SPIKE, f"one measurement in {SPIKE_PERIOD} is off by the value", 1e-6, "m"),
+    "frozen": FaultKind(MEASUREMENT, FREEZE, "the measurement stays as it is at the beginning"),
+    "late": FaultKind(
         MEASUREMENT, DELAY, "the measurement is the one of that many samples before", 1.0, "samples", 1, LONGEST_DELAY
     ),
-    "drop": Fault(MEASUREMENT, DROP, "that part of the measurements is missing, by chance", 0.3, "1", 0.0, 1.0),
-    "offset": Fault(MEASUREMENT, ADD, "the measurement is off by the value", 1e-6, "m"),
-    "disorder": Fault(MEASUREMENT, DISORDER, "every second measurement is the one before, with its old stamp"),
-    "unanswered": Fault(APPLIED, LOST, "the controller does not hear what was carried out"),
-    "lost_command": Fault(COMMAND, LOST, "no command reaches the compensator"),
-    "lost_voltage": Fault(VOLTAGE, LOST, "no voltage reaches the plant"),
-    "late_voltage": Fault(VOLTAGE, DROP, "that part of the voltages comes too late, by chance", 0.5, "1", 0.0, 1.0),
-    "lost_grip": Fault(
+    "drop": FaultKind(MEASUREMENT, DROP, "that part of the measurements is missing, by chance", 0.3, "1", 0.0, 1.0),
+    "offset": FaultKind(MEASUREMENT, ADD, "the measurement is off by the value", 1e-6, "m"),
+    "disorder": FaultKind(MEASUREMENT, DISORDER, "every second measurement is the one before, with its old stamp"),
+    "unanswered": FaultKind(APPLIED, LOST, "the controller does not hear what was carried out"),
+    "lost_command": FaultKind(COMMAND, LOST, "no command reaches the compensator"),
+    "lost_voltage": FaultKind(VOLTAGE, LOST, "no voltage reaches the plant"),
+    "late_voltage": FaultKind(VOLTAGE, DROP, "that part of the voltages comes too late, by chance", 0.5, "1", 0.0, 1.0),
+    "lost_grip": FaultKind(
         GRIP, SCALE, "the front clamp grips with that part of its force", 0.0, "1", 0.0, 1.0, motor=True
     ),
-    "lost_force": Fault(FORCE, LOST, "the force sensor says nothing"),
-    "stop": Fault(STOP, SET, "the controller is stopped, and started again at the end"),
+    "lost_force": FaultKind(FORCE, LOST, "the force sensor says nothing"),
+    "stop": FaultKind(STOP, SET, "the controller is stopped, and started again at the end"),
 }
 
 
 @dataclass(frozen=True)
-class FaultEntry:
-    """One fault of a run."""
+class Fault:
+    """One fault of a run; ``str`` writes it as the commands and parameter files do, ``NAME:START:DURATION[:VALUE]``.
+
+    Parameters
+    ----------
+    name : str
+        Name of the fault, such as ``stale`` or ``offset``; ``docs/topics.md`` lists them.
+    start : float
+        Beginning [s], in the axis' own time; at least 0.
+    duration : float
+        Duration [s], more than 0.
+    value : float, optional
+        Value in the unit of the fault (``offset`` and ``spike`` [m], ``late`` [samples], others a share); by default
+        that of the kind. A fault of a kind without value takes none.
+
+    Raises
+    ------
+    ConfigurationError
+        The fault does not exist, or a number is out of range; the message says what is allowed.
+
+    Examples
+    --------
+    >>> import hysteresis_ros as hr
+    >>> str(hr.Fault("offset", 0.01, 0.005, 2e-7))
+    'offset:0.01:0.005:2e-07'
+    >>> run = hr.simulate("kim2009", duration=0.02, faults=[hr.Fault("stale", 0.01, 0.005)])
+    """
 
     name: str
-    start: float  #: start, duration: [s] of the axis' own time.
+    start: float
     duration: float
-    value: float  #: In the fault's unit; 0 where it has none.
+    value: float | None = None
+
+    def __post_init__(self):
+        """Check the numbers and fill in the value that the kind has by default."""
+        given = {"start": self.start, "duration": self.duration}
+        if self.value is not None:
+            given["value"] = self.value
+        for name, number in given.items():
+            if isinstance(number, bool) or not isinstance(number, (int, float, np.integer, np.floating)):
+                raise ConfigurationError(f"fault '{self.name}': {name} = {number!r}: must be a number")
+            object.__setattr__(self, name, float(number))
+        object.__setattr__(self, "value", checked_value(str(self), self.name, self.start, self.duration, self.value))
 
     @property
-    def kind(self) -> Fault:
+    def kind(self) -> FaultKind:
         """What it is."""
         return FAULTS[self.name]
 
+    @property
+    def amount(self) -> float:
+        """Value in the unit of the fault; 0 where it has none."""
+        return self.value or 0.0
 
-def parse_fault(text: str, sample_rate: float | None = None, motor: bool = True) -> FaultEntry:
+    def __str__(self) -> str:
+        numbers = [self.start, self.duration] + ([] if self.value is None else [self.value])
+        return ":".join([str(self.name), *(repr(number).removesuffix(".0") for number in numbers)])
+
+
+def checked_value(text: str, name: str, start: float, duration: float, value: float | None) -> float | None:
+    """Return the value of a fault, by default that of its kind; None where the kind has none."""
+    if name not in FAULTS:
+        close = difflib.get_close_matches(str(name), FAULTS, n=1, cutoff=0.5)
+        hint = f"did you mean {close[0]}? " if close else ""
+        raise ConfigurationError(f"fault '{text}': there is no fault '{name}'; {hint}there are: {', '.join(FAULTS)}")
+    kind = FAULTS[name]
+    if not all(math.isfinite(number) for number in (start, duration, value or 0.0)):
+        raise ConfigurationError(f"fault '{text}': {FORM}")
+    if start < 0.0 or duration <= 0.0:
+        raise ConfigurationError(f"fault '{text}': START must be ≥ 0 and DURATION > 0 s")
+    if kind.value is None:
+        if value is not None:
+            raise ConfigurationError(f"fault '{text}': {name} has no VALUE; write {name}:START:DURATION")
+        return None
+    value = kind.value if value is None else value
+    if not kind.low <= value <= kind.high or (kind.action == DELAY and value != int(value)):
+        allowed = f"{kind.low:g} … {kind.high:g} {kind.unit if kind.unit != '1' else ''}".strip()
+        raise ConfigurationError(f"fault '{text}': VALUE must be within {allowed}")
+    return value
+
+
+#: How a fault is written.
+FORM = "write NAME:START:DURATION[:VALUE], times in seconds, for instance stale:0.1:0.05"
+
+
+def parse_fault(text: str, sample_rate: float | None = None, motor: bool = True) -> Fault:
     """Read ``NAME:START:DURATION[:VALUE]``.
 
     Units: ``sample_rate`` [Hz].
     """
-    name, *numbers = text.split(":")
-    form = f"fault '{text}': write NAME:START:DURATION[:VALUE], times in seconds, for instance stale:0.1:0.05"
-    if name not in FAULTS:
-        close = difflib.get_close_matches(name, FAULTS, n=1, cutoff=0.5)
-        hint = f"did you mean {close[0]}? " if close else ""
-        raise ConfigurationError(f"fault '{text}': there is no fault '{name}'; {hint}there are: {', '.join(FAULTS)}")
+    name, *words = text.split(":")
+    if name in FAULTS:
+        try:
+            numbers = [float(word) for word in words]
+        except ValueError:
+            raise ConfigurationError(f"fault '{text}': {FORM}") from None
+        if not 2 <= len(numbers) <= 3:
+            raise ConfigurationError(f"fault '{text}': {FORM}")
+    else:
+        numbers = [0.0, 1.0]
+    value = numbers[2] if len(numbers) == 3 else None
+    value = checked_value(text, name, numbers[0], numbers[1], value)
     kind = FAULTS[name]
-    try:
-        values = [float(number) for number in numbers]
-    except ValueError:
-        raise ConfigurationError(form) from None
-    if not 2 <= len(values) <= 3 or not all(math.isfinite(value) for value in values):
-        raise ConfigurationError(form)
-    start, duration = values[:2]
-    if start < 0.0 or duration <= 0.0:
-        raise ConfigurationError(f"fault '{text}': START must be ≥ 0 and DURATION > 0 s")
-    if sample_rate is not None and duration * sample_rate < 0.5:
+    if sample_rate is not None and numbers[1] * sample_rate < 0.5:
         raise ConfigurationError(
             f"fault '{text}': DURATION is shorter than a sample; give at least {1.0 / sample_rate:.6g} s"
         )
     if kind.motor and not motor:
         raise ConfigurationError(f"fault '{text}': only an inchworm motor has it")
-    if kind.value is None:
-        if len(values) == 3:
-            raise ConfigurationError(f"fault '{text}': {name} has no VALUE; write {name}:START:DURATION")
-        return FaultEntry(name, start, duration, 0.0)
-    value = values[2] if len(values) == 3 else kind.value
-    if not kind.low <= value <= kind.high or (kind.action == DELAY and value != int(value)):
-        allowed = f"{kind.low:g} … {kind.high:g} {kind.unit if kind.unit != '1' else ''}".strip()
-        raise ConfigurationError(f"fault '{text}': VALUE must be within {allowed}")
-    return FaultEntry(name, start, duration, value)
+    return Fault(name, numbers[0], numbers[1], value)
 
 
 # Parameter array: how many faults, length of the ring; then five numbers each.
@@ -147,12 +207,12 @@ def fault_parameters(faults: tuple[str, ...], targets: tuple[int, ...], sample_r
     Units: ``sample_rate`` [Hz].
     """
     chosen = [entry for entry in map(parse_fault, faults) if entry.kind.target in targets]
-    longest = max((entry.value for entry in chosen if entry.kind.action == DELAY), default=1.0)
+    longest = max((entry.amount for entry in chosen if entry.kind.action == DELAY), default=1.0)
     p = [float(len(chosen)), longest + 1.0]
     for entry in chosen:
         first = round(entry.start * sample_rate)
         beyond = first + max(round(entry.duration * sample_rate), 1)
-        p += [float(entry.kind.target), float(entry.kind.action), float(first), float(beyond), entry.value]
+        p += [float(entry.kind.target), float(entry.kind.action), float(first), float(beyond), entry.amount]
     return np.array(p)
 
 
