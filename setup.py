@@ -56,6 +56,8 @@ EXTRAS = {
     # the live page
     "watch": ["aiohttp"],
     "notebook": ["pandas"],
+    # exchange of linear systems with python-control
+    "control": ["control"],
     # the makers' package has wheels for 3.12 and 3.13 only
     "nv200": ["nv200>=1.6,<2; python_version >= '3.12'"],
     # EPICS motor records, in pure Python

@@ -14,8 +14,8 @@ every model, inverse, controller and observer is a block (:mod:`hysteresis_ros.m
 simulation and the ROS 2 nodes call alike. Only :mod:`hysteresis_ros.nodes` needs ROS.
 
 For scripts and notebooks, ``import hysteresis_ros as hr`` gives ``hr.models``, ``hr.inverses``, ``hr.controllers``,
-``hr.references`` and the functions of :mod:`hysteresis_ros.api`, :mod:`hysteresis_ros.designing` and
-:mod:`hysteresis_ros.laboratory.studies`. Each is imported at its first use.
+``hr.references`` and the functions of :mod:`hysteresis_ros.api`, :mod:`hysteresis_ros.designing`,
+:mod:`hysteresis_ros.exchange` and :mod:`hysteresis_ros.laboratory.studies`. Each is imported at its first use.
 """
 
 from __future__ import annotations
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
         configurations,
         identify,
         load,
+        metrics,
         plot,
         report,
         simulate,
@@ -51,7 +52,10 @@ if TYPE_CHECKING:
         frequency_response,
         mismatched,
     )
+    from hysteresis_ros.exchange import from_control, to_control, to_scipy, with_dynamics
     from hysteresis_ros.laboratory.studies import Ranking, Reproduction, compare, reproduce
+    from hysteresis_ros.laboratory.sweeps.plan import Levels, LogUniform, Normal, Uniform, Within
+    from hysteresis_ros.laboratory.swept import Swept, sweep
     from hysteresis_ros.loop.faults import Fault
     from hysteresis_ros.models import inverse_classes as inverses
 
@@ -68,21 +72,28 @@ __all__ = [
     "Fault",
     "HysteresisError",
     "Identified",
+    "Levels",
+    "LogUniform",
+    "Normal",
     "Ranking",
     "Reproduction",
     "Response",
     "Run",
     "Swept",
     "Uncertainty",
+    "Uniform",
+    "Within",
     "compare",
     "configurations",
     "controllers",
     "design",
     "design_learning",
     "frequency_response",
+    "from_control",
     "identify",
     "inverses",
     "load",
+    "metrics",
     "mismatched",
     "models",
     "plot",
@@ -91,7 +102,10 @@ __all__ = [
     "reproduce",
     "simulate",
     "sweep",
+    "to_control",
+    "to_scipy",
     "validate",
+    "with_dynamics",
 ]
 
 #: Modules that are known here by another name than their own.
@@ -104,6 +118,8 @@ _MODULES = {
 #: Where the names stand that are not in :mod:`hysteresis_ros.api`.
 _PLACES = {
     "Fault": "hysteresis_ros.loop.faults",
+    **dict.fromkeys(("from_control", "to_control", "to_scipy", "with_dynamics"), "hysteresis_ros.exchange"),
+    **dict.fromkeys(("Levels", "LogUniform", "Normal", "Uniform", "Within"), "hysteresis_ros.laboratory.sweeps.plan"),
     **dict.fromkeys(("Swept", "sweep"), "hysteresis_ros.laboratory.swept"),
     **dict.fromkeys(("Ranking", "Reproduction", "compare", "reproduce"), "hysteresis_ros.laboratory.studies"),
     **dict.fromkeys(

@@ -36,19 +36,21 @@ from hysteresis_ros.control.controller import ControllerParameters
 from hysteresis_ros.control.learning import LearningParameters
 from hysteresis_ros.control.margins import Margins
 from hysteresis_ros.designs.frequency_response import AxisResponse
-from hysteresis_ros.errors import ConfigurationError, HysteresisError, did_you_mean
+from hysteresis_ros.errors import ConfigurationError, HysteresisError, MissingExtraError, did_you_mean
 from hysteresis_ros.identification import workflow
 from hysteresis_ros.identification.data import IdentificationData
 from hysteresis_ros.identification.frequency_response import save_response
 from hysteresis_ros.identification.parameter_file import write_file
+from hysteresis_ros.identification.prediction import predict
 from hysteresis_ros.identification.reading import Columns, Reading, read_data
 from hysteresis_ros.identification.registry import USUAL
-from hysteresis_ros.identification.workflow import Compared, Conditions, Identified
+from hysteresis_ros.identification.workflow import Conditions
 from hysteresis_ros.loop.faults import Fault
 from hysteresis_ros.loop.reach import reach_warnings, single_axis
 from hysteresis_ros.loop.simulation import simulate as simulate_axis
 from hysteresis_ros.recordings.dataset import Recording
 from hysteresis_ros.recordings.files import load_run, save_run
+from hysteresis_ros.units import readable
 
 if TYPE_CHECKING:
     import pandas
@@ -114,6 +116,11 @@ class Run(Recording):  # numpydoc ignore=PR02
         columns = ", ".join(f"{name} [{unit}]" for name, unit in self.units.items())
         return f"Run of {len(self)} samples, {self.sample_time:.6g} s apart: {columns}"
 
+    def _repr_html_(self) -> str:
+        from hysteresis_ros.analysis.notebook import run_cell
+
+        return run_cell(self)
+
     def between(self, first: float, last: float) -> Run:
         """Return the part of the run between two instants, both included; its arrays are copies.
 
@@ -152,7 +159,7 @@ class Run(Recording):  # numpydoc ignore=PR02
 
         Raises
         ------
-        HysteresisError
+        MissingExtraError
             Pandas is not installed; the message says how to.
 
         Examples
@@ -163,9 +170,7 @@ class Run(Recording):  # numpydoc ignore=PR02
         try:
             import pandas
         except ImportError:
-            raise HysteresisError(
-                'pandas is not installed: pip install pandas, or "hysteresis_ros[notebook]"'
-            ) from None
+            raise MissingExtraError("pandas", "notebook", "tables need it") from None
         table = pandas.DataFrame(self.signals, index=pandas.Index(self.time, name="time"))
         table.attrs["units"] = {"time": "s", **self.units}
         return table
@@ -186,15 +191,149 @@ class Run(Recording):  # numpydoc ignore=PR02
         save_run(self, path)
 
 
-@dataclass(frozen=True, eq=False)
+class Compared(workflow.Compared):  # numpydoc ignore=PR02
+    """A model beside a recording, as :func:`validate` returns it.
+
+    Parameters
+    ----------
+    data : IdentificationData
+        What was measured.
+    plant : PlantModel
+        The model: hysteresis, creep, dynamics, and the inverse a compensator uses.
+    predicted : ndarray, shape (N,)
+        What the model says [m].
+    validation : Validation
+        Errors, and whether what is left is white.
+    inverse : InverseValidation or None
+        The voltage that the inverse finds behind the displacement; None where there is no inverse.
+    figures : dict
+        By names with units: ``rmse_m``, ``rmse_percent_of_stroke``, ``fit_percent``, ``inverse_rmse_v`` and more; None
+        for what is not finite. This is what ``--json`` prints.
+    warnings : tuple of str
+        Warnings, in sentences.
+    """
+
+    def predict(
+        self,
+        voltage: ArrayLike | Recording,
+        sample_time: float | None = None,
+        *,
+        intersample: str | None = None,
+        initial: str | None = None,
+    ) -> np.ndarray:
+        """Return the displacement that the model predicts under a voltage, with the kernels of the nodes.
+
+        Parameters
+        ----------
+        voltage : array_like, shape (N,), or Recording
+            Voltage [V]; of a recording its signal ``voltage`` and its sample time.
+        sample_time : float, optional
+            Sample time of the voltage [s]; by default that of the model.
+        intersample : str, optional
+            The voltage between its samples: ``zoh``, ``linear`` or ``bandlimited``; by default as identified.
+        initial : str, optional
+            The state at the start: ``zero`` (at rest at 0 V), ``periodic`` (the voltage had repeated before) or
+            ``estimate`` (at rest under the first voltage); by default as identified.
+
+        Returns
+        -------
+        ndarray, shape (N,)
+            Displacement [m], with the zero of the sensor.
+
+        Raises
+        ------
+        IdentificationError
+            The dynamics are known for another sample time only, or there is no such choice.
+        RecordingError
+            The recording has no signal ``voltage``.
+        HysteresisError
+            The voltage is not a row of finite numbers.
+
+        Examples
+        --------
+        >>> found = hr.identify("loops.csv")  # doctest: +SKIP
+        >>> found.predict([0.0, 10.0, 20.0])  # doctest: +SKIP
+        """
+        if isinstance(voltage, Recording):
+            sample_time = voltage.sample_time if sample_time is None else sample_time
+            voltage = voltage["voltage"]
+        try:
+            values = np.asarray(voltage, dtype=float)
+        except (TypeError, ValueError):
+            raise HysteresisError("voltage: must be an array of numbers") from None
+        if values.ndim != 1 or not values.size or not np.all(np.isfinite(values)):
+            raise HysteresisError(f"voltage has shape {values.shape}: must be a row of finite numbers [V]")
+        step = self.plant.sample_time if sample_time is None else float(sample_time)
+        if not 0.0 < step < np.inf:
+            raise HysteresisError(f"sample_time = {step}: must be above 0 s")
+        return predict(self.plant, values, step, intersample, initial)
+
+    def __repr__(self) -> str:
+        error, share = self.figures.get("rmse_m"), self.figures.get("rmse_percent_of_stroke")
+        parts = [] if error is None else [f"RMS error {readable(error, 'm')}"]
+        parts += [] if share is None else [f"{share:.3g} % of the stroke"]
+        judged = f": {', '.join(parts)}" if parts else ""
+        return f"{type(self).__name__}({self._named()}{judged}, {len(self.data)} samples{_warned(self.warnings)})"
+
+    def _named(self) -> str:
+        return self.plant.hysteresis.type
+
+    def _repr_html_(self) -> str:
+        from hysteresis_ros.analysis.notebook import model_cell
+
+        return model_cell(self, f"{type(self).__name__}: {self._named()}")
+
+
+class Identified(Compared, workflow.Identified):  # numpydoc ignore=PR02
+    """What :func:`identify` found: a :class:`Compared` with the parameter file and how it came about.
+
+    Parameters
+    ----------
+    data : IdentificationData
+        What was measured.
+    plant : PlantModel
+        The model: hysteresis, creep, dynamics, and the inverse a compensator uses.
+    predicted : ndarray, shape (N,)
+        What the model says [m].
+    validation : Validation
+        Errors, and whether what is left is white.
+    inverse : InverseValidation or None
+        The voltage that the inverse finds behind the displacement; None where there is no inverse.
+    figures : dict
+        By names with units, as of a :class:`Compared`.
+    warnings : tuple of str
+        Warnings, in sentences.
+    identification : Identification
+        The result with deviations, assumptions and, for searches, the path of the parameters.
+    text : str
+        The parameter file: a whole axis, as plant, compensator and controller load it.
+    response : ResponseCheck, optional
+        How well the recording knows the frequency response; None for a model with dynamics inside its hysteresis.
+    """
+
+    def _named(self) -> str:
+        linear = self.identification.linear
+        return self.identification.model + ("" if linear in ("", "none") else f" with {linear}")
+
+
+def _warned(warnings: Sequence[str]) -> str:
+    """Return how many warnings there are, for a line."""
+    return f", {len(warnings)} warning{'s' if len(warnings) > 1 else ''}" if warnings else ""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class DesignedFile:  # numpydoc ignore=PR02
     """What was designed, and the parameter file that holds it."""
 
     lines: tuple[str, ...]  #: The table that ``hysteresis design`` prints.
     text: str  #: The parameter file: that of the design's source with what was designed.
+    parameters: Any  #: Those that were designed; they have a ``type``.
 
     def __str__(self) -> str:
         return "\n".join(self.lines)
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.parameters.type})"
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Write the parameter file whole or not at all.
@@ -212,7 +351,7 @@ class DesignedFile:  # numpydoc ignore=PR02
         write_file(path, self.text)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Design(DesignedFile):  # numpydoc ignore=PR02
     """A designed controller, and the configuration that holds it.
 
@@ -235,8 +374,20 @@ class Design(DesignedFile):  # numpydoc ignore=PR02
     margins: Margins
     warnings: tuple[str, ...]
 
+    def __repr__(self) -> str:
+        found = self.margins
+        return (
+            f"Design({self.parameters.type}: bandwidth {found.bandwidth:.4g} Hz, "
+            f"gain margin {found.gain_margin:.4g} dB, phase margin {found.phase_margin:.4g}°{_warned(self.warnings)})"
+        )
 
-@dataclass(frozen=True, eq=False)
+    def _repr_html_(self) -> str:
+        from hysteresis_ros.analysis.notebook import design_cell
+
+        return design_cell(f"Design: {self.parameters.type}", self.margins, self.warnings)
+
+
+@dataclass(frozen=True, eq=False, repr=False)
 class DesignedLearning(DesignedFile):  # numpydoc ignore=PR02
     """A designed learning over the periods of a scan, and the configuration that holds it.
 
@@ -302,6 +453,7 @@ __all__ = [
     "configurations",
     "identify",
     "load",
+    "metrics",
     "plot",
     "report",
     "simulate",
@@ -495,13 +647,14 @@ def identify(
     >>> found.figures["rmse_percent_of_stroke"]  # doctest: +SKIP
     """
     reading = read_data(source, columns)
-    return workflow.identify(
+    found = workflow.identify(
         reading, model, linear=linear, options=options, inverse=inverse, progress=progress, **conditions
     )
+    return Identified(**vars(found))
 
 
 def validate(
-    parameters: str | os.PathLike[str],
+    parameters: Source,
     source: Measured,
     *,
     columns: Columns | None = None,
@@ -509,12 +662,13 @@ def validate(
     inverse: bool = True,
     **conditions: Unpack[Conditions],
 ) -> Compared:
-    """Simulate the plant of a parameter file under a recorded voltage and compare with what was measured.
+    """Simulate an identified plant under a recorded voltage and compare with what was measured.
 
     Parameters
     ----------
-    parameters : path-like
-        Parameter file, identified or written by hand, or the name of one that comes with the package.
+    parameters : Identified, path-like, Configuration, Design or Recording
+        What :func:`identify` returned; or the plant of an axis, see :func:`simulate`: a parameter file, identified or
+        written by hand, or the name of one that comes with the package.
     source : path-like, Recording, IdentificationData or Reading
         See :func:`identify`; best one that the model has not seen.
     columns : Columns, optional
@@ -539,10 +693,43 @@ def validate(
     Examples
     --------
     >>> import hysteresis_ros as hr
-    >>> hr.validate("axis.yaml", "other.csv").figures["rmse_m"]  # doctest: +SKIP
+    >>> found = hr.identify("loops.csv")  # doctest: +SKIP
+    >>> hr.validate(found, "other.csv").figures["rmse_m"]  # doctest: +SKIP
     """
     reading = read_data(source, columns)
-    return workflow.validate(parameters, reading, namespace=namespace, inverse=inverse, **conditions)
+    given = parameters if isinstance(parameters, (str, os.PathLike)) else configuration_of(parameters)
+    return Compared(**vars(workflow.validate(given, reading, namespace=namespace, inverse=inverse, **conditions)))
+
+
+def metrics(source: Reported, *, namespace: str | None = None) -> dict[str, Any]:
+    """Judge a run, an identification or a validation; :func:`report` also writes a page of it.
+
+    Parameters
+    ----------
+    source : path-like, Recording, Identified, Compared, sequence of path-like, or mapping
+        A recording, or what :func:`simulate`, :func:`identify` or :func:`validate` returned. Several runs are judged
+        side by side: files, or runs by the names that they are to have.
+    namespace : str, optional
+        Which axis of a bag that holds several.
+
+    Returns
+    -------
+    dict
+        Figures in SI units, by names that hold their unit: ``rms_error_m``, ``settling_time_s`` …; of an inchworm its
+        moves and steps. Of several runs these by their names.
+
+    Raises
+    ------
+    RecordingError
+        The recording cannot be read or judged.
+
+    Examples
+    --------
+    >>> import hysteresis_ros as hr
+    >>> hr.metrics(hr.simulate("kim2009", duration=0.1))["samples"]
+    300
+    """
+    return report(source, namespace=namespace)
 
 
 def report(
@@ -589,14 +776,14 @@ def report(
     >>> both = hr.report({"fine": "a.npz", "coarse": "b.npz"}, "both.html")  # doctest: +SKIP
     >>> both["fine"]["rms_error_m"]  # doctest: +SKIP
     """
-    if isinstance(source, Compared):
+    if isinstance(source, workflow.Compared):
         if path is not None:
             from hysteresis_ros.analysis.identification_report import (
                 write_identification_report,
                 write_validation_report,
             )
 
-            if isinstance(source, Identified):
+            if isinstance(source, workflow.Identified):
                 write_identification_report(path, source)
             else:
                 write_validation_report(path, source)
@@ -665,7 +852,7 @@ def configuration_of(source: Source) -> Configuration:
     """Return the configuration that describes an axis."""
     if isinstance(source, Configuration):
         return source
-    if isinstance(source, (Identified, DesignedFile)):
+    if isinstance(source, (workflow.Identified, DesignedFile)):
         return parse_configuration(source.text, f"the {type(source).__name__.lower()} axis")
     if isinstance(source, Recording):
         if not source.configuration:

@@ -76,6 +76,14 @@ class IdentificationError(HysteresisError):
     """A recording does not hold what an identification needs, or no usable model comes out of it."""
 
 
+class MissingExtraError(HysteresisError):
+    """A library of an optional extra is not installed."""
+
+    def __init__(self, library: str, extra: str = "report", purpose: str = "plots and reports need it"):
+        """Name the library, what needs it, and how to install it."""
+        super().__init__(f'{library} is not installed; {purpose}: pip install "hysteresis_ros[{extra}]"')
+
+
 class LoopError(HysteresisError):
     """The thread that makes the samples has failed, or its device does not return: nothing can be changed."""
 

@@ -17,8 +17,11 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 import hysteresis_ros as hr
+from hysteresis_ros.configuration import ParameterRow
 from hysteresis_ros.errors import HysteresisError
+from hysteresis_ros.laboratory.sweeps.plan import parse_range, parse_variations, parse_words
 from hysteresis_ros.loop.faults import DELAY, FAULTS, parse_fault
+from hysteresis_ros.loop.reach import single_axis
 
 
 @given(
@@ -36,7 +39,9 @@ def test_a_fault_is_the_words_that_it_writes(name, start, duration, share):
     assert parse_fault(str(fault)) == fault and (fault.value is None) == (kind.value is None)
 
 
-@pytest.mark.parametrize("text", ["stale:0.1:0.3", "offset:0:1", "offset:1e-2:0.5:2e-7", "late:0:2:3", "drop:0.5:1:0.25"])
+@pytest.mark.parametrize(
+    "text", ["stale:0.1:0.3", "offset:0:1", "offset:1e-2:0.5:2e-7", "late:0:2:3", "drop:0.5:1:0.25"]
+)
 def test_words_are_the_fault(text):
     name, *numbers = text.split(":")
     assert parse_fault(text) == hr.Fault(name, *map(float, numbers)) == parse_fault(str(parse_fault(text)))
@@ -74,3 +79,92 @@ def test_a_run_with_a_fault_is_bit_for_bit_that_with_its_words():
     again = hr.simulate(run, duration=0.03)
     np.testing.assert_array_equal(again.measured, run.measured)
     assert not np.array_equal(run.measured, hr.simulate("kim2009", duration=0.03).measured, equal_nan=True)
+
+
+NUMBER = ParameterRow("gain", float, 1.0, "", None, None, None, "a number", False, False)
+LENGTH = ParameterRow("noise", float, 1e-9, "m", None, None, None, "a length", False, False)
+WHOLE = ParameterRow("seed", int, 1, "", None, None, None, "a whole number", False, False)
+RANGES = {
+    "±5%": hr.Within(0.05),
+    "±12.5%": hr.Within(0.125),
+    "±0.5": hr.Within(0.5, relative=False),
+    "normal(±5%)": hr.Normal.around(0.05),
+    "normal(±0.5)": hr.Normal.around(0.5, relative=False),
+    "normal(2,0.1)": hr.Normal(2.0, 0.1),
+    "uniform(0.1,2)": hr.Uniform(0.1, 2.0),
+    "loguniform(0.1,2)": hr.LogUniform(0.1, 2.0),
+    "12,14,16": hr.Levels([12.0, 14.0, 16.0]),
+    "0.1:2:log20": hr.Levels.logarithmic(0.1, 2.0, 20),
+    "1:5:lin10": hr.Levels.linear(1.0, 5.0, 10),
+}
+
+
+@pytest.mark.parametrize("words, meant", RANGES.items())
+def test_words_of_a_range_are_the_object(words, meant):
+    assert parse_words(words, NUMBER) == meant == parse_words(str(meant), NUMBER)
+    assert parse_range(words, NUMBER) == meant.over(NUMBER)
+
+
+def test_lengths_and_whole_numbers_are_the_words_too():
+    assert parse_words("±2nm", LENGTH) == hr.Within(2e-9, relative=False)
+    assert parse_words("1nm,2nm", LENGTH) == hr.Levels(np.array([1e-9, 2e-9]))
+    assert parse_range("uniform(1,99)", WHOLE) == hr.Uniform(1, 99).over(WHOLE)
+    assert parse_range("4:16:lin13", WHOLE) == hr.Levels(range(4, 17)).over(WHOLE)
+
+
+POSITIVE = st.floats(1e-12, 1e12)
+
+
+@given(low=POSITIVE, high=POSITIVE, relative=st.booleans(), thousandths=st.integers(1, 99_999))
+def test_every_range_is_read_back_from_what_it_writes(low, high, relative, thousandths):
+    assume(low < high)
+    width = thousandths / 1000.0 / 100.0 if relative else high
+    ranges = [
+        hr.Uniform(low, high),
+        hr.LogUniform(low, high),
+        hr.Normal(low, high),
+        hr.Levels([low, high]),
+        hr.Within(width, relative),
+        hr.Normal.around(width, relative),
+    ]
+    for row in (NUMBER, LENGTH):
+        for meant in ranges:
+            assert parse_words(meant.words(row.unit), row) == meant
+
+
+@pytest.mark.parametrize(
+    "over, row, message",
+    [
+        (hr.Within(5.0), NUMBER, "±500%: must be above 0 and below 100 %"),
+        (hr.Within(0.05), WHOLE, "is a whole number"),
+        (hr.Uniform(2.0, 1.0), NUMBER, "second end must be above"),
+        (hr.LogUniform(0.0, 1.0), NUMBER, "both ends must be above 0"),
+        (hr.Normal(1.0, 0.0), NUMBER, "deviation must be above 0"),
+        (hr.Levels([1.5]), WHOLE, "must be a whole number"),
+        (hr.Levels(["much"]), NUMBER, "must be a finite number"),
+        (hr.Levels([]), NUMBER, "has no levels"),
+    ],
+)
+def test_a_range_that_the_parameter_cannot_have_is_refused(over, row, message):
+    with pytest.raises(ValueError, match=message):
+        over.over(row)
+
+
+def test_variations_by_names_are_those_of_the_words():
+    axis = single_axis(hr.load("kim2009"))
+    words = parse_variations(["plant_simulator=±5%", "plant_simulator.sensor.noise=1nm,2nm"], axis)
+    assert words == parse_variations(
+        {"plant_simulator": hr.Within(0.05), "plant_simulator.sensor.noise": [1e-9, 2e-9]}, axis
+    )
+    assert words == parse_variations({"plant_simulator": "±5%", "plant_simulator.sensor.noise": "1nm,2nm"}, axis)
+    with pytest.raises(HysteresisError, match="sensor.nois"):
+        parse_variations({"plant_simulator.sensor.nois": hr.Within(0.05)}, axis)
+    with pytest.raises(HysteresisError, match="mapping from NODE.PARAMETER"):
+        parse_variations("plant_simulator=±5%", axis)
+
+
+def test_a_sweep_takes_objects():
+    found = hr.sweep("kim2009", {"plant_simulator": hr.Within(0.05)}, runs=3, duration=0.01, workers=1)
+    words = hr.sweep("kim2009", ["plant_simulator=±5%"], runs=3, duration=0.01, workers=1)
+    for name, values in words.results.metrics.items():
+        np.testing.assert_array_equal(found.results.metrics[name], values)

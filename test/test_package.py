@@ -38,10 +38,10 @@ TESTS = sorted((ROOT / "test").rglob("*.py"))
 BASE = {"", "errors", "units", "signals", "files", "configuration", "registry", "executors"}
 BLOCKS = BASE | {"models", "control", "references"}
 MEASURED = BLOCKS | {"recordings", "hardware", "identification"}
-CORE = MEASURED | {"loop", "designs", "analysis", "api", "designing"}
+CORE = MEASURED | {"loop", "designs", "analysis", "api", "designing", "exchange"}
 MAY_IMPORT = {
     # at first use only, for those who write `import hysteresis_ros as hr`
-    "": BLOCKS | {"api", "designing", "laboratory"},
+    "": BLOCKS | {"api", "designing", "exchange", "laboratory", "loop"},
     "errors": {""},
     "units": {"", "errors"},
     "signals": set(),
@@ -60,6 +60,7 @@ MAY_IMPORT = {
     "analysis": MEASURED,
     "api": MEASURED | {"loop", "designs", "analysis"},
     "designing": MEASURED | {"loop", "designs", "analysis", "api"},
+    "exchange": MEASURED | {"loop", "api"},
     "nodes": MEASURED | {"loop", "designs", "analysis"},
     "cli": CORE | {"nodes"},
     "laboratory": CORE | {"nodes", "cli"},
@@ -82,6 +83,7 @@ ONLY_IN = {
     "rosbags": "recordings",
     "mcap": "recordings",
     "cv2": "hardware",
+    "control": "exchange",
     "distributed": "executors",
     "aiohttp": "laboratory",
 }

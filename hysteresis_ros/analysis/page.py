@@ -21,8 +21,8 @@ from importlib import resources
 
 import numpy as np
 
-from hysteresis_ros.analysis.plots import COLOURS, Chart, MissingExtraError, envelope, thin, thin_path
-from hysteresis_ros.errors import RecordingError
+from hysteresis_ros.analysis.plots import COLOURS, Chart, envelope, thin, thin_path
+from hysteresis_ros.errors import MissingExtraError, RecordingError
 from hysteresis_ros.files import write_text
 from hysteresis_ros.recordings.dataset import Recording
 

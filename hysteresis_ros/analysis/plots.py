@@ -21,21 +21,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hysteresis_ros.errors import HysteresisError
+from hysteresis_ros.errors import MissingExtraError
 from hysteresis_ros.units import FINE
 
 #: Points of a line on paper; longer signals are drawn as the minimum and maximum of as many intervals.
 LINE_POINTS = 3000
 
 _MICRO = 1e6
-
-
-class MissingExtraError(HysteresisError):
-    """A library of the optional extra ``report`` is not installed."""
-
-    def __init__(self, library: str):
-        """Name the library and how to install it."""
-        super().__init__(f'{library} is not installed; plots and reports need it: pip install "hysteresis_ros[report]"')
 
 
 def new_figure(height: float, columns: int = 1, rows: int = 1):

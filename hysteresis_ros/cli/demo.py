@@ -234,9 +234,10 @@ def _report(folder: pathlib.Path, axes: dict, proof: list[str], progress: Progre
 
     from hysteresis_ros.analysis.demonstration import inverse_figure, message, opening_of_stroke
     from hysteresis_ros.analysis.metrics import compute_metrics
-    from hysteresis_ros.analysis.plots import MissingExtraError, data_uri, png
+    from hysteresis_ros.analysis.plots import data_uri, png
     from hysteresis_ros.analysis.report import write_report
     from hysteresis_ros.analysis.tables import format_parts
+    from hysteresis_ros.errors import MissingExtraError
     from hysteresis_ros.loop.simulation import simulate
     from hysteresis_ros.recordings.files import load_run
 

@@ -255,9 +255,10 @@ def _block(configuration: Configuration, node: str, cls, namespace: str = ""):
     return cls.from_mapping(values, prefix=f"{configuration.source}: {node}: ").validated()
 
 
-def load_chain(path, namespace: str = "") -> tuple[PlantModel, dict]:
-    """Read the plant of a parameter file, identified or written by hand, and its section ``/identification``."""
-    configuration = load_configuration(path)
+def load_chain(source, namespace: str = "") -> tuple[PlantModel, dict]:
+    """Return the plant of a parameter file or configuration, and its section ``/identification``."""
+    configuration = source if isinstance(source, Configuration) else load_configuration(source)
+    path = configuration.source if isinstance(source, Configuration) else source
     if "hysteresis.type" not in configuration.node("plant_simulator", namespace):
         raise ConfigurationError(
             f"{path}: has no plant_simulator with hysteresis.type; give a parameter file of an axis"

@@ -12,10 +12,10 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from hysteresis_ros.api import Source, configuration_of
-from hysteresis_ros.laboratory.sweeps.plan import RANDOM, make_plan, parse_variations
+from hysteresis_ros.laboratory.sweeps.plan import RANDOM, Range, make_plan, parse_variations
 from hysteresis_ros.laboratory.sweeps.study import Study, require_metrics
 from hysteresis_ros.laboratory.sweeps.summary import Summary, lines, parse_bound, require_library
 from hysteresis_ros.laboratory.sweeps.sweep import sweep as make_runs
@@ -37,7 +37,7 @@ class Swept(Summary):  # numpydoc ignore=PR01
 
 def sweep(
     config: Source,
-    vary: Sequence[str],
+    vary: Sequence[str] | Mapping[str, str | Range | Sequence[object]],
     path: str | os.PathLike[str] | None = None,
     *,
     runs: int | None = None,
@@ -57,8 +57,10 @@ def sweep(
     ----------
     config : path-like, Configuration, Identified, Design or Recording
         The axis, see :func:`.simulate`.
-    vary : sequence of str
-        What varies: ``"plant_simulator=±5%"``, ``"motion_controller.pid.Kp=0.1:2:log20"`` (``docs/sweeps.md``).
+    vary : mapping of str to Within, Normal, Uniform, LogUniform, Levels, sequence or str; or sequence of str
+        What varies over what: ``{"plant_simulator": hr.Within(0.05), "motion_controller.pid.Kp": [0.1, 0.2]}``, or the
+        same in the words of the command: ``["plant_simulator=±5%", "motion_controller.pid.Kp=0.1,0.2"]``
+        (``docs/sweeps.md``).
     path : path-like, optional
         Where the results go, ``.parquet`` or ``.npz``; the same sweep goes on there when it was left.
     runs : int, optional
@@ -97,8 +99,8 @@ def sweep(
     Examples
     --------
     >>> import hysteresis_ros as hr
-    >>> noise = "plant_simulator.sensor.noise=1nm,2nm"
-    >>> found = hr.sweep("kim2009", [noise], duration=0.02, workers=1)
+    >>> noise = {"plant_simulator.sensor.noise": hr.Levels([1e-9, 2e-9])}
+    >>> found = hr.sweep("kim2009", noise, duration=0.02, workers=1)
     >>> found.results.metrics["rms_error_m"].shape
     (2,)
     """
@@ -109,7 +111,7 @@ def sweep(
     names = require_metrics([*metrics, *(bound.metric for bound in allowed)], axis)
     if duration is not None:
         axis = axis.with_duration(duration)
-    variations = parse_variations(list(vary), axis)
+    variations = parse_variations(vary, axis)
     plan = make_plan(variations, runs, seed, sensitivity or RANDOM)
     study, told = Study(axis, variations, names), progress or (lambda done: None)
     found = make_runs(study, plan, path, workers=workers, scheduler=scheduler, progress=told)

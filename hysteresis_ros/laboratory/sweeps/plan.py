@@ -22,8 +22,9 @@ from __future__ import annotations
 
 import functools
 import math
+import numbers
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -52,13 +53,114 @@ SPREADS = ("uniform", "loguniform", "normal")
 WAYS = "write 0.1:2:log20, 1um:5um:lin10, 12,14,16, ±5%, uniform(A,B), loguniform(A,B), normal(MEAN,DEVIATION)"
 
 
-@dataclass(frozen=True)
-class Levels:
-    """Values one by one."""
+class Range:
+    """What a parameter varies over, in SI units or in parts of the configured value."""
 
-    values: tuple  #: In the parameter's type and unit.
+    def over(self, row: ParameterRow) -> Levels | Spread:
+        """Return the levels or the distribution of a parameter; ValueError says why it cannot have them."""
+        raise NotImplementedError
+
+    def words(self, unit: str = "") -> str:
+        """Return how ``--vary`` writes the range of a parameter with this SI unit."""
+        raise NotImplementedError
+
+    def __str__(self) -> str:
+        return self.words()
+
+
+@dataclass(frozen=True)
+class Levels(Range):  # numpydoc ignore=PR02
+    """Values one by one: ``--vary`` writes them ``12,14,16``.
+
+    Parameters
+    ----------
+    values : sequence of float, int, str or bool
+        Values in the parameter's type, numbers in SI units.
+
+    Examples
+    --------
+    >>> import hysteresis_ros as hr
+    >>> print(hr.Levels([12.0, 14.0, 16.0]), hr.Levels.logarithmic(1.0, 100.0, 3))
+    12,14,16 1,10,100
+    """
+
+    values: tuple
 
     does = VALUE
+
+    def __post_init__(self):
+        """Take any sequence."""
+        if isinstance(self.values, (str, bytes)) or not isinstance(self.values, (Sequence, np.ndarray)):
+            raise ConfigurationError(f"levels = {self.values!r}: must be a sequence of values, such as [12, 14, 16]")
+        object.__setattr__(self, "values", tuple(v.item() if isinstance(v, np.generic) else v for v in self.values))
+
+    @classmethod
+    def linear(cls, low: float, high: float, count: int) -> Levels:
+        """Return evenly spaced levels; ``--vary`` writes ``LOW:HIGH:linCOUNT``.
+
+        Parameters
+        ----------
+        low, high : float
+            First and last level.
+        count : int
+            Number of levels.
+
+        Returns
+        -------
+        Levels
+            Both ends included.
+        """
+        return cls._spaced(low, high, count, np.linspace)
+
+    @classmethod
+    def logarithmic(cls, low: float, high: float, count: int) -> Levels:
+        """Return levels in a constant ratio; ``--vary`` writes ``LOW:HIGH:logCOUNT``.
+
+        Parameters
+        ----------
+        low, high : float
+            First and last level, both above 0 or both below.
+        count : int
+            Number of levels.
+
+        Returns
+        -------
+        Levels
+            Both ends included.
+
+        Raises
+        ------
+        ConfigurationError
+            One end is 0, or the signs differ.
+        """
+        if not low * high > 0.0:
+            raise ConfigurationError("log: both ends must be above 0, or both below")
+        return cls._spaced(
+            low, high, count, lambda low, high, count: low * np.exp(np.linspace(0.0, math.log(high / low), count))
+        )
+
+    @classmethod
+    def _spaced(cls, low, high, count, spaced) -> Levels:
+        if not 1 <= count <= MOST_LEVELS:
+            raise ConfigurationError(f"{count} levels: must be 1 … {MOST_LEVELS}")
+        values = spaced(low, high, count)
+        values[-1] = high if count > 1 else low
+        return cls(tuple(map(float, values)))
+
+    def over(self, row: ParameterRow) -> Levels:
+        """Return the levels in the parameter's type."""
+        if not self.values:
+            raise ValueError("has no levels: give at least one")
+        if row.type in (str, bool):
+            return self
+        return Levels(tuple(_whole(_real(value, "level"), row) for value in self.values))
+
+    def words(self, unit: str = "") -> str:
+        """Return ``12,14,16``."""
+        texts = (value if isinstance(value, str) else str(value).lower() for value in self.values)
+        numbers = [isinstance(value, (int, float)) and not isinstance(value, bool) for value in self.values]
+        written = zip(self.values, texts, numbers, strict=True)
+        return ",".join(_written(value, unit) if number else text for value, text, number in written)
 
     @property
     def ends(self) -> tuple[float, ...]:
@@ -96,8 +198,209 @@ class Spread:
         return self.first + place * (self.second - self.first)
 
 
-def parse_range(text: str, row: ParameterRow) -> Levels | Spread:
-    """Return what a parameter varies over."""
+@dataclass(frozen=True)
+class Within(Range):
+    """Evenly distributed around the configured value: ``--vary`` writes ``±5%`` or ``±2nm``.
+
+    Parameters
+    ----------
+    width : float
+        Largest deviation to each side: a part of the configured value (0.05 is 5 %), or in SI units.
+    relative : bool
+        Whether the width is a part of the configured value.
+
+    Examples
+    --------
+    >>> import hysteresis_ros as hr
+    >>> print(hr.Within(0.05), hr.Within(0.5, relative=False))
+    ±5% ±0.5
+    """
+
+    width: float
+    relative: bool = True
+
+    def over(self, row: ParameterRow) -> Spread:
+        """Return the distribution of the factor or of the offset."""
+        middle, width = _around(self, self.width, self.relative, row)
+        return Spread("uniform", middle - width, middle + width, FACTOR if self.relative else OFFSET)
+
+    def words(self, unit: str = "") -> str:
+        """Return ``±5%``."""
+        return f"±{_percent(self.width) if self.relative else _written(self.width, unit)}"
+
+
+@dataclass(frozen=True)
+class Normal(Range):
+    """Normally distributed: ``--vary`` writes ``normal(MEAN,DEVIATION)``.
+
+    :meth:`around` is the distribution around the configured value, ``normal(±5%)``.
+
+    Parameters
+    ----------
+    mean : float or None
+        Mean in SI units; None for the configured value.
+    deviation : float
+        Standard deviation in SI units, or a part of the configured value.
+    relative : bool
+        Whether the deviation is a part of the configured value; ``mean`` is None then.
+
+    Examples
+    --------
+    >>> import hysteresis_ros as hr
+    >>> print(hr.Normal(2.0, 0.1), hr.Normal.around(0.05))
+    normal(2,0.1) normal(±5%)
+    """
+
+    mean: float | None
+    deviation: float
+    relative: bool = False
+
+    def __post_init__(self):
+        """Refuse a part of a mean that is given."""
+        if self.relative and self.mean is not None:
+            raise ConfigurationError("normal: relative deviations are around the configured value: mean must be None")
+
+    @classmethod
+    def around(cls, deviation: float, relative: bool = True) -> Normal:
+        """Return the normal distribution around the configured value; ``--vary`` writes ``normal(±5%)``.
+
+        Parameters
+        ----------
+        deviation : float
+            Standard deviation: a part of the configured value (0.05 is 5 %), or in SI units.
+        relative : bool
+            Whether the deviation is a part of the configured value.
+
+        Returns
+        -------
+        Normal
+            With the mean None.
+        """
+        return cls(None, deviation, relative)
+
+    def over(self, row: ParameterRow) -> Spread:
+        """Return the distribution of the value, of the factor or of the offset."""
+        if self.mean is None:
+            middle, width = _around(self, self.deviation, self.relative, row)
+            return Spread("normal", middle, width, FACTOR if self.relative else OFFSET)
+        mean, deviation = _real(self.mean, "mean"), _real(self.deviation, "deviation")
+        if not deviation > 0.0:
+            raise ValueError("normal(): the deviation must be above 0")
+        if row.type is int:
+            raise ValueError("normal(): this is a whole number: write uniform(A,B)")
+        return Spread("normal", mean, deviation)
+
+    def words(self, unit: str = "") -> str:
+        """Return ``normal(MEAN,DEVIATION)`` or ``normal(±5%)``."""
+        if self.mean is None:
+            return f"normal({Within(self.deviation, self.relative).words(unit)})"
+        return f"normal({_written(self.mean, unit)},{_written(self.deviation, unit)})"
+
+
+@dataclass(frozen=True)
+class Uniform(Range):
+    """Evenly distributed between two ends: ``--vary`` writes ``uniform(LOW,HIGH)``.
+
+    Parameters
+    ----------
+    low, high : float
+        Ends in SI units; of whole numbers both included.
+
+    Examples
+    --------
+    >>> import hysteresis_ros as hr
+    >>> print(hr.Uniform(1, 99))
+    uniform(1,99)
+    """
+
+    low: float
+    high: float
+
+    def over(self, row: ParameterRow) -> Spread:
+        """Return the distribution."""
+        low, high = _ends("uniform", self.low, self.high)
+        if row.type is int:
+            return Spread("uniform", _whole(low, row), _whole(high, row), whole=True)
+        return Spread("uniform", low, high)
+
+    def words(self, unit: str = "") -> str:
+        """Return ``uniform(LOW,HIGH)``."""
+        return f"uniform({_written(self.low, unit)},{_written(self.high, unit)})"
+
+
+@dataclass(frozen=True)
+class LogUniform(Range):
+    """Distributed such that its logarithm is even between two ends: ``--vary`` writes ``loguniform(LOW,HIGH)``.
+
+    Parameters
+    ----------
+    low, high : float
+        Ends in SI units, above 0.
+
+    Examples
+    --------
+    >>> import hysteresis_ros as hr
+    >>> print(hr.LogUniform(0.1, 10.0))
+    loguniform(0.1,10)
+    """
+
+    low: float
+    high: float
+
+    def over(self, row: ParameterRow) -> Spread:
+        """Return the distribution."""
+        low, high = _ends("loguniform", self.low, self.high)
+        if not low > 0.0:
+            raise ValueError("loguniform(): both ends must be above 0")
+        if row.type is int:
+            raise ValueError("loguniform(): this is a whole number: write uniform(A,B)")
+        return Spread("loguniform", low, high)
+
+    def words(self, unit: str = "") -> str:
+        """Return ``loguniform(LOW,HIGH)``."""
+        return f"loguniform({_written(self.low, unit)},{_written(self.high, unit)})"
+
+
+def _real(value, name: str) -> float:
+    """Return a finite number as float."""
+    if isinstance(value, bool) or not isinstance(value, numbers.Real) or not math.isfinite(value):
+        raise ValueError(f"{name} = {value!r}: must be a finite number")
+    return float(value)
+
+
+def _ends(kind: str, low, high) -> tuple[float, float]:
+    """Return the ends of a distribution."""
+    low, high = _real(low, "low"), _real(high, "high")
+    if not high > low:
+        raise ValueError(f"{kind}(): the second end must be above the first")
+    return low, high
+
+
+def _around(of: Range, width, relative: bool, row: ParameterRow) -> tuple[float, float]:
+    """Return middle and width of the factor on the configured value, or of the offset from it."""
+    if row.type is int:
+        raise ValueError("is a whole number: give its values, 12,14,16 or 4:16:lin13, or uniform(4,16)")
+    width = _real(width, "width")
+    if not 0.0 < width < (1.0 if relative else math.inf):
+        text = Within(width, relative).words()
+        raise ValueError(f"{text}: must be above 0{' and below 100 %' if relative else ''}")
+    return (1.0 if relative else 0.0), width
+
+
+def _written(value: float, unit: str = "") -> str:
+    """Return a number that reads back as the same bits; a length has its unit."""
+    return repr(float(value)).removesuffix(".0") + (unit if unit == "m" else "")
+
+
+def _percent(part: float) -> str:
+    """Return a part as percents, such that they read back as the same bits where a float of percents does."""
+    percents = 100.0 * part
+    near = (percents, math.nextafter(percents, 0.0), math.nextafter(percents, math.inf), float(f"{percents:.12g}"))
+    return _written(next((value for value in reversed(near) if value / 100.0 == part), percents)) + "%"
+
+
+def parse_words(text: str, row: ParameterRow) -> Range:
+    """Return the range that words write."""
     text = text.strip()
     around, stepped, distributed = (pattern.match(text) for pattern in (_AROUND, _STEPPED, _DISTRIBUTED))
     if row.type in (str, bool):
@@ -106,63 +409,38 @@ def parse_range(text: str, row: ParameterRow) -> Levels | Spread:
         words = [word.strip() for word in text.split(",")]
         return Levels(tuple(words if row.type is str else map(parse_value, words)))
     if around:
-        width, does = _around(around["width"], row)
-        middle = 1.0 if does == FACTOR else 0.0
-        return Spread("uniform", middle - width, middle + width, does)
+        return Within(*_width(around["width"], row))
     if stepped:
-        return _stepped(stepped, row)
+        low, high = _number(stepped["low"], row), _number(stepped["high"], row)
+        spaced = Levels.logarithmic if stepped["kind"] == "log" else Levels.linear
+        return spaced(low, high, int(stepped["count"]))
     if distributed:
         return _distributed(distributed["kind"], [word.strip() for word in distributed["words"].split(",")], row)
-    return Levels(tuple(_whole(_number(word, row), row) for word in text.split(",")))
+    return Levels(tuple(_number(word, row) for word in text.split(",")))
 
 
-def _around(text: str, row: ParameterRow) -> tuple[float, str]:
+def parse_range(text: str, row: ParameterRow) -> Levels | Spread:
+    """Return what a parameter varies over."""
+    return parse_words(text, row).over(row)
+
+
+def _width(text: str, row: ParameterRow) -> tuple[float, bool]:
     """Return a width around the configured value, and whether it is a part of that or in its unit."""
-    if row.type is int:
-        raise ValueError("is a whole number: give its values, 12,14,16 or 4:16:lin13, or uniform(4,16)")
     width, unit = quantity(text)
     relative = unit == "1" and text.rstrip().endswith("%")
-    width = width if relative else _number(text, row)
-    if not 0.0 < width < (1.0 if relative else math.inf):
-        raise ValueError(f"±{text}: must be above 0{' and below 100 %' if relative else ''}")
-    return width, FACTOR if relative else OFFSET
+    return width if relative or row.type is int else _number(text, row), relative
 
 
-def _stepped(parts: re.Match, row: ParameterRow) -> Levels:
-    low, high, count = _number(parts["low"], row), _number(parts["high"], row), int(parts["count"])
-    if not 1 <= count <= MOST_LEVELS:
-        raise ValueError(f"{count} levels: must be 1 … {MOST_LEVELS}")
-    if parts["kind"] == "log":
-        if not low * high > 0.0:
-            raise ValueError("log: both ends must be above 0, or both below")
-        values = low * np.exp(np.linspace(0.0, math.log(high / low), count))
-    else:
-        values = np.linspace(low, high, count)
-    values[-1] = high if count > 1 else low
-    return Levels(tuple(_whole(float(value), row) for value in values))
-
-
-def _distributed(kind: str, words: list[str], row: ParameterRow) -> Spread:
+def _distributed(kind: str, words: list[str], row: ParameterRow) -> Range:
     if kind not in SPREADS:
         raise ValueError(f"{kind}(): there is no such distribution, there are {', '.join(SPREADS)}")
     around = _AROUND.match(words[0]) if kind == "normal" and len(words) == 1 else None
     if around:
-        width, does = _around(around["width"], row)
-        return Spread(kind, 1.0 if does == FACTOR else 0.0, width, does)
+        return Normal.around(*_width(around["width"], row))
     if len(words) != 2:
         raise ValueError(f"{kind}(): takes two numbers, {'mean and deviation' if kind == 'normal' else 'both ends'}")
     first, second = (_number(word, row) for word in words)
-    if kind == "normal" and not second > 0.0:
-        raise ValueError("normal(): the deviation must be above 0")
-    if kind != "normal" and not second > first:
-        raise ValueError(f"{kind}(): the second end must be above the first")
-    if kind == "loguniform" and not first > 0.0:
-        raise ValueError("loguniform(): both ends must be above 0")
-    if row.type is int:
-        if kind != "uniform":
-            raise ValueError(f"{kind}(): this is a whole number: write uniform(A,B)")
-        return Spread(kind, _whole(first, row), _whole(second, row), whole=True)
-    return Spread(kind, first, second)
+    return {"uniform": Uniform, "loguniform": LogUniform, "normal": Normal}[kind](first, second)
 
 
 def _number(text: str, row: ParameterRow) -> float:
@@ -237,13 +515,24 @@ class Variation:
         return (*present[: self.place], value, *present[self.place + 1 :]), value
 
 
-def parse_variations(texts: Sequence[str], axis: AxisParameters) -> tuple[Variation, ...]:
-    """Return what varies."""
+def parse_variations(
+    vary: Sequence[str] | Mapping[str, str | Range | Sequence], axis: AxisParameters
+) -> tuple[Variation, ...]:
+    """Return what varies, of ``NODE.PARAMETER=RANGE`` or of ranges by ``NODE.PARAMETER``."""
+    given: list[tuple[str, str | Range]] = []
+    if isinstance(vary, str):
+        raise refused(vary, "", "give a list of such words, or a mapping from NODE.PARAMETER to its range")
+    if isinstance(vary, Mapping):
+        for target, over in vary.items():
+            given.append((target, over if isinstance(over, (str, Range)) else Levels(over)))
+    else:
+        for text in vary:
+            target, mark, words = text.partition("=")
+            if not mark:
+                raise refused(text, "", "write NODE.PARAMETER=RANGE, as motion_controller.pid.Kp=0.1:2:log20")
+            given.append((target, words))
     found: list[Variation] = []
-    for text in texts:
-        target, mark, words = text.partition("=")
-        if not mark:
-            raise refused(text, "", "write NODE.PARAMETER=RANGE, as motion_controller.pid.Kp=0.1:2:log20")
+    for target, words in given:
         found += [_variation(name, words, axis) for name in _whole_plant(target.strip(), axis)]
     labels = [one.label for one in found]
     twice = [label for label in labels if labels.count(label) > 1]
@@ -271,7 +560,7 @@ def _whole_plant(target: str, axis: AxisParameters) -> list[str]:
     return [f"{PLANT}.{name}" for name in DEVIATIONS if there.get(name, True)]
 
 
-def _variation(target: str, words: str, axis: AxisParameters) -> Variation:
+def _variation(target: str, words: str | Range, axis: AxisParameters) -> Variation:
     node, mark, dotted = target.partition(".")
     nodes = [name for name in NODE_PARAMETERS if getattr(axis, name) is not None]
     if node not in nodes or not mark:
@@ -291,7 +580,7 @@ def _variation(target: str, words: str, axis: AxisParameters) -> Variation:
     if row.type == tuple[str, ...]:
         raise refused(target, words, "is a list of words, which cannot vary")
     try:
-        over = parse_range(words, element)
+        over = words.over(element) if isinstance(words, Range) else parse_range(words, element)
     except ValueError as error:
         raise refused(target, words, str(error)) from None
     found = Variation(node, name, row, over, None if place is None else int(place))
@@ -309,7 +598,7 @@ def _present(axis: AxisParameters, one: Variation):
     return value
 
 
-def _require_fitting(target: str, words: str, one: Variation, present) -> None:
+def _require_fitting(target: str, words: str | Range, one: Variation, present) -> None:
     """Refuse what cannot be done to the configured value."""
     row, over, place = one.row, one.over, one.place
     if present is None and (over.does != VALUE or place is not None):
