@@ -54,9 +54,10 @@ def run_cell(run: Recording) -> str:
     """Return the HTML of a run."""
     rows = [("samples", f"{len(run)}, every {readable(run.sample_time, 's')}")]
     try:
-        rows += _rows(metrics_of(run), RUN_ROWS)
-    except HysteresisError:  # a table of signals that is no run of an axis
-        rows += [(name, unit) for name, unit in run.units.items()]
+        judged_rows = _rows(metrics_of(run), RUN_ROWS)
+    except HysteresisError:  # signals that are not a run of an axis
+        judged_rows = []
+    rows += judged_rows or [("signals", ", ".join(f"{name} [{unit}]" for name, unit in run.units.items()))]
     return _cell("Run", rows, (), lambda: chart_figure(traces_chart(judged(run))))
 
 
