@@ -341,7 +341,7 @@ class DesignedFile:  # numpydoc ignore=PR02
         Parameters
         ----------
         path : path-like
-            A ``.yaml`` file.
+            A ``.yaml`` file; one that exists is replaced.
 
         Raises
         ------
