@@ -55,7 +55,6 @@ if TYPE_CHECKING:
     from hysteresis_ros.exchange import from_control, to_control, to_scipy, with_dynamics
     from hysteresis_ros.laboratory.studies import Ranking, Reproduction, compare, reproduce
     from hysteresis_ros.laboratory.sweeps.plan import Levels, LogUniform, Normal, Uniform, Within
-    from hysteresis_ros.laboratory.swept import Swept, sweep
     from hysteresis_ros.loop.faults import Fault
     from hysteresis_ros.models import inverse_classes as inverses
 
