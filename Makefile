@@ -22,11 +22,11 @@ BRIEFLY := awk '/Downloading .*MB\)/ { gsub(/[(]/, "", $$(NF-1)); if ($$(NF-1) >
 SHELL := /bin/bash
 .SHELLFLAGS := -o pipefail -c
 
-.PHONY: help setup setup-all demo quick test kernels lint format docs bench ci clean
+.PHONY: help setup setup-all demo quick test coverage kernels lint format docs bench ci clean
 .DELETE_ON_ERROR:
 
 help:
-	@echo "make setup | demo | quick | test | lint | format | docs | bench | ci | clean  (PYTHON=python3.12 chooses the Python)"
+	@echo "make setup | demo | quick | test | coverage | lint | format | docs | bench | ci | clean  (PYTHON=python3.12 chooses the Python)"
 
 setup: $(VENV)/installed
 
@@ -58,6 +58,8 @@ lint: setup $(VENV)/lint-tools
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
+	$(BIN)/codespell
+	$(BIN)/python test/wording.py
 	$(BIN)/numpydoc lint --ignore PR01,PR02,PR07,RT01,RT02,RT03,YD01,GL08 $(MODULES)
 	$(BIN)/numpydoc lint $(filter %/api.py %/designing.py %/studies.py %/swept.py %/classes.py %/inverse_classes.py hysteresis_ros/__init__.py,$(MODULES))
 
@@ -92,7 +94,7 @@ $(VENV)/requirements: $(VENV)/python setup.py pyproject.toml $(CONSTRAINTS)
 	@touch $@
 
 $(VENV)/lint-tools: $(VENV)/requirements
-	@echo "ruff, mypy and numpydoc"
+	@echo "ruff, mypy, numpydoc and codespell"
 	@$(INSTALL) ".[lint]" | $(BRIEFLY)
 	@touch $@
 

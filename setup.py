@@ -12,6 +12,7 @@
 import pathlib
 import re
 
+import setuptools
 from setuptools import find_packages, setup
 from setuptools.command.develop import develop
 
@@ -38,6 +39,10 @@ NODES = {
     "displacement_camera": "hysteresis_ros.nodes.displacement_camera:main",
     "hysteresis_axis": "hysteresis_ros.nodes.axis:main",
 }
+#: SPDX expression: the package itself, and uPlot, which its pages carry in themselves.
+LICENCE = "Apache-2.0 AND MIT"
+#: Metadata 2.4 has a field for SPDX expressions (setuptools 77); Ubuntu 24.04 has setuptools 68.
+LICENCE_FIELD = "license_expression" if int(setuptools.__version__.split(".")[0]) >= 77 else "license"
 COMMANDS = {"hysteresis": "hysteresis_ros.cli.entry:main"}
 
 EXTRAS = {
@@ -76,7 +81,9 @@ EXTRAS["test"] = [
     *("setuptools<80", "wheel"),
 ]
 # Checks of the sources. Their verdict hangs on their version and on that of what they look at: see constraints.txt.
-EXTRAS["lint"] = ["ruff", "mypy", "numpydoc>=1.8"]
+EXTRAS["lint"] = ["ruff", "mypy", "numpydoc>=1.8", "codespell"]
+# `make coverage` has it in a folder of its own: Numba imports it wherever it finds it, in every node.
+EXTRAS["coverage"] = ["coverage"]
 
 #: pip puts executables into bin/, with the Python of the environment in their first line, and never into lib/; only
 #: colcon obeys setup.cfg. This file stands in lib/hysteresis_ros of a wheel under each name and hands over to bin/.
@@ -137,7 +144,6 @@ setup(
     description="Hysteretic piezo positioning on ROS 2: identify, simulate, compensate, control, analyse",
     maintainer="hysteresis_ros maintainers",
     maintainer_email="hysteresis-ros@users.noreply.github.com",
-    license="Apache-2.0",
     python_requires=">=3.11",
     packages=find_packages(include=[NAME, f"{NAME}.*"]),
     package_data={
@@ -158,5 +164,6 @@ setup(
     extras_require=EXTRAS,
     zip_safe=False,
     entry_points={"console_scripts": [f"{name} = {main}" for name, main in {**NODES, **COMMANDS}.items()]},
+    **{LICENCE_FIELD: LICENCE},
     cmdclass={**command_classes(), "develop": Develop},
 )

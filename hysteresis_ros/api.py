@@ -849,7 +849,23 @@ def plot(source: str | os.PathLike[str] | Recording, kind: str = "traces", *, na
 
 
 def configuration_of(source: Source) -> Configuration:
-    """Return the configuration that describes an axis."""
+    """Return the configuration that describes an axis.
+
+    Parameters
+    ----------
+    source : str or path or Configuration or Identified or DesignedFile or Recording
+        A file or the name of a shipped configuration, or what holds one.
+
+    Returns
+    -------
+    Configuration
+        That of the axis.
+
+    Raises
+    ------
+    ConfigurationError
+        A recording that does not hold the configuration of its axis, or a file that is not one.
+    """
     if isinstance(source, Configuration):
         return source
     if isinstance(source, (workflow.Identified, DesignedFile)):

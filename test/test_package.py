@@ -25,6 +25,7 @@ import sys
 import xml.etree.ElementTree
 
 import pytest
+import wording
 import yaml
 
 import hysteresis_ros
@@ -157,7 +158,7 @@ def test_hooks_run_tools_of_the_environment_and_fetch_nothing():
     assert repository["repo"] == "local"
     assert all(hook["language"] == "system" for hook in repository["hooks"])
     tools = {hook["entry"].split()[0] for hook in repository["hooks"]}
-    assert tools <= {f".venv/bin/{name}" for name in ("ruff", "mypy", "numpydoc", "python")}
+    assert tools <= {f".venv/bin/{name}" for name in ("ruff", "mypy", "numpydoc", "codespell", "python")}
     assert re.search(r"lint --ignore (\S+)", text_of("Makefile"))[1] in str(repository["hooks"]), "as make lint does"
 
 
@@ -165,7 +166,9 @@ def test_manifest_and_setup_describe_the_same_package():
     manifest = xml.etree.ElementTree.parse(ROOT / "package.xml").getroot()
     arguments = setup_arguments()
     assert child(manifest, "name") == arguments["name"] == "hysteresis_ros"
-    assert child(manifest, "license") == arguments["license"] == "Apache-2.0"
+    licences = [element.text for element in manifest.iter("license")]
+    assert " AND ".join(licences) == arguments.get("license_expression", arguments.get("license")), "SPDX expressions"
+    assert all((ROOT / element.get("file")).is_file() for element in manifest.iter("license"))
     assert child(manifest, "maintainer") == arguments["maintainer"]
     assert manifest.find("maintainer").get("email") == arguments["maintainer_email"]
     assert manifest.find("export/build_type").text == "ament_python"
@@ -352,8 +355,79 @@ def test_public_things_are_documented_completely(path):
             assert not missing, f"{name} does not describe {sorted(missing)}"
 
 
+#: What users write against is documented in full: modules of `hr.*`, and the folders that docs/extending.md extends.
+FULL_FOLDERS = {"models", "control", "references", "hardware"}
+FULL_MODULES = {"api.py", "designing.py", "laboratory/studies.py", "laboratory/swept.py"}
+SECTIONS = ("Parameters", "Other Parameters", "Returns", "Yields", "Attributes")
+
+
+def exported_classes() -> set[tuple[str, str]]:
+    """Return the module and name of each class that is an ``hr.*`` name, wherever it stands."""
+    values = [getattr(hysteresis_ros, name) for name in hysteresis_ros.__all__]
+    return {(value.__module__, value.__name__) for value in values if inspect.isclass(value)}
+
+
+def superfluous_sections(tree: ast.Module, exported: set[str]) -> list[str]:
+    """Return what has sections of numpydoc in a module that nobody outside writes against; private things too."""
+    definitions = (ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
+    open_to_users = {
+        inner
+        for node in tree.body
+        if isinstance(node, ast.ClassDef) and node.name in exported
+        for inner in ast.walk(node)
+    }
+    return [
+        f"{node.name} (line {node.lineno}): {title}"
+        for node in ast.walk(tree)
+        if isinstance(node, definitions) and node not in open_to_users
+        for title in SECTIONS
+        if section((ast.get_docstring(node) or "") + "\n", title) is not None
+    ]
+
+
+def undescribed_classes(tree: ast.Module) -> list[str]:
+    """Return public classes whose ``__init__`` takes something that no Parameters section describes."""
+    return [
+        name
+        for name, node in public_definitions(tree)
+        if isinstance(node, ast.ClassDef)
+        and any(isinstance(item, ast.FunctionDef) and item.name == "__init__" for item in node.body)
+        and accepted_names(node, bound=False)
+        and section((ast.get_docstring(node) or "") + "\n", "Parameters") is None
+    ]
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=name_of)
+def test_docstrings_are_full_where_users_write_and_one_sentence_elsewhere(path):
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    if layer_of(path) in FULL_FOLDERS:
+        missing = undescribed_classes(tree)
+        assert missing == [], f"{name_of(path)}: users make these; add a Parameters section to {missing}"
+    elif path.relative_to(PACKAGE).as_posix() not in FULL_MODULES:
+        exported = {name for module, name in exported_classes() if module == module_of(path)}
+        found = superfluous_sections(tree, exported)
+        assert found == [], f"{name_of(path)} is internal: one sentence with its units, no section: {found}"
+
+
+def test_the_rules_of_docstrings_see_what_they_forbid():
+    sections = '"""Add.\n\n    Parameters\n    ----------\n    a : float\n        One.\n    """'
+    internal = ast.parse(f"def _add(a):\n    {sections}\nclass Shown:\n    {sections}")
+    assert superfluous_sections(internal, {"Shown"}) == ["_add (line 1): Parameters"]
+    bare = ast.parse('class Law:\n    """A law."""\n    def __init__(self, gain):\n        pass\n')
+    assert undescribed_classes(bare) == ["Law"]
+
+
+def test_words_that_are_not_ours_become_fewer():
+    """An allowance in test/wording.py may be lowered, never raised."""
+    assert wording.too_many(wording.counted()) == []
+    assert wording.occurrences("a b", "one a\n    # b, A b, a bc") == 1
+    first = next(iter(wording.NOT_OURS))
+    (line, *_) = wording.too_many({phrase: {"docs/new.md": 1000} for phrase in wording.NOT_OURS})
+    assert line.startswith(f"'{first}' stands 1000 times, ") and "Write: " in line and "docs/new.md (1000)" in line
+
+
 def test_the_laboratory_is_beside_the_core():
-    """An axis runs without papers, campaigns, emulated devices and pages: a node that is imported brings none of them."""
+    """An axis runs without papers, campaigns, emulated devices and pages: importing a node loads none of them."""
     nodes = "motion_controller, plant_simulator, hysteresis_compensator, reference_generator, recorder, axis"
     code = f"""
 import sys

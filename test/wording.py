@@ -1,0 +1,80 @@
+# Copyright 2026 hysteresis_ros maintainers
+#
+# Licensed under the Apache License, Version 2.0 (the "License"); you may not use this file except in compliance with
+# the License. You may obtain a copy of the License at http://www.apache.org/licenses/LICENSE-2.0
+#
+# Unless required by applicable law or agreed to in writing, software distributed under the License is distributed on
+# an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
+# specific language governing permissions and limitations under the License.
+
+"""Words that are not ours: what `make lint` counts in code and pages, and what to write instead.
+
+``python test/wording.py`` prints every phrase that stands more often than its allowance and ends with exit code 1. An
+allowance is what stood there when the phrase was listed; it may only become smaller, and 0 forbids the phrase.
+"""
+
+from __future__ import annotations
+
+import pathlib
+import re
+import sys
+
+ROOT = pathlib.Path(__file__).resolve().parents[1]
+FOLDERS = ("hysteresis_ros", "docs", "examples", "benchmarks", "config", "launch", "test")
+SUFFIXES = (".py", ".md", ".yaml", ".ipynb", ".j2", ".js", ".c", ".h")
+
+#: Phrase (a regular expression, upper and lower case apart): what to write instead, and how often it still stands.
+NOT_OURS = {
+    r"is none": ("say what the thing is or lacks: 'the file is not a recording'", 82),
+    r"are none": ("'there are no …', or what they are", 20),
+    r"laid over": ("overlaid", 12),
+    r"for whoever": ("name the person or the program", 8),
+    r"so long for": ("'waits for …', 'time to wait for … [s]'", 1),
+    r"who comes first": ("'the first to …'", 0),
+    r"for want of": ("'because there is no …'", 2),
+    r"bears": ("tolerates", 23),
+    r"doubts": ("warnings; 'questions' as a verb", 39),
+    r"doubted|doubtful": ("uncertain, not reliable", 12),
+    r"all the same": ("nevertheless; identical", 21),
+    r"makes samples": ("runs the loop", 2),
+    r"free weights": ("non-parametric density", 3),
+    r"mishaps?": ("fault case", 188),
+    r"rivals?": ("competing model, competing publisher", 38),
+}
+
+
+def pages() -> list[pathlib.Path]:
+    """Return the sources and pages that are read, but not this list, what others wrote, and what is made."""
+    found = [path for name in FOLDERS for path in (ROOT / name).rglob("*") if path.suffix in SUFFIXES]
+    made = ("docs/reference/", "hysteresis_ros/analysis/assets/", "test/wording.py")
+    kept = [path for path in found if not path.relative_to(ROOT).as_posix().startswith(made)]
+    return sorted([*kept, *ROOT.glob("*.md"), ROOT / "setup.py"])
+
+
+def occurrences(phrase: str, text: str) -> int:
+    """Count a phrase in a text, over ends of lines and marks of comments too."""
+    return len(re.findall(rf"\b(?:{phrase})\b", re.sub(r"\s+(?:(?:#:?|//|\*|>)\s+)?", " ", text)))
+
+
+def too_many(counts: dict[str, dict[str, int]]) -> list[str]:
+    """Return a line for each phrase that stands more often than it may, with the files that have it."""
+    lines = []
+    for phrase, (instead, allowed) in NOT_OURS.items():
+        total = sum(counts[phrase].values())
+        if total > allowed:
+            places = ", ".join(f"{name} ({number})" for name, number in sorted(counts[phrase].items()))
+            lines.append(f"'{phrase}' stands {total} times, {allowed} are allowed. Write: {instead}. Found in {places}")
+    return lines
+
+
+def counted() -> dict[str, dict[str, int]]:
+    """Return for each phrase the files that have it, and how often."""
+    texts = {path.relative_to(ROOT).as_posix(): path.read_text(encoding="utf-8") for path in pages()}
+    found = {phrase: {name: occurrences(phrase, text) for name, text in texts.items()} for phrase in NOT_OURS}
+    return {phrase: {name: number for name, number in places.items() if number} for phrase, places in found.items()}
+
+
+if __name__ == "__main__":
+    lines = too_many(counted())
+    print(*lines, sep="\n", end="\n" if lines else "")
+    sys.exit(bool(lines))
