@@ -462,5 +462,6 @@ def test_the_test_command_runs_tests_and_the_lint_is_a_command_of_its_own():
     makefile = text_of("Makefile")
     rules = dict(re.findall(r"^([\w-]+):([^=\n]*(?:\n\t[^\n]*)*)", makefile, re.MULTILINE))
     assert "lint" not in rules["test"] and "pytest" in rules["test"]
+    assert "coverage" in rules["ci"] and "--fail-under" in rules["coverage"]
     assert "lint" in rules["ci"] and "pytest" in rules["ci"] and "make --no-print-directory ci" in text_of(".ci/run")
     assert not {"ruff", "mypy", "sphinx", "colcon-common-extensions"} & set(setup_arguments()["extras_require"]["test"])
