@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Places in rendered frames of 640 x 480 of known motion: processor time of a frame, and how far off they are."""
+"""Positions in rendered frames of 640 x 480 of known motion: processor time and error of a frame."""
 
 from __future__ import annotations
 

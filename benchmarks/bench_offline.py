@@ -54,7 +54,7 @@ class Loop:
 
 
 class PlainLoop:
-    """The same in a process without compilation, which answers one line of figures to every line that it gets."""
+    """The same in a process without compilation, which answers each line that it receives with one line of figures."""
 
     def __init__(self):
         command = [sys.executable, __file__, "--answer"]

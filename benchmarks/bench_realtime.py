@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The fused loop in real time, in turns with a C loop that sleeps alike and does nothing; one core is kept busy."""
+"""The fused loop in real time, in turns with a C loop that only sleeps in the same way; one core is kept busy."""
 
 from __future__ import annotations
 

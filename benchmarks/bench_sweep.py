@@ -7,9 +7,9 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Sweeps of Kim's axis: how long many runs take, and what more processes bring; wall time, start included.
+"""Sweeps of Kim's axis: wall time of many runs, start included, and the gain of more processes.
 
-On a machine that does other things too, the processor time of the runs is what says something.
+On a busy machine only the processor time of the runs is meaningful.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ CONFIGURATION = pathlib.Path(__file__).parent.parent / "config" / "kim2009.yaml"
 
 
 class BenchmarkError(Exception):
-    """A benchmark cannot run; the message says what is missing."""
+    """A benchmark cannot run; the message names what is missing."""
 
 
 @dataclass(frozen=True)

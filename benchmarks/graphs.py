@@ -119,7 +119,7 @@ class Relay(Node):
         self.create_subscription(message_type, topic, callback, self.qos)
 
     def listen_end(self) -> None:
-        """Leave when the plant says so."""
+        """Exit when the plant publishes the end of the run."""
         self.create_subscription(UInt64, "end_of_run", self.on_end, latched_qos())
 
     def talk(self, topic: str):

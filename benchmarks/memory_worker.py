@@ -62,7 +62,7 @@ def nodes(name: str, arguments) -> int:
     return run([lambda node_name=node_name: factory(node_name) for node_name in names], arguments)
 
 
-#: How far the work is, as a function; -1 while there is none.
+#: Function that returns the number of finished samples; -1 before the first.
 STATE = {"sample": lambda: -1}
 LEAVING = threading.Event()
 

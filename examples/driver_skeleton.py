@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""A driver in the plant's place: replace read_sensor and write_amplifier by those of your card and keep the rest."""
+"""A driver in place of the plant: replace read_sensor and write_amplifier by those of your card and keep the rest."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from std_msgs.msg import Float64
 
 RATE = 500.0  # samples per second [Hz]
 LIMITS = (-30.0, 120.0)  # hard limits of the amplifier [V]
-WATCHDOG = 0.5  # without a voltage for so long, go to the safe voltage [s]
+WATCHDOG = 0.5  # time without a voltage after which it goes to the safe voltage [s]
 SAFE_VOLTAGE = 0.0
 
 
 class Bench:
-    """Stands for amplifier and sensor: 0.1 µm/V behind a lag of 5 ms. Yours talks to a card."""
+    """Replaces amplifier and sensor: 0.1 µm/V behind a lag of 5 ms. Yours accesses a card."""
 
     def __init__(self):
         self.displacement = 0.0
@@ -61,7 +61,7 @@ class Driver(Node):
         self.thread.start()
 
     def on_voltage(self, message: Float64) -> None:
-        """Take a voltage [V] for the next sample; one that is no number leaves the last one in force."""
+        """Take a voltage [V] for the next sample; a value that is not a number keeps the last one."""
         if not math.isfinite(message.data):
             return
         self.voltage = min(max(message.data, LIMITS[0]), LIMITS[1])

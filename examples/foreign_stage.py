@@ -10,8 +10,8 @@
 """A stage to try a commissioning on: an actuator of a class that no model of the package describes, as a driver.
 
 It moves by one sample at each voltage, 100 µm over 0 … 100 V: hysteresis of a class of its own, creep of fractional
-order, a resonance of 420 Hz with 1.5 % of damping, a sample of delay, noise of 3 nm. Between two runs it keeps what it
-remembers in a file. With Numba it has a compiled form, so that it runs fused; everything of it is assumed.
+order, a resonance of 420 Hz with 1.5 % of damping, a sample of delay, noise of 3 nm. Between two runs it keeps its
+state in a file. With Numba it has a compiled form, so that it runs fused; all its numbers are assumed.
 
     hysteresis new stage.yaml --stroke 100um --voltage 0:100V --rate 2kHz --driver ./foreign_stage.py
     hysteresis commission stage.yaml --yes
@@ -40,16 +40,16 @@ LOW, HIGH = 0.0, 100.0
 
 @dataclass(frozen=True)
 class StageParameters(Parameters):
-    """What may be chosen of the stage, and what may be wrong with it."""
+    """Options and faults of the stage."""
 
     hysteresis: str = parameter("bouc_wen", choices=HYSTERESES, description="class of the hysteresis")
     memory: str = parameter("", description="file in which it keeps its state between two runs; empty: it has none")
     polarity: float = parameter(1.0, description="direction of the sensor; 0: it sees nothing", low=-1.0, high=1.0)
-    unit: float = parameter(1.0, description="what the sensor says for a metre", low=1e-12)
+    unit: float = parameter(1.0, description="reading of the sensor for a metre", low=1e-12)
     noise: float = parameter(3e-9, description="of the sensor, standard deviation", unit="m", low=0.0)
 
 
-# Everything in one array, which the functions that C calls are given by its address.
+# The whole state in one array; the functions that C calls receive its address.
 READING, SCALE, P = 0, 1, 2
 X = P + PARAMETERS
 SENSOR_P = X + STATES
@@ -59,7 +59,7 @@ WHOLE = SENSOR_X + SENSOR_STATES
 
 @kernel
 def move(everything, voltage):
-    """Go on by one sample under ``voltage`` [V]."""
+    """Advance by one sample under ``voltage`` [V]."""
     place = foreign(everything[P:X], everything[X:SENSOR_P], voltage)
     seen = everything[SCALE] * place
     everything[READING] = sensor(everything[SENSOR_P:SENSOR_X], everything[SENSOR_X:WHOLE], seen)
@@ -102,7 +102,7 @@ class Stage(Driver):
             raise DriverError(f"file {self._memory}", f"holds no state: {error}", "remove it") from None
 
     def read(self) -> Reading:
-        """Return what the sensor says."""
+        """Return the reading of the sensor."""
         return Reading((float(self._everything[READING]),))
 
     def write(self, voltages) -> None:

@@ -7,11 +7,11 @@
 // an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 // specific language governing permissions and limitations under the License.
 
-/* The door between a stage, which is a process of its own, and its driver: a block of POSIX shared memory.
+/* The interface between a stage, which is a separate process, and its driver: a block of POSIX shared memory.
  *
- * Every field has one writer. Doubles and counters are read and written whole; what belongs together is guarded by a
- * counter that is odd while it is being written. Who is there is told by locks of the file: the kernel lets go of them
- * when a process dies, however it dies.
+ * Every field has one writer. Doubles and counters are read and written whole; related fields are guarded by a
+ * counter that is odd while they are being written. Locks of the file show which processes are present: the kernel
+ * releases them when a process ends for any reason.
  */
 #ifndef STAGE_H
 #define STAGE_H
@@ -52,10 +52,10 @@ struct stage {
     _Atomic double wanted;
     _Atomic uint64_t writes; /* voltages so far */
     _Atomic uint64_t rested; /* `writes` at the last rest: only what comes after it counts */
-    _Atomic uint64_t rests;  /* how often the master asked for the safe state */
+    _Atomic uint64_t rests;  /* number of requests of the client for the safe state */
 };
 
-/* Lock a byte of the file for as long as it is open here; returns 0 when nobody else has it. */
+/* Lock a byte of the file for as long as it is open here; returns 0 when no other process has locked it. */
 static inline int stage_lock(int file, off_t byte)
 {
     struct flock lock;
@@ -64,7 +64,7 @@ static inline int stage_lock(int file, off_t byte)
     return fcntl(file, F_OFD_SETLK, &lock);
 }
 
-/* Tell whether somebody else has locked a byte. */
+/* Return whether another process has locked a byte. */
 static inline int stage_locked(int file, off_t byte)
 {
     struct flock lock;

@@ -11,8 +11,9 @@
  *
  *     stage_device NAME [--rate HZ] [--watchdog S] [--gain M_PER_V] [--play V] [--frequency HZ] [--damping RATIO]
  *
- * NAME is that of its shared memory, e.g. /stage. It says "ready" when a driver may come, and ends with SIGTERM. After
- * SIGUSR1 it answers nonsense, after another one sense again: what a broken sensor does to an axis can be tried.
+ * NAME is that of its shared memory, e.g. /stage. It prints "ready" when a driver may connect, and ends with SIGTERM.
+ * After SIGUSR1 it returns invalid values, after another one valid ones, to test an axis with
+ * a broken sensor.
  */
 #include "stage.h"
 
