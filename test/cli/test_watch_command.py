@@ -53,9 +53,9 @@ def test_an_address_a_port_and_a_folder_that_are_none_are_named(tmp_path):
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         port = taken.getsockname()[1]
-        assert f"127.0.0.1:{port}: cannot be listened on: Address already in use" in refusal("watch", "--port", port)
-    assert "192.0.2.1:8642: cannot be listened on" in refusal("watch", "--bind", "192.0.2.1")
+        assert f"127.0.0.1:{port}: cannot listen on it: Address already in use" in refusal("watch", "--port", port)
+    assert "192.0.2.1:8642: cannot listen on it" in refusal("watch", "--bind", "192.0.2.1")
     assert "nowhere.example" in refusal("watch", "--bind", "nowhere.example.invalid")
-    assert "nowhere: is no folder" in refusal("watch", "--folder", tmp_path / "nowhere")
+    assert "nowhere: is not a folder" in refusal("watch", "--folder", tmp_path / "nowhere")
     assert "70000" in refusal("watch", "--port", 70000)
     assert "did you mean kim2009?" in refusal("watch", "kim209")

@@ -68,7 +68,7 @@ def test_an_actuator_has_no_figures_of_a_gait():
 @pytest.mark.parametrize(
     ("asked", "words"),
     [
-        ('"speed", "value": "5um"', "must be a speed, as 50um/s"),
+        ('"speed", "value": "5um"', "must be a speed, e.g. 50um/s"),
         ('"speed", "value": "inf"', "finite number"),
         ('"call", "service": "save"', "must be one of home, release"),
         ('"call", "service": ["home"]', "must be one of home, release"),
@@ -92,7 +92,7 @@ def test_a_motor_takes_speeds_and_calls_and_an_actuator_does_not(motor):
 
     async def of_an_actuator(bench):
         done, why = await ask(bench)
-        assert done == [False, False] and all("no inchworm motor" in text for text in why) and not bench.link.asked
+        assert done == [False, False] and all("not an inchworm motor" in text for text in why) and not bench.link.asked
 
     served(of_a_motor, about=motor)
     served(of_an_actuator)

@@ -57,8 +57,8 @@ def test_garbage_is_refused_in_words_and_nothing_else_happens(garbage):
     ("asked", "words"),
     [
         ("[1]", "must be an object"),
-        ("{", "no JSON"),
-        ("[" * 100_000, "no JSON"),
+        ("{", "not JSON"),
+        ("[" * 100_000, "not JSON"),
         ('{"do": "stop"}', "id = None"),
         ('{"id": 1, "do": "stpo"}', "did you mean stop"),
         ('{"id": 1, "do": "setpoint", "value": "5kg"}', "5kg"),
@@ -122,7 +122,7 @@ def test_beyond_this_machine_a_token_is_needed_that_nobody_guesses():
 
 def test_one_page_writes_at_a_time():
     control = Control()
-    assert control.refuses(1) == "nobody has the control: take it first"
+    assert control.refuses(1) == "no page has the control: take it first"
     assert control.ask(1, "10.0.0.1") and not control.ask(2, "10.0.0.2")
     assert not control.refuses(1) and "another page has the control (10.0.0.1" in control.refuses(2)
     control.leave(2)

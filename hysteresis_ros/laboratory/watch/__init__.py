@@ -7,8 +7,8 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""``hysteresis watch``: a page that shows an axis while it runs, and tunes it.
+"""``hysteresis watch``: a web page that shows an axis while it runs, and tunes it.
 
-serving starts the process, server serves the page (folder page/), link is its node among those of the axis;
-memory holds the samples, views what a page gets of them, access what a page may do.
+``serving`` starts the process, ``server`` serves the page (folder page/), ``link`` is its node in the ROS graph;
+``memory`` keeps the samples, ``views`` makes the frames of a page, ``access`` checks requests.
 """

@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The process of a page; its argument is the JSON of :mod:`hysteresis_ros.laboratory.watch.serving`."""
+"""The server process of a page; its argument is the JSON of :mod:`hysteresis_ros.laboratory.watch.serving`."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ from hysteresis_ros.laboratory.watch.server import Server
 from hysteresis_ros.nodes.domain import stay_on_this_machine
 from hysteresis_ros.nodes.security.policy import PAGE, enclave_of
 
-#: Seconds that open pages get at the end, and between two looks at what else goes on.
+#: Time that open pages get at the end, and interval at which other events are checked [s].
 PATIENCE, LOOK = 1.0, 0.2
 
 
 def main() -> int:
-    """Serve the page that the only argument describes until a signal comes; return the exit code."""
+    """Serve the page that the only argument describes until a signal arrives; return the exit code."""
     request = json.loads(sys.argv[1])
     stay_on_this_machine()
     namespace, bind = request["namespace"], request["bind"]
@@ -43,7 +43,7 @@ def main() -> int:
     try:
         rclpy.init(args=enclave, signal_handler_options=SignalHandlerOptions.NO)
         link = AxisLink(namespace, pathlib.Path(request["folder"]))
-    except Exception as error:  # rclpy has one of its own for each thing wrong with a name
+    except Exception as error:  # rclpy raises a different exception for each error in a name
         words = str(error).split(", at /")[0]
         print(f"hysteresis: --namespace {namespace}: {' '.join(words.split())}", file=sys.stderr)
         return 2
@@ -53,9 +53,9 @@ def main() -> int:
     try:
         asyncio.run(_serve(server, bind, request["port"], hearing.is_alive))
         if not hearing.is_alive():
-            return 1  # it has said why
+            return 1  # the reason was printed
     except OSError as error:
-        print(f"hysteresis: {bind}:{request['port']}: cannot be listened on: {error.strerror}", file=sys.stderr)
+        print(f"hysteresis: {bind}:{request['port']}: cannot listen on it: {error.strerror}", file=sys.stderr)
         return 2
     finally:
         over.set()
@@ -65,7 +65,7 @@ def main() -> int:
 
 
 async def _serve(server: Server, bind: str, port: int, is_heard: Callable[[], bool]) -> None:
-    """Serve until a signal comes, or nobody hears the axis any more."""
+    """Serve until a signal arrives, or the link to the axis ends."""
     leave = asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         asyncio.get_running_loop().add_signal_handler(number, leave.set)

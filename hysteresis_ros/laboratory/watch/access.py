@@ -7,11 +7,11 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Who may see the page of an axis, who may change something, and what may be asked for; no ROS, no web server.
+"""Access control and request format of the page of an axis; no ROS, no web server.
 
-A foreign page, open in a browser in the laboratory, can send requests to this machine. It cannot name this server's
-origin (``Origin``), be called by this server's name (``Host``; under "DNS rebinding" the name stays the foreign one),
-or know the token. Every request is checked before it reaches the axis.
+A foreign page that is open in a browser of the laboratory can send requests to this machine. It cannot send this
+server's origin (``Origin``) or name (``Host``; under "DNS rebinding" the name stays the foreign one), and it does not
+know the token. Every request is checked before it reaches the axis.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ from hysteresis_ros.errors import HysteresisError, did_you_mean, shortened
 from hysteresis_ros.files import BoundsError, read_json
 from hysteresis_ros.units import quantity
 
-#: Cookie that holds the token once it was in the address.
+#: Cookie that keeps the token after its first use in the address.
 COOKIE = "hysteresis_watch"
-#: Bytes of chance in a token.
+#: Random bytes in a token.
 TOKEN_BYTES = 24
 
 
 def is_loopback(address: str) -> bool:
-    """Tell whether an address is heard on this machine only."""
+    """Tell whether an address can be reached from this machine only."""
     try:
         return ipaddress.ip_address(address).is_loopback
     except ValueError:
@@ -46,12 +46,12 @@ def is_loopback(address: str) -> bool:
 
 
 def new_token(address: str) -> str:
-    """Return the token of a server that listens on an address: by chance, or none on this machine's own address."""
+    """Return a random token for a server that listens on an address; empty for a loopback address."""
     return "" if is_loopback(address) else secrets.token_urlsafe(TOKEN_BYTES)
 
 
 def _host_name(host: str) -> str:
-    """Return a ``Host`` without its port, in small letters; empty where it is none."""
+    """Return a ``Host`` without its port, in lower case; empty when it is invalid."""
     try:
         return (urlsplit(f"//{host}").hostname or "").lower()
     except ValueError:
@@ -60,13 +60,13 @@ def _host_name(host: str) -> str:
 
 @dataclass(frozen=True)
 class Access:
-    """What a request must bring."""
+    """What a request must contain."""
 
-    address: str  #: On which the server listens.
-    token: str  #: Empty: none is asked for.
+    address: str  #: Address on which the server listens.
+    token: str  #: Empty: no token is required.
 
     def refuses_host(self, host: str) -> str:
-        """Return why a request's ``Host`` is refused, empty when it is not."""
+        """Return why a request's ``Host`` is refused; empty when it is accepted."""
         name = _host_name(host)
         if is_loopback(self.address):
             return "" if name and is_loopback(name) else f"Host {host!r}: this page is called by localhost or 127.0.0.1"
@@ -79,13 +79,13 @@ class Access:
         return ""
 
     def refuses_token(self, given: str) -> str:
-        """Return why a token is refused, empty when it is not."""
+        """Return why a token is refused; empty when it is accepted."""
         if hmac.compare_digest(given.encode("utf-8", "replace"), self.token.encode()):
             return ""
-        return "this page needs the token of the address that `hysteresis watch` has printed"
+        return "this page needs the token: open the address that `hysteresis watch` printed"
 
     def refuses_origin(self, headers: Mapping[str, str]) -> str:
-        """Return why what would change something is refused, empty when it is not: only this server's page may ask."""
+        """Return why a request that changes something is refused; empty when it comes from this server's own page."""
         origin = headers.get("Origin", "")
         if origin:
             own = f"http://{headers.get('Host', '')}"
@@ -94,11 +94,11 @@ class Access:
                 if origin.lower() == own.lower()
                 else f"Origin {origin!r}: only the page of {own} may change anything"
             )
-        return "" if headers.get("X-Hysteresis") else "no Origin: programs give a header 'X-Hysteresis: 1'"
+        return "" if headers.get("X-Hysteresis") else "no Origin: a program must send the header 'X-Hysteresis: 1'"
 
 
 class Control:
-    """Which one of several pages may change something: the first, until it leaves or another one takes over."""
+    """Which of several pages may change something: the first, until it closes or another one takes over."""
 
     def __init__(self) -> None:
         self._holder: int | None = None
@@ -106,27 +106,27 @@ class Control:
         self._since = 0.0
 
     def ask(self, page: int, place: str, by_force: bool = False) -> bool:
-        """Give the control to a page when nobody has it, or by force; tell whether the page has it now."""
+        """Give the control to a page when no page has it, or by force; tell whether the page has it now."""
         if self._holder is None or (by_force and self._holder != page):
             self._holder, self._place, self._since = page, place, time.time()
         return self._holder == page
 
     def leave(self, page: int) -> None:
-        """Take the control back from a page that goes."""
+        """Release the control of a page that closes."""
         if self._holder == page:
             self._holder = None
 
     def refuses(self, page: int) -> str:
-        """Return why a page may change nothing, empty when it may."""
+        """Return why a page may change nothing; empty when it may."""
         if self._holder == page:
             return ""
         if self._holder is None:
-            return "nobody has the control: take it first"
+            return "no page has the control: take it first"
         since = time.strftime("%H:%M:%S", time.localtime(self._since))
         return f"another page has the control ({self._place}, since {since}): take it over first"
 
     def told(self, page: int) -> dict:
-        """Return what a page is told of it."""
+        """Return the control's state as it is sent to a page."""
         return {
             "mine": self._holder == page,
             "holder": self._place if self._holder is not None else "",
@@ -134,26 +134,26 @@ class Control:
         }
 
 
-#: What an inchworm motor may be asked for by its services.
+#: Services of an inchworm motor that a page may call.
 SERVICES = ("home", "release", "learn", "freeze", "forget")
 
-#: Longest text of a marker, most parameters at once, longest value.
+#: Longest text of a marker, most parameters in one request, longest value.
 MARKER, PARAMETERS, VALUE = 200, 50, 4096
-#: Windows of time [s] and columns of the screen that may be asked for.
+#: Allowed windows of time [s] and columns of the screen.
 WINDOW, COLUMNS = (0.02, 60.0), (50, 2000)
 
 
 class RequestError(HysteresisError):
-    """A page asks for what there is not, or in words that are none."""
+    """A request is malformed, or asks for something that does not exist."""
 
-    #: Of the request; -1 where it has none.
+    #: Number of the request; -1 when it has none.
     number = -1
 
 
 class Request(NamedTuple):
-    """What a page asks for."""
+    """A request of a page."""
 
-    number: int  #: Which the answer repeats.
+    number: int  #: Number that the answer repeats.
     action: str  #: A key of :data:`ACTIONS`.
     values: dict[str, Any]  #: Checked.
 
@@ -195,11 +195,11 @@ def _quantity(name: str, given: Any, wanted: str, meaning: str) -> float:
 
 
 def _setpoint(given: dict) -> dict:
-    return {"metres": _quantity("setpoint", given.get("value"), "m", "a length, as 5um")}
+    return {"metres": _quantity("setpoint", given.get("value"), "m", "a length, e.g. 5um")}
 
 
 def _speed(given: dict) -> dict:
-    return {"speed": _quantity("speed", given.get("value"), "m/s", "a speed, as 50um/s")}
+    return {"speed": _quantity("speed", given.get("value"), "m/s", "a speed, e.g. 50um/s")}
 
 
 def _call(given: dict) -> dict:
@@ -219,7 +219,7 @@ def _set(given: dict) -> dict:
     }
 
 
-#: What may be asked for, and what reads its values.
+#: Allowed actions, and the function that reads the values of each.
 ACTIONS = {
     "view": _view,
     "control": lambda given: {"by_force": _flag("by_force", given.get("by_force", False))},
@@ -233,18 +233,18 @@ ACTIONS = {
     "record": lambda given: {"on": _flag("on", given.get("on"))},
     "marker": lambda given: {"text": _text("marker", given.get("text"), MARKER)},
 }
-#: What also pages may do that have not the control.
+#: Actions that need no control.
 FREE = ("view", "control", "stop")
 
 
 def read_request(text: str) -> Request:
-    """Return what a page asks for."""
+    """Return the request in a message of a page."""
     number = -1
     try:
         try:
             given = read_json(text)
         except (ValueError, BoundsError):
-            raise RequestError(f"{shortened(text)}: is no JSON") from None
+            raise RequestError(f"{shortened(text)}: is not JSON") from None
         if not isinstance(given, dict):
             raise RequestError(f"{shortened(text)}: must be an object with 'id' and 'do'")
         asked = given.get("id")

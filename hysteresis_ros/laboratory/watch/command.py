@@ -19,27 +19,27 @@ import click
 
 from hysteresis_ros.cli.options import ConfigurationName
 
-#: Seconds between two looks whether somebody wants to leave.
+#: Interval at which a request to exit is checked [s].
 LOOK = 0.05
 
 
-@click.command(short_help="Show an axis in the browser, and tune it there, while it runs.")
+@click.command(short_help="Show and tune a running axis in the browser.")
 @click.argument("config", required=False, type=ConfigurationName())
-@click.option("--namespace", help="Of the axis; with CONFIG, show only the one in it.")
+@click.option("--namespace", help="Namespace of the axis; with CONFIG, show only the axis in it.")
 @click.option(
     "--port",
     type=click.IntRange(0, 65535),
-    help="Of the first page; 0: any. By default 8642, or any where it is in use.",
+    help="Port of the first page; 0: any free port. Default: 8642, or any free port when it is in use.",
 )
 @click.option(
-    "--bind", default="127.0.0.1", show_default=True, help="Address to listen on; beyond this machine with a token."
+    "--bind", default="127.0.0.1", show_default=True, help="Address to listen on; other machines need a token."
 )
-@click.option("--folder", default=".", show_default=True, metavar="DIR", help="Where the page's recordings go.")
+@click.option("--folder", default=".", show_default=True, metavar="DIR", help="Folder for the recordings of the page.")
 def watch(config, namespace, port, bind, folder):
-    """Start the axes of CONFIG and serve a page for each; without CONFIG show the axis that runs already.
+    """Start the axes of CONFIG and serve a page for each; without CONFIG show the axis that already runs.
 
-    The page of an axis that leaves waits for it. Ends with exit code 0 after Ctrl-C, with 1 when a node dies, with 2
-    for wrong input.
+    When an axis ends, its page waits for it to return. Exit code: 0 after Ctrl-C, 1 when a node dies, 2 for wrong
+    input.
     """
     requested = []
     for number in (signal.SIGINT, signal.SIGTERM):

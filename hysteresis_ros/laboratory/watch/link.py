@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The node behind the page: it listens to an axis, calls its services, and records it on request."""
+"""The node behind the page: it subscribes to an axis, calls its services, and records it on request."""
 
 from __future__ import annotations
 
@@ -51,12 +51,12 @@ from hysteresis_ros.recordings.run_bag import AxisTopics, SampleWriter
 
 #: Topic of markers.
 MARKER = "marker"
-#: Seconds after which what was recorded is handed to the operating system.
+#: Interval at which the recording is flushed to the operating system [s].
 FLUSH = 0.25
 
 
 class PageRecording:
-    """One bag, from the press of a button to the next."""
+    """One bag, from one press of the record button to the next."""
 
     def __init__(self, folder: pathlib.Path, axis: AxisParameters, joints: tuple[str, ...]):
         plant, prefix = axis.plant_simulator, axis.namespace
@@ -82,12 +82,12 @@ class PageRecording:
 
     @property
     def stopped(self) -> str:
-        """Why nothing is recorded any more; empty while all is well."""
+        """Why the recording has stopped; empty while it runs."""
         return self._bag.stopped
 
     @property
     def samples(self) -> int:
-        """Samples so far."""
+        """Samples recorded so far."""
         return self._samples.sample_count
 
     def write(self, block: Block) -> None:
@@ -96,11 +96,11 @@ class PageRecording:
         self._bag.tend(self._space)
 
     def say(self, topic: str, text: str) -> None:
-        """Write a text."""
+        """Write a text message to the bag."""
         self._bag.attempt(lambda bag: bag.write_string(f"{self._prefix}/{topic}", text, time.time_ns()))
 
     def finish(self) -> None:
-        """End the bag in order; what goes wrong stands in :attr:`stopped`."""
+        """Close the bag; an error is reported in :attr:`stopped`."""
         try:
             self._bag.finish()
         except RecordingError as error:
@@ -108,7 +108,7 @@ class PageRecording:
 
 
 def _unused(path: pathlib.Path) -> pathlib.Path:
-    """Return a path at which there is nothing yet."""
+    """Return a path that does not exist yet."""
     found, number = path, 1
     while found.exists():
         number += 1
@@ -116,27 +116,27 @@ def _unused(path: pathlib.Path) -> pathlib.Path:
     return found
 
 
-#: Seconds between two looks at who is there, and that an answer may take.
+#: Interval at which the nodes of the graph are checked, and time that an answer may take [s].
 LOOK, ANSWER = 1.0, 5.0
-#: Words of the levels of diagnostics.
+#: Names of the diagnostic levels.
 LEVELS = ("ok", "warning", "error", "stale")
-#: Nodes that are asked to start, in this order; those that stop all that moves where no plant of ours hears a stop.
+#: Nodes to start, in this order; nodes that stop the motion when the plant is not one of this package.
 STARTED = (signals.PLANT, signals.COMPENSATOR, signals.CONTROLLER, signals.SOURCE, signals.MOTOR_SOURCE)
 STOPPED = (signals.COMPENSATOR, signals.CONTROLLER, signals.SOURCE, signals.MOTOR_SOURCE)
-#: Seconds in which the nodes hear that the plant has started, and between two questions whether they have.
+#: Time in which the nodes must notice that the plant has started, and polling interval [s].
 HEARS, AGAIN = 3.0, 0.05
-#: Services of parameters that are asked for.
+#: Parameter services that are called.
 PARAMETER_SERVICES = {
     "list_parameters": ListParameters,
     "get_parameters": GetParameters,
     "set_parameters_atomically": SetParametersAtomically,
 }
-#: Depth of the topics with one message a sample.
+#: Queue depth of the topics with one message per sample.
 DEPTH = 1000
 
 
 class AxisLink:
-    """Hears and asks in a thread of its own, :meth:`run`; the other methods may be called from any thread."""
+    """Connection to the nodes of an axis, in a thread of its own (:meth:`run`); other methods work from any thread."""
 
     def __init__(self, namespace: str, folder: pathlib.Path, context: Context | None = None):
         self.namespace, self.folder = namespace, folder
@@ -147,7 +147,7 @@ class AxisLink:
         self.recording: PageRecording | None = None
         #: Namespaces of other axes.
         self.elsewhere: list[str] = []
-        #: Grows whenever parameters, or who is there, have changed.
+        #: Increases whenever the parameters or the set of nodes change.
         self.version = 0
         self._axis: AxisParameters | None = None
         self._collector: Collector | None = None
@@ -162,7 +162,7 @@ class AxisLink:
     # -- the thread ------------------------------------------------------------------------------------------------
 
     def run(self, over: threading.Event) -> None:
-        """Hear and do what was asked for, until it is over; the main function of a thread."""
+        """Process messages and requests until ``over`` is set; the main function of a thread."""
         try:
             looked = -math.inf
             while not over.is_set():
@@ -181,11 +181,11 @@ class AxisLink:
 
     @property
     def node(self):
-        """The node that hears and asks."""
+        """The ROS node of the page."""
         return self._client.node
 
     def close(self) -> None:
-        """Leave the graph; :meth:`run` does so itself."""
+        """Leave the graph; :meth:`run` does so at its end."""
         self._client.__exit__()
 
     def _connect(self) -> None:
@@ -208,26 +208,26 @@ class AxisLink:
 
     @staticmethod
     def _do(job: Callable[[], Any], answer: Future) -> None:
-        """Do something for a page, unless that has gone meanwhile; what goes wrong is its answer."""
+        """Do something for a page unless its request was cancelled; an error becomes the answer."""
         if not answer.set_running_or_notify_cancel():
             return
         try:
             answer.set_result(job())
         except HysteresisError as error:
             answer.set_exception(error)
-        except Exception as error:  # one request must not end the page for everybody
+        except Exception as error:  # one request must not end the server for all pages
             answer.set_exception(HysteresisError(f"{type(error).__name__}: {error}"))
 
     def ask(self, job: Callable[[], Any]) -> Future:
-        """Let the thread do something; return the future of what it returns or raises."""
+        """Run ``job`` in the thread; return the future of its result or error."""
         answer: Future = Future()
         self._jobs.put((job, answer))
         return answer
 
-    # -- who is there ----------------------------------------------------------------------------------------------
+    # -- nodes of the axis -----------------------------------------------------------------------------------------
 
     def _look(self) -> None:
-        """See who has come and gone; whoever is new is asked for its parameters."""
+        """Check which nodes have appeared and disappeared; request the parameters of a new one."""
         found = axis_nodes(self._client.nodes())
         there = found.pop(self.namespace, [])
         self.elsewhere = sorted(found)
@@ -239,23 +239,23 @@ class AxisLink:
             try:
                 self.values[node] = values_of(self._client, self._client.full_name(node))
             except AbsentError:
-                return  # it is only coming, or just going: the next look tells
+                return  # the node is starting or exiting: the next check decides
             self.version += 1
         if self._axis is None and len(self.values) >= len(node_names(signals.MOTOR_SOURCE in self.values)):
             self._introduce()
 
     def _introduce(self) -> None:
-        """All nodes are there: learn what the axis is, and how its samples come."""
+        """All nodes are present: read what the axis is, and how its samples are published."""
         try:
             self._axis = axis_of(self.namespace, self.values)
         except HysteresisError as error:
-            self._refused(f"the parameters of the nodes do not fit together: {error}")
+            self._refused(f"the parameters of the nodes are inconsistent: {error}")
             return
         self._begin_anew()
         self.connect_to(self._axis)
 
     def connect_to(self, axis: AxisParameters) -> None:
-        """Make all topics and services that are needed of an axis."""
+        """Create all subscriptions, publishers and clients of an axis."""
         motor = axis.inchworm_sequencer is not None
         nodes = node_names(motor)
         for subscription in self._states:
@@ -285,7 +285,7 @@ class AxisLink:
             motor = axis.inchworm_sequencer is not None
             self.memory.restart(axis.plant_simulator.sample_rate, preview, motor)
 
-    # -- what is heard ---------------------------------------------------------------------------------------------
+    # -- subscriptions ---------------------------------------------------------------------------------------------
 
     def _on_block(self, message: Float64MultiArray) -> None:
         try:
@@ -296,7 +296,7 @@ class AxisLink:
     def _take(self, block: Block) -> None:
         if self._axis is None or not block.numbers.size:
             return
-        if not self.memory.add(block):  # the axis has begun anew: its parameters may be others
+        if not self.memory.add(block):  # the axis has restarted: its parameters may have changed
             self.values.clear()
             self._axis, self.version = None, self.version + 1
             return
@@ -333,10 +333,10 @@ class AxisLink:
     def _refused(self, text: str) -> None:
         self.refusals = [*self.refusals[-20:], text]
 
-    # -- what is told ----------------------------------------------------------------------------------------------
+    # -- state for the page ----------------------------------------------------------------------------------------
 
     def tables(self) -> dict:
-        """Return what a page shows of the axis beside its signals: parameters with units and ranges, and limits."""
+        """Return what a page shows beside the signals: parameters with units and ranges, and limits."""
         values = dict(self.values)
         axis = self._axis
         return {
@@ -349,7 +349,7 @@ class AxisLink:
         }
 
     def state(self) -> dict[str, float]:
-        """Return of the source of references what says whether it moves, in the words of its ``~/state``."""
+        """Return the state of the reference source by the names of its ``~/state``: whether it moves."""
         places = {"mode": signals.SOURCE_MODE, "error": signals.ERROR, "phase": signals.PHASE}
         known = {name: self.memory.value(place) for name, place in places.items()}
         return {name: value for name, value in known.items() if not math.isnan(value)}
@@ -360,10 +360,10 @@ class AxisLink:
         motor = signals.MOTOR_SOURCE in self.values
         return self._client.full_name(signals.MOTOR_SOURCE if motor else signals.SOURCE)
 
-    # -- what is asked for, in the thread ----------------------------------------------------------------------------
+    # -- requests, in the thread -------------------------------------------------------------------------------------
 
     def change(self, node: str, values: dict[str, str]) -> str:
-        """Set parameters of a node, all or none; return what to say."""
+        """Set parameters of a node, all or none; return the text of the answer."""
         known = self.values.get(node)
         if known is None:
             raise AbsentError(f"no node {node}; there are {', '.join(self.values) or 'none'}")
@@ -374,12 +374,12 @@ class AxisLink:
         return f"{', '.join(f'{name} = {value}' for name, value in values.items())}"
 
     def start(self) -> str:
-        """Let everything go on that stands, and the waveform begin; return what to say."""
+        """Start all nodes that are stopped, and the waveform; return the text of the answer."""
         said: list[str] = []
         deadline = time.monotonic() + HEARS
         for node in [node for node in STARTED if node in self.values]:
             answer = self._client.ask(Trigger, self._client.full_name(f"{node}/start"))
-            # the plant has started: the others hear of it with their next sample
+            # the plant has started: the other nodes notice it with their next sample
             while not answer.success and said and time.monotonic() < deadline:
                 time.sleep(AGAIN)
                 answer = self._client.ask(Trigger, self._client.full_name(f"{node}/start"))
@@ -387,60 +387,57 @@ class AxisLink:
                 raise HysteresisError(f"{node} refuses to start: {answer.message}")
             said.append(node)
         if not said:
-            raise AbsentError("there is no axis that could be started")
+            raise AbsentError("there is no axis to start")
         return "started"
 
     def hold(self) -> str:
-        """Let the reference stand where it is; return what to say."""
+        """Hold the reference where it is; return the text of the answer."""
         self.call("stop")
-        return "the reference holds; start lets it go on"
+        return "the reference holds; start resumes it"
 
     def call(self, service: str) -> str:
-        """Ask the source of references for one of its services; return what it says."""
+        """Call a service of the reference source; return its message."""
         answer = self._client.ask(Trigger, f"{self.source}/{service}")
         if not answer.success:
             raise HysteresisError(f"{self.source} refuses to {service}: {answer.message}")
         return answer.message
 
     def record(self, on: bool) -> str:
-        """Begin or end a recording; return what to say."""
+        """Begin or end a recording; return the text of the answer."""
         if not on:
             if self.recording is None:
-                return "nothing is being recorded"
+                return "no recording is running"
             done, self.recording = self.recording, None
             done.finish()
             return f"recorded: {done.path}, {done.samples} samples{'; ' if done.stopped else ''}{done.stopped}"
         if self.recording is not None and not self.recording.stopped:
-            return f"recording into {self.recording.path} already"
+            return f"already recording into {self.recording.path}"
         if self._axis is None:
-            raise AbsentError("there is no whole axis that could be recorded")
+            raise AbsentError("nodes of the axis are missing: nothing to record")
         axis = axis_of(self.namespace, self.values)
         motor = axis.inchworm_sequencer is not None
         if motor and self._collector is not None:
-            raise HysteresisError("of a motor only a fused axis is recorded here; begin it with `up --record`")
+            raise HysteresisError("this page records a motor only on a fused axis; start the axis with `up --record`")
         self.recording = PageRecording(self.folder, axis, self._joints())
         return f"recording into {self.recording.path}"
 
-    # -- what is asked for, at once ----------------------------------------------------------------------------------
+    # -- requests, from any thread -----------------------------------------------------------------------------------
 
     def move(self, metres: float) -> None:
         """Publish a setpoint [m]."""
         self._setpoints.publish(Float64(data=metres))
 
     def walk(self, speed: float) -> None:
-        """Publish the speed at which a motor is to walk.
-
-        Units: ``speed`` [m/s].
-        """
+        """Publish the walking speed of a motor [m/s]."""
         self._speeds.publish(Float64(data=speed))
 
     def mark(self, text: str) -> None:
-        """Publish a marker, and write it into the recording; in the thread."""
+        """Publish a marker and write it into the recording; called in the thread."""
         self._markers.publish(String(data=text))
         self._write(MARKER, text)
 
     def stop(self) -> None:
-        """Say that everything is to stop: to the plant, and where there is none of ours to all the others."""
+        """Publish a stop: to the plant, or to all other nodes when the plant is not one of this package."""
         self._stops.publish(Bool(data=True))
         if signals.PLANT not in self.values:
             for client in self._triggers.values():
@@ -448,20 +445,20 @@ class AxisLink:
                     client.call_async(Trigger.Request())
 
     def _joints(self) -> tuple[str, ...]:
-        """Return the names in ``joint_states``, as they come."""
+        """Return the joint names in ``joint_states``, in their order."""
         heard: list[JointState] = []
         topic = self._client.full_name("joint_states")
         subscription = self._client.node.create_subscription(JointState, topic, heard.append, sensor_qos())
         try:
             if not self._client.until(lambda: heard):
-                raise AbsentError(f"nothing comes on {topic}: there is nothing to record")
+                raise AbsentError(f"no message on {topic}: nothing to record")
             return tuple(heard[0].name)
         finally:
             self._client.node.destroy_subscription(subscription)
 
 
 def profile(axes: list[AxisParameters], context: Context, used_by: Callable[[Any], Profile]) -> Profile:
-    """Return what the page of an axis uses, whatever the number of its process."""
+    """Return the topics and services that the page of an axis uses, independent of its process id."""
     (axis,) = axes
     link = AxisLink(axis.namespace, pathlib.Path(), context)
     try:
@@ -471,6 +468,6 @@ def profile(axes: list[AxisParameters], context: Context, used_by: Callable[[Any
         link.close()
     numbered = f"_hysteresis_{os.getpid()}"
     serves = tuple(sorted(name.replace(numbered, "_hysteresis_*") for name in own.serves))
-    # heard only as long as a recording begins
+    # subscribed only while a recording begins
     hears = tuple(sorted({*own.hears, f"{axis.namespace}/joint_states"}))
     return replace(own, node=PAGE, serves=serves, hears=hears)

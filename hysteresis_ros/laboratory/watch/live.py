@@ -7,10 +7,10 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What a page shows of signals while they come: the last minute, and of it as much as a screen has columns.
+"""History of signals for a page: the last minute, reduced to the columns of the screen.
 
-A column of a screen stands for many samples at kilohertz. Of each it gets the least and the greatest, in the order in
-which they came, so that no peak is lost however short it is.
+At kilohertz, one column of the screen covers many samples. It shows their minimum and maximum, in the order in which
+they occurred, so no peak is lost however short it is.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ from __future__ import annotations
 import numpy as np
 from scipy import signal
 
-#: Samples that are kept at most: a minute at 20 kHz; at higher rates it is less.
+#: Most samples that are kept: one minute at 20 kHz, less at higher rates.
 MOST_SAMPLES = 1_200_000
-#: Of a spectrum: samples of a segment at most and at least, how often the segments fit into what is looked at.
+#: Spectrum: largest and smallest segment length [samples], and number of segments.
 LONGEST, SHORTEST, SEGMENTS = 16384, 64, 4
-#: Points of a spectrum at most, in equal steps of the logarithm of the frequency.
+#: Most points of a spectrum, logarithmically spaced in frequency.
 POINTS = 320
 
 
@@ -37,11 +37,11 @@ class History:
 
     @property
     def begin(self) -> int:
-        """Number of the first sample that is kept."""
+        """Number of the oldest sample that is kept."""
         return self.end - min(self._filled, self._keeps)
 
     def append(self, table: np.ndarray) -> None:
-        """Put samples in."""
+        """Append samples."""
         self.end += table.shape[1]
         table = table[:, -self._keeps :]
         if self._filled + table.shape[1] > self._table.shape[1]:
@@ -58,7 +58,7 @@ class History:
 
 
 def places_of_extremes(table: np.ndarray, length: int) -> np.ndarray:
-    """Return where in each bin the least and the greatest value stand, in the order in which they came."""
+    """Return the indices of the minimum and the maximum in each bin, in the order in which they occurred."""
     rows = table.shape[0]
     bins = table.reshape(rows, -1, length)
     missing = np.isnan(bins)
@@ -69,13 +69,13 @@ def places_of_extremes(table: np.ndarray, length: int) -> np.ndarray:
 
 
 def extremes(table: np.ndarray, length: int) -> np.ndarray:
-    """Return of each bin the least and the greatest value, in the order in which they came, shape (rows, bins, 2)."""
+    """Return the minimum and the maximum of each bin, in the order in which they occurred, shape (rows, bins, 2)."""
     places = places_of_extremes(table, length)
     return np.take_along_axis(table, places.reshape(len(table), -1), axis=1).reshape(places.shape)
 
 
 def outline(table: np.ndarray, length: int) -> np.ndarray:
-    """Return points of a curve through several signals, of each bin those where a signal is least or greatest."""
+    """Return the points of a curve of several signals where one of them has its minimum or maximum in a bin."""
     rows = len(table)
     if length <= 2 * rows:
         return table
@@ -84,9 +84,9 @@ def outline(table: np.ndarray, length: int) -> np.ndarray:
 
 
 def amplitude_density(values: np.ndarray, rate: float) -> tuple[np.ndarray, np.ndarray]:
-    """Return the amplitude density of a signal by Welch's method, thinned to the screen: no peak is lost.
+    """Return frequencies [Hz] and amplitude density of a signal by Welch's method, thinned without losing a peak.
 
-    Units: ``rate`` [Hz].
+    ``rate`` is the sample rate [Hz].
     """
     segment = min(LONGEST, 2 ** int(np.log2(max(values.size // SEGMENTS, 1))))
     known = np.isfinite(values)

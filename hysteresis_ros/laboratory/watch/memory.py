@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What is known of a watched axis: the samples of the last minute, figures of them, and the state of a motor.
+"""State of a watched axis: the samples of the last minute, figures of them, and the state of a motor.
 
 Samples of an axis whose nodes exchange messages are assembled from the ``~/state`` of each node.
 """
@@ -28,14 +28,14 @@ from hysteresis_ros.loop.parameters import AxisParameters
 from hysteresis_ros.nodes.samples import SECOND, Block
 from hysteresis_ros.references.inchworm_layout import ERROR_NAMES, PHASE_NAMES
 
-#: A sample that lacks a node's part is shown without it when another one is younger by so much [ns].
+#: An incomplete sample is shown when a sample is newer by this time [ns].
 PART_PATIENCE = 300_000_000
-#: Samples that wait for their parts at most.
+#: Most incomplete samples that are kept.
 MOST_PENDING = 20_000
 
 
 class Collector:
-    """Rows of samples out of the ``~/state`` of the nodes, which belong together by their stamps."""
+    """Assembles samples from the ``~/state`` messages of the nodes by their stamps."""
 
     def __init__(self, nodes, motor: bool):
         self._row = len(signals.row_signals(motor))
@@ -46,12 +46,12 @@ class Collector:
         self._done, self._count = -1, 0
 
     def add(self, node: str, message: JointState) -> None:
-        """Take what a node says of a sample."""
+        """Add the ``~/state`` message of a node."""
         stamp = message.header.stamp.sec * SECOND + message.header.stamp.nanosec
         if stamp <= self._done:
             if self._done - stamp < PART_PATIENCE:
                 return
-            self._pending.clear()  # time has begun anew
+            self._pending.clear()  # time has restarted
             self._done, self._count = -1, 0
         places = self._places_of(node, tuple(message.name))
         row, seen = self._pending.get(stamp) or (np.full(self._row, np.nan), 0)
@@ -67,7 +67,7 @@ class Collector:
         return self._places[key]
 
     def take(self) -> Block:
-        """Return the samples that are whole, and those before them that will not be."""
+        """Return the complete samples, and the older ones that will stay incomplete."""
         whole = sum(self._bits.values())
         newest = max(self._pending, default=0)
         ready = [stamp for stamp, (_, seen) in self._pending.items() if seen == whole or stamp < newest - PART_PATIENCE]
@@ -78,22 +78,19 @@ class Collector:
         rows = [self._pending.pop(int(stamp))[0] for stamp in stamps]
         self._done = max(self._done, until)
         table = np.array(rows).T.reshape(self._row, len(rows))
-        # counted: a plant that is late moves its schedule, so that stamps do not tell the number
+        # counted, because a late plant shifts its schedule: stamps do not give the sample number
         self._count += len(rows)
         return Block(stamps, np.arange(self._count - len(rows), self._count), table, None)
 
 
-#: Seconds over which figures and the spectrum are taken, and within which a rate is counted.
+#: Windows of the figures, of the spectrum and of the measured rate [s].
 FIGURES, SPECTRUM, COUNTED = 2.0, 8.0, 2.0
-#: Seconds without samples after which an axis is called silent.
+#: Time without samples after which an axis counts as silent [s].
 SILENT = 1.5
 
 
 class Memory:
-    """The last samples; filled by one thread, read by another.
-
-    Units: ``rate`` [Hz].
-    """
+    """The last samples, at ``rate`` [Hz]; written by one thread, read by another."""
 
     def __init__(self, rate: float = 1000.0, preview: int = 0):
         self.lock = threading.Lock()
@@ -101,7 +98,7 @@ class Memory:
         self.restart(rate, preview)
 
     def restart(self, rate: float, preview: int = 0, motor: bool = False) -> None:
-        """Forget everything: another run begins."""
+        """Clear everything: another run begins."""
         with self.lock:
             self.epoch += 1
             self.rate, self.motor = rate, motor
@@ -114,7 +111,7 @@ class Memory:
             self._arrivals: list[tuple[float, int]] = []
 
     def add(self, block: Block) -> bool:
-        """Put samples in; tell whether they follow the last ones. Where not, nothing is done: begin anew."""
+        """Append samples and return True; return False, unchanged, when they do not follow the last ones."""
         count = block.numbers.size
         if not count:
             return True
@@ -138,19 +135,19 @@ class Memory:
     def _shown(self, table: np.ndarray) -> np.ndarray:
         published = np.concatenate([self._coming, table[signals.REFERENCE]])
         reference, self._coming = published[: table.shape[1]], published[table.shape[1] :]
-        # what a motor's controller follows is the slider less an origin, which is the extender while it walks
+        # a motor's controller follows the slider minus an origin; while walking this is the extender
         origin = table[signals.ORIGIN] if self.motor else 0.0
         own = {"reference": reference, "error": table[signals.MEASURED] - origin - reference}
         return np.array([own[name] if name in own else table[signals.place(name)] for name in self._names])
 
     @property
     def age(self) -> float:
-        """Seconds since the last samples came; infinite before the first."""
+        """Time since the last samples [s]; infinite before the first."""
         return time.monotonic() - self._arrivals[-1][0] if self._arrivals else np.inf
 
     @property
     def is_live(self) -> bool:
-        """Whether samples come."""
+        """Whether samples arrive."""
         return self.age < SILENT
 
     def value(self, place: int) -> float:
@@ -159,7 +156,7 @@ class Memory:
         return float("nan") if row is None or place >= row.size else float(row[place])
 
     def rate_seen(self) -> float:
-        """Return how many samples come in a second of the wall clock [Hz]."""
+        """Return the rate at which samples arrive by the wall clock [Hz]."""
         arrivals = self._arrivals
         if len(arrivals) < 2 or not self.is_live:
             return 0.0
@@ -177,14 +174,11 @@ class Memory:
             return view.frame(self.history)
 
     def view(self, window: float, columns: int) -> View:
-        """Return a new view.
-
-        Units: ``window`` [s].
-        """
+        """Return a new view of the last ``window`` [s]."""
         return View(window, columns, self.rate, self.epoch, self.motor)
 
     def figures(self) -> dict[str, float | None]:
-        """Return the error of the last seconds [m]: root of its mean square, its largest, and the last values."""
+        """Return the rms and the largest error of the last seconds [m], and the last values of the signals."""
         error = self.last("error", FIGURES)
         known = error[np.isfinite(error)]
         values = {"rms": float("nan"), "largest": float("nan")}
@@ -200,7 +194,7 @@ class Memory:
         return {"frequency": frequency.tolist(), "density": density.tolist()}
 
 
-#: Signals whose last values are told in figures.
+#: Signals whose last values are shown as figures.
 MOTOR_VALUES = (
     "phase",
     "direction",
@@ -220,7 +214,7 @@ MOTOR_VALUES = (
 
 
 def motor_facts(axis: AxisParameters) -> dict | None:
-    """Return what of a motor stays as it is, None where the axis is none."""
+    """Return the constants of a motor; None when the axis is not a motor."""
     sequencer = axis.inchworm_sequencer
     if sequencer is None:
         return None
@@ -235,7 +229,7 @@ def motor_facts(axis: AxisParameters) -> dict | None:
 
 
 def motor_values(memory: Memory) -> dict[str, float | None] | None:
-    """Return the last values of :data:`TOLD`, SI, None for what nobody knows; None where the axis is no motor."""
+    """Return the last values of :data:`TOLD` (SI, None when unknown); None when the axis is not a motor."""
     if not memory.motor:
         return None
     values = {name: memory.value(signals.place(name)) for name in MOTOR_VALUES}

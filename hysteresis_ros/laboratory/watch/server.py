@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""The web server of the page: files, one socket for each page that is open, and a stop without any socket."""
+"""The web server of the page: files, one web socket per open page, and a stop that needs no socket."""
 
 from __future__ import annotations
 
@@ -30,17 +30,17 @@ from hysteresis_ros.laboratory.watch.memory import motor_values
 from hysteresis_ros.laboratory.watch.views import View
 from hysteresis_ros.nodes.remote.commands import stands
 
-#: Frames a second, and seconds between two words on how the axis is, and two spectra.
+#: Frames per second; intervals of the status and of the spectrum [s].
 FRAMES, STATUS, SPECTRUM = 25.0, 0.25, 0.5
-#: Bytes of a request at most; requests of a page that wait at most.
+#: Largest request [bytes]; most queued requests of a page.
 LONGEST, WAITING = 64 * 1024, 32
-#: Seconds until an answer is given up: of a setpoint, of a stop; a stop is said so often.
+#: Time-outs of a setpoint and of a stop [s]; number of times a stop is published.
 SETPOINT, STOP, AGAIN = 2.0, 2.0, 0.1
-#: Seconds without a sign of life after which a page is taken for gone.
+#: Time without a message after which a page counts as closed [s].
 HEARTBEAT = 10.0
-#: Pages that may be open at once; connections at most; seconds in which a new connection must have asked for something.
+#: Most open pages; most connections; time in which a new connection must send a request [s].
 MOST_PAGES, CONNECTIONS, FIRST_REQUEST = 16, 128, 10.0
-#: How the page may be used by a browser: nothing from elsewhere, in no frame of another page, nothing kept.
+#: Headers for the browser: nothing from other origins, no embedding in other pages, no caching.
 HEADERS = {
     "Content-Security-Policy": "default-src 'self'; style-src 'self' 'unsafe-inline'; frame-ancestors 'none'",
     "X-Content-Type-Options": "nosniff",
@@ -49,7 +49,7 @@ HEADERS = {
 }
 _PAGE = pathlib.Path(__file__).with_name("page")
 _ASSETS = pathlib.Path(__file__).resolve().parents[2] / "analysis" / "assets"
-#: Everything that may be asked for by GET beside the socket.
+#: Everything that GET serves beside the socket.
 FILES = {
     "/": _PAGE / "index.html",
     **{f"/{path.name}": path for path in sorted(_PAGE.iterdir()) if path.suffix in (".js", ".css", ".svg")},
@@ -58,7 +58,7 @@ FILES = {
 
 
 class Page:
-    """One page that is open."""
+    """One open page."""
 
     def __init__(self, number: int, socket: web.WebSocketResponse, place: str):
         self.number, self.socket, self.place = number, socket, place
@@ -68,7 +68,7 @@ class Page:
         self.waiting: asyncio.Queue[Request] = asyncio.Queue(WAITING)
 
     async def say(self, **words) -> None:
-        """Send something in JSON, unless the page has gone."""
+        """Send JSON, unless the page has closed."""
         with contextlib.suppress(ConnectionError):
             await self.socket.send_str(json.dumps(words, allow_nan=False))
 
@@ -84,11 +84,11 @@ class Server:
         self._marks = itertools.count(1)
         self._refused = ""
         self._last_status: dict = {}
-        #: New connections that have asked for nothing yet.
+        #: New connections without a request yet.
         self._silent: set = set()
 
     def application(self) -> web.Application:
-        """Return what a web server runs."""
+        """Return the application of the web server."""
         application = web.Application(middlewares=[self._guard], client_max_size=LONGEST)
         for path in FILES:
             application.router.add_get(path, self._file)
@@ -99,7 +99,7 @@ class Server:
 
     @web.middleware
     async def _guard(self, request: web.Request, handler: Callable[[web.Request], Awaitable[web.StreamResponse]]):
-        """Let in who brings what is needed; what changes something only from this server's own page."""
+        """Check host and token of a request; a request that changes something must come from this server's own page."""
         self._silent.discard(request.protocol)
         given = request.query.get("token") or request.cookies.get(COOKIE, "")
         refused = self.access.refuses_host(request.headers.get("Host", "")) or self.access.refuses_token(given)
@@ -108,7 +108,7 @@ class Server:
         if refused:
             return web.Response(status=403, text=f"hysteresis watch: {refused}\n", headers=HEADERS)
         if request.path == "/" and request.query.get("token"):
-            # out of the address, so that it is in no history and no picture of the screen
+            # redirect, so that the token is in no browser history and no screenshot
             response: web.StreamResponse = web.Response(status=303, headers={"Location": "/", **HEADERS})
             response.set_cookie(COOKIE, given, httponly=True, samesite="Strict")
             return response
@@ -127,8 +127,8 @@ class Server:
     async def listening(self, bind: str, port: int, patience: float):
         """Listen on an address while the context lasts, and give the port.
 
-        Connections that have asked for nothing within :data:`FIRST_REQUEST` seconds, and those beyond
-        :data:`CONNECTIONS`, are closed; aiohttp waits for the whole head of a request without end.
+        Connections without a request within :data:`FIRST_REQUEST` seconds, and those beyond :data:`CONNECTIONS`, are
+        closed, because aiohttp has no time-out for the head of a request.
         """
         runner = web.AppRunner(self.application(), access_log=None, shutdown_timeout=patience)
         await runner.setup()
@@ -182,10 +182,10 @@ class Server:
         return socket
 
     async def _heard(self, page: Page, message) -> None:
-        """Read a request; a stop is done at once, whatever else waits."""
+        """Queue a request; a stop is done at once."""
         try:
             if message.type != WSMsgType.TEXT:
-                raise RequestError("requests are text, in JSON")
+                raise RequestError("a request must be text, in JSON")
             request = read_request(message.data)
             refused = "" if request.action in FREE else self.control.refuses(page.number)
             if refused:
@@ -195,12 +195,12 @@ class Server:
             else:
                 page.waiting.put_nowait(request)
         except asyncio.QueueFull:
-            await page.say(answer=request.number, ok=False, text=f"{WAITING} requests wait already: wait for answers")
+            await page.say(answer=request.number, ok=False, text=f"{WAITING} requests are queued: wait for the answers")
         except RequestError as error:
             await page.say(answer=error.number, ok=False, text=str(error))
 
     async def _work(self, page: Page) -> None:
-        """Do what a page asks for, one after the other."""
+        """Process the requests of a page one after the other."""
         while True:
             await self._answer(page, await page.waiting.get())
 
@@ -212,7 +212,7 @@ class Server:
             await page.say(answer=request.number, ok=False, text=" ".join(str(error).split()))
 
     async def _draw(self, page: Page) -> None:
-        """Send a page its frames; one that is slow gets fewer, each with all that came since the last."""
+        """Send a page its frames; a slow page gets fewer frames, each with all samples since the last one."""
         memory = self.link.memory
         while True:
             begun = time.monotonic()
@@ -251,7 +251,7 @@ class Server:
             await page.say(control=self.control.told(page.number), pages=len(self.pages))
 
     async def _tell(self) -> None:
-        """Say how the axis is, and where something has changed what its parameters are."""
+        """Send the status of the axis to all pages, and its parameters after a change."""
         if not self.pages:
             return
         link, version = self.link, self.link.version
@@ -267,7 +267,7 @@ class Server:
             await self._everybody(refused=self._refused)
 
     def status(self) -> dict:
-        """Return how the axis is."""
+        """Return the status of the axis."""
         link, memory = self.link, self.link.memory
         recording, now = link.recording, time.monotonic()
         health = [
@@ -295,7 +295,7 @@ class Server:
         value = self.link.memory.value(signals.TRIPPED)
         return bool(value) and not math.isnan(value)
 
-    # -- what pages ask for ------------------------------------------------------------------------------------------
+    # -- requests of pages -------------------------------------------------------------------------------------------
 
     async def _on_view(self, page: Page, window: float, columns: int) -> str:
         page.window, page.columns, page.view = window, columns, None
@@ -310,7 +310,7 @@ class Server:
 
     async def _on_setpoint(self, page: Page, metres: float) -> str:
         await self._given("setpoint", metres, "m", self.link.move)
-        return f"setpoint {1e6 * metres:g} µm taken"
+        return f"setpoint {1e6 * metres:g} µm accepted"
 
     async def _on_speed(self, page: Page, speed: float) -> str:
         self._require_motor("has a speed")
@@ -318,10 +318,10 @@ class Server:
         return f"walks at {1e6 * speed:g} µm/s" if speed else "holds where it is until the next setpoint"
 
     async def _given(self, name: str, value: float, unit: str, give: Callable[[float], None]) -> None:
-        """Give the source of references a value, and wait until it has taken it."""
+        """Send the reference source a value, and wait until a sample shows that it is in use."""
         link = self.link
         if not link.memory.is_live:
-            raise HysteresisError(f"the axis is silent: nobody would take the {name}")
+            raise HysteresisError(f"the axis is silent: no node would receive the {name}")
         before = len(link.refusals), link.refusals[-1:]
         give(value)
         deadline = time.monotonic() + SETPOINT
@@ -336,7 +336,7 @@ class Server:
                     raise HysteresisError(f"{link.source} has the {name} but {why}")
                 return
             await asyncio.sleep(0.01)
-        raise HysteresisError(f"{link.source} has made no sample with the {name} within {SETPOINT:g} s")
+        raise HysteresisError(f"{link.source} has published no sample with the {name} within {SETPOINT:g} s")
 
     async def _on_call(self, page: Page, service: str) -> str:
         self._require_motor(f"has a service {service}")
@@ -344,7 +344,7 @@ class Server:
 
     def _require_motor(self, what: str) -> None:
         if not self.link.memory.motor:
-            raise HysteresisError(f"this axis is no inchworm motor: only one {what}")
+            raise HysteresisError(f"this axis is not an inchworm motor: only a motor {what}")
 
     async def _on_set(self, page: Page, node: str, values: dict) -> str:
         return await asyncio.wrap_future(self.link.ask(lambda: self.link.change(node, values)))
@@ -368,13 +368,13 @@ class Server:
         return await self.stop()
 
     async def stop(self) -> str:
-        """Stop the axis, and say so once it stands."""
+        """Stop the axis; return the answer once the plant confirms it."""
         deadline = time.monotonic() + STOP
         while time.monotonic() < deadline:
             self.link.stop()
             await asyncio.sleep(AGAIN)
             if self._tripped():
-                return "stopped: the axis goes to its safe voltage, until it is started"
+                return "stopped: the axis goes to its safe voltage until it is started"
         if not self.link.memory.is_live:
-            raise HysteresisError("stop was said, but the axis is silent: nobody tells whether it stands")
-        raise HysteresisError("stop was said, but the plant does not say that it stands: switch the amplifier off")
+            raise HysteresisError("stop was sent, but the axis is silent: it is unknown whether it has stopped")
+        raise HysteresisError("stop was sent, but the plant does not confirm it: switch the amplifier off")

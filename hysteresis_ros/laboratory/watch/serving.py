@@ -7,7 +7,7 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""Starts the process of a page for each axis; imports no ROS itself."""
+"""Starts one server process per axis; imports no ROS itself."""
 
 from __future__ import annotations
 
@@ -27,31 +27,31 @@ from hysteresis_ros.errors import HysteresisError
 from hysteresis_ros.laboratory.watch.access import is_loopback
 from hysteresis_ros.nodes.launcher import die_with_parent, node_environment, require_ros
 
-#: Port of the first page where none is asked for and it is free.
+#: Default port of the first page, if it is free.
 PORT = 8642
-#: Address of this machine that nobody else reaches.
+#: Loopback address: other machines cannot reach it.
 LOOPBACK = "127.0.0.1"
-#: Seconds that a page gets to leave.
+#: Time that a server process gets to exit [s].
 PATIENCE = 5.0
 
 
 @dataclass(frozen=True)
 class PageOptions:
-    """Where pages are served, and where they record."""
+    """Addresses of the pages, and the folder of their recordings."""
 
-    port: int | None = None  #: Of the first axis, the next ones follow; None: :data:`PORT`, or any that is free.
+    port: int | None = None  #: Port of the first axis, the next axes follow; None: :data:`PORT`, or any free port.
     bind: str = LOOPBACK  #: Address to listen on.
-    folder: str = "."  #: For recordings.
+    folder: str = "."  #: Folder for recordings.
 
 
 def require_aiohttp() -> None:
-    """Raise HysteresisError when aiohttp is not installed; does not import it."""
+    """Raise HysteresisError when aiohttp is not installed, without importing it."""
     if importlib.util.find_spec("aiohttp") is None:
         raise HysteresisError('aiohttp is not installed: pip install "hysteresis_ros[watch]"')
 
 
 class Pages:
-    """The processes that serve the pages of axes, in a ``with`` statement."""
+    """The server processes of the pages, as a context manager."""
 
     def __init__(self, namespaces: Sequence[str], options: PageOptions):
         if namespaces:
@@ -59,7 +59,7 @@ class Pages:
             require_aiohttp()
         folder = pathlib.Path(options.folder).absolute()
         if not folder.is_dir():
-            raise HysteresisError(f"{options.folder}: is no folder for recordings; make it first")
+            raise HysteresisError(f"{options.folder}: is not a folder; create it first")
         self._requests = []
         for number, namespace in enumerate(namespaces):
             port = _free_port(options, number)
@@ -88,16 +88,16 @@ class Pages:
                 process.wait()
 
     def over(self) -> bool:
-        """Tell whether a page has ended."""
+        """Tell whether a server process has ended."""
         return any(process.poll() is not None for process in self._processes)
 
     def exit_code(self) -> int:
-        """Return the exit code of a page that has ended by itself, 0 where none has."""
+        """Return the exit code of a server process that ended by itself; 0 when all run."""
         return max((process.returncode or 0 for process in self._processes), default=0)
 
 
 def _free_port(options: PageOptions, number: int) -> int:
-    """Return the port of an axis' page."""
+    """Return the port of the page of an axis."""
     if options.port == 0:
         return 0
     port = (options.port or PORT) + number
@@ -112,5 +112,5 @@ def _free_port(options: PageOptions, number: int) -> int:
             words = getattr(error, "strerror", None) or error
             if options.port is None and is_loopback(options.bind) and getattr(error, "errno", 0) == 98:
                 return 0
-            raise HysteresisError(f"{options.bind}:{port}: cannot be listened on: {words}") from None
+            raise HysteresisError(f"{options.bind}:{port}: cannot listen on it: {words}") from None
     return port

@@ -7,11 +7,11 @@
 # an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 # specific language governing permissions and limitations under the License.
 
-"""What a page shows: frames of the samples, and a table of the parameters in use; no ROS, no web server.
+"""Data of a page: frames of the samples, and a table of the parameters in use; no ROS, no web server.
 
 A frame is a header in JSON, preceded by its length (4 bytes) and padded with spaces to a multiple of 4, followed by
 numbers, float32, little-endian: for each signal in the header and each column of the screen the minimum and the maximum
-in the order in which they came, then the points of the loops. Numbers are SI.
+in the order in which they occurred, then the points of the loops. Numbers are SI.
 """
 
 from __future__ import annotations
@@ -31,28 +31,28 @@ from hysteresis_ros.loop.parameters import NODE_PARAMETERS, AxisParameters, Node
 from hysteresis_ros.references.waveforms import Waveform
 from hysteresis_ros.signals import CONTROLLER, MOTOR_SOURCE
 
-#: Signals over time, of a row or made here, and those of the loops: displacement over voltage and over the command.
+#: Signals over time (from the row or calculated here), and signals of the loops: displacement over voltage and command.
 SHOWN = ("reference", "measured", "error", "command", "voltage", "estimated", "saturated", "skipped")
 LOOP = ("voltage", "command", "measured")
-#: The same of an inchworm motor, whose command and voltage are its extender's.
+#: The same for an inchworm motor; command and voltage are those of its extender.
 MOTOR_SHOWN = (*SHOWN, "setpoint", "extender", "front_voltage", "rear_voltage", "phase")
 MOTOR_LOOP = ("voltage", "command", "extender")
-#: Seconds of the loops at most, and columns that they are cut into.
+#: Longest window of the loops [s], and number of bins in it.
 LOOP_TIME, LOOP_COLUMNS = 4.0, 1000
-#: Seconds that are kept.
+#: Time that is kept [s].
 MEMORY = 60.0
 
 
 @dataclass
 class Part:
-    """How far a page has got, in whole bins of samples."""
+    """Progress of a page, in whole bins of samples."""
 
-    length: int  #: Samples of a bin.
-    bins: int  #: How many the page shows.
-    next: int = -1  #: Bin that it has to get next; -1: it has none.
+    length: int  #: Samples per bin.
+    bins: int  #: Bins that the page shows.
+    next: int = -1  #: Next bin to send; -1: none sent yet.
 
     def due(self, history: History) -> tuple[bool, int, np.ndarray]:
-        """Return whether the page begins anew, the first bin that is due, and the samples of all that are due."""
+        """Return whether the page restarts, the first bin that is due, and the samples of all bins that are due."""
         end = history.end // self.length
         begin = max(-(-history.begin // self.length), end - self.bins)
         fresh = not begin <= self.next <= end
@@ -62,10 +62,7 @@ class Part:
 
 
 class View:
-    """What one page looks at.
-
-    Units: ``rate`` [Hz].
-    """
+    """What one page shows, of samples at ``rate`` [Hz]."""
 
     def __init__(self, window: float, columns: int, rate: float, epoch: int, motor: bool = False):
         self.window, self.columns, self.rate, self.epoch = window, columns, rate, epoch
@@ -80,7 +77,7 @@ class View:
         self._loop = Part(length, -(-samples // length))
 
     def frame(self, history: History) -> bytes | None:
-        """Return the next frame, None when there is nothing new."""
+        """Return the next frame; None when there is nothing new."""
         fresh, first, table = self._time.due(history)
         loop_fresh, _, loop = self._loop.due(history)
         if not table.shape[1] and not loop.shape[1] and not fresh:
@@ -109,7 +106,7 @@ class View:
 
 
 def names_in_use(cls: type[Parameters], values: Mapping, prefix: str = "") -> Iterator[str]:
-    """Yield the names of the parameters that something hangs on: of several models and laws only those of the chosen."""
+    """Yield the names of the parameters in use: of several models and laws only those of the selected one."""
     for item in fields(cls):
         nested, chooser = item.metadata.get("group"), item.metadata.get("variant_of")
         if nested is None:
@@ -119,7 +116,7 @@ def names_in_use(cls: type[Parameters], values: Mapping, prefix: str = "") -> It
 
 
 def _hangs_on_nothing(node: str, name: str, values: Mapping) -> bool:
-    """Tell whether a parameter belongs to another law than the chosen one, or to something that is not there."""
+    """Tell whether a parameter has no effect: its law is not selected, or its block is absent."""
     group, _, own = name.partition(".")
     if own and own != "type" and values.get(f"{group}.type") == "none":
         return True
@@ -128,7 +125,7 @@ def _hangs_on_nothing(node: str, name: str, values: Mapping) -> bool:
 
 
 def table_of(node: str, values: Mapping) -> list[dict]:
-    """Return what a page shows of the parameters of a node that may change while it runs."""
+    """Return the rows of the parameters of a node that may change while it runs."""
     shared = {row.name for row in NodeParameters.table()}
     used = {
         name
@@ -153,7 +150,7 @@ def table_of(node: str, values: Mapping) -> list[dict]:
 
 
 def axis_of(namespace: str, values: Mapping[str, Mapping]) -> AxisParameters:
-    """Return the parameters of an axis out of those of its nodes."""
+    """Return the parameters of an axis from those of its nodes."""
     typed = {
         node: NODE_PARAMETERS[node].from_mapping({name: value for name, value in own.items() if _is_ours(node, name)})
         for node, own in values.items()
@@ -166,9 +163,9 @@ def _is_ours(node: str, name: str) -> bool:
 
 
 def limits_of(values: Mapping[str, Mapping]) -> dict[str, list[float]]:
-    """Return the ranges that a page draws, of the reference [m] and of the voltage [V], and that of setpoints [m].
+    """Return the ranges that a page draws: of the reference [m], of the voltage [V] and of setpoints [m].
 
-    A setpoint leaves room for the waveform around it, as the source of references does.
+    The range of setpoints leaves room for the waveform, as the reference source does.
     """
     source = values.get(MOTOR_SOURCE) or values.get("reference_generator", {})
     compensator = values.get("hysteresis_compensator", {})
@@ -181,7 +178,7 @@ def limits_of(values: Mapping[str, Mapping]) -> dict[str, list[float]]:
 
 
 def _setpoints(source: Mapping, low: float | None, high: float | None) -> list[float | None]:
-    """Return the range of setpoints that are not refused; the whole one where the waveform is not known."""
+    """Return the range of accepted setpoints; the whole range when the waveform is unknown."""
     if None in (low, high) or not source.get("sample_rate"):
         return [low, high]
     own = {name: value for name, value in source.items() if _is_ours("reference_generator", name)}

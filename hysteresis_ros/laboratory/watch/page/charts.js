@@ -12,12 +12,12 @@
 const UNITS = [[2e-9, "pm", 1e12], [2e-6, "nm", 1e9], [2e-3, "µm", 1e6], [Infinity, "mm", 1e3]];
 const colour = (name) => getComputedStyle(document.documentElement).getPropertyValue(`--${name}`).trim();
 
-/** Return the unit of length in which a span [m] is read easily, and how many of it are a metre. */
+/** Return a readable unit of length for a span [m], and the number of units in a metre. */
 export function lengthUnit(span) {
   return UNITS.find(([below]) => !(Math.abs(span) >= below)).slice(1);
 }
 
-/** Return a number with four digits and its unit, from metres or another SI unit. */
+/** Return a number in metres or another SI unit as text, with four digits and its unit. */
 export function readable(value, unit) {
   if (value === null || value === undefined || !Number.isFinite(value)) return "–";
   if (unit !== "m") return `${Number(value.toPrecision(4))} ${unit}`;
@@ -25,14 +25,14 @@ export function readable(value, unit) {
   return `${Number((value * factor).toPrecision(4))} ${word}`;
 }
 
-/** Return a power of ten as people write it. */
+/** Return a power of ten in readable form. */
 function power(value) {
   const exponent = Math.round(Math.log10(value));
   if (Math.abs(Math.log10(value) - exponent) > 1e-6) return "";
   return exponent >= -2 && exponent <= 3 ? String(10 ** exponent).slice(0, 5) : `10${[...String(exponent)].map((sign) => "⁰¹²³⁴⁵⁶⁷⁸⁹⁻"["0123456789-".indexOf(sign)]).join("")}`;
 }
 
-/** A range that follows data without trembling: it grows at once and shrinks when half of it is unused. */
+/** An axis range with hysteresis: it grows at once and shrinks when half of it is unused. */
 class Range {
   constructor(least) { this.least = least; this.low = this.high = NaN; }
   of(low, high) {
@@ -50,7 +50,7 @@ function extent(arrays) {
   return [low, high];
 }
 
-/** Labels with as many decimals as tell them apart: of a place in millimetres also nanometres. */
+/** Tick labels with just enough decimals to differ: down to nanometres for a position in millimetres. */
 const ticks = (factor) => (chart, splits) => {
   const step = Math.abs((splits[1] - splits[0]) * factor);
   let digits = 0;
@@ -72,17 +72,17 @@ function made(place, options, data) {
   return chart;
 }
 
-/** What a frame of the server holds: a header and numbers. */
+/** Return the header and the numbers of a frame of the server. */
 export function readFrame(buffer) {
   const length = new DataView(buffer).getUint32(0, true);
   const header = JSON.parse(new TextDecoder().decode(new Uint8Array(buffer, 4, length)));
   return [header, new Float32Array(buffer, 4 + length)];
 }
 
-/** How many times the span of the others a guest of a chart may be away and still be in sight. */
+/** Largest distance of a guest signal that stays in sight, as a multiple of the span of the others. */
 const FAR = 20;
 
-/** Signals over time: of each column of the screen the least and the greatest value. */
+/** Signals over time: the minimum and the maximum of each column of the screen. */
 export class Traces {
   constructor() { this.columns = 0; this.signals = {}; this.rate = 1; this.length = 1; this.end = 0; this.epoch = -1; this.next = -1; }
   take(header, numbers) {
@@ -105,7 +105,7 @@ export class Traces {
   values(name) { return Array.from(this.signals[name] || [], (value) => (Number.isNaN(value) ? null : value)); }
 }
 
-/** One chart over time with some of the signals. */
+/** A chart of some signals over time. */
 export class TimeChart {
   constructor(place, traces, series, marks, more = {}) {
     Object.assign(this, { place, traces, series, marks, more, range: {} , limits: [] });
@@ -174,7 +174,7 @@ export class TimeChart {
   }
 }
 
-/** A curve of one signal over another one; what is older is fainter. */
+/** A curve of one signal over another; older parts are fainter. */
 export class LoopChart {
   constructor(place, names, labels, unit) {
     Object.assign(this, { place, names, labels, unit });
@@ -223,7 +223,7 @@ export class LoopChart {
   }
 }
 
-/** Amplitude density of the error over the frequency, both logarithmic. */
+/** Amplitude density of the error over frequency, both logarithmic. */
 export class SpectrumChart {
   constructor(place) { this.place = place; this.data = [[1, 10], [null, null]]; this.make(); }
   make() {

@@ -7,7 +7,7 @@
 // an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 // specific language governing permissions and limitations under the License.
 
-// The page: its socket to the server, what is shown of the axis, and what keys and buttons ask for.
+// The page: its socket to the server, the display of the axis, and the actions of keys and buttons.
 
 import { LoopChart, SpectrumChart, TimeChart, Traces, lengthUnit, readFrame, readable } from "/charts.js";
 import { Motor } from "/motor.js";
@@ -22,10 +22,10 @@ const traces = new Traces();
 const loops = { voltage: [], command: [], measured: [] };
 const charts = {};
 
-/** A number of as many characters as the last one, so that nothing jumps; a figure space stands for a missing sign. */
+/** A number with a fixed number of characters, so that nothing jumps; a figure space replaces a missing sign. */
 const fixed = (value, word) => (Number.isFinite(value) ? value.toFixed(word === "mm" ? 6 : Math.abs(value) < 10 ? 3 : Math.abs(value) < 100 ? 2 : 1).replace(/^(?!-)/, "\u2007") : "–");
 
-// -- asking -----------------------------------------------------------------------------------------------------------
+// -- requests ---------------------------------------------------------------------------------------------------------
 
 function ask(words) {
   return new Promise((resolve) => {
@@ -47,7 +47,7 @@ const view = () => ask({ do: "view", window: state.window, columns: Math.min(Mat
 async function stop(event) {
   event?.preventDefault();
   let answer = await ask({ do: "stop" });
-  if (state.socket?.readyState !== WebSocket.OPEN) { // the socket is gone, the server perhaps not
+  if (state.socket?.readyState !== WebSocket.OPEN) { // the socket is closed, but the server may still run
     try {
       const response = await fetch("/stop", { method: "POST", headers: { "X-Hysteresis": "1" } });
       answer = { ok: response.ok, text: await response.text() };
@@ -58,7 +58,7 @@ async function stop(event) {
 
 const act = (words, place) => ask(words).then((answer) => say(place, answer));
 
-// -- hearing ----------------------------------------------------------------------------------------------------------
+// -- messages of the server -------------------------------------------------------------------------------------------
 
 function connect() {
   const socket = new WebSocket(`ws://${location.host}/socket`);
@@ -69,7 +69,7 @@ function connect() {
   socket.onclose = () => {
     for (const resolve of state.waiting.values()) resolve({ ok: false, text: "the connection to the server of this page is lost" });
     state.waiting.clear();
-    headline("no connection to the server of this page: it is tried again", "bad");
+    headline("no connection to the server of this page; reconnecting", "bad");
     setTimeout(connect, 1000);
   };
 }
@@ -111,7 +111,7 @@ function draw() {
     });
 }
 
-// -- showing ----------------------------------------------------------------------------------------------------------
+// -- display ----------------------------------------------------------------------------------------------------------
 
 function headline(text, level = "") {
   byId("headline").textContent = text;
@@ -123,8 +123,8 @@ function status(now) {
   state.live = now.live;
   state.recording = now.recording;
   const worst = now.health.filter(({ level, age }) => level !== "ok" && age < 5);
-  if (!now.live) headline(now.health.some(({ age }) => age < 3) ? "the axis makes no samples" : `no axis: this page waits for one${now.elsewhere.length ? `; there are others: hysteresis watch --namespace ${now.elsewhere.join(", ")}` : ""}`, "bad");
-  else if (now.tripped) headline("stopped: safe voltage until start", "bad");
+  if (!now.live) headline(now.health.some(({ age }) => age < 3) ? "the axis publishes no samples" : `no axis: waiting for one${now.elsewhere.length ? `; in other namespaces: hysteresis watch --namespace ${now.elsewhere.join(", ")}` : ""}`, "bad");
+  else if (now.tripped) headline("stopped: safe voltage until started", "bad");
   else if (now.stands) headline(now.stands, "warning");
   else if (worst.length) headline(`${worst[0].node}: ${worst[0].message}`, worst.some(({ level }) => level === "error") ? "bad" : "warning");
   else headline("running");
@@ -184,7 +184,7 @@ function control({ mine, holder, since }, pages) {
   box.hidden = mine;
   box.replaceChildren();
   if (mine) return;
-  const text = holder ? `This page only looks on: another one has the control (${holder}, since ${new Date(since * 1000).toLocaleTimeString()}).` : "Nobody has the control.";
+  const text = holder ? `This page is read-only: another page has the control (${holder}, since ${new Date(since * 1000).toLocaleTimeString()}).` : "No page has the control.";
   const take = Object.assign(document.createElement("button"), { id: "take", type: "button", textContent: holder ? "take over" : "take control" });
   take.addEventListener("click", () => ask({ do: "control", by_force: true }));
   box.append(text, take);
@@ -209,14 +209,14 @@ function pause() {
 const mark = () => act({ do: "marker", text: byId("marker-text").value.trim() || `mark ${state.marks.length + 1}` }, "record-said");
 const record = () => act({ do: "record", on: !(state.recording && !state.recording.stopped) }, "record-said");
 
-/** Gives the axis a setpoint; after a refusal field and slider go back to the one that it has, also under a pointer. */
+/** Sends a setpoint; after a refusal, field and slider return to the setpoint in use, even while they have the focus. */
 const move = throttled(async (text) => {
   const answer = await ask({ do: "setpoint", value: /[a-zµ]\s*$/i.test(text) ? text : `${text}${state.unit}` });
   state.refused = !answer.ok;
   say("setpoint-said", answer);
 });
 byId("setpoint-slider").addEventListener("input", (event) => {
-  // four digits, but not beyond the limits: their ends are given as they are
+  // four digits, but not beyond the limits: the limits themselves are sent exactly
   const { min, max, value } = event.target, [low, high] = state.limits.slider, shown = Number(Number(value).toPrecision(4));
   const end = shown <= Number(min) ? low : shown >= Number(max) ? high : null;
   byId("setpoint").value = end === null ? shown : Number((end * state.factor).toPrecision(6));
@@ -247,7 +247,7 @@ WINDOWS.forEach((window, index) => {
   byId("windows").append(button, " ");
 });
 
-// -- beginning ------------------------------------------------------------------------------------------------------------
+// -- start ----------------------------------------------------------------------------------------------------------------
 
 const tuning = new Tuning(byId("parameters"), byId("filter"), ask);
 const motor = new Motor(ask, say);
@@ -263,11 +263,11 @@ function legend(place, chart) {
   chart.legend = { items, of: () => ({ chart: chart.chart, unitOf: (scale) => chart.unitOf(scale) }) };
 }
 
-/** Makes the charts, of an actuator or of a motor: there setpoint and displacement are the slider's, the rest the extender's. */
+/** Makes the charts of an actuator or of a motor; a motor's setpoint and displacement are the slider's, the rest the extender's. */
 function build() {
   for (const [name, chart] of Object.entries(charts)) { chart.destroy(); delete charts[name]; }
   const inchworm = state.motor;
-  // a place in millimetres is written to the nanometre
+  // room for a position in millimetres written to the nanometre
   const make = (place, series, more) => new TimeChart(byId(place), traces, series, state, { size: inchworm ? 84 : 0, ...more });
   const line = (signal, more) => ({ name: signal, signal, colour: signal, ...length, ...more });
   const volts = { unit: "V", scale: "V", least: 0.01, title: "voltage" };

@@ -7,7 +7,7 @@
 // an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 // specific language governing permissions and limitations under the License.
 
-// What only an inchworm motor has: the figures of its gait, its speed and its services.
+// The card of an inchworm motor: the figures of its gait, its speed and its services.
 
 import { readable } from "/charts.js";
 
@@ -15,8 +15,8 @@ const byId = (name) => document.getElementById(name);
 const count = (value) => (value === null ? "–" : String(Math.round(value)));
 const times = (value) => (value === null ? "–" : value.toFixed(4));
 const SERVICES = {
-  home: "goes to its home position", release: "opens the front clamp and relaxes the extender; the rear clamp holds",
-  learn: "learns from the next whole cycle on", freeze: "only uses what it has learned", forget: "forgets what it has learned",
+  home: "moves to its home position", release: "opens the front clamp and relaxes the extender; the rear clamp holds",
+  learn: "learns from the next whole cycle on", freeze: "uses the learned values without changing them", forget: "discards the learned values",
 };
 
 /** The card of a motor; `ask` asks the server, `say` shows its answer. */
@@ -32,7 +32,7 @@ export class Motor {
       byId("services").append(button);
     }
   }
-  /** Takes what stays as it is; null: no motor. */
+  /** Takes the constants of a motor; null: no motor. */
   introduce(about) {
     this.about = about;
     for (const element of document.querySelectorAll(".of-motor")) element.hidden = !about;
@@ -46,12 +46,12 @@ export class Motor {
       ["phase", now.phase === null ? "–" : this.about.phases[now.phase] ?? count(now.phase)],
       ["error", this.about.errors[now.error ?? 0] || "none"],
       ["arrived", now.arrived === null ? "–" : now.arrived ? "yes" : "no"],
-      ["steps, forward less backward", count(now.steps)],
-      ["steps, missed ones", `${count(now.total_steps)}, ${count(now.missed)}`],
-      ["last step wanted, made", `${readable(now.step_commanded, "m")}, ${readable(now.step_achieved, "m")}`],
-      ["slip of it", readable(now.slip, "m")],
-      ["learned: load's deflection", readable(now.load_deflection, "m")],
-      ["gains forward, backward", `${times(now.forward_gain)}, ${times(now.backward_gain)}`],
+      ["steps, forward minus backward", count(now.steps)],
+      ["steps in total, missed", `${count(now.total_steps)}, ${count(now.missed)}`],
+      ["last step: commanded, achieved", `${readable(now.step_commanded, "m")}, ${readable(now.step_achieved, "m")}`],
+      ["last step: slip", readable(now.slip, "m")],
+      ["learned: deflection by the load", readable(now.load_deflection, "m")],
+      ["learned: gain forward, backward", `${times(now.forward_gain)}, ${times(now.backward_gain)}`],
     ];
     byId("motor").tBodies[0].replaceChildren(...rows.map(([name, text]) => {
       const row = document.createElement("tr");

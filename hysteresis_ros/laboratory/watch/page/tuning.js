@@ -7,15 +7,15 @@
 // an "AS IS" BASIS, WITHOUT WARRANTIES OR CONDITIONS OF ANY KIND, either express or implied. See the License for the
 // specific language governing permissions and limitations under the License.
 
-// Parameters of the nodes as sliders and fields, with units and ranges out of the table that the nodes themselves have.
+// Parameters of the nodes as sliders and fields; units and ranges come from the parameter table of the nodes.
 
-const TITLES = { reference_generator: "Reference: waveform", inchworm_sequencer: "Sequencer", motion_controller: "Controller", hysteresis_compensator: "Inverse of the hysteresis", plant_simulator: "Plant" };
+const TITLES = { reference_generator: "Reference generator", inchworm_sequencer: "Sequencer", motion_controller: "Controller", hysteresis_compensator: "Hysteresis compensator", plant_simulator: "Plant" };
 const ORDER = Object.keys(TITLES);
 const STEPS = 400;
 
 const made = (tag, given = {}, ...inside) => { const element = Object.assign(document.createElement(tag), given); element.append(...inside); return element; };
 
-/** Return what a slider spans: the range of the table where that is narrow, else a quarter to four times the value. */
+/** Return the span of a slider: the range of the table when it is narrow, else a quarter to four times the value. */
 export function span(row) {
   const { value, low, high } = row;
   if (low !== null && high !== null && (value === 0 || high - low <= 16 * Math.abs(value))) return { low, high, log: false };
@@ -28,7 +28,7 @@ export function span(row) {
 const toStep = ({ low, high, log }, value) => Math.round(STEPS * (log ? Math.log(value / low) / Math.log(high / low) : (value - low) / (high - low)));
 const toValue = ({ low, high, log }, step) => Math.min(high, Math.max(low, Number((log ? low * (high / low) ** (step / STEPS) : low + ((high - low) * step) / STEPS).toPrecision(4))));
 
-/** Says a value whenever it changes, but never before the last one was answered. */
+/** Sends a value whenever it changes, but not before the last one was answered. */
 export function throttled(send) {
   let busy = false, next = null;
   return async function give(value) {
@@ -75,7 +75,7 @@ class Parameter {
     if (!["double", "integer"].includes(this.row.type)) return;
     this.span = span(this.row);
     if (!this.span || !(this.span.high > this.span.low)) return;
-    this.slider = made("input", { type: "range", min: 0, max: STEPS, step: 1, title: `slides from ${this.span.low} to ${this.span.high}` });
+    this.slider = made("input", { type: "range", min: 0, max: STEPS, step: 1, title: `${this.span.low} … ${this.span.high}` });
     this.slider.value = toStep(this.span, this.row.value);
     this.slider.setAttribute("aria-label", `${this.node} ${this.row.name} slider`);
     const give = throttled((value) => this.give(value));
@@ -108,7 +108,7 @@ class Parameter {
   }
 }
 
-/** All parameters; redrawn where others are in use, else only their values are renewed. */
+/** All parameters; rebuilt when the set of parameters in use changes, else only the values are updated. */
 export class Tuning {
   constructor(place, filter, ask) {
     Object.assign(this, { place, filter, ask, rows: new Map(), shape: "" });
@@ -136,8 +136,8 @@ export class Tuning {
         groups.set(group, [...(groups.get(group) || []), row]);
       }
       for (const [group, rows] of [...groups].sort(([a], [b]) => (b === law) - (a === law))) {
-        const hint = group === "waveform" ? [made("p", { className: "quiet", textContent: "Hold first: a waveform changes at rest, and start begins it." })] : [];
-        const inner = made("details", { open: first ? group === law || node === "reference_generator" : open.has(`${node} ${group}`) }, made("summary", { textContent: group || "the whole node" }));
+        const hint = group === "waveform" ? [made("p", { className: "quiet", textContent: "Hold first: a waveform can change only at rest. Start begins it." })] : [];
+        const inner = made("details", { open: first ? group === law || node === "reference_generator" : open.has(`${node} ${group}`) }, made("summary", { textContent: group || "general" }));
         inner.dataset.name = `${node} ${group}`;
         inner.append(...hint);
         for (const row of rows.sort((a, b) => a.type.endsWith("array") - b.type.endsWith("array"))) {
